@@ -1,0 +1,1 @@
+"""The process that drives: estimator, circuit, command, recording."""

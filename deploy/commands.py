@@ -1,0 +1,17 @@
+"""Commands of this package; heavy libraries load only when one runs."""
+
+from typing import Annotated
+
+import typer
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
+
+
+def deploy(json: Json = False) -> None:
+    """Not there yet."""
+    raise NotImplementedError
+
+
+def replay(json: Json = False) -> None:
+    """Not there yet."""
+    raise NotImplementedError

@@ -1,0 +1,1 @@
+"""Errors, geometry, configuration, courses, messages and recordings: what every process needs."""

@@ -1,0 +1,97 @@
+"""YAML into validated models: every problem at once, each with the path of its value.
+
+A configuration is a frozen pydantic model with SI units in its fields. Unknown keys are errors, so that a
+typo is found; infinities and NaN are errors everywhere.
+"""
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from rover_ncp.core.errors import ConfigError, FileError
+from rover_ncp.core.files import read_text
+
+__all__ = ["StrictModel", "dump_yaml", "load_yaml", "parse_yaml"]
+
+
+class StrictModel(BaseModel):
+    """Base of all configuration models: frozen, finite, no unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]  # the C loader is optional
+    """A safe loader that refuses what YAML would silently merge: the same key twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key_node, _ in node.value:
+            if isinstance(key_node, yaml.ScalarNode):
+                if key_node.value in seen:
+                    raise yaml.constructor.ConstructorError(
+                        None, None, f"key {key_node.value!r} stands twice", key_node.start_mark
+                    )
+                seen.add(key_node.value)
+        return super().construct_mapping(node, deep)  # type: ignore[no-any-return]
+
+
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # the C dumper is optional
+    """A safe dumper that writes short lists of numbers on one line."""
+
+
+def _represent_list(dumper: Any, data: list[Any]) -> Any:
+    flat = all(isinstance(item, int | float | str) for item in data)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=flat)
+
+
+_Dumper.add_representer(list, _represent_list)
+_Dumper.add_representer(tuple, _represent_list)
+
+
+def parse_yaml(text: str, model: type[ModelT], source: str) -> ModelT:
+    """Parse YAML text into ``model``; raises ConfigError naming ``source`` and the path of each bad value."""
+    try:
+        data = yaml.load(text, Loader=_Loader)  # _Loader is a SafeLoader
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        raise ConfigError(source, [f"not valid YAML{where}: {problem}"]) from error
+    if not isinstance(data, dict):
+        raise ConfigError(source, [f"expected a mapping of keys, got {type(data).__name__}"])
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(source, [_line(item) for item in error.errors()]) from error
+
+
+def load_yaml(path: Path, model: type[ModelT]) -> ModelT:
+    """Read a YAML file into ``model``. Raises FileError (unreadable) or ConfigError (wrong)."""
+    text = read_text(path)
+    if not text.strip():
+        raise FileError(f"{path}: the file is empty")
+    return parse_yaml(text, model, str(path))
+
+
+def dump_yaml(data: dict[str, Any]) -> str:
+    """Return YAML whose numbers read back to the same bits, keys in the given order."""
+    return str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110))
+
+
+def _line(item: Any) -> str:
+    path = "$"
+    for part in item["loc"]:
+        path += f"[{part}]" if isinstance(part, int) else f".{part}"
+    message = item["msg"]
+    message = message[0].lower() + message[1:]
+    if item["type"] == "extra_forbidden":
+        return f"{path}: unknown key"
+    if item["type"] == "missing":
+        return f"{path}: this key is missing"
+    shown = repr(item["input"])
+    return f"{path}: {message}, got {shown if len(shown) <= 60 else shown[:57] + '...'}"

@@ -1,0 +1,144 @@
+"""A course: checkpoints with deadlines, the start signal, obstacles, and what counts as parked.
+
+Poses are those of the base in the course's frame; times count from the run's start. The paper's course and
+its reward are in section VI and the published simulator; a checkpoint is judged at the first tick at or
+after its deadline, at most one a tick.
+"""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from rover_ncp.core.config import StrictModel, load_yaml
+from rover_ncp.core.files import resolve
+from rover_ncp.core.geometry import Pose, distance, wrap_angle
+
+__all__ = ["TICK_S", "Checkpoint", "Course", "Obstacle", "ParkedRule", "Verdict", "load_course"]
+
+TICK_S = 0.1
+"""Control tick in seconds: the circuit is asked for a command ten times a second."""
+
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=64)]
+
+
+class Checkpoint(StrictModel):
+    """Where the base should be at a deadline: t in s, x and y in m, theta in rad."""
+
+    t: float = Field(ge=0)
+    x: float
+    y: float
+    theta: float
+
+    @property
+    def pose(self) -> Pose:
+        """The checkpoint without its deadline."""
+        return Pose(self.x, self.y, self.theta)
+
+
+class Obstacle(StrictModel):
+    """A rectangle that cannot be pushed: its centre and heading, its length and width in metres."""
+
+    x: float
+    y: float
+    theta: float = 0.0
+    length: float = Field(gt=0)
+    width: float = Field(gt=0)
+
+
+class ParkedRule(StrictModel):
+    """What counts as parked at the horizon's end."""
+
+    position_m: float = Field(default=0.10, gt=0)
+    heading_rad: float = Field(default=0.10, gt=0)
+    still_s: float = Field(default=2.0, gt=0)
+    still_m: float = Field(default=0.005, gt=0)
+    still_rad: float = Field(default=0.005, gt=0)
+
+
+class Verdict(StrictModel):
+    """How a run ended: parked or not, the errors to the last checkpoint, and the first reason if not."""
+
+    parked: bool
+    error_m: float
+    error_rad: float
+    reason: str = ""
+
+
+class Course(StrictModel):
+    """A manoeuvre to drive. Checkpoints are in the order of their deadlines."""
+
+    format: int = Field(default=1, ge=1, le=1)
+    name: Name
+    description: str = ""
+    start_signal_s: float = Field(ge=0, description="when the start signal goes from 0 to 1")
+    horizon_s: float = Field(gt=0, le=3600, description="how long the run lasts")
+    checkpoints: tuple[Checkpoint, ...] = Field(min_length=1)
+    obstacles: tuple[Obstacle, ...] = ()
+    parked: ParkedRule = ParkedRule()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        times = [point.t for point in self.checkpoints]
+        if any(b <= a for a, b in pairwise(times)):
+            raise ValueError("checkpoints must have rising deadlines")
+        if times[-1] > self.horizon_s:
+            raise ValueError(
+                f"the last deadline ({times[-1]} s) lies behind the horizon ({self.horizon_s} s)"
+            )
+        if abs(self.ticks * TICK_S - self.horizon_s) > 1e-9:
+            raise ValueError(
+                f"the horizon must be a whole number of {TICK_S} s ticks, got {self.horizon_s} s"
+            )
+        return self
+
+    @property
+    def ticks(self) -> int:
+        """Number of control ticks to the horizon."""
+        return round(self.horizon_s / TICK_S)
+
+    @property
+    def goal(self) -> Pose:
+        """The last checkpoint."""
+        return self.checkpoints[-1].pose
+
+    def start_signal(self, t: float) -> float:
+        """Return the start signal at ``t`` seconds: 0 before its time, 1 from then on.
+
+        A tick's time is a sum of tenths; the tolerance keeps tick 30 at 3.0 s whatever its last bit.
+        """
+        return 1.0 if t >= self.start_signal_s - 1e-9 else 0.0
+
+    def judge(self, times: list[float], poses: list[Pose], touched: bool) -> Verdict:
+        """Judge a run from its poses (course frame) at rising ``times`` in seconds.
+
+        Parked means: at the end within the rule's distance and angle of the last checkpoint, still for the
+        last ``still_s`` seconds, and never in contact with anything.
+        """
+        if not times or len(times) != len(poses):
+            raise ValueError(
+                f"need as many poses as times and at least one, got {len(poses)} and {len(times)}"
+            )
+        rule, end = self.parked, poses[-1]
+        error_m, error_rad = distance(end, self.goal), abs(wrap_angle(end.theta - self.goal.theta))
+        tail = [p for t, p in zip(times, poses, strict=True) if t >= times[-1] - rule.still_s - 1e-9]
+        moved = max(distance(end, p) for p in tail)
+        turned = max(abs(wrap_angle(end.theta - p.theta)) for p in tail)
+        reason = ""
+        if touched:
+            reason = "touched an obstacle"
+        elif times[-1] < self.horizon_s - TICK_S - 1e-9:
+            reason = f"ended early, at {times[-1]:.1f} s of {self.horizon_s:.1f} s"
+        elif not error_m <= rule.position_m:
+            reason = f"{error_m:.3f} m from the goal (at most {rule.position_m} m)"
+        elif not error_rad <= rule.heading_rad:
+            reason = f"{error_rad:.3f} rad from the goal's heading (at most {rule.heading_rad} rad)"
+        elif not (moved < rule.still_m and turned < rule.still_rad):
+            reason = f"still moving: {moved:.3f} m and {turned:.3f} rad in the last {rule.still_s} s"
+        return Verdict(parked=not reason, error_m=error_m, error_rad=error_rad, reason=reason)
+
+
+def load_course(name_or_path: str | Path) -> Course:
+    """Load a shipped course by name or a course file by path. Raises FileError or ConfigError."""
+    return load_yaml(resolve("courses", name_or_path), Course)

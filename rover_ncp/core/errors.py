@@ -1,0 +1,103 @@
+"""The error tree. Whatever leaves a public function on purpose is one of these.
+
+    RoverNcpError
+    ├── UsageError            the caller asked for something that cannot be: exit code 2
+    │   ├── ConfigError       a YAML file or option is wrong; lists every problem with its path
+    │   ├── FileError         a file is missing, unreadable, damaged or of another format
+    │   ├── PortInUse         another process listens there
+    │   └── MissingExtra      a library is missing; names the extra that installs it
+    ├── UnreachableError      the peer cannot be used: exit code 3
+    │   ├── NoRobot           nothing, or nonsense, answers on the base's line
+    │   ├── NoBridge          no bridge answers on Zenoh
+    │   ├── NotAuthorised     the bridge is there but does not let us drive
+    │   └── AnotherDriver     somebody else holds the driver's lease
+    └── SafetyStop            a safety rule, named, stopped the rover: exit code 4
+
+A message is one line that names what was found, where, and what was expected. Errors of libraries are
+wrapped with ``raise ... from``. Anything else that reaches the user is a bug and shows its traceback.
+"""
+
+from collections.abc import Sequence
+
+__all__ = [
+    "AnotherDriver",
+    "ConfigError",
+    "FileError",
+    "MissingExtra",
+    "NoBridge",
+    "NoRobot",
+    "NotAuthorised",
+    "PortInUse",
+    "RoverNcpError",
+    "SafetyStop",
+    "UnreachableError",
+    "UsageError",
+]
+
+
+class RoverNcpError(Exception):
+    """Root of the tree; ``exit_code`` is what the command line returns."""
+
+    exit_code = 2
+
+
+class UsageError(RoverNcpError):
+    """The caller asked for something that cannot be: a bad option, file or value."""
+
+
+class ConfigError(UsageError):
+    """A configuration is wrong. ``problems`` holds one line each, with the path of the value."""
+
+    def __init__(self, source: str, problems: Sequence[str]) -> None:
+        self.source = source
+        self.problems = tuple(problems)
+        super().__init__(f"{source}: " + "; ".join(self.problems))
+
+
+class FileError(UsageError):
+    """A file is missing, unreadable, damaged or of another format."""
+
+
+class PortInUse(UsageError):
+    """Another process already listens on the address that was asked for."""
+
+
+class MissingExtra(UsageError):
+    """A command needs libraries that are not installed."""
+
+    def __init__(self, library: str, extra: str) -> None:
+        self.extra = extra
+        super().__init__(f"{library} is not installed: pip install 'rover-ncp[{extra}]'")
+
+
+class UnreachableError(RoverNcpError):
+    """The peer cannot be used."""
+
+    exit_code = 3
+
+
+class NoRobot(UnreachableError):
+    """Nothing, or nonsense, answers on the base's line."""
+
+
+class NoBridge(UnreachableError):
+    """No bridge answers on Zenoh."""
+
+
+class NotAuthorised(UnreachableError):
+    """The bridge is there but does not let us drive."""
+
+
+class AnotherDriver(UnreachableError):
+    """Somebody else holds the driver's lease."""
+
+
+class SafetyStop(RoverNcpError):
+    """A safety rule stopped the rover; ``rule`` is its short name."""
+
+    exit_code = 4
+
+    def __init__(self, rule: str, detail: str = "") -> None:
+        self.rule = rule
+        self.detail = detail
+        super().__init__(f"stopped by {rule}" + (f": {detail}" if detail else ""))

@@ -1,0 +1,1 @@
+"""What a run or a training meant, as numbers, pictures and pages."""

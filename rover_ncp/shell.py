@@ -1,0 +1,86 @@
+"""The ``rover-ncp`` command: finds its subcommands through entry points and turns errors into exit codes.
+
+A package contributes a command by an entry point in the group ``rover_ncp.commands`` whose object is a
+plain function with typer annotations, in a module that imports nothing heavy at its top. The function
+returns its exit code, or None for 0.
+"""
+
+import json
+import sys
+from importlib.metadata import entry_points
+from typing import Any
+
+import typer
+
+from rover_ncp.core.errors import MissingExtra, RoverNcpError
+
+__all__ = ["main", "run"]
+
+GROUP = "rover_ncp.commands"
+INTERRUPTED = 130
+
+# Which extra brings a library that a command found missing.
+_EXTRAS = {
+    "numba": "drive",
+    "filterpy": "drive",
+    "pymunk": "train",
+    "gymnasium": "train",
+    "matplotlib": "train",
+    "plotly": "report",
+}
+# The order in which a newcomer meets the commands; others follow by name.
+_ORDER = ["park", "train", "eval", "mock", "bridge", "deploy", "replay"]
+# What a wrong command line raises. Typer publishes only leaves of this family, not its root.
+_WrongCommandLine: type[Exception] = typer.BadParameter.__mro__[2]
+
+
+def _app() -> typer.Typer:
+    app = typer.Typer(
+        name="rover-ncp",
+        help="Train a tiny worm circuit to park a rover in simulation, then drive a real Pioneer with it.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+    )
+    app.callback()(lambda: None)
+    points = {point.name: point for point in entry_points(group=GROUP)}
+    for name in sorted(points, key=lambda n: (_ORDER.index(n) if n in _ORDER else len(_ORDER), n)):
+        app.command(name)(points[name].load())
+    return app
+
+
+def _fail(message: str, kind: str, code: int, as_json: bool) -> int:
+    line = " ".join(message.split())
+    sys.stderr.write(f"rover-ncp: {line}\n")
+    if as_json:
+        fields: dict[str, Any] = {"error": line, "kind": kind, "exit_code": code}
+        sys.stdout.write(json.dumps(fields) + "\n")
+    return code
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command line and return its exit code; see ``docs/cli.md`` for the codes."""
+    as_json = "--json" in arguments
+    try:
+        result = _app()(args=arguments, prog_name="rover-ncp", standalone_mode=False)
+    except typer.Exit as error:
+        return error.exit_code
+    except (typer.Abort, KeyboardInterrupt):
+        return _fail("interrupted", "Interrupted", INTERRUPTED, as_json)
+    except _WrongCommandLine as error:
+        message = error.format_message() if hasattr(error, "format_message") else str(error)
+        return _fail(message or "see rover-ncp --help", "UsageError", 2, as_json) if message else 2
+    except RoverNcpError as error:
+        return _fail(str(error), type(error).__name__, error.exit_code, as_json)
+    except ModuleNotFoundError as error:
+        library = (error.name or "").split(".")[0]
+        if library not in _EXTRAS:
+            raise
+        missing = MissingExtra(library, _EXTRAS[library])
+        return _fail(str(missing), "MissingExtra", missing.exit_code, as_json)
+    return result if isinstance(result, int) else 0
+
+
+def main() -> None:
+    """Entry point of the ``rover-ncp`` script."""
+    sys.exit(run(sys.argv[1:]))

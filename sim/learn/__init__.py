@@ -1,0 +1,1 @@
+"""Search, objective, engine and ensemble: how a circuit learns."""

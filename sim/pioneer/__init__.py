@@ -1,0 +1,1 @@
+"""The firmware of a Pioneer base on the rover of sim.world."""

@@ -1,0 +1,1 @@
+"""Park, evaluate and other experiments that join all parts."""

@@ -63,13 +63,12 @@ def run(arguments: list[str]) -> int:
     as_json = "--json" in arguments
     try:
         result = _app()(args=arguments, prog_name="rover-ncp", standalone_mode=False)
-    except typer.Exit as error:
-        return error.exit_code
     except (typer.Abort, KeyboardInterrupt):
         return _fail("interrupted", "Interrupted", INTERRUPTED, as_json)
     except _WrongCommandLine as error:
         message = error.format_message() if hasattr(error, "format_message") else str(error)
-        return _fail(message or "see rover-ncp --help", "UsageError", 2, as_json) if message else 2
+        # Without a message typer has just shown the help: a command was missing.
+        return _fail(message, "UsageError", 2, as_json) if message else 2
     except RoverNcpError as error:
         return _fail(str(error), type(error).__name__, error.exit_code, as_json)
     except ModuleNotFoundError as error:
@@ -78,6 +77,8 @@ def run(arguments: list[str]) -> int:
             raise
         missing = MissingExtra(library, _EXTRAS[library])
         return _fail(str(missing), "MissingExtra", missing.exit_code, as_json)
+    if result == INTERRUPTED:  # typer turns Ctrl-C into this code and says nothing
+        return _fail("interrupted", "Interrupted", INTERRUPTED, as_json)
     return result if isinstance(result, int) else 0
 
 

@@ -5,6 +5,7 @@ its reward are in section VI and the published simulator; a checkpoint is judged
 after its deadline, at most one a tick.
 """
 
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Self
@@ -57,7 +58,8 @@ class ParkedRule(StrictModel):
     still_rad: float = Field(default=0.005, gt=0)
 
 
-class Verdict(StrictModel):
+@dataclass(frozen=True)
+class Verdict:
     """How a run ended: parked or not, the errors to the last checkpoint, and the first reason if not."""
 
     parked: bool

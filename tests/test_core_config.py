@@ -1,0 +1,139 @@
+import math
+import os
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import Field
+
+from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, parse_yaml
+from rover_ncp.core.errors import ConfigError, FileError
+from rover_ncp.core.files import resolve, write_atomic
+
+
+class Wheel(StrictModel):
+    radius_m: float = Field(gt=0)
+    name: str
+
+
+class Base(StrictModel):
+    wheels: tuple[Wheel, ...]
+    speed: float = 0.5
+
+
+def test_every_problem_is_reported_at_once_with_its_path():
+    text = "wheels:\n- {radius_m: -1, name: left}\n- {radius_m: 0.1}\nspede: 3\nspeed: fast\n"
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(text, Base, "base.yaml")
+    message = str(caught.value)
+    assert message.startswith("base.yaml: ")
+    assert "\n" not in message
+    for part in [
+        "$.wheels[0].radius_m",
+        "got -1",
+        "$.wheels[1].name: this key is missing",
+        "$.spede: unknown key",
+        "$.speed",
+    ]:
+        assert part in message
+    assert len(caught.value.problems) == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("wheels: [", "not valid YAML at line 2"),
+        ("- a\n- b\n", "expected a mapping"),
+        ("wheels: []\nwheels: []\n", "stands twice"),
+        ("wheels: []\nspeed: .nan\n", "$.speed"),
+        ("wheels: []\nspeed: .inf\n", "$.speed"),
+        ("wheels: !!python/object/apply:os.system ['true']\n", "not valid YAML"),
+        ("speed: \x07\n", "not valid YAML"),
+        ("wheels: []\nspeed: &a [*a]\n", "$.speed"),
+        ("? {a: 1}\n: 2\n", "not valid YAML"),
+    ],
+)
+def test_bad_yaml_is_one_line_naming_source_and_place(text, expected):
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(text, Base, "x.yaml")
+    assert expected in str(caught.value)
+    assert str(caught.value).startswith("x.yaml: ")
+    assert "\n" not in str(caught.value)
+
+
+@given(st.text())
+def test_any_text_parses_or_gives_our_own_error(text):
+    try:
+        parse_yaml(text, Base, "x.yaml")
+    except ConfigError as error:
+        assert error.problems
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1))
+def test_numbers_survive_yaml_to_the_last_bit(numbers):
+    class Numbers(StrictModel):
+        values: tuple[float, ...]
+
+    back = parse_yaml(dump_yaml({"values": numbers}), Numbers, "x").values
+    assert [struct.pack("d", a) for a in back] == [struct.pack("d", b) for b in numbers]
+
+
+def test_unreadable_and_empty_files_name_their_path(tmp_path):
+    (tmp_path / "empty.yaml").write_text("\n")
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    for name, expected in [
+        ("none.yaml", "cannot be read"),
+        ("empty.yaml", "empty"),
+        ("binary.yaml", "not a text file"),
+    ]:
+        with pytest.raises(FileError, match=expected) as caught:
+            load_yaml(tmp_path / name, Base)
+        assert str(tmp_path / name) in str(caught.value)
+
+
+def test_names_resolve_to_shipped_files_and_paths_to_themselves(tmp_path):
+    assert resolve("courses", "parking").name == "parking.yaml"
+    own = tmp_path / "parking.yaml"
+    own.write_text("x")
+    assert resolve("courses", own) == own
+    with pytest.raises(FileError, match="none of the shipped courses"):
+        resolve("courses", "no-such-course")
+    with pytest.raises(FileError, match="no such file"):
+        resolve("courses", tmp_path / "none.yaml")
+
+
+def test_atomic_write_replaces_whole_and_leaves_nothing_behind(tmp_path):
+    path = tmp_path / "deep" / "file.txt"
+    write_atomic(path, "one")
+    write_atomic(path, b"two")
+    assert path.read_bytes() == b"two"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_failed_atomic_write_keeps_the_old_file_and_is_our_error(tmp_path, monkeypatch):
+    path = tmp_path / "file.txt"
+    write_atomic(path, "old")
+
+    def full_disk(handle):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full_disk)
+    with pytest.raises(FileError, match="No space left"):
+        write_atomic(path, "new")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_written_files_follow_the_umask(tmp_path):
+    old = os.umask(0o027)
+    try:
+        write_atomic(tmp_path / "f", "x")
+    finally:
+        os.umask(old)
+    assert (tmp_path / "f").stat().st_mode & 0o777 == 0o640
+
+
+def test_infinite_is_refused_everywhere():
+    with pytest.raises(ConfigError):
+        parse_yaml(f"wheels: [{{radius_m: {math.inf}, name: x}}]", Base, "x")

@@ -1,0 +1,118 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.course import Course, load_course
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.geometry import Pose
+
+
+@pytest.fixture(scope="module")
+def parking() -> Course:
+    return load_course("parking")
+
+
+def still_at(pose: Pose, horizon_s: float = 32.0) -> tuple[list[float], list[Pose]]:
+    times = [0.1 * k for k in range(round(horizon_s / 0.1) + 1)]
+    return times, [pose] * len(times)
+
+
+def test_the_papers_course_has_its_checkpoints(parking):
+    assert len(parking.checkpoints) == 22
+    assert parking.ticks == 320
+    assert parking.goal == Pose(0.781439, 0.571493, 0.0)
+    # A rover that never moves pays every checkpoint's squared distance: the paper's simulator gives -14.18.
+    assert sum(p.x**2 + p.y**2 + p.theta**2 for p in parking.checkpoints) == pytest.approx(14.18, abs=0.005)
+
+
+@pytest.mark.parametrize(("tick", "signal"), [(0, 0.0), (29, 0.0), (30, 1.0), (31, 1.0), (320, 1.0)])
+def test_the_start_signal_rises_at_its_tick_whatever_the_rounding(parking, tick, signal):
+    assert parking.start_signal(sum([0.1] * tick)) == signal
+    assert parking.start_signal(tick / 10) == signal
+
+
+@pytest.mark.parametrize(
+    ("dx", "dy", "dtheta", "parked"),
+    [
+        (0, 0, 0, True),
+        (0.0999, 0, 0, True),
+        (0.0, 0.1001, 0, False),
+        (0.08, 0.08, 0, False),
+        (0, 0, 0.0999, True),
+        (0, 0, -0.1001, False),
+        (0, 0, 6.283185307179586, True),
+    ],
+)
+def test_parked_is_near_the_goal_in_place_and_heading(parking, dx, dy, dtheta, parked):
+    x, y, theta = parking.goal
+    verdict = parking.judge(*still_at(Pose(x + dx, y + dy, theta + dtheta)), touched=False)
+    assert verdict.parked is parked
+    assert bool(verdict.reason) is not parked
+
+
+def test_parked_means_still_for_two_seconds(parking):
+    times, poses = still_at(parking.goal)
+    x, y, theta = parking.goal
+    for index, pose, parked in [
+        (-21, Pose(x + 0.006, y, theta), False),
+        (-22, Pose(x + 0.006, y, theta), True),
+        (-15, Pose(x + 0.0049, y, theta), True),
+        (-15, Pose(x, y, theta + 0.006), False),
+    ]:
+        moved = list(poses)
+        moved[index] = pose
+        assert parking.judge(times, moved, touched=False).parked is parked
+
+
+def test_contact_and_an_early_end_are_not_parked(parking):
+    times, poses = still_at(parking.goal)
+    assert "touched" in parking.judge(times, poses, touched=True).reason
+    assert "ended early" in parking.judge(times[:-30], poses[:-30], touched=False).reason
+
+
+def test_a_pose_that_is_not_a_number_is_not_parked(parking):
+    times, poses = still_at(parking.goal)
+    poses[-1] = Pose(float("nan"), 0.0, 0.0)
+    assert not parking.judge(times, poses, touched=False).parked
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10))
+def test_errors_are_distances(dx, dy, dtheta):
+    course = load_course("parking")
+    x, y, theta = course.goal
+    verdict = course.judge(*still_at(Pose(x + dx, y + dy, theta + dtheta)), touched=False)
+    assert verdict.error_m == pytest.approx((dx**2 + dy**2) ** 0.5, abs=1e-9)
+    assert 0 <= verdict.error_rad <= 3.1416
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"horizon_s": 10.0}, "lies behind the horizon"),
+        ({"horizon_s": 32.05}, "whole number"),
+        ({"checkpoints": []}, "$.checkpoints"),
+        (
+            {"checkpoints": [{"t": 2, "x": 0, "y": 0, "theta": 0}, {"t": 2, "x": 0, "y": 0, "theta": 0}]},
+            "rising deadlines",
+        ),
+        ({"checkpoints": [{"t": 2, "x": 0, "y": 0, "theta": 0, "z": 1}]}, "$.checkpoints[0].z: unknown key"),
+        ({"name": "Parking lot"}, "$.name"),
+        ({"obstacles": [{"x": 0, "y": 0, "length": 0, "width": 1}]}, "$.obstacles[0].length"),
+        ({"format": 2}, "$.format"),
+    ],
+)
+def test_a_wrong_course_is_refused_with_the_place(tmp_path, parking, change, expected):
+    data = parking.model_dump(mode="json") | change
+    path = tmp_path / "course.yaml"
+    path.write_text(dump_yaml(data))
+    with pytest.raises(ConfigError) as caught:
+        load_course(path)
+    assert expected in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_a_course_survives_its_file(tmp_path, parking):
+    path = tmp_path / "course.yaml"
+    path.write_text(dump_yaml(parking.model_dump(mode="json")))
+    assert load_course(path) == parking

@@ -1,0 +1,211 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deploy.estimator import Estimator, EstimatorSettings, Outcome
+from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
+
+DT = 0.1
+SETTINGS = EstimatorSettings()
+STILL = Velocity(0.0, 0.0)
+
+
+def started():
+    estimator = Estimator()
+    estimator.start(Pose(0.0, 0.0, 0.0), 0.0)
+    return estimator
+
+
+def manoeuvre(seconds):
+    """The base's true motion: bang-bang accelerations, full speed, turns both ways, heading past ±π."""
+    pose, v, omega, rows = Pose(0.0, 0.0, 0.0), 0.0, 0.0, []
+    h = 0.001
+    for step in range(round(seconds / h)):
+        t = step * h
+        if step % 100 == 0:
+            rows.append((t, pose, Velocity(v, omega)))
+        target_v = 0.16 if t % 7 < 5 else 0.0
+        target_omega = 0.5 if t % 20 < 13 else -0.18
+        v += max(-0.31 * h, min(0.31 * h, target_v - v))
+        omega += max(-1.25 * h, min(1.25 * h, target_omega - omega))
+        heading = pose.theta + 0.5 * h * omega
+        pose = Pose(
+            pose.x + h * v * math.cos(heading),
+            pose.y + h * v * math.sin(heading),
+            wrap_angle(pose.theta + h * omega),
+        )
+    return rows
+
+
+def as_a_base_reports(pose, velocity):
+    """Whole mm, 4096ths of a turn, whole mm/s per wheel (track 588 mm)."""
+    step = math.tau / 4096
+    left, right = (round(1000 * velocity.v + side * 294 * velocity.omega) / 1000 for side in (-1, 1))
+    return (
+        Pose(round(pose.x, 3), round(pose.y, 3), wrap_angle(step * round(pose.theta / step))),
+        Velocity((left + right) / 2, (right - left) / 0.588),
+    )
+
+
+def test_follows_a_bases_odometry_within_its_resolution_and_without_lag():
+    estimator, errors, turns = started(), [], []
+    for t, pose, velocity in manoeuvre(60.0):
+        assert estimator.odometry(*as_a_base_reports(pose, velocity), t) is Outcome.ACCEPTED
+        estimate = estimator.at(t)
+        errors.append(distance(estimate.pose, pose))
+        turns.append(abs(wrap_angle(estimate.pose.theta - pose.theta)))
+    # 1 mm steps are 0.29 mm RMS an axis; a lag of 10 ms alone would be 1.6 mm and 5 mrad here.
+    assert np.sqrt(np.mean(np.square(errors))) < 0.0006
+    assert np.sqrt(np.mean(np.square(turns))) < 0.001
+    assert max(errors) < 0.0025
+    assert max(turns) < 0.003
+    assert max(abs(pose.theta) for _, pose, _ in manoeuvre(20.0)) > 3.0  # the run does cross ±π
+
+
+def test_prediction_bridges_a_missing_sample():
+    estimator, rows = started(), manoeuvre(60.0)
+    errors = []
+    for number, (t, pose, velocity) in enumerate(rows):
+        if number % 3 == 2:
+            estimate = estimator.at(t)
+            errors.append(distance(estimate.pose, pose))
+            assert (
+                abs(wrap_angle(estimate.pose.theta - pose.theta)) < 0.016
+            )  # ½ α dt² is 6 mrad, twice on a reversal
+        else:
+            estimator.odometry(*as_a_base_reports(pose, velocity), t)
+    assert max(errors) < 0.006  # holding the old pose would be off by 16 mm
+
+
+def simulate_filters_own_model(seed, ticks=320):
+    rng = np.random.default_rng(seed)
+    truth, estimator = np.zeros(5), started()
+    sigma = np.array(
+        [SETTINGS.position_m] * 2 + [SETTINGS.heading_rad, SETTINGS.speed_m_s, SETTINGS.turn_rad_s]
+    )
+    nis, nees = [], []
+    parts = 20
+    h = DT / parts
+    for tick in range(1, ticks + 1):
+        for _ in range(parts):
+            heading = truth[2] + 0.5 * h * truth[4]
+            truth[:2] += h * truth[3] * np.array([math.cos(heading), math.sin(heading)])
+            truth[:2] += rng.normal(size=2) * math.sqrt(SETTINGS.slip * h)
+            truth[2] += h * truth[4]
+            truth[3] += rng.normal() * math.sqrt(SETTINGS.acceleration * h)
+            truth[4] += rng.normal() * math.sqrt(SETTINGS.angular_acceleration * h)
+        measured = truth + sigma * rng.normal(size=5)
+        estimator.odometry(
+            Pose(measured[0], measured[1], wrap_angle(measured[2])), Velocity(*measured[3:]), tick * DT
+        )
+        nis.append(estimator.nis)
+        estimate = estimator.at(tick * DT)
+        error = np.array([*estimate.pose, *estimate.velocity]) - truth
+        error[2] = wrap_angle(error[2])
+        nees.append(error @ np.linalg.solve(estimate.covariance, error))
+    return np.array(nis), np.array(nees), estimator
+
+
+def test_covariances_are_consistent_with_the_errors():
+    runs = [simulate_filters_own_model(seed) for seed in range(8)]
+    nis, nees = np.concatenate([run[0] for run in runs]), np.concatenate([run[1] for run in runs])
+    # The mean of n draws of χ²₅ has mean 5 and variance 10/n; NEES of neighbouring ticks is correlated.
+    assert abs(nis.mean() - 5) < 4 * math.sqrt(10 / nis.size)
+    assert abs(nees.mean() - 5) < 8 * math.sqrt(10 / nees.size)
+    inside = (nis > 0.8312) & (nis < 12.8325)  # the middle 95 % of χ²₅
+    assert 0.94 < inside.mean() < 0.96
+    assert sum(run[2].rejected for run in runs) <= 3  # 1 in 10,000 each
+    assert not any(run[2].fault for run in runs)
+
+
+def test_an_estimate_asked_for_twice_is_the_same_and_changes_nothing():
+    one, other = started(), started()
+    for number, (t, pose, velocity) in enumerate(manoeuvre(3.0)):
+        one.odometry(pose, velocity, t)
+        other.odometry(pose, velocity, t)
+        for ahead in range(number % 3):
+            other.at(t + 0.05 * ahead)
+    a, b = one.at(3.0), other.at(3.0)
+    assert (a.pose, a.velocity) == (b.pose, b.velocity)
+    assert np.array_equal(a.covariance, b.covariance)
+
+
+def test_covariance_stays_symmetric_and_positive():
+    estimator = started()
+    for t, pose, velocity in manoeuvre(60.0):
+        estimator.odometry(pose, velocity, t)
+        covariance = estimator.at(t + 0.3).covariance
+        assert np.allclose(covariance, covariance.T, rtol=0, atol=1e-15)
+        assert np.linalg.eigvalsh(covariance).min() > 0
+
+
+@pytest.mark.parametrize("jump", [(0.03, 0, 0), (0, -0.1, 0), (0, 0, 0.15), (1e9, 0, 0), (0, 1e300, 0)])
+def test_a_single_outlier_is_refused_and_forgotten(jump):
+    estimator = started()
+    for tick in range(1, 20):
+        outlier = tick == 10
+        measured = Pose(*jump) if outlier else Pose(0.0, 0.0, 0.0)
+        expected = Outcome.OUTLIER if outlier else Outcome.ACCEPTED
+        assert estimator.odometry(measured, STILL, tick * DT) is expected
+        assert distance(estimator.at(tick * DT).pose, Pose(0, 0, 0)) < 0.001
+    assert estimator.rejected == 1
+    assert not estimator.fault
+
+
+def test_a_kidnapped_pose_is_a_fault_that_stays_and_never_a_new_seed():
+    estimator = started()
+    for tick in range(1, 60):
+        estimator.odometry(Pose(0.3 if tick >= 10 else 0.0, 0.0, 0.0), STILL, tick * DT)
+        assert bool(estimator.fault) == (tick >= 12)
+        if tick == 12:
+            assert distance(estimator.at(tick * DT).pose, Pose(0, 0, 0)) < 0.001
+    assert "3 odometry samples in a row" in estimator.fault
+
+
+@given(
+    where=st.integers(0, 4),
+    what=st.sampled_from([math.nan, math.inf, -math.inf]),
+    others=st.lists(st.floats(-1, 1), min_size=5, max_size=5),
+)
+def test_what_is_not_finite_never_reaches_the_filter(where, what, others):
+    estimator, values = started(), list(others)
+    values[where] = what
+    before = estimator.at(1.0)
+    assert estimator.odometry(Pose(*values[:3]), Velocity(*values[3:]), 0.5) is Outcome.NOT_FINITE
+    after = estimator.at(1.0)
+    assert after.pose == before.pose
+    assert np.array_equal(after.covariance, before.covariance)
+    assert estimator.odometry(Pose(0, 0, 0), STILL, math.nan) is Outcome.NOT_FINITE
+    assert not estimator.fault
+    estimator.odometry(Pose(*values[:3]), Velocity(*values[3:]), 0.5)
+    assert "not finite" in estimator.fault
+
+
+@given(st.lists(st.tuples(*[st.floats(width=64)] * 5), max_size=8))
+def test_whatever_comes_the_estimate_is_finite(measurements):
+    estimator = started()
+    for number, values in enumerate(measurements):
+        estimator.odometry(Pose(*values[:3]), Velocity(*values[3:]), 0.1 * number)
+        estimate = estimator.at(0.1 * number)
+        assert all(map(math.isfinite, (*estimate.pose, *estimate.velocity)))
+        assert np.isfinite(estimate.covariance).all()
+
+
+def test_old_measurements_are_refused_and_old_questions_too():
+    estimator = started()
+    estimator.odometry(Pose(0, 0, 0), STILL, 1.0)
+    assert estimator.odometry(Pose(0, 0, 0), STILL, 0.9) is Outcome.OUT_OF_ORDER
+    with pytest.raises(ValueError, match="before the last measurement"):
+        estimator.at(0.9)
+    assert estimator.odometry(Pose(0, 0, 0), STILL, 1.0) is Outcome.ACCEPTED  # the same moment is fine
+
+
+def test_it_is_seeded_once():
+    estimator = started()
+    with pytest.raises(RuntimeError, match="once"):
+        estimator.start(Pose(1, 0, 0), 1.0)
+    with pytest.raises(ValueError, match="cannot start"):
+        Estimator().start(Pose(math.nan, 0, 0), 0.0)

@@ -41,12 +41,16 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
 
 
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # the C dumper is optional
-    """A safe dumper that writes short lists of numbers on one line."""
+    """A safe dumper that writes short lists of numbers, and each row of a table, on one line."""
 
 
 def _represent_list(dumper: Any, data: list[Any]) -> Any:
     flat = all(isinstance(item, int | float | str) for item in data)
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=flat)
+    node = dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=flat)
+    for row in node.value:
+        if isinstance(row, yaml.MappingNode):
+            row.flow_style = True
+    return node
 
 
 _Dumper.add_representer(list, _represent_list)

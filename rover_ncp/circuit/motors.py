@@ -1,0 +1,68 @@
+"""How the potentials of motor neurons become commands (supplement eq. 3).
+
+A channel is y = y_p + y_n. The positive neuron's potential, from ``low_mV`` to ``high_mV``, gives y_p from 0
+to the maximum, the negative neuron's gives y_n from 0 to the minimum; beyond that range they stay at its
+end. The paper's text has -70..-20 mV, its code (and so every published circuit) -60..-20 mV.
+"""
+
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from rover_ncp.circuit.circuit import Circuit
+from rover_ncp.circuit.sensing import Channel, require_distinct
+from rover_ncp.core.config import StrictModel
+
+__all__ = ["Motors", "Pull", "parking_motors"]
+
+
+class Pull(NamedTuple):
+    """Motor neurons as arrays (q,): channel += end * clip((potential - low) / (high - low), 0, 1)."""
+
+    neuron: NDArray[np.int64]
+    channel: NDArray[np.int64]
+    end: NDArray[np.float64]
+
+
+class Motors(StrictModel):
+    """The whole mapping: channels, and the named outputs that they are, or that a linear layer makes of them.
+
+    Without a layer the channels carry the outputs' names, in the same order. A neuron may drive several
+    channels (the four-degrees-of-freedom variant, supplement 6).
+    """
+
+    outputs: tuple[str, ...] = Field(min_length=1)
+    low_mV: float = Field(default=-60.0, ge=-90, le=0)
+    high_mV: float = Field(default=-20.0, ge=-90, le=0)
+    channels: tuple[Channel, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if not self.low_mV < self.high_mV:
+            raise ValueError(f"low_mV must be below high_mV, got {self.low_mV} and {self.high_mV}")
+        require_distinct("output", self.outputs)
+        require_distinct("channel", [channel.name for channel in self.channels])
+        return self
+
+    def pull(self, circuit: Circuit) -> Pull:
+        """Return the mapping as arrays for a circuit; raises ConfigError when it lacks a neuron."""
+        rows = [
+            (circuit.index(neuron), number, end)
+            for number, channel in enumerate(self.channels)
+            for neuron, end in channel.sides
+        ]
+        neuron, channel, end = zip(*rows, strict=True)
+        return Pull(np.array(neuron, np.int64), np.array(channel, np.int64), np.array(end, np.float64))
+
+
+def parking_motors() -> Motors:
+    """Return the paper's motors for parking: forward speed in m/s, turn rate in rad/s (left positive)."""
+    return Motors(
+        outputs=("v", "omega"),
+        channels=(
+            Channel(name="v", positive="FWD", maximum=0.16),
+            Channel(name="omega", positive="LFT", maximum=0.18, negative="RGT", minimum=-0.18),
+        ),
+    )

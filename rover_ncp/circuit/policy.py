@@ -1,0 +1,238 @@
+"""A policy: a circuit with its sensing and motors, all that turns an observation into a command.
+
+The parameter vector of a policy holds every number that a search may change, block after block in the order
+of ``ParameterKind``. ``PolicyRunner`` runs one policy tick by tick; many at once run on ``lanes.py``.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rover_ncp.circuit.circuit import BOUNDS, RESTING_MV, Circuit, ParameterKind
+from rover_ncp.circuit.motors import Motors, parking_motors
+from rover_ncp.circuit.sensing import Sensing, parking_sensing
+from rover_ncp.core.errors import ConfigError, UsageError
+
+__all__ = ["ParameterBlock", "ParameterLayout", "Policy", "PolicyRunner", "parking_policy"]
+
+FloatArray = NDArray[np.float64]
+
+
+class ParameterBlock(NamedTuple):
+    """The parameters of one kind: where they stand in the vector, and the bounds they share."""
+
+    kind: ParameterKind
+    slice: slice
+    lower: float
+    upper: float
+
+    @property
+    def size(self) -> int:
+        """Number of parameters of this kind."""
+        return int(self.slice.stop - self.slice.start)
+
+
+@dataclass(frozen=True)
+class ParameterLayout:
+    """The blocks of a parameter vector (P,), in order and without gaps; kinds a policy lacks are absent."""
+
+    blocks: tuple[ParameterBlock, ...]
+
+    @property
+    def size(self) -> int:
+        """P, the number of parameters."""
+        return int(self.blocks[-1].slice.stop)
+
+    def block(self, kind: ParameterKind) -> ParameterBlock:
+        """Return the block of a kind; raises KeyError when the policy has none."""
+        for block in self.blocks:
+            if block.kind == kind:
+                return block
+        raise KeyError(kind)
+
+    @property
+    def lower(self) -> FloatArray:
+        """(P,) lower bounds."""
+        return np.concatenate([np.full(block.size, block.lower) for block in self.blocks])
+
+    @property
+    def upper(self) -> FloatArray:
+        """(P,) upper bounds."""
+        return np.concatenate([np.full(block.size, block.upper) for block in self.blocks])
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A circuit, its mappings and how it is run. Raises ConfigError when the parts do not fit together."""
+
+    circuit: Circuit
+    sensing: Sensing
+    motors: Motors
+    input_layer: FloatArray | None = None
+    """(channels, inputs): sensory channels = layer @ inputs. Without it each input is a channel."""
+    output_layer: FloatArray | None = None
+    """(outputs, channels): outputs = layer @ motor channels. Without it each channel is an output."""
+    dt_s: float = 0.01
+    substeps: int = 10
+    courses: tuple[str, ...] = ()
+    """Names of the courses it was trained on."""
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    """How it was made: command, seed, settings, return, commit, package versions."""
+
+    def __post_init__(self) -> None:
+        for name in ("input_layer", "output_layer"):
+            if getattr(self, name) is not None:
+                layer = np.array(getattr(self, name), np.float64)
+                layer.flags.writeable = False
+                object.__setattr__(self, name, layer)
+        problems = [
+            *self._name_problems(),
+            *_layer_problems("input_layer", self.input_layer, self._channels[0], self.sensing.inputs),
+            *_layer_problems("output_layer", self.output_layer, self.motors.outputs, self._channels[1]),
+        ]
+        if not 0 < self.dt_s <= 1:
+            problems.append(f"dt_s must be in 0..1 s, got {self.dt_s}")
+        if not 1 <= self.substeps <= 10_000:
+            problems.append(f"substeps must be in 1..10000, got {self.substeps}")
+        if problems:
+            raise ConfigError(f"policy {self.circuit.name}", problems)
+
+    @property
+    def tick_s(self) -> float:
+        """Time in s that one control tick advances the circuit."""
+        return self.dt_s * self.substeps
+
+    def layout(self) -> ParameterLayout:
+        """Return where each kind stands in the parameter vector."""
+        blocks, start = [], 0
+        for kind, values in self._arrays():
+            block = slice(start, start + values.size)
+            blocks.append(ParameterBlock(kind, block, BOUNDS[kind].lower, BOUNDS[kind].upper))
+            start = block.stop
+        return ParameterLayout(tuple(blocks))
+
+    def parameters(self) -> FloatArray:
+        """Return a copy of all parameters as one vector (P,)."""
+        return np.concatenate([values.ravel() for _, values in self._arrays()])
+
+    def with_parameters(self, vector: ArrayLike) -> "Policy":
+        """Return this policy with other parameters (P,); raises ConfigError out of bounds or of length."""
+        values = np.asarray(vector, np.float64)
+        layout = self.layout()
+        if values.shape != (layout.size,):
+            raise ConfigError(
+                f"policy {self.circuit.name}", [f"needs {layout.size} parameters, got {values.shape}"]
+            )
+        parts = {str(block.kind): values[block.slice] for block in layout.blocks}
+        layers = {
+            kind: parts.pop(kind).reshape(getattr(self, kind).shape)
+            for kind in ("input_layer", "output_layer")
+            if kind in parts
+        }
+        sigma = self.circuit.sigma.copy()
+        sigma[self.circuit.chemical] = parts.pop("sigma", ())
+        circuit = replace(self.circuit, sigma=sigma, **parts)
+        return replace(self, circuit=circuit, **layers)
+
+    @property
+    def _channels(self) -> tuple[list[str], list[str]]:
+        return [c.name for c in self.sensing.channels], [c.name for c in self.motors.channels]
+
+    def _arrays(self) -> list[tuple[ParameterKind, FloatArray]]:
+        circuit = self.circuit
+        arrays = [
+            (ParameterKind.WEIGHT, circuit.weight),
+            (ParameterKind.SIGMA, circuit.sigma[circuit.chemical]),
+            (ParameterKind.LEAK_POTENTIAL, circuit.leak_potential),
+            (ParameterKind.LEAK, circuit.leak),
+            (ParameterKind.CAPACITANCE, circuit.capacitance),
+            (ParameterKind.INPUT_LAYER, self.input_layer),
+            (ParameterKind.OUTPUT_LAYER, self.output_layer),
+        ]
+        return [(kind, values) for kind, values in arrays if values is not None and values.size]
+
+    def _name_problems(self) -> list[str]:
+        known = set(self.circuit.neurons)
+        return [
+            f"{what} channel {channel.name}: the circuit has no neuron {neuron!r}"
+            for what, channels in (("sensing", self.sensing.channels), ("motors", self.motors.channels))
+            for channel in channels
+            for neuron, _ in channel.sides
+            if neuron not in known
+        ]
+
+
+def _layer_problems(
+    name: str, layer: FloatArray | None, rows: Sequence[str], columns: Sequence[str]
+) -> list[str]:
+    if layer is None:
+        if list(rows) == list(columns):
+            return []
+        return [f"without {name} these must be the same: {', '.join(rows)} and {', '.join(columns)}"]
+    if layer.shape != (len(rows), len(columns)):
+        return [f"{name} needs {len(rows)} rows of {len(columns)} numbers, got the shape {layer.shape}"]
+    bounds = BOUNDS[ParameterKind(name)]
+    return [
+        f"{name}[{row}][{column}]: {value:g} is outside {bounds}"
+        for (row, column), value in np.ndenumerate(layer)
+        if not bounds.lower <= value <= bounds.upper
+    ]
+
+
+def parking_policy(circuit: Circuit, clamp: bool = True) -> Policy:
+    """Return a circuit with the paper's sensing and motors for parking.
+
+    ``clamp=False`` is for circuits trained with the published code, which does not clamp its sensors.
+    """
+    return Policy(circuit, parking_sensing(clamp), parking_motors(), courses=("parking",))
+
+
+class PolicyRunner:
+    """One policy, run tick by tick. Starts with every neuron at rest."""
+
+    def __init__(self, policy: Policy) -> None:
+        # Only here, so that policies can be read and judged where numba is not installed.
+        from rover_ncp.circuit.lanes import lane_parameters, make_program
+        from rover_ncp.circuit.solver import tick_lanes
+
+        self.policy = policy
+        self._tick_lanes = tick_lanes
+        self._program = make_program(policy)
+        self._lanes = lane_parameters(policy, policy.parameters()[np.newaxis])
+        self._potentials = np.empty((policy.circuit.size, 1))
+        self._observation = np.empty((len(policy.sensing.inputs), 1))
+        self._command = np.empty((len(policy.motors.outputs), 1))
+        self.reset()
+
+    @property
+    def potentials(self) -> FloatArray:
+        """A copy of all potentials (n,) in mV."""
+        return self._potentials[:, 0].copy()
+
+    def reset(self) -> None:
+        """Put every neuron at rest."""
+        self._potentials[:] = RESTING_MV
+
+    def warm_up(self, observation: Sequence[float] | FloatArray) -> None:
+        """Run one tick whose command nobody obeys, as the paper's simulator does before the first."""
+        self.tick(observation)
+
+    def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:
+        """Run one control tick on an observation (inputs,) and return the outputs.
+
+        For parking: (x, y, theta, start) in m and rad to (v, omega) in m/s and rad/s. Raises UsageError for
+        an observation of another length or with a number that is not finite; the state is then unchanged.
+        """
+        inputs = self.policy.sensing.inputs
+        if len(observation) != len(inputs):
+            raise UsageError(f"an observation needs {len(inputs)} values ({', '.join(inputs)})")
+        for name, value in zip(inputs, observation, strict=True):
+            if not math.isfinite(value):
+                raise UsageError(f"the observation {name} is {value}, which is no finite number")
+        self._observation[:, 0] = observation
+        self._tick_lanes(self._program, self._lanes, self._potentials, self._observation, self._command)
+        return tuple(self._command[:, 0].tolist())

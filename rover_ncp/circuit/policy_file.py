@@ -1,0 +1,239 @@
+"""Circuits and policies as files: our YAML, and the published ``.bnn``.
+
+A policy file holds all that decides what the circuit does, neurons and synapses by name; read back, every
+number has the same bits, and so has every trajectory. The format is written down in ``docs/files.md``.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from rover_ncp.circuit.bnn import circuit_from_bnn
+from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, Circuit, ParameterKind, SynapseKind
+from rover_ncp.circuit.motors import Motors
+from rover_ncp.circuit.policy import Policy, parking_policy
+from rover_ncp.circuit.sensing import Sensing
+from rover_ncp.core.config import StrictModel, dump_yaml, parse_yaml
+from rover_ncp.core.errors import ConfigError, FileError
+from rover_ncp.core.files import read_text, resolve, write_atomic
+
+__all__ = [
+    "circuit_to_yaml",
+    "load_circuit",
+    "load_policy",
+    "policy_from_yaml",
+    "policy_to_yaml",
+    "save_policy",
+]
+
+FORMAT = 1
+
+
+def _bounded(kind: ParameterKind) -> Any:
+    return Field(ge=BOUNDS[kind].lower, le=BOUNDS[kind].upper)
+
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=64)]
+Layer = tuple[tuple[float, ...], ...]
+
+
+class _Neuron(StrictModel):
+    name: Name
+    capacitance: float = _bounded(ParameterKind.CAPACITANCE)
+    leak: float = _bounded(ParameterKind.LEAK)
+    leak_potential: float = _bounded(ParameterKind.LEAK_POTENTIAL)
+    held_mV: Annotated[float, _bounded(ParameterKind.LEAK_POTENTIAL)] | None = None
+
+
+class _Synapse(StrictModel):
+    kind: Literal["excitatory", "inhibitory", "gap"]
+    source: str
+    destination: str
+    weight: float = _bounded(ParameterKind.WEIGHT)
+    sigma: Annotated[float, _bounded(ParameterKind.SIGMA)] | None = None
+
+
+class _Circuit(StrictModel):
+    name: Name
+    neurons: tuple[_Neuron, ...] = Field(min_length=1)
+    synapses: tuple[_Synapse, ...]
+
+
+class _CircuitFile(_Circuit):
+    format: Literal[1]
+
+
+class _PolicyFile(StrictModel):
+    format: Literal[1]
+    circuit: _Circuit
+    sensing: Sensing
+    motors: Motors
+    input_layer: Layer | None = None
+    output_layer: Layer | None = None
+    dt_s: float
+    substeps: int
+    courses: tuple[Name, ...]
+    provenance: dict[str, Any]
+
+
+def load_policy(name_or_path: str | Path) -> Policy:
+    """Load a shipped policy by name, or a policy file or ``.bnn`` circuit by path.
+
+    A ``.bnn`` circuit must have parking's motor neurons; it gets parking's mappings with sensors that are
+    not clamped, as it was trained. Raises FileError or ConfigError.
+    """
+    path = resolve("policies", name_or_path)
+    text = _text(path)
+    if path.suffix != ".bnn":
+        return policy_from_yaml(text, str(path))
+    circuit = circuit_from_bnn(text, path.stem, str(path))
+    if "RGT" not in circuit.neurons or "FWD" not in circuit.neurons:
+        raise ConfigError(
+            str(path),
+            [
+                "to drive a rover it needs at least 12 neurons (9 turns left, 10 right, 11 drives forward), "
+                f"got {circuit.size}"
+            ],
+        )
+    return parking_policy(circuit, clamp=False)
+
+
+def load_circuit(name_or_path: str | Path) -> Circuit:
+    """Load a shipped circuit by name, or a circuit file (YAML or ``.bnn``) by path."""
+    path = resolve("circuits", name_or_path)
+    text = _text(path)
+    if path.suffix == ".bnn":
+        return circuit_from_bnn(text, path.stem, str(path))
+    return _circuit(parse_yaml(text, _CircuitFile, str(path)), str(path), "$")
+
+
+def save_policy(path: Path, policy: Policy) -> None:
+    """Write a policy file, whole or not at all. Raises FileError when the place cannot be written."""
+    write_atomic(path, policy_to_yaml(policy))
+
+
+def policy_from_yaml(text: str, source: str) -> Policy:
+    """Read a policy from the text of its file; raises ConfigError naming ``source`` and every bad value."""
+    file = parse_yaml(text, _PolicyFile, source)
+    circuit = _circuit(file.circuit, source, "$.circuit")
+    try:
+        return Policy(
+            circuit=circuit,
+            sensing=file.sensing,
+            motors=file.motors,
+            input_layer=_layer(file.input_layer, "input_layer"),
+            output_layer=_layer(file.output_layer, "output_layer"),
+            dt_s=file.dt_s,
+            substeps=file.substeps,
+            courses=file.courses,
+            provenance=file.provenance,
+        )
+    except ConfigError as error:
+        raise ConfigError(source, [f"$.{problem}" for problem in error.problems]) from error
+
+
+def policy_to_yaml(policy: Policy) -> str:
+    """Return the text of a policy's file."""
+    data: dict[str, Any] = {
+        "format": FORMAT,
+        "circuit": _circuit_data(policy.circuit),
+        "sensing": policy.sensing.model_dump(exclude_none=True),
+        "motors": policy.motors.model_dump(exclude_none=True),
+    }
+    for name in ("input_layer", "output_layer"):
+        layer = getattr(policy, name)
+        if layer is not None:
+            data[name] = layer.tolist()
+    data |= {
+        "dt_s": policy.dt_s,
+        "substeps": policy.substeps,
+        "courses": list(policy.courses),
+        "provenance": dict(policy.provenance),
+    }
+    return dump_yaml(data)
+
+
+def circuit_to_yaml(circuit: Circuit) -> str:
+    """Return the text of a circuit's file."""
+    return dump_yaml({"format": FORMAT, **_circuit_data(circuit)})
+
+
+def _text(path: Path) -> str:
+    text = read_text(path)
+    if not text.strip():
+        raise FileError(f"{path}: the file is empty")
+    return text
+
+
+def _layer(rows: Layer | None, name: str) -> np.ndarray[Any, np.dtype[np.float64]] | None:
+    if rows is None:
+        return None
+    if len({len(row) for row in rows}) != 1:
+        raise ConfigError("", [f"{name}: all rows must have the same length"])
+    return np.array(rows, np.float64)
+
+
+def _circuit(file: _Circuit, source: str, where: str) -> Circuit:
+    """Turn names into indices; every problem with the path of its value."""
+    neurons = [neuron.name for neuron in file.neurons]
+    problems = []
+    for s, synapse in enumerate(file.synapses):
+        path = f"{where}.synapses[{s}]"
+        problems += [
+            f"{path}.{end}: there is no neuron {name!r}"
+            for end, name in (("source", synapse.source), ("destination", synapse.destination))
+            if name not in neurons
+        ]
+        if (synapse.sigma is None) != (synapse.kind == "gap"):
+            what = "a gap junction has none" if synapse.kind == "gap" else "this key is missing"
+            problems.append(f"{path}.sigma: {what}")
+    if problems:
+        raise ConfigError(source, problems)
+    default_sigma = DEFAULTS[ParameterKind.SIGMA]
+    try:
+        return Circuit(
+            name=file.name,
+            neurons=tuple(neurons),
+            kind=np.array([SynapseKind[s.kind.upper()] for s in file.synapses], np.int64),
+            source=np.array([neurons.index(s.source) for s in file.synapses], np.int64),
+            destination=np.array([neurons.index(s.destination) for s in file.synapses], np.int64),
+            weight=np.array([s.weight for s in file.synapses], np.float64),
+            sigma=np.array(
+                [default_sigma if s.sigma is None else s.sigma for s in file.synapses], np.float64
+            ),
+            leak_potential=np.array([n.leak_potential for n in file.neurons]),
+            leak=np.array([n.leak for n in file.neurons]),
+            capacitance=np.array([n.capacitance for n in file.neurons]),
+            held={i: n.held_mV for i, n in enumerate(file.neurons) if n.held_mV is not None},
+        )
+    except ConfigError as error:
+        raise ConfigError(source, [f"{where}: {problem}" for problem in error.problems]) from error
+
+
+def _circuit_data(circuit: Circuit) -> dict[str, Any]:
+    neurons = []
+    for i, name in enumerate(circuit.neurons):
+        row = {
+            "name": name,
+            "capacitance": float(circuit.capacitance[i]),
+            "leak": float(circuit.leak[i]),
+            "leak_potential": float(circuit.leak_potential[i]),
+        }
+        if i in circuit.held:
+            row["held_mV"] = float(circuit.held[i])
+        neurons.append(row)
+    synapses = []
+    for s in range(circuit.synapse_count):
+        kind = SynapseKind(circuit.kind[s])
+        row = {
+            "kind": kind.name.lower(),
+            "source": circuit.neurons[circuit.source[s]],
+            "destination": circuit.neurons[circuit.destination[s]],
+            "weight": float(circuit.weight[s]),
+        }
+        if kind is not SynapseKind.GAP:
+            row["sigma"] = float(circuit.sigma[s])
+        synapses.append(row)
+    return {"name": circuit.name, "neurons": neurons, "synapses": synapses}

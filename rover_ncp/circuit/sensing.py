@@ -1,0 +1,122 @@
+"""How an observation becomes the potentials of sensory neurons (supplement eq. 1-2).
+
+A channel x with range [x_min, x_max] sets its positive neuron to -70 + 50 x / x_max and its negative neuron
+to -70 + 50 x / x_min, in mV. Clamped, both stay within -70..-20 mV: what lies beyond the range reads as its
+end. Unclamped, as in the published code (and so for circuits trained with it), a single neuron follows its
+line without end, and of a pair the neuron of x's sign does, while the other stays at -70 mV.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from rover_ncp.circuit.circuit import Circuit
+from rover_ncp.core.config import StrictModel
+
+__all__ = ["HIGH_MV", "LOW_MV", "SATURATION_MV", "Channel", "Drive", "Sensing", "parking_sensing"]
+
+LOW_MV = -70.0
+HIGH_MV = -20.0
+SATURATION_MV = 1000.0
+"""An unclamped potential ends here: twenty times its range, yet harmless to the solver's arithmetic."""
+
+
+class Channel(StrictModel):
+    """One variable and the neurons it drives, one for its positive values, one for its negative, or both."""
+
+    name: str = Field(min_length=1)
+    positive: str | None = None
+    maximum: float | None = Field(default=None, gt=0)
+    negative: str | None = None
+    minimum: float | None = Field(default=None, lt=0)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.positive is None) != (self.maximum is None):
+            raise ValueError("a positive neuron and a maximum go together")
+        if (self.negative is None) != (self.minimum is None):
+            raise ValueError("a negative neuron and a minimum go together")
+        if self.positive is None and self.negative is None:
+            raise ValueError("needs a positive or a negative neuron")
+        return self
+
+    @property
+    def sides(self) -> list[tuple[str, float]]:
+        """The neurons with the end of their range."""
+        both = ((self.positive, self.maximum), (self.negative, self.minimum))
+        return [(neuron, end) for neuron, end in both if neuron is not None and end is not None]
+
+
+class Drive(NamedTuple):
+    """Sensory neurons as arrays (s,): potential = clip(LOW_MV + gain * channel, lower, upper), in mV."""
+
+    neuron: NDArray[np.int64]
+    channel: NDArray[np.int64]
+    gain: NDArray[np.float64]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+
+
+class Sensing(StrictModel):
+    """The whole mapping: named inputs, and the channels that they are, or that a linear layer makes of them.
+
+    Without a layer the channels carry the inputs' names, in the same order.
+    """
+
+    name: str = Field(min_length=1)
+    inputs: tuple[str, ...] = Field(min_length=1)
+    clamp: bool = True
+    channels: tuple[Channel, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        neurons = [neuron for channel in self.channels for neuron, _ in channel.sides]
+        for what, names in (
+            ("input", self.inputs),
+            ("channel", [channel.name for channel in self.channels]),
+            ("sensory neuron", neurons),
+        ):
+            require_distinct(what, names)
+        return self
+
+    @property
+    def neurons(self) -> tuple[str, ...]:
+        """The sensory neurons in the order of ``drive``."""
+        return tuple(neuron for channel in self.channels for neuron, _ in channel.sides)
+
+    def drive(self, circuit: Circuit) -> Drive:
+        """Return the mapping as arrays for a circuit; raises ConfigError when it lacks a neuron."""
+        rows = []
+        for number, channel in enumerate(self.channels):
+            pair = len(channel.sides) == 2
+            for neuron, end in channel.sides:
+                lower = LOW_MV if self.clamp or pair else -SATURATION_MV
+                upper = HIGH_MV if self.clamp else SATURATION_MV
+                rows.append((circuit.index(neuron), number, (HIGH_MV - LOW_MV) / end, lower, upper))
+        columns = list(zip(*rows, strict=True))
+        return Drive(
+            np.array(columns[0], np.int64),
+            np.array(columns[1], np.int64),
+            *(np.array(column, np.float64) for column in columns[2:]),
+        )
+
+
+def require_distinct(what: str, names: Sequence[str]) -> None:
+    """Raise ValueError when a name stands twice."""
+    for name in names:
+        if list(names).count(name) > 1:
+            raise ValueError(f"{what} {name!r} stands twice")
+
+
+def parking_sensing(clamp: bool = True) -> Sensing:
+    """Return the paper's sensing for parking: the estimated pose and the start signal, each on one neuron."""
+    table = (("x", "PVD", 1.0), ("y", "PLM", 1.0), ("theta", "ALM", 1.0), ("start", "AVM", 1.0))
+    return Sensing(
+        name="absolute",
+        inputs=tuple(name for name, _, _ in table),
+        clamp=clamp,
+        channels=tuple(Channel(name=name, positive=neuron, maximum=end) for name, neuron, end in table),
+    )

@@ -1,0 +1,80 @@
+"""The solver's definition: one circuit, one equation a line, in plain numpy.
+
+Hasani et al. (ICRA 2020), supplement eq. 1-6. Slow on purpose; the tests hold ``solver.py`` against it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.circuit import MIDPOINT_MV, REVERSAL_MV, Circuit, SynapseKind
+from rover_ncp.circuit.motors import Motors
+from rover_ncp.circuit.sensing import HIGH_MV, LOW_MV, SATURATION_MV, Sensing
+
+__all__ = ["motor_channels", "sensory_potentials", "step", "time_constants"]
+
+FloatArray = NDArray[np.float64]
+
+
+def conductances(circuit: Circuit, potentials: FloatArray) -> FloatArray:
+    """Return every synapse's conductance (m,) in S at potentials (n,) in mV.
+
+    A chemical synapse's is w g(V_j), with g(V_j) = 1 / (1 + exp(-sigma (V_j - mu))); a gap junction's is
+    its weight.
+    """
+    presynaptic = potentials[circuit.source]
+    gate = 1.0 / (1.0 + np.exp(-circuit.sigma * (presynaptic - MIDPOINT_MV)))
+    return circuit.weight * np.where(circuit.chemical, gate, 1.0)
+
+
+def step(circuit: Circuit, potentials: FloatArray, dt_s: float) -> FloatArray:
+    """Return the potentials (n,) in mV one hybrid Euler step later (supplement eq. 6).
+
+    Implicit in a neuron's own potential, explicit in those of its presynaptic neurons.
+    """
+    synapse = conductances(circuit, potentials)
+    pull = np.array(
+        [
+            potentials[source] if kind == SynapseKind.GAP else REVERSAL_MV[SynapseKind(kind)]
+            for kind, source in zip(circuit.kind, circuit.source, strict=True)
+        ]
+    )
+    current = circuit.capacitance / dt_s * potentials + circuit.leak * circuit.leak_potential
+    total = circuit.capacitance / dt_s + circuit.leak
+    np.add.at(current, circuit.destination, synapse * pull)
+    np.add.at(total, circuit.destination, synapse)
+    new: FloatArray = current / total
+    for neuron, value in circuit.held.items():
+        new[neuron] = value
+    return new
+
+
+def time_constants(circuit: Circuit, potentials: FloatArray) -> FloatArray:
+    """Return tau_i = C_i / (G_i + all its synapses' conductances), (n,) in s, at a moment (paper eq. 5)."""
+    total = circuit.leak.copy()
+    np.add.at(total, circuit.destination, conductances(circuit, potentials))
+    tau: FloatArray = circuit.capacitance / total
+    return tau
+
+
+def sensory_potentials(sensing: Sensing, channels: FloatArray) -> dict[str, float]:
+    """Return the potential in mV of each sensory neuron for channel values (c,) (supplement eq. 1-2)."""
+    potentials = {}
+    for channel, value in zip(sensing.channels, channels, strict=True):
+        pair = len(channel.sides) == 2
+        for neuron, end in channel.sides:
+            potential = LOW_MV + (HIGH_MV - LOW_MV) * value / end
+            lower = LOW_MV if sensing.clamp or pair else -SATURATION_MV
+            upper = HIGH_MV if sensing.clamp else SATURATION_MV
+            potentials[neuron] = float(np.clip(potential, lower, upper))
+    return potentials
+
+
+def motor_channels(motors: Motors, circuit: Circuit, potentials: FloatArray) -> FloatArray:
+    """Return the motor channels' values (c,) at potentials (n,) in mV (supplement eq. 3)."""
+    span = motors.high_mV - motors.low_mV
+    values = np.zeros(len(motors.channels))
+    for number, channel in enumerate(motors.channels):
+        for neuron, end in channel.sides:
+            potential = potentials[circuit.index(neuron)]
+            values[number] += end * np.clip((potential - motors.low_mV) / span, 0.0, 1.0)
+    return values

@@ -1,0 +1,83 @@
+"""The tap-withdrawal circuit of C. elegans as a table.
+
+Wiring: Hasani et al. (ICRA 2020), figure 1 and supplement; the weights are the untuned starting values of
+the published circuits. PVD, PLM, AVM and ALM are touch sensors; AVA and AVB command neurons for backward
+and forward; AVD, PVC and DVA lie between. For the benchmarks AVB drives FWD and AVA drives REV; for parking
+these two turn the rover left and right, and a third motor neuron, fed by both, drives it forward.
+
+Nothing feeds a sensory neuron. 28 of 11 x 11 possible connections exist: a sparsity of 77 %.
+"""
+
+from rover_ncp.circuit.circuit import Circuit, SynapseKind, build_circuit
+
+__all__ = [
+    "NEURONS",
+    "PARKING_MOTORS",
+    "PARKING_NEURONS",
+    "SENSORY",
+    "SYNAPSES",
+    "parking_circuit",
+    "tap_withdrawal_circuit",
+]
+
+EX, IN, GAP = SynapseKind.EXCITATORY, SynapseKind.INHIBITORY, SynapseKind.GAP
+
+NEURONS = ("PVD", "PLM", "AVA", "AVD", "PVC", "AVB", "AVM", "ALM", "DVA", "FWD", "REV")
+"""In the numbering of the published files."""
+SENSORY = ("PVD", "PLM", "AVM", "ALM")
+PARKING_NEURONS = (*NEURONS[:9], "LFT", "RGT", "FWD")
+"""Parking's names: neurons 9 and 10 turn, the added neuron 11 drives forward."""
+
+# kind, source, destination, weight in S
+SYNAPSES: tuple[tuple[SynapseKind, int, int, float], ...] = (
+    # to AVA
+    (IN, 0, 2, 0.60996),
+    (IN, 1, 2, 0.84907),
+    (EX, 4, 2, 1.327515),
+    (IN, 5, 2, 0.22908),
+    (EX, 3, 2, 1.656176),
+    # to AVD
+    (IN, 1, 3, 0.0),
+    (EX, 4, 3, 0.900241),
+    (IN, 2, 3, 0.488061),
+    (IN, 5, 3, 0.443871),
+    (GAP, 6, 3, 1.72995),
+    (IN, 7, 3, 0.0),
+    # to PVC
+    (IN, 0, 4, 0.59057),
+    (GAP, 1, 4, 0.0388042),
+    (IN, 2, 4, 0.2),
+    (EX, 3, 4, 1.343),
+    (IN, 6, 4, 0.147041),
+    (IN, 7, 4, 0.70817),
+    (IN, 8, 4, 0.865243),
+    # to AVB
+    (EX, 4, 5, 0.948166),
+    (IN, 2, 5, 0.58725),
+    (EX, 3, 5, 1.53322),
+    (IN, 6, 5, 0.926931),
+    (IN, 8, 5, 0.872073),
+    # to DVA
+    (IN, 0, 8, 0.90098),
+    (IN, 1, 8, 0.91319),
+    (EX, 4, 8, 1.427991),
+    # to the two motor neurons of the benchmarks
+    (EX, 5, 9, 2.0),
+    (EX, 2, 10, 2.0),
+)
+
+PARKING_MOTORS: tuple[tuple[SynapseKind, int, int, float], ...] = (
+    (EX, 5, 11, 2.0),
+    (EX, 2, 11, 2.0),
+)
+"""What parking adds: both command neurons drive the rover forward."""
+
+
+def tap_withdrawal_circuit() -> Circuit:
+    """Return the untuned circuit of the benchmarks: 11 neurons, 28 synapses."""
+    return build_circuit("tap_withdrawal", NEURONS, SYNAPSES)
+
+
+def parking_circuit() -> Circuit:
+    """Return the untuned circuit for parking: 12 neurons, 30 synapses."""
+    return build_circuit("parking", PARKING_NEURONS, (*SYNAPSES, *PARKING_MOTORS))

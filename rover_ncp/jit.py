@@ -1,0 +1,68 @@
+"""The compiler of the numerical kernels: numba, strict IEEE arithmetic, machine code kept on disk.
+
+numba's own cache asks only whether the file of a function has changed, not the files of the functions that
+were compiled into it. After an update of one of them it would go on running the old code, silently. Here
+every kernel carries a stamp of all it is made of: its file, the kernels it calls, the constants it reads.
+
+Arithmetic: no fastmath, so LLVM neither reorders nor fuses operations and a kernel gives the same bits on
+every machine, whatever its vector width. Division by zero gives infinities as in numpy; the test that numba
+would make by default keeps loops from being vectorised.
+"""
+
+import hashlib
+import inspect
+from collections.abc import Callable
+from types import CodeType, ModuleType
+from typing import Any
+
+from numba import njit
+
+__all__ = ["kernel"]
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function with numba on its first call, or load what an earlier process compiled."""
+    try:
+        compiled = njit(cache=True, error_model="numpy")(function)
+        cache_file = compiled._cache._cache_file
+        cache_file._source_stamp = (cache_file._source_stamp, stamp(function))
+    except (RuntimeError, AttributeError):
+        # No writable folder for the cache, or a numba that keeps its stamp elsewhere: compile each time.
+        compiled = njit(error_model="numpy")(function)
+    return compiled
+
+
+def stamp(function: Callable[..., Any]) -> str:
+    """Return a digest of the sources and constants that are compiled into a kernel."""
+    digest = hashlib.sha256()
+    _collect(function, digest, set())
+    return digest.hexdigest()
+
+
+def _collect(function: Callable[..., Any], digest: Any, seen: set[str]) -> None:
+    source = inspect.getfile(function)
+    name = f"{source}:{function.__qualname__}"
+    if name in seen:
+        return
+    seen.add(name)
+    digest.update(name.encode())
+    with open(source, "rb") as file:  # noqa: PTH123  # a Path costs more than the read
+        digest.update(file.read())
+    names = _names(function.__code__)
+    found = [function.__globals__[key] for key in names if key in function.__globals__]
+    modules = [item for item in found if isinstance(item, ModuleType)]
+    found += [getattr(module, key) for module in modules for key in names if hasattr(module, key)]
+    for item in found:
+        called = getattr(item, "py_func", None)
+        if called is not None:
+            _collect(called, digest, seen)
+        elif isinstance(item, int | float | str | tuple):
+            digest.update(repr(item).encode())
+
+
+def _names(code: CodeType) -> list[str]:
+    names = list(code.co_names)
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            names += _names(constant)
+    return names

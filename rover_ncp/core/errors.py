@@ -11,6 +11,7 @@
     │   ├── NoBridge          no bridge answers on Zenoh
     │   ├── NotAuthorised     the bridge is there but does not let us drive
     │   └── AnotherDriver     somebody else holds the driver's lease
+    ├── FormatError           bytes or text from a peer are not what their key promises
     └── SafetyStop            a safety rule, named, stopped the rover: exit code 4
 
 A message is one line that names what was found, where, and what was expected. Errors of libraries are
@@ -23,6 +24,7 @@ __all__ = [
     "AnotherDriver",
     "ConfigError",
     "FileError",
+    "FormatError",
     "MissingExtra",
     "NoBridge",
     "NoRobot",
@@ -90,6 +92,10 @@ class NotAuthorised(UnreachableError):
 
 class AnotherDriver(UnreachableError):
     """Somebody else holds the driver's lease."""
+
+
+class FormatError(RoverNcpError):
+    """Bytes or text from a peer are not what their key promises: count it, drop it, go on."""
 
 
 class SafetyStop(RoverNcpError):

@@ -1,0 +1,367 @@
+"""The ROS messages that this project sends and reads, made from and turned into plain values.
+
+Frames as in REP-105: ``odom`` → ``base_link``; x forward, y left, angles counter-clockwise (REP-103). Stamps
+are ns since the epoch. The keys they travel on are in `rover_ncp.core.keys`, what rides with a command and
+the JSON of the queries in `rover_ncp.core.lease`, the bytes in `rover_ncp.core.cdr`.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rover_ncp.core.cdr import decode, definition, encode, make, type_hash
+from rover_ncp.core.errors import FormatError
+from rover_ncp.core.geometry import Pose, Velocity
+
+__all__ = [
+    "BASE_FRAME",
+    "ODOM_FRAME",
+    "Diagnostic",
+    "OdometrySample",
+    "PoseSample",
+    "Transform",
+    "TwistSample",
+    "battery_state",
+    "bumpers",
+    "decode",
+    "definition",
+    "diagnostics",
+    "encode",
+    "neurons",
+    "odometry",
+    "point_cloud",
+    "pose_stamped",
+    "pose_with_covariance",
+    "read_neurons",
+    "read_odometry",
+    "read_pose",
+    "read_text",
+    "read_twist",
+    "text",
+    "transforms",
+    "twist_stamped",
+    "type_hash",
+]
+
+ODOM_FRAME = "odom"
+BASE_FRAME = "base_link"
+ODOMETRY = "nav_msgs/msg/Odometry"
+TWIST = "geometry_msgs/msg/Twist"
+TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
+POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+STRING = "std_msgs/msg/String"
+FLOATS = "std_msgs/msg/Float64MultiArray"
+
+TWIST_BYTES = 52
+"""A Twist is six float64 behind the CDR header; a TwistStamped is always longer."""
+_SECOND_NS = 1_000_000_000
+# Planar measurements say nothing of z, roll and pitch: REP convention is a large variance there.
+_UNKNOWN = 1e6
+_PLANAR = (0, 1, 5)
+"""Rows of x, y and yaw in ROS's 6 × 6 covariances."""
+
+
+class OdometrySample(NamedTuple):
+    """An Odometry as plain values; nothing says that they are finite."""
+
+    stamp_ns: int
+    pose: Pose
+    velocity: Velocity
+
+
+class TwistSample(NamedTuple):
+    """A velocity command; ``stamp_ns`` is None for a Twist, and for a TwistStamped that left it zero."""
+
+    velocity: Velocity
+    stamp_ns: int | None
+
+
+class PoseSample(NamedTuple):
+    """A pose with its 3 × 3 covariance (x, y, theta; m², m·rad, rad²)."""
+
+    stamp_ns: int
+    frame: str
+    pose: Pose
+    covariance: np.ndarray[Any, np.dtype[np.float64]]
+
+
+class Transform(NamedTuple):
+    """Where ``child`` sits in ``parent``: x, y, z in m and yaw in rad."""
+
+    parent: str
+    child: str
+    x: float
+    y: float
+    z: float
+    yaw: float
+
+
+class Diagnostic(NamedTuple):
+    """One line of diagnostics; level 0 ok, 1 warning, 2 error, 3 stale."""
+
+    name: str
+    level: int
+    message: str
+    values: Mapping[str, str]
+
+
+def odometry(
+    pose: Pose,
+    velocity: Velocity,
+    stamp_ns: int,
+    pose_variance: Sequence[float] = (0.0, 0.0, 0.0),
+    velocity_variance: Sequence[float] = (0.0, 0.0),
+) -> bytes:
+    """Return an Odometry, base_link in odom; variances of (x, y, theta) and of (v, omega), SI squared."""
+    pose_covariance = np.diag([pose_variance[0], pose_variance[1], *[_UNKNOWN] * 3, pose_variance[2]]).ravel()
+    # A base on wheels does not slide sideways: its lateral speed is known to be 0.
+    velocity_covariance = np.diag([velocity_variance[0], 0.0, *[_UNKNOWN] * 3, velocity_variance[1]]).ravel()
+    return encode(
+        make(
+            ODOMETRY,
+            header=_header(stamp_ns, ODOM_FRAME),
+            child_frame_id=BASE_FRAME,
+            pose=make("geometry_msgs/msg/PoseWithCovariance", pose=_pose(pose), covariance=pose_covariance),
+            twist=make(
+                "geometry_msgs/msg/TwistWithCovariance",
+                twist=_twist(velocity),
+                covariance=velocity_covariance,
+            ),
+        )
+    )
+
+
+def read_odometry(data: bytes) -> OdometrySample:
+    """Read an Odometry. Raises FormatError."""
+    message = decode(ODOMETRY, data)
+    twist = message.twist.twist
+    return OdometrySample(
+        _stamp_ns(message.header), _read_pose(message.pose.pose), Velocity(twist.linear.x, twist.angular.z)
+    )
+
+
+def twist_stamped(velocity: Velocity, stamp_ns: int) -> bytes:
+    """Return a TwistStamped in base_link."""
+    return encode(make(TWIST_STAMPED, header=_header(stamp_ns, BASE_FRAME), twist=_twist(velocity)))
+
+
+def read_twist(data: bytes, max_bytes: int = 512) -> TwistSample:
+    """Read a Twist or a TwistStamped, told apart by length. Raises FormatError.
+
+    Sideways and vertical parts are not the base's business: only linear.x and angular.z count.
+    """
+    if len(data) <= TWIST_BYTES:
+        twist, stamp_ns = decode(TWIST, data), None
+    else:
+        message = decode(TWIST_STAMPED, data, max_bytes)
+        twist, stamp_ns = message.twist, _stamp_ns(message.header) or None
+    return TwistSample(Velocity(twist.linear.x, twist.angular.z), stamp_ns)
+
+
+def pose_stamped(pose: Pose, stamp_ns: int, frame: str) -> bytes:
+    """Return a PoseStamped, which viewers draw (they do not draw Odometry)."""
+    return encode(make(POSE_STAMPED, header=_header(stamp_ns, frame), pose=_pose(pose)))
+
+
+def pose_with_covariance(
+    pose: Pose, covariance: np.ndarray[Any, np.dtype[np.float64]], stamp_ns: int, frame: str
+) -> bytes:
+    """Return a PoseWithCovarianceStamped; ``covariance`` is 3 × 3 of (x, y, theta)."""
+    full = np.diag([0.0, 0.0, *[_UNKNOWN] * 3, 0.0])
+    full[np.ix_(_PLANAR, _PLANAR)] = covariance
+    return encode(
+        make(
+            POSE_WITH_COVARIANCE,
+            header=_header(stamp_ns, frame),
+            pose=make("geometry_msgs/msg/PoseWithCovariance", pose=_pose(pose), covariance=full.ravel()),
+        )
+    )
+
+
+def read_pose(data: bytes) -> PoseSample:
+    """Read a PoseWithCovarianceStamped. Raises FormatError."""
+    message = decode(POSE_WITH_COVARIANCE, data)
+    full = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)
+    return PoseSample(
+        _stamp_ns(message.header),
+        message.header.frame_id,
+        _read_pose(message.pose.pose),
+        full[np.ix_(_PLANAR, _PLANAR)],
+    )
+
+
+def transforms(items: Sequence[Transform], stamp_ns: int) -> bytes:
+    """Return a TFMessage."""
+    stamped = [
+        make(
+            "geometry_msgs/msg/TransformStamped",
+            header=_header(stamp_ns, item.parent),
+            child_frame_id=item.child,
+            transform=make(
+                "geometry_msgs/msg/Transform",
+                translation=_vector(item.x, item.y, item.z),
+                rotation=_rotation(item.yaw),
+            ),
+        )
+        for item in items
+    ]
+    return encode(make("tf2_msgs/msg/TFMessage", transforms=stamped))
+
+
+def battery_state(
+    voltage: float, stamp_ns: int, charge: float | None = None, charging: bool | None = None
+) -> bytes:
+    """Return a BatteryState of a lead-acid pack: volts; ``charge`` 0..1; None = not known."""
+    unknown = math.nan
+    return encode(
+        make(
+            "sensor_msgs/msg/BatteryState",
+            header=_header(stamp_ns, BASE_FRAME),
+            voltage=voltage,
+            temperature=unknown,
+            current=unknown,
+            charge=unknown,
+            capacity=unknown,
+            design_capacity=unknown,
+            percentage=unknown if charge is None else charge,
+            power_supply_status=0 if charging is None else 1 if charging else 2,
+            power_supply_health=0,
+            power_supply_technology=0,  # ROS's list has no lead-acid
+            present=True,
+            cell_voltage=np.zeros(0, np.float32),
+            cell_temperature=np.zeros(0, np.float32),
+            location="",
+            serial_number="",
+        )
+    )
+
+
+def point_cloud(
+    points: Sequence[tuple[float, float, float]], stamp_ns: int, frame: str = BASE_FRAME
+) -> bytes:
+    """Return a PointCloud2 of x, y, z in metres as float32."""
+    cloud = np.asarray(points, dtype="<f4").reshape(-1, 3)
+    fields = [
+        make("sensor_msgs/msg/PointField", name=name, offset=4 * index, datatype=7, count=1)
+        for index, name in enumerate("xyz")
+    ]
+    return encode(
+        make(
+            "sensor_msgs/msg/PointCloud2",
+            header=_header(stamp_ns, frame),
+            height=1,
+            width=len(cloud),
+            fields=fields,
+            is_bigendian=False,
+            point_step=12,
+            row_step=12 * len(cloud),
+            data=np.frombuffer(cloud.tobytes(), np.uint8),
+            is_dense=True,
+        )
+    )
+
+
+def bumpers(front: int, rear: int) -> bytes:
+    """Return the bumper bits as two bytes, front and rear; bit 0 is the first segment, 1 = pressed."""
+    return encode(
+        make(
+            "std_msgs/msg/UInt8MultiArray",
+            layout=_layout("front,rear", 2),
+            data=np.array([front, rear], np.uint8),
+        )
+    )
+
+
+def diagnostics(items: Sequence[Diagnostic], stamp_ns: int, hardware_id: str = "") -> bytes:
+    """Return a DiagnosticArray."""
+    status = [
+        make(
+            "diagnostic_msgs/msg/DiagnosticStatus",
+            level=item.level,
+            name=item.name,
+            message=item.message,
+            hardware_id=hardware_id,
+            values=[
+                make("diagnostic_msgs/msg/KeyValue", key=name, value=value)
+                for name, value in item.values.items()
+            ],
+        )
+        for item in items
+    ]
+    return encode(
+        make("diagnostic_msgs/msg/DiagnosticArray", header=_header(stamp_ns, BASE_FRAME), status=status)
+    )
+
+
+def neurons(potentials: Sequence[float] | np.ndarray[Any, Any], names: Sequence[str]) -> bytes:
+    """Return potentials in mV as a Float64MultiArray whose label is the names, joined by commas."""
+    data = np.asarray(potentials, dtype=np.float64)
+    return encode(make(FLOATS, layout=_layout(",".join(names), len(data)), data=data))
+
+
+def read_neurons(data: bytes) -> dict[str, float]:
+    """Read what `neurons` wrote. Raises FormatError."""
+    message = decode(FLOATS, data)
+    names = message.layout.dim[0].label.split(",") if message.layout.dim else []
+    if len(names) != len(message.data):
+        raise FormatError(f"neurons: {len(names)} names for {len(message.data)} potentials")
+    return dict(zip(names, (float(value) for value in message.data), strict=True))
+
+
+def text(content: str) -> bytes:
+    """Return a String, which carries the JSON of the status keys."""
+    return encode(make(STRING, data=content))
+
+
+def read_text(data: bytes) -> str:
+    """Read a String. Raises FormatError."""
+    return str(decode(STRING, data).data)
+
+
+def _header(stamp_ns: int, frame: str) -> Any:
+    seconds, nanoseconds = divmod(stamp_ns, _SECOND_NS)
+    return make(
+        "std_msgs/msg/Header",
+        stamp=make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds),
+        frame_id=frame,
+    )
+
+
+def _stamp_ns(header: Any) -> int:
+    return int(header.stamp.sec) * _SECOND_NS + int(header.stamp.nanosec)
+
+
+def _vector(x: float, y: float, z: float) -> Any:
+    return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def _rotation(yaw: float) -> Any:
+    half = 0.5 * yaw
+    return make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(half), w=math.cos(half))
+
+
+def _pose(pose: Pose) -> Any:
+    position = make("geometry_msgs/msg/Point", x=pose.x, y=pose.y, z=0.0)
+    return make("geometry_msgs/msg/Pose", position=position, orientation=_rotation(pose.theta))
+
+
+def _read_pose(pose: Any) -> Pose:
+    q = pose.orientation
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return Pose(pose.position.x, pose.position.y, yaw)
+
+
+def _twist(velocity: Velocity) -> Any:
+    return make(
+        "geometry_msgs/msg/Twist",
+        linear=_vector(velocity.v, 0.0, 0.0),
+        angular=_vector(0.0, 0.0, velocity.omega),
+    )
+
+
+def _layout(label: str, size: int) -> Any:
+    dimension = make("std_msgs/msg/MultiArrayDimension", label=label, size=size, stride=size)
+    return make("std_msgs/msg/MultiArrayLayout", dim=[dimension], data_offset=0)

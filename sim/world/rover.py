@@ -130,6 +130,9 @@ class Rover:
 
     def set_pose(self, pose: Pose) -> None:
         """Put the rover somewhere, standing still, all commands forgotten."""
+        # A new body, because the old one would carry the last contact's correction into its next step.
+        self.bay.space.remove(self.body, *self.body.shapes)
+        self.body = rover_body(self.model, self.bay)
         self.body.position = (pose.x, pose.y)
         self.body.angle = pose.theta
         self.body.velocity = (0.0, 0.0)

@@ -1,0 +1,70 @@
+"""What a search maximises: the return of one rollout, or an estimate from several.
+
+Section IV of the paper: N rollouts, of which all, or the worst k, are averaged. Rollouts that are random
+take a seed each from the stream (agent, evaluation), so that a candidate's estimate depends neither on the
+process that computes it nor on its neighbours in the batch.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.learn.search.base import Vector
+
+__all__ = ["Deterministic", "Objective", "Sampled", "mean_of_worst"]
+
+Seeds = NDArray[np.uint64]
+Key = tuple[int, ...]
+
+
+class Objective(Protocol):
+    """Estimates returns in bulk."""
+
+    def estimate(self, vectors: Vector, keys: Sequence[Key]) -> Vector:
+        """Return the estimates (k,) for vectors (k, P); ``keys`` name each one's random stream."""
+
+
+class Deterministic:
+    """A task without chance: one rollout says it all."""
+
+    def __init__(self, returns: Callable[[Vector], Vector]) -> None:
+        self._returns = returns
+
+    def estimate(self, vectors: Vector, keys: Sequence[Key]) -> Vector:
+        """Return the returns (k,) of vectors (k, P)."""
+        return self._returns(vectors)
+
+
+class Sampled:
+    """A task with chance: N rollouts each, and the mean of the worst k of them (all of them if k = N).
+
+    ``returns`` takes vectors (n, P) and seeds (n,) and gives returns (n,).
+    """
+
+    def __init__(
+        self, returns: Callable[[Vector, Seeds], Vector], root_seed: int, rollouts: int, worst: int
+    ) -> None:
+        if not 1 <= worst <= rollouts:
+            raise ValueError(f"the worst {worst} of {rollouts} rollouts cannot be taken")
+        self._returns = returns
+        self._root_seed = root_seed
+        self._rollouts = rollouts
+        self._worst = worst
+
+    def estimate(self, vectors: Vector, keys: Sequence[Key]) -> Vector:
+        """Return the estimates (k,) for vectors (k, P), each from its own N seeds."""
+        seeds = [
+            np.random.SeedSequence(self._root_seed, spawn_key=key).generate_state(self._rollouts, np.uint64)
+            for key in keys
+        ]
+        returns = self._returns(np.repeat(vectors, self._rollouts, axis=0), np.concatenate(seeds))
+        rows = returns.reshape(len(vectors), self._rollouts)
+        return np.array([mean_of_worst(row.tolist(), self._worst) for row in rows])
+
+
+def mean_of_worst(returns: Sequence[float], worst: int) -> float:
+    """Return the mean of the ``worst`` lowest returns, the same bits in whatever order they come."""
+    return math.fsum(sorted(returns)[:worst]) / worst

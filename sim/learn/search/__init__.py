@@ -1,0 +1,1 @@
+"""Search strategies as ask/tell: vectors out, returns in, random generator passed in; no I/O, no clock."""

@@ -1,0 +1,70 @@
+"""Algorithm 1 of the paper: every parameter gets noise of one scale, which follows success and failure.
+
+Success multiplies the scale by alpha, failure divides it by alpha; after N iterations without success the
+incumbent's return is estimated anew, because it may have been lucky. The paper gives no numbers; ours are
+below. The kinds differ in size by four orders of magnitude, so the scale is a fraction of each one's range.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from rover_ncp.circuit.policy import ParameterLayout
+from sim.learn.search.base import Search, Vector
+
+__all__ = ["ALPHA", "ESTIMATE_AFTER", "LEAST_SCALE", "MOST_SCALE", "START_SCALE", "Algorithm1", "Scale"]
+
+ALPHA = 1.05
+ESTIMATE_AFTER = 100
+"""Iterations without success after which the incumbent is estimated anew (the paper's N)."""
+START_SCALE = 0.05
+# Taken literally, the rule balances only where every second candidate succeeds: the scale would shrink
+# until adding the noise changes no bit. The floor keeps it a search.
+LEAST_SCALE = 0.002
+MOST_SCALE = 0.5
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The noise's scale as a fraction of each parameter's range, and the iterations without success."""
+
+    scale: float = START_SCALE
+    failures: int = 0
+
+    def after_success(self) -> Self:
+        """Return a bolder scale."""
+        return replace(self, scale=min(self.scale * ALPHA, MOST_SCALE), failures=0)
+
+    def after_failure(self) -> Self:
+        """Return a more careful scale."""
+        return replace(self, scale=max(self.scale / ALPHA, LEAST_SCALE), failures=self.failures + 1)
+
+
+class Algorithm1(Search[Scale]):
+    """The random search as the paper prints it."""
+
+    def __init__(self, layout: ParameterLayout, start: Vector, generator: np.random.Generator) -> None:
+        super().__init__(layout, start, generator, Scale())
+        self._width = self.upper - self.lower
+
+    def propose(self, adaptation: Scale, generator: np.random.Generator) -> Vector:
+        """Add noise to every entry."""
+        noise = generator.standard_normal(len(self._width))
+        return self.clip(self.incumbent + adaptation.scale * self._width * noise)
+
+    def wants_estimate(self, adaptation: Scale) -> bool:
+        """Every N iterations without success."""
+        return adaptation.failures >= ESTIMATE_AFTER
+
+    def after_estimate(self, adaptation: Scale) -> Scale:
+        """Count the iterations without success anew; the scale stays."""
+        return replace(adaptation, failures=0)
+
+    def load_adaptation(self, fields: Mapping[str, Any]) -> Scale:
+        """Rebuild the scale."""
+        scale, failures = float(fields["scale"]), int(fields["failures"])
+        if not LEAST_SCALE <= scale <= MOST_SCALE or not 0 <= failures <= ESTIMATE_AFTER:
+            raise ValueError(f"a scale of {scale} after {failures} failures cannot be")
+        return Scale(scale, failures)

@@ -1,0 +1,111 @@
+"""The search of the paper's published code: few random entries change, more of them after long failure.
+
+An iteration gives each parameter kind a number of changes, uniform in 0..cap, and one standard deviation,
+uniform in the kind's range. A change adds Gaussian noise to one entry of the kind, picked with replacement.
+After 51 failures in a row every cap grows by one, after a success it shrinks by one. Unlike Algorithm 1's,
+the scale of the noise never adapts. Constants: the published parking search.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from rover_ncp.circuit.circuit import ParameterKind
+from rover_ncp.circuit.policy import ParameterLayout
+from sim.learn.search.base import Search, Vector
+
+__all__ = ["FAILURES_TO_WIDEN", "RULES", "Caps", "KindRule", "Published", "shake"]
+
+FAILURES_TO_WIDEN = 51
+"""Failures in a row after which every cap grows by one, and the count begins anew."""
+
+
+@dataclass(frozen=True)
+class KindRule:
+    """How one kind is changed: the cap's range, the noise's range, and the shake of the start."""
+
+    least: int
+    most: int
+    low: float
+    high: float
+    start_changes: int
+    start_deviation: float
+
+
+_WEIGHTS = KindRule(4, 12, 0.01, 0.4, start_changes=15, start_deviation=0.5)
+
+RULES: Mapping[ParameterKind, KindRule] = {
+    # The noise is in the kind's own unit: S, 1/mV, mV, S, F.
+    ParameterKind.WEIGHT: _WEIGHTS,
+    ParameterKind.SIGMA: KindRule(3, 8, 0.01, 0.05, start_changes=10, start_deviation=0.2),
+    ParameterKind.LEAK_POTENTIAL: KindRule(2, 6, 0.1, 3.0, start_changes=8, start_deviation=8.0),
+    ParameterKind.LEAK: KindRule(2, 6, 0.05, 0.5, start_changes=8, start_deviation=0.2),
+    ParameterKind.CAPACITANCE: KindRule(2, 4, 0.01, 0.1, start_changes=10, start_deviation=0.1),
+    # Parking has no layers. Ours: a layer's entries are weights too.
+    ParameterKind.INPUT_LAYER: _WEIGHTS,
+    ParameterKind.OUTPUT_LAYER: _WEIGHTS,
+}
+
+
+def shake(layout: ParameterLayout, defaults: Vector, generator: np.random.Generator) -> Vector:
+    """Return the defaults (P,) with noise on some entries of each kind, so that no two agents start alike."""
+    vector = np.array(defaults, dtype=np.float64)
+    for block in layout.blocks:
+        rule = RULES[block.kind]
+        entries = generator.integers(block.slice.start, block.slice.stop, rule.start_changes)
+        np.add.at(vector, entries, generator.normal(0.0, rule.start_deviation, rule.start_changes))
+    return np.minimum(np.maximum(vector, layout.lower), layout.upper)
+
+
+@dataclass(frozen=True)
+class Caps:
+    """The largest number of changes of each kind in one iteration, and the failures since it last moved."""
+
+    least: tuple[int, ...]
+    most: tuple[int, ...]
+    caps: tuple[int, ...]
+    failures: int = 0
+
+    def after_success(self) -> Self:
+        """Every cap shrinks by one, not below its least; the failures are forgotten."""
+        caps = tuple(max(cap - 1, least) for cap, least in zip(self.caps, self.least, strict=True))
+        return replace(self, caps=caps, failures=0)
+
+    def after_failure(self) -> Self:
+        """One more failure; with the 51st every cap grows by one, not above its most."""
+        if self.failures + 1 < FAILURES_TO_WIDEN:
+            return replace(self, failures=self.failures + 1)
+        caps = tuple(min(cap + 1, most) for cap, most in zip(self.caps, self.most, strict=True))
+        return replace(self, caps=caps, failures=0)
+
+
+class Published(Search[Caps]):
+    """The published variant of the random search."""
+
+    def __init__(self, layout: ParameterLayout, start: Vector, generator: np.random.Generator) -> None:
+        rules = [RULES[block.kind] for block in layout.blocks]
+        least = tuple(rule.least for rule in rules)
+        super().__init__(layout, start, generator, Caps(least, tuple(rule.most for rule in rules), least))
+        self._starts = np.array([block.slice.start for block in layout.blocks])
+        self._stops = np.array([block.slice.stop for block in layout.blocks])
+        self._low = np.array([rule.low for rule in rules])
+        self._width = np.array([rule.high - rule.low for rule in rules])
+
+    def propose(self, adaptation: Caps, generator: np.random.Generator) -> Vector:
+        """Draw the numbers of changes, the deviations, the entries and the noise, in this order."""
+        counts = generator.integers(0, adaptation.caps, endpoint=True)
+        deviations = self._low + self._width * generator.random(len(counts))
+        entries = generator.integers(np.repeat(self._starts, counts), np.repeat(self._stops, counts))
+        vector = self.incumbent.copy()
+        np.add.at(vector, entries, np.repeat(deviations, counts) * generator.standard_normal(len(entries)))
+        return self.clip(vector)
+
+    def load_adaptation(self, fields: Mapping[str, Any]) -> Caps:
+        """Rebuild the caps; only what moves is read, the rest are this search's constants."""
+        caps, failures = tuple(int(cap) for cap in fields["caps"]), int(fields["failures"])
+        limits = zip(self.adaptation.least, caps, self.adaptation.most, strict=True)
+        if not all(least <= cap <= most for least, cap, most in limits) or failures >= FAILURES_TO_WIDEN:
+            raise ValueError(f"caps {caps} after {failures} failures cannot be")
+        return replace(self.adaptation, caps=caps, failures=failures)

@@ -1,0 +1,113 @@
+"""One control tick: from where the rover is to what it shall do. No I/O, no clock.
+
+Rules of this file:
+
+1. The same inputs give the same bits: `replay` runs a recording through this very class.
+2. The circuit sees the course's frame and nothing else of the world: the estimate, predicted to the moment
+   of the tick, and the start signal.
+3. Before the first tick the circuit makes one tick on the start pose with the start signal at 0, its motors
+   ignored, as it did in the simulator.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.estimator import Estimate, Estimator, EstimatorSettings, Outcome
+from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.core.course import TICK_S, Course, Verdict
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
+
+__all__ = ["ORIGIN", "Controller", "Tick"]
+
+ORIGIN = Pose(0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What one tick saw and said: ``t`` is the course's time in s, ``potentials`` are in mV."""
+
+    index: int
+    t: float
+    estimate: Estimate
+    command: Velocity
+    potentials: NDArray[np.float64]
+
+
+class Controller:
+    """Estimator and circuit of one drive. Times are seconds on one clock, any zero."""
+
+    def __init__(self, policy: Policy, course: Course, settings: EstimatorSettings) -> None:
+        if problems := _misfits(policy):
+            raise ConfigError(f"policy {policy.circuit.name}", problems)
+        self._inputs = policy.sensing.inputs
+        self._course = course
+        self._runner = PolicyRunner(policy)
+        self.estimator = Estimator(settings)
+        self._course_odom = ORIGIN
+        self._times: list[float] = []
+        self._poses: list[Pose] = []
+
+    def start(self, odometry: Pose, t: float, pose: Pose = ORIGIN) -> None:
+        """Begin at rest at time ``t``, at ``pose`` in the course, where odometry stands at ``odometry``."""
+        self._course_odom = compose(pose, inverse(odometry))
+        self.estimator.start(pose, t)
+        self._runner.reset()
+        self._runner.warm_up(self._observation(pose, 0.0))
+
+    def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
+        """Take in odometry, in its own frame, measured at time ``t``."""
+        if not all(map(math.isfinite, pose)):
+            return self.estimator.odometry(pose, velocity, t)
+        return self.estimator.odometry(compose(self._course_odom, pose), velocity, t)
+
+    def tick(self, index: int, t: float) -> Tick:
+        """Run tick ``index`` of the course at time ``t``, which is not before the last odometry."""
+        estimate = self.look(index, t)
+        start = self._course.start_signal(index * TICK_S)
+        v, omega = self._runner.tick(self._observation(estimate.pose, start))
+        return Tick(
+            index,
+            index * TICK_S,
+            estimate,
+            Velocity(float(v), float(omega)),
+            self._runner.potentials,
+        )
+
+    def look(self, index: int, t: float) -> Estimate:
+        """Note the estimate at time ``t`` for the verdict, without a tick of the circuit."""
+        estimate = self.estimator.at(t)
+        self._times.append(index * TICK_S)
+        self._poses.append(estimate.pose)
+        return estimate
+
+    def verdict(self) -> Verdict:
+        """Judge the drive so far on the estimate.
+
+        Contact is not judged here: the gate stops at the first bump, and the drive ends as a fault.
+        """
+        return self._course.judge(self._times, self._poses, touched=False)
+
+    def _observation(self, pose: Pose, start: float) -> NDArray[np.float64]:
+        seen = _seen(pose, start)
+        return np.array([seen[name] for name in self._inputs], dtype=np.float64)
+
+
+def _misfits(policy: Policy) -> list[str]:
+    """Return why a policy cannot drive a rover tick by tick; empty when it can."""
+    known, problems = _seen(ORIGIN, 0.0), []
+    if unknown := [name for name in policy.sensing.inputs if name not in known]:
+        problems.append(f"its sensing asks for {', '.join(unknown)}; known are {', '.join(known)}")
+    if policy.motors.outputs != Velocity._fields:
+        problems.append(f"its outputs are {', '.join(policy.motors.outputs)}; expected v, omega")
+    if not math.isclose(policy.tick_s, TICK_S):
+        problems.append(f"its tick lasts {policy.tick_s:g} s; a control tick lasts {TICK_S} s")
+    return problems
+
+
+def _seen(pose: Pose, start: float) -> dict[str, float]:
+    """Return everything a sensing can ask for, by its name: m and rad in the course's frame."""
+    return {"x": pose.x, "y": pose.y, "theta": pose.theta, "start": start}

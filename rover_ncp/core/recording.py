@@ -1,0 +1,222 @@
+"""Recordings: MCAP files of the ros2 profile that hold the CDR bytes as they went over the wire.
+
+Written so that a killed process loses little: attachments (policy, configuration, course) come first, and
+what came since is a finished chunk on the disk after each `RecordingWriter.flush`. Read so that a file cut
+off anywhere still gives all its whole records. Specification: https://mcap.dev/spec and /spec/registry.
+"""
+
+import contextlib
+import io
+import struct
+import time
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Self
+
+from mcap.exceptions import EndOfFile, McapError
+from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from zstandard import ZstdError
+
+from rover_ncp.core.errors import FileError
+from rover_ncp.core.files import read_bytes, write_atomic
+from rover_ncp.core.messages import definition
+
+__all__ = ["Recorded", "Recording", "RecordingWriter", "read_recording", "rewrite"]
+
+MAGIC = b"\x89MCAP0\r\n"
+CHUNK_BYTES = 256 * 1024
+_MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".bnn": "text/plain"}
+RECORD_LIMIT = 1 << 30
+"""No record of ours comes near; a longer one means a damaged length."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One message: its CDR bytes, when it arrived here and when it was sent (ns since the epoch)."""
+
+    topic: str
+    type: str
+    data: bytes
+    log_ns: int
+    publish_ns: int
+    sequence: int = 0
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A whole file in memory; ``complete`` is False when its writer never finished it."""
+
+    path: Path
+    attachments: Mapping[str, bytes]
+    metadata: Mapping[str, Mapping[str, str]]
+    messages: tuple[Recorded, ...]
+    complete: bool
+
+    def topic(self, name: str) -> list[Recorded]:
+        """Return the messages of one topic in the order in which they were written."""
+        return [message for message in self.messages if message.topic == name]
+
+    def attachment(self, name: str) -> bytes:
+        """Return an attachment. Raises FileError when the file does not hold it."""
+        if name not in self.attachments:
+            held = ", ".join(self.attachments) or "none"
+            raise FileError(f"{self.path}: has no attachment {name} (it has: {held})")
+        return self.attachments[name]
+
+
+class RecordingWriter:
+    """Writes one file. Not for two threads at once; a failing disk shows as OSError from any method."""
+
+    def __init__(self, target: Path | IO[bytes]) -> None:
+        if isinstance(target, Path):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            self._file: IO[bytes] = target.open("wb")
+        else:
+            self._file = target
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
+        self._writer.start(profile="ros2", library="rover-ncp")
+        self._channels: dict[str, tuple[int, str]] = {}
+        self._schemas: dict[str, int] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self.abandon()
+
+    def attach(self, name: str, content: bytes) -> None:
+        """Add a file; meant for before the first message, so that it survives a crash."""
+        now = time.time_ns()
+        media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+        self._writer.add_attachment(now, now, name, media_type, content)
+
+    def describe(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a record of metadata."""
+        self._writer.add_metadata(name, dict(values))
+
+    def write(self, message: Recorded) -> None:
+        """Add a message. A topic has one type; ValueError if another comes on it."""
+        if message.topic not in self._channels:
+            self._channels[message.topic] = (self._channel(message.topic, message.type), message.type)
+        channel, ros_type = self._channels[message.topic]
+        if ros_type != message.type:
+            raise ValueError(f"{message.topic} holds {ros_type}, not {message.type}")
+        self._writer.add_message(
+            channel, message.log_ns, message.data, message.publish_ns, message.sequence % 2**32
+        )
+
+    def _channel(self, topic: str, ros_type: str) -> int:
+        if ros_type not in self._schemas:
+            text = definition(ros_type).encode()
+            self._schemas[ros_type] = self._writer.register_schema(ros_type, "ros2msg", text)
+        # The key must be there (MCAP registry, ros2 profile); what it would say is known to ROS alone.
+        return self._writer.register_channel(
+            topic, "cdr", self._schemas[ros_type], {"offered_qos_profiles": ""}
+        )
+
+    def flush(self) -> None:
+        """Put everything so far on the disk as whole records (but do not wait for the disk itself)."""
+        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap has it untyped
+
+    def close(self) -> None:
+        """Finish the file with its index, and close it."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file as it is, after a method failed; what was flushed can be read."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+
+class _WholeReads(io.BytesIO):
+    """A file in memory that never returns fewer bytes than asked for: the end of it is an error."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        data = super().read(size)
+        if size is not None and 0 <= len(data) < size:
+            raise EndOfFile
+        return data
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording, also one whose writer was killed. Raises FileError: unreadable, or damaged."""
+    content = read_bytes(path)
+    if not content:
+        raise FileError(f"{path}: the file is empty")
+    if not content.startswith(MAGIC[: len(content)]):
+        raise FileError(f"{path}: not an MCAP recording")
+    stream = _WholeReads(content)
+    schemas: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
+    attachments: dict[str, bytes] = {}
+    metadata: dict[str, dict[str, str]] = {}
+    messages: list[Recorded] = []
+    complete = headed = False
+    reader = StreamReader(stream, validate_crcs=True, record_size_limit=RECORD_LIMIT)
+    try:
+        for record in reader.records:
+            if isinstance(record, Message):
+                topic, ros_type = channels[record.channel_id]
+                messages.append(
+                    Recorded(
+                        topic, ros_type, record.data, record.log_time, record.publish_time, record.sequence
+                    )
+                )
+            elif isinstance(record, Schema):
+                schemas[record.id] = record.name
+            elif isinstance(record, Channel):
+                channels[record.id] = (record.topic, schemas.get(record.schema_id, ""))
+            elif isinstance(record, Attachment):
+                attachments[record.name] = record.data
+            elif isinstance(record, Metadata):
+                metadata[record.name] = record.metadata
+            elif isinstance(record, Header):
+                headed = True
+        complete = True
+    except EndOfFile:
+        if not headed:
+            raise FileError(f"{path}: cut off before its first record") from None
+    except _DAMAGE as error:
+        raise FileError(f"{path}: damaged before byte {stream.tell()}: {error or 'bad record'}") from error
+    return Recording(path, attachments, metadata, tuple(messages), complete)
+
+
+_DAMAGE = (
+    McapError,
+    ZstdError,
+    struct.error,
+    zlib.error,
+    UnicodeDecodeError,
+    KeyError,
+    ValueError,
+    RuntimeError,
+)
+
+
+def rewrite(source: Recording, target: Path, more: Iterable[Recorded] = ()) -> None:
+    """Write a whole, indexed copy of a recording, with ``more`` messages put in at their time.
+
+    Makes a cut-off recording whole, and adds topics such as ``truth/pose``. ``target`` may be the source's
+    own file: it is replaced at once or not at all. Raises FileError.
+    """
+    buffer = io.BytesIO()
+    buffer.close = lambda: None  # type: ignore[method-assign]  # the writer closes what we still have to read
+    with RecordingWriter(buffer) as writer:
+        for name, content in source.attachments.items():
+            writer.attach(name, content)
+        for name, values in source.metadata.items():
+            writer.describe(name, values)
+        for message in sorted([*source.messages, *more], key=lambda message: message.log_ns):
+            writer.write(message)
+    write_atomic(target, buffer.getvalue())

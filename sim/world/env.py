@@ -1,0 +1,100 @@
+"""The parking course as a Gymnasium environment, ``RoverParking-v0`` (importing this module registers it)."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.core.course import TICK_S, Course, load_course
+from sim.world.bay import Bay
+from sim.world.fleet import SUBSTEPS
+from sim.world.rover import Rover, RoverModel
+from sim.world.scoring import due_checkpoints, reward
+
+__all__ = ["ENV_ID", "RoverParkingEnv"]
+
+ENV_ID = "RoverParking-v0"
+
+FloatArray = NDArray[np.float64]
+
+FARTHEST_M = 1000.0
+
+
+class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
+    """Drive a rover through the checkpoints of a course, each at its time.
+
+    Observation, ``Box(4, float64)``: the true pose in the course's frame, and the start signal.
+
+    | index | quantity        | min   | max  | unit |
+    |-------|-----------------|-------|------|------|
+    | 0     | x               | -1000 | 1000 | m    |
+    | 1     | y               | -1000 | 1000 | m    |
+    | 2     | heading θ       | -π    | π    | rad  |
+    | 3     | start signal s  | 0     | 1    | 1    |
+
+    Action, ``Box(2, float64)``: what the rover is commanded, obeyed after 0.15 s and 0.10 s. Values beyond
+    the box are cut to it.
+
+    | index | quantity        | min   | max  | unit  |
+    |-------|-----------------|-------|------|-------|
+    | 0     | forward speed v | -0.16 | 0.16 | m/s   |
+    | 1     | rate of turn ω  | -0.18 | 0.18 | rad/s |
+
+    A step is a control tick of 0.1 s. The reward is that of ``scoring.reward`` at the checkpoints and 0
+    between; doing nothing on the paper's course returns -14.18. ``info`` holds ``time_s`` and ``touched``
+    (something was touched since the reset).
+
+    *Terminated*: the course's horizon is reached, so all there is to judge has been judged. *Truncated*:
+    never by this environment; a collision ends nothing, as the rover stays where it is and pays for it.
+
+    The environment is deterministic; a seed changes nothing.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium declares it so
+
+    def __init__(self, course: str | Course = "parking", model: RoverModel | None = None) -> None:
+        self.course = course if isinstance(course, Course) else load_course(course)
+        self.model = model or RoverModel()
+        high = np.array([FARTHEST_M, FARTHEST_M, np.pi, 1.0])
+        self.observation_space = gymnasium.spaces.Box(np.array([*-high[:3], 0.0]), high, dtype=np.float64)
+        high = np.array([0.16, 0.18])  # the paper's motors
+        self.action_space = gymnasium.spaces.Box(-high, high, dtype=np.float64)
+        self._due = due_checkpoints(self.course)
+        self._start()
+
+    def _start(self) -> None:
+        self.rover = Rover(self.model, Bay(self.course.obstacles))
+        self.tick = 0
+        self.touched = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[FloatArray, dict[str, Any]]:
+        """Put the rover to the origin, standing still."""
+        super().reset(seed=seed, options=options)
+        self._start()
+        return self._observation(), self._info()
+
+    def step(self, action: FloatArray) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
+        """Command (v, omega) and advance by a control tick."""
+        low, high = self.action_space.low, self.action_space.high  # type: ignore[attr-defined]
+        v, omega = np.clip(np.asarray(action, np.float64), low, high)
+        self.rover.command(float(v), float(omega))
+        for _ in range(SUBSTEPS):
+            self.rover.substep()
+            self.touched = self.touched or self.rover.in_contact
+        checkpoint = self._due[self.tick] if self.tick < len(self._due) else -1
+        self.tick += 1
+        gain = reward(self.rover.pose, self.course.checkpoints[checkpoint].pose) if checkpoint >= 0 else 0.0
+        terminated = self.tick >= self.course.ticks
+        return self._observation(), gain, terminated, False, self._info()
+
+    def _observation(self) -> FloatArray:
+        return np.array([*self.rover.pose, self.course.start_signal(TICK_S * self.tick)])
+
+    def _info(self) -> dict[str, Any]:
+        return {"time_s": TICK_S * self.tick, "touched": self.touched}
+
+
+gymnasium.register(id=ENV_ID, entry_point="sim.world.env:RoverParkingEnv")

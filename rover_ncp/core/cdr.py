@@ -9,25 +9,12 @@ import struct
 from typing import Any
 
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_typestore
+from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rover_ncp.core.errors import FormatError
 
 __all__ = ["decode", "definition", "encode", "make", "type_hash"]
-
-# What rosbags' generated readers and writers raise on values and bytes that do not fit.
-_UNFIT = (
-    SerdeError,
-    TypesysError,
-    struct.error,
-    UnicodeError,
-    ValueError,
-    TypeError,
-    AttributeError,
-    IndexError,
-    OverflowError,
-)
 
 
 @functools.cache
@@ -47,7 +34,7 @@ def encode(message: Any) -> bytes:
     """Return a message as little-endian CDR with its 4-byte header. Raises FormatError."""
     try:
         return bytes(_store().serialize_cdr(message, message.__msgtype__, little_endian=True))
-    except _UNFIT as error:
+    except (SerdeError, struct.error, OverflowError) as error:
         raise FormatError(f"cannot be written as CDR: {error}") from error
 
 
@@ -61,7 +48,7 @@ def decode(ros_type: str, data: bytes, max_bytes: int = 1 << 20) -> Any:
         raise FormatError(f"not {ros_type}: {len(data)} bytes, expected at most {max_bytes}")
     try:
         return _store().deserialize_cdr(data, ros_type)
-    except _UNFIT as error:
+    except SerdeError as error:
         raise FormatError(f"not {ros_type}: {error}") from error
 
 

@@ -1,0 +1,49 @@
+"""The key table and the namespace in front of it."""
+
+import pytest
+
+from rover_ncp.core.errors import UsageError
+from rover_ncp.core.keys import KEYS, Kind, Role, key, spec
+
+
+@pytest.mark.parametrize(
+    ("namespace", "expected"),
+    [
+        ("", "odom"),
+        ("/", "odom"),
+        ("bot1", "bot1/odom"),
+        ("/bot1/", "bot1/odom"),
+        ("lab/bot-1", "lab/bot-1/odom"),
+    ],
+)
+def test_a_namespace_goes_in_front(namespace, expected):
+    assert key(namespace, "odom") == expected
+
+
+@pytest.mark.parametrize("namespace", ["a//b", "*", "a/**", "a b", "@ros", "a/$*", "a#b", "a?b", "ä", "a\n"])
+def test_what_zenoh_would_read_otherwise_is_refused(namespace):
+    with pytest.raises(UsageError, match="namespace"):
+        key(namespace, "odom")
+
+
+def test_a_key_outside_the_table_does_not_exist():
+    with pytest.raises(KeyError):
+        key("", "cmd_vell")
+
+
+def test_each_key_stands_once_and_says_who_may_send():
+    assert len({row.name for row in KEYS}) == len(KEYS)
+    for row in KEYS:
+        assert row.senders
+        assert row.receivers
+        assert row.about
+
+
+def test_nobody_but_the_driver_moves_the_rover_and_nobody_but_the_bridge_speaks_for_it():
+    assert spec("cmd_vel").senders == {Role.DRIVER}
+    for row in KEYS:
+        if row.kind is Kind.QUERYABLE:
+            assert row.receivers == {Role.BRIDGE}
+            assert Role.VIEWER not in row.senders
+    for name in ("odom", "rover/cmd_out", "rover/gate", "rover/alive/bridge"):
+        assert spec(name).senders == {Role.BRIDGE}

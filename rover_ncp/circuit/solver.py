@@ -19,7 +19,7 @@ from rover_ncp.circuit.circuit import MIDPOINT_MV
 from rover_ncp.circuit.sensing import LOW_MV
 from rover_ncp.jit import kernel
 
-__all__ = ["LaneParameters", "Program", "exp2", "tick_lanes"]
+__all__ = ["LaneParameters", "Program", "copy_lane", "exp2", "tick_lanes"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -113,7 +113,7 @@ def exp2(z: float) -> float:
     high = (_C8 + _C9 * f) + (_C10 + _C11 * f) * f2
     mantissa = np.float64(low + (middle + high * f4) * f4)
     exponent = np.float64(shifted).view(np.int64) << 52
-    return np.int64(mantissa.view(np.int64) + exponent).view(np.float64)  # type: ignore[no-any-return]
+    return np.int64(mantissa.view(np.int64) + exponent).view(np.float64)
 
 
 @kernel
@@ -235,3 +235,19 @@ def read_motors(
             for i in range(layer.shape[1]):
                 value += layer[o, i, lane] * channels[i, lane]
             commands[o, lane] = value
+
+
+@kernel
+def copy_lane(lanes: LaneParameters, lane: int, others: LaneParameters, other: int) -> None:
+    """Give a lane the numbers that another set of lanes of the same program holds in lane ``other``."""
+    lanes.settled_weight[:, lane] = others.settled_weight[:, other]
+    lanes.settled_slope[:, lane] = others.settled_slope[:, other]
+    lanes.active_weight[:, lane] = others.active_weight[:, other]
+    lanes.active_slope[:, lane] = others.active_slope[:, other]
+    lanes.settled_gap[:, lane] = others.settled_gap[:, other]
+    lanes.gap[:, lane] = others.gap[:, other]
+    lanes.rate[:, lane] = others.rate[:, other]
+    lanes.leak_current[:, lane] = others.leak_current[:, other]
+    lanes.conductance[:, lane] = others.conductance[:, other]
+    lanes.input_layer[:, :, lane] = others.input_layer[:, :, other]
+    lanes.output_layer[:, :, lane] = others.output_layer[:, :, other]

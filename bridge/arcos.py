@@ -258,6 +258,12 @@ class Decoder:
         self._last_s = 0.0
         self._paused = False
 
+    def drop(self) -> None:
+        """Forget the beginning of a frame: what comes next is another connection's."""
+        self.skipped_bytes += len(self._buffer)
+        self._buffer.clear()
+        self._paused = False
+
     def feed(self, data: bytes, now: float = 0.0) -> list[Packet]:
         """Return the packets that ``data``, received at ``now`` seconds, completes."""
         if not data:

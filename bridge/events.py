@@ -1,0 +1,56 @@
+"""What a session with a base tells its user."""
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from bridge.odometry import BaseState
+from bridge.packets import ConfigPac
+from bridge.robots import RobotParameters
+
+__all__ = ["Configured", "Connected", "Event", "Failed", "Lost", "Recovered", "StateReceived"]
+
+
+@dataclass(frozen=True)
+class Connected:
+    """The handshake is done; who answered."""
+
+    name: str
+    robot_class: str
+    subtype: str
+
+
+@dataclass(frozen=True)
+class Configured:
+    """The base is ready. ``config`` is None when it never sent its CONFIGpac."""
+
+    config: ConfigPac | None
+    robot: RobotParameters
+
+
+@dataclass(frozen=True)
+class StateReceived:
+    """A SIP arrived."""
+
+    state: BaseState
+
+
+@dataclass(frozen=True)
+class Lost:
+    """A ready base is no longer; set-points are zero and the motors must be asked for anew."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """A base that was silent speaks again, in the same session."""
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Connecting was given up; only another ``connect`` goes on."""
+
+    reason: str
+
+
+Event: TypeAlias = Connected | Configured | StateReceived | Lost | Recovered | Failed

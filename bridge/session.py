@@ -1,0 +1,319 @@
+"""The client's side of an ARCOS connection: bytes in, events out, time passed in.
+
+Rules of this file:
+
+1. The state changes only as ``states.TABLE`` says.
+2. Nothing is sent but from ``tick``, ``receive`` and the explicit calls; keep-alives come from ``tick``
+   alone. Whoever calls it from anywhere but the safety gate's own loop defeats the base's watchdog.
+3. A base resumes its old set-points with any packet that reaches it, SYNC0 included. So connecting begins by
+   listening: a base heard then has an open session, and is sent zeros before all else.
+4. Set-points are zero before ENABLE, after a loss, and until the motors were asked for and are on.
+
+Sources: AROS manual p. 43 (motors, watchdog); ``states.py`` for the handshake.
+"""
+
+from bridge.arcos import Command, Decoder, Packet, encode_command
+from bridge.events import Configured, Connected, Event, Failed, Lost, Recovered, StateReceived
+from bridge.helm import Helm
+from bridge.motion import MotionLimits
+from bridge.odometry import BaseState, Odometer
+from bridge.packets import SIP_KINDS, ConfigPac, Kind, Sip, decode_names
+from bridge.robots import ROBOTS, RobotParameters, parameters_for
+from bridge.states import LOSS_S, PATIENCE_S, TABLE, Input, State
+from rover_ncp.core.errors import UsageError
+
+__all__ = [
+    "Configured",
+    "Connected",
+    "Event",
+    "Failed",
+    "Lost",
+    "MotionLimits",
+    "Recovered",
+    "Session",
+    "State",
+    "StateReceived",
+]
+
+
+CONFIG_S, OPEN_S = 1.0, 2.0
+"""How long to wait for a CONFIGpac, which is optional, and for the first SIP, which is not."""
+
+POLITE_TRIES, SILENT_TRIES, TOTAL_TRIES = 2, 6, 40
+"""Silent handshakes before CLOSE goes first; before giving up; handshakes at all, heard or not."""
+
+_PACKET_INPUTS: dict[int, Input] = {
+    Kind.SYNC0: Input.ECHO0,
+    Kind.SYNC1: Input.ECHO1,
+    Kind.CONFIG: Input.CONFIG,
+    Kind.RESET_FE: Input.RESET,
+    Kind.RESET_FF: Input.RESET,
+}
+
+
+class Session:
+    """One base on one line. ``model`` is a name of ``ROBOTS``, or ``auto`` to go by what the base says.
+
+    Raises UsageError for another model. Times are seconds on any clock that does not go back.
+    """
+
+    def __init__(self, model: str = "auto", limits: MotionLimits | None = None) -> None:
+        if model != "auto" and model not in ROBOTS:
+            raise UsageError(f"model {model}: expected auto, {', '.join(ROBOTS)}")
+        self.state = State.IDLE
+        self.decoder = Decoder()
+        """Its counters tell the quality of the link."""
+        self._model = model
+        self._helm = Helm(limits or MotionLimits(), self._send)
+        # Until the base tells its name; then made anew.
+        self._odometer = Odometer(ROBOTS.get(model, ROBOTS["p3at-sh"]))
+        self._sip = Sip()
+        self._names = ("", "", "")
+        self._base: BaseState | None = None
+        self._config: ConfigPac | None = None
+        self._out = bytearray()
+        self._events: list[Event] = []
+        self._reason = ""
+        self._now = self._deadline = self._opened_s = 0.0
+        self._tries = self._silent_tries = 0
+        self._bytes_heard = self._packets_before = 0
+
+    # What the user calls.
+
+    def connect(self, now: float) -> None:
+        """Begin to connect; events tell how it goes."""
+        self._now = now
+        self._dispatch(Input.CONNECT)
+
+    def close(self, now: float) -> None:
+        """Stop the base, switch its motors off, end the session. What there is to send then is the last."""
+        self._now = now
+        self._dispatch(Input.CLOSE)
+
+    def link_down(self, reason: str, now: float) -> list[Event]:
+        """Take note that the line is gone, and why; ``connect`` begins anew on the next one."""
+        self._now, self._reason = now, reason
+        self._dispatch(Input.LINK_DOWN)
+        self._out.clear()
+        return self._drain()
+
+    def receive(self, data: bytes, now: float) -> list[Event]:
+        """Take over bytes from the base and return what they mean."""
+        self._now = now
+        self._bytes_heard += len(data)
+        for packet in self.decoder.feed(data, now):
+            what = self._classify(packet)
+            if what is not None:
+                self._silent_tries = 0
+                self._dispatch(what)
+        return self._drain()
+
+    def tick(self, now: float) -> list[Event]:
+        """Let time pass: clocks, set-points, keep-alives. Call it from the gate's loop, 20 times a second."""
+        self._now = now
+        if now >= self._deadline:
+            self._dispatch(Input.EXPIRED)
+        if self.state is State.READY:
+            self._helm.tick(self._base, self._odometer.reset_pending, now)
+        return self._drain()
+
+    def data_to_send(self) -> bytes:
+        """Return the bytes for the base and forget them."""
+        data = bytes(self._out)
+        self._out.clear()
+        return data
+
+    def set_motion(self, v: float, omega: float) -> None:
+        """Set the speeds (m/s, rad/s) that the next tick sends; zero unless the motors were asked for.
+
+        Raises ValueError when a speed is not finite.
+        """
+        self._helm.set_motion(v, omega)
+
+    # Only a ready base is asked for anything: nothing moves before the base was heard from.
+
+    def enable(self, on: bool) -> None:
+        """Ask for the motors, or switch them off, standing still either way."""
+        if self.state is State.READY:
+            self._helm.enable(on, self._base is not None and self._base.motors_enabled, self._now)
+
+    def stop(self) -> None:
+        """Stop within the deceleration limit; the motors stay as they are."""
+        if self.state is State.READY:
+            self._helm.halt(Command.STOP, self._now)
+
+    def emergency_stop(self) -> None:
+        """Stop at once, beyond the deceleration limit."""
+        if self.state is State.READY:
+            self._helm.halt(Command.E_STOP, self._now)
+
+    def reset_odometry(self) -> None:
+        """Let the pose count from here; the states show it when the base has done it."""
+        if self.state is State.READY:
+            self._helm.reset_odometry(self._now)
+            self._odometer.expect_reset()
+
+    # The machine.
+
+    def _dispatch(self, what: Input) -> None:
+        entry = TABLE[self.state].get(what)
+        if entry is None:
+            return
+        state, action = entry
+        if state is not None:
+            self.state = state
+            self._deadline = self._now + PATIENCE_S[state]
+        getattr(self, "_do_" + action)()
+
+    def _drain(self) -> list[Event]:
+        events, self._events = self._events, []
+        return events
+
+    def _send(self, command: Command, argument: int | None = None) -> None:
+        self._out += encode_command(command, argument)
+
+    def _classify(self, packet: Packet) -> Input | None:
+        """Return what a packet means and keep what it holds; None for one that means nothing to a session."""
+        if packet.kind in SIP_KINDS:
+            sip = Sip.decode(packet)
+            self._sip = sip or self._sip
+            return None if sip is None else Input.SIP
+        if packet.kind == Kind.SYNC2:
+            self._names = decode_names(packet.payload)
+            return Input.STRANGER if self._robot() is None else Input.NAMES
+        if packet.kind == Kind.CONFIG:
+            self._config = ConfigPac.decode(packet.payload)
+        return _PACKET_INPUTS.get(packet.kind)
+
+    def _robot(self) -> RobotParameters | None:
+        return parameters_for(self._names[2] if self._model == "auto" else self._model)
+
+    # Actions.
+
+    def _do_nothing(self) -> None:
+        pass
+
+    def _do_listen(self) -> None:
+        self._helm.let_go()
+        self._out.clear()
+        self.decoder.drop()
+        self._tries = self._silent_tries = 0
+        self._bytes_heard, self._packets_before = 0, self.decoder.packets
+
+    def _do_sync0(self) -> None:
+        self._tries += 1
+        if self._tries > TOTAL_TRIES:
+            self._dispatch(Input.GAVE_UP)
+        else:
+            self._send(Command.PULSE)
+
+    def _do_sync1(self) -> None:
+        self._send(Command.OPEN)
+
+    def _do_sync2(self) -> None:
+        self._send(Command.CLOSE)
+
+    def _do_try_again(self) -> None:
+        self._silent_tries += 1
+        if self._silent_tries >= SILENT_TRIES:
+            self._dispatch(Input.GAVE_UP)
+        elif self._silent_tries > POLITE_TRIES:
+            # The answer to SYNC2 may have been lost: then a session waits for OPEN and echoes nothing.
+            self._send(Command.CLOSE)
+
+    def _do_give_up(self) -> None:
+        valid = self.decoder.packets - self._packets_before
+        if valid:
+            reason = f"the base answers, but no handshake came about in {self._tries} tries"
+        elif self._bytes_heard:
+            reason = (
+                f"what answers is no ARCOS base, or the baud rate is wrong: "
+                f"{self._bytes_heard} bytes, not one valid packet"
+            )
+        else:
+            reason = f"no answer to {self._tries} handshakes"
+        self._events.append(Failed(reason))
+
+    def _do_hang_up(self) -> None:
+        self._send_zeros()
+        self._send(Command.CLOSE)
+
+    def _do_open(self) -> None:
+        robot = self._robot()
+        assert robot is not None  # or this was a STRANGER
+        self._odometer = Odometer(robot)
+        self._base = self._config = None
+        self._opened_s = self._now
+        self._events.append(Connected(*self._names))
+        self._send(Command.OPEN)
+        self._send(Command.CONFIG)
+
+    def _do_refuse(self) -> None:
+        self._send(Command.CLOSE)
+        known = ", ".join(ROBOTS)
+        self._events.append(
+            Failed(f"the base calls itself {self._names[2]!r}; say its model, one of {known}")
+        )
+
+    def _do_first_sip(self) -> None:
+        self._base = self._odometer.update(self._sip, self._now)
+        if self._config is not None:
+            self._dispatch(Input.SETTLED)
+
+    def _do_configure(self) -> None:
+        self._odometer.config = self._config
+        if self._base is not None:
+            self._dispatch(Input.SETTLED)
+
+    def _do_ask_again(self) -> None:
+        waited = self._now - self._opened_s
+        if self._base is None:
+            if waited > OPEN_S:
+                self._dispatch(Input.GAVE_UP)
+                return
+            self._send(Command.OPEN)
+        elif waited > CONFIG_S:
+            self._dispatch(Input.SETTLED)
+            return
+        if self._config is None:
+            self._send(Command.CONFIG)
+
+    def _do_be_ready(self) -> None:
+        self._events.append(Configured(self._config, self._odometer.robot))
+        self._helm.take(self._now)
+
+    def _do_publish(self) -> None:
+        self._base = self._odometer.update(self._sip, self._now)
+        self._events.append(StateReceived(self._base))
+
+    def _do_lose(self) -> None:
+        self._helm.let_go()
+        self._send_zeros()
+        self._events.append(Lost(f"no odometry from the base for {LOSS_S} s"))
+
+    def _do_recover(self) -> None:
+        self._events.append(Recovered())
+        self._helm.take(self._now)
+        self._do_publish()
+
+    def _do_lose_to_reset(self) -> None:
+        self._do_listen()
+        self._events.append(Lost("the base was reset"))
+
+    def _do_lose_line(self) -> None:
+        self._helm.let_go()
+        self._events.append(Lost(self._reason))
+
+    def _do_leave(self) -> None:
+        self._helm.let_go()
+        self._send_zeros()
+        self._send(Command.ENABLE, 0)
+        self._send(Command.CLOSE)
+
+    def _do_say_close(self) -> None:
+        self._send(Command.CLOSE)
+
+    def _send_zeros(self) -> None:
+        self._send(Command.VEL, 0)
+        self._send(Command.RVEL, 0)
+        self._send(Command.STOP)

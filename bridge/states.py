@@ -1,0 +1,144 @@
+"""The states of a connection to a base and every change between them, as data.
+
+1. A (state, input) pair that is not in ``TABLE`` does nothing.
+2. The state changes first, then the action runs.
+3. Entering a state, its own included, starts that state's clock (``PATIENCE_S``); an entry without a state
+   leaves state and clock alone. EXPIRED is the clock's end.
+
+Sources: Adept Pioneer 3 manual p. 33 (handshake); what a base may answer instead, from ARIA's
+ArRobot::asyncConnectHandler and AMRISim's handleSyncPacket (facts only).
+"""
+
+import math
+from enum import Enum
+from typing import TypeAlias
+
+__all__ = ["LOSS_S", "PATIENCE_S", "TABLE", "Entry", "Input", "State"]
+
+
+class State(Enum):
+    """Where the connection stands."""
+
+    IDLE = "not connected"
+    LISTENING = "listening for an old session"
+    SYNC0 = "SYNC0 sent"
+    SYNC1 = "SYNC1 sent"
+    SYNC2 = "SYNC2 sent"
+    HANGING_UP = "closing an old session"
+    CONFIGURING = "open, waiting for SIP and CONFIGpac"
+    READY = "ready"
+    LOST = "the base went silent"
+
+
+class Input(Enum):
+    """What can happen to a connection."""
+
+    CONNECT = "connect was called"
+    CLOSE = "close was called"
+    LINK_DOWN = "the line under us is gone"
+    EXPIRED = "the state's clock ran out"
+    GAVE_UP = "tried often enough"
+    ECHO0 = "echo of SYNC0"
+    ECHO1 = "echo of SYNC1"
+    NAMES = "echo of SYNC2 from a base we know"
+    STRANGER = "echo of SYNC2 from a base we have no factors for"
+    SIP = "server information packet"
+    CONFIG = "CONFIGpac"
+    SETTLED = "SIPs come, and the CONFIGpac came or never will"
+    RESET = "notice that the base was reset"
+
+
+LOSS_S = 0.5
+"""Without a SIP for this long a base counts as lost (design, safety requirement 1)."""
+
+PATIENCE_S = {
+    State.IDLE: math.inf,
+    State.LISTENING: 0.25,  # an open session speaks each 0.1 s
+    State.SYNC0: 0.5,
+    State.SYNC1: 0.5,
+    State.SYNC2: 0.5,
+    State.HANGING_UP: 0.4,  # as long as Player's p2os waits after CLOSE
+    State.CONFIGURING: 0.2,  # ARIA's rhythm of asking for the CONFIGpac
+    State.READY: LOSS_S,
+    State.LOST: 3.0,
+}
+"""How long a state lasts by itself, in seconds."""
+
+Entry: TypeAlias = tuple[State | None, str]
+
+_ENDING: dict[Input, Entry] = {
+    Input.CLOSE: (State.IDLE, "say_close"),
+    Input.LINK_DOWN: (State.IDLE, "nothing"),
+}
+_SYNCING: dict[Input, Entry] = _ENDING | {
+    Input.SIP: (State.HANGING_UP, "hang_up"),
+    Input.RESET: (State.LISTENING, "nothing"),
+    Input.EXPIRED: (State.LISTENING, "try_again"),
+    Input.GAVE_UP: (State.IDLE, "give_up"),
+}
+# The wrong echo starts over; that of an earlier try, come late, is passed over.
+_WRONG: Entry = (State.LISTENING, "nothing")
+
+TABLE: dict[State, dict[Input, Entry]] = {
+    State.IDLE: {Input.CONNECT: (State.LISTENING, "listen")},
+    State.LISTENING: {
+        Input.SIP: (State.HANGING_UP, "hang_up"),
+        Input.RESET: (State.LISTENING, "nothing"),
+        Input.EXPIRED: (State.SYNC0, "sync0"),
+        Input.CLOSE: (State.IDLE, "nothing"),
+        Input.LINK_DOWN: (State.IDLE, "nothing"),
+    },
+    State.SYNC0: _SYNCING
+    | {
+        Input.ECHO0: (State.SYNC1, "sync1"),
+        Input.ECHO1: _WRONG,
+        Input.NAMES: _WRONG,
+        Input.STRANGER: _WRONG,
+    },
+    State.SYNC1: _SYNCING
+    | {
+        Input.ECHO1: (State.SYNC2, "sync2"),
+        Input.NAMES: _WRONG,
+        Input.STRANGER: _WRONG,
+    },
+    State.SYNC2: _SYNCING
+    | {
+        Input.ECHO0: _WRONG,
+        Input.NAMES: (State.CONFIGURING, "open"),
+        Input.STRANGER: (State.IDLE, "refuse"),
+    },
+    State.HANGING_UP: _ENDING
+    | {
+        Input.RESET: (State.LISTENING, "nothing"),
+        Input.EXPIRED: (State.SYNC0, "sync0"),
+    },
+    State.CONFIGURING: {
+        Input.SIP: (None, "first_sip"),
+        Input.CONFIG: (None, "configure"),
+        Input.EXPIRED: (State.CONFIGURING, "ask_again"),
+        Input.SETTLED: (State.READY, "be_ready"),
+        Input.GAVE_UP: (State.LISTENING, "nothing"),
+        Input.RESET: (State.LISTENING, "nothing"),
+        Input.CLOSE: (State.IDLE, "leave"),
+        Input.LINK_DOWN: (State.IDLE, "nothing"),
+    },
+    State.READY: {
+        Input.SIP: (State.READY, "publish"),
+        Input.CONFIG: (None, "configure"),
+        Input.EXPIRED: (State.LOST, "lose"),
+        Input.RESET: (State.LISTENING, "lose_to_reset"),
+        # Only a base that waits for a client echoes: it took our PULSE for SYNC0.
+        Input.ECHO0: (State.LISTENING, "lose_to_reset"),
+        Input.CLOSE: (State.IDLE, "leave"),
+        Input.LINK_DOWN: (State.IDLE, "lose_line"),
+    },
+    State.LOST: {
+        Input.SIP: (State.READY, "recover"),
+        Input.EXPIRED: (State.LISTENING, "listen"),
+        Input.RESET: (State.LISTENING, "listen"),
+        Input.ECHO0: (State.LISTENING, "listen"),
+        Input.CLOSE: (State.IDLE, "leave"),
+        Input.LINK_DOWN: (State.IDLE, "nothing"),
+    },
+}
+"""state: {input: (next state or None, action)}; the session's method ``_do_ACTION`` is what is done."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rover_ncp.core.course import TICK_S, Course, load_course
 from sim.world.bay import Bay
 from sim.world.fleet import SUBSTEPS
-from sim.world.rover import Rover, RoverModel
+from sim.world.rover import Rover, RoverModel, require_free_start
 from sim.world.scoring import due_checkpoints, reward
 
 __all__ = ["ENV_ID", "RoverParkingEnv"]
@@ -60,6 +60,7 @@ class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.observation_space = gymnasium.spaces.Box(np.array([*-high[:3], 0.0]), high, dtype=np.float64)
         high = np.array([0.16, 0.18])  # the paper's motors
         self.action_space = gymnasium.spaces.Box(-high, high, dtype=np.float64)
+        require_free_start(self.model, self.course)
         self._due = due_checkpoints(self.course)
         self._start()
 

@@ -23,9 +23,19 @@ from rover_ncp.core.geometry import Pose
 from rover_ncp.jit import kernel
 from sim.world import chipmunk
 from sim.world.bay import Bay
-from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, RoverModel, rover_body
+from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, RoverModel, rover_body, toward
 
-__all__ = ["ROVERS_PER_BAY", "SUBSTEPS", "Fleet", "FleetArrays", "advance", "place", "read_poses", "send"]
+__all__ = [
+    "ROVERS_PER_BAY",
+    "SUBSTEPS",
+    "Fleet",
+    "FleetArrays",
+    "advance",
+    "place",
+    "read_poses",
+    "send",
+    "wrapped",
+]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -159,39 +169,36 @@ def advance(fleet: FleetArrays) -> None:
             due = fleet.clock[0] - fleet.delay[axis, lane] // SUBSTEPS
             fleet.new[axis, lane] = fleet.sent[due % ticks_kept, axis, lane]
             fleet.old[axis, lane] = fleet.sent[(due - 1) % ticks_kept, axis, lane]
-    for bay in range(len(fleet.spaces)):
-        first = bay * ROVERS_PER_BAY
+    # Local names: numba counts references whenever an array is taken out of a tuple.
+    layout, bodies, spaces, touched = fleet.layout, fleet.bodies, fleet.spaces, fleet.touched
+    old, new, delay, rise, fall, grip = fleet.old, fleet.new, fleet.delay, fleet.rise, fleet.fall, fleet.grip
+    for bay in range(len(spaces)):
+        lanes = range(bay * ROVERS_PER_BAY, (bay + 1) * ROVERS_PER_BAY)
         for substep in range(SUBSTEPS):
-            for lane in range(first, first + ROVERS_PER_BAY):
-                _drive(fleet, lane, substep)
-            chipmunk.step(fleet.layout.step_function, fleet.spaces[bay], SUBSTEP_S)
-            for lane in range(first, first + ROVERS_PER_BAY):
-                if chipmunk.load_word(fleet.bodies[lane] + fleet.layout.contacts) != 0:
-                    fleet.touched[lane] = 1
+            for lane in lanes:
+                late_v = substep < delay[0, lane] % SUBSTEPS
+                late_omega = substep < delay[1, lane] % SUBSTEPS
+                body = bodies[lane]
+                cos = chipmunk.load(body + layout.rotation)
+                sin = chipmunk.load(body + layout.rotation + 8)
+                vx = chipmunk.load(body + layout.velocity)
+                vy = chipmunk.load(body + layout.velocity + 8)
+                omega = chipmunk.load(body + layout.angular_velocity)
+                target = old[0, lane] if late_v else new[0, lane]
+                forward = _toward(cos * vx + sin * vy, target, rise[0, lane], fall[0, lane])
+                sideways = _toward(cos * vy - sin * vx, 0.0, grip[lane], grip[lane])
+                target = old[1, lane] if late_omega else new[1, lane]
+                omega = _toward(omega, target, rise[1, lane], fall[1, lane])
+                chipmunk.store(body + layout.velocity, cos * forward - sin * sideways)
+                chipmunk.store(body + layout.velocity + 8, sin * forward + cos * sideways)
+                chipmunk.store(body + layout.angular_velocity, omega)
+            chipmunk.step(layout.step_function, spaces[bay], SUBSTEP_S)
+            for lane in lanes:
+                if chipmunk.load_word(bodies[lane] + layout.contacts) != 0:
+                    touched[lane] = 1
 
 
-@kernel
-def _drive(fleet: FleetArrays, lane: int, substep: int) -> None:
-    body, layout = fleet.bodies[lane], fleet.layout
-    cos = chipmunk.load(body + layout.rotation)
-    sin = chipmunk.load(body + layout.rotation + 8)
-    vx = chipmunk.load(body + layout.velocity)
-    vy = chipmunk.load(body + layout.velocity + 8)
-    forward = _toward(fleet, lane, 0, substep, cos * vx + sin * vy)
-    sideways = cos * vy - sin * vx
-    sideways = min(max(0.0, sideways - fleet.grip[lane]), sideways + fleet.grip[lane])
-    chipmunk.store(body + layout.velocity, cos * forward - sin * sideways)
-    chipmunk.store(body + layout.velocity + 8, sin * forward + cos * sideways)
-    omega = chipmunk.load(body + layout.angular_velocity)
-    chipmunk.store(body + layout.angular_velocity, _toward(fleet, lane, 1, substep, omega))
-
-
-@kernel
-def _toward(fleet: FleetArrays, lane: int, axis: int, substep: int, speed: float) -> float:
-    late = substep < fleet.delay[axis, lane] % SUBSTEPS
-    target = fleet.old[axis, lane] if late else fleet.new[axis, lane]
-    step = fleet.rise[axis, lane] if speed * (target - speed) >= 0.0 else fleet.fall[axis, lane]
-    return min(max(target, speed - step), speed + step)  # type: ignore[no-any-return]
+_toward = kernel(toward)
 
 
 @kernel
@@ -201,12 +208,17 @@ def read_poses(fleet: FleetArrays, poses: FloatArray) -> None:
         body = fleet.bodies[lane]
         poses[0, lane] = chipmunk.load(body + fleet.layout.position)
         poses[1, lane] = chipmunk.load(body + fleet.layout.position + 8)
-        theta = chipmunk.load(body + fleet.layout.angle)
-        if not -math.pi < theta <= math.pi:
-            # Exact, as geometry.wrap_angle is.
-            theta = np.fmod(theta, math.tau)
-            if theta > math.pi:
-                theta -= math.tau
-            elif theta <= -math.pi:
-                theta += math.tau
-        poses[2, lane] = theta
+        poses[2, lane] = wrapped(chipmunk.load(body + fleet.layout.angle))
+
+
+@kernel
+def wrapped(angle: float) -> float:
+    """Return the same direction within (−π, π], to the last bit as ``geometry.wrap_angle`` does."""
+    if -math.pi < angle <= math.pi:
+        return angle
+    angle = np.fmod(angle, math.tau)
+    if angle > math.pi:
+        angle -= math.tau
+    elif angle <= -math.pi:
+        angle += math.tau
+    return angle

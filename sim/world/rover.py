@@ -19,10 +19,21 @@ import pymunk
 from pydantic import Field
 
 from rover_ncp.core.config import StrictModel
+from rover_ncp.core.course import Course
+from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from sim.world.bay import ROVER_FILTER, Bay
 
-__all__ = ["GRAVITY_M_S2", "SUBSTEP_S", "Limits", "Rover", "RoverModel", "rover_body", "toward"]
+__all__ = [
+    "GRAVITY_M_S2",
+    "SUBSTEP_S",
+    "Limits",
+    "Rover",
+    "RoverModel",
+    "require_free_start",
+    "rover_body",
+    "toward",
+]
 
 SUBSTEP_S = 0.01
 """Physics step in seconds, as in the paper's simulator."""
@@ -100,6 +111,16 @@ def rover_body(model: RoverModel, bay: Bay) -> pymunk.Body:
     shape.friction = model.shell_friction
     bay.space.add(body, shape)
     return body
+
+
+def require_free_start(model: RoverModel, course: Course) -> None:
+    """Raise ConfigError when the rover stands in an obstacle at the start of a course, the origin."""
+    bay = Bay(course.obstacles)
+    body = rover_body(model, bay)
+    bay.space.reindex_shapes_for_body(body)
+    if any(bay.space.shape_query(shape) for shape in body.shapes):
+        size = f"{model.length} m by {model.width} m"
+        raise ConfigError(f"course {course.name}", [f"an obstacle stands where the rover starts ({size})"])
 
 
 class Rover:

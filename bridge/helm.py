@@ -47,7 +47,7 @@ class Helm:
         self._send_limits()
         self._send(Command.SONAR, 1)
         self.zero(now)
-        self._send(Command.ENABLE, 0)
+        self._send_enable(now)
 
     def set_motion(self, v: float, omega: float) -> None:
         """Set the speeds the next tick sends. Raises ValueError when one is not finite."""

@@ -1,0 +1,192 @@
+"""The lines to a base: TCP and serial. The only input and output of the ARCOS side.
+
+A line is bytes in order, nothing more. Whatever breaks it is a NoRobot that names the line and the reason;
+after one, the line is done with and another is opened.
+"""
+
+import select
+import socket
+import time
+from abc import ABC, abstractmethod
+from contextlib import suppress
+
+import serial
+
+from rover_ncp.core.errors import NoRobot, UsageError
+
+__all__ = ["DEFAULT_PORT", "SerialTransport", "TcpTransport", "Transport", "open_transport"]
+
+DEFAULT_PORT = 8101
+"""Where ARIA, p2os and AMRISim expect a base on TCP."""
+
+DEFAULT_BAUD = 9600
+"""The base's FLASH default."""
+
+CONNECT_TIMEOUT_S = 5.0
+WRITE_TIMEOUT_S = 0.5
+"""A line that takes no bytes for this long is dead: later commands would only arrive late."""
+
+LINGER_S = 0.3
+"""How long closing waits for the base to hang up too."""
+
+CHUNK_BYTES = 4096
+
+_FORM = "expected tcp/HOST[:8101] or serial//dev/ttyUSB0[#baudrate=9600]"
+
+
+class Transport(ABC):
+    """An open line. One thread may read while another writes."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.bytes_in = 0
+        self.bytes_out = 0
+
+    @abstractmethod
+    def read(self, timeout: float) -> bytes:
+        """Return what has arrived, waiting up to ``timeout`` seconds for the first byte; empty if none came.
+
+        Raises NoRobot when the line is gone.
+        """
+
+    @abstractmethod
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``. Raises NoRobot when the line is gone or takes no more."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the line, after what was written has gone out. Never fails."""
+
+    def _gone(self, reason: object) -> NoRobot:
+        return NoRobot(f"{self.name}: {reason}")
+
+
+class TcpTransport(Transport):
+    """A base behind a TCP port: a simulator, or a serial-to-ethernet converter on the robot."""
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__(f"tcp/{host}:{port}")
+        try:
+            self._socket = socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S)
+        except TimeoutError as error:
+            raise self._gone(f"no answer within {CONNECT_TIMEOUT_S:.0f} s") from error
+        except ConnectionRefusedError as error:
+            raise self._gone("connection refused: nothing listens there") from error
+        except (OSError, UnicodeError) as error:
+            raise self._gone(getattr(error, "strerror", None) or error) from error
+        # A command is a few bytes that must not wait for more.
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.settimeout(WRITE_TIMEOUT_S)
+
+    def read(self, timeout: float) -> bytes:
+        """See Transport."""
+        try:
+            readable, _, _ = select.select([self._socket], [], [], timeout)
+            if not readable:
+                return b""
+            data = self._socket.recv(CHUNK_BYTES)
+        except (OSError, ValueError) as error:
+            raise self._gone(getattr(error, "strerror", None) or error) from error
+        if not data:
+            raise self._gone("the base closed the connection (it takes one client at a time)")
+        self.bytes_in += len(data)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See Transport."""
+        try:
+            self._socket.sendall(data)
+        except TimeoutError as error:
+            raise self._gone(f"the line takes no more bytes for {WRITE_TIMEOUT_S} s") from error
+        except OSError as error:
+            raise self._gone(error.strerror or error) from error
+        self.bytes_out += len(data)
+
+    def close(self) -> None:
+        """See Transport."""
+        with suppress(OSError, ValueError):
+            self._socket.shutdown(socket.SHUT_WR)
+            # Closing over unread bytes would reset the connection and might take our last command with it.
+            deadline = time.monotonic() + LINGER_S
+            while (left := deadline - time.monotonic()) > 0:
+                readable, _, _ = select.select([self._socket], [], [], left)
+                if not readable or not self._socket.recv(CHUNK_BYTES):
+                    break
+        with suppress(OSError):
+            self._socket.close()
+
+
+class SerialTransport(Transport):
+    """A base on a serial port, or on anything pyserial has a URL for; 8 data bits, no parity, 1 stop bit."""
+
+    def __init__(self, port: str, baudrate: int = DEFAULT_BAUD) -> None:
+        super().__init__(f"serial/{port}#baudrate={baudrate}")
+        try:
+            self._port = serial.serial_for_url(
+                port, baudrate=baudrate, timeout=0.0, write_timeout=WRITE_TIMEOUT_S, exclusive=True
+            )
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise self._gone(_reason(error)) from error
+
+    def read(self, timeout: float) -> bytes:
+        """See Transport."""
+        try:
+            self._port.timeout = timeout
+            data = self._port.read(1)
+            if data:
+                data += self._port.read(min(self._port.in_waiting, CHUNK_BYTES))
+        except (serial.SerialException, OSError, TypeError) as error:
+            raise self._gone(_reason(error)) from error
+        self.bytes_in += len(data)
+        return bytes(data)
+
+    def write(self, data: bytes) -> None:
+        """See Transport."""
+        try:
+            self._port.write(data)
+        except (serial.SerialException, OSError) as error:
+            raise self._gone(_reason(error)) from error
+        self.bytes_out += len(data)
+
+    def close(self) -> None:
+        """See Transport."""
+        # The system sends what was written; waiting for it here could wait for ever on a dead port.
+        with suppress(serial.SerialException, OSError):
+            self._port.close()
+
+
+def _reason(error: Exception) -> str:
+    """Return pyserial's reason without its prose."""
+    cause = error.__context__ if isinstance(error.__context__, OSError) else error
+    if isinstance(error, serial.SerialTimeoutException):
+        return f"the line takes no more bytes for {WRITE_TIMEOUT_S} s"
+    return str(getattr(cause, "strerror", None) or error)
+
+
+def open_transport(endpoint: str) -> Transport:
+    """Open ``tcp/HOST[:PORT]`` or ``serial/PORT[#baudrate=N]`` (so ``serial//dev/ttyUSB0``).
+
+    Raises UsageError for another form and NoRobot when there is nobody.
+    """
+    kind, _, address = endpoint.partition("/")
+    address, _, settings = address.partition("#")
+    if kind == "tcp" and address and not settings:
+        host, port = _split_host(address)
+        if host and port.isdigit() and 0 < int(port) < 65536:
+            return TcpTransport(host, int(port))
+    if kind == "serial" and address:
+        name, _, value = settings.partition("=")
+        if not settings:
+            return SerialTransport(address)
+        if name == "baudrate" and value.isdigit() and int(value) > 0:
+            return SerialTransport(address, int(value))
+    raise UsageError(f"base {endpoint}: {_FORM}")
+
+
+def _split_host(address: str) -> tuple[str, str]:
+    """Return host and port as text; an IPv6 address stands in brackets."""
+    host, bracket, rest = address.rpartition("]")
+    if bracket:
+        return host.removeprefix("["), rest.removeprefix(":") or str(DEFAULT_PORT)
+    host, colon, port = address.partition(":")
+    return host, port if colon else str(DEFAULT_PORT)

@@ -1,12 +1,129 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
-from typing import Annotated
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
+
+from rover_ncp.core.console import Output
+from rover_ncp.core.errors import UsageError
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 
 
-def train(json: Json = False) -> None:
-    """Not there yet."""
-    raise NotImplementedError
+class SearchName(StrEnum):
+    """The search strategies; listed here so that --help need not import them."""
+
+    PUBLISHED = "published"
+    ALGORITHM1 = "algorithm1"
+
+
+def train(
+    *,
+    course: Annotated[
+        str | None, typer.Option(help="Course to learn, by name or YAML file.", show_default="parking")
+    ] = None,
+    circuit: Annotated[
+        str | None,
+        typer.Option(help="Untuned circuit, by name or file (YAML or .bnn).", show_default="parking"),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Root seed: all randomness comes from it.", show_default="0")
+    ] = None,
+    agents: Annotated[
+        int | None,
+        typer.Option(min=1, max=1000, help="Independent searches; the best one wins.", show_default="12"),
+    ] = None,
+    iterations: Annotated[
+        int | None, typer.Option(min=1, help="Candidates that each agent tries.", show_default="20000")
+    ] = None,
+    search: Annotated[
+        SearchName | None,
+        typer.Option(
+            help="published: a few random entries change. algorithm1: all change, by an adapting scale.",
+            show_default="published",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the run, missing or empty.", show_default="the next free runs/train-N"),
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")] = False,
+    processes: Annotated[
+        int | None,
+        typer.Option(min=1, help="Changes the speed, never the result.", show_default="one for each core"),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Train circuits in simulation until one drives a course.
+
+    Agents start from the same untuned wiring, shaken a little, and search independently: each keeps the best
+    parameters found so far and tries others near them. A return is the sum of minus the squared misses of
+    the checkpoints (1 rad counting as 1 m): 0 would be perfect, about -0.1 parks.
+
+    In the folder: policy.yaml (the best agent's circuit, ready for deploy and eval), curve.csv and curve.png
+    (best return so far of each agent), settings.yaml, agents/. The same settings give the same bytes, on
+    however many processes. Interrupt it whenever you like: with --resume it ends in the same files, and
+    needs none of the options again.
+
+        rover-ncp train --seed 1 --out runs/mine
+        rover-ncp train --out runs/mine --resume
+    """
+    from sim.learn.folder import new_run_path, saved_settings
+    from sim.learn.progress import TrainProgress
+    from sim.learn.record import TrainSettings, resolve_task
+    from sim.learn.train import train as run_training
+    from sim.learn.workers import WorkerDied
+
+    output = Output(json)
+    options: dict[str, Any] = {
+        "course": course,
+        "circuit": circuit,
+        "seed": seed,
+        "agents": agents,
+        "iterations": iterations,
+        "search": search,
+    }
+    given = {name: value for name, value in options.items() if value is not None}
+    if resume and out is None:
+        raise UsageError("--resume needs --out, the folder of the run to go on with")
+    saved = saved_settings(out) if resume and out is not None else None
+    if resume and saved is None:
+        output.say(f"{out} holds no run yet: starting from the beginning")
+    settings = TrainSettings(**((saved.model_dump() if saved else {}) | given))
+    task = resolve_task(settings)  # before a folder is made, so that a typo leaves none behind
+    folder = out or new_run_path()
+    try:
+        with TrainProgress(settings.iterations) as progress:
+            result = run_training(
+                settings, folder, resume=resume, processes=processes, on_progress=progress.show
+            )
+    except (KeyboardInterrupt, WorkerDied):
+        output.say(f"Saved. Go on with: rover-ncp train --out {folder} --resume")
+        raise
+
+    from sim.learn.rollout import rollout
+
+    verdict = rollout(result.policy, task.course).verdict
+    fields = {
+        "returns": result.agents.returns,
+        "best_return": result.agents.best.value,
+        "median_return": result.agents.median_return,
+        "parked": verdict.parked,
+        "error_m": verdict.error_m,
+        "error_rad": verdict.error_rad,
+        "wall_s": result.wall_s,
+        "iterations_per_s": result.iterations_per_s,
+        "seed": settings.seed,
+        "agents": settings.agents,
+        "iterations": result.agents.iterations,
+        "out": str(folder),
+        "policy": str(result.policy_path),
+    }
+    how = "parks" if verdict.parked else f"does not park: {verdict.reason}"
+    output.result(
+        fields,
+        f"best of {settings.agents} agents: return {result.agents.best.value:.4f}, {how} "
+        f"(median {result.agents.median_return:.4f}; {result.wall_s:.1f} s)\n{result.policy_path}",
+    )

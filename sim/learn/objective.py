@@ -23,19 +23,26 @@ Key = tuple[int, ...]
 class Objective(Protocol):
     """Estimates returns in bulk."""
 
-    def estimate(self, vectors: Vector, keys: Sequence[Key]) -> Vector:
-        """Return the estimates (k,) for vectors (k, P); ``keys`` name each one's random stream."""
+    def estimate(self, vectors: Vector, to_beat: Vector, keys: Sequence[Key]) -> Vector:
+        """Return the estimates (k,) for vectors (k, P).
+
+        Where an estimate does not exceed ``to_beat`` (k,), any other value that does not will do; minus
+        infinity there asks for the estimate itself. ``keys`` name each one's random stream.
+        """
 
 
 class Deterministic:
-    """A task without chance: one rollout says it all."""
+    """A task without chance: one rollout says it all.
 
-    def __init__(self, returns: Callable[[Vector], Vector]) -> None:
+    ``returns`` takes vectors (k, P) and the thresholds (k,) below which a rollout may stop; it gives (k,).
+    """
+
+    def __init__(self, returns: Callable[[Vector, Vector], Vector]) -> None:
         self._returns = returns
 
-    def estimate(self, vectors: Vector, keys: Sequence[Key]) -> Vector:
+    def estimate(self, vectors: Vector, to_beat: Vector, keys: Sequence[Key]) -> Vector:
         """Return the returns (k,) of vectors (k, P)."""
-        return self._returns(vectors)
+        return self._returns(vectors, to_beat)
 
 
 class Sampled:
@@ -54,7 +61,7 @@ class Sampled:
         self._rollouts = rollouts
         self._worst = worst
 
-    def estimate(self, vectors: Vector, keys: Sequence[Key]) -> Vector:
+    def estimate(self, vectors: Vector, to_beat: Vector, keys: Sequence[Key]) -> Vector:
         """Return the estimates (k,) for vectors (k, P), each from its own N seeds."""
         seeds = [
             np.random.SeedSequence(self._root_seed, spawn_key=key).generate_state(self._rollouts, np.uint64)

@@ -95,6 +95,13 @@ class Search(ABC, Generic[AdaptationT]):
         """Returns taken after that of the start: candidates, and new estimates of the incumbent."""
         return max(self.evaluations - 1, 0)
 
+    @property
+    def to_beat(self) -> float:
+        """What the returns of the vectors handed out must exceed; minus infinity for estimates."""
+        if self.value is None or (self._pending and self._pending[0].is_estimate):
+            return -math.inf
+        return self.value
+
     def ask(self, count: int = 1) -> Vector:
         """Return candidates (n, P), 1 <= n <= count, whose returns may be measured in any order.
 

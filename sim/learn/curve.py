@@ -1,0 +1,55 @@
+"""Learning curves as a table and as a picture, both a function of the agents alone: same run, same bytes."""
+
+import io
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim.learn.team import AgentState
+
+__all__ = ["curve_csv", "curve_iterations", "curve_png"]
+
+_LEAST_LOSS = 1e-4
+
+
+def curve_iterations(last: int) -> list[int]:
+    """Return the iterations a curve shows: those of at most two significant digits, and the last one."""
+    shown, step = [0], 1
+    while shown[-1] + step <= last:
+        shown.append(shown[-1] + step)
+        if shown[-1] == 100 * step:
+            step *= 10
+    return shown if shown[-1] == last else [*shown, last]
+
+
+def curve_csv(agents: Sequence[AgentState], last: int) -> str:
+    """Return the table: iteration, then each agent's best return so far, with all digits."""
+    lines = [",".join(["iteration", *(f"agent_{agent.number:02}" for agent in agents)])]
+    for iteration in curve_iterations(last):
+        lines.append(",".join([str(iteration), *(repr(agent.value_at(iteration)) for agent in agents)]))
+    return "\n".join(lines) + "\n"
+
+
+def curve_png(agents: Sequence[AgentState], last: int, title: str) -> bytes:
+    """Return a picture of all agents' curves, their median and the best agent, as PNG.
+
+    Returns of a task whose best is 0 differ by orders of magnitude, so the axis is that of −return,
+    logarithmic and upside down: higher is better.
+    """
+    from matplotlib.figure import Figure  # half a second that only the end of a run needs
+
+    iterations = curve_iterations(last)
+    losses = -np.array([[agent.value_at(i) for i in iterations] for agent in agents])
+    losses = np.maximum(losses, _LEAST_LOSS)
+    best = agents[int(np.argmin(losses[:, -1]))]
+    figure = Figure(figsize=(8, 5), dpi=120, layout="constrained")
+    axes = figure.add_subplot()
+    for loss in losses:
+        axes.step(iterations, loss, where="post", color="0.75", linewidth=1)
+    axes.step(iterations, np.median(losses, axis=0), where="post", color="tab:blue", linewidth=2)
+    axes.step(iterations, losses[best.number], where="post", color="tab:orange", linewidth=2)
+    axes.set(xlabel="iteration", ylabel="return of the best circuit so far", title=title)
+    buffer = io.BytesIO()
+    # Neither version nor time in the file: the same curves give the same bytes.
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()

@@ -1,0 +1,82 @@
+"""Independent agents that search at the same time, round by round, spread over workers.
+
+All agents do the same number of iterations a round. At a round's end everyone stands at the same iteration,
+so whoever looks then (progress, checkpoint, the question whether to stop) sees the same picture for a seed,
+however many processes there are and however fast they run.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from statistics import median
+
+from sim.learn.team import AgentState
+from sim.learn.workers import Workers
+
+__all__ = ["ROUND_ITERATIONS", "Snapshot", "run_ensemble"]
+
+ROUND_ITERATIONS = 100
+"""Long enough to hide the traffic between processes, short enough for a live display: parts of a second."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The agents at the end of a round."""
+
+    agents: tuple[AgentState, ...]
+
+    @property
+    def iterations(self) -> int:
+        """Iterations that every agent has done."""
+        return min(agent.iterations for agent in self.agents)
+
+    @property
+    def total_iterations(self) -> int:
+        """Iterations of all agents together."""
+        return sum(agent.iterations for agent in self.agents)
+
+    def arrived(self, iterations: int) -> bool:
+        """Whether every agent has done so many iterations, its start included."""
+        return all(agent.search is not None and agent.iterations >= iterations for agent in self.agents)
+
+    @property
+    def returns(self) -> list[float]:
+        """Each agent's return, by agent number; minus infinity before its start was evaluated."""
+        return [agent.value for agent in self.agents]
+
+    @property
+    def best(self) -> AgentState:
+        """The agent of the highest return, the first of equals."""
+        return max(self.agents, key=lambda agent: (agent.value, -agent.number))
+
+    @property
+    def median_return(self) -> float:
+        """The median of the agents' returns."""
+        return float(median(self.returns))
+
+
+def run_ensemble(
+    workers: Workers, start: Snapshot, iterations: int, after_round: Callable[[Snapshot], bool]
+) -> Snapshot:
+    """Advance all agents to ``iterations``; ``after_round`` sees every round's end and may stop there.
+
+    Agents that are ahead (a run that was killed while it saved them) wait for the others. Nothing is done
+    and nobody called if all have arrived.
+    """
+    snapshot = start
+    while not snapshot.arrived(iterations):
+        # First the starts alone: a first picture, and early news of an objective that fails.
+        rounds = snapshot.iterations // ROUND_ITERATIONS + 1 if snapshot.arrived(0) else 0
+        target = rounds * ROUND_ITERATIONS
+        groups = _split(snapshot.agents, workers.count)
+        snapshot = Snapshot(tuple(workers.advance(groups, min(target, iterations))))
+        if after_round(snapshot):
+            break
+    return snapshot
+
+
+def _split(agents: Sequence[AgentState], count: int) -> list[list[AgentState]]:
+    """Return up to ``count`` groups of neighbours whose sizes differ by at most one."""
+    count = min(count, len(agents))
+    bounds = [len(agents) * i // count for i in range(count + 1)]
+    return [list(agents[a:b]) for a, b in pairwise(bounds)]

@@ -1,0 +1,162 @@
+"""A training run on disk. Every file is written whole or not at all, so a run may be killed at any moment.
+
+settings.yaml      the record, written first
+policy.yaml        the best agent's policy
+curve.csv          each agent's best return so far, see ``curve.py``
+curve.png          the same as a picture, at the end
+agents/NN.json     an agent between two iterations: all that resuming needs
+agents/NN.yaml     its policy, at the end
+"""
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import save_policy
+from rover_ncp.core.config import dump_yaml, load_yaml
+from rover_ncp.core.errors import FileError, UsageError
+from rover_ncp.core.files import write_atomic
+from sim.learn.agent_file import load_agent, save_agent
+from sim.learn.curve import curve_csv, curve_png
+from sim.learn.ensemble import Snapshot
+from sim.learn.record import Record, Task, TrainSettings, resolve_task
+from sim.learn.team import AgentState, Plan
+
+__all__ = ["RunFolder", "new_run_path", "open_run", "saved_settings"]
+
+_RUNS = Path("runs")
+_RECORD = "settings.yaml"
+# What ``write_atomic`` calls its temporary files, for those a killed run can have been writing.
+_TEMPORARY = (
+    ".settings.yaml.",
+    ".policy.yaml.",
+    ".curve.csv.",
+    ".curve.png.",
+    *(f".{d}" for d in "0123456789"),
+)
+
+
+def new_run_path() -> Path:
+    """Make and return a folder for a run that was given none: ``runs/train-1``, ``runs/train-2``, ..."""
+    number = 1
+    while True:
+        path = _RUNS / f"train-{number}"
+        try:
+            path.mkdir(parents=True)
+        except FileExistsError:
+            number += 1
+        except OSError as error:
+            raise FileError(
+                f"{path}: cannot be made: {error.strerror}; choose a folder with --out"
+            ) from error
+        else:
+            return path
+
+
+def saved_settings(path: Path) -> TrainSettings | None:
+    """Return the settings of the run in a folder, None if it holds none. Raises FileError or ConfigError."""
+    saved = path / _RECORD
+    return load_yaml(saved, Record).settings if saved.exists() else None
+
+
+class RunFolder:
+    """The folder of one run, open while this process holds its lock; made by ``open_run``."""
+
+    def __init__(self, path: Path, record: Record, task: Task) -> None:
+        self.path = path
+        self.policy_path = path / "policy.yaml"
+        self._agents = path / "agents"
+        self._record = record
+        self.task = task
+
+    def load_agents(self, plan: Plan) -> Snapshot:
+        """Read the agents as they were saved last; one without a file has not begun. Raises FileError."""
+        agents = []
+        for number in range(self._record.settings.agents):
+            path = self._agents / f"{number:02}.json"
+            agents.append(load_agent(path, number, plan) if path.is_file() else AgentState(number))
+        return Snapshot(tuple(agents))
+
+    def save_progress(self, snapshot: Snapshot) -> None:
+        """Write the agents, the best policy and the table of the curves. Raises FileError."""
+        for agent in snapshot.agents:
+            save_agent(self._agents / f"{agent.number:02}.json", agent)
+        save_policy(self.policy_path, self.policy(snapshot.best, snapshot))
+        write_atomic(self.path / "curve.csv", curve_csv(snapshot.agents, snapshot.iterations))
+
+    def finish(self, snapshot: Snapshot) -> None:
+        """Write everything, with each agent's policy and the picture. Raises FileError."""
+        self.save_progress(snapshot)
+        for agent in snapshot.agents:
+            save_policy(self._agents / f"{agent.number:02}.yaml", self.policy(agent, snapshot))
+        settings = self._record.settings
+        title = f"{settings.course}, {settings.search} search, seed {settings.seed}"
+        write_atomic(self.path / "curve.png", curve_png(snapshot.agents, snapshot.iterations, title))
+
+    def policy(self, agent: AgentState, snapshot: Snapshot) -> Policy:
+        """Return an agent's incumbent as a policy that tells how it was made."""
+        if agent.search is None:
+            raise ValueError(f"agent {agent.number} has not begun")
+        provenance = self._record.provenance(agent.number, agent.value, snapshot.iterations)
+        policy = self.task.policy.with_parameters(np.array(agent.search["incumbent"]))
+        return replace(policy, provenance=provenance)
+
+
+@contextmanager
+def open_run(path: Path, settings: TrainSettings, resume: bool) -> Iterator[RunFolder]:
+    """Begin a run in an empty or missing folder or, if ``resume``, go on with the one it holds.
+
+    Raises UsageError or ConfigError if the folder holds something else or a run of other settings. A folder
+    whose run was killed before it wrote anything counts as empty.
+    """
+    task = resolve_task(settings)
+    record = Record.of(settings, task)
+    saved = path / _RECORD
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be used as a folder: {error.strerror}") from error
+    try:
+        # Nothing but this process holds the lock: workers do not inherit it, a kill releases it.
+        _lock(handle, path)
+        if saved.exists():
+            if not resume:
+                raise UsageError(
+                    f"{path}: holds a training run; go on with --resume, or choose another --out"
+                )
+            began = load_yaml(saved, Record)
+            began.require_same(record, str(saved))
+            record = began
+        elif foreign := [name for name in os.listdir(path) if not _is_leftover(name)]:  # noqa: PTH208
+            raise UsageError(f"{path}: is not empty ({min(foreign)}) and holds no training run")
+        _sweep(path)
+        write_atomic(saved, dump_yaml(record.model_dump()))
+        yield RunFolder(path, record, task)
+    finally:
+        os.close(handle)
+
+
+def _lock(handle: int, path: Path) -> None:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise UsageError(f"{path}: another process is training in this folder") from error
+
+
+def _is_leftover(name: str) -> bool:
+    """Whether a killed run may have left this behind: the temporary file of something it was writing."""
+    return name.startswith(_TEMPORARY)
+
+
+def _sweep(path: Path) -> None:
+    for folder in (path, path / "agents"):
+        for file in folder.glob(".*"):
+            if _is_leftover(file.name):
+                file.unlink(missing_ok=True)

@@ -1,0 +1,135 @@
+"""What a training run is: its settings, the circuit and course they name, and what it was made with.
+
+The record is written before the first iteration and never changes. All that ends up in a policy's
+provenance comes from it, so that a run that was killed and resumed ends in the same bytes.
+"""
+
+import platform
+import shlex
+import subprocess
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Self
+
+import yaml
+from pydantic import Field
+
+from rover_ncp.circuit.policy import Policy, parking_policy
+from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
+from rover_ncp.core.config import StrictModel
+from rover_ncp.core.course import Course, load_course
+from rover_ncp.core.errors import ConfigError
+from sim.world.rover import RoverModel, require_free_start
+
+__all__ = ["Record", "Task", "TrainSettings", "resolve_task"]
+
+_LIBRARIES = ("rover-ncp", "numpy", "numba", "pymunk")
+_GIT_TIMEOUT_S = 5.0
+
+
+class TrainSettings(StrictModel):
+    """What decides a training run's result; how many processes it takes does not."""
+
+    course: str = "parking"
+    circuit: str = "parking"
+    seed: int = Field(default=0, ge=0)
+    agents: int = Field(default=12, ge=1, le=1000)
+    iterations: int = Field(default=20_000, ge=1)
+    search: Literal["published", "algorithm1"] = "published"
+
+    def command(self) -> str:
+        """Return the command line that makes the same circuits again."""
+        options = [part for name, value in self.model_dump().items() for part in (f"--{name}", str(value))]
+        return shlex.join(["rover-ncp", "train", *options])
+
+
+class Task(NamedTuple):
+    """What is trained on what: the course, and the policy whose parameters are the untuned start."""
+
+    course: Course
+    policy: Policy
+
+
+class Record(StrictModel):
+    """The file ``settings.yaml`` of a run: everything that was asked for, resolved."""
+
+    format: Literal[1] = 1
+    command: str
+    settings: TrainSettings
+    made_with: dict[str, str]
+    course: dict[str, Any]
+    circuit: dict[str, Any]
+
+    @classmethod
+    def of(cls, settings: TrainSettings, task: Task) -> Self:
+        """Record a run that starts now."""
+        return cls(
+            command=settings.command(),
+            settings=settings,
+            made_with=_made_with(),
+            course=task.course.model_dump(mode="json"),
+            circuit=yaml.safe_load(circuit_to_yaml(task.policy.circuit)),
+        )
+
+    def require_same(self, other: "Record", source: str) -> None:
+        """Raise ConfigError, naming every difference, unless ``other`` asks for the run recorded here."""
+        saved, asked = self.settings.model_dump(), other.settings.model_dump()
+        problems = [
+            f"--{name} was {saved[name]} when this run began, now {asked[name]}"
+            for name in saved
+            if saved[name] != asked[name]
+        ]
+        problems += [
+            f"the {what} {asked[what]} has changed since this run began"
+            for what in ("course", "circuit")
+            if saved[what] == asked[what] and getattr(self, what) != getattr(other, what)
+        ]
+        if problems:
+            raise ConfigError(source, problems)
+
+    def provenance(self, agent: int, value: float, iterations: int) -> dict[str, Any]:
+        """Return how the policy of ``agent`` came about, with the command that makes it again."""
+        settings = self.settings.model_copy(update={"iterations": iterations})
+        return {
+            "command": settings.command(),
+            "agent": agent,
+            "return": value,
+            "settings": settings.model_dump(),
+            "made_with": self.made_with,
+        }
+
+
+def resolve_task(settings: TrainSettings) -> Task:
+    """Load the course and the circuit that the settings name.
+
+    Raises FileError, or ConfigError also for a circuit that cannot drive and a course that cannot begin.
+    """
+    course = load_course(settings.course)
+    require_free_start(RoverModel(), course)
+    policy = parking_policy(load_circuit(settings.circuit))
+    return Task(course, replace(policy, courses=(course.name,)))
+
+
+def _made_with() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    versions |= {library: metadata.version(library) for library in _LIBRARIES}
+    commit = _commit()
+    return versions | ({"commit": commit} if commit else {})
+
+
+def _commit() -> str | None:
+    """Return the commit of the source that runs, with -dirty after local changes; None outside of git."""
+    here = Path(__file__)
+    git = ["git", "--no-optional-locks", "-C", str(here.parent)]
+    try:
+        # An environment may lie inside somebody's repository without being part of it.
+        _run([*git, "ls-files", "--error-unmatch", here.name])
+        return _run([*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"])
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _run(command: list[str]) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, timeout=_GIT_TIMEOUT_S, check=True)
+    return done.stdout.strip()

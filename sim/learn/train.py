@@ -1,0 +1,130 @@
+"""Training from settings to files: the ensemble, its engine and its folder brought together."""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.course import Course
+from rover_ncp.core.errors import RoverNcpError
+from sim.learn.ensemble import Snapshot, run_ensemble
+from sim.learn.folder import RunFolder, open_run
+from sim.learn.objective import Deterministic, Objective
+from sim.learn.record import Task, TrainSettings
+from sim.learn.team import Plan
+from sim.learn.workers import Inline, LocalProcesses, Workers, available_processes
+
+__all__ = ["TrainResult", "train", "training_plan"]
+
+# Checkpoints take at most this share of the time, so a short run saves often and a slow disk seldom.
+_CHECKPOINT_SHARE = 0.05
+
+
+class TrainResult(NamedTuple):
+    """How a training run ended. Times in s of this call alone, which may have resumed an older run."""
+
+    policy: Policy
+    """The best agent's, as in ``policy_path``."""
+    policy_path: Path
+    agents: Snapshot
+    wall_s: float
+    iterations_per_s: float | None
+    """Iterations of all agents per second, without the start-up; None if none were done."""
+
+
+def training_plan(settings: TrainSettings, task: Task) -> Plan:
+    """Return what the agents of a run need to know."""
+    return Plan(
+        root_seed=settings.seed,
+        strategy=settings.search,
+        layout=task.policy.layout(),
+        defaults=task.policy.parameters(),
+        build_objective=partial(_objective, task.policy, task.course),
+    )
+
+
+def _objective(policy: Policy, course: Course) -> Objective:
+    from sim.learn.engine import Engine
+
+    return Deterministic(Engine(policy, course).returns)
+
+
+def train(
+    settings: TrainSettings,
+    out: Path,
+    *,
+    resume: bool = False,
+    processes: int | None = None,
+    on_progress: Callable[[Snapshot], None] = lambda snapshot: None,
+    stop_when: Callable[[Snapshot, Policy], bool] = lambda snapshot, best: False,
+) -> TrainResult:
+    """Train ``settings.agents`` agents and leave the run in the folder ``out``.
+
+    ``processes`` defaults to one for each core; it changes the speed, never the result. After every round
+    ``on_progress`` sees the agents, and ``stop_when``, which also gets the best one's policy, may end the
+    training there. A run that is interrupted, however it dies, can be resumed and ends in the same files.
+
+    Raises UsageError, ConfigError or FileError for settings or a folder that cannot be, WorkerDied if one
+    of its processes was killed, KeyboardInterrupt.
+    """
+    began = time.monotonic()
+    with open_run(out, settings, resume) as folder:
+        plan = training_plan(settings, folder.task)
+        rounds = _Rounds(folder, folder.load_agents(plan), on_progress, stop_when)
+        if not rounds.snapshot.arrived(settings.iterations):
+            count = min(processes or available_processes(), settings.agents)
+            with Inline(plan) if count == 1 else LocalProcesses(plan, count) as workers:
+                rounds.run(workers, settings.iterations)
+        folder.finish(rounds.snapshot)
+        return TrainResult(
+            policy=folder.policy(rounds.snapshot.best, rounds.snapshot),
+            policy_path=folder.policy_path,
+            agents=rounds.snapshot,
+            wall_s=time.monotonic() - began,
+            iterations_per_s=rounds.iterations_per_s,
+        )
+
+
+class _Rounds:
+    """What happens at the end of each round: display, checkpoint, the question whether to stop."""
+
+    def __init__(
+        self,
+        folder: RunFolder,
+        start: Snapshot,
+        on_progress: Callable[[Snapshot], None],
+        stop_when: Callable[[Snapshot, Policy], bool],
+    ) -> None:
+        self.snapshot = start
+        self.iterations_per_s: float | None = None
+        self._folder = folder
+        self._on_progress = on_progress
+        self._stop_when = stop_when
+        self._saved_s = self._save_cost_s = 0.0
+        self._clock: tuple[float, int] | None = None
+
+    def run(self, workers: Workers, iterations: int) -> None:
+        """Advance the agents to ``iterations``; whatever ends this early, what is known is saved."""
+        try:
+            run_ensemble(workers, self.snapshot, iterations, self._after_round)
+        except (KeyboardInterrupt, RoverNcpError):
+            if self.snapshot.arrived(0):
+                self._folder.save_progress(self.snapshot)
+            raise
+
+    def _after_round(self, snapshot: Snapshot) -> bool:
+        now = time.monotonic()
+        self.snapshot = snapshot
+        if self._clock is None:
+            # The first round holds the start of the processes and the compilation.
+            self._clock = (now, snapshot.total_iterations)
+        else:
+            self.iterations_per_s = (snapshot.total_iterations - self._clock[1]) / (now - self._clock[0])
+        self._on_progress(snapshot)
+        if now - self._saved_s > self._save_cost_s / _CHECKPOINT_SHARE:
+            self._folder.save_progress(snapshot)
+            self._saved_s = time.monotonic()
+            self._save_cost_s = self._saved_s - now
+        return self._stop_when(snapshot, self._folder.policy(snapshot.best, snapshot))

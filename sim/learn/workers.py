@@ -1,0 +1,151 @@
+"""Teams in processes of their own.
+
+Processes are spawned, never forked: numba and cffi do not survive a fork. A worker ignores Ctrl-C, which
+the terminal sends to the whole group: the parent alone decides. A worker whose parent is gone, however it
+went, finds its pipe closed and ends.
+"""
+
+import multiprocessing
+import os
+import signal
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import NamedTuple, Protocol, Self
+
+from rover_ncp.core.errors import RoverNcpError, UsageError
+from sim.learn.team import AgentState, Plan, Team
+
+__all__ = ["Inline", "LocalProcesses", "WorkerDied", "Workers", "available_processes"]
+
+_JOIN_S = 5.0
+
+
+class WorkerDied(RoverNcpError):
+    """A training process ended without being asked to."""
+
+
+class _Failure(NamedTuple):
+    """What a worker answers when it cannot go on; errors themselves do not all survive a pipe."""
+
+    text: str
+    is_users: bool
+
+
+class Workers(Protocol):
+    """Something that advances groups of agents, as many groups at once as it has ``count`` of hands."""
+
+    count: int
+
+    def advance(self, groups: Sequence[Sequence[AgentState]], iterations: int) -> list[AgentState]:
+        """Return all agents of all groups, in order, after ``iterations`` candidates each."""
+
+
+def available_processes() -> int:
+    """Return the number of cores that this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)  # macOS has none
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+class Inline:
+    """One team in this very process."""
+
+    count = 1
+
+    def __init__(self, plan: Plan) -> None:
+        self._team = Team(plan)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def advance(self, groups: Sequence[Sequence[AgentState]], iterations: int) -> list[AgentState]:
+        """Return all agents after ``iterations`` candidates each."""
+        return [agent for group in groups for agent in self._team.advance(group, iterations)]
+
+
+class LocalProcesses:
+    """Teams on the cores of this machine. A context manager: leaving it ends the processes at once."""
+
+    def __init__(self, plan: Plan, count: int) -> None:
+        self.count = count
+        self._plan = plan
+        self._workers: list[tuple[BaseProcess, Connection]] = []
+
+    def __enter__(self) -> Self:
+        context = multiprocessing.get_context("spawn")
+        # The tracker unblocks SIGINT while it starts, so it has to start before we block it.
+        resource_tracker.ensure_running()
+        # Children inherit the mask, so that Ctrl-C cannot reach them even while their interpreter starts.
+        old_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            for number in range(self.count):
+                ours, theirs = context.Pipe()
+                process = context.Process(
+                    target=_work, args=(theirs, self._plan), name=f"train-{number}", daemon=True
+                )
+                process.start()
+                theirs.close()
+                self._workers.append((process, ours))
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, old_mask)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for process, connection in self._workers:
+            process.kill()  # it holds nothing that could be left half-done
+            process.join()
+            process.close()
+            connection.close()
+        self._workers.clear()
+
+    def advance(self, groups: Sequence[Sequence[AgentState]], iterations: int) -> list[AgentState]:
+        """Return all agents after ``iterations`` candidates each. Raises WorkerDied."""
+        busy = list(zip(self._workers, groups, strict=False))
+        for (process, connection), group in busy:
+            try:
+                connection.send((list(group), iterations))
+            except OSError as error:
+                raise _death(process) from error
+        return [agent for (process, connection), _ in busy for agent in _answer(process, connection)]
+
+
+def _answer(process: BaseProcess, connection: Connection) -> list[AgentState]:
+    try:
+        answer: list[AgentState] | _Failure = connection.recv()
+    except (EOFError, OSError) as error:
+        raise _death(process) from error
+    if isinstance(answer, _Failure):
+        if answer.is_users:
+            raise UsageError(answer.text)
+        raise RuntimeError(f"{process.name} failed:\n{answer.text}")
+    return answer
+
+
+def _death(process: BaseProcess) -> WorkerDied:
+    process.join(_JOIN_S)
+    code = process.exitcode
+    how = f"by {signal.Signals(-code).name}" if code is not None and code < 0 else f"with exit code {code}"
+    return WorkerDied(f"training process {process.name} (pid {process.pid}) ended {how}")
+
+
+def _work(connection: Connection, plan: Plan) -> None:
+    """Serve a parent until its end of the pipe closes."""
+    team: Team | None = None
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        while True:
+            group, iterations = connection.recv()
+            answer: list[AgentState] | _Failure
+            try:
+                team = team or Team(plan)
+                answer = team.advance(group, iterations)
+            except RoverNcpError as error:
+                answer = _Failure(str(error), is_users=True)
+            except Exception:
+                answer = _Failure(traceback.format_exc(), is_users=False)
+            connection.send(answer)

@@ -73,13 +73,14 @@ class MotorsRequest(StrictModel):
 
 
 class MotorsReply(StrictModel):
-    """``reason`` says why not; ``received_ns`` is the bridge's monotonic clock.
+    """``reason`` is the gate's name for why not, ``detail`` its words; ``received_ns`` the bridge's clock.
 
     ``limits`` are the gate's: v in m/s, omega in rad/s, accel in m/s², alpha in rad/s².
     """
 
     granted: bool
     reason: str = ""
+    detail: str = ""
     lease_s: float = 0.0
     received_ns: Nanoseconds = 0
     limits: dict[str, float] = Field(default_factory=dict)
@@ -113,17 +114,22 @@ class ResetReply(StrictModel):
 class GateStatus(StrictModel):
     """The gate's state, on ``rover/gate`` at each change and ten times a second.
 
-    ``driver`` holds the lease ("" = nobody). ``stopped`` names the rule that holds the rover now ("" = none);
-    ``ended`` names the rule that took the last lease away ("" = it was given back, or is still held).
+    ``driver`` holds the lease ("" = nobody). ``held`` names what holds the rover at zero now ("" = nothing, a
+    command is in force). ``ended`` names what took the last lease away ("" = it is held, or was given back).
+    Counters are since the bridge's start, by name of the gate's reason: commands ``dropped``, commands
+    ``limited``, and ``stops``, how often a command in force was cut off.
     """
 
     driver: str = ""
     driver_name: str = ""
-    stopped: str = ""
+    held: str = ""
     ended: str = ""
+    stop_reason: str = ""
+    """The words of a latched stop."""
     accepted: int = 0
-    last_sequence: int = -1
-    counts: dict[str, int] = Field(default_factory=dict)
+    dropped: dict[str, int] = Field(default_factory=dict)
+    limited: dict[str, int] = Field(default_factory=dict)
+    stops: dict[str, int] = Field(default_factory=dict)
 
 
 class DriverStatus(StrictModel):

@@ -1,0 +1,59 @@
+"""What a lab allows its rover: the gate's settings, from a YAML file or as shipped.
+
+Bounds keep a mistake in the file from undoing the first safety requirement: a rover that hears nothing
+stands still within 0.5 s plus braking.
+"""
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from rover_ncp.core.config import StrictModel
+
+__all__ = ["Fence", "Limits"]
+
+
+class Fence(StrictModel):
+    """A rectangle in odom, in metres; the base's centre stays inside."""
+
+    x_min: float
+    x_max: float
+    y_min: float
+    y_max: float
+
+    @model_validator(mode="after")
+    def _has_an_inside(self) -> Self:
+        if self.x_min >= self.x_max or self.y_min >= self.y_max:
+            raise ValueError("a fence needs x_min < x_max and y_min < y_max")
+        return self
+
+    def outside(self, x: float, y: float) -> float:
+        """Return how far a point lies beyond the sides, in metres; 0 inside."""
+        return max(self.x_min - x, x - self.x_max, self.y_min - y, y - self.y_max, 0.0)
+
+
+class Limits(StrictModel):
+    """SI units: m/s, rad/s, m/s², rad/s², s, V.
+
+    The accelerations bound how fast the command may grow; braking is never slowed. They lie above those that
+    the base is told to keep to (0.31 and 1.25), which shape the motion that circuits are trained for.
+    """
+
+    v_max: float = Field(default=0.3, gt=0, le=1.2)
+    omega_max: float = Field(default=0.6, gt=0, le=3.0)
+    accel: float = Field(default=1.0, gt=0, le=5.0)
+    alpha: float = Field(default=4.0, gt=0, le=20.0)
+    brake: float = Field(default=0.3, gt=0, le=5.0)
+    """How hard the base is sure to brake: what the fence reckons with."""
+    fence: Fence | None = None
+    silence_s: float = Field(default=0.3, gt=0, le=0.4)
+    """A command counts no longer than this after it was sent. The base's own delay comes on top."""
+    stale_s: float = Field(default=0.2, gt=0, le=0.3)
+    """A command older than this on arrival does not count at all."""
+    odometry_s: float = Field(default=0.35, gt=0, le=0.45)
+    """A base not heard for so long is not driven: three SIPs of 0.1 s may be lost."""
+    lease_s: float = Field(default=1.0, gt=0, le=5.0)
+    battery_min_v: float = Field(default=11.0, ge=0)
+    """Pioneer manual: charge below 12 V; the base's own alarm comes at 11.5 V, damage below 11 V."""
+    battery_low_s: float = Field(default=2.0, ge=0)
+    """How long the voltage must be low: it sags when the motors start."""

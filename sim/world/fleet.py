@@ -23,7 +23,7 @@ from rover_ncp.core.geometry import Pose
 from rover_ncp.jit import kernel
 from sim.world import chipmunk
 from sim.world.bay import Bay
-from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, RoverModel, rover_body, toward
+from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, RoverModel, own_axes, rover_body, toward
 
 __all__ = [
     "ROVERS_PER_BAY",
@@ -185,8 +185,9 @@ def advance(fleet: FleetArrays) -> None:
                 vy = chipmunk.load(body + layout.velocity + 8)
                 omega = chipmunk.load(body + layout.angular_velocity)
                 target = old[0, lane] if late_v else new[0, lane]
-                forward = _toward(cos * vx + sin * vy, target, rise[0, lane], fall[0, lane])
-                sideways = _toward(cos * vy - sin * vx, 0.0, grip[lane], grip[lane])
+                forward, sideways = _own_axes(cos, sin, vx, vy, omega)
+                forward = _toward(forward, target, rise[0, lane], fall[0, lane])
+                sideways = _toward(sideways, 0.0, grip[lane], grip[lane])
                 target = old[1, lane] if late_omega else new[1, lane]
                 omega = _toward(omega, target, rise[1, lane], fall[1, lane])
                 chipmunk.store(body + layout.velocity, cos * forward - sin * sideways)
@@ -198,6 +199,7 @@ def advance(fleet: FleetArrays) -> None:
                     touched[lane] = 1
 
 
+_own_axes = kernel(own_axes)
 _toward = kernel(toward)
 
 

@@ -1,0 +1,234 @@
+"""The rover against the paper's kinematics written down a second time, and against things in its way."""
+
+import math
+
+import numpy as np
+import pymunk
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rover_ncp.core.course import Obstacle
+from rover_ncp.core.geometry import Pose, Velocity
+from sim.world.bay import Bay
+from sim.world.rover import Rover, RoverModel
+
+WALL = Obstacle(x=1.0, y=0.0, length=0.2, width=4.0)
+WALL_FACE_X = 0.9
+
+
+def papers_kinematics(commands, delay_v=15, delay_omega=10):
+    """Poses (ticks + 1, 3) of the paper's point rover for commands (ticks, 2), in its order of operations."""
+    dt, accel, alpha = 0.01, 0.31, 1.25
+    x = y = theta = v = omega = 0.0
+    poses = [(x, y, theta)]
+    for substep in range(10 * len(commands)):
+        tick_v, tick_omega = (substep - delay_v) // 10, (substep - delay_omega) // 10
+        v_wanted = commands[tick_v][0] if tick_v >= 0 else 0.0
+        omega_wanted = commands[tick_omega][1] if tick_omega >= 0 else 0.0
+        v += np.clip(v_wanted - v, -accel * dt, accel * dt)
+        omega += np.clip(omega_wanted - omega, -alpha * dt, alpha * dt)
+        x += dt * math.cos(theta) * v
+        y += dt * math.sin(theta) * v
+        theta += dt * omega
+        if substep % 10 == 9:
+            poses.append((x, y, theta))
+    return np.array(poses)
+
+
+def drive(rover, commands):
+    poses = [rover.pose]
+    for v, omega in commands:
+        rover.command(v, omega)
+        for _ in range(10):
+            rover.substep()
+        poses.append(rover.pose)
+    return np.array(poses)
+
+
+@st.composite
+def drives(draw):
+    """32 s of commands: held for a while or changed each tick, anywhere in range or at its ends."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    held = draw(st.sampled_from([1, 2, 7, 40]))
+    v_low = draw(st.sampled_from([0.0, -0.16]))
+    commands = rng.uniform((v_low, -0.18), (0.16, 0.18), (-(-320 // held), 2))
+    if draw(st.booleans()):
+        commands = np.where(rng.random(commands.shape) < 0.5, (v_low, -0.18), (0.16, 0.18))
+    return np.repeat(commands, held, axis=0)[:320]
+
+
+@settings(max_examples=40, deadline=None)
+@given(drives())
+def test_follows_the_papers_kinematics_in_open_ground(commands):
+    driven = drive(Rover(RoverModel(), Bay()), commands.tolist())
+    expected = papers_kinematics(commands.tolist())
+    assert np.abs(driven[:, :2] - expected[:, :2]).max() < 1e-4
+    turned = np.array([math.remainder(a, math.tau) for a in driven[:, 2] - expected[:, 2]])
+    assert np.abs(turned).max() < 1e-4
+
+
+@pytest.mark.parametrize(("delay_v", "delay_omega"), [(0, 0), (1, 9), (15, 10), (23, 40)])
+def test_a_command_is_obeyed_after_exactly_its_delay(delay_v, delay_omega):
+    model = RoverModel(delay_v_s=delay_v / 100, delay_omega_s=delay_omega / 100)
+    rover = Rover(model, Bay())
+    for _ in range(3):
+        rover.substep()
+    rover.command(0.16, 0.18)
+    moving = []
+    for _ in range(60):
+        rover.substep()
+        moving.append((rover.velocity.v > 0, rover.velocity.omega > 0))
+    assert [v for v, _ in moving].index(True) == delay_v
+    assert [omega for _, omega in moving].index(True) == delay_omega
+
+
+def test_delays_that_are_no_multiple_of_a_tick_follow_the_kinematics():
+    rng = np.random.default_rng(5)
+    commands = rng.uniform((0, -0.18), (0.16, 0.18), (320, 2)).tolist()
+    driven = drive(Rover(RoverModel(delay_v_s=0.03, delay_omega_s=0.27), Bay()), commands)
+    assert np.abs(driven - papers_kinematics(commands, 3, 27)).max() < 1e-4
+
+
+def test_limits_may_change_while_driving():
+    rover = Rover(RoverModel(delay_v_s=0.0, delay_omega_s=0.0), Bay())
+    rover.change_limits(accel=0.5, decel=0.1, alpha=2.0, alpha_decel=1.0)
+    rover.command(10.0, -10.0)
+    rover.substep()
+    assert rover.velocity == pytest.approx(Velocity(0.005, -0.02))
+    rover.change_limits(v_max=0.02, omega_max=0.05)
+    for _ in range(30):
+        rover.substep()
+    assert rover.velocity == pytest.approx(Velocity(0.02, -0.05))
+    assert rover.target == Velocity(0.02, -0.05)
+    rover.command(0.0, 0.0)
+    rover.substep()
+    assert rover.velocity == pytest.approx(Velocity(0.019, -0.04))
+
+
+def test_starts_at_its_pose_and_slides_no_further_sideways():
+    rover = Rover(RoverModel(), Bay(), Pose(3.0, -2.0, 0.5))
+    assert rover.pose == pytest.approx(Pose(3.0, -2.0, 0.5))
+    rover.body.velocity = pymunk.Vec2d(0.0, 0.5).rotated(0.5)  # as after a push from the side
+    for _ in range(200):
+        rover.substep()
+    slid = pymunk.Vec2d(rover.pose.x - 3.0, rover.pose.y + 2.0).rotated(-0.5)
+    # It stops after v² / (2 mu g) = 2.1 cm.
+    assert slid.y == pytest.approx(0.5**2 / (2 * 0.6 * 9.81), rel=0.15)
+    assert abs(slid.x) < 1e-6
+    assert rover.velocity.v == 0.0
+
+
+@pytest.mark.parametrize("command", [(math.nan, 0.0), (0.0, math.inf)])
+def test_refuses_a_command_that_is_no_number(command):
+    rover = Rover(RoverModel(), Bay())
+    with pytest.raises(ValueError, match="finite"):
+        rover.command(*command)
+
+
+def farthest_corner_x(rover):
+    shape = next(iter(rover.body.shapes))
+    return max(rover.body.local_to_world(corner).x for corner in shape.get_vertices())
+
+
+def without_shapes(rover):
+    for shape in list(rover.body.shapes):
+        rover.bay.space.remove(shape)
+
+
+def drive_at_the_wall(start, solid=True, v=0.16, omega=0.0):
+    """Return the deepest overlap (m), whether contact was reported, and the rover after 20 s."""
+    rover = Rover(RoverModel(), Bay([WALL]), start)
+    corners = next(iter(rover.body.shapes)).get_vertices()
+    if not solid:
+        without_shapes(rover)
+    rover.command(v, omega)
+    deepest, touched = -math.inf, False
+    for _ in range(2000):
+        rover.substep()
+        front = max(rover.body.local_to_world(corner).x for corner in corners)
+        deepest = max(deepest, front - WALL_FACE_X)
+        touched = touched or rover.in_contact
+    return deepest, touched, rover
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.3, -0.6])
+def test_a_wall_stops_the_rover(heading):
+    deepest, touched, rover = drive_at_the_wall(Pose(0.0, 0.0, heading))
+    assert 0 < deepest < 0.002
+    assert touched
+    assert rover.in_contact
+
+
+def test_a_rover_that_drives_squarely_at_a_wall_stalls():
+    _, _, rover = drive_at_the_wall(Pose(0.0, 0.0, 0.0))
+    assert rover.target == Velocity(0.16, 0.0)
+    assert abs(rover.velocity.v) < 1e-3
+    before = rover.pose
+    for _ in range(100):
+        rover.substep()
+    assert rover.pose == pytest.approx(before, abs=1e-4)
+
+
+def test_it_is_the_shape_that_stops_the_rover():
+    deepest, touched, rover = drive_at_the_wall(Pose(0.0, 0.0, 0.0), solid=False)
+    assert deepest > 1.0
+    assert not touched
+    assert rover.velocity.v == pytest.approx(0.16)
+
+
+def test_a_rover_backs_off_a_wall_freely():
+    _, _, rover = drive_at_the_wall(Pose(0.0, 0.0, 0.0))
+    rover.command(-0.16, 0.0)
+    for _ in range(200):
+        rover.substep()
+    assert rover.velocity.v == pytest.approx(-0.16)
+    assert not rover.in_contact
+
+
+def test_placing_a_rover_forgets_its_contact_and_its_commands():
+    _, _, rover = drive_at_the_wall(Pose(0.0, 0.0, 0.2))
+    rover.set_pose(Pose(-1.0, 0.5, 0.1))
+    for _ in range(100):
+        rover.substep()
+    assert rover.pose == pytest.approx(Pose(-1.0, 0.5, 0.1), abs=1e-12)
+    assert not rover.in_contact
+
+
+def push_a_box(mass, solid=True):
+    """Drive at a box that stands on the ground with friction 0.6; return how far it moved in 20 s."""
+    bay = Bay()
+    size = (0.3, 0.6)
+    box = pymunk.Body(mass, pymunk.moment_for_box(mass, size))
+    box.position = (0.6, 0.0)
+    slip = pymunk.PivotJoint(bay.space.static_body, box, (0.6, 0.0), (0.0, 0.0))
+    slip.max_bias, slip.max_force = 0.0, 0.6 * mass * 9.81
+    turn = pymunk.GearJoint(bay.space.static_body, box, 0.0, 1.0)
+    turn.max_bias, turn.max_force = 0.0, 0.6 * mass * 9.81 * 0.2
+    bay.space.add(box, pymunk.Poly.create_box(box, size), slip, turn)
+    rover = Rover(RoverModel(), bay)
+    if not solid:
+        without_shapes(rover)
+    rover.command(0.16, 0.0)
+    for _ in range(2000):
+        rover.substep()
+    return math.dist(box.position, (0.6, 0.0)), rover
+
+
+def test_a_heavy_box_cannot_be_pushed():
+    moved, rover = push_a_box(mass=200.0)
+    assert moved < 0.005  # while it takes up the blow; then it stands
+    assert rover.in_contact
+    assert abs(rover.velocity.v) < 1e-3
+
+
+def test_only_a_solid_rover_is_held_by_a_box():
+    moved, rover = push_a_box(mass=200.0, solid=False)
+    assert moved == 0.0
+    assert rover.velocity.v == pytest.approx(0.16)
+
+
+def test_a_light_box_is_pushed_along():
+    moved, rover = push_a_box(mass=0.2)
+    assert moved > 1.0
+    assert rover.velocity.v > 0.1

@@ -23,7 +23,7 @@ __all__ = ["kernel"]
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function with numba on its first call, or load what an earlier process compiled."""
     try:
-        compiled = njit(cache=True, error_model="numpy")(function)
+        compiled: Any = njit(cache=True, error_model="numpy")(function)
         cache_file = compiled._cache._cache_file
         cache_file._source_stamp = (cache_file._source_stamp, stamp(function))
     except (RuntimeError, AttributeError):
@@ -53,7 +53,7 @@ def _collect(function: Callable[..., Any], digest: Any, seen: set[str]) -> None:
     modules = [item for item in found if isinstance(item, ModuleType)]
     found += [getattr(module, key) for module in modules for key in names if hasattr(module, key)]
     for item in found:
-        called = getattr(item, "py_func", None)
+        called = getattr(item, "py_func", None) or getattr(item, "_defn", None)
         if called is not None:
             _collect(called, digest, seen)
         elif isinstance(item, int | float | str | tuple):

@@ -10,7 +10,7 @@ is one line that feeds its destination only: published circuits behave the same 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +32,7 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Item = TypeVar("Item")
 
 MAXIMUM_NEURONS = 256
 RESTING_MV = -70.0
@@ -153,7 +154,8 @@ class Circuit:
     @property
     def chemical(self) -> NDArray[np.bool_]:
         """(m,) which synapses are chemical, so that their sigma counts."""
-        return self.kind != SynapseKind.GAP
+        chemical: NDArray[np.bool_] = self.kind != SynapseKind.GAP
+        return chemical
 
     def index(self, neuron: str) -> int:
         """Return a neuron's index; raises ConfigError when the circuit has no such neuron."""
@@ -201,7 +203,7 @@ class Circuit:
             values = getattr(self, kind)
             checked = self.chemical if kind is ParameterKind.SIGMA else np.ones(len(values), bool)
             problems += [
-                f"{self.label(s)}: {kind} {values[s]:g} is outside {BOUNDS[kind]}"
+                f"{self.label(int(s))}: {kind} {values[s]:g} is outside {BOUNDS[kind]}"
                 for s in np.flatnonzero(_outside(values, BOUNDS[kind]) & checked)
             ]
         for kind in _NEURON_ARRAYS:
@@ -246,8 +248,8 @@ def build_circuit(
     )
 
 
-def _frozen(values: ArrayLike, dtype: type) -> NDArray[np.generic]:
-    array = np.array(values, dtype)
+def _frozen(values: ArrayLike, dtype: type) -> NDArray[Any]:
+    array: NDArray[Any] = np.array(values, dtype)
     array.flags.writeable = False
     return array
 
@@ -257,6 +259,5 @@ def _outside(values: FloatArray, bounds: Bounds) -> NDArray[np.bool_]:
     return ~((values >= bounds.lower) & (values <= bounds.upper))
 
 
-def _repeated(items: Sequence[object]) -> list[object]:
-    seen: set[object] = set()
-    return [item for item in items if item in seen or seen.add(item)]  # type: ignore[func-returns-value]
+def _repeated(items: Sequence[Item]) -> list[Item]:
+    return [item for number, item in enumerate(items) if item in items[:number]]

@@ -1,127 +1,172 @@
-"""From a policy to what the solver runs: its structure once, its numbers once per lane."""
+"""From a policy to what the solver runs: its structure once, its numbers once per lane.
+
+A user of many lanes makes the program, allocates lanes for the most it will ever run together, sets them
+to parameter vectors and ticks them, all of it from Python or from a kernel of its own:
+
+    program = make_program(policy)
+    lanes = allocate_lanes(program, policy, 16)
+    fill_lane(program, lanes, 3, vector)                              # (P,)
+    potentials = resting_potentials(policy, 16)                       # (n, 16)
+    tick_lanes(program, lanes, potentials, observations, commands)    # (inputs, 16), (outputs, 16)
+"""
+
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rover_ncp.circuit.circuit import RESTING_MV, ParameterKind, SynapseKind
-from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.solver import LOG2_E, LaneParameters, Program
+from rover_ncp.circuit.circuit import RESTING_MV, Circuit, ParameterKind, SynapseKind
+from rover_ncp.circuit.policy import ParameterLayout, Policy
+from rover_ncp.circuit.sensing import Drive
+from rover_ncp.circuit.solver import Chemical, Gaps, LaneParameters, Program, Stepped, fill_lane
+from rover_ncp.circuit.vectors import WIDTH
 
-__all__ = ["lane_parameters", "make_program", "resting_potentials"]
+__all__ = ["allocate_lanes", "lane_parameters", "make_program", "resting_potentials"]
 
 IntArray = NDArray[np.int64]
 
 
-class _Synapses:
-    """A policy's synapses by what the solver does with them; indices into the circuit's arrays.
-
-    Those into driven neurons do nothing and drop out: what drives a neuron overrides them.
-    """
-
-    def __init__(self, policy: Policy) -> None:
-        circuit = policy.circuit
-        drive = policy.sensing.drive(circuit)
-        held = [i for i in sorted(circuit.held) if i not in drive.neuron]
-        self.drive = drive
-        self.held = np.array(held, np.int64)
-        self.driven = np.concatenate([drive.neuron, self.held])
-        self.stepped = np.setdiff1d(np.arange(circuit.size), self.driven)
-        live = np.isin(circuit.destination, self.stepped)
-        from_driven = np.isin(circuit.source, self.driven)
-        chemical = circuit.chemical
-        active = np.flatnonzero(live & chemical & ~from_driven)
-        inhibitory = circuit.kind[active] == SynapseKind.INHIBITORY
-        self.active = np.concatenate([active[~inhibitory], active[inhibitory]])
-        self.excitatory_count = int(np.count_nonzero(~inhibitory))
-        self.settled = np.flatnonzero(live & chemical & from_driven)
-        self.gap = np.flatnonzero(live & ~chemical & ~from_driven)
-        self.settled_gap = np.flatnonzero(live & ~chemical & from_driven)
-
-
 def make_program(policy: Policy) -> Program:
-    """Return the structure of a policy, shared by all its lanes."""
-    circuit, synapses = policy.circuit, _Synapses(policy)
-    drive, pull = synapses.drive, policy.motors.pull(circuit)
-    slot = np.full(circuit.size, -1, np.int64)
-    slot[synapses.stepped] = np.arange(len(synapses.stepped))
-    held_mV = np.array([circuit.held[i] for i in synapses.held], np.float64)
-    nothing = np.zeros(len(held_mV))
+    """Return the structure of a policy, shared by all its lanes.
+
+    Synapses into driven neurons drop out: what drives a neuron overrides them.
+    """
+    circuit, layout = policy.circuit, policy.layout()
+    drive = _with_held(policy.sensing.drive(circuit), circuit)
+    stepped = np.setdiff1d(np.arange(circuit.size), drive.neuron)
+    live = np.isin(circuit.destination, stepped)
+    settled = np.isin(circuit.source, drive.neuron)
+    chemical = circuit.chemical
+
+    def neurons_at(kind: ParameterKind) -> IntArray:
+        at: IntArray = layout.block(kind).slice.start + stepped
+        return at
+
     return Program(
+        dt_s=policy.dt_s,
         substeps=policy.substeps,
-        driven=synapses.driven,
-        drive_channel=np.concatenate([drive.channel, np.zeros(len(held_mV), np.int64)]),
-        drive_gain=np.concatenate([drive.gain, nothing]),
-        drive_lower=np.concatenate([drive.lower, held_mV]),
-        drive_upper=np.concatenate([drive.upper, held_mV]),
-        stepped=synapses.stepped,
-        settled_source=circuit.source[synapses.settled],
-        settled_slot=slot[circuit.destination[synapses.settled]],
-        settled_inhibitory=circuit.kind[synapses.settled] == SynapseKind.INHIBITORY,
-        active_source=circuit.source[synapses.active],
-        active_slot=slot[circuit.destination[synapses.active]],
-        excitatory_count=synapses.excitatory_count,
-        settled_gap_source=circuit.source[synapses.settled_gap],
-        settled_gap_slot=slot[circuit.destination[synapses.settled_gap]],
-        gap_source=circuit.source[synapses.gap],
-        gap_slot=slot[circuit.destination[synapses.gap]],
-        motor_neuron=pull.neuron,
-        motor_channel=pull.channel,
-        motor_end=pull.end,
+        drive=drive,
+        stepped=Stepped(
+            neuron=stepped,
+            leak_potential_at=neurons_at(ParameterKind.LEAK_POTENTIAL),
+            leak_at=neurons_at(ParameterKind.LEAK),
+            capacitance_at=neurons_at(ParameterKind.CAPACITANCE),
+        ),
+        settled=_chemical(circuit, layout, stepped, live & chemical & settled),
+        active=_chemical(circuit, layout, stepped, live & chemical & ~settled),
+        settled_gaps=_gaps(circuit, stepped, live & ~chemical & settled),
+        active_gaps=_gaps(circuit, stepped, live & ~chemical & ~settled),
+        pull=policy.motors.pull(circuit),
         motor_low=policy.motors.low_mV,
         motor_scale=1.0 / (policy.motors.high_mV - policy.motors.low_mV),
+        input_layer_at=_layer_at(policy, layout, ParameterKind.INPUT_LAYER),
+        output_layer_at=_layer_at(policy, layout, ParameterKind.OUTPUT_LAYER),
     )
+
+
+def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParameters:
+    """Return ``count`` lanes with the policy's own parameters, to be set to others by ``fill_lane``.
+
+    Spare lanes of the last block keep the policy's; nobody sees them.
+    """
+    blocks, slots = -(-count // WIDTH), len(program.stepped.neuron)
+
+    def rows(number: int, blocks: int = blocks) -> NDArray[np.float64]:
+        return np.zeros((blocks, number, WIDTH))
+
+    lanes = LaneParameters(
+        settled_weight=rows(len(program.settled.source)),
+        settled_slope=rows(len(program.settled.source)),
+        active_weight=rows(len(program.active.source)),
+        active_slope=rows(len(program.active.source)),
+        settled_gap=rows(len(program.settled_gaps.source)),
+        active_gap=rows(len(program.active_gaps.source)),
+        rate=rows(slots),
+        leak_current=rows(slots),
+        conductance=rows(slots),
+        input_layer=rows(program.input_layer_at.size),
+        output_layer=rows(program.output_layer_at.size),
+        potential=rows(policy.circuit.size, 1),
+        current=rows(slots, 1),
+        total=rows(slots, 1),
+        stepped=rows(slots, 1),
+        channel=rows(len(policy.motors.channels), 1),
+    )
+    vector = policy.parameters()
+    for lane in range(blocks * WIDTH):
+        fill_lane(program, lanes, lane, vector)
+    return lanes
 
 
 def lane_parameters(policy: Policy, vectors: ArrayLike) -> LaneParameters:
-    """Return the numbers of L lanes from their parameter vectors (L, P), with room for the solver's work.
+    """Return lanes set to parameter vectors (L, P), which must lie in bounds."""
+    rows = np.asarray(vectors, np.float64)
+    program = make_program(policy)
+    lanes = allocate_lanes(program, policy, len(rows))
+    for lane, vector in enumerate(rows):
+        fill_lane(program, lanes, lane, vector)
+    return lanes
 
-    The vectors must lie in bounds, as a search keeps them and ``Policy.with_parameters`` checks.
-    """
-    circuit, synapses, layout = policy.circuit, _Synapses(policy), policy.layout()
-    columns = np.ascontiguousarray(np.asarray(vectors, np.float64).T)
-    width = columns.shape[1]
-    parts = {block.kind: columns[block.slice] for block in layout.blocks}
-    empty = np.zeros((0, width))
-    weight = parts.get(ParameterKind.WEIGHT, empty)
-    slope = np.zeros((circuit.synapse_count, width))
-    slope[circuit.chemical] = -LOG2_E * parts.get(ParameterKind.SIGMA, empty)
-    stepped = synapses.stepped
-    leak = parts[ParameterKind.LEAK][stepped]
-    rate = parts[ParameterKind.CAPACITANCE][stepped] / policy.dt_s
-    conductance = rate + leak
-    slot = {int(neuron): d for d, neuron in enumerate(stepped)}
-    for s in (*synapses.settled_gap, *synapses.gap):
-        conductance[slot[int(circuit.destination[s])]] += weight[s]
-    count, slots = len(synapses.active), len(stepped)
-    return LaneParameters(
-        settled_weight=weight[synapses.settled],
-        settled_slope=slope[synapses.settled],
-        active_weight=weight[synapses.active],
-        active_slope=slope[synapses.active],
-        settled_gap=weight[synapses.settled_gap],
-        gap=weight[synapses.gap],
-        rate=rate,
-        leak_current=leak * parts[ParameterKind.LEAK_POTENTIAL][stepped],
-        conductance=conductance,
-        input_layer=_layer(parts.get(ParameterKind.INPUT_LAYER), policy.input_layer, width),
-        output_layer=_layer(parts.get(ParameterKind.OUTPUT_LAYER), policy.output_layer, width),
-        gate=np.empty((count, width)),
-        base_current=np.empty((slots, width)),
-        base_conductance=np.empty((slots, width)),
-        current=np.empty((slots, width)),
-        total=np.empty((slots, width)),
-        motor=np.empty((len(policy.motors.channels), width)),
+
+def resting_potentials(policy: Policy, count: int) -> NDArray[np.float64]:
+    """Return the potentials (n, count) in mV at the start of a run."""
+    return np.full((policy.circuit.size, count), RESTING_MV)
+
+
+def _with_held(drive: Drive, circuit: Circuit) -> Drive:
+    """Return the drive with the held neurons added: constant, whatever is observed."""
+    held = [i for i in sorted(circuit.held) if i not in drive.neuron]
+    held_mV = np.array([circuit.held[i] for i in held], np.float64)
+    zeros = np.zeros(len(held))
+    return Drive(
+        neuron=np.concatenate([drive.neuron, np.array(held, np.int64)]),
+        channel=np.concatenate([drive.channel, zeros.astype(np.int64)]),
+        gain=np.concatenate([drive.gain, zeros]),
+        lower=np.concatenate([drive.lower, held_mV]),
+        upper=np.concatenate([drive.upper, held_mV]),
     )
 
 
-def resting_potentials(policy: Policy, width: int) -> NDArray[np.float64]:
-    """Return the potentials (n, width) in mV at the start of a run."""
-    return np.full((policy.circuit.size, width), RESTING_MV)
+def _chemical(
+    circuit: Circuit, layout: ParameterLayout, stepped: IntArray, chosen: NDArray[np.bool_]
+) -> Chemical:
+    synapses = np.flatnonzero(chosen)
+    inhibitory = circuit.kind[synapses] == SynapseKind.INHIBITORY
+    order = np.lexsort((inhibitory, circuit.destination[synapses]))
+    synapses, inhibitory = synapses[order], inhibitory[order]
+    first = _first(circuit, stepped, synapses)
+    excitatory = [np.count_nonzero(~inhibitory[a:b]) for a, b in pairwise(first)]
+    sigma_at = np.cumsum(circuit.chemical) - 1
+    if len(synapses):
+        sigma_at += layout.block(ParameterKind.SIGMA).slice.start
+    return Chemical(
+        source=circuit.source[synapses],
+        weight_at=synapses,
+        sigma_at=sigma_at[synapses],
+        first=first,
+        first_inhibitory=first[:-1] + np.array(excitatory, np.int64),
+    )
 
 
-def _layer(
-    entries: NDArray[np.float64] | None, shaped_like: NDArray[np.float64] | None, width: int
-) -> NDArray[np.float64]:
-    if entries is None or shaped_like is None:
-        return np.zeros((0, 0, width))
-    return entries.reshape(*shaped_like.shape, width)
+def _gaps(circuit: Circuit, stepped: IntArray, chosen: NDArray[np.bool_]) -> Gaps:
+    junctions = np.flatnonzero(chosen)
+    junctions = junctions[np.argsort(circuit.destination[junctions], kind="stable")]
+    return Gaps(
+        source=circuit.source[junctions],
+        weight_at=junctions,
+        first=_first(circuit, stepped, junctions),
+    )
+
+
+def _first(circuit: Circuit, stepped: IntArray, synapses: IntArray) -> IntArray:
+    """Return where each slot's synapses begin, and as the last entry where all end."""
+    begin = np.searchsorted(circuit.destination[synapses], stepped)
+    return np.append(begin, len(synapses)).astype(np.int64)
+
+
+def _layer_at(policy: Policy, layout: ParameterLayout, kind: ParameterKind) -> IntArray:
+    layer = getattr(policy, kind)
+    if layer is None:
+        return np.zeros((0, 0), np.int64)
+    block = layout.block(kind)
+    return np.arange(block.slice.start, block.slice.stop).reshape(layer.shape)

@@ -127,8 +127,8 @@ class Policy:
             raise ConfigError(
                 f"policy {self.circuit.name}", [f"needs {layout.size} parameters, got {values.shape}"]
             )
-        parts = {str(block.kind): values[block.slice] for block in layout.blocks}
-        layers = {
+        parts: dict[str, Any] = {str(block.kind): values[block.slice] for block in layout.blocks}
+        layers: dict[str, Any] = {
             kind: parts.pop(kind).reshape(getattr(self, kind).shape)
             for kind in ("input_layer", "output_layer")
             if kind in parts
@@ -196,13 +196,13 @@ class PolicyRunner:
 
     def __init__(self, policy: Policy) -> None:
         # Only here, so that policies can be read and judged where numba is not installed.
-        from rover_ncp.circuit.lanes import lane_parameters, make_program
+        from rover_ncp.circuit.lanes import allocate_lanes, make_program
         from rover_ncp.circuit.solver import tick_lanes
 
         self.policy = policy
         self._tick_lanes = tick_lanes
         self._program = make_program(policy)
-        self._lanes = lane_parameters(policy, policy.parameters()[np.newaxis])
+        self._lanes = allocate_lanes(self._program, policy, 1)
         self._potentials = np.empty((policy.circuit.size, 1))
         self._observation = np.empty((len(policy.sensing.inputs), 1))
         self._command = np.empty((len(policy.motors.outputs), 1))

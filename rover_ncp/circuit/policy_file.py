@@ -191,7 +191,6 @@ def _circuit(file: _Circuit, source: str, where: str) -> Circuit:
             problems.append(f"{path}.sigma: {what}")
     if problems:
         raise ConfigError(source, problems)
-    default_sigma = DEFAULTS[ParameterKind.SIGMA]
     try:
         return Circuit(
             name=file.name,
@@ -200,9 +199,7 @@ def _circuit(file: _Circuit, source: str, where: str) -> Circuit:
             source=np.array([neurons.index(s.source) for s in file.synapses], np.int64),
             destination=np.array([neurons.index(s.destination) for s in file.synapses], np.int64),
             weight=np.array([s.weight for s in file.synapses], np.float64),
-            sigma=np.array(
-                [default_sigma if s.sigma is None else s.sigma for s in file.synapses], np.float64
-            ),
+            sigma=np.array([s.sigma or DEFAULTS[ParameterKind.SIGMA] for s in file.synapses], np.float64),
             leak_potential=np.array([n.leak_potential for n in file.neurons]),
             leak=np.array([n.leak for n in file.neurons]),
             capacitance=np.array([n.capacitance for n in file.neurons]),

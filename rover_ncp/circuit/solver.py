@@ -5,9 +5,9 @@ This is the kernel that everything runs: training with many lanes, the rover wit
 place of a lane among them: each lane sees the same operations in the same order, and the exponential is our
 own, so neither a library's version nor a machine's vector width shows in a trajectory.
 
-The structure (``Program``) is shared by all lanes; numbers (``LaneParameters``) are arrays with a row per
-synapse or neuron and a column per lane, so that the inner loops run over lanes and compile to vector code.
-Sensory neurons are set, never stepped, and constant over a tick: what they do to others is summed up once.
+The structure (``Program``) is shared by all lanes; their numbers (``LaneParameters``) stand in blocks of
+eight, the width of a vector. Sensory neurons are set, never stepped, and constant over a tick: what they do
+to others is summed up once. Both are made in ``lanes.py``.
 """
 
 from typing import NamedTuple
@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import MIDPOINT_MV
-from rover_ncp.circuit.sensing import LOW_MV
+from rover_ncp.circuit.motors import Pull
+from rover_ncp.circuit.sensing import LOW_MV, Drive
+from rover_ncp.circuit.vectors import WIDTH, load, scale_by_power_of_two, store
 from rover_ncp.jit import kernel
 
-__all__ = ["LaneParameters", "Program", "copy_lane", "exp2", "tick_lanes"]
+__all__ = ["Chemical", "Gaps", "LaneParameters", "Program", "Stepped", "exp2", "fill_lane", "tick_lanes"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -36,68 +38,85 @@ _C9, _C10, _C11 = 1.0178057087733941e-07, 7.074194297288521e-09, 4.4558179083360
 _ROUNDER = 1.5 * 2.0**52
 
 
-class Program(NamedTuple):
-    """The structure that all lanes share. A slot is the place of a stepped neuron in ``stepped``."""
+class Stepped(NamedTuple):
+    """The d neurons that are not driven; a neuron's place here is its slot. ``*_at``: in the vector."""
 
+    neuron: IntArray
+    leak_potential_at: IntArray
+    leak_at: IntArray
+    capacitance_at: IntArray
+
+
+class Chemical(NamedTuple):
+    """Chemical synapses, those of a slot together, its excitatory ones before its inhibitory ones."""
+
+    source: IntArray
+    weight_at: IntArray
+    sigma_at: IntArray
+    first: IntArray
+    """(d + 1,) where a slot's synapses begin; the next slot's entry is where they end."""
+    first_inhibitory: IntArray
+    """(d,) where its inhibitory ones begin."""
+
+
+class Gaps(NamedTuple):
+    """Gap junctions, those of a slot together."""
+
+    source: IntArray
+    weight_at: IntArray
+    first: IntArray
+    """(d + 1,) where a slot's junctions begin."""
+
+
+class Program(NamedTuple):
+    """The structure that all lanes share. Settled synapses come from driven neurons, active ones do not."""
+
+    dt_s: float
     substeps: int
-    driven: IntArray
-    """(s,) neurons that are set: sensory ones and those held constant."""
-    drive_channel: IntArray
-    drive_gain: FloatArray
-    drive_lower: FloatArray
-    drive_upper: FloatArray
-    """(s,) each: potential = clip(LOW_MV + gain * channel, lower, upper)."""
-    stepped: IntArray
-    """(d,) all other neurons."""
-    settled_source: IntArray
-    settled_slot: IntArray
-    settled_inhibitory: NDArray[np.bool_]
-    """(p,) each: chemical synapses from driven neurons."""
-    active_source: IntArray
-    active_slot: IntArray
-    excitatory_count: int
-    """(a,) each: chemical synapses between stepped neurons, the excitatory ones first."""
-    settled_gap_source: IntArray
-    settled_gap_slot: IntArray
-    """(b,) each: gap junctions from driven neurons."""
-    gap_source: IntArray
-    gap_slot: IntArray
-    """(g,) each: gap junctions between stepped neurons."""
-    motor_neuron: IntArray
-    motor_channel: IntArray
-    motor_end: FloatArray
-    """(q,) each: channel += end * clip((potential - motor_low) * motor_scale, 0, 1)."""
+    drive: Drive
+    stepped: Stepped
+    settled: Chemical
+    active: Chemical
+    settled_gaps: Gaps
+    active_gaps: Gaps
+    pull: Pull
     motor_low: float
     motor_scale: float
+    """1 / (high - low) of the motors, 1/mV."""
+    input_layer_at: IntArray
+    output_layer_at: IntArray
+    """(channels, inputs) and (outputs, channels): places in the vector; without a layer of shape (0, 0)."""
 
 
 class LaneParameters(NamedTuple):
-    """The numbers of L lanes, one column each, and room to work in (so: one thread at a time)."""
+    """The numbers of all lanes and room to work in, so: one thread at a time.
+
+    B blocks of WIDTH lanes; the last one's spare lanes repeat the last lane.
+    """
 
     settled_weight: FloatArray
     settled_slope: FloatArray
     active_weight: FloatArray
     active_slope: FloatArray
-    """(p, L) and (a, L): maximum conductance, and -sigma log2 e."""
+    """(B, synapses, WIDTH) each; a slope is -sigma log2 e."""
     settled_gap: FloatArray
-    gap: FloatArray
-    """(b, L) and (g, L)."""
+    active_gap: FloatArray
+    """(B, junctions, WIDTH) each."""
     rate: FloatArray
     leak_current: FloatArray
     conductance: FloatArray
-    """(d, L): C / dt; G E_L; and C / dt + G + the sum of gap junctions."""
+    """(B, d, WIDTH) each: C / dt; G E_L; and C / dt + G + the sum of gap junctions."""
     input_layer: FloatArray
     output_layer: FloatArray
-    """(channels, inputs, L) and (outputs, channels, L); with no rows where there is no layer."""
-    gate: FloatArray
-    """(a, L) work."""
-    base_current: FloatArray
-    base_conductance: FloatArray
+    """(B, channels * inputs, WIDTH) and (B, outputs * channels, WIDTH)."""
+    potential: FloatArray
+    """(1, n, WIDTH) the block at work, mV."""
     current: FloatArray
     total: FloatArray
-    """(d, L) work."""
-    motor: FloatArray
-    """(motor channels, L) work."""
+    stepped: FloatArray
+    """(1, d, WIDTH) each: what is constant over a tick, and the next potentials."""
+    channel: FloatArray
+    """(1, sensory or motor channels, WIDTH)."""
 
 
 @kernel
@@ -111,9 +130,15 @@ def exp2(z: float) -> float:
     low = (_C0 + _C1 * f) + (_C2 + _C3 * f) * f2
     middle = (_C4 + _C5 * f) + (_C6 + _C7 * f) * f2
     high = (_C8 + _C9 * f) + (_C10 + _C11 * f) * f2
-    mantissa = np.float64(low + (middle + high * f4) * f4)
-    exponent = np.float64(shifted).view(np.int64) << 52
-    return np.int64(mantissa.view(np.int64) + exponent).view(np.float64)
+    result: float = scale_by_power_of_two(low + (middle + high * f4) * f4, shifted)
+    return result
+
+
+@kernel
+def conductance(weight: float, slope: float, potential: float) -> float:
+    """Return w g(V) = w / (1 + exp(-sigma (V - mu))) of a chemical synapse, S."""
+    opened: float = weight / (1.0 + exp2(slope * (potential - MIDPOINT_MV)))
+    return opened
 
 
 @kernel
@@ -124,130 +149,186 @@ def tick_lanes(
     observations: FloatArray,
     commands: FloatArray,
 ) -> None:
-    """Run one control tick of every lane.
+    """Run one control tick of L lanes.
 
     ``potentials`` (n, L) in mV is advanced in place, ``observations`` (inputs, L) are read in the units of
     the sensing, ``commands`` (outputs, L) are written in those of the motors. Observations must be finite.
     """
-    set_sensory_neurons(program, lanes, potentials, observations)
-    sum_settled_synapses(program, lanes, potentials)
-    for _ in range(program.substeps):
-        step(program, lanes, potentials)
-    read_motors(program, lanes, potentials, commands)
+    potential = lanes.potential
+    neurons, count = potentials.shape
+    for block in range((count + WIDTH - 1) // WIDTH):
+        start = block * WIDTH
+        # Spare lanes of the last block compute what its last lane does.
+        for neuron in range(neurons):
+            for lane in range(WIDTH):
+                potential[0, neuron, lane] = potentials[neuron, min(start + lane, count - 1)]
+        set_sensory_neurons(program, lanes, block, observations)
+        sum_settled_synapses(program, lanes, block)
+        run_substeps(program, lanes, block)
+        for neuron in range(neurons):
+            for lane in range(min(WIDTH, count - start)):
+                potentials[neuron, start + lane] = potential[0, neuron, lane]
+        read_motors(program, lanes, block, commands)
 
 
 @kernel
 def set_sensory_neurons(
-    program: Program, lanes: LaneParameters, potentials: FloatArray, observations: FloatArray
+    program: Program, lanes: LaneParameters, block: int, observations: FloatArray
 ) -> None:
-    """Set the driven neurons of all lanes from their observations."""
-    layer = lanes.input_layer
-    for s in range(len(program.driven)):
-        neuron, channel = program.driven[s], program.drive_channel[s]
-        gain, lower, upper = program.drive_gain[s], program.drive_lower[s], program.drive_upper[s]
-        for lane in range(potentials.shape[1]):
-            if layer.shape[0] == 0:
-                value = observations[channel, lane]
+    """Set a block's driven neurons from its observations."""
+    neurons, channels, gains, lowers, uppers = program.drive
+    entries, potentials = lanes.input_layer, lanes.potential
+    columns, count = program.input_layer_at.shape[1], observations.shape[1]
+    for s in range(len(neurons)):
+        neuron, channel, gain, lower, upper = neurons[s], channels[s], gains[s], lowers[s], uppers[s]
+        for lane in range(WIDTH):
+            column = min(block * WIDTH + lane, count - 1)
+            if columns == 0:
+                value = observations[channel, column]
             else:
                 value = 0.0
-                for i in range(layer.shape[1]):
-                    value += layer[channel, i, lane] * observations[i, lane]
+                for i in range(columns):
+                    value += entries[block, channel * columns + i, lane] * observations[i, column]
             potential = LOW_MV + gain * value
             # In this order a NaN, which only an overflow in the layer could make, reads as the lower end.
             potential = potential if potential > lower else lower
-            potentials[neuron, lane] = potential if potential < upper else upper
+            potentials[0, neuron, lane] = min(potential, upper)
 
 
 @kernel
-def sum_settled_synapses(program: Program, lanes: LaneParameters, potentials: FloatArray) -> None:
+def sum_settled_synapses(program: Program, lanes: LaneParameters, block: int) -> None:
     """Sum up what is constant over a tick: leak and the synapses from driven neurons."""
-    current, conductance = lanes.base_current, lanes.base_conductance
-    width = potentials.shape[1]
-    for d in range(len(program.stepped)):
-        for lane in range(width):
-            current[d, lane] = lanes.leak_current[d, lane]
-            conductance[d, lane] = lanes.conductance[d, lane]
-    for s in range(len(program.settled_source)):
-        source, slot = program.settled_source[s], program.settled_slot[s]
-        reversal = INHIBITORY_MV if program.settled_inhibitory[s] else 0.0
-        for lane in range(width):
-            z = lanes.settled_slope[s, lane] * (potentials[source, lane] - MIDPOINT_MV)
-            gate = lanes.settled_weight[s, lane] / (1.0 + exp2(z))
-            conductance[slot, lane] += gate
-            current[slot, lane] += reversal * gate
-    for s in range(len(program.settled_gap_source)):
-        source, slot = program.settled_gap_source[s], program.settled_gap_slot[s]
-        for lane in range(width):
-            current[slot, lane] += lanes.settled_gap[s, lane] * potentials[source, lane]
+    synapses, gaps = program.settled, program.settled_gaps
+    first, first_inhibitory, source = synapses.first, synapses.first_inhibitory, synapses.source
+    first_gap, gap_source = gaps.first, gaps.source
+    leak_current, leak_conductance = lanes.leak_current, lanes.conductance
+    weight, slope, gap = lanes.settled_weight, lanes.settled_slope, lanes.settled_gap
+    potential, currents, totals = lanes.potential, lanes.current, lanes.total
+    for d in range(len(program.stepped.neuron)):
+        current, total = load(leak_current, block, d), load(leak_conductance, block, d)
+        for s in range(first[d], first[d + 1]):
+            gate = conductance(load(weight, block, s), load(slope, block, s), load(potential, 0, source[s]))
+            total = total + gate
+            if s >= first_inhibitory[d]:
+                current = current + INHIBITORY_MV * gate
+        for s in range(first_gap[d], first_gap[d + 1]):
+            current = current + load(gap, block, s) * load(potential, 0, gap_source[s])
+        store(currents, 0, d, current)
+        store(totals, 0, d, total)
 
 
 @kernel
-def step(program: Program, lanes: LaneParameters, potentials: FloatArray) -> None:
-    """Advance all stepped neurons by one substep, each from the old potentials of all."""
-    gate, current, total = lanes.gate, lanes.current, lanes.total
-    width = potentials.shape[1]
-    for s in range(len(program.active_source)):
-        source = program.active_source[s]
-        for lane in range(width):
-            z = lanes.active_slope[s, lane] * (potentials[source, lane] - MIDPOINT_MV)
-            gate[s, lane] = lanes.active_weight[s, lane] / (1.0 + exp2(z))
-    for d in range(len(program.stepped)):
-        neuron = program.stepped[d]
-        for lane in range(width):
-            current[d, lane] = lanes.rate[d, lane] * potentials[neuron, lane] + lanes.base_current[d, lane]
-            total[d, lane] = lanes.base_conductance[d, lane]
-    for s in range(program.excitatory_count):
-        slot = program.active_slot[s]
-        for lane in range(width):
-            total[slot, lane] += gate[s, lane]
-    for s in range(program.excitatory_count, len(program.active_slot)):
-        slot = program.active_slot[s]
-        for lane in range(width):
-            total[slot, lane] += gate[s, lane]
-            current[slot, lane] += INHIBITORY_MV * gate[s, lane]
-    for s in range(len(program.gap_source)):
-        source, slot = program.gap_source[s], program.gap_slot[s]
-        for lane in range(width):
-            current[slot, lane] += lanes.gap[s, lane] * potentials[source, lane]
-    for d in range(len(program.stepped)):
-        neuron = program.stepped[d]
-        for lane in range(width):
-            potentials[neuron, lane] = current[d, lane] / total[d, lane]
+def run_substeps(program: Program, lanes: LaneParameters, block: int) -> None:
+    """Advance a block's stepped neurons by a tick; in a substep each from the old potentials of all."""
+    # Local names: numba counts references whenever an array is taken out of a tuple.
+    synapses, gaps, neurons = program.active, program.active_gaps, program.stepped.neuron
+    first, first_inhibitory, source = synapses.first, synapses.first_inhibitory, synapses.source
+    first_gap, gap_source = gaps.first, gaps.source
+    weight, slope, gap, rate = lanes.active_weight, lanes.active_slope, lanes.active_gap, lanes.rate
+    potential, currents, totals, stepped = lanes.potential, lanes.current, lanes.total, lanes.stepped
+    for _ in range(program.substeps):
+        for d in range(len(neurons)):
+            current = load(currents, 0, d) + load(rate, block, d) * load(potential, 0, neurons[d])
+            total = load(totals, 0, d)
+            for s in range(first[d], first_inhibitory[d]):
+                total = total + conductance(
+                    load(weight, block, s), load(slope, block, s), load(potential, 0, source[s])
+                )
+            for s in range(first_inhibitory[d], first[d + 1]):
+                gate = conductance(
+                    load(weight, block, s), load(slope, block, s), load(potential, 0, source[s])
+                )
+                total = total + gate
+                current = current + INHIBITORY_MV * gate
+            for s in range(first_gap[d], first_gap[d + 1]):
+                current = current + load(gap, block, s) * load(potential, 0, gap_source[s])
+            store(stepped, 0, d, current / total)
+        for d in range(len(neurons)):
+            store(potential, 0, neurons[d], load(stepped, 0, d))
 
 
 @kernel
-def read_motors(
-    program: Program, lanes: LaneParameters, potentials: FloatArray, commands: FloatArray
-) -> None:
-    """Read the commands of all lanes from their motor neurons."""
-    layer = lanes.output_layer
-    channels = lanes.motor if layer.shape[0] else commands
-    width = potentials.shape[1]
+def read_motors(program: Program, lanes: LaneParameters, block: int, commands: FloatArray) -> None:
+    """Read a block's commands from its motor neurons."""
+    neurons, targets, ends = program.pull
+    low, scale = program.motor_low, program.motor_scale
+    entries, potentials, channels = lanes.output_layer, lanes.potential, lanes.channel
+    outputs, columns = program.output_layer_at.shape
+    start = block * WIDTH
     channels[:] = 0.0
-    for q in range(len(program.motor_neuron)):
-        neuron, channel, end = program.motor_neuron[q], program.motor_channel[q], program.motor_end[q]
-        for lane in range(width):
-            fraction = (potentials[neuron, lane] - program.motor_low) * program.motor_scale
-            channels[channel, lane] += end * min(max(fraction, 0.0), 1.0)
-    for o in range(layer.shape[0]):
-        for lane in range(width):
-            value = 0.0
-            for i in range(layer.shape[1]):
-                value += layer[o, i, lane] * channels[i, lane]
-            commands[o, lane] = value
+    for q in range(len(neurons)):
+        neuron, channel, end = neurons[q], targets[q], ends[q]
+        for lane in range(WIDTH):
+            fraction = (potentials[0, neuron, lane] - low) * scale
+            channels[0, channel, lane] += end * min(max(fraction, 0.0), 1.0)
+    for o in range(commands.shape[0]):
+        for lane in range(min(WIDTH, commands.shape[1] - start)):
+            if outputs == 0:
+                value = channels[0, o, lane]
+            else:
+                value = 0.0
+                for i in range(columns):
+                    value += entries[block, o * columns + i, lane] * channels[0, i, lane]
+            commands[o, start + lane] = value
+
+
+@kernel
+def fill_lane(program: Program, lanes: LaneParameters, lane: int, vector: FloatArray) -> None:
+    """Set the numbers of one lane from a parameter vector (P,), which must lie in bounds."""
+    block, place = lane // WIDTH, lane % WIDTH
+    fill_synapses(program.settled, lanes.settled_weight, lanes.settled_slope, vector, lane)
+    fill_synapses(program.active, lanes.active_weight, lanes.active_slope, vector, lane)
+    neurons, leak_potential_at, leak_at, capacitance_at = program.stepped
+    rates, leak_currents, conductances = lanes.rate, lanes.leak_current, lanes.conductance
+    for d in range(len(neurons)):
+        rate = vector[capacitance_at[d]] / program.dt_s
+        leak = vector[leak_at[d]]
+        rates[block, d, place] = rate
+        leak_currents[block, d, place] = leak * vector[leak_potential_at[d]]
+        conductances[block, d, place] = rate + leak
+    fill_gaps(program.settled_gaps, lanes.settled_gap, lanes.conductance, vector, lane)
+    fill_gaps(program.active_gaps, lanes.active_gap, lanes.conductance, vector, lane)
+    for i, at in enumerate(program.input_layer_at.flat):
+        lanes.input_layer[block, i, place] = vector[at]
+    for i, at in enumerate(program.output_layer_at.flat):
+        lanes.output_layer[block, i, place] = vector[at]
+
+
+@kernel
+def fill_synapses(
+    synapses: Chemical, weight: FloatArray, slope: FloatArray, vector: FloatArray, lane: int
+) -> None:
+    """Set one lane's chemical synapses."""
+    block, place = lane // WIDTH, lane % WIDTH
+    weight_at, sigma_at = synapses.weight_at, synapses.sigma_at
+    for s in range(len(weight_at)):
+        weight[block, s, place] = vector[weight_at[s]]
+        slope[block, s, place] = -LOG2_E * vector[sigma_at[s]]
+
+
+@kernel
+def fill_gaps(gaps: Gaps, weight: FloatArray, total: FloatArray, vector: FloatArray, lane: int) -> None:
+    """Set one lane's gap junctions, and add them to the conductances of their slots."""
+    block, place = lane // WIDTH, lane % WIDTH
+    first, weight_at = gaps.first, gaps.weight_at
+    for d in range(len(first) - 1):
+        for s in range(first[d], first[d + 1]):
+            weight[block, s, place] = vector[weight_at[s]]
+            total[block, d, place] += vector[weight_at[s]]
 
 
 @kernel
 def copy_lane(lanes: LaneParameters, lane: int, others: LaneParameters, other: int) -> None:
     """Give a lane the numbers that another set of lanes of the same program holds in lane ``other``."""
-    lanes.settled_weight[:, lane] = others.settled_weight[:, other]
-    lanes.settled_slope[:, lane] = others.settled_slope[:, other]
-    lanes.active_weight[:, lane] = others.active_weight[:, other]
-    lanes.active_slope[:, lane] = others.active_slope[:, other]
-    lanes.settled_gap[:, lane] = others.settled_gap[:, other]
-    lanes.gap[:, lane] = others.gap[:, other]
-    lanes.rate[:, lane] = others.rate[:, other]
-    lanes.leak_current[:, lane] = others.leak_current[:, other]
-    lanes.conductance[:, lane] = others.conductance[:, other]
-    lanes.input_layer[:, :, lane] = others.input_layer[:, :, other]
-    lanes.output_layer[:, :, lane] = others.output_layer[:, :, other]
+    a, i, b, j = lane // WIDTH, lane % WIDTH, other // WIDTH, other % WIDTH
+    lanes.settled_weight[a, :, i] = others.settled_weight[b, :, j]
+    lanes.settled_slope[a, :, i] = others.settled_slope[b, :, j]
+    lanes.active_weight[a, :, i] = others.active_weight[b, :, j]
+    lanes.active_slope[a, :, i] = others.active_slope[b, :, j]
+    lanes.settled_gap[a, :, i] = others.settled_gap[b, :, j]
+    lanes.active_gap[a, :, i] = others.active_gap[b, :, j]
+    lanes.rate[a, :, i] = others.rate[b, :, j]
+    lanes.leak_current[a, :, i] = others.leak_current[b, :, j]
+    lanes.conductance[a, :, i] = others.conductance[b, :, j]
+    lanes.input_layer[a, :, i] = others.input_layer[b, :, j]
+    lanes.output_layer[a, :, i] = others.output_layer[b, :, j]

@@ -1,0 +1,134 @@
+"""Eight lanes as one value inside a numba kernel.
+
+numba leaves vector code to LLVM's loop vectoriser, which for our short loops spends more time on finding out
+at run time that arrays do not overlap than on the arithmetic. ``Vector`` says outright what is meant: ``+``,
+``-``, ``*`` and ``/`` on eight float64 at once, mixed with plain numbers as in numpy. LLVM makes of it
+whatever the machine has: one AVX-512 register, two of AVX2, four of SSE2 or NEON, with the same bits.
+
+Only kernels can use these functions; called from Python they raise NotImplementedError.
+"""
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba.core import types
+from numba.extending import intrinsic, models, overload, register_model
+
+__all__ = ["WIDTH", "load", "scale_by_power_of_two", "store"]
+
+WIDTH = 8
+"""Lanes in a vector."""
+
+_DOUBLES = ir.VectorType(ir.DoubleType(), WIDTH)
+_EXPONENT_SHIFT = 52  # where the exponent stands in a float64
+
+
+def _in_kernels(generator: Callable[..., Any]) -> Any:
+    """Make a code generator into a function for kernels, which do not pass its first argument."""
+    return intrinsic(generator)
+
+
+class VectorType(types.Type):
+    """The type of eight float64 in a register."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"Vector{WIDTH}")
+
+
+@register_model(VectorType)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, vector: VectorType) -> None:
+        super().__init__(manager, vector, _DOUBLES)
+
+
+_vector = VectorType()  # type: ignore[no-untyped-call]
+
+
+def _spread(context: Any, builder: Any, value: Any, kind: Any) -> Any:
+    """Return a vector as it is, and a number in all eight places."""
+    if isinstance(kind, VectorType):
+        return value
+    number = context.cast(builder, value, kind, types.float64)
+    first = builder.insert_element(
+        ir.Constant(_DOUBLES, ir.Undefined), number, ir.Constant(ir.IntType(32), 0)
+    )
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
+    return builder.shuffle_vector(first, first, zeros)
+
+
+def _define(python_operator: Callable[[Any, Any], Any], instruction: str) -> None:
+    @_in_kernels
+    def apply(typing_context: Any, a: Any, b: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            pairs = zip(arguments, signature.args, strict=True)
+            return getattr(builder, instruction)(*(_spread(context, builder, *pair) for pair in pairs))
+
+        return _vector(a, b), generate
+
+    @overload(python_operator)
+    def on_vectors(a, b):  # type: ignore[no-untyped-def]  # numba compares with the lambda's signature
+        if isinstance(a, VectorType) or isinstance(b, VectorType):
+            return lambda a, b: apply(a, b)  # noqa: PLW0108  # numba wants a function to compile
+        return None
+
+
+for _operator, _instruction in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+):
+    _define(_operator, _instruction)
+
+
+def _pointer(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Return where row ``arguments[2]`` of block ``arguments[1]`` of a (blocks, rows, WIDTH) array starts."""
+    array = context.make_array(signature.args[0])(context, builder, arguments[0])
+    rows = builder.extract_value(array.shape, 1)
+    row = builder.add(builder.mul(arguments[1], rows), arguments[2])
+    first = builder.gep(array.data, [builder.mul(row, ir.Constant(row.type, WIDTH))])
+    return builder.bitcast(first, _DOUBLES.as_pointer())
+
+
+@_in_kernels
+def load(typing_context: Any, array: Any, block: Any, row: Any) -> Any:
+    """Return a row of a C-contiguous (blocks, rows, WIDTH) array as a vector; nothing checks the indices."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        value = builder.load(_pointer(context, builder, signature, arguments))
+        value.align = 8  # numpy promises no more
+        return value
+
+    return _vector(array, types.intp, types.intp), generate
+
+
+@_in_kernels
+def store(typing_context: Any, array: Any, block: Any, row: Any, value: Any) -> Any:
+    """Write a vector to a row of a C-contiguous (blocks, rows, WIDTH) array; nothing checks the indices."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        written = builder.store(arguments[3], _pointer(context, builder, signature, arguments))
+        written.align = 8
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, value), generate
+
+
+@_in_kernels
+def scale_by_power_of_two(typing_context: Any, value: Any, shifted: Any) -> Any:
+    """Return value * 2**n, where n is the integer in the lowest bits of ``shifted`` (see ``solver.exp2``).
+
+    For a number or a vector; the result must be a normal number.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        is_vector = isinstance(value, VectorType)
+        integers = ir.VectorType(ir.IntType(64), WIDTH) if is_vector else ir.IntType(64)
+        shift = [_EXPONENT_SHIFT] * WIDTH if is_vector else _EXPONENT_SHIFT
+        mantissa, integer = (builder.bitcast(argument, integers) for argument in arguments)
+        scaled = builder.add(mantissa, builder.shl(integer, ir.Constant(integers, shift)))
+        return builder.bitcast(scaled, _DOUBLES if is_vector else ir.DoubleType())
+
+    return value(value, value), generate

@@ -1,17 +1,87 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from rover_ncp.core.console import Output
+
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 
 
-def deploy(json: Json = False) -> None:
-    """Not there yet."""
-    raise NotImplementedError
+def deploy(
+    *,
+    robot: Annotated[
+        str,
+        typer.Option(help="Where the bridge listens: PROTOCOL/HOST[:PORT], such as tcp/192.168.1.20."),
+    ],
+    policy: Annotated[
+        str, typer.Option(help="Policy by name, or by file (YAML, or a published .bnn circuit).")
+    ] = "parking",
+    course: Annotated[
+        str, typer.Option(help="Course by name or file: goal, start signal, time.")
+    ] = "parking",
+    record: Annotated[
+        Path | None, typer.Option(help="Record the drive to this MCAP file; see 'rover-ncp replay'.")
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(min=0.1, help="End after so many seconds, if the course would last longer."),
+    ] = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Do everything but ask for the motors and send commands."),
+    ] = False,
+    namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
+    zenoh_config: Annotated[
+        Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates or user and password.")
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Let a circuit drive the robot behind a bridge.
+
+    Waits for the bridge and for a rover that stands still, takes where it stands as the course's origin
+    (unless something publishes 'pose'), asks for the motors and drives the course. Ctrl-C stops the rover
+    first. However the drive ends, the motors are off afterwards.
+
+    Ends with 0 parked, 1 not parked (judged on the estimate), 3 no bridge, no robot, not authorised or
+    another driver, 4 stopped by a safety rule, which is named, 130 interrupted.
+    """
+    from deploy.node import Options, run
+
+    options = Options(robot, policy, course, record, duration, dry_run, namespace, zenoh_config)
+    return run(options, Output(json))
 
 
-def replay(json: Json = False) -> None:
-    """Not there yet."""
-    raise NotImplementedError
+def replay(
+    run: Annotated[Path, typer.Argument(help="A recording of 'rover-ncp deploy --record'.")],
+    *,
+    policy: Annotated[
+        str | None, typer.Option(help="Recompute with this policy instead of the recorded one.")
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Recompute a drive from its recorded odometry and compare every number with the recorded one.
+
+    Estimator and circuit run again at the recorded moments; estimates, potentials and commands must come out
+    the same to the last bit. Ends with 0 if they do, 1 if not, and names the first that does not.
+    """
+    from deploy.replay import replay as recompute
+
+    found = recompute(run, policy)
+    same = found.difference is None
+    fields = {
+        "same": same,
+        "ticks": found.ticks,
+        "complete": found.complete,
+        "difference": vars(found.difference) if found.difference else None,
+    }
+    cut = "" if found.complete else " (the recording was cut off; compared is what it holds)"
+    words = (
+        f"{found.ticks} ticks, all the same to the last bit{cut}"
+        if same
+        else f"differs: {found.difference}{cut}"
+    )
+    Output(json).result(fields, words)
+    return 0 if same else 1

@@ -1,0 +1,262 @@
+"""The drive itself: its states in their order, the loop of ticks, and what ends it.
+
+Rules of this file:
+
+1. Whatever ends a drive, the motors are given back before anything else is done about it.
+2. Odometry sets off the tick; when it does not come in time, the tick runs on prediction and is counted.
+3. Before a tick commands anything: is the bridge there, is the odometry young, does the filter trust itself,
+   is the lease still ours? If not, the drive ends with the rule's name.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from contextlib import suppress
+
+from deploy.clock import NS, RateKeeper
+from deploy.config import DriveConfig
+from deploy.controller import ORIGIN, Controller
+from deploy.intake import Intake, Sample, StillWatch
+from deploy.link import Link
+from deploy.reporter import Reporter
+from deploy.state import Event, State, next_state
+from deploy.ticks import SampleRef, StartRecord, TickRecord, numbers, seconds
+from rover_ncp.core.course import TICK_S, Verdict
+from rover_ncp.core.errors import FormatError, NoBridge, NoRobot, NotAuthorised, SafetyStop
+from rover_ncp.core.geometry import Pose
+from rover_ncp.core.lease import DriverStatus
+from rover_ncp.core.messages import read_pose
+
+__all__ = ["Drive", "Interrupted"]
+
+TICK_NS = round(TICK_S * NS)
+POLL_S = 0.02
+
+
+class Interrupted(Exception):
+    """Somebody asked for an end."""
+
+
+class Drive:
+    """One drive over an open link. ``run`` returns when it is over; how it went stands in the attributes."""
+
+    def __init__(
+        self,
+        link: Link,
+        controller: Controller,
+        reporter: Reporter,
+        config: DriveConfig,
+        interrupted: Callable[[], bool],
+    ) -> None:
+        self._link, self._controller, self._reporter = link, controller, reporter
+        self._config, self._interrupted = config, interrupted
+        self._pending: list[SampleRef] = []
+        self._granted_ns: int | None = None
+        self._lease_seen = False
+        self.intake = Intake(link.odometry)
+        self.keeper = RateKeeper(TICK_NS, 0)
+        self.state = State.WAITING
+        self.reason = ""
+        self.stop: SafetyStop | None = None
+        self.verdict: Verdict | None = None
+        self.latencies_ns: list[int] = []
+        """From the arrival of odometry to its command on the wire."""
+
+    @property
+    def rejected(self) -> int:
+        """Odometry samples that the estimator refused."""
+        return self._controller.estimator.rejected
+
+    @property
+    def progress(self) -> str:
+        """One line for people; may be asked for by another thread."""
+        keeper, newest = self.keeper, self.intake.newest
+        where = "odometry x {:.3f} y {:.3f} θ {:.3f}".format(*newest.pose) if newest else ""
+        return f"{self.state.value}  t {keeper.index * TICK_S:.1f} s  {where}  overruns {keeper.overruns}"
+
+    def wait(self) -> None:
+        """Wait for bridge, permission and odometry.
+
+        Raises NoBridge, NotAuthorised, NoRobot or Interrupted.
+        """
+        link, config = self._link, self._config
+        if not self._until(lambda: link.bridge_alive, config.bridge_wait_s):
+            where = f" in namespace {config.namespace}" if config.namespace else ""
+            raise NoBridge(
+                f"something answers at {link.robot}, but no bridge shows itself there{where} "
+                f"within {config.bridge_wait_s:g} s"
+            )
+        if not config.dry_run and not self._until(link.authorised, config.permission_wait_s):
+            raise NotAuthorised(f"the bridge at {link.robot} does not take commands from us")
+        if not self._until(lambda: self.intake.take(0) is not None, config.odometry_wait_s):
+            raise NoRobot(f"the bridge at {link.robot} sends no odometry: is its base connected?")
+
+    def run(self, attachments: dict[str, int]) -> None:
+        """Drive, after `wait`. ``attachments`` are the checksums of the recording's files.
+
+        Raises AnotherDriver, NotAuthorised and NoBridge when the motors are refused; what ends a drive later
+        stands in ``state``, ``reason`` and ``stop``.
+        """
+        try:
+            try:
+                self._arm(attachments)
+                self._drive()
+            finally:
+                self._link.release()
+        except SafetyStop as stop:
+            self.stop = stop
+            self._follow(Event.FAULT, str(stop))
+        except Interrupted:
+            self._follow(Event.INTERRUPTED, "interrupted")
+        else:
+            self.verdict = self._controller.verdict()
+            event = Event.PARKED if self.verdict.parked else Event.NOT_PARKED
+            self._follow(event, self.verdict.reason)
+
+    def _arm(self, attachments: dict[str, int]) -> None:
+        config = self._config
+        watch = StillWatch(config.still_s, config.still_m, config.still_rad)
+        if not self._until(lambda: self._stands(watch), config.still_wait_s):
+            raise SafetyStop("not-standing", f"the rover does not stand still for {config.still_s:g} s")
+        sample = self.intake.newest
+        assert sample is not None  # it stands, so it was seen
+        self._follow(Event.READY)
+        pose = self._external_pose() or ORIGIN
+        self._controller.start(sample.pose, 0.0, pose)
+        self._start = sample.ref
+        self._reporter.start(StartRecord(sample=sample.ref, pose=pose, attachments=attachments))
+        if not config.dry_run:
+            self._link.request_motors(f"policy {config.policy}")
+            self._granted_ns = time.monotonic_ns()
+        self._follow(Event.GRANTED)
+
+    def _drive(self) -> None:
+        """Run all ticks, and look once more at the end of the last."""
+        first = None
+        while first is None:
+            first = self._take(POLL_S)
+            self._check()
+        self.keeper = keeper = RateKeeper(TICK_NS, first.ref.measured_ns)
+        newest = first
+        while True:
+            now_ns = time.monotonic_ns()
+            if now_ns >= keeper.deadline_ns:
+                keeper.skip_missed(now_ns)
+            fresh = newest.ref.measured_ns >= keeper.opens_ns
+            if fresh or now_ns >= keeper.deadline_ns:
+                last = keeper.index >= self._config.ticks
+                self._tick(newest, now_ns, predicted=not fresh, last=last)
+                if last:
+                    return
+            newest = self._take((keeper.deadline_ns - time.monotonic_ns()) / NS) or newest
+            self._check()
+
+    def _tick(self, newest: Sample, now_ns: int, predicted: bool, last: bool) -> None:
+        controller, t = self._controller, seconds(now_ns, self._start)
+        index = self._config.ticks if last else self.keeper.index
+        tick = None if last else controller.tick(index, t)
+        estimate = tick.estimate if tick else controller.look(index, t)
+        sequence = None
+        if tick is not None and not self._config.dry_run:
+            if not all(map(math.isfinite, tick.command)):
+                raise SafetyStop("command", f"the circuit asks for {tick.command}")
+            sequence = self._link.command(tick.command)
+        if not predicted:
+            self.latencies_ns.append(time.monotonic_ns() - newest.arrival_ns)
+        wall_ns = time.time_ns()
+        self._reporter.tick(
+            TickRecord(
+                index=index,
+                now_ns=now_ns,
+                wall_ns=wall_ns,
+                samples=tuple(self._pending),
+                predicted=predicted,
+                estimate=numbers(estimate),
+                command=tick.command if tick else None,
+                sequence=sequence,
+            ),
+            estimate,
+            tick,
+        )
+        self._pending.clear()
+        if not last:
+            self.keeper.ticked(now_ns, predicted)
+        self._tell_status()
+
+    def _take(self, timeout_s: float) -> Sample | None:
+        """Take odometry, if it comes in time, into the estimator."""
+        sample = self.intake.take(min(max(timeout_s, 0.0), POLL_S))
+        if sample is not None:
+            self._controller.odometry(
+                sample.pose, sample.velocity, seconds(sample.ref.measured_ns, self._start)
+            )
+            self._pending.append(sample.ref)
+        return sample
+
+    def _check(self) -> None:
+        """Raise SafetyStop if a rule of safety is broken, Interrupted if somebody wants an end."""
+        if self._interrupted():
+            raise Interrupted
+        if not self._link.bridge_alive:
+            raise SafetyStop("bridge-lost", "the bridge is gone")
+        assert self.intake.newest is not None
+        age_s = (time.monotonic_ns() - self.intake.newest.ref.measured_ns) / NS
+        if age_s > self._config.odometry_age_s:
+            limit = self._config.odometry_age_s
+            raise SafetyStop("odometry-age", f"the newest odometry is {age_s:.2f} s old (at most {limit} s)")
+        if self._controller.estimator.fault:
+            raise SafetyStop("estimator", self._controller.estimator.fault)
+        if self._granted_ns is not None:
+            self._check_lease(self._granted_ns)
+
+    def _check_lease(self, granted_ns: int) -> None:
+        gate = self._link.gate
+        if gate.driver == self._link.driver.hex():
+            self._lease_seen = True
+        elif self._lease_seen:
+            raise SafetyStop(gate.ended or "lease", "the gate took the motors away")
+        elif time.monotonic_ns() - granted_ns > self._config.lease_wait_s * NS:
+            raise SafetyStop("lease", "the gate does not confirm that we may drive")
+
+    def _stands(self, watch: StillWatch) -> bool:
+        sample = self.intake.take(0)
+        return sample is not None and watch.see(sample)
+
+    def _external_pose(self) -> Pose | None:
+        """Return the newest external pose if it is a pose and came while we watched the rover stand."""
+        arrival = self._link.pose.take(0)
+        if arrival is None or time.monotonic_ns() - arrival.arrival_ns > self._config.still_s * NS:
+            return None
+        with suppress(FormatError):
+            pose = read_pose(arrival.data).pose
+            if all(map(math.isfinite, pose)):
+                return pose
+        return None
+
+    def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if self._interrupted():
+                raise Interrupted
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(POLL_S / 10)
+        return True
+
+    def _follow(self, event: Event, reason: str = "") -> None:
+        self.state, self.reason = next_state(self.state, event), reason
+        self._tell_status()
+
+    def _tell_status(self) -> None:
+        keeper = self.keeper
+        self._reporter.status(
+            DriverStatus(
+                state=self.state.value,
+                reason=self.reason,
+                policy=self._config.policy,
+                course=self._config.course,
+                tick=keeper.index,
+                t_s=keeper.index * TICK_S,
+                overruns=keeper.overruns,
+            )
+        )

@@ -1,0 +1,237 @@
+"""The driver's Zenoh session: what comes from the bridge, what goes to it.
+
+Samples are taken in by callbacks that only note the moment and put them where they belong: the newest
+odometry into a mailbox of one place (a ring of one that can be waited for, which Zenoh's cannot), everything
+into the recorder's queue. Nothing here blocks the control loop but the queries, which are bounded.
+"""
+
+import contextlib
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import zenoh
+
+from deploy.session import client_config
+from rover_ncp.core.errors import (
+    AnotherDriver,
+    FormatError,
+    NoBridge,
+    NotAuthorised,
+    SafetyStop,
+)
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.keys import KEYS, Kind, Role, key, spec
+from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
+from rover_ncp.core.messages import read_text, twist_stamped
+from rover_ncp.core.recording import Recorded
+
+__all__ = ["Arrival", "Link", "Mailbox"]
+
+QUERY_TIMEOUT_S = 2.0
+RELEASE_TIMEOUT_S = 1.0
+
+
+class Arrival(NamedTuple):
+    """A sample with the moment of its arrival, on the monotonic and on the wall clock."""
+
+    data: bytes
+    arrival_ns: int
+    wall_ns: int
+
+
+class Mailbox:
+    """Keeps the newest arrival only, and wakes who waits for it."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._newest: Arrival | None = None
+
+    def put(self, arrival: Arrival) -> None:
+        """Replace whatever lies there."""
+        with self._changed:
+            self._newest = arrival
+            self._changed.notify()
+
+    def take(self, timeout_s: float) -> Arrival | None:
+        """Return and remove what lies there; wait for it at most ``timeout_s``."""
+        with self._changed:
+            if self._newest is None and timeout_s > 0:
+                self._changed.wait(timeout_s)
+            newest, self._newest = self._newest, None
+            return newest
+
+
+class Link:
+    """One session with one bridge. Opening it raises NoBridge when nothing answers at ``robot``."""
+
+    def __init__(
+        self,
+        robot: str,
+        namespace: str,
+        zenoh_config: Path | None,
+        record: Callable[[Recorded], None],
+    ) -> None:
+        self._namespace = namespace
+        self._record = record
+        self._key("odom")  # a bad namespace is said before anything is opened
+        config, locator = client_config(robot, zenoh_config)
+        self.robot = locator
+        self.driver = secrets.token_bytes(16)
+        """Who we are to the gate; new in each process."""
+        self.odometry = Mailbox()
+        self.pose = Mailbox()
+        """External localisation, in the course's frame."""
+        self.bridge_alive = False
+        self.gate = GateStatus()
+        """The newest word of the gate."""
+        self._sequence = 0
+        self._may_hold_motors = False
+        try:
+            self._session = zenoh.open(config)
+        except zenoh.ZError as error:
+            raise NoBridge(
+                f"nothing answers at {locator}, or it refuses us: is 'rover-ncp bridge' running there, "
+                "listening on that address?"
+            ) from error
+        try:
+            self._declare()
+        except BaseException:
+            self._session.close()  # type: ignore[no-untyped-call]
+            raise
+
+    def _declare(self) -> None:
+        self._publishers = {
+            row.name: self._session.declare_publisher(
+                self._key(row.name),
+                encoding=zenoh.Encoding.APPLICATION_CDR,
+                # A command that cannot leave at once is worth nothing later.
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            for row in KEYS
+            if row.kind is Kind.MESSAGE and row.senders == {Role.DRIVER}
+        }
+        heard = [row for row in KEYS if row.kind is Kind.MESSAGE and row.name not in self._publishers]
+        self._subscribers = [
+            self._session.declare_subscriber(self._key(row.name), self._recording(row.name)) for row in heard
+        ]
+        self._subscribers += [
+            self._session.declare_subscriber(self._key("odom"), _into(self.odometry)),
+            self._session.declare_subscriber(self._key("pose"), _into(self.pose)),
+            self._session.declare_subscriber(self._key("rover/gate"), self._gate_spoke),
+        ]
+        self._token: Any = None
+        self._bridge_token = self._session.liveliness().declare_subscriber(
+            self._key("rover/alive/bridge"), self._bridge_token_changed, history=True
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def authorised(self) -> bool:
+        """Whether anybody takes our commands: a bridge that we may not command does not."""
+        # The object is truthy whatever it says, and Zenoh's stub takes it for a bool.
+        status: Any = self._publishers["cmd_vel"].matching_status
+        return bool(status.matching)
+
+    def request_motors(self, name: str) -> MotorsReply:
+        """Ask for the motors and with them the lease.
+
+        Raises AnotherDriver, NotAuthorised, NoBridge (no answer), or SafetyStop when the gate has a reason.
+        """
+        if self._token is None:
+            self._token = self._session.liveliness().declare_token(self._key("rover/alive/driver"))
+        self._may_hold_motors = True  # from now on, whatever becomes of the answer
+        reply = self._motors(enable=True, name=name, timeout_s=QUERY_TIMEOUT_S)
+        if reply is None:
+            raise NotAuthorised(f"the bridge at {self.robot} does not take our request for the motors")
+        if not reply.granted:
+            if self.gate.driver not in {"", self.driver.hex()}:
+                raise AnotherDriver(f"the bridge at {self.robot} refuses the motors: {reply.reason}")
+            raise SafetyStop("gate", f"the motors are refused: {reply.reason}")
+        return reply
+
+    def _motors(self, enable: bool, name: str, timeout_s: float) -> MotorsReply | None:
+        request = MotorsRequest(
+            enable=enable, driver=self.driver.hex(), name=name, sent_ns=time.monotonic_ns()
+        )
+        replies = self._session.get(self._key("rover/motors"), payload=dump_json(request), timeout=timeout_s)
+        for reply in replies:
+            if reply.ok is None:
+                raise NoBridge(f"the bridge at {self.robot} does not answer within {timeout_s:g} s")
+            try:
+                return parse_json(MotorsReply, reply.ok.payload.to_bytes())
+            except FormatError as error:
+                raise NoBridge(f"the bridge at {self.robot} answers nonsense: {error}") from error
+        return None
+
+    def release(self) -> None:
+        """Stop and give the motors back, if we may have them.
+
+        Never raises: where the bridge does not hear us any more, its own watch stops the rover.
+        """
+        if not self._may_hold_motors:
+            return
+        self._may_hold_motors = False
+        with contextlib.suppress(zenoh.ZError):
+            self.command(Velocity(0.0, 0.0))
+        with contextlib.suppress(zenoh.ZError, NoBridge):
+            self._motors(enable=False, name="", timeout_s=RELEASE_TIMEOUT_S)
+
+    def command(self, velocity: Velocity) -> int:
+        """Send a command, v in m/s and omega in rad/s, and return its sequence number."""
+        wall_ns = time.time_ns()
+        data = twist_stamped(velocity, wall_ns)
+        tag = CommandTag(self.driver, self._sequence, time.monotonic_ns())
+        self._publishers["cmd_vel"].put(data, attachment=tag.pack())
+        self._record(Recorded("cmd_vel", spec("cmd_vel").type, data, wall_ns, wall_ns, tag.sequence))
+        self._sequence += 1
+        return tag.sequence
+
+    def publish(self, name: str, data: bytes, wall_ns: int) -> None:
+        """Send and record one of the driver's own messages."""
+        self._publishers[name].put(data)
+        self._record(Recorded(name, spec(name).type, data, time.time_ns(), wall_ns))
+
+    def close(self) -> None:
+        """Give the motors back and end the session."""
+        try:
+            self.release()
+        finally:
+            self._session.close()  # type: ignore[no-untyped-call]
+
+    def _key(self, name: str) -> str:
+        return key(self._namespace, name)
+
+    def _recording(self, name: str) -> Callable[[zenoh.Sample], None]:
+        ros_type = spec(name).type
+
+        def record(sample: zenoh.Sample) -> None:
+            now = time.time_ns()
+            self._record(Recorded(name, ros_type, sample.payload.to_bytes(), now, now))
+
+        return record
+
+    def _gate_spoke(self, sample: zenoh.Sample) -> None:
+        # A word that cannot be read is no news: what it replaces still stands.
+        with contextlib.suppress(FormatError):
+            self.gate = parse_json(GateStatus, read_text(sample.payload.to_bytes()))
+
+    def _bridge_token_changed(self, sample: zenoh.Sample) -> None:
+        self.bridge_alive = sample.kind == zenoh.SampleKind.PUT
+
+
+def _into(mailbox: Mailbox) -> Callable[[zenoh.Sample], None]:
+    def put(sample: zenoh.Sample) -> None:
+        mailbox.put(Arrival(sample.payload.to_bytes(), time.monotonic_ns(), time.time_ns()))
+
+    return put

@@ -1,0 +1,223 @@
+"""The process that drives: puts policy, link, recorder and drive together, and says how it went."""
+
+import contextlib
+import signal
+import sys
+import zlib
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+import numpy as np
+from rich.live import Live
+
+from deploy.config import DriveConfig, attachments
+from deploy.controller import Controller
+from deploy.drive import Drive, Interrupted
+from deploy.link import Link
+from deploy.recorder import Recorder
+from deploy.reporter import Reporter
+from deploy.state import State
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.console import Output
+from rover_ncp.core.course import TICK_S, load_course
+from rover_ncp.core.recording import Recorded
+
+__all__ = ["Options", "run"]
+
+SWITCH_INTERVAL_S = 0.0005
+"""How long another thread may keep the interpreter from the control loop (Python's default is 5 ms)."""
+BACKLOG = 1000
+"""Messages that came before the recording was opened, such as the static transforms."""
+INTERRUPTED = 130
+
+
+@dataclass(frozen=True)
+class Options:
+    """The command line of ``rover-ncp deploy``."""
+
+    robot: str
+    policy: str
+    course: str
+    record: Path | None
+    duration_s: float | None
+    dry_run: bool
+    namespace: str
+    zenoh_config: Path | None
+
+
+class _Interrupts:
+    """Notes SIGINT, SIGTERM and SIGHUP instead of dying of them: the rover has to be stopped first."""
+
+    def __init__(self) -> None:
+        self.raised = False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+                self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.raised = True
+
+
+class _Tape:
+    """Where messages go to be recorded: kept until there is a recorder, thrown away if there never is."""
+
+    def __init__(self) -> None:
+        self._backlog: deque[Recorded] = deque(maxlen=BACKLOG)
+        self.recorder: Recorder | None = None
+
+    def put(self, message: Recorded) -> None:
+        """Take a message, from any thread."""
+        if self.recorder is None:
+            self._backlog.append(message)
+        else:
+            self.recorder.put(message)
+
+    def roll(self, path: Path, files: dict[str, bytes]) -> None:
+        """Open the recording. Raises FileError."""
+        recorder = Recorder(path, files)
+        for message in list(self._backlog):
+            recorder.put(message)
+        self.recorder = recorder
+
+    def close(self) -> None:
+        """Finish the recording, if there is one."""
+        if self.recorder is not None:
+            self.recorder.close()
+
+
+def run(options: Options, output: Output) -> int:
+    """Drive once, and return the exit code. Raises RoverNcpError for what kept the drive from beginning."""
+    policy, course = load_policy(options.policy), load_course(options.course)
+    ticks = course.ticks if options.duration_s is None else round(options.duration_s / TICK_S)
+    config = DriveConfig(
+        robot=options.robot,
+        namespace=options.namespace,
+        policy=policy.circuit.name,
+        course=course.name,
+        dry_run=options.dry_run,
+        ticks=min(ticks, course.ticks),
+    )
+    controller = Controller(policy, course, config.estimator)
+    files = attachments(policy, course, config)
+    tape = _Tape()
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    with _Interrupts() as interrupts:
+        try:
+            with Link(options.robot, options.namespace, options.zenoh_config, tape.put) as link:
+                reporter = Reporter(link, tape.put, policy.circuit.neurons)
+                drive = Drive(link, controller, reporter, config, lambda: interrupts.raised)
+                try:
+                    drive.wait()
+                except Interrupted as interruption:
+                    raise KeyboardInterrupt from interruption  # nothing has moved: the shell says the rest
+                if options.record is not None:
+                    tape.roll(options.record, files)
+                with _progress(drive, output):
+                    drive.run({name: zlib.crc32(content) for name, content in files.items()})
+        finally:
+            tape.close()
+    fields = _fields(drive, options, config, tape.recorder)
+    words = _words(fields)
+    if output.as_json and fields["exit_code"]:
+        output.say(words)  # a person who looks at stderr reads there why it did not end well
+    output.result(fields, words)
+    return int(fields["exit_code"])
+
+
+def _fields(drive: Drive, options: Options, config: DriveConfig, recorder: Recorder | None) -> dict[str, Any]:
+    report, verdict = drive.keeper.report(), drive.verdict
+    parked = drive.state is State.PARKED
+    if drive.stop is not None:
+        code = drive.stop.exit_code
+    elif verdict is None:
+        code = INTERRUPTED
+    else:
+        code = 0 if parked or options.dry_run else 1
+    latencies_ms = np.array(drive.latencies_ns or [0]) / 1e6
+    return {
+        "parked": parked,
+        "state": drive.state.value,
+        "reason": drive.reason,
+        "stopped_by": drive.stop.rule if drive.stop else None,
+        "estimate_error_m": verdict.error_m if verdict else None,
+        "estimate_error_rad": verdict.error_rad if verdict else None,
+        "ticks": report.ticks,
+        "overruns": report.overruns,
+        "predicted": report.predicted,
+        "missed": report.missed,
+        "tick_rate_hz": report.rate_hz,
+        "lateness_ms": {"p50": report.lateness_p50_ms, "max": report.lateness_max_ms},
+        "odometry_to_command_ms": {
+            "p50": float(np.percentile(latencies_ms, 50)),
+            "p99": float(np.percentile(latencies_ms, 99)),
+        },
+        "odometry": {
+            "taken": drive.intake.count,
+            "unreadable": drive.intake.garbled,
+            "rejected": drive.rejected,
+        },
+        "policy": options.policy,
+        "course": config.course,
+        "dry_run": options.dry_run,
+        "recording": str(recorder.path) if recorder else None,
+        "recording_failure": (recorder.failure or None) if recorder else None,
+        "recording_dropped": recorder.dropped if recorder else 0,
+        "exit_code": code,
+    }
+
+
+def _words(fields: dict[str, Any]) -> str:
+    """Return the result for people."""
+    if fields["stopped_by"]:
+        first = fields["reason"]
+    elif fields["estimate_error_m"] is None:
+        first = "interrupted; the rover was stopped"
+    else:
+        ending = "parked" if fields["parked"] else f"not parked: {fields['reason']}"
+        first = (
+            f"{ending}; by the estimate {1000 * fields['estimate_error_m']:.0f} mm and "
+            f"{1000 * fields['estimate_error_rad']:.0f} mrad from the goal"
+        )
+    lines = [
+        ("dry run, " if fields["dry_run"] else "") + first,
+        f"{fields['ticks']} ticks at {fields['tick_rate_hz']:.2f} Hz, {fields['overruns']} overruns; "
+        f"odometry to command {fields['odometry_to_command_ms']['p50']:.1f} ms (median), "
+        f"{fields['odometry_to_command_ms']['p99']:.1f} ms (99 %)",
+    ]
+    if fields["recording"]:
+        lines.append(f"recording: {fields['recording']}")
+    if fields["recording_failure"]:
+        lines.append(f"the recording failed, the drive went on without it: {fields['recording_failure']}")
+    return "\n".join(lines)
+
+
+@contextlib.contextmanager
+def _progress(drive: Drive, output: Output) -> Iterator[None]:
+    """Show how the drive stands, on a terminal only; drawn by a thread, so that no terminal delays a tick."""
+    if not output.console.is_terminal:
+        yield
+        return
+
+    with Live(
+        get_renderable=lambda: drive.progress,
+        console=output.console,
+        refresh_per_second=5,
+        transient=True,
+        redirect_stdout=False,
+        redirect_stderr=False,
+    ):
+        yield

@@ -1,0 +1,197 @@
+"""A recording run through the same controller again, and every number held against the recorded one.
+
+Bit for bit: the same odometry, at the same recorded moments, through the same policy must give the same
+estimates, potentials and commands. What differs is named: the tick, the quantity, both values.
+"""
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from deploy.config import attached
+from deploy.controller import Controller, Tick
+from deploy.estimator import Estimate
+from deploy.reporter import estimate_message
+from deploy.ticks import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, numbers, seconds
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
+from rover_ncp.core.errors import FileError, FormatError
+from rover_ncp.core.geometry import Pose
+from rover_ncp.core.lease import parse_json
+from rover_ncp.core.messages import read_neurons, read_odometry, read_text, read_twist
+from rover_ncp.core.recording import Recording, read_recording
+
+__all__ = ["Comparison", "Difference", "replay"]
+
+ESTIMATE = ("estimate x", "estimate y", "estimate theta", "estimate v", "estimate omega")
+COMMAND = ("command v", "command omega")
+ABSENT = "absent"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Where recording and recomputation part; ``tick`` is None for what belongs to no tick."""
+
+    tick: int | None
+    quantity: str
+    recorded: str
+    recomputed: str
+
+    def __str__(self) -> str:
+        where = "" if self.tick is None else f"tick {self.tick}: "
+        return f"{where}{self.quantity} is {self.recorded} in the recording, {self.recomputed} now"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What a replay found. ``complete`` is False for a recording that was cut off; its rest is compared."""
+
+    ticks: int
+    complete: bool
+    difference: Difference | None
+
+
+def replay(path: Path, policy: str | None = None) -> Comparison:
+    """Recompute a recording, with its own policy or another. Raises FileError and ConfigError."""
+    recording = read_recording(path)
+    own, course, config = attached(recording)
+    other = load_policy(policy) if policy is not None else own
+    start, ticks = _records(recording)
+    controller = Controller(other, course, config.estimator)
+    ticks_done, difference = 0, None
+    for record, difference in _compared(recording, controller, start, ticks, other.circuit.neurons):
+        if difference is not None:
+            break
+        ticks_done += record.command is not None
+    # A number may be another and yet leave no trace in this very run: then the files themselves tell.
+    difference = difference or _other_file(recording, start) or _other_policy(own, other)
+    return Comparison(ticks_done, recording.complete, difference)
+
+
+def _records(recording: Recording) -> tuple[StartRecord, list[TickRecord]]:
+    try:
+        starts = [parse_json(StartRecord, read_text(m.data)) for m in recording.topic(START_TOPIC)]
+        ticks = [parse_json(TickRecord, read_text(m.data)) for m in recording.topic(TICKS_TOPIC)]
+    except FormatError as error:
+        raise FileError(f"{recording.path}: {error}") from error
+    if len(starts) != 1 or not ticks:
+        raise FileError(
+            f"{recording.path}: holds no drive to recompute ({len(starts)} starts, {len(ticks)} ticks)"
+        )
+    return starts[0], ticks
+
+
+def _compared(
+    recording: Recording,
+    controller: Controller,
+    start: StartRecord,
+    records: list[TickRecord],
+    names: tuple[str, ...],
+) -> Iterator[tuple[TickRecord, Difference | None]]:
+    """Run tick by tick; yield each record with its first difference. Ends where a cut-off file does."""
+    odometry = {zlib.crc32(m.data): m.data for m in recording.topic("odom")}
+    messages = _Messages(recording)
+    for record in records:
+        wanted = [start.sample, *record.samples] if record is records[0] else list(record.samples)
+        missing = [ref for ref in wanted if ref.crc not in odometry]
+        if missing and not recording.complete:
+            return  # killed between a tick and the odometry it was made from
+        if missing:
+            quantity = f"the odometry of stamp {missing[0].stamp_ns}"
+            yield record, Difference(record.index, quantity, ABSENT, "needed")
+            return
+        samples = [(ref, read_odometry(odometry[ref.crc])) for ref in wanted]
+        if record is records[0]:
+            controller.start(samples.pop(0)[1].pose, 0.0, Pose(*start.pose))
+        for ref, sample in samples:
+            controller.odometry(sample.pose, sample.velocity, seconds(ref.measured_ns, start.sample))
+        now = seconds(record.now_ns, start.sample)
+        tick = controller.tick(record.index, now) if record.command is not None else None
+        estimate = tick.estimate if tick else controller.look(record.index, now)
+        found = _first(_differences(record, tick, estimate, names, messages))
+        yield record, found
+
+
+class _Messages:
+    """The driver's own messages of a recording, by what ties them to a tick."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.complete = recording.complete
+        self.estimates = {m.publish_ns: m.data for m in recording.topic("rover/estimate")}
+        self.neurons = {m.publish_ns: m.data for m in recording.topic("rover/neurons")}
+        self.commands = {m.sequence: m.data for m in recording.topic("cmd_vel")}
+
+
+def _differences(
+    record: TickRecord, tick: Tick | None, estimate: Estimate, names: tuple[str, ...], messages: _Messages
+) -> Iterator[Difference]:
+    index = record.index
+    yield from _each(index, ESTIMATE, record.estimate, numbers(estimate))
+    sent = messages.estimates.get(record.wall_ns)
+    if sent is not None and sent != estimate_message(estimate, record.wall_ns):
+        yield Difference(index, "the estimate's covariance", "other bytes", "other bytes")
+    if sent is None and messages.complete:
+        yield Difference(index, "the message rover/estimate", ABSENT, "there")
+    if tick is None or record.command is None:
+        return
+    data = messages.neurons.get(record.wall_ns)
+    if data is not None:
+        recorded = read_neurons(data)
+        if tuple(recorded) != names:
+            yield Difference(index, "the neurons", ",".join(recorded), ",".join(names))
+        quantities = tuple(f"potential {name}" for name in names)
+        yield from _each(index, quantities, tuple(recorded.values()), tuple(tick.potentials.tolist()))
+    elif messages.complete:
+        yield Difference(index, "the message rover/neurons", ABSENT, "there")
+    yield from _each(index, COMMAND, record.command, tick.command)
+    if record.sequence is None:
+        return
+    command = messages.commands.get(record.sequence)
+    if command is not None:
+        yield from _each(index, ("sent v", "sent omega"), read_twist(command).velocity, tick.command)
+    elif messages.complete:
+        yield Difference(index, "the message cmd_vel", ABSENT, "there")
+
+
+def _each(
+    tick: int, quantities: tuple[str, ...], recorded: tuple[float, ...], recomputed: tuple[float, ...]
+) -> Iterator[Difference]:
+    for quantity, before, now in zip(quantities, recorded, recomputed, strict=True):
+        if np.float64(before).tobytes() != np.float64(now).tobytes():
+            yield Difference(tick, quantity, repr(float(before)), repr(float(now)))
+
+
+def _first(differences: Iterator[Difference]) -> Difference | None:
+    return next(differences, None)
+
+
+def _other_file(recording: Recording, start: StartRecord) -> Difference | None:
+    """Return the attachment that is not the one the drive was recorded with."""
+    for name, crc in start.attachments.items():
+        if (now := zlib.crc32(recording.attachment(name))) != crc:
+            return Difference(None, f"the checksum of {name}", f"{crc:08x}", f"{now:08x}")
+    return None
+
+
+def _other_policy(own: Policy, other: Policy) -> Difference | None:
+    """Return the first value in which two policies differ, where they came from aside."""
+    before, now = (yaml.safe_load(policy_to_yaml(policy)) for policy in (own, other))
+    for data in (before, now):
+        del data["provenance"], data["courses"], data["circuit"]["name"]
+    return _first(_parted("policy", before, now))
+
+
+def _parted(path: str, before: Any, now: Any) -> Iterator[Difference]:
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in before | now:
+            yield from _parted(f"{path}.{key}", before.get(key, ABSENT), now.get(key, ABSENT))
+    elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        for number, (one, two) in enumerate(zip(before, now, strict=True)):
+            yield from _parted(f"{path}[{number}]", one, two)
+    elif repr(before) != repr(now):  # by their digits: 0.0 and -0.0 are not the same bits
+        yield Difference(None, path, repr(before), repr(now))

@@ -1,0 +1,47 @@
+"""What the drive tells the world and its recording about each tick."""
+
+import time
+from collections.abc import Callable, Sequence
+
+from deploy.controller import Tick
+from deploy.estimator import Estimate
+from deploy.link import Link
+from deploy.ticks import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
+from rover_ncp.core.lease import DriverStatus, dump_json
+from rover_ncp.core.messages import neurons, pose_with_covariance, text
+from rover_ncp.core.recording import Recorded
+
+__all__ = ["COURSE_FRAME", "Reporter", "estimate_message"]
+
+COURSE_FRAME = "course"
+_JSON = "std_msgs/msg/String"
+
+
+def estimate_message(estimate: Estimate, wall_ns: int) -> bytes:
+    """Return the estimate's pose with its 3 × 3 covariance as it goes over the wire."""
+    return pose_with_covariance(estimate.pose, estimate.covariance[:3, :3], wall_ns, COURSE_FRAME)
+
+
+class Reporter:
+    """Publishes and records; nothing here decides anything."""
+
+    def __init__(self, link: Link, record: Callable[[Recorded], None], neuron_names: Sequence[str]) -> None:
+        self._link, self._record, self._names = link, record, neuron_names
+
+    def start(self, record: StartRecord) -> None:
+        """Record how the drive began."""
+        self._note(START_TOPIC, dump_json(record), time.time_ns())
+
+    def tick(self, record: TickRecord, estimate: Estimate, tick: Tick | None) -> None:
+        """Tell where the rover is, and what the circuit was like if it was asked."""
+        self._note(TICKS_TOPIC, dump_json(record), record.wall_ns)
+        self._link.publish("rover/estimate", estimate_message(estimate, record.wall_ns), record.wall_ns)
+        if tick is not None:
+            self._link.publish("rover/neurons", neurons(tick.potentials, self._names), record.wall_ns)
+
+    def status(self, status: DriverStatus) -> None:
+        """Tell how the drive stands."""
+        self._link.publish("rover/status", text(dump_json(status).decode()), time.time_ns())
+
+    def _note(self, topic: str, json: bytes, wall_ns: int) -> None:
+        self._record(Recorded(topic, _JSON, text(json.decode()), time.time_ns(), wall_ns))

@@ -1,0 +1,59 @@
+"""How the driver's Zenoh session is set up. Values are measured; see the notes beside them."""
+
+import json
+import re
+from pathlib import Path
+
+import zenoh
+
+from rover_ncp.core.errors import FileError, UsageError
+
+__all__ = ["PORT", "client_config", "locator"]
+
+PORT = 7447
+"""Zenoh's own port, where the bridge listens."""
+
+_LOCATOR = re.compile(
+    r"(?P<protocol>[a-z]+)/(?P<host>\[[0-9A-Fa-f:.]+\]|[^/:#?\s]+)(?P<port>:\d+)?(?P<rest>[#?]\S*)?"
+)
+
+_SETTINGS = {
+    "mode": "client",
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    # How long we may be silent before the bridge drops us; it must be announced by the silent side.
+    "transport/link/tx/lease": 1000,
+    "transport/link/tx/keep_alive": 4,
+    "transport/shared_memory/enabled": False,
+    "connect/timeout_ms": 2000,
+    # The default waits up to 4 s between attempts, which made reconnecting as slow.
+    "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+}
+
+
+def locator(robot: str) -> str:
+    """Return ``robot`` as a Zenoh locator, with the default port if it has none. Raises UsageError."""
+    match = _LOCATOR.fullmatch(robot)
+    if match is None:
+        raise UsageError(
+            f"--robot {robot}: expected PROTOCOL/HOST[:PORT], for example tcp/192.168.1.20:{PORT}"
+        )
+    return f"{match['protocol']}/{match['host']}{match['port'] or f':{PORT}'}{match['rest'] or ''}"
+
+
+def client_config(robot: str, file: Path | None) -> tuple[zenoh.Config, str]:
+    """Return the session's configuration and the bridge's locator.
+
+    ``file`` may hold what a network needs (TLS, user and password); how the driver connects and how soon its
+    silence is noticed is not up to it. Raises UsageError and FileError.
+    """
+    endpoint = locator(robot)
+    if file is not None and not file.is_file():
+        raise FileError(f"{file}: no such file")
+    try:
+        config = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
+    except zenoh.ZError as error:
+        raise FileError(f"{file}: not a Zenoh configuration: {error}") from error
+    for path, value in {**_SETTINGS, "connect/endpoints": [endpoint]}.items():
+        config.insert_json5(path, json.dumps(value))
+    return config, endpoint

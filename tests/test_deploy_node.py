@@ -1,0 +1,412 @@
+"""The whole driving process against a bridge that can be made to fail: real Zenoh over loopback TCP."""
+
+import functools
+import json
+import math
+import os
+import signal
+import socket
+import threading
+import time
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from deploy import node
+from deploy.config import DriveConfig
+from deploy.node import Options, run
+from deploy.replay import replay
+from rover_ncp.circuit.policy import parking_policy
+from rover_ncp.circuit.policy_file import load_circuit, save_policy
+from rover_ncp.core.console import Output
+from rover_ncp.core.errors import AnotherDriver, NoBridge, NoRobot, RoverNcpError
+from rover_ncp.core.geometry import Pose, Velocity, compose, distance
+from rover_ncp.core.keys import key
+from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
+from rover_ncp.core.messages import odometry, pose_with_covariance, read_pose, read_twist, text
+from rover_ncp.core.recording import RecordingWriter, read_recording
+
+ODOM_AT_START = Pose(3.0, -2.0, 3.1)  # nowhere near the origin, and turning left crosses π
+SIP_S = 0.1
+STILL = Velocity(0.0, 0.0)
+
+
+def free_port():
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+def router(endpoint):
+    config = zenoh.Config()
+    settings = {
+        "mode": "router",
+        "listen/endpoints": [endpoint],
+        "scouting/multicast/enabled": False,
+        "scouting/delay": 0,
+    }
+    for path, value in settings.items():
+        config.insert_json5(path, json.dumps(value))
+    return zenoh.open(config)
+
+
+class Bridge:
+    """Looks like a bridge to a driver; its rover obeys at once. ``odom`` may be replaced to spoil it."""
+
+    def __init__(self, namespace=""):
+        self.namespace = namespace
+        self.robot = f"tcp/127.0.0.1:{free_port()}"
+        self.session = router(self.robot)
+        self.pose, self.velocity = ODOM_AT_START, STILL
+        self.odom = odometry
+        self.gate = GateStatus()
+        self.refusal = ""
+        self.commands, self.requests, self.times = [], [], []
+        self.released = threading.Event()
+        self._stop = threading.Event()
+        self._token = self.session.liveliness().declare_token(self._key("rover/alive/bridge"))
+        self._commands = self.session.declare_subscriber(self._key("cmd_vel"), self._command)
+        self._motors = self.session.declare_queryable(self._key("rover/motors"), self._answer)
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _key(self, name):
+        return key(self.namespace, name)
+
+    def _run(self):
+        due = time.monotonic()
+        while not self._stop.wait(max(0.0, due - time.monotonic())):
+            due += SIP_S
+            v, omega = self.velocity
+            self.pose = compose(self.pose, Pose(SIP_S * v, 0.0, SIP_S * omega))
+            data = self.odom(self.pose, self.velocity, time.time_ns())
+            if data is not None:
+                self.times.append(time.monotonic())
+                self.session.put(self._key("odom"), data)
+            self.session.put(self._key("rover/gate"), text(dump_json(self.gate).decode()))
+
+    def _command(self, sample):
+        tag = CommandTag.unpack(sample.attachment.to_bytes())
+        velocity = read_twist(sample.payload.to_bytes()).velocity
+        if tag.driver.hex() == self.gate.driver:
+            self.velocity = velocity
+        self.commands.append((tag, velocity))
+
+    def _answer(self, query):
+        with query:
+            request = parse_json(MotorsRequest, query.payload.to_bytes())
+            self.requests.append(request)
+            granted = request.enable and not self.refusal
+            if granted:
+                self.gate = GateStatus(driver=request.driver)
+            elif self.gate.driver == request.driver:
+                self.gate, self.velocity = GateStatus(), STILL
+            reply = MotorsReply(granted=granted, reason=self.refusal, lease_s=1.0)
+            query.reply(self._key("rover/motors"), dump_json(reply))
+            if not request.enable:
+                self.released.set()
+
+    def publish_pose(self, data):
+        self.session.put(self._key("pose"), data)
+
+    def vanish(self):
+        self._token.undeclare()
+
+    def after_commands(self, count, action):
+        """Do something, once, as soon as so many commands have come."""
+
+        def wait():
+            while len(self.commands) < count and not self._stop.wait(0.005):
+                pass
+            action()
+
+        threading.Thread(target=wait, daemon=True).start()
+
+    def close(self):
+        self._stop.set()
+        self._thread.join()
+        self.session.close()
+
+
+@pytest.fixture
+def bridge():
+    bridge = Bridge()
+    yield bridge
+    bridge.close()
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory):
+    path = tmp_path_factory.mktemp("policy") / "untuned.yaml"
+    save_policy(path, parking_policy(load_circuit("parking")))
+    return path
+
+
+@pytest.fixture(scope="module")
+def course(tmp_path_factory):
+    """The start signal comes at once; the goal is far from where an untuned circuit goes."""
+    path = tmp_path_factory.mktemp("course") / "short.yaml"
+    path.write_text(
+        "name: short\nstart_signal_s: 0.3\nhorizon_s: 2.0\n"
+        "checkpoints:\n- {t: 2.0, x: 5.0, y: 5.0, theta: 0.0}\n"
+    )
+    return path
+
+
+@pytest.fixture
+def drive(bridge, policy, course, tmp_path, capsys, monkeypatch):
+    """Drive once with shorter waits; returns exit code and result."""
+    monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, still_s=0.25))
+
+    def drive(**changes):
+        options = {
+            "robot": bridge.robot,
+            "policy": str(policy),
+            "course": str(course),
+            "record": tmp_path / "run.mcap",
+            "duration_s": None,
+            "dry_run": False,
+            "namespace": bridge.namespace,
+            "zenoh_config": None,
+        }
+        code = run(Options(**options | changes), Output(as_json=True))
+        return code, json.loads(capsys.readouterr().out)
+
+    return drive
+
+
+def test_a_drive_from_start_to_end(bridge, drive, tmp_path):
+    code, result = drive()
+    assert code == 1
+    assert result["state"] == "ended"
+    assert "from the goal" in result["reason"]
+    assert not result["parked"]
+    assert result["ticks"] + result["missed"] == 20
+    assert result["estimate_error_m"] > 6
+
+    # One driver, rising numbers, the last word is zero, and then the motors are given back.
+    tags = [tag for tag, _ in bridge.commands]
+    assert [request.enable for request in bridge.requests] == [True, False]
+    assert {tag.driver.hex() for tag in tags} == {request.driver for request in bridge.requests}
+    assert [tag.sequence for tag in tags] == list(range(len(tags)))
+    assert bridge.commands[-1][1] == STILL
+    assert max(velocity.v for _, velocity in bridge.commands) > 0.01
+
+    # The circuit saw the course's frame: the estimate starts at the origin, wherever odometry stands.
+    recording = read_recording(tmp_path / "run.mcap")
+    assert recording.complete
+    assert set(recording.attachments) == {"policy.yaml", "course.yaml", "deploy.yaml"}
+    estimates = [read_pose(message.data) for message in recording.topic("rover/estimate")]
+    assert {estimate.frame for estimate in estimates} == {"course"}
+    assert distance(estimates[0].pose, Pose(0, 0, 0)) < 1e-6
+    there = compose(ODOM_AT_START, estimates[-1].pose)
+    assert distance(there, bridge.pose) < 0.005
+    assert distance(ODOM_AT_START, bridge.pose) > 0.05
+    assert len(recording.topic("rover/neurons")) == result["ticks"]
+    assert len(recording.topic("cmd_vel")) == len(bridge.commands)
+    assert {"odom", "rover/gate", "rover/status"} <= {message.topic for message in recording.messages}
+
+    comparison = replay(tmp_path / "run.mcap")
+    assert comparison.difference is None
+    assert comparison.complete
+    assert comparison.ticks == result["ticks"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_stops_the_rover_first(bridge, drive, tmp_path, number):
+    before = signal.getsignal(number)
+    bridge.after_commands(6, lambda: os.kill(os.getpid(), number))
+    code, result = drive()
+    assert code == 130
+    assert result["reason"] == "interrupted"
+    assert 5 <= result["ticks"] < 15
+    assert bridge.commands[-1][1] == STILL
+    assert bridge.released.is_set()
+    assert read_recording(tmp_path / "run.mcap").complete
+    assert signal.getsignal(number) is before
+
+
+def seen_once_driving(bridge, spoilt):
+    """Give odometry as it is until the driver drives, then what ``spoilt`` makes of it."""
+
+    def odom(pose, velocity, stamp):
+        return odometry(pose, velocity, stamp) if len(bridge.commands) < 4 else spoilt(pose, velocity, stamp)
+
+    return odom
+
+
+SPOILT = {
+    "silent": ({"odometry-age"}, lambda pose, velocity, stamp: None),
+    "garbled": ({"odometry-age"}, lambda pose, velocity, stamp: b"\x00\x01\x00\x00nonsense"),
+    "old": ({"odometry-age", "estimator"}, lambda pose, velocity, stamp: odometry(pose, velocity, stamp - 5_000_000_000)),
+    "nan": ({"estimator"}, lambda pose, velocity, stamp: odometry(pose, Velocity(math.nan, 0), stamp)),
+    "nowhere": ({"estimator"}, lambda pose, v, stamp: odometry(Pose(math.inf, 0, 0), v, stamp)),
+    "kidnapped": ({"estimator"}, lambda pose, v, stamp: odometry(Pose(pose.x + 0.5, *pose[1:]), v, stamp)),
+}
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_odometry_that_cannot_be_trusted_stops_the_rover_in_half_a_second(bridge, drive, name):
+    rules, spoilt = SPOILT[name]
+    when = []
+
+    def noted(*sample):
+        when.append(time.monotonic())
+        return spoilt(*sample)
+
+    bridge.odom = seen_once_driving(bridge, noted)
+    bridge.released.clear()
+    ended = []
+    threading.Thread(
+        target=lambda: (bridge.released.wait(20), ended.append(time.monotonic())), daemon=True
+    ).start()
+    code, result = drive()
+    assert (code, result["state"]) == (4, "fault")
+    assert result["stopped_by"] in rules
+    assert result["stopped_by"] in result["reason"]
+    assert bridge.commands[-1][1] == STILL
+    # 0.4 s of age, less the one period that had passed since the last good sample, and a slow machine.
+    assert ended[0] - when[0] < 0.5
+
+
+def test_a_lost_sample_is_bridged_by_prediction_and_counted(bridge, drive, tmp_path):
+    lost = iter([True])
+    bridge.odom = seen_once_driving(bridge, lambda *sample: None if next(lost, False) else odometry(*sample))
+    code, result = drive()
+    assert code == 1
+    assert result["predicted"] >= 1
+    assert result["overruns"] == result["predicted"] + result["missed"]
+    assert result["ticks"] + result["missed"] == 20
+    assert replay(tmp_path / "run.mcap").difference is None
+
+
+@pytest.mark.parametrize(
+    ("harm", "rule"),
+    [
+        (lambda bridge: bridge.vanish(), "bridge-lost"),
+        (lambda bridge: setattr(bridge, "gate", GateStatus(ended="bumper")), "bumper"),
+        (lambda bridge: setattr(bridge, "gate", GateStatus(driver="ab" * 16)), "lease"),
+    ],
+)
+def test_losing_the_bridge_or_the_lease_ends_the_drive_with_a_name(bridge, drive, harm, rule):
+    bridge.after_commands(5, lambda: harm(bridge))
+    code, result = drive()
+    assert (code, result["stopped_by"]) == (4, rule)
+    assert result["ticks"] < 15
+    assert bridge.released.is_set()
+
+
+def test_a_refusal_names_its_reason_and_moves_nothing(bridge, drive):
+    bridge.refusal = "stop-button"
+    code, result = drive()
+    assert (code, result["stopped_by"]) == (4, "gate")
+    assert "stop-button" in result["reason"]
+    assert [velocity for _, velocity in bridge.commands if velocity != STILL] == []
+
+
+def test_a_second_driver_is_told_so(bridge, drive):
+    bridge.gate = GateStatus(driver="ab" * 16)
+    bridge.refusal = "another-driver"
+    with pytest.raises(AnotherDriver, match="another-driver"):
+        drive()
+    assert [velocity for _, velocity in bridge.commands if velocity != STILL] == []
+
+
+def test_a_dry_run_commands_nothing_and_is_done_with_0(bridge, drive, tmp_path):
+    code, result = drive(dry_run=True, duration_s=0.5)
+    assert code == 0
+    assert result["dry_run"]
+    assert result["ticks"] + result["missed"] == 5
+    assert bridge.commands == bridge.requests == []
+    assert replay(tmp_path / "run.mcap").difference is None
+
+
+def test_an_external_pose_places_the_rover_on_the_course(bridge, drive, tmp_path):
+    there = Pose(0.2, 0.1, 0.3)
+    covariance = [[0.0] * 3] * 3
+
+    def odom(pose, velocity, stamp):
+        bridge.publish_pose(pose_with_covariance(there, covariance, stamp, "course"))
+        return odometry(pose, velocity, stamp)
+
+    bridge.odom = odom
+    drive(duration_s=0.3)
+    recording = read_recording(tmp_path / "run.mcap")
+    first = read_pose(recording.topic("rover/estimate")[0].data).pose
+    assert distance(first, there) < 1e-6
+    assert first.theta == pytest.approx(0.3)
+    assert replay(tmp_path / "run.mcap").difference is None
+
+
+def test_a_recorder_that_fails_does_not_stop_the_drive(bridge, drive, monkeypatch):
+    written = []
+
+    def fail_after_some(self, message):
+        written.append(message)
+        if len(written) > 20:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(RecordingWriter, "write", fail_after_some)
+    code, result = drive()
+    assert code == 1
+    assert result["ticks"] + result["missed"] == 20
+    assert "No space left" in result["recording_failure"]
+    assert result["recording_dropped"] > 20
+
+
+def test_no_bridge_is_said_in_bounded_time(drive, tmp_path):
+    began = time.monotonic()
+    with pytest.raises(NoBridge, match="nothing answers at tcp/127"):
+        drive(robot=f"tcp/127.0.0.1:{free_port()}")
+    assert time.monotonic() - began < 5
+    assert not (tmp_path / "run.mcap").exists()
+
+
+def test_a_router_without_a_bridge_in_our_namespace_is_no_bridge(drive, monkeypatch):
+    monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, bridge_wait_s=0.3))
+    with pytest.raises(NoBridge, match="no bridge shows itself there in namespace bot7"):
+        drive(namespace="bot7")
+
+
+def test_a_bridge_without_odometry_has_no_robot(bridge, drive, monkeypatch):
+    monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, odometry_wait_s=0.3))
+    bridge.odom = lambda *sample: None
+    with pytest.raises(NoRobot, match="sends no odometry"):
+        drive()
+
+
+def test_a_rover_that_moves_before_the_start_is_not_driven(bridge, drive, monkeypatch):
+    monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, still_s=0.4, still_wait_s=1.0))
+    bridge.velocity = Velocity(0.1, 0.0)
+    code, result = drive()
+    assert (code, result["stopped_by"]) == (4, "not-standing")
+    assert bridge.requests == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"policy": "nothing.yaml"}, "nothing.yaml: no such file"),
+        ({"policy": "unheard-of"}, "unheard-of: no such file, and none of the shipped"),
+        ({"course": "nowhere.yaml"}, "nowhere.yaml: no such file"),
+        ({"robot": "192.168.1.20"}, r"--robot 192.168.1.20: expected PROTOCOL/HOST\[:PORT\]"),
+        ({"namespace": "a b"}, "namespace 'a b'"),
+        ({"zenoh_config": Path("missing.json5")}, "missing.json5: no such file"),
+        ({"record": Path("/proc/nothing/run.mcap")}, "/proc/nothing/run.mcap: cannot be written"),
+    ],
+)
+def test_a_users_mistake_is_one_line_and_moves_nothing(bridge, drive, changes, message):
+    with pytest.raises(RoverNcpError, match=message) as caught:
+        drive(**changes)
+    assert caught.value.exit_code == 2
+    assert "\n" not in str(caught.value)
+    assert bridge.requests == []
+
+
+def test_a_broken_zenoh_configuration_is_named(bridge, drive, tmp_path):
+    path = tmp_path / "zenoh.json5"
+    path.write_text('{ mode: "client", no_such_key: 1 }')
+    with pytest.raises(RoverNcpError, match="json5: not a Zenoh configuration") as caught:
+        drive(zenoh_config=path)
+    assert caught.value.exit_code == 2

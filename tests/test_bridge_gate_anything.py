@@ -1,0 +1,159 @@
+"""Whatever arrives at the gate, in whatever order: what comes out is finite, within limits, and allowed."""
+
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bridge.gate import ROS_DRIVER, step
+from bridge.gate_state import (
+    ZERO,
+    BaseLost,
+    Command,
+    Enable,
+    Heard,
+    Release,
+    State,
+    Stop,
+    Tick,
+    Unlatch,
+)
+from bridge.limits import Fence, Limits
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.lease import CommandTag
+
+ME, OTHER = b"me".ljust(16), b"other".ljust(16)
+SLOW = Velocity(0.1, -0.1)
+
+speeds = st.floats(-0.7, 0.7) | st.sampled_from([0.0, -0.0, 0.3, -0.3, 1e308, math.nan, math.inf, -math.inf])
+velocities = st.builds(Velocity, speeds, speeds) | st.none()
+drivers = st.sampled_from([ME, ME, ME, OTHER, ROS_DRIVER])
+stamp_errors = st.sampled_from([0, 0, 0, 10_000_000, -10_000_000, 10**9, -(10**9), 2**62, -(2**62)])
+numbers = st.floats(-5, 5) | st.sampled_from([0.0, math.nan, math.inf, 1e308])
+reports = st.builds(
+    Heard,
+    x=numbers,
+    y=numbers,
+    theta=numbers,
+    v=numbers,
+    omega=numbers,
+    battery_v=st.sampled_from([0.0, 12.0, 12.0, 10.0, math.nan]),
+    motors_on=st.sampled_from([True, True, True, False]),
+    stop_pressed=st.sampled_from([False] * 9 + [True]),
+    stalled=st.sampled_from([False] * 9 + [True]),
+    bumped=st.sampled_from([False] * 9 + [True]),
+)
+good = st.just(("good", None))
+happenings = st.lists(
+    st.tuples(
+        st.sampled_from([*[0.02, 0.05, 0.1] * 5, 0.0, 0.3, 1.1, 61.0, -1.0]),
+        st.one_of(
+            *[good] * 8,
+            st.just(("start", None)),
+            st.tuples(st.just("report"), reports),
+            st.tuples(st.just("event"), st.sampled_from([Tick(), BaseLost(), Stop("x"), Unlatch()])),
+            st.tuples(st.just("enable"), st.tuples(drivers, stamp_errors)),
+            st.tuples(st.just("release"), drivers),
+            st.tuples(
+                st.just("tagged"),
+                st.tuples(velocities, drivers, st.integers(0, 40) | st.integers(0, 2**64 - 1), stamp_errors),
+            ),
+            st.tuples(
+                st.just("plain"), st.tuples(velocities, st.none() | st.floats() | st.floats(-0.4, 0.4))
+            ),
+        ),
+    ),
+    min_size=5,
+    max_size=40,
+)
+all_limits = st.builds(
+    Limits,
+    v_max=st.sampled_from([0.3, 0.01, 1.2]),
+    omega_max=st.sampled_from([0.6, 0.01, 3.0]),
+    accel=st.sampled_from([1.0, 0.01, 5.0]),
+    alpha=st.sampled_from([4.0, 0.01]),
+    fence=st.none() | st.just(Fence(x_min=-1.0, x_max=1.0, y_min=-1.0, y_max=1.0)),
+)
+
+
+def events_of(kind, what, now, sequence):
+    """The events that a happening stands for: "start" is all it takes to begin, "good" to go on."""
+    stamp = round(now * 1e9)
+    match kind:
+        case "good":
+            yield Heard()
+            yield Command(SLOW, CommandTag(ME, sequence, stamp))
+        case "start":
+            yield Unlatch()
+            yield Heard()
+            yield Enable(ME, "x", stamp)
+        case "enable":
+            yield Enable(what[0], "x", stamp + what[1])
+        case "release":
+            yield Release(what)
+        case "tagged":
+            velocity, driver, number, error = what
+            yield Command(velocity, CommandTag(driver, number, stamp + error))
+        case "plain":
+            yield Command(what[0], None, what[1])
+        case _:
+            yield what
+
+
+def allowed_to_move(history, limits):
+    """Whether the rover may move now, told from the history alone and by other means than the gate's."""
+    now = history[-1][0]
+    reported_s, report = next(
+        ((t, event) for t, event, _ in reversed(history) if isinstance(event, Heard)), (-math.inf, None)
+    )
+    counted = [
+        k
+        for k, (_, event, verdict) in enumerate(history)
+        if isinstance(event, Command) and verdict.dropped is None
+    ]
+    if not counted or now - reported_s > limits.odometry_s:
+        return False
+    commanded_s, command, _ = history[counted[-1]]
+    driver = ROS_DRIVER if command.tag is None else command.tag.driver
+    latches = [event for _, event, _ in history if isinstance(event, Stop | Unlatch)]
+    return (
+        now - commanded_s <= limits.silence_s
+        and report.motors_on
+        and all(math.isfinite(getattr(report, name)) for name in ("x", "y", "theta", "v", "omega"))
+        and not any(ends(event, driver) for _, event, _ in history[counted[-1] + 1 :])
+        and not (latches and isinstance(latches[-1], Stop))
+    )
+
+
+def ends(event, driver):
+    if isinstance(event, Heard):
+        return event.stop_pressed or event.stalled or event.bumped
+    return isinstance(event, Stop | BaseLost) or event == Release(driver)
+
+
+@settings(max_examples=300)
+@given(happenings=happenings, limits=all_limits, accept_ros=st.booleans())
+def test_whatever_arrives_what_comes_out_is_finite_within_limits_and_allowed(happenings, limits, accept_ros):
+    state, now, before = State(), 100.0, (100.0, ZERO)
+    history = []
+    prelude = [(0.0, ("report", Heard())), (0.0, ("enable", (ME, 0)))]
+    for sequence, (wait, (kind, what)) in enumerate(prelude + happenings):
+        now += wait
+        for event in events_of(kind, what, now, sequence):
+            state, verdict = step(state, event, now, limits, accept_ros)
+            v, omega = verdict.velocity
+            history.append((max(now, before[0]), event, verdict))
+            assert math.isfinite(v)
+            assert math.isfinite(omega)
+            assert abs(v) <= limits.v_max
+            assert abs(omega) <= limits.omega_max
+            elapsed = min(max(now - before[0], 0.0), 0.1)
+            for new, old, rate in ((v, before[1].v, limits.accel), (omega, before[1].omega, limits.alpha)):
+                assert abs(new) <= (abs(old) if new * old > 0 else 0.0) + rate * elapsed + 1e-12
+            if verdict.velocity != ZERO:
+                assert verdict.motors
+                assert allowed_to_move(history, limits)
+            before = (max(now, before[0]), verdict.velocity)
+    assert state.accepted + sum(state.dropped.values()) == sum(
+        isinstance(event, Command) for _, event, _ in history
+    )

@@ -15,6 +15,7 @@ from enum import Enum, IntEnum
 from typing import NamedTuple, Self
 
 __all__ = [
+    "COMMANDS",
     "Argument",
     "Command",
     "Decoder",
@@ -155,6 +156,10 @@ class Command(IntEnum):
     SPOOFANALOGTEMP = 252, _INT
     RESET = 253, _NONE
     MAINTENANCE = 255, _NONE
+
+
+COMMANDS: dict[int, Command] = {int(command): command for command in Command}
+"""The commands by their number."""
 
 
 def checksum(body: bytes | bytearray) -> int:

@@ -1,0 +1,107 @@
+"""Faults that a mock can be told to have: ``NAME[=VALUE][@START[-END]]``, as in ``mute@12-14``.
+
+Times are seconds since the motors were first enabled; a fault without a time is there from the beginning.
+"""
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rover_ncp.core.errors import UsageError
+
+__all__ = ["FAULTS", "Fault", "Faults", "parse_fault"]
+
+FAULTS: dict[str, tuple[float | None, str]] = {
+    "mute": (None, "the base sends nothing"),
+    "deaf": (None, "the base hears nothing"),
+    "corrupt": (0.1, "this share of packets, both ways, has a bit flipped"),
+    "drop": (0.1, "this share of packets, both ways, loses a byte"),
+    "noise": (0.1, "this share of packets, both ways, has bytes before it that belong to none"),
+    "freeze-odometry": (None, "SIPs keep coming, odometry stands"),
+    "jump-odometry": (0.5, "x is off by this many metres"),
+    "bumper": (None, "a front bumper is pressed"),
+    "stall": (None, "the wheels are blocked and the motors stall"),
+    "stop-button": (None, "the STOP button is pressed"),
+    "low-battery": (10.5, "the battery's voltage"),
+    "reset": (None, "the base restarts, once"),
+}
+"""Name: (default of its value, or None when it takes none; what it does)."""
+
+_DAMAGE = ("corrupt", "drop", "noise")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault; times in s since the motors were first enabled, None for always."""
+
+    name: str
+    value: float = 0.0
+    start_s: float | None = None
+    end_s: float = float("inf")
+
+    def active(self, enabled_s: float | None) -> bool:
+        """Return whether it is there, so many seconds after the motors were first enabled (None: not yet)."""
+        if self.start_s is None:
+            return True
+        return enabled_s is not None and self.start_s <= enabled_s < self.end_s
+
+
+def parse_fault(text: str) -> Fault:
+    """Read ``NAME[=VALUE][@START[-END]]``. Raises UsageError that says what is expected."""
+    what, at, when = text.partition("@")
+    name, has_value, value = what.partition("=")
+    if name not in FAULTS:
+        raise UsageError(
+            f"--fault {text}: expected NAME[=VALUE][@START[-END]], NAME one of {', '.join(FAULTS)}"
+        )
+    default = FAULTS[name][0]
+    if has_value and default is None:
+        raise UsageError(f"--fault {text}: {name} takes no value")
+    start, until, end = when.partition("-")
+    try:
+        fault = Fault(
+            name,
+            float(value) if has_value else default or 0.0,
+            float(start) if at else None,
+            float(end) if until else float("inf"),
+        )
+    except ValueError as error:
+        raise UsageError(f"--fault {text}: expected numbers in NAME[=VALUE][@START[-END]]") from error
+    if name in _DAMAGE and not 0.0 <= fault.value <= 1.0:
+        raise UsageError(f"--fault {text}: expected a share from 0 to 1")
+    if not (fault.start_s or 0.0) < fault.end_s:
+        raise UsageError(f"--fault {text}: expected an end after the start")
+    return fault
+
+
+class Faults:
+    """The faults of one base; the seed decides which packets are damaged."""
+
+    def __init__(self, faults: Sequence[Fault] = (), seed: int = 0) -> None:
+        self._faults = tuple(faults)
+        self._random = random.Random(seed)
+
+    def value(self, name: str, enabled_s: float | None) -> float | None:
+        """Return the value of a fault that is there now, None when it is not."""
+        for fault in self._faults:
+            if fault.name == name and fault.active(enabled_s):
+                return fault.value
+        return None
+
+    def damage(self, data: bytes, enabled_s: float | None) -> bytes:
+        """Return a packet as the line delivers it."""
+        spoilt = bytearray(data)
+        draw = self._random
+        for fault in self._faults:
+            if fault.name not in _DAMAGE or not fault.active(enabled_s) or not spoilt:
+                continue
+            if draw.random() >= fault.value:
+                continue
+            place = draw.randrange(len(spoilt))
+            if fault.name == "corrupt":
+                spoilt[place] ^= 1 << draw.randrange(8)
+            elif fault.name == "drop":
+                del spoilt[place]
+            else:
+                spoilt[:0] = draw.randbytes(draw.randint(1, 20))
+        return bytes(spoilt)

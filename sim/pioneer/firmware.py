@@ -1,0 +1,321 @@
+"""The firmware of a Pioneer on a simulated rover: bytes in, bytes out, time passed in.
+
+Rules of this file:
+
+1. Time moves only in ``advance`` and ``receive``, in substeps of 0.01 s; what is received at a time acts
+   after the substeps before it.
+2. Waiting for a client, SYNC0, SYNC1 and SYNC2 are echoed in order; a repeated one is echoed again, one out
+   of order starts over, all else is ignored. In a session the same numbers are PULSE, OPEN and CLOSE.
+3. Any valid packet feeds the watchdog. When it has starved for 2 s the base halts; motors, session and
+   set-points stay, and the next packet of any kind lets the set-points go on.
+4. No byte, packet or argument can do anything but what is written here: what is unknown, cut short or of the
+   wrong type is counted and ignored. Commands that a mock has nothing to show for change nothing.
+5. The session belongs to the base, not to the line: a client that vanishes leaves it open.
+
+Sources: Adept Pioneer 3 manual p. 33, 37, 38, 43, 46, 50; AROS manual p. 28, 42 to 44. AMRISim differs in
+many of these points.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from enum import Enum
+
+from bridge.arcos import COMMANDS, Argument, Command, Decoder, Packet, decode_argument, encode_frame, pair
+from bridge.packets import Kind, encode_names
+from bridge.robots import ROBOTS
+from rover_ncp.core.geometry import Pose
+from sim.pioneer.drive import Drive
+from sim.pioneer.faults import Faults
+from sim.pioneer.models import BASE_CLASS, BASE_NAME, config_of
+from sim.pioneer.report import BATTERY_DV, Panel, Reporter
+from sim.pioneer.sonar import Sonars
+from sim.world.rover import SUBSTEP_S, Rover
+
+__all__ = ["Firmware", "Link"]
+
+VEL2_M_S = 0.02
+"""Wheel speed per unit of VEL2 (Vel2Divisor 20)."""
+
+BUMPED_SEGMENT = 2
+"""The front bumper segment that the fault presses: the middle of five."""
+
+
+class Link(Enum):
+    """How far a client has come."""
+
+    WAITING = "waiting for a client"
+    SYNCED = "handshake done, not open"
+    OPEN = "servers running"
+
+
+class Firmware:
+    """One base: ``model`` is a key of ``ROBOTS``, ``rover`` is what it drives, from where that stands.
+
+    ``observe`` is called after each substep with its time in s, on the clock that ``start_s`` is of.
+    """
+
+    def __init__(
+        self,
+        model: str,
+        rover: Rover,
+        faults: Faults | None = None,
+        start_s: float = 0.0,
+        observe: Callable[[float], None] | None = None,
+    ) -> None:
+        self.robot = ROBOTS[model]
+        self.decoder = Decoder()
+        self.drive = Drive(self.robot, rover)
+        self.unknown: Counter[int] = Counter()
+        """How often each unknown command came."""
+        self.bad_arguments: Counter[int] = Counter()
+        """How often each command came with an argument that could not be used."""
+        self._config = config_of(model)
+        self._sonars = Sonars(self.robot, self._config.sonar_cycle / 1000)
+        self._reporter = Reporter(self.robot, self._config, self.drive, self._sonars)
+        self._faults = faults or Faults()
+        self._observe = observe
+        self._home = rover.pose
+        self.link = Link.WAITING
+        self._expected = 0
+        self._out = bytearray()
+        self._start_s, self._substeps = start_s, 0
+        self._enabled_first_s: float | None = None
+        self._was_reset = False
+        self._handlers = self._make_handlers()
+        self._power_up()
+
+    # What the line calls.
+
+    @property
+    def now(self) -> float:
+        """The time up to which the rover has moved, s."""
+        return self._start_s + self._substeps * SUBSTEP_S
+
+    def advance(self, now: float) -> None:
+        """Let time pass until ``now``."""
+        while self.now + SUBSTEP_S <= now + 1e-9:
+            self._substep()
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Take over bytes from the client, those of ``now``."""
+        self.advance(now)
+        if self._fault("deaf") is not None:
+            return
+        for packet in self.decoder.feed(self._faults.damage(data, self._enabled_s), now):
+            self._take(packet)
+
+    def data_to_send(self) -> bytes:
+        """Return the bytes for the client and forget them."""
+        data = bytes(self._out)
+        self._out.clear()
+        return data
+
+    def line_changed(self) -> None:
+        """Another client is on the line: what is half received or not yet sent was the last one's."""
+        self.decoder.drop()
+        self._out.clear()
+
+    # Time.
+
+    def _substep(self) -> None:
+        self._suffer()
+        starved = self.now - self._fed_s > self._config.watchdog / 1000
+        self.drive.substep(halted=starved or self.panel.blocked)
+        self._substeps += 1
+        self._sonars.listen(self.drive.rover, self.now)
+        if self._observe:
+            self._observe(self.now)
+        if self.link is Link.OPEN and self.now >= self._sip_due_s - 1e-9:
+            self._sip_due_s += self._config.sip_cycle / 1000
+            self._report()
+
+    def _report(self) -> None:
+        sip = self._reporter.sip()
+        if self._streaming(Command.SIM_STAT):
+            self._emit(self._reporter.simstat())
+        self._emit(sip)
+        if self._streaming(Command.IOREQUEST):
+            self._emit(self._reporter.io())
+        if self._streaming(Command.ENCODER):
+            self._emit(self._reporter.encoders())
+
+    def _streaming(self, command: Command) -> bool:
+        """Return whether a packet is due: mode 1 asks for one, more for a stream."""
+        mode = self._streams.get(command, 0)
+        if mode == 1:
+            del self._streams[command]
+        return mode > 0
+
+    def _emit(self, packet: Packet) -> None:
+        if self._fault("mute") is None:
+            frame = encode_frame(packet.kind, packet.payload)
+            self._out += self._faults.damage(frame, self._enabled_s)
+
+    # Faults.
+
+    @property
+    def _enabled_s(self) -> float | None:
+        """Seconds since the motors were first enabled."""
+        return None if self._enabled_first_s is None else self.now - self._enabled_first_s
+
+    def _fault(self, name: str) -> float | None:
+        return self._faults.value(name, self._enabled_s)
+
+    def _suffer(self) -> None:
+        """Let the hardware have its faults of this moment."""
+        panel, reporter = self.panel, self._reporter
+        pressed = self._fault("stop-button") is not None
+        if pressed and not panel.stop_pressed and panel.e_stall:
+            self.drive.enable(False)
+        panel.stop_pressed = pressed
+        panel.front_bumpers = 0 if self._fault("bumper") is None else 1 << BUMPED_SEGMENT
+        panel.blocked = self._fault("stall") is not None
+        low = self._fault("low-battery")
+        panel.battery_dv = self._battery_test_dv or (BATTERY_DV if low is None else round(low * 10))
+        reporter.odometry_frozen = self._fault("freeze-odometry") is not None
+        reporter.odometry_jump_m = self._fault("jump-odometry") or 0.0
+        if self._fault("reset") is not None and not self._was_reset:
+            self._was_reset = True
+            self._restart()
+
+    # Packets.
+
+    def _take(self, packet: Packet) -> None:
+        self._fed_s = self.now
+        if self.link is Link.WAITING:
+            self._synchronise(packet)
+            return
+        command = COMMANDS.get(packet.kind)
+        if command is None:
+            self.unknown[packet.kind] += 1
+            return
+        argument = decode_argument(command, packet.payload)
+        if argument is None and command is Command.SIM_STAT:
+            argument = 1
+        if argument is None and command.argument is not Argument.NONE:
+            self.bad_arguments[command] += 1
+        elif isinstance(argument, bytes):
+            if command is Command.POLLING:
+                self._sonars.poll(argument)
+        elif isinstance(argument, tuple):
+            x, y, theta = argument
+            self.drive.place(Pose(x / 1000, y / 1000, math.radians(theta)))
+        elif command in self._handlers:
+            self._handlers[command](argument or 0)
+
+    def _synchronise(self, packet: Packet) -> None:
+        if packet.kind > Kind.SYNC2 or packet.kind > self._expected:
+            self._expected = 0
+            return
+        self._expected = packet.kind + 1
+        if packet.kind == Kind.SYNC2:
+            self.link = Link.SYNCED
+            self._emit(encode_names(BASE_NAME, BASE_CLASS, self.robot.name))
+        else:
+            self._emit(packet)
+
+    def _make_handlers(self) -> dict[Command, Callable[[int], None]]:
+        """Return what each command does with its number, 0 for one without."""
+        drive, radians = self.drive, math.radians
+        return {
+            Command.OPEN: lambda _: self._open(),
+            Command.CLOSE: lambda _: self._wait(),
+            Command.CONFIG: lambda _: self._emit(self._reporter.config()),
+            Command.RESET: lambda _: self._restart(),
+            Command.ENABLE: self._enable,
+            Command.VEL: lambda mm_s: drive.set_speed(mm_s / 1000),
+            Command.RVEL: lambda deg_s: drive.set_turn(radians(deg_s)),
+            Command.ROTATE: lambda deg_s: drive.set_turn(radians(deg_s)),
+            Command.VEL2: self._set_wheels,
+            Command.MOVE: lambda mm: drive.move(mm / 1000),
+            Command.HEAD: lambda deg: drive.turn_to(radians(deg)),
+            Command.DHEAD: lambda deg: drive.turn_to(drive.odometry.theta + radians(deg)),
+            Command.DCHEAD: lambda deg: drive.turn_to(drive.heading_set_point + radians(deg)),
+            Command.STOP: lambda _: drive.stop(),
+            Command.E_STOP: lambda _: drive.emergency_stop(),
+            Command.QSTOP: lambda _: drive.emergency_stop(),
+            Command.SETV: self._set_v_limit,
+            Command.SETRV: self._set_omega_limit,
+            Command.SETA: self._set_acceleration,
+            Command.SETRA: self._set_turn_acceleration,
+            Command.SETO: lambda _: drive.zero_odometry(),
+            Command.SONAR: self._sonars.switch,
+            Command.SONARCYCLE: self._sonars.set_cycle,
+            Command.ENCODER: lambda mode: self._streams.update({Command.ENCODER: mode}),
+            Command.IOREQUEST: lambda mode: self._streams.update({Command.IOREQUEST: mode}),
+            Command.SIM_STAT: lambda mode: self._streams.update({Command.SIM_STAT: mode}),
+            Command.DIGOUT: self.panel.set_outputs,
+            Command.ADSEL: self.panel.select_port,
+            Command.E_STALL: self.panel.set_e_stall,
+            Command.BATTEST: self._test_battery,
+            Command.SIM_RESET: lambda _: self._go_home(),
+        }
+
+    # Commands.
+
+    @property
+    def panel(self) -> Panel:
+        """Battery, buttons, bumpers, ports."""
+        return self._reporter.panel
+
+    def _power_up(self) -> None:
+        self.drive.zero_odometry()
+        self._fed_s = self.now
+        self._battery_test_dv = 0
+        self._wait()
+
+    def _wait(self) -> None:
+        """End the session: stop, motors off, working values as in FLASH (AROS manual p. 44)."""
+        self.link = Link.WAITING
+        self._expected = 0
+        self._sip_due_s = math.inf
+        self._streams: dict[Command, int] = {}
+        self.drive.enable(False)
+        self.drive.restore_flash()
+        self._sonars.restore_flash()
+
+    def _open(self) -> None:
+        if self.link is Link.SYNCED:
+            self.link = Link.OPEN
+            self._sip_due_s = self.now + self._config.sip_cycle / 1000
+
+    def _restart(self) -> None:
+        self._emit(Packet(Kind.RESET_FF))
+        self._power_up()
+
+    def _go_home(self) -> None:
+        self.drive.place(self._home)
+        self.drive.zero_odometry()
+
+    def _enable(self, on: int) -> None:
+        if on and self.panel.stop_pressed and self.panel.e_stall:
+            return
+        if bool(on) != self.drive.enabled:
+            self.drive.enable(bool(on))
+        if on and self._enabled_first_s is None:
+            self._enabled_first_s = self.now
+
+    def _set_wheels(self, word: int) -> None:
+        left, right = (units * VEL2_M_S for units in pair(word))
+        self.drive.set_speed((left + right) / 2)
+        self.drive.set_turn((right - left) / 2 / self.robot.half_track_m)
+
+    def _set_v_limit(self, mm_s: int) -> None:
+        self.drive.v_limit = min(mm_s, self._config.trans_vel_top) / 1000
+
+    def _set_omega_limit(self, deg_s: int) -> None:
+        self.drive.omega_limit = math.radians(min(deg_s, self._config.rot_vel_top))
+
+    def _set_acceleration(self, mm_s2: int) -> None:
+        name = "accel" if mm_s2 > 0 else "decel"
+        if mm_s2:
+            self.drive.set_limit(**{name: min(abs(mm_s2), self._config.trans_acc_top) / 1000})
+
+    def _set_turn_acceleration(self, deg_s2: int) -> None:
+        name = "alpha" if deg_s2 > 0 else "alpha_decel"
+        if deg_s2:
+            self.drive.set_limit(**{name: math.radians(min(abs(deg_s2), self._config.rot_acc_top))})
+
+    def _test_battery(self, decivolts: int) -> None:
+        self._battery_test_dv = decivolts

@@ -1,0 +1,76 @@
+"""The Pioneers that the mock can be: rover, FLASH values, names.
+
+Factors and outlines are those of ``bridge.robots``; FLASH values from real and simulated CONFIGpacs
+(AriaCoda issue 15, AMRISim). What no source tells is chosen and says so.
+"""
+
+import math
+
+from bridge.packets import ConfigPac
+from bridge.robots import ROBOTS, RobotParameters
+from sim.world.rover import RoverModel
+
+__all__ = ["BASE_CLASS", "BASE_NAME", "TICKS_PER_MM", "config_of", "rover_model_of"]
+
+BASE_NAME, BASE_CLASS = "rover-ncp_mock", "Pioneer"
+
+TICKS_PER_MM = 128
+"""TicksMM as users of P3-DX and P3-AT set it (rosaria issues 31 and 68)."""
+
+BUMPER_SEGMENTS = 5
+"""Front and rear, as ARIA's defaults."""
+
+_AT_MASS_KG, _DX_MASS_KG = 12.0, 9.0
+
+
+def rover_model_of(robot: RobotParameters) -> RoverModel:
+    """Return the simulated rover of a model: the paper's for a 3-AT, with the size of a 3-DX otherwise."""
+    if robot.name.startswith("p3at"):
+        return RoverModel(mass=_AT_MASS_KG, length=robot.length_m, width=robot.width_m)
+    return RoverModel(
+        mass=_DX_MASS_KG,
+        length=robot.length_m,
+        width=robot.width_m,
+        v_max=1.2,  # data sheet
+        omega_max=math.radians(300),  # data sheet
+    )
+
+
+def config_of(name: str) -> ConfigPac:
+    """Return the CONFIGpac of a model fresh from power-up. Its COUNT is beyond 127, as a real one's."""
+    robot = ROBOTS[name]
+    rover = rover_model_of(robot)
+    accel, decel = round(rover.accel * 1000), round(rover.decel * 1000)
+    turn_accel, turn_decel = round(math.degrees(rover.alpha)), round(math.degrees(rover.alpha_decel))
+    return ConfigPac(
+        robot_type=BASE_CLASS,
+        subtype=robot.name,
+        serial_number="MOCK",
+        rot_vel_top=round(math.degrees(robot.omega_max)),
+        trans_vel_top=round(robot.v_max * 1000),
+        rot_acc_top=300,
+        trans_acc_top=2000,
+        pwm_max=500,
+        name=BASE_NAME,
+        sip_cycle=100,
+        front_sonar=1,
+        rear_sonar=1,
+        low_battery=115,
+        rev_count=16500,
+        watchdog=2000,
+        stall_val=200,
+        stall_count=200,
+        rot_vel_max=round(math.degrees(rover.omega_max)),
+        trans_vel_max=round(rover.v_max * 1000),
+        rot_acc=turn_accel,
+        rot_decel=turn_decel,
+        trans_acc=accel,
+        trans_decel=decel,
+        front_bumps=BUMPER_SEGMENTS,
+        rear_bumps=BUMPER_SEGMENTS,
+        sonar_cycle=40,
+        autobaud=1,
+        ticks_mm=TICKS_PER_MM,
+        shutdown_volts=100,
+        version="2.9",
+    )

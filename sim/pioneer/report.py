@@ -1,0 +1,191 @@
+"""What the base tells about itself, as packets: SIP, CONFIGpac, ENCODERpac, IOpac, SIMSTAT."""
+
+import math
+from dataclasses import dataclass, replace
+
+from bridge.arcos import Packet
+from bridge.odometry import COUNTER_BITS, HEADING_BITS
+from bridge.packets import ConfigPac, EncoderPac, Flag, IoPac, SimStat, Sip
+from bridge.robots import RobotParameters
+from rover_ncp.core.geometry import Pose
+from sim.pioneer.drive import Drive
+from sim.pioneer.models import TICKS_PER_MM
+from sim.pioneer.sonar import Sonars
+
+__all__ = ["Panel", "Reporter"]
+
+BATTERY_DV = 128
+
+IDLE_LEVEL = 0xFF
+"""Digital lines are pulled up: 1 is idle, 0 is triggered (manual p. 50)."""
+
+UNDER_VOLTAGE = 1 << 3
+"""Bit of FAULTFLAGS (ARIA's demo)."""
+
+NO_TEMPERATURE = -128
+
+
+@dataclass
+class Panel:
+    """Battery, buttons, bumpers, ports: what is neither drive nor sonar."""
+
+    battery_dv: int = BATTERY_DV
+    stop_pressed: bool = False
+    e_stall: bool = True
+    """Whether the STOP button switches the motors off."""
+    front_bumpers: int = 0
+    """Bit 0 is the left-most segment."""
+    blocked: bool = False
+    """Both motors stall whatever the wheels do."""
+    analog_port: int = 0
+    digout: int = 0
+
+    def set_outputs(self, word: int) -> None:
+        """DIGOUT: high byte the outputs to change, low byte their states."""
+        mask = word >> 8 & 0xFF
+        self.digout = (self.digout & ~mask) | (word & mask)
+
+    def select_port(self, number: int) -> None:
+        """ADSEL."""
+        self.analog_port = number & 0xFF
+
+    def set_e_stall(self, on: int) -> None:
+        """E_STALL."""
+        self.e_stall = bool(on)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """What odometry and encoders say."""
+
+    odometry: Pose
+    heading_set_point: float
+    wheel_speeds: tuple[float, float]
+    omega: float
+    wheels_m: tuple[float, float]
+    moving: bool
+
+
+class Reporter:
+    """Writes the packets of one base."""
+
+    def __init__(self, robot: RobotParameters, config: ConfigPac, drive: Drive, sonars: Sonars) -> None:
+        self.panel = Panel()
+        self.odometry_frozen = False
+        self.odometry_jump_m = 0.0
+        self._robot = robot
+        self._config = config
+        self._drive = drive
+        self._sonars = sonars
+        self._last = self._motion()
+
+    def _motion(self) -> _Motion:
+        drive = self._drive
+        return _Motion(
+            odometry=drive.odometry,
+            heading_set_point=drive.heading_set_point,
+            wheel_speeds=drive.wheel_speeds,
+            omega=drive.rover.velocity.omega,
+            wheels_m=drive.wheels_m,
+            moving=drive.moving,
+        )
+
+    def sip(self) -> Packet:
+        """Return the SIP of this moment; sonar readings are those since the last one."""
+        if not self.odometry_frozen:
+            self._last = self._motion()
+        motion, panel, robot = self._last, self.panel, self._robot
+        left, right = (round(speed / robot.velocity_m_s) for speed in motion.wheel_speeds)
+        stalled = (True, True) if panel.blocked else self._drive.stalled
+        return Sip(
+            x=_counter((motion.odometry.x + self.odometry_jump_m) / robot.distance_m),
+            y=_counter(motion.odometry.y / robot.distance_m),
+            theta=_heading(motion.odometry.theta),
+            left=left,
+            right=right,
+            battery_dv=min(panel.battery_dv, 255),
+            stall_left=int(stalled[0]),
+            stall_right=int(stalled[1]) | panel.front_bumpers << 1,
+            control=_heading(motion.heading_set_point),
+            flags=self._flags(),
+            compass=0,
+            grip_state=0,
+            analog_port=panel.analog_port,
+            analog=0,
+            digin=IDLE_LEVEL,
+            digout=panel.digout,
+            battery_x10=panel.battery_dv,
+            charge_state=0,
+            rotvel=round(math.degrees(motion.omega) * 10),
+            faults=UNDER_VOLTAGE if panel.battery_dv < self._config.low_battery else 0,
+            latvel=0,
+            temperature=NO_TEMPERATURE,
+            state_of_charge=0,
+            sonar=self._sonars.take(),
+            moving=motion.moving,
+        ).encode()
+
+    def _flags(self) -> int:
+        flags = self._sonars.flags
+        if self._drive.enabled:
+            flags |= Flag.MOTORS
+        if self.panel.stop_pressed:
+            flags |= Flag.STOP_BUTTON
+            if self.panel.e_stall:
+                flags |= Flag.E_STALL
+        return flags
+
+    def config(self) -> Packet:
+        """Return the CONFIGpac: FLASH, and the limits now in force."""
+        drive = self._drive
+        return replace(
+            self._config,
+            trans_vel_max=round(drive.v_limit * 1000),
+            rot_vel_max=round(math.degrees(drive.omega_limit)),
+            trans_acc=round(drive.limits["accel"] * 1000),
+            trans_decel=round(drive.limits["decel"] * 1000),
+            rot_acc=round(math.degrees(drive.limits["alpha"])),
+            rot_decel=round(math.degrees(drive.limits["alpha_decel"])),
+        ).encode()
+
+    def encoders(self) -> Packet:
+        """Return the ENCODERpac: ticks since power-up, which wrap at 32 bits."""
+        left, right = (round(way * 1000 * TICKS_PER_MM) for way in self._last.wheels_m)
+        return EncoderPac(_signed(left, 32), _signed(right, 32)).encode()
+
+    def io(self) -> Packet:
+        """Return the IOpac; its last analog value is the battery, 0 to 1023 for 0 to 25.5 V (chosen)."""
+        bumpers = IDLE_LEVEL & ~self.panel.front_bumpers
+        battery = min(round(self.panel.battery_dv / 255 * 1023), 1023)
+        return IoPac(
+            inputs=(IDLE_LEVEL, bumpers, IDLE_LEVEL, IDLE_LEVEL),
+            outputs=(self.panel.digout,),
+            analog=(0,) * 8 + (battery,),
+        ).encode()
+
+    def simstat(self) -> Packet:
+        """Return the SIMSTAT: the true pose."""
+        x, y, theta = self._drive.rover.pose
+        return SimStat(
+            sim_interval_ms=self._config.sip_cycle,
+            real_interval_ms=self._config.sip_cycle,
+            last_interval_ms=self._config.sip_cycle,
+            x_mm=round(x * 1000),
+            y_mm=round(y * 1000),
+            theta_deg=round(math.degrees(theta)),
+        ).encode()
+
+
+def _counter(units: float) -> int:
+    """Return a position as ARCOS sends it: 15 bits that wrap."""
+    return round(units) % (1 << COUNTER_BITS)
+
+
+def _heading(theta: float) -> int:
+    """Return a heading in units of 4096 a turn, −2048 to 2047."""
+    return _signed(round(theta / math.tau * (1 << HEADING_BITS)), HEADING_BITS)
+
+
+def _signed(value: int, bits: int) -> int:
+    half = 1 << (bits - 1)
+    return (value + half) % (2 * half) - half

@@ -1,0 +1,82 @@
+"""The base's sonars: which of them fire when, and what they hear in the bay.
+
+Two arrays, front (0 to 7) and rear (8 to 15), fire one sonar each per sonar cycle, in turn (POLLING changes
+the order). A reading is the distance along the sonar's axis; a real cone hears more, and later.
+"""
+
+import math
+
+from bridge.packets import NO_ECHO_MM, Flag
+from bridge.robots import RobotParameters
+from rover_ncp.core.geometry import compose
+from sim.world.bay import ROVER_FILTER
+from sim.world.rover import Rover
+
+__all__ = ["Sonars"]
+
+ARRAY = 8
+RANGE_M = NO_ECHO_MM / 1000
+
+
+class Sonars:
+    """The sonars of one base."""
+
+    def __init__(self, robot: RobotParameters, cycle_s: float) -> None:
+        self._poses = robot.sonars
+        self._flash_cycle_s = cycle_s
+        self.restore_flash()
+
+    def restore_flash(self) -> None:
+        """Go back to power-up: all on, in their order."""
+        self._cycle_s = self._flash_cycle_s
+        self._on = [True, True]
+        self._order = [list(range(ARRAY)), list(range(ARRAY, 2 * ARRAY))]
+        self._turns = [0, 0]
+        self._due_s = 0.0
+        self._heard: dict[int, int] = {}
+
+    @property
+    def flags(self) -> int:
+        """Their bits of FLAGS."""
+        return (Flag.SONAR_1 if self._on[0] else 0) | (Flag.SONAR_2 if self._on[1] else 0)
+
+    def switch(self, argument: int) -> None:
+        """SONAR: bit 0 on or off, bits 1 to 3 the array from 1, 0 for all."""
+        array = argument >> 1 & 7
+        for index in range(2):
+            if array in (0, index + 1):
+                self._on[index] = bool(argument & 1)
+
+    def poll(self, sequence: bytes) -> None:
+        """POLLING: the sonars to fire, from 1; those left out stay silent. Empty restores the default."""
+        numbers = [number - 1 for number in sequence if 1 <= number <= 2 * ARRAY]
+        every = numbers or list(range(2 * ARRAY))
+        self._order = [[n for n in every if n // ARRAY == index] for index in range(2)]
+        self._turns = [0, 0]
+
+    def set_cycle(self, milliseconds: int) -> None:
+        """SONARCYCLE; 0 goes back to FLASH."""
+        self._cycle_s = milliseconds / 1000 or self._flash_cycle_s
+
+    def listen(self, rover: Rover, now: float) -> None:
+        """Fire what is due at ``now``."""
+        if now < self._due_s:
+            return
+        self._due_s = now + self._cycle_s
+        for index in range(2):
+            order = self._order[index]
+            if self._on[index] and order:
+                number = order[self._turns[index] % len(order)]
+                self._turns[index] += 1
+                self._heard[number] = self._range_mm(rover, number)
+
+    def take(self) -> tuple[tuple[int, int], ...]:
+        """Return (number, mm) of what was heard since the last call."""
+        heard, self._heard = self._heard, {}
+        return tuple(sorted(heard.items()))
+
+    def _range_mm(self, rover: Rover, number: int) -> int:
+        x, y, theta = compose(rover.pose, self._poses[number])
+        end = (x + RANGE_M * math.cos(theta), y + RANGE_M * math.sin(theta))
+        hit = rover.bay.space.segment_query_first((x, y), end, 0.0, ROVER_FILTER)
+        return NO_ECHO_MM if hit is None else round(hit.alpha * NO_ECHO_MM)

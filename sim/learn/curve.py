@@ -41,14 +41,25 @@ def curve_png(agents: Sequence[AgentState], last: int, title: str) -> bytes:
     iterations = curve_iterations(last)
     losses = -np.array([[agent.value_at(i) for i in iterations] for agent in agents])
     losses = np.maximum(losses, _LEAST_LOSS)
-    best = agents[int(np.argmin(losses[:, -1]))]
+    best = int(np.argmin(losses[:, -1]))
     figure = Figure(figsize=(8, 5), dpi=120, layout="constrained")
     axes = figure.add_subplot()
-    for loss in losses:
-        axes.step(iterations, loss, where="post", color="0.75", linewidth=1)
-    axes.step(iterations, np.median(losses, axis=0), where="post", color="tab:blue", linewidth=2)
-    axes.step(iterations, losses[best.number], where="post", color="tab:orange", linewidth=2)
-    axes.set(xlabel="iteration", ylabel="return of the best circuit so far", title=title)
+    for row, loss in enumerate(losses):
+        label = f"{len(losses)} agents" if row == 0 else None
+        axes.step(iterations, loss, where="post", color="0.72", linewidth=1, label=label)
+    median = np.median(losses, axis=0)
+    for loss, color, label in (
+        (median, "tab:blue", f"median {-median[-1]:.3f}"),
+        (losses[best], "tab:orange", f"agent {agents[best].number:02} {-losses[best, -1]:.3f}"),
+    ):
+        axes.step(iterations, loss, where="post", color=color, linewidth=2, label=label)
+    axes.set_yscale("log")
+    axes.invert_yaxis()
+    axes.yaxis.set_major_formatter(lambda loss, _: f"−{loss:g}")
+    axes.yaxis.set_minor_formatter(lambda loss, _: "")
+    axes.grid(alpha=0.3)
+    axes.set(xlabel="iteration", ylabel="best return so far", title=title, xlim=(0, max(last, 1)))
+    axes.legend(loc="lower right")
     buffer = io.BytesIO()
     # Neither version nor time in the file: the same curves give the same bytes.
     figure.savefig(buffer, format="png", metadata={"Software": None})

@@ -96,7 +96,7 @@ class RunFolder:
         for agent in snapshot.agents:
             save_policy(self._agents / f"{agent.number:02}.yaml", self.policy(agent, snapshot))
         settings = self._record.settings
-        title = f"{settings.course}, {settings.search} search, seed {settings.seed}"
+        title = f"{self.task.course.name}, {settings.search} search, seed {settings.seed}"
         write_atomic(self.path / "curve.png", curve_png(snapshot.agents, snapshot.iterations, title))
 
     def policy(self, agent: AgentState, snapshot: Snapshot) -> Policy:

@@ -1,0 +1,318 @@
+"""A training run on disk: what it holds, what it refuses, and that dying anywhere changes nothing."""
+
+import csv
+import fcntl
+import json
+import os
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core import files
+from rover_ncp.core.course import load_course
+from rover_ncp.core.errors import ConfigError, FileError, UsageError
+from sim.learn.curve import curve_csv, curve_iterations, curve_png
+from sim.learn.engine import Engine
+from sim.learn.ensemble import Snapshot
+from sim.learn.record import TrainSettings
+from sim.learn.team import AgentState
+from sim.learn.train import TrainResult, train
+
+COURSE = Path(__file__).parent / "data" / "short_course.yaml"
+SETTINGS = TrainSettings(course=str(COURSE), seed=1, agents=2, iterations=150)
+
+
+@pytest.fixture(autouse=True)
+def _no_git(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody may commit while the tests run; without git the record names no commit."""
+    monkeypatch.setenv("PATH", "")
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that nobody disturbed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PATH", "")
+        out = tmp_path_factory.mktemp("reference") / "run"
+        run(out)
+    return out
+
+
+def run(out: Path, settings: TrainSettings = SETTINGS, **options: Any) -> TrainResult:
+    return train(settings, out, processes=1, **options)
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_a_run_leaves_these_files(reference: Path) -> None:
+    names = ["agents/00.json", "agents/00.yaml", "agents/01.json", "agents/01.yaml"]
+    assert sorted(content(reference)) == [*names, "curve.csv", "curve.png", "policy.yaml", "settings.yaml"]
+
+
+def test_the_policy_scores_what_its_provenance_says_to_the_last_bit(reference: Path) -> None:
+    course = load_course(COURSE)
+    rows = list(csv.reader((reference / "curve.csv").read_text().splitlines()))
+    for name, column in (("00", 1), ("01", 2)):
+        policy = load_policy(reference / "agents" / f"{name}.yaml")
+        score = Engine(policy, course).returns(policy.parameters()[None])[0]
+        assert score == policy.provenance["return"] == float(rows[-1][column])
+        assert policy.courses == ("short",)
+    best = load_policy(reference / "policy.yaml")
+    assert best.provenance["return"] == max(float(value) for value in rows[-1][1:])
+
+
+def test_the_command_in_a_policy_makes_it_again(reference: Path, tmp_path: Path) -> None:
+    command = shlex.split(load_policy(reference / "policy.yaml").provenance["command"])
+    assert command[:2] == ["rover-ncp", "train"]
+    options = dict(zip(command[2::2], command[3::2], strict=True))
+    settings = TrainSettings.model_validate(
+        {k.removeprefix("--"): v for k, v in options.items()}, strict=False
+    )
+    assert settings == SETTINGS
+    run(tmp_path / "again", settings)
+    assert content(tmp_path / "again") == content(reference)
+
+
+def test_a_run_that_was_told_to_stop_names_the_command_that_stops_there(tmp_path: Path) -> None:
+    seen: list[Policy] = []
+
+    def enough(snapshot: Snapshot, best: Policy) -> bool:
+        seen.append(best)
+        assert best.provenance["return"] == snapshot.best.value
+        return snapshot.iterations == 100
+
+    stopped = run(tmp_path / "stopped", stop_when=enough)
+    assert stopped.agents.iterations == 100
+    assert len(seen) == 2
+    assert "--iterations 100 " in stopped.policy.provenance["command"]
+    exact = run(tmp_path / "exact", SETTINGS.model_copy(update={"iterations": 100}))
+    stopped_files, exact_files = content(tmp_path / "stopped"), content(tmp_path / "exact")
+    assert stopped_files.pop("settings.yaml") != exact_files.pop("settings.yaml")
+    assert stopped_files == exact_files
+    assert exact.agents == stopped.agents
+
+
+def test_processes_change_nothing(reference: Path, tmp_path: Path) -> None:
+    result = train(SETTINGS, tmp_path / "two", processes=2)
+    assert content(tmp_path / "two") == content(reference)
+    assert result.iterations_per_s is not None
+    assert result.iterations_per_s > 0
+
+
+def test_resuming_a_complete_run_writes_the_same_bytes(reference: Path) -> None:
+    before = content(reference)
+    stamps = {name: (reference / name).stat().st_mtime_ns for name in before}
+    result = run(reference, resume=True)
+    assert content(reference) == before
+    assert (reference / "policy.yaml").stat().st_mtime_ns > stamps["policy.yaml"]
+    assert result.iterations_per_s is None
+
+
+class _Died(BaseException):
+    """Stands for a kill: no handler of the code under test knows it."""
+
+
+def test_dying_before_any_single_write_changes_nothing(
+    reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a checkpoint every round: the death comes before the first write, the second, ... the last."""
+    monkeypatch.setattr("sim.learn.train._CHECKPOINT_SHARE", float("inf"))
+    monkeypatch.setattr("sim.learn.folder.curve_png", lambda *_: b"drawing takes longest")
+    left = 0
+
+    def dying_write(path: Path, data: bytes | str) -> None:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise _Died
+        files.write_atomic(path, data)
+
+    for module in ("sim.learn.agent_file", "sim.learn.folder", "rover_ncp.circuit.policy_file"):
+        monkeypatch.setattr(f"{module}.write_atomic", dying_write)
+    expected, deaths = content(reference) | {"curve.png": b"drawing takes longest"}, 0
+    while True:
+        out, left = tmp_path / str(deaths), deaths
+        try:
+            run(out)
+        except _Died:
+            deaths += 1
+            (out / ".policy.yaml.x1y2z3").write_text("half a pol")
+            if (out / "agents").is_dir():
+                (out / "agents" / ".00.json.abc").write_text("{")
+            left = 1_000_000
+            run(out, resume=True)
+            assert content(out) == expected
+        else:
+            break
+    # The record, three rounds and the end of two agents, policy and curve; two policies and the picture.
+    assert deaths == 1 + 4 * 4 + 3
+
+
+def test_an_interrupted_run_saves_its_last_round(
+    reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.learn.train._CHECKPOINT_SHARE", 1e-9)
+
+    def interrupt(snapshot: Snapshot) -> None:
+        if snapshot.iterations == 100:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "run", on_progress=interrupt)
+    table = (tmp_path / "run" / "curve.csv").read_text().splitlines()
+    assert table[-1].startswith("100,")
+    assert load_policy(tmp_path / "run" / "policy.yaml").provenance["settings"]["iterations"] == 100
+    run(tmp_path / "run", resume=True)
+    assert content(tmp_path / "run") == content(reference)
+
+
+def test_a_folder_in_use_is_refused(reference: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"holds a training run; go on with --resume, or choose"):
+        run(reference)
+    (tmp_path / "holiday.jpg").write_bytes(b"")
+    for resume in (False, True):
+        with pytest.raises(UsageError, match=r"is not empty \(holiday.jpg\) and holds no training run"):
+            run(tmp_path, resume=resume)
+    assert [path.name for path in tmp_path.iterdir()] == ["holiday.jpg"]
+    with pytest.raises(FileError, match="cannot be used as a folder"):
+        run(tmp_path / "holiday.jpg")
+    handle = os.open(reference, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        with pytest.raises(UsageError, match="another process is training in this folder"):
+            run(reference, resume=True)
+    finally:
+        os.close(handle)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"seed": 2}, "--seed was 1 when this run began, now 2"),
+        ({"agents": 3, "iterations": 9}, "--agents was 2 .*now 3; --iterations was 150 .*now 9"),
+        ({"search": "algorithm1"}, "--search was published .*now algorithm1"),
+        ({"course": "parking"}, "--course was .*short_course.yaml .*now parking$"),
+    ],
+)
+def test_other_settings_are_refused_by_name(reference: Path, change: dict[str, Any], problem: str) -> None:
+    before = content(reference)
+    with pytest.raises(ConfigError, match=f"settings.yaml: {problem}"):
+        run(reference, SETTINGS.model_copy(update=change), resume=True)
+    assert content(reference) == before
+
+
+def test_a_course_that_changed_is_refused(tmp_path: Path) -> None:
+    course = tmp_path / "course.yaml"
+    course.write_text(COURSE.read_text())
+    settings = SETTINGS.model_copy(update={"course": str(course), "iterations": 1})
+    run(tmp_path / "run", settings)
+    run(tmp_path / "run", settings, resume=True)
+    course.write_text(COURSE.read_text().replace("x: 0.3", "x: 0.31"))
+    with pytest.raises(ConfigError, match=r"the course .*course.yaml has changed since this run began"):
+        run(tmp_path / "run", settings, resume=True)
+
+
+def _other_agent(data: dict[str, Any]) -> None:
+    data["agent"] = 1
+
+
+def _other_value(data: dict[str, Any]) -> None:
+    data["search"]["value"] -= 1.0
+
+
+def _lost_key(data: dict[str, Any]) -> None:
+    del data["search"]["adaptation"]
+
+
+def _out_of_bounds(data: dict[str, Any]) -> None:
+    data["search"]["incumbent"][0] = 1e9
+
+
+def _unknown_key(data: dict[str, Any]) -> None:
+    data["colour"] = "red"
+
+
+@pytest.mark.parametrize("damage", [_other_agent, _other_value, _lost_key, _out_of_bounds, _unknown_key])
+def test_a_damaged_agent_is_refused_by_name(tmp_path: Path, damage: Any) -> None:
+    settings = SETTINGS.model_copy(update={"iterations": 20})
+    run(tmp_path, settings)
+    path = tmp_path / "agents" / "00.json"
+    data = json.loads(path.read_text())
+    damage(data)
+    path.write_text(json.dumps(data))
+    with pytest.raises(FileError, match=r"00.json: damaged, or not agent 0 of this run"):
+        run(tmp_path, settings, resume=True)
+
+
+def test_half_an_agent_is_refused_and_a_deleted_one_is_done_again(reference: Path) -> None:
+    before, path = content(reference), reference / "agents" / "01.json"
+    path.write_bytes(before["agents/01.json"][:200])
+    with pytest.raises(FileError, match=r"01.json: damaged"):
+        run(reference, resume=True)
+    path.unlink()
+    run(reference, resume=True)
+    assert content(reference) == before
+
+
+def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "settings.yaml").write_text("format: 1\nseed: ]")
+    with pytest.raises(ConfigError, match=r"settings.yaml: not valid YAML at line 2"):
+        run(tmp_path, resume=True)
+
+
+# -- curves ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("last", "shown"),
+    [
+        (0, [0]),
+        (3, [0, 1, 2, 3]),
+        (100, list(range(101))),
+        (125, [*range(101), 110, 120, 125]),
+        (1000, [*range(101), *range(110, 1001, 10)]),
+        (2150, [*range(101), *range(110, 1001, 10), *range(1100, 2101, 100), 2150]),
+    ],
+)
+def test_a_curve_shows_iterations_of_two_digits_and_the_last(last: int, shown: list[int]) -> None:
+    assert curve_iterations(last) == shown
+
+
+def test_the_papers_iterations_are_all_in_a_full_curve() -> None:
+    shown = curve_iterations(20_000)
+    assert {100, 500, 1000, 2000, 5000, 10_000, 20_000} < set(shown)
+    assert len(shown) < 300
+
+
+def agents_with(*curves: list[tuple[int, float]]) -> list[AgentState]:
+    return [AgentState(n, {"value": curve[-1][1]}, tuple(curve)) for n, curve in enumerate(curves)]
+
+
+def test_the_table_holds_the_best_so_far_with_all_digits() -> None:
+    agents = agents_with([(0, -2.5), (2, -0.1)], [(0, -1 / 3)])
+    assert curve_csv(agents, 3) == (
+        "iteration,agent_00,agent_01\n"
+        "0,-2.5,-0.3333333333333333\n1,-2.5,-0.3333333333333333\n"
+        "2,-0.1,-0.3333333333333333\n3,-0.1,-0.3333333333333333\n"
+    )
+
+
+def test_the_picture_depends_on_the_curves_alone() -> None:
+    first = agents_with([(0, -2.5), (20, -0.1)], [(0, -1.0)])
+    second = agents_with([(0, -2.5), (20, -0.2)], [(0, -1.0)])
+    pictures = [curve_png(agents, 30, "a title") for agents in (first, first, second)]
+    assert pictures[0] == pictures[1]
+    assert pictures[0] != pictures[2]
+    assert pictures[0][:8] == b"\x89PNG\r\n\x1a\n"
+    assert b"tEXt" not in pictures[0]  # where a version or a date would stand
+
+
+def test_a_perfect_return_can_be_drawn() -> None:
+    assert np.frombuffer(curve_png(agents_with([(0, 0.0)]), 0, "perfect"), np.uint8).size > 1000

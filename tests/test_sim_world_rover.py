@@ -217,7 +217,7 @@ def push_a_box(mass, solid=True):
 
 def test_a_heavy_box_cannot_be_pushed():
     moved, rover = push_a_box(mass=200.0)
-    assert moved < 0.005  # while it takes up the blow; then it stands
+    assert moved < 0.005  # 0.2 mm/s: Chipmunk shares out the correction of overlaps by mass alone
     assert rover.in_contact
     assert abs(rover.velocity.v) < 1e-3
 

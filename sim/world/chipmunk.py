@@ -23,7 +23,18 @@ from pymunk._chipmunk_cffi import ffi, lib
 
 from rover_ncp.core.errors import RoverNcpError
 
-__all__ = ["Layout", "body_address", "find_layout", "load", "load_word", "space_address", "step", "store"]
+__all__ = [
+    "Layout",
+    "body_address",
+    "call_with_number",
+    "call_with_thing",
+    "find_layout",
+    "load",
+    "load_word",
+    "shape_address",
+    "space_address",
+    "store",
+]
 
 # A caller does not pass the typing context, which numba's own annotation has him do.
 _intrinsic: Any = intrinsic
@@ -33,9 +44,12 @@ _SEARCHED = 248
 
 
 class Layout(NamedTuple):
-    """Offsets in bytes within a body, and the address of the stepping function."""
+    """Addresses of Chipmunk's functions, and offsets in bytes within a body."""
 
-    step_function: int
+    step: int
+    set_angle: int
+    add_shape: int
+    remove_shape: int
     position: int  # two doubles: x, y
     velocity: int  # two doubles, in the space's axes
     angle: int
@@ -52,6 +66,15 @@ def space_address(space: pymunk.Space) -> int:
 def body_address(body: pymunk.Body) -> int:
     """Return where Chipmunk keeps a body."""
     return int(ffi.cast("uintptr_t", body._body))
+
+
+def shape_address(shape: pymunk.Shape) -> int:
+    """Return where Chipmunk keeps a shape."""
+    return int(ffi.cast("uintptr_t", shape._shape))
+
+
+def _function_address(name: str) -> int:
+    return int(ffi.cast("uintptr_t", ffi.addressof(lib, name)))
 
 
 @cache
@@ -74,7 +97,10 @@ def find_layout() -> Layout:
     }
     _check_writing(space, body, fields)
     return Layout(
-        step_function=int(ffi.cast("uintptr_t", ffi.addressof(lib, "cpSpaceStep"))),
+        step=_function_address("cpSpaceStep"),
+        set_angle=_function_address("cpBodySetAngle"),
+        add_shape=_function_address("cpSpaceAddShape"),
+        remove_shape=_function_address("cpSpaceRemoveShape"),
         contacts=_contacts_offset(space, body),
         **fields,
     )
@@ -102,16 +128,14 @@ def _offset(image: bytes, name: str, times: int, *values: float) -> int:
 def _check_writing(space: pymunk.Space, body: pymunk.Body, fields: dict[str, int]) -> None:
     """Put a body elsewhere as a kernel does, and see that Chipmunk goes on from there."""
     memory = _memory(body)
-    for name, values in (
-        ("position", (7.0, 8.0)),
-        ("velocity", (1.0, 2.0)),
-        ("angle", (0.5,)),
-        ("angular_velocity", (4.0,)),
-    ):
+    for name, values in (("position", (7.0, 8.0)), ("velocity", (1.0, 2.0)), ("angular_velocity", (4.0,))):
         content = struct.pack(f"{len(values)}d", *values)
         memory[fields[name] : fields[name] + len(content)] = content
+    body.angle = 0.5
+    placed = (*body.position, body.angle)
     space.step(0.25)
-    if (*body.position, *body.velocity, body.angle, body.angular_velocity) != (7.25, 8.5, 1.0, 2.0, 1.5, 4.0):
+    moved = (*body.position, *body.velocity, body.angle, body.angular_velocity)
+    if placed != (7.0, 8.0, 0.5) or moved != (7.25, 8.5, 1.0, 2.0, 1.5, 4.0):
         raise _unexpected("a body's state")
 
 
@@ -142,8 +166,8 @@ def _contacts_offset(space: pymunk.Space, body: pymunk.Body) -> int:
 
 
 @_intrinsic
-def step(_context: Any, function: Any, space: Any, dt: Any) -> Any:
-    """Within a kernel: call Chipmunk's stepping ``function`` on a space, both given by address."""
+def call_with_number(_context: Any, function: Any, thing: Any, number: Any) -> Any:
+    """Within a kernel: call a C function of a pointer and a double; it returns nothing."""
 
     def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         pointer, double = ir.IntType(8).as_pointer(), ir.DoubleType()
@@ -153,6 +177,19 @@ def step(_context: Any, function: Any, space: Any, dt: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(types.int64, types.int64, types.float64), generate
+
+
+@_intrinsic
+def call_with_thing(_context: Any, function: Any, thing: Any, other: Any) -> Any:
+    """Within a kernel: call a C function of two pointers, whose result is not wanted."""
+
+    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        pointer = ir.IntType(8).as_pointer()
+        callee = builder.inttoptr(arguments[0], ir.FunctionType(pointer, [pointer, pointer]).as_pointer())
+        builder.call(callee, [builder.inttoptr(argument, pointer) for argument in arguments[1:]])
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64), generate
 
 
 @_intrinsic

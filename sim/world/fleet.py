@@ -52,7 +52,8 @@ class FleetArrays(NamedTuple):
     spaces: IntArray
     """(L / ROVERS_PER_BAY,) addresses."""
     bodies: IntArray
-    """(L,) addresses."""
+    shapes: IntArray
+    """(L,) addresses each."""
     rise: FloatArray
     fall: FloatArray
     """(2, L) the most that v and omega change in a substep, while they grow and while they shrink."""
@@ -90,6 +91,7 @@ class Fleet:
             layout=chipmunk.find_layout(),
             spaces=np.array([chipmunk.space_address(bay.space) for bay in self.bays]),
             bodies=np.array([chipmunk.body_address(body) for body in self.bodies]),
+            shapes=np.array([chipmunk.shape_address(next(iter(body.shapes))) for body in self.bodies]),
             rise=rise,
             fall=fall,
             grip=np.array([model.friction * GRAVITY_M_S2 * SUBSTEP_S for model in models]),
@@ -137,14 +139,17 @@ def place(fleet: FleetArrays, lane: int, x: float, y: float, theta: float) -> No
     something is placed for good only when it is placed again after a step in the open.
     """
     body, layout = fleet.bodies[lane], fleet.layout
+    space, shape = fleet.spaces[lane // ROVERS_PER_BAY], fleet.shapes[lane]
+    # A shape taken out and put in again has left its contacts behind, and the hints that collision detection
+    # keeps for its next search; with them the last bits of a path would depend on the rover's past.
+    chipmunk.call_with_thing(layout.remove_shape, space, shape)
     chipmunk.store(body + layout.position, x)
     chipmunk.store(body + layout.position + 8, y)
-    chipmunk.store(body + layout.angle, theta)
-    chipmunk.store(body + layout.rotation, math.cos(theta))
-    chipmunk.store(body + layout.rotation + 8, math.sin(theta))
+    chipmunk.call_with_number(layout.set_angle, body, theta)
     chipmunk.store(body + layout.velocity, 0.0)
     chipmunk.store(body + layout.velocity + 8, 0.0)
     chipmunk.store(body + layout.angular_velocity, 0.0)
+    chipmunk.call_with_thing(layout.add_shape, space, shape)
     fleet.sent[:, :, lane] = 0.0
     fleet.touched[lane] = 0
 
@@ -193,7 +198,7 @@ def advance(fleet: FleetArrays) -> None:
                 chipmunk.store(body + layout.velocity, cos * forward - sin * sideways)
                 chipmunk.store(body + layout.velocity + 8, sin * forward + cos * sideways)
                 chipmunk.store(body + layout.angular_velocity, omega)
-            chipmunk.step(layout.step_function, spaces[bay], SUBSTEP_S)
+            chipmunk.call_with_number(layout.step, spaces[bay], SUBSTEP_S)
             for lane in lanes:
                 if chipmunk.load_word(bodies[lane] + layout.contacts) != 0:
                     touched[lane] = 1

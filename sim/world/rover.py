@@ -118,10 +118,11 @@ def own_axes(cos: float, sin: float, vx: float, vy: float, omega: float) -> tupl
     return forward * (1.0 - 0.5 * square) - sideways * (turn * (1.0 - square / 6.0)), sideways
 
 
-def rover_body(model: RoverModel, bay: Bay) -> pymunk.Body:
-    """Put a rover's body with its shape into a bay, at the origin, standing still."""
+def rover_body(model: RoverModel, bay: Bay, pose: Pose = ORIGIN) -> pymunk.Body:
+    """Put a rover's body with its shape into a bay, standing still."""
     size = (model.length, model.width)
     body = pymunk.Body(model.mass, pymunk.moment_for_box(model.mass, size))
+    body.position, body.angle = (pose.x, pose.y), pose.theta
     shape = pymunk.Poly.create_box(body, size)
     shape.filter = ROVER_FILTER
     shape.friction = model.shell_friction
@@ -133,7 +134,6 @@ def require_free_start(model: RoverModel, course: Course) -> None:
     """Raise ConfigError when the rover stands in an obstacle at the start of a course, the origin."""
     bay = Bay(course.obstacles)
     body = rover_body(model, bay)
-    bay.space.reindex_shapes_for_body(body)
     if any(bay.space.shape_query(shape) for shape in body.shapes):
         size = f"{model.length} m by {model.width} m"
         raise ConfigError(f"course {course.name}", [f"an obstacle stands where the rover starts ({size})"])
@@ -146,13 +146,12 @@ class Rover:
         self.model = model
         self.bay = bay
         self.limits = Limits.of(model)
-        self.body = rover_body(model, bay)
+        self.body = rover_body(model, bay, pose)
         self.substeps = 0
         self._v_target = self._omega_target = 0.0
         # (first substep that obeys it, value)
         self._v_queue: deque[tuple[int, float]] = deque()
         self._omega_queue: deque[tuple[int, float]] = deque()
-        self.set_pose(pose)
 
     def command(self, v: float, omega: float) -> None:
         """Ask for a forward speed (m/s) and a rate of turn (rad/s), obeyed after the model's delays."""
@@ -169,12 +168,7 @@ class Rover:
         """Put the rover somewhere, standing still, all commands forgotten."""
         # A new body, because the old one would carry the last contact's correction into its next step.
         self.bay.space.remove(self.body, *self.body.shapes)
-        self.body = rover_body(self.model, self.bay)
-        self.body.position = (pose.x, pose.y)
-        self.body.angle = pose.theta
-        self.body.velocity = (0.0, 0.0)
-        self.body.angular_velocity = 0.0
-        self.bay.space.reindex_shapes_for_body(self.body)
+        self.body = rover_body(self.model, self.bay, pose)
         self._v_queue.clear()
         self._omega_queue.clear()
         self._v_target = self._omega_target = 0.0

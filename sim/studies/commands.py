@@ -1,15 +1,103 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
+
+from rover_ncp.core.console import Output
+from rover_ncp.core.errors import FileError
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 
 
-def park(json: Json = False) -> None:
-    """Not there yet."""
-    raise NotImplementedError
+def park(
+    *,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            help="Park with this policy (name or file) instead of training one.", show_default=False
+        ),
+    ] = None,
+    course: Annotated[str, typer.Option(help="Course to drive, by name or YAML file.")] = "parking",
+    seed: Annotated[int, typer.Option(min=0, help="Root seed of the training.")] = 0,
+    out: Annotated[Path, typer.Option(help="Folder for training, recording, picture and logs.")] = Path(
+        "runs/park"
+    ),
+    json: Json = False,
+) -> int:
+    """Train a circuit until it parks in simulation, then park a robot with it, all in one go.
+
+    The robot is a mock Pioneer that speaks the real protocol over TCP; bridge and driver are the same
+    processes that drive a real one, and talk over Zenoh. Whether it parked is judged on the true pose, which
+    the driver never sees. Ends with 0 parked, 1 not parked, or with the exit code of what failed.
+    """
+    from rover_ncp.core.course import load_course
+    from sim.learn.progress import TrainProgress
+    from sim.learn.rollout import rollout
+    from sim.studies.park import PARK_ITERATIONS, train_until_parked
+    from sim.studies.park import park as park_with
+
+    output = Output(json)
+    known = load_course(course)
+    training: dict[str, Any] | None = None
+    if policy is None:
+        folder = out / "train"
+        _clear_own(folder)
+        output.say("training twelve agents until the best one parks in simulation")
+        with TrainProgress(PARK_ITERATIONS) as progress:
+            result = train_until_parked(course, seed, folder, progress.show)
+        training = {
+            "best_return": result.agents.best.value,
+            "returns": result.agents.returns,
+            "iterations": result.agents.iterations,
+            "iterations_per_s": result.iterations_per_s,
+        }
+        verdict = rollout(result.policy, known).verdict
+        summary = f"best return {result.agents.best.value:.4f} after {result.agents.iterations} iterations"
+        if not verdict.parked:
+            fields = {"parked": False, "reason": f"no agent parks: {verdict.reason}", "train": training}
+            output.result(fields, f"not parked: no agent parks in simulation yet ({summary})")
+            return 1
+        output.say(f"{summary}: it parks in simulation")
+        policy = str(result.policy_path)
+    parked = park_with(policy, course, out, output.say)
+    verdict, estimate, bridge = parked.verdict, parked.estimate, parked.bridge
+    fields = {
+        "parked": verdict.parked,
+        "reason": verdict.reason,
+        "true_error_m": verdict.error_m,
+        "true_error_rad": verdict.error_rad,
+        "estimate_error_m": estimate["estimate_error_m"],
+        "estimate_error_rad": estimate["estimate_error_rad"],
+        "ticks": estimate["ticks"],
+        "overruns": estimate["overruns"],
+        "recording": str(parked.recording),
+        "picture": str(parked.picture),
+        "policy": policy,
+        "pids": parked.pids,
+        "bytes_to_base": bridge.get("bytes_to_base"),
+        "bytes_from_base": bridge.get("bytes_from_base"),
+        "train": training,
+    }
+    ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
+    output.result(
+        fields,
+        f"{ending}; truly {1000 * verdict.error_m:.0f} mm and {1000 * verdict.error_rad:.0f} mrad off\n"
+        f"picture: {parked.picture}\nrecording: {parked.recording}",
+    )
+    return 0 if verdict.parked else 1
+
+
+def _clear_own(folder: Path) -> None:
+    """Remove an earlier run of park's training; a folder that holds anything else is left alone."""
+    import shutil
+
+    if not folder.exists():
+        return
+    if not (folder / "settings.yaml").is_file() and any(folder.iterdir()):
+        raise FileError(f"{folder}: is not empty and holds no training of an earlier park")
+    shutil.rmtree(folder)
 
 
 def evaluate(json: Json = False) -> None:

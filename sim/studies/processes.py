@@ -1,0 +1,171 @@
+"""The three processes of a run on this machine: mock Pioneer, bridge, deploy, over loopback TCP and Zenoh.
+
+Each is the very command a user would type, started from this interpreter. Whatever happens, leaving the
+``with`` block ends all of them, the driver first: asked (SIGTERM), then, when one does not listen, killed.
+"""
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from rover_ncp.core.errors import RoverNcpError
+
+__all__ = ["Finished", "LiveRun", "Process", "ProcessError"]
+
+READY_TIMEOUT_S = 30.0
+STOP_TIMEOUT_S = 5.0
+
+
+class ProcessError(RoverNcpError):
+    """A process of the run failed; carries its last words and hands on its exit code."""
+
+    def __init__(self, name: str, code: int, words: str) -> None:
+        super().__init__(f"{name}: {words}" if words else f"{name} ended with exit code {code}")
+        self.exit_code = code if code > 0 else 1
+
+
+@dataclass(frozen=True)
+class Finished:
+    """How a process ended: exit code, its one JSON object (empty if none), its last line for people."""
+
+    code: int
+    result: dict[str, Any]
+    last_line: str
+
+
+class Process:
+    """A ``rover-ncp`` command as a child process. Its output goes to files, so that no pipe can fill up."""
+
+    def __init__(self, command: str, arguments: Sequence[str], log_dir: Path) -> None:
+        self.command = command
+        self._result = log_dir / f"{command}.json"
+        self._log = log_dir / f"{command}.log"
+        with self._result.open("wb") as out, self._log.open("wb") as err:
+            self._child = subprocess.Popen(
+                [sys.executable, "-m", "rover_ncp", command, *arguments, "--json"],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                # A terminal's Ctrl-C must reach the parent alone: it ends the driver first, then the others.
+                start_new_session=True,
+            )
+
+    @property
+    def pid(self) -> int:
+        """The process id."""
+        return self._child.pid
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended yet."""
+        return self._child.poll() is None
+
+    def wait_for_line(self, start: str, timeout_s: float = READY_TIMEOUT_S) -> str:
+        """Return what follows ``start`` on its first line for people that begins so. Raises ProcessError."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            running = self.running  # asked before its words are read: last words count
+            for line in self._lines():
+                if line.startswith(start):
+                    return line.removeprefix(start).strip()
+            if not running:
+                raise self.failure()
+            if time.monotonic() > deadline:
+                raise ProcessError(self.command, 1, f"not ready after {timeout_s:.0f} s")
+            time.sleep(0.02)
+
+    def wait(self, timeout_s: float) -> Finished:
+        """Wait for its end. Raises ProcessError after ``timeout_s``."""
+        try:
+            self._child.wait(timeout_s)
+        except subprocess.TimeoutExpired as error:
+            raise ProcessError(self.command, 1, f"still running after {timeout_s:.0f} s") from error
+        return self._finished()
+
+    def send_signal(self, number: int) -> None:
+        """Send it a signal, if it still runs."""
+        if self.running:
+            self._child.send_signal(number)
+
+    def stop(self) -> Finished:
+        """End it: SIGTERM, and SIGKILL when it does not listen."""
+        self.send_signal(signal.SIGTERM)
+        try:
+            self._child.wait(STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+        return self._finished()
+
+    def failure(self) -> ProcessError:
+        """Return its unwanted end as an error."""
+        done = self._finished()
+        return ProcessError(self.command, done.code, done.last_line)
+
+    def _finished(self) -> Finished:
+        result: dict[str, Any] = {}
+        with contextlib.suppress(json.JSONDecodeError):
+            result = json.loads(self._result.read_text(errors="replace"))
+        lines = self._lines()
+        return Finished(self._child.wait(), result, lines[-1].removeprefix("rover-ncp: ") if lines else "")
+
+    def _lines(self) -> list[str]:
+        # Only whole lines: what is being written at this moment is not yet said.
+        text = self._log.read_text(errors="replace")
+        return text[: text.rfind("\n") + 1].splitlines()
+
+
+class LiveRun:
+    """Mock, bridge and deploy, ready one after the other; logs and the mock's truth land in ``folder``."""
+
+    def __init__(self, folder: Path, *, mock: Sequence[str] = (), bridge: Sequence[str] = ()) -> None:
+        self.folder = folder
+        self.truth = folder / "truth.csv"
+        self.processes: dict[str, Process] = {}
+        self._mock_arguments = mock
+        self._bridge_arguments = bridge
+        self.robot = ""
+
+    def __enter__(self) -> Self:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        try:
+            mock = self._start(
+                "mock", "--listen", "127.0.0.1:0", "--truth", str(self.truth), *self._mock_arguments
+            )
+            address = mock.wait_for_line("listening on ")
+            bridge = self._start(
+                "bridge", "--base", f"tcp/{address}", "--listen", "tcp/127.0.0.1:0", *self._bridge_arguments
+            )
+            ready = dict(part.split("=", 1) for part in bridge.wait_for_line("ready ").split())
+            self.robot = ready["zenoh"]
+        except BaseException:
+            self._stop_all()
+            raise
+        return self
+
+    def deploy(self, *arguments: str) -> Process:
+        """Start the driver."""
+        return self._start("deploy", "--robot", self.robot, *arguments)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop_all()
+
+    def _start(self, command: str, *arguments: str) -> Process:
+        process = Process(command, arguments, self.folder)
+        self.processes[command] = process
+        return process
+
+    def _stop_all(self) -> None:
+        # The last started ends first: the driver gives the motors back while the bridge still listens.
+        for process in reversed(self.processes.values()):
+            process.stop()

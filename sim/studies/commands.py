@@ -100,6 +100,43 @@ def _clear_own(folder: Path) -> None:
     shutil.rmtree(folder)
 
 
-def evaluate(json: Json = False) -> None:
-    """Not there yet."""
-    raise NotImplementedError
+def evaluate(
+    policy: Annotated[
+        str,
+        typer.Argument(
+            help="Policy to score: a name, a YAML file, or a circuit in the published .bnn format."
+        ),
+    ],
+    *,
+    course: Annotated[str, typer.Option(help="Course to drive, by name or YAML file.")] = "parking",
+    json: Json = False,
+) -> int:
+    """Drive a course once in simulation with a policy, and score it.
+
+    The return is the paper's: minus the squared misses of all checkpoints, 1 rad counting as 1 m; 0 is out of
+    reach, doing nothing on the parking course scores -14.18. A .bnn circuit gets the sensors it was trained
+    with, which are not clamped. Ends with 0 parked, 1 not parked.
+    """
+    from rover_ncp.circuit.policy_file import load_policy
+    from rover_ncp.core.course import load_course
+    from sim.learn.rollout import rollout
+
+    output = Output(json)
+    known = load_course(course)
+    run = rollout(load_policy(policy), known)
+    verdict = run.verdict
+    fields = {
+        "return": run.total,
+        "parked": verdict.parked,
+        "reason": verdict.reason,
+        "error_m": verdict.error_m,
+        "error_rad": verdict.error_rad,
+        "rms_m": run.rms_m,
+    }
+    ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
+    output.result(
+        fields,
+        f"{ending}; return {run.total:.4f}, {1000 * verdict.error_m:.0f} mm and "
+        f"{1000 * verdict.error_rad:.0f} mrad off at the end, {1000 * run.rms_m:.0f} mm rms on the way",
+    )
+    return 0 if verdict.parked else 1

@@ -95,9 +95,9 @@ class Policy:
             *_layer_problems("output_layer", self.output_layer, self.motors.outputs, self._channels[1]),
         ]
         if not 0 < self.dt_s <= 1:
-            problems.append(f"dt_s must be in 0..1 s, got {self.dt_s}")
+            problems.append(f"dt_s: must be above 0 and at most 1 s, got {self.dt_s}")
         if not 1 <= self.substeps <= 10_000:
-            problems.append(f"substeps must be in 1..10000, got {self.substeps}")
+            problems.append(f"substeps: must be in 1..10000, got {self.substeps}")
         if problems:
             raise ConfigError(f"policy {self.circuit.name}", problems)
 
@@ -158,9 +158,9 @@ class Policy:
     def _name_problems(self) -> list[str]:
         known = set(self.circuit.neurons)
         return [
-            f"{what} channel {channel.name}: the circuit has no neuron {neuron!r}"
+            f"{what}.channels[{number}]: the circuit has no neuron {neuron!r}"
             for what, channels in (("sensing", self.sensing.channels), ("motors", self.motors.channels))
-            for channel in channels
+            for number, channel in enumerate(channels)
             for neuron, _ in channel.sides
             if neuron not in known
         ]
@@ -172,9 +172,10 @@ def _layer_problems(
     if layer is None:
         if list(rows) == list(columns):
             return []
-        return [f"without {name} these must be the same: {', '.join(rows)} and {', '.join(columns)}"]
+        names = f"{', '.join(columns)} and {', '.join(rows)}"
+        return [f"{name}: is missing, and without it these would have to be the same: {names}"]
     if layer.shape != (len(rows), len(columns)):
-        return [f"{name} needs {len(rows)} rows of {len(columns)} numbers, got the shape {layer.shape}"]
+        return [f"{name}: needs {len(rows)} rows of {len(columns)} numbers, got the shape {layer.shape}"]
     bounds = BOUNDS[ParameterKind(name)]
     return [
         f"{name}[{row}][{column}]: {value:g} is outside {bounds}"

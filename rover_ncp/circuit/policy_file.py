@@ -1,7 +1,7 @@
 """Circuits and policies as files: our YAML, and the published ``.bnn``.
 
 A policy file holds all that decides what the circuit does, neurons and synapses by name; read back, every
-number has the same bits, and so has every trajectory. The format is written down in ``docs/files.md``.
+number has the same bits, and so has every trajectory.
 """
 
 from pathlib import Path
@@ -170,15 +170,19 @@ def _text(path: Path) -> str:
 def _layer(rows: Layer | None, name: str) -> np.ndarray[Any, np.dtype[np.float64]] | None:
     if rows is None:
         return None
-    if len({len(row) for row in rows}) != 1:
-        raise ConfigError("", [f"{name}: all rows must have the same length"])
+    if len({len(row) for row in rows}) != 1 or not rows[0]:
+        raise ConfigError("", [f"{name}: all rows must have the same length, at least 1"])
     return np.array(rows, np.float64)
 
 
 def _circuit(file: _Circuit, source: str, where: str) -> Circuit:
     """Turn names into indices; every problem with the path of its value."""
     neurons = [neuron.name for neuron in file.neurons]
-    problems = []
+    problems = [
+        f"{where}.neurons[{i}].name: {name!r} stands twice"
+        for i, name in enumerate(neurons)
+        if name in neurons[:i]
+    ]
     for s, synapse in enumerate(file.synapses):
         path = f"{where}.synapses[{s}]"
         problems += [

@@ -8,11 +8,35 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import MIDPOINT_MV, REVERSAL_MV, Circuit, SynapseKind
 from rover_ncp.circuit.motors import Motors
+from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.sensing import HIGH_MV, LOW_MV, SATURATION_MV, Sensing
 
-__all__ = ["motor_channels", "sensory_potentials", "step", "time_constants"]
+__all__ = ["motor_channels", "sensory_potentials", "step", "tick", "time_constants"]
 
 FloatArray = NDArray[np.float64]
+
+
+def tick(policy: Policy, potentials: FloatArray, observation: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the potentials (n,) in mV after a control tick, and the outputs (o,) then read.
+
+    In each substep the sensory neurons are set, then all others step from the old potentials.
+    """
+    circuit = policy.circuit
+    channels = observation if policy.input_layer is None else policy.input_layer @ observation
+    driven = {circuit.neurons[i]: value for i, value in circuit.held.items()}
+    driven |= sensory_potentials(policy.sensing, channels)
+    potentials = _with(circuit, potentials, driven)
+    for _ in range(policy.substeps):
+        potentials = _with(circuit, step(circuit, potentials, policy.dt_s), driven)
+    values = motor_channels(policy.motors, circuit, potentials)
+    return potentials, values if policy.output_layer is None else policy.output_layer @ values
+
+
+def _with(circuit: Circuit, potentials: FloatArray, driven: dict[str, float]) -> FloatArray:
+    changed = potentials.copy()
+    for neuron, value in driven.items():
+        changed[circuit.index(neuron)] = value
+    return changed
 
 
 def conductances(circuit: Circuit, potentials: FloatArray) -> FloatArray:
@@ -43,8 +67,6 @@ def step(circuit: Circuit, potentials: FloatArray, dt_s: float) -> FloatArray:
     np.add.at(current, circuit.destination, synapse * pull)
     np.add.at(total, circuit.destination, synapse)
     new: FloatArray = current / total
-    for neuron, value in circuit.held.items():
-        new[neuron] = value
     return new
 
 

@@ -40,10 +40,10 @@ class VectorType(types.Type):
 @register_model(VectorType)
 class _VectorModel(models.PrimitiveModel):
     def __init__(self, manager: Any, vector: VectorType) -> None:
-        super().__init__(manager, vector, _DOUBLES)
+        super().__init__(manager, vector, _DOUBLES)  # type: ignore[no-untyped-call]
 
 
-_vector = VectorType()  # type: ignore[no-untyped-call]
+_vector = VectorType()
 
 
 def _spread(context: Any, builder: Any, value: Any, kind: Any) -> Any:

@@ -91,7 +91,7 @@ def _line(item: Any) -> str:
     path = "$"
     for part in item["loc"]:
         path += f"[{part}]" if isinstance(part, int) else f".{part}"
-    message = item["msg"]
+    message = item["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
     if item["type"] == "extra_forbidden":
         return f"{path}: unknown key"

@@ -1,0 +1,112 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rover_ncp.circuit.circuit import BOUNDS, ParameterKind, SynapseKind, build_circuit
+from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
+from rover_ncp.circuit.tap_withdrawal import SENSORY, parking_circuit, tap_withdrawal_circuit
+from rover_ncp.core.errors import ConfigError
+
+CIRCUIT_KINDS = [
+    kind for kind in ParameterKind if kind not in (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
+]
+
+# Figure 1 of the paper, transcribed a second time, as "to: from" with ex, in and gap in front.
+FIGURE = {
+    "AVA": "in PVD, in PLM, ex PVC, in AVB, ex AVD",
+    "AVD": "in PLM, ex PVC, in AVA, in AVB, gap AVM, in ALM",
+    "PVC": "in PVD, gap PLM, in AVA, ex AVD, in AVM, in ALM, in DVA",
+    "AVB": "ex PVC, in AVA, ex AVD, in AVM, in DVA",
+    "DVA": "in PVD, in PLM, ex PVC",
+}
+BENCHMARK = FIGURE | {"FWD": "ex AVB", "REV": "ex AVA"}
+PARKING = FIGURE | {"LFT": "ex AVB", "RGT": "ex AVA", "FWD": "ex AVB, ex AVA"}
+WORDS = {"ex": SynapseKind.EXCITATORY, "in": SynapseKind.INHIBITORY, "gap": SynapseKind.GAP}
+
+
+@pytest.mark.parametrize(
+    ("circuit", "figure", "synapses"),
+    [(tap_withdrawal_circuit(), BENCHMARK, 28), (parking_circuit(), PARKING, 30)],
+)
+def test_wiring_is_the_papers(circuit, figure, synapses):
+    expected = set()
+    for destination, sources in figure.items():
+        for entry in sources.split(", "):
+            word, source = entry.split()
+            expected.add((WORDS[word], source, destination))
+    table = zip(circuit.kind, circuit.source, circuit.destination, strict=True)
+    wired = {(SynapseKind(kind), circuit.neurons[a], circuit.neurons[b]) for kind, a, b in table}
+    assert wired == expected
+    assert circuit.synapse_count == synapses
+    assert not {circuit.neurons[i] for i in circuit.destination} & set(SENSORY)
+
+
+def test_sparsity_is_that_of_the_paper():
+    circuit = tap_withdrawal_circuit()
+    assert round(100 * (1 - circuit.synapse_count / circuit.size**2)) == 77
+
+
+@pytest.mark.parametrize("build", [tap_withdrawal_circuit, parking_circuit])
+def test_shipped_circuit_files_are_the_tables(build):
+    circuit = build()
+    assert circuit_to_yaml(load_circuit(circuit.name)) == circuit_to_yaml(circuit)
+
+
+@given(
+    kind=st.sampled_from(CIRCUIT_KINDS),
+    value=st.floats(),
+    place=st.integers(0, 11),
+)
+def test_takes_just_what_is_in_bounds(kind, value, place):
+    circuit = parking_circuit()
+    values = getattr(circuit, kind).copy()
+    values[place] = value
+    in_bounds = BOUNDS[kind].lower <= value <= BOUNDS[kind].upper
+    if kind is ParameterKind.SIGMA and not circuit.chemical[place]:
+        return  # a gap junction has no sigma
+    if in_bounds:
+        assert getattr(replace(circuit, **{kind: values}), kind)[place] == value
+    else:
+        with pytest.raises(ConfigError, match=f"{kind} .* is outside"):
+            replace(circuit, **{kind: values})
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"source": np.full(30, 12)}, "synapse 0: source 12 is not in 0..11"),
+        ({"destination": np.full(30, -1)}, "synapse 0: destination -1 is not in 0..11"),
+        ({"kind": np.full(30, 3)}, "synapse 0: kind 3 is not in 0..2"),
+        ({"weight": np.ones(29)}, "weight needs one value for each of 30 synapses"),
+        ({"leak": np.ones(13)}, "leak needs one value for each of 12 neurons"),
+        ({"neurons": ("PVD", "PVD", *"abcdefghij")}, "two neurons are called 'PVD'"),
+        ({"neurons": ()}, "1..256 neurons are possible, got 0"),
+        ({"held": {12: -70.0}}, "held neuron 12 is not in 0..11"),
+        ({"held": {8: 1.0}}, "DVA: held at 1 mV, outside -90..0 mV"),
+    ],
+)
+def test_refuses_what_cannot_be(changes, problem):
+    with pytest.raises(ConfigError) as caught:
+        replace(parking_circuit(), **changes)
+    assert problem in caught.value.problems
+
+
+def test_refuses_the_same_synapse_twice():
+    row = (SynapseKind.GAP, 0, 1, 0.5)
+    with pytest.raises(ConfigError, match="the synapse gap a -> b stands twice"):
+        build_circuit("double", ("a", "b"), (row, row))
+
+
+def test_names_every_problem_at_once():
+    with pytest.raises(ConfigError) as caught:
+        replace(parking_circuit(), weight=np.full(30, 4.0), leak=np.full(12, np.nan))
+    assert len(caught.value.problems) == 42
+
+
+def test_cannot_be_changed_in_place():
+    circuit = parking_circuit()
+    with pytest.raises(ValueError, match="read-only"):
+        circuit.weight[0] = 1.0

@@ -1,0 +1,133 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from rover_ncp.circuit.circuit import build_circuit
+from rover_ncp.circuit.motors import Motors, parking_motors
+from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
+from rover_ncp.circuit.tap_withdrawal import parking_circuit
+
+UNCONNECTED = build_circuit("unconnected", ("up", "down", "alone", "M", "N"), ())
+MOTORS = Motors(outputs=("y",), channels=(Channel(name="y", positive="M", maximum=1.0),))
+
+
+def potentials_of(clamp, pair, single):
+    """Return the potentials of both neurons of a pair over -2..4 and of a single neuron over 0..5."""
+    sensing = Sensing(
+        name="test",
+        inputs=("pair", "single"),
+        clamp=clamp,
+        channels=(
+            Channel(name="pair", positive="up", maximum=4.0, negative="down", minimum=-2.0),
+            Channel(name="single", positive="alone", maximum=5.0),
+        ),
+    )
+    runner = PolicyRunner(Policy(UNCONNECTED, sensing, MOTORS))
+    runner.tick([pair, single])
+    return tuple(runner.potentials[:3])
+
+
+@pytest.mark.parametrize(
+    ("clamp", "pair", "single", "expected"),
+    [
+        (True, 0.0, 0.0, (-70, -70, -70)),
+        (True, 4.0, 5.0, (-20, -70, -20)),
+        (True, 2.0, 2.5, (-45, -70, -45)),
+        (True, -1.0, -1.0, (-70, -45, -70)),
+        (True, 8.0, 50.0, (-20, -70, -20)),
+        (True, -8.0, -50.0, (-70, -20, -70)),
+        (False, 2.0, 2.5, (-45, -70, -45)),
+        (False, 8.0, 10.0, (30, -70, 30)),
+        (False, -8.0, -1.0, (-70, 130, -80)),
+        (False, 1e9, -1e9, (1000, -70, -1000)),
+    ],
+)
+def test_sensory_potentials(clamp, pair, single, expected):
+    assert potentials_of(clamp, pair, single) == pytest.approx(expected, abs=1e-9)
+
+
+def held_motors(positive_mV, negative_mV):
+    circuit = build_circuit("held", ("S", "LFT", "RGT", "FWD"), ())
+    object.__setattr__(circuit, "held", {1: positive_mV, 2: negative_mV, 3: positive_mV})
+    sensing = Sensing(name="test", inputs=("x",), channels=(Channel(name="x", positive="S", maximum=1.0),))
+    return PolicyRunner(Policy(circuit, sensing, parking_motors())).tick([0.0])
+
+
+@pytest.mark.parametrize(
+    ("positive_mV", "negative_mV", "v", "omega"),
+    [
+        (-60.0, -60.0, 0.0, 0.0),
+        (-20.0, -60.0, 0.16, 0.18),
+        (-60.0, -20.0, 0.0, -0.18),
+        (-20.0, -20.0, 0.16, 0.0),
+        (-40.0, -50.0, 0.08, 0.045),
+        (-90.0, -61.0, 0.0, 0.0),
+        (0.0, -90.0, 0.16, 0.18),
+    ],
+)
+def test_motor_outputs(positive_mV, negative_mV, v, omega):
+    assert held_motors(positive_mV, negative_mV) == pytest.approx((v, omega), abs=1e-12)
+
+
+@given(st.floats(-90, 0), st.floats(-90, 0))
+def test_commands_never_leave_the_motors_range(positive_mV, negative_mV):
+    v, omega = held_motors(positive_mV, negative_mV)
+    assert 0 <= v <= 0.16
+    assert -0.18 <= omega <= 0.18
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ({"positive": "A"}, "positive neuron and a maximum go together"),
+        ({"maximum": 1.0}, "positive neuron and a maximum go together"),
+        ({"negative": "A"}, "negative neuron and a minimum go together"),
+        ({}, "needs a positive or a negative neuron"),
+        ({"positive": "A", "maximum": 0.0}, "greater than 0"),
+        ({"negative": "A", "minimum": 1.0}, "less than 0"),
+        ({"positive": "A", "maximum": float("nan")}, "finite"),
+    ],
+)
+def test_refuses_a_channel_that_cannot_be(fields, problem):
+    with pytest.raises(ValidationError, match=problem):
+        Channel(name="x", **fields)
+
+
+def test_refuses_what_stands_twice():
+    def channel(name, neuron):
+        return Channel(name=name, positive=neuron, maximum=1.0)
+
+    for inputs, channels, problem in (
+        (("x", "x"), (channel("x", "A"), channel("y", "B")), "input 'x' stands twice"),
+        (("x", "y"), (channel("x", "A"), channel("x", "B")), "channel 'x' stands twice"),
+        (("x", "y"), (channel("x", "A"), channel("y", "A")), "sensory neuron 'A' stands twice"),
+    ):
+        with pytest.raises(ValidationError, match=problem):
+            Sensing(name="test", inputs=inputs, channels=channels)
+    with pytest.raises(ValidationError, match="output 'v' stands twice"):
+        Motors(outputs=("v", "v"), channels=(channel("v", "A"), channel("w", "B")))
+
+
+def test_refuses_a_motor_range_upside_down():
+    with pytest.raises(ValidationError, match="low_mV must be below high_mV"):
+        Motors(outputs=("y",), channels=MOTORS.channels, low_mV=-20.0, high_mV=-60.0)
+
+
+def test_one_neuron_may_drive_two_outputs():
+    # The four-degrees-of-freedom variant (supplement 6): AVA right and backward, AVB left and forward.
+    motors = Motors(
+        outputs=("v", "omega"),
+        channels=(
+            Channel(name="v", positive="AVB", maximum=0.16, negative="AVA", minimum=-0.16),
+            Channel(name="omega", positive="AVB", maximum=0.18, negative="AVA", minimum=-0.18),
+        ),
+    )
+    runner = PolicyRunner(Policy(parking_circuit(), parking_sensing(), motors))
+    v, omega = runner.tick([0.3, 0.2, 0.1, 1.0])
+    share = np.clip((runner.potentials[[5, 2]] + 60) / 40, 0, 1)
+    assert v == pytest.approx(0.16 * (share[0] - share[1]), abs=1e-12)
+    assert omega == pytest.approx(0.18 * (share[0] - share[1]), abs=1e-12)
+    assert v != 0

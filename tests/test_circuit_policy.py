@@ -1,0 +1,157 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rover_ncp.circuit.circuit import RESTING_MV, ParameterKind, SynapseKind
+from rover_ncp.circuit.motors import Motors, parking_motors
+from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
+from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
+from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
+from rover_ncp.core.errors import ConfigError, UsageError
+
+CIRCUIT = parking_circuit()
+PARKING = parking_policy(CIRCUIT)
+LAYERED = Policy(
+    CIRCUIT,
+    Sensing(name="layered", inputs=("a", "b"), channels=parking_sensing().channels),
+    Motors(outputs=("p", "q", "r"), channels=parking_motors().channels),
+    input_layer=np.arange(8).reshape(4, 2) / 4,
+    output_layer=np.arange(6).reshape(3, 2) / -3,
+)
+
+
+def test_vector_holds_the_kinds_in_order():
+    layout = LAYERED.layout()
+    assert [(block.kind, block.size) for block in layout.blocks] == [
+        (ParameterKind.WEIGHT, 30),
+        (ParameterKind.SIGMA, 28),  # of 30 synapses two are gap junctions
+        (ParameterKind.LEAK_POTENTIAL, 12),
+        (ParameterKind.LEAK, 12),
+        (ParameterKind.CAPACITANCE, 12),
+        (ParameterKind.INPUT_LAYER, 8),
+        (ParameterKind.OUTPUT_LAYER, 6),
+    ]
+    assert layout.size == 108
+    assert PARKING.layout().size == 94
+    stops = [block.slice.stop for block in layout.blocks]
+    assert [block.slice.start for block in layout.blocks] == [0, *stops[:-1]]
+
+
+def test_vector_is_the_circuits_numbers():
+    vector, layout = LAYERED.parameters(), LAYERED.layout()
+    parts = {block.kind: vector[block.slice] for block in layout.blocks}
+    np.testing.assert_array_equal(parts[ParameterKind.WEIGHT], CIRCUIT.weight)
+    np.testing.assert_array_equal(parts[ParameterKind.CAPACITANCE], CIRCUIT.capacitance)
+    np.testing.assert_array_equal(parts[ParameterKind.OUTPUT_LAYER], LAYERED.output_layer.ravel())
+    vector[:] = 0  # a copy
+    assert CIRCUIT.weight.any()
+
+
+@given(st.integers(0, 2**32))
+def test_parameters_come_back(seed):
+    layout = LAYERED.layout()
+    vector = np.random.default_rng(seed).uniform(layout.lower, layout.upper)
+    changed = LAYERED.with_parameters(vector)
+    assert changed.parameters().tobytes() == vector.tobytes()
+    assert changed.input_layer.shape == (4, 2)
+    gap = changed.circuit.kind == SynapseKind.GAP
+    np.testing.assert_array_equal(
+        changed.circuit.sigma[~gap], vector[layout.block(ParameterKind.SIGMA).slice]
+    )
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 3.1, -3.1])
+@pytest.mark.parametrize("block", LAYERED.layout().blocks, ids=lambda block: block.kind)
+def test_refuses_parameters_out_of_bounds(block, value):
+    if block.kind is ParameterKind.LEAK_POTENTIAL and value == -3.1:
+        value = 0.1
+    if block.kind is ParameterKind.LEAK and value == 3.1:
+        value = 5.1
+    if block.kind is ParameterKind.LEAK_POTENTIAL and value == 3.1:
+        value = -90.1
+    vector = LAYERED.parameters()
+    vector[block.slice.stop - 1] = value
+    with pytest.raises(ConfigError, match=f"{block.kind}.* outside"):
+        LAYERED.with_parameters(vector)
+
+
+def test_refuses_a_vector_of_another_length():
+    with pytest.raises(ConfigError, match="needs 94 parameters"):
+        PARKING.with_parameters(np.ones(93))
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"circuit": tap_withdrawal_circuit()}, "motors.channels[1]: the circuit has no neuron 'LFT'"),
+        ({"dt_s": math.nan}, "dt_s: must be above 0 and at most 1 s, got nan"),
+        ({"dt_s": 0.0}, "dt_s: must be above 0 and at most 1 s, got 0.0"),
+        ({"substeps": 0}, "substeps: must be in 1..10000, got 0"),
+        ({"input_layer": np.ones((4, 3))}, "input_layer: needs 4 rows of 4 numbers, got the shape (4, 3)"),
+        ({"output_layer": np.full((2, 2), 4.0)}, "output_layer[0][0]: 4 is outside -3..3"),
+        (
+            {"motors": Motors(outputs=("a", "b"), channels=parking_motors().channels)},
+            "output_layer: is missing, and without it these would have to be the same: v, omega and a, b",
+        ),
+    ],
+)
+def test_refuses_parts_that_do_not_fit(changes, problem):
+    parts = {"circuit": CIRCUIT, "sensing": parking_sensing(), "motors": parking_motors()}
+    with pytest.raises(ConfigError) as caught:
+        Policy(**(parts | changes))
+    assert problem in caught.value.problems
+
+
+@given(
+    value=st.sampled_from([math.nan, math.inf, -math.inf]),
+    place=st.integers(0, 3),
+)
+def test_runner_refuses_what_is_not_finite_and_stays_as_it_was(value, place):
+    runner = PolicyRunner(PARKING)
+    runner.tick([0.1, 0.2, 0.3, 1.0])
+    before = runner.potentials
+    observation = [0.1, 0.2, 0.3, 1.0]
+    observation[place] = value
+    with pytest.raises(UsageError, match=f"the observation {PARKING.sensing.inputs[place]} is "):
+        runner.tick(observation)
+    assert runner.potentials.tobytes() == before.tobytes()
+
+
+def test_runner_refuses_an_observation_of_another_length():
+    with pytest.raises(UsageError, match=r"needs 4 values \(x, y, theta, start\)"):
+        PolicyRunner(PARKING).tick([0.0, 0.0, 0.0])
+
+
+def test_runner_starts_at_rest_and_returns_to_it():
+    runner = PolicyRunner(PARKING)
+    assert (runner.potentials == RESTING_MV).all()
+    first = runner.tick([0.5, 0.5, 0.5, 1.0])
+    again = runner.tick([0.5, 0.5, 0.5, 1.0])
+    assert again != first
+    runner.reset()
+    assert (runner.potentials == RESTING_MV).all()
+    assert runner.tick([0.5, 0.5, 0.5, 1.0]) == first
+
+
+def test_warm_up_is_a_tick():
+    warm, ticked = PolicyRunner(PARKING), PolicyRunner(PARKING)
+    warm.warm_up([0.0, 0.0, 0.0, 0.0])
+    ticked.tick([0.0, 0.0, 0.0, 0.0])
+    assert warm.potentials.tobytes() == ticked.potentials.tobytes()
+
+
+def test_neurons_that_sense_nothing_leak():
+    channel = Channel(name="x", positive="PVD", maximum=1.0)
+    sensing = Sensing(name="one", inputs=("x",), channels=(channel,))
+    policy = Policy(CIRCUIT, sensing, parking_motors())
+    # PLM, ALM and AVM are then neurons like any other: they leak towards their own leak potential.
+    vector = policy.parameters()
+    vector[policy.layout().block(ParameterKind.LEAK_POTENTIAL).slice] = -30.0
+    runner = PolicyRunner(policy.with_parameters(vector))
+    for _ in range(20):
+        runner.tick([0.0])
+    assert runner.potentials[[1, 6, 7]] == pytest.approx(-30.0, abs=1e-6)
+    assert runner.potentials[0] == -70.0

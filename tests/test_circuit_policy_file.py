@@ -1,0 +1,254 @@
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from rover_ncp.circuit.bnn import circuit_from_bnn, circuit_to_bnn
+from rover_ncp.circuit.motors import Motors, parking_motors
+from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
+from rover_ncp.circuit.policy_file import (
+    load_circuit,
+    load_policy,
+    policy_from_yaml,
+    policy_to_yaml,
+    save_policy,
+)
+from rover_ncp.circuit.sensing import Sensing, parking_sensing
+from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.core.errors import ConfigError, FileError, RoverNcpError
+
+GOLDEN = Path(__file__).parent / "data" / "golden"
+PLAIN = replace(parking_policy(parking_circuit()), provenance={"seed": 3, "command": "train --seed 3"})
+LAYERED = Policy(
+    replace(parking_circuit(), held={11: -33.3}),
+    Sensing(name="layered", inputs=("a", "b"), channels=parking_sensing(False).channels, clamp=False),
+    Motors(outputs=("p", "q", "r"), channels=parking_motors().channels, low_mV=-70.0),
+    input_layer=np.zeros((4, 2)),
+    output_layer=np.zeros((3, 2)),
+    dt_s=0.005,
+    substeps=20,
+    courses=("parking", "other"),
+    provenance={"settings": {"alpha": 0.1, "names": ["a", "b"]}, "commit": None},
+)
+
+
+def same(a, b):
+    """Assert that two policies are the same to the last bit."""
+    assert a.parameters().tobytes() == b.parameters().tobytes()
+    for name in ("kind", "source", "destination"):
+        np.testing.assert_array_equal(getattr(a.circuit, name), getattr(b.circuit, name))
+    for name in ("name", "neurons", "held"):
+        assert getattr(a.circuit, name) == getattr(b.circuit, name)
+    for name in ("sensing", "motors", "dt_s", "substeps", "courses", "provenance"):
+        assert getattr(a, name) == getattr(b, name)
+
+
+@pytest.mark.parametrize("policy", [PLAIN, LAYERED], ids=["plain", "layered"])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
+@given(data=st.data())
+def test_saved_and_loaded_is_the_same_to_the_last_bit(policy, data, tmp_path):
+    layout = policy.layout()
+    unit = data.draw(hnp.arrays(np.float64, layout.size, elements=st.floats(0, 1)))
+    vector = np.clip(layout.lower + unit * (layout.upper - layout.lower), layout.lower, layout.upper)
+    policy = policy.with_parameters(vector)
+    path = tmp_path / "policy.yaml"
+    save_policy(path, policy)
+    loaded = load_policy(path)
+    same(policy, loaded)
+    observation = [0.3] * len(policy.sensing.inputs)
+    assert PolicyRunner(loaded).tick(observation) == PolicyRunner(policy).tick(observation)
+
+
+@given(st.integers(0, 2**32), st.sampled_from([PLAIN, LAYERED]))
+def test_published_format_keeps_the_bits(seed, policy):
+    layout = policy.layout()
+    vector = np.random.default_rng(seed).uniform(layout.lower, layout.upper)
+    circuit = policy.with_parameters(vector).circuit
+    loaded = circuit_from_bnn(circuit_to_bnn(circuit), circuit.name, "test")
+    same(parking_policy(circuit), parking_policy(loaded))
+
+
+def test_bnn_drives_with_sensors_that_are_not_clamped():
+    policy = load_policy(GOLDEN / "parking.bnn")
+    assert policy.sensing == parking_sensing(clamp=False)
+    assert policy.motors == parking_motors()
+    assert policy.circuit.weight[0] == 1.55348
+    assert policy.circuit.capacitance[11] == 0.00146423
+
+
+def test_thirteenth_neuron_of_published_files_is_idle(tmp_path):
+    text = (GOLDEN / "parking.bnn").read_text()
+    path = tmp_path / "thirteen.bnn"
+    path.write_text(text.replace("size 12", "size 13"))
+    thirteen, twelve = PolicyRunner(load_policy(path)), PolicyRunner(load_policy(GOLDEN / "parking.bnn"))
+    for _ in range(5):
+        assert thirteen.tick([0.2, 0.3, 0.4, 1.0]) == twelve.tick([0.2, 0.3, 0.4, 1.0])
+
+
+def test_bnn_defaults():
+    circuit = circuit_from_bnn("size 3\n# nothing\n\nex 0 1 1.5 # comment\nconst 2 -33\n", "d", "test")
+    assert circuit.capacitance.tolist() == [0.05] * 3
+    assert circuit.leak.tolist() == [1.0] * 3
+    assert circuit.leak_potential.tolist() == [-70.0] * 3
+    assert circuit.sigma.tolist() == [0.1]
+    assert circuit.held == {2: -33.0}
+
+
+def test_bnn_without_motor_neurons_is_a_circuit_but_no_policy():
+    assert load_circuit(GOLDEN / "tap_withdrawal.bnn").size == 11
+    with pytest.raises(
+        ConfigError, match=r"tap_withdrawal\.bnn: to drive a rover it needs at least 12 neurons"
+    ):
+        load_policy(GOLDEN / "tap_withdrawal.bnn")
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("cm 0 0.1\n", "line 1: a size statement must come first"),
+        ("# only a comment\n", "no size statement"),
+        ("size 2\nsize 2\n", "line 2: a second size statement"),
+        ("size 0\n", "line 1: size must be in 1..256, got '0'"),
+        ("size 1e3\n", "line 1: size must be in 1..256, got '1e3'"),
+        ("size\n", "line 1: expected 'size N', got 0 values"),
+        ("size 2\nfoo 1\n", "line 2: unknown statement 'foo'"),
+        ("size 2\n\n# x\ncm 2 0.1\n", "line 4: neuron '2' is not in 0..1"),
+        ("size 2\ncm -1 0.1\n", "line 2: neuron '-1' is not in 0..1"),
+        ("size 2\ncm 0.5 0.1\n", "line 2: neuron '0.5' is not in 0..1"),
+        ("size 2\ncm 0\n", "line 2: expected 'cm neuron value', got 1 values"),
+        ("size 2\ncm 0 nan\n", "line 2: cm must be a number in 0.001..1 F, got 'nan'"),
+        ("size 2\ngleak 0 inf\n", "line 2: gleak must be a number in 0.05..5 S, got 'inf'"),
+        ("size 2\nvleak 0 1e999\n", "line 2: vleak 1e999 is outside -90..0 mV"),
+        ("size 2\ncm 0 1.5\n", "line 2: cm 1.5 is outside 0.001..1 F"),
+        ("size 2\nconst 0 20\n", "line 2: const 20 is outside -90..0 mV"),
+        ("size 2\nex 0 1 3.01\n", "line 2: weight 3.01 is outside 0..3 S"),
+        ("size 2\ninh 0 1 1 0.6\n", "line 2: sigma 0.6 is outside 0.05..0.5 1/mV"),
+        ("size 2\nex 0 2 1\n", "line 2: neuron '2' is not in 0..1"),
+        ("size 2\nex 0 1 1_0\n", "line 2: weight must be a number in 0..3 S, got '1_0'"),
+        ("size 2\ngj 0 1 1 0.1\n", "line 2: expected 'gj source destination weight', got 4 values"),
+        ("size 2\nex 0 1 1\nex 0 1 2\n", "line 3: ex 0 1 stands twice"),
+        ("size 2\ncm 0 0.1\ncm 0 0.1\n", "line 3: cm 0 stands twice"),
+        (
+            "size 2\ncm 0 9\nex 5 0 1\n",
+            "line 2: cm 9 is outside 0.001..1 F; line 3: neuron '5' is not in 0..1",
+        ),
+        ("size 2\n" + "foo\n" * 30, "and 20 more"),
+    ],
+)
+def test_bad_bnn_is_one_line_with_the_line_number(text, problem, tmp_path):
+    path = tmp_path / "bad.bnn"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_circuit(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert problem in message
+    assert "\n" not in message
+
+
+def edited(*edits):
+    """Return the plain policy's YAML with values replaced; an edit is a path and a value (None: removed)."""
+    data = yaml.safe_load(policy_to_yaml(PLAIN))
+    for path, value in edits:
+        place = data
+        for key in path[:-1]:
+            place = place[key]
+        if value is None:
+            del place[path[-1]]
+        else:
+            place[path[-1]] = value
+    return yaml.safe_dump(data)
+
+
+NEURON, SYNAPSE = ("circuit", "neurons", 3), ("circuit", "synapses", 2)
+
+
+@pytest.mark.parametrize(
+    ("edits", "problems"),
+    [
+        ([(("format",), 2)], ["$.format: input should be 1, got 2"]),
+        ([(("surprise",), 1)], ["$.surprise: unknown key"]),
+        ([(("sensing",), None)], ["$.sensing: this key is missing"]),
+        ([((*NEURON, "leak"), 5.5)], ["$.circuit.neurons[3].leak: input should be less than or equal to 5"]),
+        ([((*NEURON, "leak"), float("nan"))], ["$.circuit.neurons[3].leak: input should be a finite number"]),
+        ([((*NEURON, "capacitance"), "much")], ["$.circuit.neurons[3].capacitance: input should be a valid"]),
+        ([((*NEURON, "name"), "PVD")], ["$.circuit.neurons[3].name: 'PVD' stands twice"]),
+        ([((*NEURON, "held_mV"), 1)], ["$.circuit.neurons[3].held_mV: input should be less than"]),
+        ([((*SYNAPSE, "weight"), -1)], ["$.circuit.synapses[2].weight: input should be greater than"]),
+        ([((*SYNAPSE, "source"), "XYZ")], ["$.circuit.synapses[2].source: there is no neuron 'XYZ'"]),
+        ([((*SYNAPSE, "sigma"), None)], ["$.circuit.synapses[2].sigma: this key is missing"]),
+        ([((*SYNAPSE, "kind"), "gap")], ["$.circuit.synapses[2].sigma: a gap junction has none"]),
+        ([((*SYNAPSE, "kind"), "magic")], ["$.circuit.synapses[2].kind: input should be 'excitatory'"]),
+        (
+            [((*SYNAPSE, "source"), "PVD"), ((*SYNAPSE, "kind"), "inhibitory")],
+            ["$.circuit: the synapse inhibitory PVD -> AVA stands twice"],
+        ),
+        ([(("motors", "low_mV"), -10)], ["$.motors: low_mV must be below high_mV"]),
+        (
+            [(("motors", "channels", 0, "positive"), "REV")],
+            ["$.motors.channels[0]: the circuit has no neuron 'REV'"],
+        ),
+        ([(("input_layer",), [[1.0]])], ["$.input_layer: needs 4 rows of 4 numbers, got the shape (1, 1)"]),
+        ([(("input_layer",), [[1.0], [1.0, 2.0]])], ["$.input_layer: all rows must have the same length"]),
+        ([(("dt_s",), 0.0)], ["$.dt_s: must be above 0 and at most 1 s, got 0.0"]),
+        (
+            [((*NEURON, "leak"), 5.5), ((*SYNAPSE, "weight"), -1), (("substeps",), "ten")],
+            ["neurons[3].leak", "synapses[2].weight", "$.substeps"],
+        ),
+    ],
+)
+def test_bad_policy_is_one_line_with_the_path_of_each_value(edits, problems, tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text(edited(*edits))
+    with pytest.raises(ConfigError) as caught:
+        load_policy(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert all(problem in message for problem in problems), message
+    assert "\n" not in message
+
+
+def test_a_missing_or_empty_file(tmp_path):
+    for load in (load_policy, load_circuit):
+        with pytest.raises(FileError, match=r"nowhere\.yaml: no such file"):
+            load(tmp_path / "nowhere.yaml")
+        for name in ("empty.bnn", "empty.yaml"):
+            (tmp_path / name).write_text(" \n")
+            with pytest.raises(FileError, match=f"{name}: the file is empty"):
+                load(tmp_path / name)
+    with pytest.raises(FileError, match="none of the shipped circuits \\(parking, tap_withdrawal\\)"):
+        load_circuit("elsewhere")
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=200)
+@given(damage=st.binary(max_size=200), place=st.integers(0, 20_000), suffix=st.sampled_from(["yaml", "bnn"]))
+def test_damage_gives_a_policy_or_our_error(damage, place, suffix, tmp_path):
+    text = policy_to_yaml(PLAIN) if suffix == "yaml" else circuit_to_bnn(PLAIN.circuit)
+    content = text.encode()
+    place %= len(content)
+    path = tmp_path / f"damaged.{suffix}"
+    path.write_bytes(content[:place] + damage + content[place + len(damage) :])
+    try:
+        load_policy(path)
+    except RoverNcpError as error:
+        assert str(path) in str(error)
+
+
+def test_a_policy_is_read_without_numba():
+    # The bridge's machine or a reader of policies may lack it; only running one needs it.
+    code = (
+        "import sys; sys.modules['numba'] = None\n"
+        f"from rover_ncp.circuit.policy_file import load_policy\nload_policy({str(GOLDEN / 'parking.bnn')!r})"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_text_of_a_policy_is_read_from_anywhere():
+    same(policy_from_yaml(policy_to_yaml(LAYERED), "an attachment"), LAYERED)

@@ -1,0 +1,213 @@
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from rover_ncp.circuit import solver_reference as reference
+from rover_ncp.circuit.circuit import SynapseKind, build_circuit
+from rover_ncp.circuit.lanes import allocate_lanes, lane_parameters, make_program, resting_potentials
+from rover_ncp.circuit.motors import Motors, parking_motors
+from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
+from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
+from rover_ncp.circuit.solver import exp2, fill_lane, tick_lanes
+from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.jit import kernel
+
+PARKING = parking_policy(parking_circuit())
+SIZE = PARKING.layout().size
+ANY_INPUT = st.floats(allow_nan=False, allow_infinity=False)
+NEAR_INPUT = st.floats(-2, 2)
+
+
+def unit_vectors(size):
+    """Vectors in [0, 1]: where in their bounds parameters lie; the bounds themselves are likely."""
+    return hnp.arrays(np.float64, size, elements=st.floats(0, 1) | st.sampled_from([0.0, 1.0]))
+
+
+def in_bounds(policy, unit):
+    layout = policy.layout()
+    return np.clip(layout.lower + unit * (layout.upper - layout.lower), layout.lower, layout.upper)
+
+
+@st.composite
+def wirings(draw):
+    """Policies on any wiring of up to 8 neurons, loops and synapses into sensory neurons included."""
+    count = draw(st.integers(4, 8))
+    neuron = st.integers(0, count - 1)
+    synapse = st.tuples(st.sampled_from(SynapseKind), neuron, neuron)
+    synapses = draw(st.lists(synapse, max_size=24, unique=True))
+    circuit = build_circuit("any", [f"n{i}" for i in range(count)], [(*row, 1.0) for row in synapses])
+    if draw(st.booleans()):
+        object.__setattr__(circuit, "held", {3: draw(st.floats(-90, 0)), 0: -10.0})
+    layered = draw(st.booleans())
+    sensing = Sensing(
+        name="any",
+        inputs=("a", "b", "c") if layered else ("a", "b"),
+        channels=(
+            Channel(name="a", positive="n0", maximum=1.0, negative="n1", minimum=-0.5),
+            Channel(name="b", positive="n2", maximum=2.0),
+        ),
+        clamp=draw(st.booleans()),
+    )
+    motors = Motors(
+        outputs=("u", "v", "w") if layered else ("u", "v"),
+        channels=(
+            Channel(name="u", positive="n3", maximum=1.0, negative="n0", minimum=-1.0),
+            Channel(name="v", negative="n3", minimum=-0.5),
+        ),
+    )
+    layers = {"input_layer": np.zeros((2, 3)), "output_layer": np.zeros((3, 2))} if layered else {}
+    policy = Policy(circuit, sensing, motors, **layers)
+    return policy.with_parameters(in_bounds(policy, draw(unit_vectors(policy.layout().size))))
+
+
+@kernel
+def exp2_of_all(values, results):
+    """Call exp2 from a kernel, as it is meant to be."""
+    for i in range(len(values)):
+        results[i] = exp2(values[i])
+
+
+def test_exp2_is_exact_to_two_units_in_the_last_place():
+    rng = np.random.default_rng(1)
+    values = np.concatenate(
+        [rng.uniform(-1000, 1000, 200_000), rng.uniform(-2, 2, 200_000), np.arange(-1000, 1001)]
+    )
+    results = np.empty_like(values)
+    exp2_of_all(values, results)
+    expected = np.exp2(values)
+    assert np.max(np.abs(results - expected) / np.spacing(expected)) <= 2
+
+
+@settings(max_examples=1000, deadline=None)
+@given(wirings(), st.data())
+def test_kernel_is_the_reference(policy, data):
+    runner = PolicyRunner(policy)
+    potentials = runner.potentials
+    elements = st.lists(NEAR_INPUT, min_size=len(policy.sensing.inputs), max_size=len(policy.sensing.inputs))
+    for observation in data.draw(st.lists(elements, min_size=1, max_size=6)):
+        command = runner.tick(observation)
+        potentials, outputs = reference.tick(policy, potentials, np.array(observation))
+        np.testing.assert_allclose(runner.potentials, potentials, atol=1e-9, rtol=0)
+        np.testing.assert_allclose(command, outputs, atol=1e-9, rtol=0)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    unit=unit_vectors(SIZE),
+    observations=st.lists(st.tuples(*[ANY_INPUT | NEAR_INPUT] * 4), min_size=1, max_size=8),
+)
+def test_clamped_potentials_never_leave_the_reversal_potentials(unit, observations):
+    runner = PolicyRunner(PARKING.with_parameters(in_bounds(PARKING, unit)))
+    for observation in observations:
+        runner.tick(observation)
+        assert runner.potentials.min() >= -90 - 1e-9
+        assert runner.potentials.max() <= 0
+
+
+@settings(max_examples=100, deadline=None)
+@given(unit=unit_vectors(SIZE), observation=st.tuples(*[ANY_INPUT] * 4))
+def test_unclamped_sensors_far_out_stay_finite(unit, observation):
+    policy = parking_policy(parking_circuit(), clamp=False)
+    runner = PolicyRunner(policy.with_parameters(in_bounds(policy, unit)))
+    for _ in range(3):
+        v, omega = runner.tick(observation)
+        assert np.isfinite(runner.potentials).all()
+        assert 0 <= v <= 0.16
+        assert -0.18 <= omega <= 0.18
+
+
+def run_lanes(policy, vectors, observations):
+    """Run lanes (L, P) over observations (ticks, inputs, L); return potentials (n, L) and commands (o, L)."""
+    potentials = resting_potentials(policy, len(vectors))
+    commands = np.empty((len(policy.motors.outputs), len(vectors)))
+    lanes, program = lane_parameters(policy, vectors), make_program(policy)
+    for observation in observations:
+        tick_lanes(program, lanes, potentials, observation, commands)
+    return potentials, commands
+
+
+@pytest.mark.parametrize("width", [2, 7, 8, 9, 16, 33])
+def test_a_lane_does_not_notice_its_neighbours(width):
+    rng = np.random.default_rng(width)
+    vectors = in_bounds(PARKING, rng.random((width, SIZE)))
+    observations = rng.uniform(-0.5, 1.5, (30, 4, width))
+    potentials, commands = run_lanes(PARKING, vectors, observations)
+    for lane in range(width):
+        runner = PolicyRunner(PARKING.with_parameters(vectors[lane]))
+        for observation in observations:
+            command = runner.tick(observation[:, lane])
+        assert runner.potentials.tobytes() == potentials[:, lane].tobytes()
+        assert np.array(command).tobytes() == commands[:, lane].tobytes()
+
+
+def test_lanes_with_layers_equal_single_runs():
+    rng = np.random.default_rng(5)
+    sensing = Sensing(name="layered", inputs=tuple("abcde"), channels=parking_sensing().channels)
+    motors = Motors(outputs=("p", "q", "r"), channels=parking_motors().channels)
+    layers = {"input_layer": np.zeros((4, 5)), "output_layer": np.zeros((3, 2))}
+    policy = Policy(parking_circuit(), sensing, motors, **layers)
+    vectors = in_bounds(policy, rng.random((11, policy.layout().size)))
+    observations = rng.uniform(-1, 1, (20, 5, 11))
+    potentials, commands = run_lanes(policy, vectors, observations)
+    for lane in range(11):
+        runner = PolicyRunner(policy.with_parameters(vectors[lane]))
+        for observation in observations:
+            command = runner.tick(observation[:, lane])
+        assert runner.potentials.tobytes() == potentials[:, lane].tobytes()
+        assert np.array(command).tobytes() == commands[:, lane].tobytes()
+
+
+def test_a_lane_can_be_set_anew():
+    rng = np.random.default_rng(6)
+    vectors = in_bounds(PARKING, rng.random((12, SIZE)))
+    observations = rng.uniform(0, 1, (10, 4, 12))
+    program = make_program(PARKING)
+    lanes = allocate_lanes(program, PARKING, 12)
+    for lane in reversed(range(12)):
+        fill_lane(program, lanes, lane, vectors[0])
+        fill_lane(program, lanes, lane, vectors[lane])
+    potentials, commands = resting_potentials(PARKING, 12), np.empty((2, 12))
+    for observation in observations:
+        tick_lanes(program, lanes, potentials, observation, commands)
+    assert potentials.tobytes() == run_lanes(PARKING, vectors, observations)[0].tobytes()
+
+
+# Prints the bits of a short run, for a processor whose name is in NUMBA_CPU_NAME.
+SHORT_RUN = """
+import json
+from rover_ncp.circuit.policy import PolicyRunner, parking_policy
+from rover_ncp.circuit.tap_withdrawal import parking_circuit
+runner = PolicyRunner(parking_policy(parking_circuit()))
+commands = [runner.tick([0.01 * k, 0.005 * k, 0.02 * k, float(k > 5)]) for k in range(50)]
+print(json.dumps([commands, runner.potentials.tolist()]))
+"""
+
+
+def test_another_processor_gives_the_same_bits(tmp_path):
+    def run(**environment):
+        command = [sys.executable, "-c", SHORT_RUN]
+        done = subprocess.run(
+            command, env=os.environ | environment, capture_output=True, check=True, timeout=100
+        )
+        return json.loads(done.stdout)
+
+    oldest = run(NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="", NUMBA_CACHE_DIR=str(tmp_path))
+    assert oldest == run()
+
+
+def test_time_constant_is_that_of_the_solver():
+    # A neuron with one half open synapse: tau = C / (G + w g); a step divides its distance to rest.
+    circuit = build_circuit("two", ("a", "b"), [(SynapseKind.EXCITATORY, 0, 1, 2.0)])
+    potentials = np.array([-40.0, -70.0])
+    tau = reference.time_constants(circuit, potentials)
+    assert tau[1] == pytest.approx(0.05 / (1.0 + 2.0 * 0.5))
+    rest = 1.0 * -70.0 / 2.0
+    after = reference.step(circuit, potentials, 0.01)
+    assert after[1] - rest == pytest.approx((potentials[1] - rest) / (1 + 0.01 / tau[1]))

@@ -239,7 +239,10 @@ def seen_once_driving(bridge, spoilt):
 SPOILT = {
     "silent": ({"odometry-age"}, lambda pose, velocity, stamp: None),
     "garbled": ({"odometry-age"}, lambda pose, velocity, stamp: b"\x00\x01\x00\x00nonsense"),
-    "old": ({"odometry-age", "estimator"}, lambda pose, velocity, stamp: odometry(pose, velocity, stamp - 5_000_000_000)),
+    "old": (
+        {"odometry-age", "estimator"},
+        lambda pose, velocity, stamp: odometry(pose, velocity, stamp - 5_000_000_000),
+    ),
     "nan": ({"estimator"}, lambda pose, velocity, stamp: odometry(pose, Velocity(math.nan, 0), stamp)),
     "nowhere": ({"estimator"}, lambda pose, v, stamp: odometry(Pose(math.inf, 0, 0), v, stamp)),
     "kidnapped": ({"estimator"}, lambda pose, v, stamp: odometry(Pose(pose.x + 0.5, *pose[1:]), v, stamp)),

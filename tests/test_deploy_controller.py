@@ -1,0 +1,152 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.controller import Controller
+from deploy.estimator import EstimatorSettings, Outcome
+from rover_ncp.circuit.policy import PolicyRunner, parking_policy
+from rover_ncp.circuit.policy_file import load_circuit, load_policy
+from rover_ncp.core.course import load_course
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative, wrap_angle
+from sim.world.bay import Bay
+from sim.world.rover import Rover, RoverModel
+
+GOLDEN = "tests/data/golden/parking.bnn"
+COURSE = load_course("parking")
+ORIGIN = Pose(0.0, 0.0, 0.0)
+DT = 0.1
+
+
+@pytest.fixture(scope="module")
+def policy(request):
+    return load_policy(request.config.rootpath / GOLDEN)
+
+
+def as_a_base_reports(pose, velocity):
+    """Whole mm, 4096ths of a turn, whole mm/s per wheel (track 588 mm)."""
+    step = math.tau / 4096
+    left, right = (round(1000 * velocity.v + side * 294 * velocity.omega) / 1000 for side in (-1, 1))
+    return (
+        Pose(round(pose.x, 3), round(pose.y, 3), wrap_angle(step * round(pose.theta / step))),
+        Velocity((left + right) / 2, (right - left) / 0.588),
+    )
+
+
+def drive(policy, odom=ORIGIN, pose=ORIGIN, report=lambda p, v: (p, v), latency=0.003, lose=()):
+    """A whole course in simulation; returns the true poses (course frame), the ticks, the controller."""
+    rover, controller = Rover(RoverModel(), Bay(), pose), Controller(policy, COURSE, EstimatorSettings())
+    to_odom = compose(odom, relative(pose, ORIGIN))  # the course's origin as odometry calls it
+    start, _ = report(compose(to_odom, rover.pose), Velocity(0, 0))
+    controller.start(start, -DT, pose)
+    poses, ticks = [], []
+    for index in range(COURSE.ticks):
+        poses.append(rover.pose)
+        if index not in lose:
+            measured = report(compose(to_odom, rover.pose), rover.velocity)
+            assert controller.odometry(*measured, index * DT) is Outcome.ACCEPTED
+        ticks.append(controller.tick(index, index * DT + latency))
+        rover.command(*ticks[-1].command)
+        for _ in range(10):
+            rover.substep()
+    return poses, ticks, controller
+
+
+def bits(ticks):
+    return b"".join(
+        np.array([*tick.estimate.pose, *tick.estimate.velocity, *tick.command]).tobytes()
+        + tick.potentials.tobytes()
+        for tick in ticks
+    )
+
+
+def test_the_circuit_is_run_as_in_the_simulator(policy):
+    _, ticks, _ = drive(policy, latency=0.0)
+    runner = PolicyRunner(policy)
+    runner.warm_up((0.0, 0.0, 0.0, 0.0))
+    for tick in ticks:
+        start = 1.0 if tick.index >= 30 else 0.0
+        command = runner.tick((*tick.estimate.pose, start))
+        assert tick.command == command
+        assert np.array_equal(tick.potentials, runner.potentials)
+    assert len({tick.command for tick in ticks}) > 100  # the run does move
+
+
+def test_driven_on_odometry_the_rover_goes_where_exact_poses_take_it(policy):
+    rover, runner, exact = Rover(RoverModel(), Bay()), PolicyRunner(policy), []
+    runner.warm_up((0.0, 0.0, 0.0, 0.0))
+    for index in range(COURSE.ticks):
+        exact.append(rover.pose)
+        rover.command(*runner.tick((*rover.pose, COURSE.start_signal(index * DT))))
+        for _ in range(10):
+            rover.substep()
+    poses, ticks, _ = drive(policy, report=as_a_base_reports)
+    errors = [distance(tick.estimate.pose, pose) for tick, pose in zip(ticks, poses, strict=True)]
+    turns = [abs(wrap_angle(t.estimate.pose.theta - p.theta)) for t, p in zip(ticks, poses, strict=True)]
+    assert max(errors) < 0.0015
+    assert max(turns) < 0.002
+    assert max(map(distance, poses, exact)) < 0.003
+    assert distance(exact[0], exact[-1]) > 0.3
+
+
+def test_the_same_inputs_give_the_same_bits_whoever_else_runs(policy):
+    first = bits(drive(policy, report=as_a_base_reports)[1])
+    drive(parking_policy(load_circuit("parking")))
+    assert bits(drive(policy, report=as_a_base_reports)[1]) == first
+
+
+@pytest.mark.parametrize("odom", [Pose(5.0, -3.0, 2.0), Pose(-0.4, 0.1, math.pi)])
+def test_where_odometry_began_is_of_no_consequence(policy, odom):
+    _, ticks, _ = drive(policy)
+    _, moved, _ = drive(policy, odom=odom)
+    for tick, other in zip(ticks, moved, strict=True):
+        assert distance(tick.estimate.pose, other.estimate.pose) < 1e-6
+        assert tick.command == pytest.approx(other.command, abs=1e-6)
+
+
+def test_a_start_pose_given_from_outside_counts(policy):
+    there = Pose(0.1, -0.05, 0.2)
+    poses, ticks, _ = drive(policy, odom=Pose(1.0, 2.0, 3.0), pose=there)
+    assert distance(ticks[0].estimate.pose, there) < 1e-9
+    assert all(distance(t.estimate.pose, p) < 0.001 for t, p in zip(ticks, poses, strict=True))
+
+
+def test_lost_odometry_is_bridged(policy):
+    poses, ticks, _ = drive(policy, report=as_a_base_reports, lose={40, 41, 90, 150, 152})
+    errors = [distance(tick.estimate.pose, pose) for tick, pose in zip(ticks, poses, strict=True)]
+    assert max(errors) < 0.01
+
+
+def test_the_verdict_is_the_courses_on_the_estimates(policy):
+    poses, _, controller = drive(policy)
+    assert controller.verdict().reason.endswith("(at most 0.1 m)")
+    controller.look(COURSE.ticks, COURSE.ticks * DT)
+    assert controller.verdict().error_m == pytest.approx(distance(poses[-1], COURSE.goal), abs=0.03)
+
+
+def test_odometry_without_numbers_never_gets_through(policy):
+    controller = Controller(policy, COURSE, EstimatorSettings())
+    controller.start(ORIGIN, 0.0)
+    nan, inf = math.nan, math.inf
+    assert controller.odometry(Pose(nan, 0, 0), Velocity(0, 0), 0.1) is Outcome.NOT_FINITE
+    assert controller.odometry(Pose(0, 0, inf), Velocity(0, 0), 0.1) is Outcome.NOT_FINITE
+    assert not controller.estimator.fault
+    assert controller.odometry(Pose(1e308, 1e308, 1), Velocity(0, nan), 0.1) is Outcome.NOT_FINITE
+    assert controller.estimator.fault
+    assert all(map(math.isfinite, controller.tick(0, 0.2).command))
+
+
+def test_policies_that_do_not_fit_are_refused_with_every_reason(policy):
+    sensing = policy.sensing
+    channels = (sensing.channels[0].model_copy(update={"name": "warmth"}), *sensing.channels[1:])
+    odd = sensing.model_copy(update={"inputs": ("warmth", *sensing.inputs[1:]), "channels": channels})
+    with pytest.raises(ConfigError) as caught:
+        Controller(replace(policy, sensing=odd, substeps=5), COURSE, EstimatorSettings())
+    assert "asks for warmth; known are x, y, theta, start" in str(caught.value)
+    assert "its tick lasts 0.05 s; a control tick lasts 0.1 s" in str(caught.value)
+    first, second = policy.motors.channels
+    turned = policy.motors.model_copy(update={"outputs": ("omega", "v"), "channels": (second, first)})
+    with pytest.raises(ConfigError, match="its outputs are omega, v; expected v, omega"):
+        Controller(replace(policy, motors=turned), COURSE, EstimatorSettings())

@@ -1,0 +1,135 @@
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from deploy.recorder import Recorder
+from rover_ncp.core.errors import FileError
+from rover_ncp.core.messages import read_text, text
+from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording
+
+
+def note(words, now_ns=None):
+    now = now_ns or time.time_ns()
+    return Recorded("a", "std_msgs/msg/String", text(words), now, now)
+
+
+def test_everything_handed_over_is_written_in_order(tmp_path):
+    recorder = Recorder(tmp_path / "run.mcap", {"policy.yaml": b"x"})
+    for number in range(500):
+        recorder.put(note(str(number)))
+    recorder.close()
+    recording = read_recording(tmp_path / "run.mcap")
+    assert recording.complete
+    assert [read_text(message.data) for message in recording.messages] == [str(n) for n in range(500)]
+    assert recording.attachment("policy.yaml") == b"x"
+    assert (recorder.written, recorder.dropped, recorder.failure) == (500, 0, "")
+
+
+WRITER = """
+import sys, time
+from pathlib import Path
+from deploy.recorder import Recorder
+from rover_ncp.core.messages import text
+from rover_ncp.core.recording import Recorded
+recorder = Recorder(Path(sys.argv[1]), {"policy.yaml": b"x" * 1000})
+while True:
+    now = time.time_ns()
+    recorder.put(Recorded("a", "std_msgs/msg/String", text(str(now)), now, now))
+    print(now, flush=True)
+    time.sleep(0.01)
+"""
+
+
+def test_killed_at_any_moment_it_loses_half_a_second_at_most(tmp_path):
+    path, lost = tmp_path / "run.mcap", []
+    for run_s in (0.9, 1.15, 1.4):  # at different points between two flushes
+        with subprocess.Popen(
+            [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True
+        ) as child:
+            began, last = None, 0
+            for line in child.stdout:
+                last = int(line)
+                began = began or last
+                if last - began > run_s * 1e9:
+                    break
+            child.send_signal(signal.SIGKILL)
+            put = [*map(int, child.stdout.read().split())]
+        last = put[-1] if put else last
+        recording = read_recording(path)
+        assert not recording.complete
+        assert recording.attachment("policy.yaml") == b"x" * 1000
+        lost.append((last - recording.messages[-1].log_ns) / 1e9)
+    assert max(lost) <= 0.5
+    assert max(lost) > 0.05  # a kill does cost something: otherwise this test looks at the wrong thing
+
+
+LIMITED = """
+import resource, sys, time
+from pathlib import Path
+from deploy.recorder import Recorder
+from rover_ncp.core.messages import text
+from rover_ncp.core.recording import Recorded
+import random
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+recorder = Recorder(Path(sys.argv[1]), {"policy.yaml": b"x"})
+noise = random.Random(0)
+longest = 0.0
+for number in range(200):
+    began = time.monotonic()
+    now = time.time_ns()
+    recorder.put(Recorded("a", "std_msgs/msg/String", text(noise.randbytes(1000).hex()), now, now))
+    longest = max(longest, time.monotonic() - began)
+    time.sleep(0.005)
+recorder.close()
+assert "File too large" in recorder.failure, recorder.failure
+assert recorder.dropped > 0
+print(longest)
+"""
+
+
+def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path):
+    path = tmp_path / "run.mcap"
+    command = [sys.executable, "-W", "error", "-c", LIMITED, str(path)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert path.stat().st_size <= 20_000
+    recording = read_recording(path)
+    assert not recording.complete
+    assert recording.attachment("policy.yaml") == b"x"
+
+
+def test_a_disk_that_hangs_never_holds_up_who_records(tmp_path, monkeypatch):
+    hang = threading.Event()
+    monkeypatch.setattr("deploy.recorder.QUEUE_LENGTH", 50)
+    monkeypatch.setattr(RecordingWriter, "write", lambda self, message: hang.wait(30))
+    recorder = Recorder(tmp_path / "run.mcap", {})
+    began = time.monotonic()
+    for number in range(200):
+        recorder.put(note(str(number)))
+    assert time.monotonic() - began < 0.5
+    assert recorder.dropped >= 149
+    hang.set()
+    recorder.close()
+
+
+def test_any_failure_of_the_thread_is_told(tmp_path):
+    recorder = Recorder(tmp_path / "run.mcap", {})
+    recorder.put(note("one"))
+    recorder.put(Recorded("a", "nav_msgs/msg/Odometry", b"", 1, 1))  # another type on the same topic
+    recorder.close()
+    assert "a holds std_msgs/msg/String" in recorder.failure
+    assert recorder.dropped == 0
+    assert recorder.written == 1
+
+
+def test_a_place_that_cannot_be_written_is_said_at_once(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError, match="cannot be written"):
+        Recorder(tmp_path / "file" / "run.mcap", {})
+    with pytest.raises(FileError, match=f"{tmp_path}: cannot be written"):
+        Recorder(tmp_path, {})

@@ -1,5 +1,6 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -7,6 +8,37 @@ import typer
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 
 
-def mock(json: Json = False) -> None:
-    """Not there yet."""
-    raise NotImplementedError
+def mock(
+    *,
+    listen: Annotated[
+        str, typer.Option(help="HOST:PORT to wait on; port 0 takes a free one.")
+    ] = "127.0.0.1:8101",
+    model: Annotated[str, typer.Option(help="p3at, p3at-sh, p3dx or p3dx-sh.")] = "p3at-sh",
+    course: Annotated[
+        str | None, typer.Option(help="Put this course's obstacles around the rover: a name or a file.")
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="Write the rover's true pose to this CSV file, 100 times a second.")
+    ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="NAME[=VALUE][@START[-END]], again for more; seconds count from when the motors are first "
+            "enabled. mute, deaf, corrupt, drop, noise, freeze-odometry, jump-odometry, bumper, stall, "
+            "stop-button, low-battery, reset."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Decides which packets random faults damage.")] = 0,
+    json: Json = False,
+) -> None:
+    """Pretend to be a Pioneer: its firmware on a simulated rover, on TCP, in real time.
+
+    Whatever drives a Pioneer can drive this: rover-ncp bridge, ARIA, Player, Soar. The rover starts at the
+    origin and obeys delays, acceleration limits, the watchdog and walls as a real one does. When it is ready,
+    the line "listening on HOST:PORT" is printed; Ctrl-C or SIGTERM ends it.
+    """
+    from sim.pioneer.run import run_mock
+
+    run_mock(
+        listen=listen, model=model, course=course, truth=truth, faults=fault or [], seed=seed, as_json=json
+    )

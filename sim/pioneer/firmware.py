@@ -77,6 +77,8 @@ class Firmware:
         self._observe = observe
         self._home = rover.pose
         self.link = Link.WAITING
+        self.sip_due_s = math.inf
+        """When the next SIP will be sent."""
         self._expected = 0
         self._out = bytearray()
         self._start_s, self._substeps = start_s, 0
@@ -126,8 +128,8 @@ class Firmware:
         self._sonars.listen(self.drive.rover, self.now)
         if self._observe:
             self._observe(self.now)
-        if self.link is Link.OPEN and self.now >= self._sip_due_s - 1e-9:
-            self._sip_due_s += self._config.sip_cycle / 1000
+        if self.link is Link.OPEN and self.now >= self.sip_due_s - 1e-9:
+            self.sip_due_s += self._config.sip_cycle / 1000
             self._report()
 
     def _report(self) -> None:
@@ -269,7 +271,7 @@ class Firmware:
         """End the session: stop, motors off, working values as in FLASH (AROS manual p. 44)."""
         self.link = Link.WAITING
         self._expected = 0
-        self._sip_due_s = math.inf
+        self.sip_due_s = math.inf
         self._streams: dict[Command, int] = {}
         self.drive.enable(False)
         self.drive.restore_flash()
@@ -278,7 +280,7 @@ class Firmware:
     def _open(self) -> None:
         if self.link is Link.SYNCED:
             self.link = Link.OPEN
-            self._sip_due_s = self.now + self._config.sip_cycle / 1000
+            self.sip_due_s = self.now + self._config.sip_cycle / 1000
 
     def _restart(self) -> None:
         self._emit(Packet(Kind.RESET_FF))

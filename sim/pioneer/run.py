@@ -1,0 +1,90 @@
+"""The ``mock`` command: reads its options, serves until a signal comes, reports."""
+
+import signal
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from bridge.robots import ROBOTS
+from rover_ncp.core.console import Output
+from rover_ncp.core.course import load_course
+from rover_ncp.core.errors import UsageError
+from sim.pioneer.faults import Faults, parse_fault
+from sim.pioneer.firmware import Firmware
+from sim.pioneer.models import rover_model_of
+from sim.pioneer.server import Server, TruthFile, parse_listen
+from sim.world.bay import Bay
+from sim.world.rover import Rover
+
+__all__ = ["run_mock"]
+
+
+def run_mock(
+    *,
+    listen: str,
+    model: str,
+    course: str | None,
+    truth: Path | None,
+    faults: Sequence[str],
+    seed: int,
+    as_json: bool,
+) -> None:
+    """See ``commands.mock``. Raises UsageError, PortInUse or FileError before anything listens."""
+    output = Output(as_json)
+    host, port = parse_listen(listen)
+    if model not in ROBOTS:
+        raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}")
+    suffering = Faults([parse_fault(text) for text in faults], seed)
+    bay = Bay(load_course(course).obstacles if course else ())
+    rover = Rover(rover_model_of(ROBOTS[model]), bay)
+
+    def make(start_s: float, observe: Callable[[float], None]) -> Firmware:
+        return Firmware(model, rover, suffering, start_s, observe)
+
+    server = Server(host, port, make, TruthFile(truth) if truth else None)
+    try:
+        with _until_signal() as wake:
+            output.say(f"listening on {server.host}:{server.port}")
+            server.serve(wake)
+    finally:
+        server.close()
+    firmware, pose = server.firmware, rover.pose
+    output.result(
+        {
+            "listen": f"{server.host}:{server.port}",
+            "model": model,
+            "connections": server.connections,
+            "bytes_in": server.bytes_in,
+            "bytes_out": server.bytes_out,
+            "packets": firmware.decoder.packets,
+            "bad_checksums": firmware.decoder.bad_checksums,
+            "skipped_bytes": firmware.decoder.skipped_bytes,
+            "unknown_commands": sum(firmware.unknown.values()),
+            "bad_arguments": sum(firmware.bad_arguments.values()),
+            "touched": server.touched,
+            "pose": {"x": pose.x, "y": pose.y, "theta": pose.theta},
+            "truth": str(truth) if truth else None,
+        },
+        f"{server.connections} connections, {firmware.decoder.packets} packets; "
+        f"the rover stands at x={pose.x:.3f} m, y={pose.y:.3f} m, theta={pose.theta:.3f} rad",
+    )
+
+
+@contextmanager
+def _until_signal() -> Iterator[socket.socket]:
+    """Give a socket that becomes readable when SIGINT or SIGTERM comes, instead of their usual effect."""
+    wake, bell = socket.socketpair()
+    bell.setblocking(False)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    fd = signal.set_wakeup_fd(bell.fileno())
+    for number in before:
+        signal.signal(number, lambda *_: None)
+    try:
+        yield wake
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(fd)
+        wake.close()
+        bell.close()

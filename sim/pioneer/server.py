@@ -1,0 +1,200 @@
+"""The mock's line to the world: one client at a time on TCP, in real time, and the true pose into a file.
+
+One thread: it sleeps until a client speaks or the next SIP is due, then lets the firmware catch up.
+"""
+
+import errno
+import selectors
+import socket
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import TextIO
+
+from rover_ncp.core.errors import FileError, PortInUse, UsageError
+from sim.pioneer.firmware import Firmware
+
+__all__ = ["TRUTH_COLUMNS", "Server", "TruthFile", "parse_listen"]
+
+PERIOD_S = 0.1
+"""How long the mock sleeps at most: the true pose reaches its file that late."""
+
+CHUNK_BYTES = 4096
+
+BACKLOG_BYTES = 1 << 16
+"""A client that does not read loses what is beyond this, as on a serial line."""
+
+TRUTH_COLUMNS = ("t_ns", "t_s", "x", "y", "theta", "v", "omega", "contact")
+"""Wall clock in ns, time since the start in s, true pose in m and rad, speeds in m/s and rad/s, 0 or 1."""
+
+
+def parse_listen(text: str) -> tuple[str, int]:
+    """Read ``HOST:PORT``; port 0 takes a free one. Raises UsageError."""
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not port.isdigit() or int(port) > 65535:
+        raise UsageError(f"--listen {text}: expected HOST:PORT, for example 127.0.0.1:8101")
+    return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+class TruthFile:
+    """The true pose as CSV, 100 lines a second, flushed as they come: a kill leaves whole lines behind."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: TextIO = path.open("w", encoding="ascii", newline="\n")
+        except OSError as error:
+            raise FileError(f"--truth {path}: cannot be written: {error.strerror}") from error
+        self._lines = [",".join(TRUTH_COLUMNS)]
+        self.flush()
+
+    def add(self, firmware: Firmware, t_ns: int, t_s: float) -> None:
+        """Note where the rover is now."""
+        rover = firmware.drive.rover
+        (x, y, theta), (v, omega) = rover.pose, rover.velocity
+        self._lines.append(
+            f"{t_ns},{t_s:.2f},{x:.6f},{y:.6f},{theta:.6f},{v:.5f},{omega:.5f},{int(rover.in_contact)}"
+        )
+
+    def flush(self) -> None:
+        """Hand over to the system what was noted, in whole lines."""
+        if self._lines:
+            self._file.write("\n".join(self._lines) + "\n")
+            self._file.flush()
+            self._lines.clear()
+
+    def close(self) -> None:
+        """Write what is left and close."""
+        self.flush()
+        self._file.close()
+
+
+class Server:
+    """Serves the firmware that ``make`` returns, given the starting time and an observer, on TCP.
+
+    Raises PortInUse, or UsageError for an address that cannot be listened on.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        make: Callable[[float, Callable[[float], None]], Firmware],
+        truth: TruthFile | None = None,
+    ) -> None:
+        self._listener = _listen(host, port)
+        name = self._listener.getsockname()
+        self.host, self.port = str(name[0]), int(name[1])
+        self.connections = self.bytes_in = self.bytes_out = 0
+        self.touched = False
+        """Whether the rover ever touched anything."""
+        self._truth = truth
+        self._start_s = time.monotonic()
+        self.firmware = make(self._start_s, self._observe)
+        self._client: socket.socket | None = None
+        self._backlog = bytearray()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
+
+    def serve(self, wake: socket.socket) -> None:
+        """Serve until ``wake`` has something to read."""
+        stop = False
+
+        def wake_up() -> None:
+            nonlocal stop
+            stop = True
+
+        self._selector.register(wake, selectors.EVENT_READ, wake_up)
+        while not stop:
+            sleep_s = min(self.firmware.sip_due_s - time.monotonic(), PERIOD_S)
+            for key, _ in self._selector.select(max(sleep_s, 0.0)):
+                key.data()
+            self.firmware.advance(time.monotonic())
+            self._send()
+            if self._truth:
+                self._truth.flush()
+
+    def close(self) -> None:
+        """Hang up and close everything."""
+        self._hang_up()
+        self._selector.close()
+        self._listener.close()
+        if self._truth:
+            self._truth.close()
+
+    def _observe(self, now: float) -> None:
+        contact = self.firmware.drive.rover.in_contact
+        self.touched |= contact
+        if self._truth:
+            behind_ns = round((time.monotonic() - now) * 1e9)
+            self._truth.add(self.firmware, time.time_ns() - behind_ns, now - self._start_s)
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            client, _ = self._listener.accept()
+            if self._client is not None:
+                client.close()
+                return
+            client.setblocking(False)
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._client = client
+            self._backlog.clear()
+            self.connections += 1
+            self.firmware.line_changed()
+            self._selector.register(client, selectors.EVENT_READ, self._receive)
+
+    def _receive(self) -> None:
+        if self._client is None:
+            return
+        try:
+            data = self._client.recv(CHUNK_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._hang_up()
+            return
+        self.bytes_in += len(data)
+        self.firmware.receive(data, time.monotonic())
+
+    def _send(self) -> None:
+        data = self.firmware.data_to_send()
+        if self._client is None:
+            return
+        if len(self._backlog) + len(data) <= BACKLOG_BYTES:
+            self._backlog += data
+        if not self._backlog:
+            return
+        try:
+            sent = self._client.send(self._backlog)
+        except BlockingIOError:
+            return
+        except OSError:
+            self._hang_up()
+            return
+        del self._backlog[:sent]
+        self.bytes_out += sent
+
+    def _hang_up(self) -> None:
+        if self._client is not None:
+            self._selector.unregister(self._client)
+            self._client.close()
+            self._client = None
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen()
+        listener.setblocking(False)
+    except OSError as error:
+        listener.close()
+        if error.errno == errno.EADDRINUSE:
+            raise PortInUse(f"--listen {host}:{port}: another process listens there") from error
+        raise UsageError(f"--listen {host}:{port}: {error.strerror or error}") from error
+    return listener

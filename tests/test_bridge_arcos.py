@@ -1,0 +1,230 @@
+"""The codec, on bytes of third parties first: recorded clients, recorded robots, examples in manuals."""
+
+import struct
+from collections.abc import Callable, Iterator
+
+import pytest
+from arcos_captures import CAPTURES, VECTORS, Capture
+from hypothesis import assume, example, given
+from hypothesis import strategies as st
+
+import bridge.arcos
+from bridge.arcos import (
+    COMMANDS,
+    Argument,
+    Command,
+    Decoder,
+    Packet,
+    checksum,
+    decode_argument,
+    encode_command,
+    encode_frame,
+    pair,
+)
+
+CLEAN = [capture for capture in CAPTURES if not capture.name.startswith("fault")]
+PACKETS = st.builds(Packet, st.integers(0, 255), st.binary(max_size=249))
+
+
+def third_party_frames() -> Iterator[bytes]:
+    """Every single frame that other people's software or manuals wrote."""
+    for vector in VECTORS.values():
+        texts = vector["hex"] if isinstance(vector["hex"], list) else [vector["hex"]]
+        frames = [bytes.fromhex(text) for text in texts]
+        yield from (frame for frame in frames if len(frame) == frame[2] + 3)
+    for capture in CLEAN:
+        for direction in ("c2r", "r2c"):
+            stream = b"".join(data for _, data in capture.chunks(direction))
+            while stream:
+                size = stream[2] + 3
+                yield stream[:size]
+                stream = stream[size:]
+
+
+FRAMES = sorted(set(third_party_frames()))
+
+
+def test_there_are_third_party_frames_of_both_parities() -> None:
+    assert len(FRAMES) > 500
+    assert {len(frame) % 2 for frame in FRAMES} == {0, 1}
+
+
+def test_every_third_party_frame_is_decoded_and_encodes_back_to_itself() -> None:
+    for frame in FRAMES:
+        decoder = Decoder()
+        (packet,) = decoder.feed(frame)
+        assert encode_frame(*packet) == frame
+        assert (decoder.bad_checksums, decoder.skipped_bytes) == (0, 0)
+
+
+def swapped(body: bytes) -> int:
+    return struct.unpack("<H", struct.pack(">H", checksum(body)))[0]
+
+
+def left_over_added(body: bytes) -> int:
+    return (sum(body[0:-1:2]) * 256 + sum(body[1::2]) + (body[-1] if len(body) % 2 else 0)) & 0xFFFF
+
+
+def left_over_shifted(body: bytes) -> int:
+    return (sum(body[0::2]) * 256 + sum(body[1::2])) & 0xFFFF
+
+
+def carry_lost(body: bytes) -> int:
+    return (sum(body[0:-1:2]) & 0xFF) << 8 | checksum(body) & 0xFF
+
+
+@pytest.mark.parametrize("mutant", [swapped, left_over_added, left_over_shifted, carry_lost])
+def test_a_wrong_checksum_rule_refuses_third_party_frames(
+    monkeypatch: pytest.MonkeyPatch, mutant: Callable[[bytes], int]
+) -> None:
+    monkeypatch.setattr(bridge.arcos, "checksum", mutant)
+    assert any(Decoder().feed(frame) == [] for frame in FRAMES)
+
+
+def test_the_manuals_examples_are_what_the_encoder_writes() -> None:
+    assert encode_command(Command.ENABLE, 1).hex() == VECTORS["manual_ENABLE_1"]["hex"]
+    assert encode_command(Command.OPEN).hex() == VECTORS["manual_OPEN_noarg"]["hex"]
+    syncs = [encode_command(c).hex() for c in (Command.PULSE, Command.OPEN, Command.CLOSE)]
+    assert syncs == VECTORS["manual_SYNC"]["hex"]
+
+
+def test_the_manuals_unsigned_argument_keeps_its_size_whatever_its_type_byte() -> None:
+    (packet,) = Decoder().feed(bytes.fromhex(VECTORS["manual_DIGOUT_example"]["hex"]))
+    assert decode_argument(Command.DIGOUT, packet.payload) == 0x0919
+
+
+# What clients said, by hand from the recordings' descriptions: sign and magnitude, pairs, poses, strings.
+ARGUMENTS = [
+    (Command.VEL, "1bc800", -200),
+    (Command.RVEL, "1b1e00", -30),
+    (Command.SETA, "1b2c01", -300),
+    (Command.SETV, "3bb80b", 3000),
+    (Command.VEL2, "3b0a05", 0x050A),
+    (Command.VEL2, "1bfb04", -1275),
+    (Command.SIM_SET_POSE, "0018fcffffc40900005a000000", (-1000, 2500, 90)),
+    (Command.SIM_MESSAGE, "2b0968656c6c6f2073696d00", b"hello sim"),
+    (Command.POLLING, "2b010203040506070800", bytes(range(1, 9))),  # Soar: no length, a NUL
+    (Command.POLLING, "2b03010203", bytes([1, 2, 3])),
+    (Command.POLLING, "2b00", b""),
+    (Command.SETO, "3b", None),  # Player
+    (Command.OPEN, "3b0100", None),  # ARIA
+    (Command.VEL, "", None),
+    (Command.VEL, "3b05", None),
+    (Command.VEL, "2b0500", None),
+    (Command.VEL, "3b0500ff", 5),
+    (Command.SIM_SET_POSE, "0018fcffff", None),
+    (Command.SAY, "3b0500", None),
+]
+
+
+@pytest.mark.parametrize(("command", "payload", "argument"), ARGUMENTS)
+def test_arguments_mean_what_clients_meant(command: Command, payload: str, argument: object) -> None:
+    assert decode_argument(command, bytes.fromhex(payload)) == argument
+
+
+@pytest.mark.parametrize(("word", "wheels"), [(0x050A, (5, 10)), (-1275, (-5, 5)), (0xFB05, (-5, 5))])
+def test_vel2_carries_two_signed_bytes_in_either_encoding(word: int, wheels: tuple[int, int]) -> None:
+    assert pair(word) == wheels
+
+
+@given(st.sampled_from([c for c in Command if c.argument is Argument.SIGNED]), st.integers(-32767, 32767))
+def test_integers_survive_the_wire(command: Command, value: int) -> None:
+    (packet,) = Decoder().feed(encode_command(command, value))
+    assert packet.kind == command
+    assert decode_argument(COMMANDS[packet.kind], packet.payload) == value
+
+
+def test_what_does_not_fit_is_refused_when_encoding() -> None:
+    with pytest.raises(ValueError, match="32767"):
+        encode_command(Command.VEL, 32768)
+    with pytest.raises(ValueError, match="249"):
+        encode_frame(1, bytes(250))
+    assert len(Decoder().feed(encode_frame(1, bytes(249)))) == 1
+
+
+@pytest.mark.parametrize("capture", CLEAN, ids=lambda c: c.name)
+@pytest.mark.parametrize("direction", ["c2r", "r2c"])
+def test_one_byte_at_a_time_gives_the_same_packets(capture: Capture, direction: str) -> None:
+    whole, single = Decoder(), Decoder()
+    chunks = capture.chunks(direction)
+    expected = [packet for t, data in chunks for packet in whole.feed(data, t)]
+    stream = [(t, data[i : i + 1]) for t, data in chunks for i in range(len(data))]
+    assert [packet for t, byte in stream for packet in single.feed(byte, t)] == expected
+    assert expected
+    assert single.skipped_bytes == 0
+
+
+def test_the_damaged_recording_loses_damaged_packets_only() -> None:
+    """What the relay left whole arrives, although COUNTs were damaged, too."""
+    capture = next(c for c in CAPTURES if c.name == "fault_aria_r2c_corrupt")
+    decoder = Decoder()
+    received = [packet for t, data in capture.chunks("r2c") for packet in decoder.feed(data, t)]
+    whole = [packet for _, data in capture.chunks("r2c") for packet in Decoder().feed(data)]
+    assert len(received) >= len(whole) > 100
+    assert decoder.bad_checksums > 5
+
+
+@given(st.lists(PACKETS, max_size=8), st.data())
+def test_any_packets_in_any_pieces_arrive(packets: list[Packet], data: st.DataObject) -> None:
+    stream = b"".join(encode_frame(*packet) for packet in packets)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
+    decoder, received = Decoder(), []
+    for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
+        received += decoder.feed(stream[start:end])
+    assert received == packets
+
+
+@given(st.lists(st.binary(max_size=300), max_size=5), st.floats(0, 1))
+@example([b"\xfa" * 300, b"\xfb\x03"], 0.1)
+@example([b"\xfa\xfb\xfc" * 100], 0.1)
+def test_garbage_gives_packets_with_good_checksums_or_is_counted(pieces: list[bytes], step: float) -> None:
+    """Invariant: every byte is in a packet that encodes back to it, or counted as skipped, or waiting."""
+    decoder, now, received = Decoder(), 0.0, 0
+    for piece in pieces:
+        for packet in decoder.feed(piece, now):
+            received += len(encode_frame(*packet))
+        now += step
+    fed = sum(map(len, pieces))
+    waiting = fed - received - decoder.skipped_bytes
+    assert 0 <= waiting <= 254
+    decoder.drop()
+    assert decoder.skipped_bytes == fed - received
+    assert decoder.feed(encode_frame(7, b"ok"), now) == [Packet(7, b"ok")]
+
+
+@given(PACKETS, PACKETS, st.binary(min_size=1, max_size=40), st.data())
+def test_damage_loses_only_the_packets_it_touches(
+    first: Packet, last: Packet, noise: bytes, data: st.DataObject
+) -> None:
+    """A packet damaged in any one byte, COUNT included, with noise after it: the others arrive in time."""
+    frame = bytearray(encode_frame(9, b"damaged"))
+    place = data.draw(st.integers(0, len(frame) - 1))
+    frame[place] ^= data.draw(st.integers(1, 255))
+    if data.draw(st.booleans()):
+        del frame[place]
+    damaged = bytes(frame) + noise
+    # Chance can make a valid frame of anything; that is the checksum's limit, not the decoder's.
+    assume(not any(Decoder().feed(damaged[i:] + bytes(260)) for i in range(len(damaged))))
+    decoder = Decoder()
+    received = decoder.feed(encode_frame(*first), 0.0)
+    received += decoder.feed(damaged, 0.1)
+    received += decoder.feed(encode_frame(*last), 0.2)
+    assert received == [first, last]
+
+
+def test_a_damaged_count_does_not_hold_up_the_next_packet() -> None:
+    sip = encode_frame(0x32, bytes(38))
+    damaged = bytearray(sip)
+    damaged[2] = 252
+    decoder = Decoder()
+    assert decoder.feed(bytes(damaged), 0.0) == []
+    assert decoder.feed(sip, 0.1) == [Packet(0x32, bytes(38))]
+
+
+def test_a_frame_inside_a_payload_is_not_taken_out_however_slowly_it_comes() -> None:
+    """The inner frame is seen before the outer is full; without a pause there is no reason to doubt COUNT."""
+    frame = encode_frame(0xB0, b"<" + encode_frame(0) + b">")
+    decoder, received = Decoder(), []
+    for i in range(len(frame)):
+        received += decoder.feed(frame[i : i + 1], i * 0.04)
+    assert [packet.kind for packet in received] == [0xB0]

@@ -1,0 +1,192 @@
+"""What the driver makes of a robot's packets, held against what third-party clients printed about them."""
+
+import math
+from collections.abc import Callable
+
+import pytest
+from arcos_captures import ARIA_LINE, CAPTURES, PLAYER_LINE, Capture
+from hypothesis import given
+from hypothesis import strategies as st
+
+import bridge.odometry
+from bridge.arcos import COMMANDS, Command, Decoder
+from bridge.odometry import BaseState, Odometer, counter_difference
+from bridge.packets import SIP_KINDS, ConfigPac, Sip
+from bridge.robots import ROBOTS
+
+SPOKEN = [c for c in CAPTURES if c.said(ARIA_LINE) or c.said(PLAYER_LINE)]
+
+
+def states_of(capture: Capture) -> list[BaseState]:
+    """Decode the robot's side, with the resets that the client asked for."""
+    odometer = Odometer(ROBOTS[capture.model])
+    from_client, from_robot = Decoder(), Decoder()
+    both = [(t, "c2r", data) for t, data in capture.chunks("c2r")]
+    both += [(t, "r2c", data) for t, data in capture.chunks("r2c")]
+    states = []
+    for t, direction, data in sorted(both):
+        if direction == "c2r":
+            kinds = {COMMANDS.get(packet.kind) for packet in from_client.feed(data, t)}
+            if kinds & {Command.SETO, Command.SIM_RESET}:
+                odometer.expect_reset()
+            continue
+        for packet in from_robot.feed(data, t):
+            if packet.kind in SIP_KINDS:
+                sip = Sip.decode(packet)
+                assert sip is not None
+                states.append(odometer.update(sip, t))
+    return states
+
+
+def agrees(state: BaseState, line: dict[str, str]) -> bool:
+    """Compare within the digits that were printed."""
+    if "omega" in line:
+        told = [(state.x, "x"), (state.y, "y"), (state.theta, "th"), (state.v, "vel"), (state.omega, "omega")]
+        return all(abs(value - float(line[name])) <= 0.002 for value, name in told)
+    wheel = state.omega * ROBOTS["p3at-sh"].half_track_m
+    told_mm = [(state.x, "x"), (state.y, "y"), (state.v, "vel")]
+    # ARIA's parameter files have 0.00153 rad for a heading unit of 2π/4096: 0.26 % less.
+    heading = math.degrees(state.theta)
+    return (
+        all(abs(value * 1000 - float(line[name])) <= 0.06 for value, name in told_mm)
+        and abs(heading - float(line["th"])) <= 0.06 + 0.0027 * abs(heading)
+        and abs(math.degrees(state.omega) - float(line["rot"])) <= 0.06
+        and state.flags == int(line["flags"], 16)
+        and list(state.stalled) == [bool(int(line["stall"], 16) & bit) for bit in (0x001, 0x100)]
+        and abs((state.v - wheel) * 1000 - float(line["l"])) <= 6.0  # AMRISim rounds ROTVEL to whole degrees
+    )
+
+
+def unmatched_lines(capture: Capture) -> list[dict[str, str]]:
+    """Return the printed lines for which no state comes, in order."""
+    states = iter(states_of(capture))
+    lines = capture.said(PLAYER_LINE) or capture.said(ARIA_LINE)
+    return [line for line in lines if not any(agrees(state, line) for state in states)]
+
+
+@pytest.mark.parametrize("capture", SPOKEN, ids=lambda c: c.name)
+def test_every_pose_a_third_party_client_printed_is_decoded(capture: Capture) -> None:
+    assert unmatched_lines(capture) == []
+
+
+def without_wrap(new: int, old: int, bits: int) -> int:
+    mask = (1 << bits) - 1
+    return (new & mask) - (old & mask)
+
+
+def half_a_turn_off(new: int, old: int, bits: int) -> int:
+    return (new - old) % (1 << bits)
+
+
+@pytest.mark.parametrize("mutant", [without_wrap, half_a_turn_off])
+def test_a_wrong_wrap_is_found_by_the_recorded_robot(
+    monkeypatch: pytest.MonkeyPatch, mutant: Callable[[int, int, int], int]
+) -> None:
+    monkeypatch.setattr(bridge.odometry, "counter_difference", mutant)
+    assert any(unmatched_lines(capture) for capture in SPOKEN)
+
+
+def test_taking_the_counters_for_16_bits_would_lose_an_arcos_base(monkeypatch: pytest.MonkeyPatch) -> None:
+    """AMRISim's recordings cannot show this one: its counters do have 16."""
+    monkeypatch.setattr(bridge.odometry, "COUNTER_BITS", 16)
+    assert not survives_wraps(15)
+
+
+def survives_wraps(sent_bits: int) -> bool:
+    odometer = Odometer(ROBOTS["p3at"])
+    way, state = 0, None
+    while way < 3 * (1 << 15):
+        state = odometer.update(Sip(x=way % (1 << sent_bits)), 0.0)
+        way += 130
+    return state is not None and abs(state.x - (way - 130) * 0.465e-3) < 1e-9
+
+
+@pytest.mark.parametrize("bits", [15, 16])
+def test_wraps_of_both_known_widths_are_followed(bits: int) -> None:
+    assert survives_wraps(bits)
+
+
+@pytest.mark.parametrize(
+    ("model", "metres"), [("p3at", 0.465), ("p3at-sh", 1.0), ("p3dx", 0.485), ("p3dx-sh", 1.0)]
+)
+def test_the_distance_factor_is_the_models_own(model: str, metres: float) -> None:
+    odometer = Odometer(ROBOTS[model])
+    odometer.update(Sip(x=5), 0.0)
+    assert odometer.update(Sip(x=1005), 0.1).x == pytest.approx(metres)
+
+
+def test_the_turn_rate_of_old_firmware_comes_from_the_wheels() -> None:
+    state = Odometer(ROBOTS["p3dx"]).update(Sip(left=-100, right=100), 0.0)
+    assert state.omega == pytest.approx(100 * 0.0056)
+
+
+@given(
+    steps=st.lists(st.tuples(*[st.integers(-4000, 4000)] * 2, st.integers(-2000, 2000)), min_size=1),
+    start=st.tuples(st.integers(0, 0x7FFF), st.integers(0, 0x7FFF), st.integers(-2048, 2047)),
+)
+def test_the_pose_is_the_sum_of_the_steps_wherever_the_counters_started(
+    steps: list[tuple[int, int, int]], start: tuple[int, int, int]
+) -> None:
+    odometer = Odometer(ROBOTS["p3at-sh"])
+    x, y, theta = start
+    unit = math.tau / 4096
+    odometer.update(Sip(x=x, y=y, theta=theta), 0.0)
+    for dx, dy, dtheta in steps:
+        x, y, theta = x + dx, y + dy, theta + dtheta
+        wrapped = (theta + 2048) % 4096 - 2048
+        state = odometer.update(Sip(x=x % 0x8000, y=y % 0x8000, theta=wrapped), 0.0)
+        assert state.theta == pytest.approx((theta - start[2]) * unit)
+        # Seen in the frame where the base stood at connect.
+        angle = start[2] * unit
+        ahead = ((x - start[0]) * math.cos(angle) + (y - start[1]) * math.sin(angle)) / 1000
+        assert state.x == pytest.approx(ahead, abs=1e-9)
+
+
+@given(st.integers(0, 0x7FFF), st.integers(-0x4000, 0x3FFF))
+def test_a_counters_difference_is_what_was_counted(old: int, step: int) -> None:
+    assert counter_difference((old + step) % 0x8000, old, 15) == step
+
+
+def test_a_reset_zeroes_the_pose_when_the_base_has_done_it_not_before() -> None:
+    odometer = Odometer(ROBOTS["p3at-sh"])
+    odometer.update(Sip(x=20000, y=300, theta=1000), 0.0)
+    odometer.update(Sip(x=21000, y=300, theta=1500), 0.1)
+    odometer.expect_reset()
+    before = odometer.update(Sip(x=21010, y=300, theta=1500), 0.2)
+    assert math.hypot(before.x, before.y) == pytest.approx(1.010)
+    assert odometer.reset_pending
+    after = odometer.update(Sip(x=3, y=0, theta=1), 0.3)
+    assert not odometer.reset_pending
+    assert (after.x, after.y) == (0.003, 0.0)
+    assert after.theta == pytest.approx(math.tau / 4096)
+
+
+def test_a_reset_near_zero_ends_at_the_bases_own_counters() -> None:
+    odometer = Odometer(ROBOTS["p3at-sh"])
+    odometer.update(Sip(), 0.0)
+    odometer.update(Sip(x=40), 0.1)
+    odometer.expect_reset()
+    odometer.update(Sip(x=40), 0.2)
+    assert odometer.update(Sip(x=0), 0.3).x == 0.0
+
+
+def test_bumper_bits_count_only_when_the_base_is_known_to_have_bumpers() -> None:
+    """A real Pioneer 2 without any sends all of them set (vectors.json, real_P2_SIP)."""
+    pressed = Sip(stall_left=0xFE, stall_right=0xFE | 1)
+    odometer = Odometer(ROBOTS["p3at-sh"])
+    assert odometer.update(pressed, 0.0).bumpers == (0, 0)
+    odometer.config = ConfigPac(front_bumps=5, rear_bumps=3)
+    state = odometer.update(pressed, 0.1)
+    assert state.bumpers == (0b11111, 0b111)
+    assert state.stalled == (False, True)
+
+
+def test_the_16_bit_battery_field_wins_when_it_is_there() -> None:
+    odometer = Odometer(ROBOTS["p3at-sh"])
+    assert odometer.update(Sip(battery_dv=129), 0.0).battery_v == 12.9
+    assert odometer.update(Sip(battery_dv=255, battery_x10=262), 0.0).battery_v == 26.2
+
+
+@pytest.mark.parametrize("bit", [5, 6])
+def test_either_stop_bit_means_that_the_button_is_pressed(bit: int) -> None:
+    assert Odometer(ROBOTS["p3at-sh"]).update(Sip(flags=1 << bit), 0.0).stop_pressed

@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.circuit import RESTING_MV, Circuit, ParameterKind, SynapseKind
 from rover_ncp.circuit.policy import ParameterLayout, Policy
+from rover_ncp.circuit.program import Chemical, Gaps, LaneParameters, Program, Stepped
 from rover_ncp.circuit.sensing import Drive
-from rover_ncp.circuit.solver import Chemical, Gaps, LaneParameters, Program, Stepped, fill_lane
+from rover_ncp.circuit.solver import fill_lane
 from rover_ncp.circuit.vectors import WIDTH
 
 __all__ = ["allocate_lanes", "lane_parameters", "make_program", "resting_potentials"]
@@ -67,7 +68,7 @@ def make_program(policy: Policy) -> Program:
 def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParameters:
     """Return ``count`` lanes with the policy's own parameters, to be set to others by ``fill_lane``.
 
-    Spare lanes of the last block keep the policy's; nobody sees them.
+    The last block's spare lanes keep the policy's, so that they compute nothing but numbers.
     """
     blocks, slots = -(-count // WIDTH), len(program.stepped.neuron)
 

@@ -5,26 +5,22 @@ This is the kernel that everything runs: training with many lanes, the rover wit
 place of a lane among them: each lane sees the same operations in the same order, and the exponential is our
 own, so neither a library's version nor a machine's vector width shows in a trajectory.
 
-The structure (``Program``) is shared by all lanes; their numbers (``LaneParameters``) stand in blocks of
-eight, the width of a vector. Sensory neurons are set, never stepped, and constant over a tick: what they do
-to others is summed up once. Both are made in ``lanes.py``.
+Lanes are worked on in blocks of eight, the width of a vector. Sensory neurons are set, never stepped, and
+constant over a tick: what they do to others is summed up once a tick.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import MIDPOINT_MV
-from rover_ncp.circuit.motors import Pull
-from rover_ncp.circuit.sensing import LOW_MV, Drive
+from rover_ncp.circuit.program import Chemical, Gaps, LaneParameters, Program
+from rover_ncp.circuit.sensing import LOW_MV
 from rover_ncp.circuit.vectors import WIDTH, load, scale_by_power_of_two, store
 from rover_ncp.jit import kernel
 
-__all__ = ["Chemical", "Gaps", "LaneParameters", "Program", "Stepped", "exp2", "fill_lane", "tick_lanes"]
+__all__ = ["exp2", "fill_lane", "tick_lanes"]
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LOG2_E = 1.4426950408889634
 INHIBITORY_MV = -90.0  # circuit.REVERSAL_MV; the excitatory reversal potential is 0 and drops out
@@ -36,87 +32,6 @@ _C6, _C7, _C8 = 0.00015403530463724353, 1.5252733841556773e-05, 1.32154325359123
 _C9, _C10, _C11 = 1.0178057087733941e-07, 7.074194297288521e-09, 4.4558179083360645e-10
 # Adding it rounds a number below 2**51 to an integer, which then stands in the sum's lowest bits.
 _ROUNDER = 1.5 * 2.0**52
-
-
-class Stepped(NamedTuple):
-    """The d neurons that are not driven; a neuron's place here is its slot. ``*_at``: in the vector."""
-
-    neuron: IntArray
-    leak_potential_at: IntArray
-    leak_at: IntArray
-    capacitance_at: IntArray
-
-
-class Chemical(NamedTuple):
-    """Chemical synapses, those of a slot together, its excitatory ones before its inhibitory ones."""
-
-    source: IntArray
-    weight_at: IntArray
-    sigma_at: IntArray
-    first: IntArray
-    """(d + 1,) where a slot's synapses begin; the next slot's entry is where they end."""
-    first_inhibitory: IntArray
-    """(d,) where its inhibitory ones begin."""
-
-
-class Gaps(NamedTuple):
-    """Gap junctions, those of a slot together."""
-
-    source: IntArray
-    weight_at: IntArray
-    first: IntArray
-    """(d + 1,) where a slot's junctions begin."""
-
-
-class Program(NamedTuple):
-    """The structure that all lanes share. Settled synapses come from driven neurons, active ones do not."""
-
-    dt_s: float
-    substeps: int
-    drive: Drive
-    stepped: Stepped
-    settled: Chemical
-    active: Chemical
-    settled_gaps: Gaps
-    active_gaps: Gaps
-    pull: Pull
-    motor_low: float
-    motor_scale: float
-    """1 / (high - low) of the motors, 1/mV."""
-    input_layer_at: IntArray
-    output_layer_at: IntArray
-    """(channels, inputs) and (outputs, channels): places in the vector; without a layer of shape (0, 0)."""
-
-
-class LaneParameters(NamedTuple):
-    """The numbers of all lanes and room to work in, so: one thread at a time.
-
-    B blocks of WIDTH lanes; the last one's spare lanes repeat the last lane.
-    """
-
-    settled_weight: FloatArray
-    settled_slope: FloatArray
-    active_weight: FloatArray
-    active_slope: FloatArray
-    """(B, synapses, WIDTH) each; a slope is -sigma log2 e."""
-    settled_gap: FloatArray
-    active_gap: FloatArray
-    """(B, junctions, WIDTH) each."""
-    rate: FloatArray
-    leak_current: FloatArray
-    conductance: FloatArray
-    """(B, d, WIDTH) each: C / dt; G E_L; and C / dt + G + the sum of gap junctions."""
-    input_layer: FloatArray
-    output_layer: FloatArray
-    """(B, channels * inputs, WIDTH) and (B, outputs * channels, WIDTH)."""
-    potential: FloatArray
-    """(1, n, WIDTH) the block at work, mV."""
-    current: FloatArray
-    total: FloatArray
-    stepped: FloatArray
-    """(1, d, WIDTH) each: what is constant over a tick, and the next potentials."""
-    channel: FloatArray
-    """(1, sensory or motor channels, WIDTH)."""
 
 
 @kernel
@@ -158,7 +73,7 @@ def tick_lanes(
     neurons, count = potentials.shape
     for block in range((count + WIDTH - 1) // WIDTH):
         start = block * WIDTH
-        # Spare lanes of the last block compute what its last lane does.
+        # Spare lanes of the last block start as its last lane does; nobody reads what becomes of them.
         for neuron in range(neurons):
             for lane in range(WIDTH):
                 potential[0, neuron, lane] = potentials[neuron, min(start + lane, count - 1)]
@@ -315,20 +230,3 @@ def fill_gaps(gaps: Gaps, weight: FloatArray, total: FloatArray, vector: FloatAr
         for s in range(first[d], first[d + 1]):
             weight[block, s, place] = vector[weight_at[s]]
             total[block, d, place] += vector[weight_at[s]]
-
-
-@kernel
-def copy_lane(lanes: LaneParameters, lane: int, others: LaneParameters, other: int) -> None:
-    """Give a lane the numbers that another set of lanes of the same program holds in lane ``other``."""
-    a, i, b, j = lane // WIDTH, lane % WIDTH, other // WIDTH, other % WIDTH
-    lanes.settled_weight[a, :, i] = others.settled_weight[b, :, j]
-    lanes.settled_slope[a, :, i] = others.settled_slope[b, :, j]
-    lanes.active_weight[a, :, i] = others.active_weight[b, :, j]
-    lanes.active_slope[a, :, i] = others.active_slope[b, :, j]
-    lanes.settled_gap[a, :, i] = others.settled_gap[b, :, j]
-    lanes.active_gap[a, :, i] = others.active_gap[b, :, j]
-    lanes.rate[a, :, i] = others.rate[b, :, j]
-    lanes.leak_current[a, :, i] = others.leak_current[b, :, j]
-    lanes.conductance[a, :, i] = others.conductance[b, :, j]
-    lanes.input_layer[a, :, i] = others.input_layer[b, :, j]
-    lanes.output_layer[a, :, i] = others.output_layer[b, :, j]

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from rover_ncp.circuit.circuit import RESTING_MV
 from rover_ncp.circuit.lanes import allocate_lanes, make_program, resting_potentials
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.solver import LaneParameters, Program, fill_lane, tick_lanes
+from rover_ncp.circuit.program import LaneParameters, Program
+from rover_ncp.circuit.solver import fill_lane, tick_lanes
 from rover_ncp.core.course import TICK_S, Course
 from rover_ncp.jit import kernel
 from sim.learn.rollout import START, require_driver

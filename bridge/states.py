@@ -74,7 +74,6 @@ _SYNCING: dict[Input, Entry] = _ENDING | {
     Input.SIP: (State.HANGING_UP, "hang_up"),
     Input.RESET: (State.LISTENING, "nothing"),
     Input.EXPIRED: (State.LISTENING, "try_again"),
-    Input.GAVE_UP: (State.IDLE, "give_up"),
 }
 # The wrong echo starts over; that of an earlier try, come late, is passed over.
 _WRONG: Entry = (State.LISTENING, "nothing")
@@ -85,11 +84,13 @@ TABLE: dict[State, dict[Input, Entry]] = {
         Input.SIP: (State.HANGING_UP, "hang_up"),
         Input.RESET: (State.LISTENING, "nothing"),
         Input.EXPIRED: (State.SYNC0, "sync0"),
+        Input.GAVE_UP: (State.IDLE, "give_up"),
         Input.CLOSE: (State.IDLE, "nothing"),
         Input.LINK_DOWN: (State.IDLE, "nothing"),
     },
     State.SYNC0: _SYNCING
     | {
+        Input.GAVE_UP: (State.IDLE, "give_up"),
         Input.ECHO0: (State.SYNC1, "sync1"),
         Input.ECHO1: _WRONG,
         Input.NAMES: _WRONG,

@@ -1,0 +1,96 @@
+"""A session with somebody at its other end who knows what was sent and what happened."""
+
+from bridge.arcos import COMMANDS, Command, Decoder, Packet, decode_argument, encode_frame
+from bridge.packets import ConfigPac, Sip, encode_names
+from bridge.session import Event, Session, State
+from bridge.states import PATIENCE_S, Input
+
+Sent = list[tuple[Command, object]]
+
+
+def frame(packet: Packet) -> bytes:
+    return encode_frame(packet.kind, packet.payload)
+
+
+ECHO0, ECHO1 = encode_frame(0), encode_frame(1)
+NAMES = frame(encode_names("IIT-madras_3906", "Pioneer", "P3AT-SH"))
+STRANGER = frame(encode_names("somebody", "Pioneer", "amigo"))
+CONFIG = frame(ConfigPac(front_bumps=5, rear_bumps=5).encode())
+RESET = encode_frame(0xFF)
+BYTES = {
+    Input.ECHO0: ECHO0,
+    Input.ECHO1: ECHO1,
+    Input.NAMES: NAMES,
+    Input.STRANGER: STRANGER,
+    Input.SIP: frame(Sip().encode()),
+    Input.CONFIG: CONFIG,
+    Input.RESET: RESET,
+}
+
+
+def sip(**fields: int) -> bytes:
+    return frame(Sip(**fields).encode())
+
+
+class Bench:
+    """A session with somebody at its other end who knows what was sent and what happened."""
+
+    def __init__(self, model: str = "auto") -> None:
+        self.session = Session(model)
+        self.now = 100.0
+        self.events: list[Event] = []
+        self._decoder = Decoder()
+
+    def connect(self) -> None:
+        self.session.connect(self.now)
+
+    def hear(self, data: bytes) -> None:
+        self.events += self.session.receive(data, self.now)
+
+    def wait(self, seconds: float) -> None:
+        self.now += seconds
+        self.events += self.session.tick(self.now)
+
+    def sent(self) -> Sent:
+        packets = self._decoder.feed(self.session.data_to_send(), self.now)
+        return [(COMMANDS[p.kind], decode_argument(COMMANDS[p.kind], p.payload)) for p in packets]
+
+    def commands(self) -> list[Command]:
+        return [command for command, _ in self.sent()]
+
+    def go_to(self, state: State) -> None:
+        """Come into a state the way a robot would bring us there."""
+        way: list[tuple[State, bytes | float]] = [
+            (State.LISTENING, PATIENCE_S[State.LISTENING]),
+            (State.SYNC0, ECHO0),
+            (State.SYNC1, ECHO1),
+            (State.SYNC2, NAMES),
+            (State.CONFIGURING, CONFIG + sip()),
+            (State.READY, PATIENCE_S[State.READY]),
+        ]
+        if state is not State.IDLE:
+            self.connect()
+        if state is State.HANGING_UP:
+            self.hear(sip())
+        else:
+            for here, step in way:
+                if self.session.state is state or state is State.IDLE:
+                    break
+                assert self.session.state is here
+                self.wait(step) if isinstance(step, float) else self.hear(step)
+        assert self.session.state is state
+        self.sent()
+        self.events.clear()
+
+    def apply(self, what: Input) -> None:
+        if what is Input.CONNECT:
+            self.session.connect(self.now)
+        elif what is Input.CLOSE:
+            self.session.close(self.now)
+        elif what is Input.LINK_DOWN:
+            self.events += self.session.link_down("unplugged", self.now)
+        elif what is Input.EXPIRED:
+            patience = PATIENCE_S[self.session.state]
+            self.wait(patience if patience < 10 else 10.0)
+        else:
+            self.hear(BYTES[what])

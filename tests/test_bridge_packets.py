@@ -1,0 +1,162 @@
+"""A base's packets: recorded ones first, then cut off anywhere, then garbage."""
+
+import dataclasses
+
+import pytest
+from arcos_captures import CAPTURES, VECTORS
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bridge.arcos import Decoder, Packet
+from bridge.packets import (
+    SIP_KINDS,
+    ConfigPac,
+    EncoderPac,
+    IoPac,
+    Kind,
+    SimStat,
+    Sip,
+    decode_names,
+    encode_names,
+)
+
+
+def recorded(*kinds: int) -> list[Packet]:
+    found = set()
+    for capture in CAPTURES:
+        decoder = Decoder()
+        for t, data in capture.chunks("r2c"):
+            found |= {packet for packet in decoder.feed(data, t) if packet.kind in kinds}
+    return sorted(found)
+
+
+def sip_of(packet: Packet) -> Sip:
+    sip = Sip.decode(packet)
+    assert sip is not None
+    return sip
+
+
+def has_its_sonars(packet: Packet) -> bool:
+    """AMRISim announces 16 sonars and sends none in the SIP right after SONAR 1: a frame of 41 bytes."""
+    return len(packet.payload) != 35 or packet.payload[18] == 0
+
+
+def test_recorded_sips_encode_back_to_themselves() -> None:
+    sips = recorded(*SIP_KINDS)
+    sound = [packet for packet in sips if has_its_sonars(packet)]
+    assert len(sound) > 500
+    assert [sip_of(packet).encode() for packet in sound] == sound
+
+
+def test_announced_sonars_that_are_not_there_give_no_readings() -> None:
+    broken = [packet for packet in recorded(*SIP_KINDS) if not has_its_sonars(packet)]
+    assert broken
+    assert all(sip_of(packet).sonar == () and sip_of(packet).rotvel is None for packet in broken)
+
+
+def test_recorded_simstats_encode_back_to_themselves() -> None:
+    packets = recorded(Kind.SIMSTAT)
+    assert packets
+    assert [SimStat.decode(packet.payload).encode() for packet in packets] == packets
+
+
+def test_the_recorded_robots_configuration_is_read_to_its_end() -> None:
+    for packet in recorded(Kind.CONFIG):
+        config = ConfigPac.decode(packet.payload)
+        assert config.robot_type == "Pioneer"
+        assert config.subtype in ("p3at", "p3at-sh")
+        assert (config.sip_cycle, config.watchdog, config.autobaud) == (100, 2000, 2)
+        assert (config.trans_vel_max, config.rot_vel_max) == (3000, 150)
+        assert (config.trans_acc, config.trans_decel, config.rot_acc) == (300, 300, 100)
+        assert (config.version, config.lat_vel_top) == ("S.0", 9999)
+        assert config.encode().payload[: len(packet.payload)] == packet.payload
+
+
+def test_a_real_configuration_beyond_127_bytes() -> None:
+    data = bytes.fromhex(VECTORS["real_P3DX-SH_CONFIGpac_prefix"]["hex"])
+    assert data[2] == 137
+    config = ConfigPac.decode(data[4:])
+    assert (config.subtype, config.serial_number, config.name) == ("p3dx-sh", "GJC_3156", "FAPESP_3156")
+    assert (config.rot_vel_top, config.trans_vel_top) == (360, 1000)
+    assert (config.rot_acc_top, config.trans_acc_top, config.pwm_max) == (300, 2000, 500)
+    assert (config.sip_cycle, config.host_baud, config.aux1_baud) == (100, 0, 0)
+
+
+def test_a_real_pioneer_2_sip_ends_early_and_says_so() -> None:
+    (packet,) = Decoder().feed(bytes.fromhex(VECTORS["real_P2_SIP"]["hex"]))
+    sip = sip_of(packet)
+    assert sip.battery_dv == 144
+    assert sip.sonar == ((4, 32000), (7, 32000))
+    assert (sip.stall_left, sip.stall_right) == (0xFE, 0xFE)
+    assert sip.digout is not None
+    assert (sip.battery_x10, sip.rotvel, sip.faults) == (None, None, None)
+    assert sip.encode() == packet
+
+
+FULL = Sip(
+    *(1, 2, -3, 40, -50, 128, 1, 0, 7, 0x1F, 9),
+    *(0, 1, 2, 3, 4, 128, 0, -15, 8, 0, -128, 50, 123456, 7),
+    sonar=((0, 5000), (3, 812)),
+    moving=True,
+)
+
+
+@pytest.mark.parametrize("length", range(len(FULL.encode().payload) + 1))
+def test_a_sip_cut_off_anywhere_keeps_what_arrived_whole(length: int) -> None:
+    sip = Sip.decode(Packet(Kind.SIP_MOVING, FULL.encode().payload[:length]))
+    if length < 17:
+        assert sip is None
+        return
+    assert sip is not None
+    assert (sip.x, sip.theta, sip.right, sip.flags) == (1, -3, -50, 0x1F)
+    for item in dataclasses.fields(Sip):
+        assert getattr(sip, item.name) in (getattr(FULL, item.name), None, ())
+
+
+def test_a_full_sip_survives_the_wire() -> None:
+    assert Sip.decode(FULL.encode()) == FULL
+
+
+@pytest.mark.parametrize("length", range(len(ConfigPac(version="2.9").encode().payload)))
+def test_a_configuration_cut_off_anywhere_reads_with_defaults(length: int) -> None:
+    whole = ConfigPac(robot_type="Pioneer", subtype="p3at-sh", watchdog=2000, version="2.9", gyro_version=3)
+    config = ConfigPac.decode(whole.encode().payload[:length])
+    assert config.watchdog in (0, 2000)
+    assert whole.robot_type.startswith(config.robot_type)
+
+
+@given(st.binary(max_size=249), st.sampled_from(SIP_KINDS))
+def test_any_payload_is_read_without_complaint(payload: bytes, kind: int) -> None:
+    """Invariant: any payload of any packet decodes, or is None for a SIP too short to use."""
+    sip = Sip.decode(Packet(kind, payload))
+    assert (sip is None) == (len(payload) < 17)
+    ConfigPac.decode(payload)
+    EncoderPac.decode(payload)
+    SimStat.decode(payload)
+    IoPac.decode(payload)
+    assert len(decode_names(payload)) == 3
+
+
+@given(st.integers(-(2**31), 2**31 - 1), st.integers(-(2**31), 2**31 - 1))
+def test_encoders_survive_the_wire(left: int, right: int) -> None:
+    packet = EncoderPac(left, right).encode()
+    assert (packet.kind, len(packet.payload) + 3) == (0x90, 11)
+    assert EncoderPac.decode(packet.payload) == EncoderPac(left, right)
+
+
+@given(
+    st.lists(st.integers(0, 255), max_size=8).map(tuple),
+    st.lists(st.integers(0, 255), max_size=4).map(tuple),
+    st.lists(st.integers(0, 1023), max_size=9).map(tuple),
+)
+def test_ports_are_read_by_their_counts(
+    inputs: tuple[int, ...], outputs: tuple[int, ...], analog: tuple[int, ...]
+) -> None:
+    ports = IoPac(inputs, outputs, analog)
+    assert IoPac.decode(ports.encode().payload) == ports
+
+
+def test_names_are_three_strings() -> None:
+    assert decode_names(encode_names("a", "Pioneer", "p3at").payload) == ("a", "Pioneer", "p3at")
+    assert decode_names(b"IIT-madras_3906\0Pioneer\0p3dx-sh") == ("IIT-madras_3906", "Pioneer", "p3dx-sh")
+    assert decode_names(b"") == ("", "", "")

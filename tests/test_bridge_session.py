@@ -1,0 +1,337 @@
+"""The rules at the top of session.py and helm.py, and what a robot may do instead of answering."""
+
+import pytest
+from arcos_bench import BYTES, CONFIG, ECHO0, ECHO1, NAMES, STRANGER, Bench, Sent, sip
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bridge.arcos import Command, encode_frame
+from bridge.events import Configured, Failed, Lost, Recovered, StateReceived
+from bridge.packets import Flag, Kind
+from bridge.session import MotionLimits, Session, State
+from bridge.states import PATIENCE_S
+from rover_ncp.core.errors import UsageError
+
+
+def test_a_silent_line_is_given_up_after_a_few_seconds_and_close_is_tried() -> None:
+    bench = Bench()
+    bench.connect()
+    commands = []
+    while bench.session.state is not State.IDLE and bench.now < 110:
+        bench.wait(0.05)
+        commands += bench.commands()
+    assert 3.0 < bench.now - 100 < 6.0
+    assert commands.count(Command.PULSE) == 6
+    assert commands[:3] == [Command.PULSE] * 3
+    assert Command.CLOSE in commands
+    (failed,) = bench.events
+    assert isinstance(failed, Failed)
+    assert "no answer" in failed.reason
+
+
+def test_nonsense_is_told_from_silence() -> None:
+    bench = Bench()
+    bench.connect()
+    while bench.session.state is not State.IDLE:
+        bench.wait(0.05)
+        bench.hear(b"\x80\xfe\x00\xfa\xfbz")
+    (failed,) = bench.events
+    assert isinstance(failed, Failed)
+    assert "baud" in failed.reason
+    assert "not one valid packet" in failed.reason
+
+
+def test_a_base_that_never_gets_anywhere_is_given_up_too() -> None:
+    bench = Bench()
+    bench.connect()
+    while bench.session.state is not State.IDLE and bench.now < 200:
+        bench.wait(0.05)
+        bench.hear(sip())
+    (failed,) = bench.events
+    assert isinstance(failed, Failed)
+    assert "no handshake" in failed.reason
+
+
+def test_an_old_session_is_sent_zeros_then_close_before_any_sync() -> None:
+    bench = Bench()
+    bench.connect()
+    bench.wait(0.1)
+    bench.hear(sip(flags=1))
+    assert bench.sent() == [
+        (Command.VEL, 0),
+        (Command.RVEL, 0),
+        (Command.STOP, None),
+        (Command.CLOSE, None),
+    ]
+    bench.hear(sip(flags=1))  # was under way
+    assert bench.sent() == []
+    bench.wait(0.4)
+    assert bench.commands() == [Command.PULSE]
+
+
+def test_a_late_second_echo_does_not_start_over() -> None:
+    bench = Bench()
+    bench.go_to(State.SYNC0)
+    bench.wait(PATIENCE_S[State.SYNC0])
+    bench.wait(PATIENCE_S[State.LISTENING])
+    bench.hear(ECHO0 + ECHO0 + ECHO1 + ECHO1 + NAMES)
+    assert bench.session.state is State.CONFIGURING
+
+
+def test_without_a_configpac_the_base_is_ready_after_a_second() -> None:
+    bench = Bench()
+    bench.go_to(State.CONFIGURING)
+    asked = 0
+    while bench.session.state is State.CONFIGURING and bench.now < 110:
+        bench.hear(sip(stall_right=0xFE))
+        bench.wait(0.1)
+        asked += bench.commands().count(Command.CONFIG)
+    assert asked >= 3
+    assert next(event for event in bench.events if isinstance(event, Configured)).config is None
+    bench.hear(sip(stall_right=0xFE))
+    state = bench.events[-1]
+    assert isinstance(state, StateReceived)
+    assert state.state.bumpers == (0, 0)
+
+
+def test_open_is_repeated_until_sips_come_and_then_all_starts_over() -> None:
+    bench = Bench()
+    bench.go_to(State.CONFIGURING)
+    bench.hear(CONFIG)
+    opened = 0
+    while bench.session.state is State.CONFIGURING and bench.now < 110:
+        bench.wait(0.05)
+        opened += bench.commands().count(Command.OPEN)
+    assert opened >= 5
+    assert bench.session.state is State.LISTENING
+
+
+def test_the_chosen_model_wins_over_what_the_base_says() -> None:
+    bench = Bench("p3dx")
+    bench.go_to(State.SYNC2)
+    bench.hear(STRANGER + CONFIG + sip())
+    configured = bench.events[-1]
+    assert isinstance(configured, Configured)
+    assert configured.robot.name == "p3dx"
+
+
+def test_a_model_nobody_knows_is_a_usage_error() -> None:
+    with pytest.raises(UsageError, match="expected auto, p3at, p3at-sh"):
+        Session("roomba")
+
+
+def test_limits_are_told_in_the_bases_units() -> None:
+    bench = Bench()
+    bench.session = Session(limits=MotionLimits(v=0.25, omega=0.5, accel=0.31, decel=0.4, alpha=1.25))
+    bench.go_to(State.CONFIGURING)
+    bench.hear(CONFIG + sip())
+    assert bench.sent()[:6] == [
+        (Command.SETV, 250),
+        (Command.SETA, 310),
+        (Command.SETA, -400),
+        (Command.SETRV, 29),
+        (Command.SETRA, 72),
+        (Command.SETRA, -72),
+    ]
+
+
+def test_motors_are_off_until_asked_for_and_set_points_zero_before() -> None:
+    bench = Bench()
+    bench.go_to(State.READY)
+    bench.session.set_motion(0.2, 0.1)
+    bench.wait(0.05)
+    assert all(argument in (0, None) for command, argument in bench.sent() if command is not Command.SETV)
+    bench.session.enable(True)
+    sent = bench.sent()
+    assert sent[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.ENABLE, 1)]
+
+
+def test_speeds_go_out_only_when_the_base_says_that_its_motors_are_on() -> None:
+    bench = Bench()
+    bench.go_to(State.READY)
+    bench.session.enable(True)
+    bench.session.set_motion(0.2, 0.1)
+    bench.wait(0.05)
+    assert (Command.VEL, 200) not in bench.sent()
+    bench.hear(sip(flags=Flag.MOTORS))
+    bench.session.set_motion(-0.2, 0.1)
+    bench.wait(0.05)
+    # The first as ARIA wrote it (aria_drive_vel).
+    assert bench.session.data_to_send().hex() == "fafb060b1bc800d31b" + "fafb06153b06001b3b"
+
+
+def driving() -> Bench:
+    bench = Bench()
+    bench.go_to(State.READY)
+    bench.session.enable(True)
+    bench.hear(sip(flags=Flag.MOTORS))
+    bench.session.set_motion(0.2, 0.1)
+    bench.wait(0.05)
+    bench.sent()
+    bench.events.clear()
+    return bench
+
+
+def test_no_tick_no_keep_alive() -> None:
+    bench = driving()
+    for _ in range(100):
+        bench.now += 0.1
+        bench.hear(sip(flags=Flag.MOTORS))
+    assert bench.sent() == []
+
+
+@pytest.mark.parametrize("motors", [False, True])
+def test_ticks_keep_the_watchdog_fed(motors: bool) -> None:
+    bench = driving() if motors else Bench()
+    if not motors:
+        bench.go_to(State.READY)
+    bench.session.set_motion(0.1, 0.0)
+    last, pauses = bench.now, []
+    for _ in range(100):
+        bench.wait(0.05)
+        bench.hear(sip(flags=int(motors)))
+        if bench.sent():
+            pauses.append(bench.now - last)
+            last = bench.now
+    assert max(pauses) <= (0.26 if motors else 0.56)
+
+
+def test_a_lost_base_is_sent_zeros_once_and_then_nothing() -> None:
+    bench = driving()
+    for _ in range(11):
+        bench.wait(0.05)
+    assert bench.sent()[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.STOP, None)]
+    assert [type(event) for event in bench.events] == [Lost]
+    bench.session.set_motion(0.2, 0.1)
+    for _ in range(20):
+        bench.wait(0.05)
+    assert bench.sent() == []
+
+
+def test_a_base_that_comes_back_stands_until_the_motors_are_asked_for_again() -> None:
+    bench = driving()
+    bench.wait(0.5)
+    bench.sent()
+    bench.session.set_motion(0.2, 0.1)
+    bench.hear(sip(flags=Flag.MOTORS))
+    assert bench.session.state is State.READY
+    bench.wait(0.05)
+    sent = bench.sent()
+    assert (Command.ENABLE, 0) in sent
+    assert {argument for command, argument in sent if command in (Command.VEL, Command.RVEL)} == {0}
+
+
+def test_an_unanswered_enable_is_repeated_but_motors_that_went_off_are_left_off() -> None:
+    bench = Bench()
+    bench.go_to(State.READY)
+    bench.session.enable(True)
+    bench.sent()
+    asked: Sent = []
+    for _ in range(8):
+        bench.hear(sip())
+        bench.wait(0.1)
+        asked += [item for item in bench.sent() if item == (Command.ENABLE, 1)]
+    assert 1 <= len(asked) <= 2
+    bench.hear(sip(flags=Flag.MOTORS))
+    bench.wait(0.4)
+    bench.sent()
+    for _ in range(20):
+        bench.hear(sip(flags=Flag.STOP_BUTTON))
+        bench.wait(0.1)
+    assert (Command.ENABLE, 1) not in bench.sent()
+    bench.session.enable(True)
+    assert (Command.ENABLE, 1) in bench.sent()
+
+
+def test_motors_that_are_on_unasked_are_switched_off() -> None:
+    """AMRISim reports them on from the start."""
+    bench = Bench()
+    bench.go_to(State.READY)
+    bench.hear(sip(flags=Flag.MOTORS))
+    bench.wait(0.35)
+    assert (Command.ENABLE, 0) in bench.sent()
+
+
+def test_asking_again_for_motors_that_are_on_changes_nothing() -> None:
+    bench = driving()
+    bench.session.enable(True)
+    assert bench.sent() == []
+
+
+@pytest.mark.parametrize(("call", "command"), [("stop", Command.STOP), ("emergency_stop", Command.E_STOP)])
+def test_stopping_goes_out_at_once(call: str, command: Command) -> None:
+    bench = driving()
+    getattr(bench.session, call)()
+    assert bench.sent() == [(command, None), (Command.VEL, 0), (Command.RVEL, 0)]
+    bench.wait(0.05)
+    assert bench.sent() == []
+
+
+def test_a_reset_of_odometry_is_asked_for_until_the_counters_show_it() -> None:
+    bench = Bench()
+    bench.go_to(State.READY)
+    bench.hear(sip(x=5000))
+    bench.session.reset_odometry()
+    asked = 0
+    for _ in range(6):
+        asked += bench.commands().count(Command.SETO)
+        bench.hear(sip(x=5000))
+        bench.wait(0.1)
+    assert asked == 2
+    bench.hear(sip())
+    state = bench.events[-1]
+    assert isinstance(state, StateReceived)
+    assert state.state.x == 0.0
+    bench.sent()
+    bench.wait(0.4)
+    assert Command.SETO not in bench.commands()
+
+
+CALLS = [
+    st.just(("connect", ())),
+    st.just(("close", ())),
+    st.just(("stop", ())),
+    st.just(("emergency_stop", ())),
+    st.just(("reset_odometry", ())),
+    st.tuples(st.just("enable"), st.tuples(st.booleans())),
+    st.tuples(st.just("set_motion"), st.tuples(st.floats(-1, 1), st.floats(-1, 1))),
+    st.tuples(st.just("wait"), st.tuples(st.floats(0, 0.6))),
+    st.tuples(st.just("hear"), st.tuples(st.sampled_from([*BYTES.values(), sip(flags=1), b"\xfa\xfb\x06"]))),
+    st.tuples(st.just("hear"), st.tuples(st.binary(max_size=30))),
+]
+
+
+@given(st.booleans(), st.lists(st.one_of(CALLS), max_size=60))
+def test_nothing_moves_that_was_not_asked_for(ready: bool, story: list[tuple[str, tuple]]) -> None:
+    """Invariant: speeds other than 0 go only to a ready base whose motors were asked for and reported on."""
+    bench = Bench()
+    if ready:
+        bench.go_to(State.READY)
+    asked = on = False
+    for name, arguments in story:
+        before = bench.session.state
+        if name in ("wait", "hear"):
+            getattr(bench, name)(*arguments)
+        elif name in ("connect", "close"):
+            getattr(bench.session, name)(bench.now)
+        else:
+            getattr(bench.session, name)(*arguments)
+        if name == "enable" and before is State.READY:
+            asked = arguments[0]
+        for event in bench.events:
+            on = event.state.motors_enabled if isinstance(event, StateReceived) else on
+            if isinstance(event, Lost | Configured | Recovered):
+                asked = on = False
+        bench.events.clear()
+        for command, argument in bench.sent():
+            if command in (Command.VEL, Command.RVEL) and argument:
+                assert bench.session.state is State.READY
+                assert asked
+                assert on
+
+
+def test_reset_notices_of_both_kinds_are_understood() -> None:
+    for kind in (Kind.RESET_FE, Kind.RESET_FF):
+        bench = driving()
+        bench.hear(encode_frame(kind))
+        assert [type(event) for event in bench.events] == [Lost]

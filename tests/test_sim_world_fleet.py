@@ -1,9 +1,6 @@
 """Rovers of a fleet against the rover alone, to the last bit; and the doubts about Chipmunk's memory."""
 
 import math
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -114,27 +111,3 @@ def test_another_pymunk_is_refused_rather_than_misread(monkeypatch):
     monkeypatch.setattr(chipmunk, "_SEARCHED", 200)
     with pytest.raises(RoverNcpError, match="a body's contacts elsewhere"):
         chipmunk.find_layout()
-
-
-COLD_SCRIPT = """
-import numpy as np
-from sim.world.fleet import Fleet, advance
-from sim.world.rover import RoverModel
-fleet = Fleet([RoverModel()] * 8)
-for _ in range(20):
-    poses = fleet.tick(np.full((2, 8), 0.125))
-loaded = sum(advance.stats.cache_hits.values())
-print(poses.tobytes().hex(), loaded)
-"""
-
-
-def test_kernels_compiled_now_and_kernels_from_the_cache_agree(tmp_path):
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    results = [
-        subprocess.run(
-            [sys.executable, "-c", COLD_SCRIPT], env=environment, capture_output=True, text=True, check=True
-        ).stdout.split()
-        for _ in range(2)
-    ]
-    assert [int(loaded) for _, loaded in results] == [0, 1]
-    assert results[0][0] == results[1][0]

@@ -1,0 +1,163 @@
+"""The engine against the plain rollout and the Gymnasium environment, to the last bit."""
+
+import os
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+
+from rover_ncp.circuit.policy import PolicyRunner, parking_policy
+from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
+from rover_ncp.core.course import Obstacle, load_course
+from rover_ncp.core.errors import ConfigError
+from sim.learn.engine import Engine
+from sim.learn.rollout import rollout
+from sim.world.env import ENV_ID
+from sim.world.rover import RoverModel
+
+COURSE = load_course("parking")
+POLICY = parking_policy(parking_circuit())
+FENCED = COURSE.model_copy(
+    update={
+        "obstacles": (
+            Obstacle(x=0.6, y=0.0, length=0.1, width=1.2),
+            Obstacle(x=0.0, y=0.6, theta=0.1, length=2.0, width=0.1),
+            Obstacle(x=0.0, y=-0.6, theta=-0.1, length=2.0, width=0.1),
+        )
+    }
+)
+
+
+def candidates(count, seed=0):
+    """Parameter vectors around the untuned ones; most of them drive, some in circles."""
+    layout = POLICY.layout()
+    noise = np.random.default_rng(seed).normal(size=(count, layout.size))
+    vectors = POLICY.parameters() + 0.08 * noise * (layout.upper - layout.lower)
+    return np.clip(vectors, layout.lower, layout.upper)
+
+
+def alone(vector, course=COURSE, model=None):
+    return rollout(POLICY.with_parameters(vector), course, model)
+
+
+@pytest.mark.parametrize("course", [COURSE, FENCED], ids=["open", "fenced"])
+def test_a_lane_returns_what_a_rover_alone_returns(course):
+    vectors = candidates(40)  # more than lanes, so lanes are used again, after collisions, too
+    runs = [alone(vector, course) for vector in vectors]
+    assert Engine(POLICY, course).returns(vectors).tolist() == [run.total for run in runs]
+    assert any(run.touched for run in runs) == bool(course.obstacles)
+    assert len({run.total for run in runs}) > 30
+
+
+def test_a_lane_returns_what_the_environment_returns():
+    env = gymnasium.make(ENV_ID).unwrapped
+    vectors = candidates(3, seed=1)
+    returns = []
+    for vector in vectors:
+        runner = PolicyRunner(POLICY.with_parameters(vector))
+        observation, _ = env.reset()
+        runner.warm_up(observation)
+        total, terminated = 0.0, False
+        while not terminated:
+            observation, reward, terminated, _, _ = env.step(runner.tick(observation))
+            total += reward
+        returns.append(total)
+    assert Engine(POLICY, COURSE).returns(vectors).tolist() == returns
+
+
+def test_company_and_place_change_no_bit():
+    engine, vectors = Engine(POLICY, FENCED), candidates(50, seed=2)
+    returns = engine.returns(vectors)
+    assert np.array_equal(engine.returns(vectors[::-1])[::-1], returns)
+    assert np.array_equal(engine.returns(vectors[7:12]), returns[7:12])
+    assert [engine.returns(vector)[0] for vector in vectors[:5]] == returns[:5].tolist()
+    assert np.array_equal(Engine(POLICY, FENCED).returns(vectors[20:]), returns[20:])
+
+
+def test_a_lost_race_is_stopped_and_no_other_is_touched():
+    engine, vectors = Engine(POLICY, COURSE), candidates(60, seed=3)
+    returns = engine.returns(vectors)
+    thresholds = np.where(np.arange(60) % 3 == 0, returns, np.median(returns))  # its own return is no loss
+    raced = engine.returns(vectors, thresholds)
+    lost = returns < thresholds
+    assert 10 < lost.sum() < 50
+    assert np.array_equal(raced[~lost], returns[~lost])
+    assert (raced[lost] < thresholds[lost]).all()
+    assert (raced[lost] >= returns[lost]).all()
+    assert (raced[lost] > returns[lost]).any()
+
+
+def test_other_rovers_other_returns():
+    model = RoverModel(delay_v_s=0.32, delay_omega_s=0.05, accel=0.1, decel=0.2, alpha=0.5)
+    vectors = candidates(4, seed=4)
+    returns = Engine(POLICY, COURSE, model).returns(vectors)
+    assert returns.tolist() == [alone(vector, model=model).total for vector in vectors]
+    assert not np.array_equal(returns, Engine(POLICY, COURSE).returns(vectors))
+
+
+def test_no_candidates_no_returns():
+    assert Engine(POLICY, COURSE).returns(np.empty((0, POLICY.layout().size))).shape == (0,)
+
+
+def test_the_untuned_wiring_scores_as_in_the_published_simulator():
+    run = rollout(parking_policy(parking_circuit(), clamp=False), COURSE)
+    assert run.total == pytest.approx(-47.06, abs=0.02)
+
+
+def test_a_rollout_shows_what_happened():
+    run = rollout(POLICY, FENCED)
+    assert run.times[[0, -1]] == pytest.approx([0.0, 32.0])
+    assert run.poses.shape == (321, 3)
+    assert run.commands.shape == (320, 2)
+    assert run.potentials.shape == (320, 12)
+    assert not run.poses[0].any()
+    misses = [
+        np.hypot(*(run.poses[np.flatnonzero(run.times >= point.t - 1e-9)[0], :2] - (point.x, point.y)))
+        for point in COURSE.checkpoints[1:]
+    ]
+    # The checkpoint at 0 s is judged at the first tick's end, where the rover still stands on it.
+    assert run.rms_m == pytest.approx(np.sqrt(np.sum(np.square(misses)) / len(COURSE.checkpoints)))
+    assert run.touched
+    assert run.verdict.reason == "touched an obstacle"
+    assert run.verdict.error_m == pytest.approx(np.hypot(*(run.poses[-1, :2] - COURSE.goal[:2])))
+
+
+def test_a_policy_that_cannot_drive_is_refused():
+    bench = tap_withdrawal_circuit()
+    swapped = POLICY.sensing.model_copy(update={"inputs": ("y", "x", "theta", "start")})
+    for build in (Engine, rollout):
+        with pytest.raises(ConfigError, match=r"no neuron 'LFT'"):
+            build(parking_policy(bench), COURSE)
+        with pytest.raises(ConfigError, match="inputs must be x, y, theta, start, got y, x, theta, start"):
+            other = parking_policy(parking_circuit())
+            object.__setattr__(other, "sensing", swapped)
+            build(other, COURSE)
+        with pytest.raises(ConfigError, match=r"must be 0.1 s, got 0.2 s"):
+            slow = parking_policy(parking_circuit())
+            object.__setattr__(slow, "substeps", 20)
+            build(slow, COURSE)
+
+
+COLD_SCRIPT = """
+from rover_ncp.circuit.policy import parking_policy
+from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.core.course import load_course
+from sim.learn.engine import Engine, _run
+policy = parking_policy(parking_circuit())
+returned = Engine(policy, load_course("parking")).returns(policy.parameters())[0]
+print(float(returned).hex(), sum(_run.stats.cache_hits.values()))
+"""
+
+
+def test_an_engine_compiled_now_and_one_from_the_cache_agree(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    results = [
+        subprocess.run(
+            [sys.executable, "-c", COLD_SCRIPT], env=environment, capture_output=True, text=True, check=True
+        ).stdout.split()
+        for _ in range(2)
+    ]
+    assert [int(hits) for _, hits in results] == [0, 1]
+    assert {float.fromhex(returned) for returned, _ in results} == {rollout(POLICY, COURSE).total}

@@ -1,0 +1,118 @@
+"""``rover-ncp eval`` through the real command line."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rover_ncp.circuit.bnn import circuit_to_bnn
+from rover_ncp.circuit.policy import parking_policy
+from rover_ncp.circuit.policy_file import save_policy
+from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
+from rover_ncp.core.course import load_course
+from rover_ncp.shell import run
+from sim.learn.rollout import rollout
+
+STAY = """\
+format: 1
+name: stay
+start_signal_s: 1.0
+horizon_s: 3.0
+checkpoints:
+  - {t: 0.5, x: 0.03, y: 0.04, theta: 0.0}
+  - {t: 3.0, x: 0.0, y: 0.0, theta: 0.05}
+"""
+
+
+def numb():
+    """A circuit that feels nothing and so drives nowhere."""
+    circuit = parking_circuit()
+    return replace(circuit, weight=np.zeros(circuit.synapse_count))
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("untuned.bnn").write_text(circuit_to_bnn(parking_circuit()))
+    Path("numb.bnn").write_text(circuit_to_bnn(numb()))
+    Path("small.bnn").write_text(circuit_to_bnn(tap_withdrawal_circuit()))
+    Path("damaged.bnn").write_text(circuit_to_bnn(parking_circuit()).replace("size 12", "size twelve"))
+    Path("nan.bnn").write_text(circuit_to_bnn(parking_circuit()) + "cm 3 nan\n")
+    Path("empty.bnn").write_text("")
+    Path("stay.yaml").write_text(STAY)
+    Path("typo.yaml").write_text(STAY.replace("horizon_s", "horizon"))
+    Path("blocked.yaml").write_text(STAY + "obstacles:\n  - {x: 0.3, y: 0.2, length: 0.2, width: 0.2}\n")
+    return tmp_path
+
+
+def test_scores_a_published_circuit_with_sensors_that_are_not_clamped(files):
+    done = subprocess.run(
+        [Path(sys.executable).with_name("rover-ncp"), "eval", "untuned.bnn", "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=100,
+    )
+    assert done.returncode == 1
+    fields = json.loads(done.stdout)
+    expected = rollout(parking_policy(parking_circuit(), clamp=False), load_course("parking"))
+    assert fields == {
+        "return": expected.total,
+        "parked": False,
+        "reason": expected.verdict.reason,
+        "error_m": expected.verdict.error_m,
+        "error_rad": expected.verdict.error_rad,
+        "rms_m": expected.rms_m,
+    }
+    assert fields["return"] == pytest.approx(-47.06, abs=0.02)  # by the published simulator
+
+
+def test_a_policy_that_parks_ends_with_0(files, capsys):
+    assert run(["eval", "numb.bnn", "--course", "stay.yaml", "--json"]) == 0
+    fields = json.loads(capsys.readouterr().out)
+    assert fields["parked"] is True
+    assert fields["return"] == pytest.approx(-(0.03**2 + 0.04**2 + 0.05**2))
+    assert fields["rms_m"] == pytest.approx(0.05 / np.sqrt(2))
+    assert (fields["error_m"], fields["error_rad"]) == (0.0, pytest.approx(0.05))
+
+
+def test_a_saved_policy_scores_as_the_policy_it_was(files, capsys):
+    policy = parking_policy(parking_circuit())
+    save_policy(Path("saved.yaml"), policy)
+    assert run(["eval", "saved.yaml", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["return"] == rollout(policy, load_course("parking")).total
+
+
+def test_people_get_a_sentence(files, capsys):
+    assert run(["eval", "numb.bnn", "--course", "stay.yaml"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("parked; return -0.0050, 0 mm and 50 mrad off")
+    assert out.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["missing.bnn"], "missing.bnn: no such file"),
+        (["nobody"], "nobody: no such file, and none of the shipped policies"),
+        (["small.bnn"], "small.bnn: to drive a rover it needs at least 12 neurons"),
+        (["damaged.bnn"], "damaged.bnn"),
+        (["nan.bnn"], "nan.bnn"),
+        (["empty.bnn"], "empty.bnn: the file is empty"),
+        (["numb.bnn", "--course", "nowhere"], "nowhere: no such file, and none of the shipped courses"),
+        (["numb.bnn", "--course", "typo.yaml"], "typo.yaml: $.horizon_s: this key is missing; $.horizon"),
+        (["numb.bnn", "--course", "blocked.yaml"], "course stay: an obstacle stands where the rover starts"),
+        (["stay.yaml"], "stay.yaml: $.circuit: this key is missing"),
+        ([], "Missing argument"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(files, capsys, arguments, expected):
+    assert run(["eval", *arguments, "--json"]) == 2
+    out, err = capsys.readouterr()
+    assert expected in err
+    assert err.count("\n") == 1
+    assert json.loads(out)["exit_code"] == 2

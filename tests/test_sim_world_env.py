@@ -1,0 +1,105 @@
+"""The Gymnasium environment: its contract, its reward, and what ends an episode."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from rover_ncp.core.course import Checkpoint, Course, Obstacle, load_course
+from rover_ncp.core.errors import ConfigError
+from sim.world.env import ENV_ID
+from sim.world.rover import RoverModel
+from sim.world.scoring import due_checkpoints
+
+
+def play(env, action_at):
+    """Return all observations, rewards and infos of an episode."""
+    observation, info = env.reset(seed=1)
+    observations, rewards, infos, terminated = [observation], [], [info], False
+    while not terminated:
+        observation, reward, terminated, truncated, info = env.step(action_at(len(rewards)))
+        assert not truncated
+        observations.append(observation)
+        rewards.append(reward)
+        infos.append(info)
+    return np.array(observations), np.array(rewards), infos
+
+
+def constant(v, omega):
+    return lambda tick: np.array([v, omega])
+
+
+def test_gymnasiums_own_checker_finds_nothing_to_complain_about():
+    check_env(gymnasium.make(ENV_ID).unwrapped)
+
+
+def test_doing_nothing_misses_all_checkpoints_by_what_they_are():
+    observations, rewards, _ = play(gymnasium.make(ENV_ID), constant(0.0, 0.0))
+    course = load_course("parking")
+    misses = [point.x**2 + point.y**2 + point.theta**2 for point in course.checkpoints]
+    assert rewards.sum() == pytest.approx(-sum(misses))
+    assert rewards.sum() == pytest.approx(-14.18, abs=0.005)  # measured with the published simulator
+    assert len(rewards) == 320
+    assert not observations[:, :3].any()
+
+
+def test_the_start_signal_comes_at_its_time():
+    observations, _, infos = play(gymnasium.make(ENV_ID), constant(0.0, 0.0))
+    signal = observations[:, 3]
+    assert not signal[:30].any()
+    assert signal[30:].all()
+    assert infos[30]["time_s"] == pytest.approx(3.0)
+
+
+def test_a_checkpoint_is_judged_at_the_first_tick_at_or_after_its_deadline():
+    course = load_course("parking")
+    due = due_checkpoints(course)
+    ticks = [int(np.flatnonzero(due == i)[0]) for i in range(len(course.checkpoints))]
+    for tick, checkpoint in zip(ticks, course.checkpoints, strict=True):
+        assert 0.1 * (tick + 1) >= checkpoint.t - 1e-9
+        assert tick == 0 or 0.1 * tick < checkpoint.t
+    assert ticks[:2] == [0, 10]
+    assert ticks[-1] == 319
+
+
+def test_at_most_one_checkpoint_is_judged_a_tick():
+    crowd = [Checkpoint(t=t, x=0.0, y=0.0, theta=0.0) for t in (0.0, 0.01, 0.02, 0.5)]
+    course = Course(name="crowd", start_signal_s=0.0, horizon_s=1.0, checkpoints=tuple(crowd))
+    assert due_checkpoints(course).tolist() == [0, 1, 2, -1, 3, -1, -1, -1, -1, -1]
+
+
+def test_headings_are_missed_by_the_shorter_way_round():
+    ahead = Checkpoint(t=0.1, x=0.0, y=0.0, theta=6.0)
+    course = Course(name="turned", start_signal_s=0.0, horizon_s=0.1, checkpoints=(ahead,))
+    _, rewards, _ = play(gymnasium.make(ENV_ID, course=course), constant(0.0, 0.0))
+    assert rewards.tolist() == [pytest.approx(-((2 * np.pi - 6.0) ** 2))]
+
+
+def test_commands_beyond_the_box_count_as_its_ends():
+    far, _, _ = play(gymnasium.make(ENV_ID, disable_env_checker=True).unwrapped, constant(3.0, -9.0))
+    end, _, _ = play(gymnasium.make(ENV_ID), constant(0.16, -0.18))
+    assert np.array_equal(far, end)
+    assert far[-1, 0] != 0.0
+
+
+def test_a_collision_is_told_and_ends_nothing():
+    wall = Obstacle(x=1.0, y=0.0, length=0.2, width=2.0)
+    course = load_course("parking").model_copy(update={"obstacles": (wall,)})
+    observations, rewards, infos = play(gymnasium.make(ENV_ID, course=course), constant(0.16, 0.0))
+    assert len(rewards) == 320
+    assert not infos[0]["touched"]
+    assert infos[-1]["touched"]
+    assert observations[-1, 0] == pytest.approx(0.9 - 0.313, abs=0.002)
+
+
+def test_episodes_are_alike():
+    env = gymnasium.make(ENV_ID, model=RoverModel(delay_v_s=0.2))
+    first, second = (play(env, lambda tick: np.array([0.1, 0.1 * (-1) ** tick]))[0] for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_a_blocked_start_is_refused():
+    block = Obstacle(x=0.4, y=0.2, length=0.3, width=0.1)
+    course = load_course("parking").model_copy(update={"obstacles": (block,)})
+    with pytest.raises(ConfigError, match="course parking: an obstacle stands where the rover starts"):
+        gymnasium.make(ENV_ID, course=course)

@@ -1,0 +1,165 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rover_ncp.circuit.circuit import SynapseKind, build_circuit
+from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.report.currents import synapse_currents
+from rover_ncp.report.interpret import (
+    Sign,
+    contribution,
+    contributions,
+    time_constant_ranges,
+)
+
+POTENTIAL = st.integers(-9000, 0).map(lambda hundredths: hundredths / 100)
+PAIRS = st.lists(st.tuples(POTENTIAL, POTENTIAL), min_size=2, max_size=40)
+
+
+def of(a, b, **options):
+    return contribution("a", "b", a, b, **options)
+
+
+def test_counts_signs_of_slopes_by_hand():
+    #   da:  1   1   1  -1  -1   0   0  2
+    #   db:  1  -1   0  -1   1   1   0  1
+    a = [-70, -69, -68, -67, -68, -69, -69, -69, -67]
+    b = [-50, -49, -50, -50, -51, -50, -49, -49, -48]
+    found = of(a, b)
+    assert (found.positive, found.negative, found.flat, found.vertical) == (4, 2, 1, 1)
+    # Omega: +45, -45, 0, +45, -45, +90 (vertical, up), nothing, +26.57 degrees; bins are 18 degrees wide.
+    assert found.bins == (0, 0, 2, 0, 0, 1, 1, 2, 0, 1)
+    assert found.sign is Sign.POSITIVE  # 4 > 1.5 * 2
+
+
+def test_vertical_slopes_carry_the_sign_of_the_destination():
+    still = [-70.0] * 4
+    assert of(still, [-50, -40, -30, -40]).positive == 2
+    assert of(still, [-50, -40, -30, -40]).negative == 1
+    assert of(still, [-50, -40, -30, -40]).vertical == 3
+    assert of(still, [-50, -40, -30, -40]).bins == (1, 0, 0, 0, 0, 0, 0, 0, 0, 2)
+
+
+@pytest.mark.parametrize(
+    ("positive", "negative", "threshold", "sign"),
+    [
+        (3, 2, 1.5, Sign.PHASE_SWITCHING),  # exactly half more is not more than half more
+        (4, 2, 1.5, Sign.POSITIVE),
+        (2, 4, 1.5, Sign.ANTAGONISTIC),
+        (2, 3, 1.5, Sign.PHASE_SWITCHING),
+        (2, 3, 1.2, Sign.ANTAGONISTIC),
+        (1, 0, 1.5, Sign.POSITIVE),
+        (0, 1, 1.5, Sign.ANTAGONISTIC),
+        (0, 0, 1.5, Sign.NONE),
+    ],
+)
+def test_threshold_decides_the_sign(positive, negative, threshold, sign):
+    steps = [1.0] * positive + [-1.0] * negative
+    a = np.arange(len(steps) + 1.0) - 80
+    b = np.concatenate([[-40.0], -40 + np.cumsum(steps)])
+    assert of(a, b, threshold=threshold).sign is sign
+
+
+def test_what_does_not_move_counts_for_nothing():
+    found = of([-70, -70, -60, -60], [-20, -20, -20, -20])
+    assert (found.positive, found.negative, found.flat, sum(found.bins)) == (0, 0, 1, 1)
+    assert found.sign is Sign.NONE
+
+
+def test_rounding_is_not_movement():
+    noise = -70 + 1e-13 * np.array([0, 1, -1, 2, 0, 3])
+    assert of(noise, noise[::-1]).flat == 0
+    assert of(noise, noise[::-1]).sign is Sign.NONE
+
+
+@given(PAIRS)
+def test_histogram_holds_each_moving_point_once_and_both_halves_match_the_counts(points):
+    a, b = np.array(points).T
+    found = of(a, b)
+    assert sum(found.bins) == found.positive + found.negative + found.flat
+    assert sum(found.bins[:5]) == found.negative
+    assert sum(found.bins[5:]) == found.positive + found.flat
+    assert found.vertical <= found.positive + found.negative
+
+
+@given(PAIRS)
+def test_a_mirrored_potential_swaps_the_counts(points):
+    a, b = np.array(points).T
+    plain, mirrored = of(a, b), of(a, -90 - b)
+    assert (plain.positive, plain.negative) == (mirrored.negative, mirrored.positive)
+    swap = {Sign.POSITIVE: Sign.ANTAGONISTIC, Sign.ANTAGONISTIC: Sign.POSITIVE}
+    assert mirrored.sign is swap.get(plain.sign, plain.sign)
+
+
+@given(PAIRS)
+def test_running_time_backwards_changes_only_vertical_slopes(points):
+    a, b = np.array(points).T
+    forward, backward = of(a, b), of(a[::-1], b[::-1])
+    assert forward.flat == backward.flat
+    assert abs(forward.positive - backward.positive) <= forward.vertical
+
+
+@given(PAIRS, st.floats(1e-2, 1e2))
+def test_counts_do_not_depend_on_the_scale_of_either_neuron(points, scale):
+    a, b = np.array(points).T
+    one, other = of(a, b), of(scale * a, b / scale)
+    assert (one.positive, one.negative, one.flat) == (other.positive, other.negative, other.flat)
+
+
+def test_all_ordered_pairs_are_there():
+    names = parking_circuit().neurons
+    potentials = np.random.default_rng(0).uniform(-90, 0, (20, 12))
+    found = contributions(names, potentials)
+    assert len(found) == 12 * 11
+    expected = contribution("AVA", "RGT", potentials[:, 2], potentials[:, 10])
+    assert found["AVA", "RGT"] == expected
+
+
+def test_refuses_what_is_no_run():
+    with pytest.raises(ValueError, match="finite"):
+        of([-70, math.nan], [-70, -70])
+    with pytest.raises(ValueError, match="as many values"):
+        of([-70, -60, -50], [-70, -60])
+
+
+def test_time_constants_by_hand():
+    # C = 0.05 F, G = 1 S; at V = -40 mV a synapse is half open, far below it is shut.
+    circuit = build_circuit("two", ["a", "b"], [(SynapseKind.EXCITATORY, 0, 1, 2.0)], sigma=0.5)
+    found = time_constant_ranges(circuit, np.array([[-40.0, -70.0], [-90.0, -70.0]]), driven=["a"])
+    assert [row.neuron for row in found] == ["b"]
+    assert found[0].lowest_s == pytest.approx(0.05 / (1 + 2 * 0.5))
+    assert found[0].highest_s == pytest.approx(0.05 / (1 + 2 / (1 + math.exp(25))))
+
+
+def test_currents_and_pulls_by_hand():
+    circuit = build_circuit(
+        "three",
+        ["a", "b", "c"],
+        [
+            (SynapseKind.EXCITATORY, 0, 2, 2.0),
+            (SynapseKind.INHIBITORY, 1, 2, 1.0),
+            (SynapseKind.GAP, 0, 1, 0.5),
+        ],
+    )
+    found = synapse_currents(circuit, np.array([[-40.0, -40.0, -50.0]]))
+    # Both chemical synapses are half open: 1 S towards 0 mV, 0.5 S towards -90 mV; leak 1 S towards -70 mV.
+    assert found.current[0] == pytest.approx([1.0 * 50, 0.5 * -40, 0.5 * 0.0])
+    target = (1 * -70 + 1.0 * 0 + 0.5 * -90) / 2.5
+    assert found.target[0, 2] == pytest.approx(target)
+    without_excitation = (-70 - 45) / 1.5
+    without_inhibition = -70 / 2
+    assert found.pull[0, :2] == pytest.approx([target - without_excitation, target - without_inhibition])
+    assert found.target[0, 1] == pytest.approx((-70 - 20) / 1.5)
+    assert found.pull[0, 2] == pytest.approx(-60 + 70)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_excitation_never_pulls_down_and_inhibition_never_up(seed):
+    circuit = parking_circuit()
+    potentials = np.random.default_rng(seed).uniform(-90, 0, (3, circuit.size))
+    pull = synapse_currents(circuit, potentials).pull
+    assert (pull[:, circuit.kind == SynapseKind.EXCITATORY] >= -1e-9).all()
+    assert (pull[:, circuit.kind == SynapseKind.INHIBITORY] <= 1e-9).all()

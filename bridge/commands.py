@@ -1,5 +1,6 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -7,6 +8,48 @@ import typer
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 
 
-def bridge(json: Json = False) -> None:
-    """Not there yet."""
-    raise NotImplementedError
+def bridge(
+    *,
+    base: Annotated[
+        str, typer.Option(help="The robot: tcp/HOST[:8101] or serial//dev/ttyUSB0[#baudrate=9600].")
+    ],
+    listen: Annotated[
+        str | None,
+        typer.Option(
+            help="Where drivers connect; port 0 takes a free one.", show_default="tcp/127.0.0.1:7447"
+        ),
+    ] = None,
+    namespace: Annotated[str, typer.Option(help="Goes in front of every key: bot1 makes bot1/odom.")] = "",
+    model: Annotated[
+        str, typer.Option(help="p3at, p3at-sh, p3dx, p3dx-sh, or auto: what the robot calls itself.")
+    ] = "auto",
+    limits: Annotated[
+        Path | None, typer.Option(help="YAML with v_max, omega_max, accel, alpha, fence ... of the gate.")
+    ] = None,
+    zenoh_config: Annotated[
+        Path | None, typer.Option(help="Zenoh configuration for TLS, users and access control.")
+    ] = None,
+    accept_ros: Annotated[
+        bool, typer.Option("--accept-ros", help="Let plain ROS cmd_vel (Twist, TwistStamped) drive too.")
+    ] = False,
+    json: Json = False,
+) -> int | None:
+    """Stand beside a Pioneer and let one driver at a time drive it over Zenoh, within limits.
+
+    Publishes odometry, transforms, battery, sonar, bumpers and diagnostics as ROS 2 messages, and passes
+    commands on through a gate: whoever holds the lease drives, silence stops the rover, and nothing beyond
+    the limits reaches it. Motors are off until a driver asks for them. It is ready when it prints
+    "ready zenoh=... base=..."; Ctrl-C or SIGTERM stops the rover and ends it.
+    """
+    from bridge.node import run_bridge
+
+    return run_bridge(
+        base=base,
+        listen=listen,
+        namespace=namespace,
+        model=model,
+        limits=limits,
+        zenoh_config=zenoh_config,
+        accept_ros=accept_ros,
+        as_json=json,
+    )

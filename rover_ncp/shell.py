@@ -12,6 +12,7 @@ from typing import Any
 
 import typer
 
+from rover_ncp.core.console import Output
 from rover_ncp.core.errors import MissingExtra, RoverNcpError
 
 __all__ = ["main", "run"]
@@ -61,6 +62,7 @@ def _fail(message: str, kind: str, code: int, as_json: bool) -> int:
 def run(arguments: list[str]) -> int:
     """Run one command line and return its exit code; see ``docs/cli.md`` for the codes."""
     as_json = "--json" in arguments
+    Output.ended = False
     try:
         result = _app()(args=arguments, prog_name="rover-ncp", standalone_mode=False)
     except (typer.Abort, KeyboardInterrupt):
@@ -77,7 +79,8 @@ def run(arguments: list[str]) -> int:
             raise
         missing = MissingExtra(library, _EXTRAS[library])
         return _fail(str(missing), "MissingExtra", missing.exit_code, as_json)
-    if result == INTERRUPTED:  # typer turns Ctrl-C into this code and says nothing
+    # Typer turns Ctrl-C into this code and says nothing; a command that took care of it has said its own.
+    if result == INTERRUPTED and not Output.ended:
         return _fail("interrupted", "Interrupted", INTERRUPTED, as_json)
     return result if isinstance(result, int) else 0
 

@@ -17,6 +17,9 @@ __all__ = ["Output"]
 class Output:
     """The two channels of a command."""
 
+    ended = False
+    """Whether a command of this process has given its result: then nobody else is to give one for it."""
+
     def __init__(self, as_json: bool) -> None:
         self.as_json = as_json
         self.console = Console(stderr=as_json, highlight=False, soft_wrap=True)
@@ -27,6 +30,7 @@ class Output:
 
     def result(self, fields: Mapping[str, Any], text: str) -> None:
         """End a command: the fields as JSON, or the text, whichever was asked for."""
+        Output.ended = True
         if self.as_json:
             sys.stdout.write(json.dumps(_plain(fields), allow_nan=False) + "\n")
             sys.stdout.flush()

@@ -78,7 +78,7 @@ KEYS: tuple[KeySpec, ...] = (
     _from_bridge(
         "rover/cmd_out", "geometry_msgs/msg/TwistStamped", 512, "the command that the gate let through"
     ),
-    _from_bridge("rover/gate", "std_msgs/msg/String", 1 << 14, "GateStatus as JSON: driver, stop, counters"),
+    _from_bridge("rover/gate", "std_msgs/msg/String", 4096, "GateStatus as JSON: driver, stop, counters"),
     KeySpec(
         "cmd_vel",
         Kind.MESSAGE,
@@ -101,13 +101,11 @@ KEYS: tuple[KeySpec, ...] = (
         "rover/estimate", "geometry_msgs/msg/PoseWithCovarianceStamped", 4096, "the driver's own estimate"
     ),
     _from_driver("rover/neurons", "std_msgs/msg/Float64MultiArray", 1 << 16, "potentials in mV, labelled"),
-    _from_driver("rover/status", "std_msgs/msg/String", 1 << 14, "DriverStatus as JSON"),
+    _from_driver("rover/status", "std_msgs/msg/String", 4096, "DriverStatus as JSON"),
     _asked("rover/motors", "MotorsRequest → MotorsReply", "enable or release; grants the driver's lease"),
     _asked("rover/stop", "StopRequest → StopReply", "stop, latched until released"),
     _asked("rover/reset_odometry", "ResetRequest → ResetReply", "make the present pose odom's origin"),
-    KeySpec(
-        "rover/alive/bridge", Kind.TOKEN, "", frozenset({Role.BRIDGE}), ALL, 0, "the bridge serves a base"
-    ),
+    KeySpec("rover/alive/bridge", Kind.TOKEN, "", frozenset({Role.BRIDGE}), ALL, 0, "the bridge is there"),
     KeySpec("rover/alive/driver", Kind.TOKEN, "", frozenset({Role.DRIVER}), ALL, 0, "a driver is there"),
 )
 

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 _TAG = struct.Struct("<16sQq")
-_JSON_MAX_BYTES = 1 << 14
+_JSON_MAX_BYTES = 4096
 
 DriverId = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 ShortText = Annotated[str, Field(max_length=200)]

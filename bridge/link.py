@@ -1,0 +1,192 @@
+"""The bridge's Zenoh session: a router inside this process, which needs no other server.
+
+Callbacks only put what arrives into the inbox. Publishing never blocks: what cannot leave at once falls away.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+from pydantic import BaseModel
+
+from bridge.inbox import Asked, Crashed, Inbox, Sampled
+from rover_ncp.core.errors import FileError, PortInUse, UsageError
+from rover_ncp.core.keys import KEYS, Kind, Role, key
+from rover_ncp.core.lease import dump_json
+
+__all__ = ["LISTEN", "Link"]
+
+LISTEN = "tcp/127.0.0.1:7447"
+"""Zenoh's own port, on this machine alone."""
+
+_SETTINGS: dict[str, Any] = {
+    "mode": "router",
+    # Half a second of start-up, for a network whose other routers we do not look for.
+    "scouting/delay": 0,
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    # A peer learns how long we may be silent from us, not from its own settings.
+    "transport/link/tx/lease": 1000,
+    "transport/link/tx/keep_alive": 4,
+}
+
+
+class Link:
+    """An open session, listening. Raises UsageError, FileError (``config``) or PortInUse."""
+
+    def __init__(self, listen: str | None, namespace: str, config: Path | None, inbox: Inbox) -> None:
+        self._inbox = inbox
+        self._namespace = namespace
+        self._key("odom")  # a bad namespace is said before anything is opened
+        settings, endpoints = _configured(listen, config)
+        self._session = _open(settings, endpoints)
+        self._token: Any = None
+        self._held: list[Any] = []
+        try:
+            self.locator = self._locator(endpoints)
+            """Where it really listens."""
+            self._declare()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def announce(self) -> None:
+        """Let everybody know that the bridge is there."""
+        if self._token is None:
+            self._token = self._session.liveliness().declare_token(self._key("rover/alive/bridge"))
+
+    def publish(self, name: str, data: bytes) -> None:
+        """Send a message on a key of the table."""
+        self._publishers[name].put(data)
+
+    def answer(self, asked: Asked, reply: BaseModel) -> None:
+        """Answer a query; an asker who is gone does not matter."""
+        with asked.query as query:
+            query.reply(self._key(asked.name), dump_json(reply), encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def refuse(self, asked: Asked, reason: str) -> None:
+        """Answer a query that cannot be read."""
+        with asked.query as query:
+            query.reply_err(reason)
+
+    def close(self) -> None:
+        """End the session; the token goes with it."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def _key(self, name: str) -> str:
+        return key(self._namespace, name)
+
+    def _declare(self) -> None:
+        ours = [row for row in KEYS if row.senders == {Role.BRIDGE} and row.kind is Kind.MESSAGE]
+        self._publishers = {
+            row.name: self._session.declare_publisher(
+                self._key(row.name),
+                encoding=zenoh.Encoding.APPLICATION_CDR,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            for row in ours
+        }
+        self._held.append(self._session.declare_subscriber(self._key("cmd_vel"), self._guard(self._sampled)))
+        for row in KEYS:
+            if row.kind is Kind.QUERYABLE:
+                asked = self._guard(self._asking(row.name, row.max_bytes))
+                self._held.append(self._session.declare_queryable(self._key(row.name), asked))
+
+    def _guard(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Zenoh would print an error in a callback and go on; we hand it to the loop."""
+
+        def guarded(item: Any) -> None:
+            try:
+                callback(item)
+            except Exception as error:
+                self._inbox.put(Crashed(error))
+
+        return guarded
+
+    def _sampled(self, sample: zenoh.Sample) -> None:
+        attachment, stamp = sample.attachment, sample.timestamp
+        self._inbox.put(
+            Sampled(
+                sample.payload.to_bytes(),
+                attachment.to_bytes() if attachment is not None else None,
+                round(stamp.get_time().timestamp() * 1e9) if stamp is not None else None,
+            )
+        )
+
+    def _asking(self, name: str, max_bytes: int) -> Callable[[zenoh.Query], None]:
+        def asked(query: zenoh.Query) -> None:
+            payload = query.payload
+            # One byte too many is enough for the reader to refuse it.
+            data = b"{}" if payload is None else payload.to_bytes()[: max_bytes + 1]
+            self._inbox.put(Asked(name, query, data))
+
+        return asked
+
+    def _locator(self, endpoints: list[str]) -> str:
+        """Return the first endpoint; for port 0, ask the session which one it got."""
+        if not _any_port(endpoints):
+            return endpoints[0].partition("#")[0]
+        for reply in self._session.get(f"@/{self._session.info.zid()}/router", timeout=1.0):
+            if reply.ok is not None:
+                return str(json.loads(reply.ok.payload.to_string())["locators"][0])
+        raise UsageError(f"--listen {endpoints[0]}: the port that was taken is not known; say one")
+
+
+def _configured(listen: str | None, file: Path | None) -> tuple[zenoh.Config, list[str]]:
+    """Return the session's settings and where it listens: the option, else the file, else our default."""
+    if file is not None and not file.is_file():
+        raise FileError(f"{file}: no such file")
+    try:
+        settings = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
+    except zenoh.ZError as error:
+        raise FileError(f"{file}: not a Zenoh configuration: {_first(error)}") from error
+    endpoints = [listen] if listen else _endpoints(settings)
+    for path, value in _SETTINGS.items():
+        settings.insert_json5(path, json.dumps(value))
+    try:
+        settings.insert_json5("listen/endpoints", json.dumps(endpoints))
+    except zenoh.ZError as error:
+        raise UsageError(f"--listen {endpoints[0]}: expected PROTOCOL/HOST:PORT, like {LISTEN}") from error
+    if _any_port(endpoints):
+        settings.insert_json5("adminspace/enabled", "true")  # the only place that tells the port
+    return settings, endpoints
+
+
+def _endpoints(settings: zenoh.Config) -> list[str]:
+    """Return where a configuration listens. Zenoh's default is every interface, ours this machine alone."""
+    found = json.loads(settings.get_json("listen/endpoints"))
+    if found == json.loads(zenoh.Config().get_json("listen/endpoints")):
+        return [LISTEN]
+    if isinstance(found, dict):  # one list for each mode
+        found = found.get("router")
+    return [str(item) for item in found or [LISTEN]]
+
+
+def _any_port(endpoints: list[str]) -> bool:
+    return endpoints[0].partition("#")[0].endswith(":0")
+
+
+def _open(settings: zenoh.Config, endpoints: list[str]) -> zenoh.Session:
+    try:
+        return zenoh.open(settings)
+    except zenoh.ZError as error:
+        where = ", ".join(endpoints)
+        if "already in use" in str(error):
+            raise PortInUse(f"--listen {where}: another process listens there already") from error
+        raise UsageError(f"--listen {where}: cannot listen there: {_first(error)}") from error
+
+
+def _first(error: zenoh.ZError) -> str:
+    """Return Zenoh's reason without the places in its source."""
+    return str(error).split(" at /", maxsplit=1)[0].splitlines()[0]

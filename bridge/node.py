@@ -1,0 +1,316 @@
+"""The process beside the robot: one loop between a base and Zenoh.
+
+Rules of this file:
+
+1. One loop does it all: what arrived goes to the session and the gate, the gate's verdict goes to the base.
+   The base's keep-alives come from this loop, so a loop that hangs stops the rover.
+2. Nothing but the gate's verdict is ever sent to the base as a speed, and that is what is published.
+3. Every way out stops the rover, switches its motors off and closes the session.
+"""
+
+import contextlib
+import math
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from bridge import ros
+from bridge.events import Configured, Connected, Event, Failed, Lost, Recovered, StateReceived
+from bridge.gate import step
+from bridge.gate_state import BaseLost, Command, Heard, Reason, State, Tick, Verdict
+from bridge.gate_state import Event as GateEvent
+from bridge.inbox import Arrival, Asked, Broken, Crashed, Inbox, Opened, Received, Sampled
+from bridge.limits import Limits
+from bridge.line import Line
+from bridge.link import Link
+from bridge.motion import MotionLimits
+from bridge.odometry import BaseState
+from bridge.queries import Answers
+from bridge.robots import RobotParameters
+from bridge.session import Session
+from rover_ncp.core.config import load_yaml
+from rover_ncp.core.console import Output
+from rover_ncp.core.errors import FormatError, NoRobot
+from rover_ncp.core.lease import CommandTag, dump_json
+from rover_ncp.core.messages import read_twist, text
+
+__all__ = ["Node", "run_bridge"]
+
+TICK_S = 0.02
+"""How often the loop turns when nothing arrives."""
+APART_S = 0.01
+"""Commands that come faster than this are not passed on one by one: a serial line could not carry them."""
+STATUS_S = 0.1
+SLOW_S = 1.0
+INTERRUPTED = 130
+
+
+class Node:
+    """The loop and what it knows. ``say`` tells people what happens; ``ready`` is called once."""
+
+    def __init__(
+        self,
+        line: Line,
+        link: Link,
+        inbox: Inbox,
+        session: Session,
+        *,
+        limits: Limits,
+        accept_ros: bool,
+        say: Callable[[str], None],
+        ready: Callable[[], None],
+    ) -> None:
+        self._line, self._link, self._inbox, self._session = line, link, inbox, session
+        self._limits, self._accept_ros, self._say = limits, accept_ros, say
+        self._ready = ready
+        self._answers = Answers(link, session, limits, self._judge)
+        self.gate = State()
+        self.reconnects = -1
+        """How often the base came back; −1 until it is there for the first time."""
+        self._verdict = self._sent = Verdict(self.gate.out, motors=False, held=self.gate.held)
+        self._base: BaseState | None = None
+        self._robot: RobotParameters | None = None
+        self._hardware = ""
+        self._stopping = self._commanded = False
+        self._acted_s = self._status_due_s = self._slow_due_s = -math.inf
+
+    def run(self, stopping: Callable[[], bool]) -> None:
+        """Serve until ``stopping``. Raises NoRobot if the base cannot be reached the first time."""
+        try:
+            while not stopping():
+                self.turn()
+        finally:
+            self._session.close(time.monotonic())
+            self._line.write(self._session.data_to_send())
+            self._line.close()
+
+    def turn(self) -> None:
+        """Turn the loop once: take what arrived, at most one tick's wait for it, and act on it."""
+        for arrived_s, arrival in self._inbox.take(max(self._acted_s + TICK_S - time.monotonic(), 0.0)):
+            self._take(arrival, arrived_s)
+        now = time.monotonic()
+        waited = now - self._acted_s
+        if self._stopping or waited >= TICK_S or (self._commanded and waited >= APART_S):
+            self._act(now)
+        self._line.write(self._session.data_to_send())
+        if now >= self._status_due_s:
+            self._publish_gate(now)
+        if now >= self._slow_due_s:
+            self._publish_slowly(now)
+
+    # What arrives.
+
+    def _take(self, arrival: Arrival, arrived_s: float) -> None:
+        match arrival:
+            case Received(data):
+                self._handle(self._session.receive(data, time.monotonic()), arrived_s)
+            case Sampled():
+                self._judge(self._command(arrival), arrived_s)
+            case Asked():
+                self._answers.give(arrival, arrived_s, self.gate)
+                self._publish_gate(time.monotonic())
+            case Opened(transport):
+                self._line.use(transport)
+                self._session.connect(time.monotonic())
+            case Broken(error):
+                if self.reconnects < 0:
+                    raise error
+                self._line.drop()
+                self._handle(self._session.link_down(str(error), time.monotonic()), arrived_s)
+            case Crashed(error):
+                raise error
+
+    def _command(self, sample: Sampled) -> Command:
+        """Read a command; what cannot be read is a command all the same, for the gate to judge."""
+        tag = None
+        with contextlib.suppress(FormatError):
+            tag = CommandTag.unpack(sample.attachment) if sample.attachment is not None else None
+        try:
+            velocity, stamp_ns = read_twist(sample.payload)
+        except FormatError:
+            return Command(None, tag)
+        sent_ns = stamp_ns if stamp_ns is not None else sample.sent_ns
+        age_s = (time.time_ns() - sent_ns) * 1e-9 if sent_ns is not None and tag is None else None
+        return Command(velocity, tag, age_s)
+
+    def _handle(self, events: list[Event], arrived_s: float) -> None:
+        for event in events:
+            match event:
+                case StateReceived(state):
+                    self._base = state
+                    self._judge(_heard(state), arrived_s)
+                    self._publish_sip(state, arrived_s)
+                case Connected(name, robot_class, subtype):
+                    self._hardware = f"{robot_class} {subtype} {name}"
+                case Configured(_, robot):
+                    self._robot = robot
+                    self.reconnects += 1
+                    self._say(f"the base is there: {self._hardware}")
+                    if self.reconnects == 0:
+                        self._ready()
+                case Recovered():
+                    self._say("the base speaks again")
+                case Lost(reason):
+                    self._base = None
+                    self._judge(BaseLost(), arrived_s)
+                    self._say(f"the base is lost: {reason}")
+                case Failed(reason):
+                    if self.reconnects < 0:
+                        raise NoRobot(f"{self._line.endpoint}: {reason}")
+                    self._session.connect(time.monotonic())
+
+    def _judge(self, event: GateEvent, now: float) -> Verdict:
+        """Pass an event through the gate."""
+        before = self.gate
+        self.gate, self._verdict = step(before, event, now, self._limits, self._accept_ros)
+        # Neither a stop nor a command that counts waits for the next tick.
+        self._stopping |= self._verdict.held is not None and before.held is None
+        self._commanded |= self.gate.accepted > before.accepted
+        for line in _news(before, self.gate):
+            self._say(line)
+        return self._verdict
+
+    # What follows from it.
+
+    def _act(self, now: float) -> None:
+        """Tell the base what the gate says now. The session's tick sends it, and the keep-alives with it."""
+        verdict = self._judge(Tick(), now)
+        last, self._sent = self._sent, verdict
+        self._stopping = self._commanded = False
+        self._acted_s = now
+        if verdict.motors != last.motors:
+            self._session.enable(verdict.motors)
+        if verdict.emergency and not last.emergency:
+            self._session.emergency_stop()
+        self._session.set_motion(*verdict.velocity)
+        self._handle(self._session.tick(now), now)
+        if verdict.velocity != last.velocity:
+            self._link.publish("rover/cmd_out", ros.velocity(verdict.velocity, _wall_ns(now)))
+
+    def _publish_sip(self, state: BaseState, arrived_s: float) -> None:
+        assert self._robot is not None  # a base is configured before it reports
+        stamp_ns = _wall_ns(arrived_s)
+        for name, data in ros.each_sip(state, self._robot, stamp_ns).items():
+            self._link.publish(name, data)
+        self._link.publish("rover/cmd_out", ros.velocity(self._sent.velocity, stamp_ns))
+
+    def _publish_gate(self, now: float) -> None:
+        self._status_due_s = now + STATUS_S
+        self._link.publish("rover/gate", text(dump_json(ros.gate_status(self.gate)).decode()))
+
+    def _publish_slowly(self, now: float) -> None:
+        self._slow_due_s = now + SLOW_S
+        stamp_ns = _wall_ns(now)
+        health = ros.diagnostics(
+            self._base,
+            self.gate,
+            self._session.decoder,
+            reconnects=max(self.reconnects, 0),
+            hardware=self._hardware,
+            stamp_ns=stamp_ns,
+        )
+        self._link.publish("diagnostics", health)
+        if self._base is not None and self._robot is not None:
+            for name, data in ros.each_so_often(self._base, self._robot, stamp_ns).items():
+                self._link.publish(name, data)
+
+
+def _heard(state: BaseState) -> Heard:
+    return Heard(
+        x=state.x,
+        y=state.y,
+        theta=state.theta,
+        v=state.v,
+        omega=state.omega,
+        battery_v=state.battery_v,
+        motors_on=state.motors_enabled,
+        stop_pressed=state.stop_pressed,
+        stalled=any(state.stalled),
+        bumped=any(state.bumpers),
+    )
+
+
+def _news(before: State, after: State) -> Iterator[str]:
+    """Tell people who drives and what stops the rover."""
+    old, new = before.lease, after.lease
+    if new is not None and (old is None or old.driver != new.driver):
+        yield f"{new.name or new.driver.hex()} has the motors"
+    if old is not None and new is None:
+        yield f"{old.name or old.driver.hex()} has the motors no more" + (
+            f": {after.ended}" if after.ended else ""
+        )
+    if before.held is None and after.held not in {None, Reason.NO_LEASE}:
+        yield f"stopped: {after.held}"
+
+
+def _wall_ns(monotonic_s: float) -> int:
+    """Return the wall clock's time of a moment on the monotonic clock, in ns since the epoch."""
+    return time.time_ns() - round((time.monotonic() - monotonic_s) * 1e9)
+
+
+def run_bridge(
+    *,
+    base: str,
+    listen: str | None,
+    namespace: str,
+    model: str,
+    limits: Path | None,
+    zenoh_config: Path | None,
+    accept_ros: bool,
+    as_json: bool,
+) -> int:
+    """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
+    output = Output(as_json)
+    allowed = Limits() if limits is None else load_yaml(limits, Limits)
+    session = Session(model, MotionLimits(v=allowed.v_max, omega=allowed.omega_max))
+    inbox = Inbox()
+    with _signals() as received, Link(listen, namespace, zenoh_config, inbox) as link:
+        line = Line(base, inbox)
+
+        def ready() -> None:
+            link.announce()
+            output.say(f"ready zenoh={link.locator} base={base}")
+
+        node = Node(
+            line,
+            link,
+            inbox,
+            session,
+            limits=allowed,
+            accept_ros=accept_ros,
+            say=output.say,
+            ready=ready,
+        )
+        node.run(lambda: bool(received))
+    status = ros.gate_status(node.gate)
+    output.result(
+        {
+            "zenoh": link.locator,
+            "base": base,
+            "bytes_to_base": line.bytes_out,
+            "bytes_from_base": line.bytes_in,
+            "accepted": status.accepted,
+            "dropped": status.dropped,
+            "limited": status.limited,
+            "stops": status.stops,
+            "reconnects": max(node.reconnects, 0),
+            "flooded": inbox.flooded,
+        },
+        f"{status.accepted} commands passed, {sum(status.dropped.values())} dropped, "
+        f"{sum(status.stops.values())} stops; {line.bytes_out} bytes to the base, {line.bytes_in} from it",
+    )
+    return INTERRUPTED if signal.SIGINT in received else 0
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[list[int]]:
+    """Collect SIGINT, SIGTERM and SIGHUP (a closed terminal) instead of being ended by them."""
+    received: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda got, _: received.append(got)) for number in numbers}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -100,7 +100,7 @@ def train(
                 settings, folder, resume=resume, processes=processes, on_progress=progress.show
             )
     except (KeyboardInterrupt, WorkerDied):
-        output.say(f"Saved. Go on with: rover-ncp train --out {folder} --resume")
+        output.say(f"Go on with: rover-ncp train --out {folder} --resume")
         raise
 
     from sim.learn.rollout import rollout

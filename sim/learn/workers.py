@@ -8,9 +8,10 @@ went, finds its pipe closed and ends.
 import multiprocessing
 import os
 import signal
+import threading
 import traceback
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -81,19 +82,19 @@ class LocalProcesses:
         context = multiprocessing.get_context("spawn")
         # The tracker unblocks SIGINT while it starts, so it has to start before we block it.
         resource_tracker.ensure_running()
-        # Children inherit the mask, so that Ctrl-C cannot reach them even while their interpreter starts.
-        old_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            for number in range(self.count):
-                ours, theirs = context.Pipe()
-                process = context.Process(
-                    target=_work, args=(theirs, self._plan), name=f"train-{number}", daemon=True
-                )
-                process.start()
-                theirs.close()
-                self._workers.append((process, ours))
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, old_mask)
+            with _interrupts_held():
+                for number in range(self.count):
+                    ours, theirs = context.Pipe()
+                    process = context.Process(
+                        target=_work, args=(theirs, self._plan), name=f"train-{number}", daemon=True
+                    )
+                    process.start()
+                    theirs.close()
+                    self._workers.append((process, ours))
+        except BaseException:
+            self.__exit__()
+            raise
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -113,6 +114,27 @@ class LocalProcesses:
             except OSError as error:
                 raise _death(process) from error
         return [agent for (process, connection), _ in busy for agent in _answer(process, connection)]
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Let a Ctrl-C wait until the end of the block, and keep it from processes started within for good.
+
+    They inherit the blocked signal, so it cannot hit them even while their interpreter starts. Blocking it
+    here does not hold it back: any thread of a library takes it instead, so it is also noted and passed on.
+    """
+    held: list[int] = []
+    is_main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, lambda number, _: held.append(number)) if is_main else None
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if is_main:
+            signal.signal(signal.SIGINT, handler)
+    if held and callable(handler):
+        handler(signal.SIGINT, None)
 
 
 def _answer(process: BaseProcess, connection: Connection) -> list[AgentState]:

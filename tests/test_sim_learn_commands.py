@@ -1,0 +1,259 @@
+"""The train command: what it prints, what it refuses, and real processes that are interrupted and killed."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.course import load_course
+from rover_ncp.shell import run
+from sim.learn.commands import SearchName
+from sim.learn.engine import Engine
+from sim.learn.progress import TrainProgress
+from sim.learn.search.strategies import STRATEGIES
+
+COURSE = Path(__file__).parent / "data" / "short_course.yaml"
+TRAIN = ["train", "--course", str(COURSE), "--agents", "2", "--seed", "11", "--iterations", "800"]
+QUICK = ["train", "--course", str(COURSE), "--agents", "2", "--iterations", "20", "--processes", "1"]
+# Somebody may commit while the tests run; without git on the path the record names no commit.
+NO_GIT = {**os.environ, "PATH": ""}
+
+
+@pytest.fixture(autouse=True)
+def _no_git(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+
+
+def start(*arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", "from rover_ncp.shell import main; main()", *arguments]
+    return subprocess.Popen(
+        command,
+        env=NO_GIT,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.005)
+
+
+def children(pid: int) -> list[int]:
+    try:
+        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except FileNotFoundError:
+        return []
+
+
+def is_running(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+# -- what it prints ----------------------------------------------------------------------------------------
+
+
+def test_json_is_one_object_with_the_documented_fields(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    assert run([*QUICK, "--seed", "4", "--out", str(out), "--json"]) == 0
+    printed = capfd.readouterr()
+    fields = json.loads(printed.out)
+    assert printed.out.count("\n") == 1
+    assert "\x1b" not in printed.err
+    assert set(fields) == {
+        *("returns", "best_return", "median_return", "parked", "error_m", "error_rad"),
+        *("wall_s", "iterations_per_s", "seed", "agents", "iterations", "out", "policy"),
+    }
+    assert (fields["seed"], fields["agents"], fields["iterations"]) == (4, 2, 20)
+    assert fields["best_return"] == max(fields["returns"])
+    assert fields["median_return"] == pytest.approx(sum(fields["returns"]) / 2)
+    assert fields["iterations_per_s"] > 0
+    assert 0 < fields["wall_s"] < 120
+    policy = load_policy(fields["policy"])
+    score = Engine(policy, load_course(COURSE)).returns(policy.parameters()[None])[0]
+    assert score == fields["best_return"]
+
+
+def test_people_read_the_return_and_where_the_policy_is(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*QUICK, "--out", str(tmp_path / "run")]) == 0
+    text = capfd.readouterr().out
+    assert text.startswith("best of 2 agents: return -")
+    assert str(tmp_path / "run" / "policy.yaml") in text
+
+
+def test_runs_without_a_folder_are_numbered_and_typos_leave_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["train", "--course", "prking"]) == 2
+    assert not (tmp_path / "runs").exists()
+    for number in (1, 2):
+        capfd.readouterr()
+        assert run([*QUICK, "--json"]) == 0
+        assert json.loads(capfd.readouterr().out)["out"] == f"runs/train-{number}"
+    assert content(Path("runs/train-1")) == content(Path("runs/train-2"))
+
+
+def test_resume_needs_no_options_and_refuses_others(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "run")
+    assert run([*QUICK, "--out", out, "--resume"]) == 0
+    assert "holds no run yet: starting from the beginning" in capfd.readouterr().out
+    before = content(tmp_path)
+    assert run(["train", "--out", out, "--resume"]) == 0
+    assert content(tmp_path) == before
+    assert run(["train", "--out", out, "--resume", "--seed", "9", "--agents", "2"]) == 2
+    assert "--seed was 0 when this run began, now 9" in capfd.readouterr().err
+    assert content(tmp_path) == before
+
+
+def test_a_terminal_shows_the_best_return(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    assert run([*QUICK, "--out", str(tmp_path / "run")]) == 0
+    printed = capsys.readouterr()
+    best = load_policy(tmp_path / "run" / "policy.yaml").provenance["return"]
+    assert f"best {best:.4f}" in printed.err
+    assert "20/20" in printed.err
+    monkeypatch.delenv("FORCE_COLOR")
+    with TrainProgress(20):
+        pass
+    assert capsys.readouterr().err == ""
+
+
+def test_the_searches_of_the_command_are_the_strategies() -> None:
+    assert [name.value for name in SearchName] == list(STRATEGIES)
+
+
+# -- what it refuses ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--course", "nowhere"], "nowhere: no such file, and none of the shipped courses (parking"),
+        (["--course", "nowhere.yaml"], "nowhere.yaml: no such file"),
+        (["--circuit", "nowhere.bnn"], "nowhere.bnn: no such file"),
+        (["--circuit", "tap_withdrawal"], "RGT"),
+        (["--course", str(COURSE.parent)], "no such file"),
+        (["--agents", "0"], "--agents"),
+        (["--iterations", "many"], "--iterations"),
+        (["--seed", "-1"], "--seed"),
+        (["--search", "genetic"], "published"),
+        (["--processes", "0"], "--processes"),
+        (["--resume"], "--resume needs --out"),
+        (["--out", str(COURSE)], "cannot be used as a folder"),
+        (["--out", "/proc/nowhere"], "/proc/nowhere: cannot be used as a folder"),
+        (["--out", str(COURSE.parent)], "is not empty"),
+        (["--agnets", "3"], "--agnets"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(
+    arguments: list[str], line: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["train", *arguments, "--json"]) == 2
+    printed = capfd.readouterr()
+    assert printed.err.count("\n") == 1
+    assert printed.err.startswith("rover-ncp: ")
+    assert line in printed.err
+    assert json.loads(printed.out)["exit_code"] == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_course_that_cannot_begin_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    course = tmp_path / "blocked.yaml"
+    course.write_text(COURSE.read_text() + "obstacles: [{x: 0.2, y: 0, length: 0.1, width: 0.1}]\n")
+    assert run(["train", "--course", str(course), "--out", str(tmp_path / "run")]) == 2
+    assert "an obstacle stands where the rover starts" in capfd.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+# -- interrupted and killed --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("moment", ["settings.yaml", "agents/01.json"])
+def test_ctrl_c_ends_cleanly_with_130_and_a_state_to_resume(tmp_path: Path, moment: str) -> None:
+    """Ctrl-C reaches the whole process group, as from a terminal: while the workers start, and at work."""
+    out = tmp_path / "run"
+    process = start(*TRAIN[:-1], "1000000", "--out", str(out), "--processes", "2", "--json")
+    try:
+        wait_for((out / moment).exists)
+        workers = children(process.pid)
+        os.killpg(process.pid, signal.SIGINT)
+        printed, errors = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert json.loads(printed)["exit_code"] == 130
+    assert f"--out {out} --resume" in errors
+    assert errors.endswith("rover-ncp: interrupted\n")
+    assert "Traceback" not in errors
+    wait_for(lambda: not any(is_running(pid) for pid in workers), 10)
+    if moment != "settings.yaml":
+        iterations = load_policy(out / "policy.yaml").provenance["settings"]["iterations"]
+        assert (out / "curve.csv").read_text().splitlines()[-1].startswith(f"{iterations},")
+        assert not list(out.rglob(".*"))
+
+
+@pytest.mark.timeout(300)  # twenty starts take long on a machine that is busy otherwise
+def test_killed_at_20_random_moments_it_ends_in_the_same_bytes(tmp_path: Path) -> None:
+    """Ten kills hit a run in one process, ten one in two; moments spread over a whole run's life."""
+    began = time.monotonic()
+    undisturbed = start(*TRAIN, "--out", str(tmp_path / "undisturbed"))
+    _, errors = undisturbed.communicate(timeout=100)
+    assert undisturbed.returncode == 0, errors
+    life_s = time.monotonic() - began
+    expected = content(tmp_path / "undisturbed")
+    assert len(expected) == 4 + 2 * 2
+
+    def kill_again_and_again(processes: str) -> dict[str, bytes]:
+        command = [*TRAIN, "--out", str(tmp_path / processes), "--resume", "--processes", processes]
+        chance = random.Random(processes)
+        # One kill in each tenth of a life, so that start-up, rounds and the final writing all get theirs.
+        moments_s = [(i + chance.random()) / 10 * life_s for i in range(10)]
+        for moment_s in moments_s:
+            process = start(*command)
+            try:
+                process.wait(moment_s)
+            except subprocess.TimeoutExpired:
+                workers = children(process.pid)
+                process.kill()
+                wait_for(lambda pids=workers: not any(is_running(pid) for pid in pids), 30)
+            process.communicate()
+        last = start(*command)
+        _, errors = last.communicate(timeout=100)
+        assert last.returncode == 0, errors
+        return content(tmp_path / processes)
+
+    with ThreadPoolExecutor(2) as pool:
+        for end in pool.map(kill_again_and_again, ["1", "2"]):
+            assert end == expected

@@ -1,0 +1,83 @@
+"""A mock Pioneer on a virtual clock, with a client's hand on it."""
+
+import math
+
+from bridge.arcos import Command, Decoder, Packet, encode_command
+from bridge.packets import SIP_KINDS, Sip
+from bridge.robots import ROBOTS
+from rover_ncp.core.course import Obstacle
+from sim.pioneer.faults import Faults, parse_fault
+from sim.pioneer.firmware import Firmware, Link
+from sim.pioneer.models import rover_model_of
+from sim.world.bay import Bay
+from sim.world.rover import Rover
+
+Argument = int | bytes | tuple[int, int, int] | None
+
+
+class Pioneer:
+    """``tell`` sends a command now, ``run`` lets time pass; what the base sent is in ``packets``."""
+
+    def __init__(
+        self, model: str = "p3at-sh", *faults: str, wall_x: float | None = None, seed: int = 0
+    ) -> None:
+        walls = [Obstacle(x=wall_x, y=0.0, length=0.2, width=4.0)] if wall_x is not None else []
+        self.rover = Rover(rover_model_of(ROBOTS[model]), Bay(walls))
+        self.firmware = Firmware(model, self.rover, Faults([parse_fault(text) for text in faults], seed))
+        self.now = 0.0
+        self.packets: list[Packet] = []
+        self._decoder = Decoder()
+
+    def _collect(self) -> list[Packet]:
+        packets = self._decoder.feed(self.firmware.data_to_send(), self.now)
+        self.packets += packets
+        return packets
+
+    def say(self, data: bytes) -> list[Packet]:
+        """Send bytes and return the immediate answer."""
+        self._collect()
+        self.firmware.receive(data, self.now)
+        return self._collect()
+
+    def tell(self, command: Command, argument: Argument = None) -> list[Packet]:
+        return self.say(encode_command(command, argument))
+
+    def run(self, seconds: float, fed: bool = True) -> None:
+        """Let time pass, with a PULSE each half second if ``fed``."""
+        end = self.now + seconds
+        while self.now < end - 1e-9:
+            self.now = min(self.now + 0.5, end)
+            self.firmware.advance(self.now)
+            self._collect()
+            if fed:
+                self.tell(Command.PULSE)
+
+    def open(self, motors: bool = True) -> "Pioneer":
+        for sync in (Command.PULSE, Command.OPEN, Command.CLOSE, Command.OPEN):
+            self.tell(sync)
+        assert self.firmware.link is Link.OPEN
+        if motors:
+            self.tell(Command.ENABLE, 1)
+        return self
+
+    def sips(self) -> list[Sip]:
+        decoded = [Sip.decode(packet) for packet in self.packets if packet.kind in SIP_KINDS]
+        return [sip for sip in decoded if sip is not None]
+
+    def sip(self) -> Sip:
+        """Return the next SIP."""
+        self.packets.clear()
+        while not self.sips():
+            self.run(0.1)
+        return self.sips()[-1]
+
+    def of_kind(self, kind: int) -> list[Packet]:
+        return [packet for packet in self.packets if packet.kind == kind]
+
+    @property
+    def speed(self) -> float:
+        return self.rover.velocity.v
+
+    @property
+    def turn_deg_s(self) -> float:
+        return math.degrees(self.rover.velocity.omega)

@@ -1,0 +1,85 @@
+"""The mock Pioneer, played to by recorded third-party clients."""
+
+import math
+
+import pytest
+from arcos_captures import CAPTURES, Capture
+from pioneer_bench import Pioneer
+
+import sim.pioneer.firmware
+from bridge.arcos import Command, Packet, decode_argument, encode_frame
+from bridge.packets import decode_names
+from bridge.robots import ROBOTS
+
+
+def set_points_by_hand(chunks: list[tuple[float, bytes]]) -> list[tuple[float, float, float]]:
+    """Read a client's speeds without our codec: (time, m/s, rad/s) after each VEL, RVEL and VEL2."""
+    stream = [(t, byte) for t, data in chunks for byte in data]
+    v = omega = 0.0
+    points = []
+    while stream:
+        t, count = stream[2][0], stream[2][1]
+        frame, stream = [byte for _, byte in stream[: count + 3]], stream[count + 3 :]
+        number, arguments = frame[3], frame[4:-2]
+        if number in (11, 21, 32):
+            value = int.from_bytes(bytes(arguments[1:3]), "little") * (-1 if arguments[0] == 0x1B else 1)
+            if number == 11:
+                v = value / 1000
+            elif number == 21:
+                omega = math.radians(value)
+            else:
+                low, high = ((value >> shift) % 256 for shift in (0, 8))
+                right, left = (0.02 * (byte - 256 if byte > 127 else byte) for byte in (low, high))
+                v, omega = (left + right) / 2, (right - left) / 2 / ROBOTS["p3at"].half_track_m
+            points.append((t, v, omega))
+    return points
+
+
+def plays(capture: Capture) -> bool:
+    """Play a client's side; return whether all was understood and led to the client's set-points."""
+    pioneer, told = Pioneer(capture.model), set_points_by_hand(capture.chunks("c2r"))
+    for t, data in capture.chunks("c2r"):
+        pioneer.now = t
+        pioneer.say(data)
+        wanted = next(((v, omega) for when, v, omega in reversed(told) if when <= t), (0.0, 0.0))
+        drive = pioneer.firmware.drive
+        if drive.enabled and drive.set_points != pytest.approx(wanted):
+            return False
+    firmware = pioneer.firmware
+    return not (firmware.unknown or firmware.bad_arguments or firmware.decoder.skipped_bytes)
+
+
+@pytest.mark.parametrize("capture", CAPTURES, ids=lambda c: c.name)
+def test_every_byte_that_third_party_clients_sent_is_understood(capture: Capture) -> None:
+    assert plays(capture)
+
+
+def twos_complement(command: Command, payload: bytes) -> object:
+    argument = decode_argument(command, payload)
+    if isinstance(argument, int) and payload[0] == 0x1B:
+        return int.from_bytes(payload[1:3], "little", signed=True)
+    return argument
+
+
+def sign_ignored(command: Command, payload: bytes) -> object:
+    argument = decode_argument(command, payload)
+    return abs(argument) if isinstance(argument, int) else argument
+
+
+@pytest.mark.parametrize("mutant", [twos_complement, sign_ignored])
+def test_a_wrong_sign_rule_is_found_by_the_recorded_clients(
+    monkeypatch: pytest.MonkeyPatch, mutant: object
+) -> None:
+    monkeypatch.setattr(sim.pioneer.firmware, "decode_argument", mutant)
+    assert not all(plays(capture) for capture in CAPTURES)
+
+
+def test_third_party_handshakes_are_answered_as_the_recorded_robot_answered() -> None:
+    for capture in CAPTURES:
+        pioneer = Pioneer(capture.model)
+        asked = [data for _, data in capture.chunks("c2r")][:3]
+        answered = [data for _, data in capture.chunks("r2c")][:3]
+        assert [pioneer.say(data) for data in asked[:2]] == [[Packet(0)], [Packet(1)]]
+        assert answered[:2] == [encode_frame(0), encode_frame(1)]
+        (names,) = pioneer.say(asked[2])
+        assert decode_names(names.payload)[1:] == ("Pioneer", capture.model)

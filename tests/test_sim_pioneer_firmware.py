@@ -1,0 +1,411 @@
+"""The mock Pioneer as the manuals say a base behaves."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pioneer_bench import Pioneer
+
+from bridge.arcos import COMMANDS, Command, Packet, encode_command, encode_frame
+from bridge.odometry import Odometer
+from bridge.packets import ConfigPac, EncoderPac, Flag, IoPac, Kind, SimStat, decode_names
+from bridge.robots import ROBOTS
+from sim.pioneer.firmware import Firmware, Link
+
+SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
+
+
+@pytest.mark.parametrize("model", list(ROBOTS))
+def test_each_model_tells_its_own_name(model: str) -> None:
+    pioneer = Pioneer(model)
+    answers = [pioneer.tell(sync) for sync in SYNC]
+    assert decode_names(answers[2][0].payload)[2] == model
+    (packet,) = pioneer.tell(Command.CONFIG)
+    config = ConfigPac.decode(packet.payload)
+    assert (config.subtype, config.watchdog, config.sip_cycle) == (model, 2000, 100)
+    assert len(packet.payload) + 3 >= 128
+
+
+def test_noise_and_a_close_before_the_handshake_do_not_matter() -> None:
+    pioneer = Pioneer()
+    assert pioneer.say(b"WMS2\r" + encode_command(Command.CLOSE)) == []
+    assert pioneer.tell(Command.VEL, 100) == []
+    assert [len(pioneer.tell(sync)) for sync in SYNC] == [1, 1, 1]
+
+
+def test_out_of_order_starts_over_and_a_repeated_sync_is_echoed_again() -> None:
+    pioneer = Pioneer()
+    assert pioneer.tell(SYNC[1]) == []
+    assert pioneer.tell(SYNC[0]) == [Packet(0)]
+    assert pioneer.tell(SYNC[2]) == []
+    assert pioneer.tell(SYNC[1]) == []
+    assert [pioneer.tell(SYNC[n]) for n in (0, 0, 1, 1)] == [
+        [Packet(0)],
+        [Packet(0)],
+        [Packet(1)],
+        [Packet(1)],
+    ]
+
+
+def test_walking_the_syncs_over_an_open_session_closes_it() -> None:
+    pioneer = Pioneer().open()
+    for sync in SYNC:
+        assert pioneer.tell(sync) == []
+    assert pioneer.firmware.link is Link.WAITING
+    assert not pioneer.firmware.drive.enabled
+
+
+def test_sips_come_each_tenth_of_a_second_from_open_to_close_only() -> None:
+    pioneer = Pioneer()
+    for sync in SYNC:
+        pioneer.tell(sync)
+    pioneer.run(0.5)
+    assert pioneer.sips() == []
+    pioneer.tell(Command.OPEN, 1)
+    pioneer.run(2.0)
+    assert len(pioneer.sips()) == 20
+    pioneer.tell(Command.CLOSE)
+    pioneer.run(0.5)
+    assert len(pioneer.sips()) == 20
+
+
+def test_a_sip_has_every_field() -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.VEL, 200)
+    pioneer.tell(Command.RVEL, -20)
+    pioneer.run(2.0)
+    sip = pioneer.sip()
+    assert sip.moving
+    half_track_mm = 1 / 0.0034
+    assert (sip.left + sip.right) / 2 == pytest.approx(200, abs=1)
+    assert (sip.right - sip.left) / 2 == pytest.approx(math.radians(-20) * half_track_mm, abs=1)
+    assert sip.rotvel == -200
+    assert sip.x > 200
+    assert sip.theta < 0
+    assert sip.control == sip.theta
+    assert sip.flags == Flag.MOTORS | Flag.SONAR_1 | Flag.SONAR_2
+    assert (sip.battery_dv, sip.battery_x10, sip.charge_state, sip.faults) == (128, 128, 0, 0)
+    assert (sip.latvel, sip.temperature, sip.state_of_charge) == (0, -128, 0)
+    assert 4 <= len(sip.sonar) <= 6
+    assert {range_mm for _, range_mm in sip.sonar} == {5000}
+
+
+def test_speeds_rise_within_the_acceleration_limits_after_the_delays() -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.VEL, 200)
+    pioneer.tell(Command.RVEL, 30)
+    pioneer.run(0.10)
+    assert (pioneer.speed, pioneer.turn_deg_s) == (0.0, 0.0)
+    pioneer.run(0.05)
+    assert pioneer.speed == 0.0
+    assert pioneer.turn_deg_s == pytest.approx(math.degrees(1.25 * 0.05), rel=1e-3)
+    pioneer.run(0.10)
+    assert pioneer.speed == pytest.approx(0.31 * 0.10, rel=1e-2)
+    pioneer.tell(Command.SETA, 1000)
+    pioneer.run(0.10)
+    assert pioneer.speed == pytest.approx(0.031 + 0.100, rel=1e-2)
+    pioneer.run(1.0)
+    pioneer.tell(Command.SETA, -100)
+    pioneer.tell(Command.VEL, 0)
+    pioneer.run(1.15)
+    assert pioneer.speed == pytest.approx(0.1, rel=1e-2)
+
+
+@pytest.mark.parametrize(("set_limit", "speed"), [(150, 0.150), (5000, 0.5)])
+def test_set_points_are_held_within_setv(set_limit: int, speed: float) -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.SETV, set_limit)
+    pioneer.tell(Command.VEL, 500)
+    pioneer.run(4.0)
+    assert pioneer.speed == pytest.approx(speed, rel=1e-3)
+
+
+def test_close_puts_the_limits_back_to_flash() -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.SETV, 150)
+    pioneer.tell(Command.SETA, 99)
+    pioneer.tell(Command.CLOSE)
+    pioneer.open()
+    (packet,) = pioneer.tell(Command.CONFIG)
+    assert ConfigPac.decode(packet.payload).trans_vel_max == 700
+    assert ConfigPac.decode(packet.payload).trans_acc == 310
+
+
+def test_the_watchdog_halts_and_any_packet_lets_the_set_points_go_on() -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.VEL, 200)
+    pioneer.run(1.9, fed=False)
+    assert pioneer.speed == pytest.approx(0.2)
+    pioneer.run(1.5, fed=False)
+    assert pioneer.speed == 0.0
+    pioneer.packets.clear()
+    pioneer.run(1.0, fed=False)
+    assert len(pioneer.sips()) == 10
+    assert all(sip.flags & Flag.MOTORS for sip in pioneer.sips())
+    pioneer.tell(Command.BATTERYINFO, 1)
+    pioneer.run(1.5)
+    assert pioneer.speed == pytest.approx(0.2)
+
+
+def test_a_broken_packet_does_not_feed_the_watchdog() -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.VEL, 200)
+    for _ in range(40):
+        pioneer.now += 0.1
+        pioneer.say(b"\xfa\xfb\x03\x00\x00\x01")
+    assert pioneer.speed == 0.0
+
+
+def test_motors_that_are_off_take_no_set_points_and_keep_none() -> None:
+    pioneer = Pioneer().open(motors=False)
+    pioneer.tell(Command.VEL, 200)
+    pioneer.run(1.0)
+    pioneer.tell(Command.ENABLE, 1)
+    pioneer.run(1.0)
+    assert pioneer.speed == 0.0
+    pioneer.tell(Command.VEL, 200)
+    pioneer.run(2.0)
+    pioneer.tell(Command.ENABLE, 0)
+    pioneer.run(1.5)
+    assert pioneer.speed == 0.0
+    pioneer.tell(Command.ENABLE, 1)
+    pioneer.run(1.0)
+    assert pioneer.speed == 0.0
+
+
+@pytest.mark.parametrize(("argument", "left", "right"), [(0x050A, 0.1, 0.2), (-1275, -0.1, 0.1)])
+def test_vel2_drives_the_wheels_in_both_encodings(argument: int, left: float, right: float) -> None:
+    pioneer = Pioneer().open()
+    pioneer.say(encode_command(Command.VEL2, argument))
+    pioneer.run(3.0)
+    assert pioneer.firmware.drive.wheel_speeds == pytest.approx((left, right), abs=1e-3)
+    other = Pioneer().open()
+    # Player always sends the two bytes as they are.
+    other.say(encode_frame(32, bytes([0x3B, argument & 0xFF, argument >> 8 & 0xFF])))
+    other.run(3.0)
+    assert other.firmware.drive.wheel_speeds == pytest.approx((left, right), abs=1e-3)
+
+
+@pytest.mark.parametrize("way", [500, -300, 30])
+def test_move_drives_so_far_and_stops(way: int) -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.SETV, 300)
+    pioneer.tell(Command.MOVE, way)
+    pioneer.run(8.0)
+    assert pioneer.rover.pose.x * 1000 == pytest.approx(way, abs=5)
+    assert abs(pioneer.speed) < 0.002
+
+
+def test_headings_are_absolute_relative_and_relative_to_the_set_point() -> None:
+    pioneer = Pioneer().open()
+    for command, argument, heading in [
+        (Command.HEAD, 90, 90),
+        (Command.DHEAD, -30, 60),
+        (Command.DCHEAD, 150, -150),
+        (Command.DCHEAD, 20, -130),
+        (Command.HEAD, 350, -10),
+    ]:
+        pioneer.tell(command, argument)
+        pioneer.run(8.0)
+        assert math.degrees(pioneer.rover.pose.theta) == pytest.approx(heading, abs=0.8), command
+    pioneer.tell(Command.ROTATE, 10)
+    pioneer.run(2.0)
+    assert pioneer.turn_deg_s == pytest.approx(10, rel=1e-3)
+
+
+def test_stop_keeps_the_limit_and_e_stop_does_not() -> None:
+    ways = []
+    for command in (Command.STOP, Command.E_STOP):
+        pioneer = Pioneer().open()
+        pioneer.tell(Command.VEL, 400)
+        pioneer.run(3.0)
+        before = pioneer.rover.pose.x
+        pioneer.tell(command)
+        pioneer.run(3.0)
+        assert pioneer.speed == 0.0
+        assert pioneer.sip().flags & Flag.MOTORS
+        ways.append(pioneer.rover.pose.x - before)
+        pioneer.tell(Command.VEL, 100)
+        pioneer.run(1.0)
+        assert pioneer.speed == pytest.approx(0.1)
+    assert ways[0] == pytest.approx(0.4 * 0.15 + 0.4**2 / (2 * 0.31), rel=0.02)
+    assert ways[1] < 0.1
+
+
+@pytest.mark.parametrize("model", ["p3at", "p3at-sh"])
+def test_position_counters_wrap_at_15_bits_and_the_driver_follows(model: str) -> None:
+    pioneer = Pioneer(model).open()
+    pioneer.tell(Command.VEL, 700)
+    pioneer.run(60.0)
+    units = [sip.x for sip in pioneer.sips()]
+    assert max(units) < 0x8000
+    assert min(units[100:]) < 1000
+    odometer = Odometer(ROBOTS[model])
+    states = [odometer.update(sip, 0.0) for sip in pioneer.sips()]
+    assert states[-1].x == pytest.approx(pioneer.rover.pose.x, abs=0.002)
+    assert states[-1].x > 35
+
+
+def test_odometry_and_truth_agree_on_open_ground() -> None:
+    pioneer = Pioneer().open()
+    for v, omega in [(200, 20), (-150, 45), (0, -60), (300, -5), (0, 0)]:
+        pioneer.tell(Command.VEL, v)
+        pioneer.tell(Command.RVEL, omega)
+        pioneer.run(5.0)
+    assert pioneer.firmware.drive.odometry == pytest.approx(pioneer.rover.pose, abs=1e-4)
+
+
+@pytest.mark.parametrize("frame", [encode_command(Command.SETO), bytes.fromhex("fafb04073b073b")])
+def test_seto_zeroes_odometry_also_when_cut_short_as_players(frame: bytes) -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.MOVE, 300)
+    pioneer.run(6.0)
+    x = pioneer.rover.pose.x
+    pioneer.say(frame)
+    sip = pioneer.sip()
+    assert (sip.x, sip.y, sip.theta) == (0, 0, 0)
+    assert pioneer.rover.pose.x == x
+
+
+def test_a_wall_stalls_the_wheels_and_odometry_does_not_run_on() -> None:
+    pioneer = Pioneer(wall_x=1.0).open()
+    pioneer.tell(Command.VEL, 200)
+    pioneer.run(6.0)
+    stalled = [sip for sip in pioneer.sips() if sip.stall_left & 1 and sip.stall_right & 1]
+    assert stalled
+    assert not any(sip.stall_left & 1 for sip in pioneer.sips()[:20])
+    assert pioneer.rover.pose.x == pytest.approx(1.0 - 0.1 - 0.313, abs=0.003)
+    assert pioneer.firmware.drive.odometry.x == pytest.approx(pioneer.rover.pose.x, abs=0.03)
+    pioneer.tell(Command.VEL, -200)
+    pioneer.run(2.0)
+    assert pioneer.rover.pose.x < 0.5
+    assert not pioneer.sip().stall_left & 1
+
+
+def test_sonars_hear_the_wall_and_obey() -> None:
+    pioneer = Pioneer(wall_x=1.0).open()
+    pioneer.run(1.0)
+    heard = dict(reading for sip in pioneer.sips() for reading in sip.sonar)
+    assert set(heard) == set(range(16))
+    ahead = 0.9 - 0.245
+    assert heard[3] == pytest.approx(1000 * ahead / math.cos(math.radians(10)), abs=2)
+    assert heard[0] == 5000
+    pioneer.tell(Command.SONAR, 0)
+    pioneer.run(0.2)
+    assert pioneer.sip().sonar == ()
+    assert not pioneer.sip().flags & Flag.SONAR_1
+    pioneer.tell(Command.SONAR, 0b101)
+    pioneer.tell(Command.POLLING, bytes([9, 10]))
+    pioneer.run(0.2)
+    assert {number for number, _ in pioneer.sip().sonar} <= {8, 9}
+    assert pioneer.sip().flags & (Flag.SONAR_1 | Flag.SONAR_2) == Flag.SONAR_2
+
+
+def test_encoders_count_the_wheels_way_once_or_in_a_stream() -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.ENCODER, 1)
+    pioneer.run(0.5)
+    assert len(pioneer.of_kind(Kind.ENCODER)) == 1
+    pioneer.tell(Command.ENCODER, 2)
+    pioneer.tell(Command.MOVE, 500)
+    pioneer.run(8.0)
+    ticks = EncoderPac.decode(pioneer.of_kind(Kind.ENCODER)[-1].payload)
+    assert ticks.left == ticks.right == pytest.approx(500 * 128, rel=0.01)
+    pioneer.tell(Command.ENCODER, 0)
+    pioneer.packets.clear()
+    pioneer.run(0.5)
+    assert pioneer.of_kind(Kind.ENCODER) == []
+
+
+def test_ports_battery_and_outputs() -> None:
+    pioneer = Pioneer("p3at-sh", "bumper").open()
+    pioneer.tell(Command.DIGOUT, 0x0F05)
+    pioneer.tell(Command.DIGOUT, 0x0100)
+    pioneer.tell(Command.IOREQUEST, 1)
+    pioneer.tell(Command.BATTEST, 118)
+    sip = pioneer.sip()
+    assert (sip.digout, sip.battery_dv, sip.battery_x10) == (0x04, 118, 118)
+    (packet,) = pioneer.of_kind(Kind.IO)
+    ports = IoPac.decode(packet.payload)
+    assert ports.outputs == (0x04,)
+    assert ports.inputs[1] == 0xFF & ~0b100
+    assert len(ports.analog) == 9
+    pioneer.tell(Command.BATTEST, 0)
+    assert pioneer.sip().battery_dv == 128
+
+
+def test_a_simulators_commands_move_the_truth_and_not_odometry() -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.SIM_SET_POSE, (-1000, 2500, 90))
+    pioneer.say(encode_frame(Command.SIM_STAT))
+    pioneer.run(0.2)
+    assert pioneer.rover.pose == pytest.approx((-1.0, 2.5, math.pi / 2))
+    assert pioneer.sip().x == 0
+    pioneer.tell(Command.SIM_STAT, 2)
+    pioneer.run(0.3)
+    stat = SimStat.decode(pioneer.of_kind(Kind.SIMSTAT)[-1].payload)
+    assert (stat.x_mm, stat.y_mm, stat.theta_deg) == (-1000, 2500, 90)
+    pioneer.tell(Command.VEL, 100)
+    pioneer.run(1.0)
+    pioneer.tell(Command.SIM_RESET)
+    assert pioneer.rover.pose == pytest.approx((0, 0, 0), abs=1e-9)
+
+
+def test_hostbaud_has_no_effect_on_tcp_and_reset_gives_notice() -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.HOSTBAUD, 2)
+    assert pioneer.sip()
+    assert pioneer.tell(Command.RESET) == [Packet(0xFF)]
+    assert pioneer.firmware.link is Link.WAITING
+
+
+def test_a_client_that_comes_after_one_that_vanished_finds_the_session_open() -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.VEL, 200)
+    pioneer.firmware.receive(b"\xfa\xfb\x06\x0b", pioneer.now)
+    pioneer.firmware.line_changed()
+    pioneer.run(0.5, fed=False)
+    assert pioneer.sips()
+    assert pioneer.tell(Command.PULSE) == []
+    assert [len(pioneer.tell(Command.CLOSE)), len(pioneer.tell(Command.PULSE))] == [0, 1]
+
+
+COMMAND = st.builds(
+    encode_frame,
+    st.one_of(st.sampled_from(list(COMMANDS)), st.integers(0, 255)),
+    st.one_of(
+        st.binary(max_size=20),
+        st.builds(
+            lambda sign, n: bytes([sign, n & 0xFF, n >> 8]),
+            st.sampled_from([0x3B, 0x1B]),
+            st.integers(0, 65535),
+        ),
+    ),
+)
+
+
+@given(st.lists(st.one_of(COMMAND, st.binary(max_size=30)), max_size=30))
+def test_whatever_clients_send_the_base_goes_on(pieces: list[bytes]) -> None:
+    """Invariant: after any bytes the firmware lives, its rover is somewhere, and a client can connect."""
+    pioneer = Pioneer().open()
+    for piece in pieces:
+        pioneer.say(piece)
+        pioneer.run(0.05, fed=False)
+    assert all(map(math.isfinite, pioneer.rover.pose))
+    assert all(map(math.isfinite, pioneer.firmware.drive.odometry))
+    pioneer.now += 0.2
+    pioneer.tell(Command.CLOSE)
+    pioneer.tell(Command.CLOSE)
+    assert [len(pioneer.tell(sync)) for sync in SYNC] == [1, 1, 1]
+
+
+def test_unknown_commands_are_counted_and_feed_the_watchdog() -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.VEL, 100)
+    for _ in range(6):
+        pioneer.now += 1.0
+        pioneer.say(encode_frame(199, b"\x3b\x01\x00"))
+    assert pioneer.speed == pytest.approx(0.1)
+    assert pioneer.firmware.unknown[199] == 6
+    assert isinstance(pioneer.firmware, Firmware)

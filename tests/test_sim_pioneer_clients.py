@@ -1,15 +1,19 @@
-"""The mock Pioneer, played to by recorded third-party clients."""
+"""The mock Pioneer, played to by recorded third-party clients, and by whoever sends anything at all."""
 
 import math
 
 import pytest
 from arcos_captures import CAPTURES, Capture
+from hypothesis import given
+from hypothesis import strategies as st
 from pioneer_bench import Pioneer
 
 import sim.pioneer.firmware
-from bridge.arcos import Command, Packet, decode_argument, encode_frame
+from bridge.arcos import COMMANDS, Command, Packet, decode_argument, encode_frame
 from bridge.packets import decode_names
 from bridge.robots import ROBOTS
+
+SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 
 
 def set_points_by_hand(chunks: list[tuple[float, bytes]]) -> list[tuple[float, float, float]]:
@@ -83,3 +87,42 @@ def test_third_party_handshakes_are_answered_as_the_recorded_robot_answered() ->
         assert answered[:2] == [encode_frame(0), encode_frame(1)]
         (names,) = pioneer.say(asked[2])
         assert decode_names(names.payload)[1:] == ("Pioneer", capture.model)
+
+
+COMMAND = st.builds(
+    encode_frame,
+    st.one_of(st.sampled_from(list(COMMANDS)), st.integers(0, 255)),
+    st.one_of(
+        st.binary(max_size=20),
+        st.builds(
+            lambda sign, n: bytes([sign, n & 0xFF, n >> 8]),
+            st.sampled_from([0x3B, 0x1B]),
+            st.integers(0, 65535),
+        ),
+    ),
+)
+
+
+@given(st.lists(st.one_of(COMMAND, st.binary(max_size=30)), max_size=30))
+def test_whatever_clients_send_the_base_goes_on(pieces: list[bytes]) -> None:
+    """Invariant: after any bytes the firmware lives, its rover is somewhere, and a client can connect."""
+    pioneer = Pioneer().open()
+    for piece in pieces:
+        pioneer.say(piece)
+        pioneer.run(0.05, fed=False)
+    assert all(map(math.isfinite, pioneer.rover.pose))
+    assert all(map(math.isfinite, pioneer.firmware.drive.odometry))
+    pioneer.now += 0.2
+    pioneer.tell(Command.CLOSE)
+    pioneer.tell(Command.CLOSE)
+    assert [len(pioneer.tell(sync)) for sync in SYNC] == [1, 1, 1]
+
+
+def test_unknown_commands_are_counted_and_feed_the_watchdog() -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.VEL, 100)
+    for _ in range(6):
+        pioneer.now += 1.0
+        pioneer.say(encode_frame(199, b"\x3b\x01\x00"))
+    assert pioneer.speed == pytest.approx(0.1)
+    assert pioneer.firmware.unknown[199] == 6

@@ -3,15 +3,13 @@
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pioneer_bench import Pioneer
 
-from bridge.arcos import COMMANDS, Command, Packet, encode_command, encode_frame
+from bridge.arcos import Command, Packet, encode_command, encode_frame
 from bridge.odometry import Odometer
 from bridge.packets import ConfigPac, EncoderPac, Flag, IoPac, Kind, SimStat, decode_names
 from bridge.robots import ROBOTS
-from sim.pioneer.firmware import Firmware, Link
+from sim.pioneer.firmware import Link
 
 SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 
@@ -369,43 +367,3 @@ def test_a_client_that_comes_after_one_that_vanished_finds_the_session_open() ->
     assert pioneer.sips()
     assert pioneer.tell(Command.PULSE) == []
     assert [len(pioneer.tell(Command.CLOSE)), len(pioneer.tell(Command.PULSE))] == [0, 1]
-
-
-COMMAND = st.builds(
-    encode_frame,
-    st.one_of(st.sampled_from(list(COMMANDS)), st.integers(0, 255)),
-    st.one_of(
-        st.binary(max_size=20),
-        st.builds(
-            lambda sign, n: bytes([sign, n & 0xFF, n >> 8]),
-            st.sampled_from([0x3B, 0x1B]),
-            st.integers(0, 65535),
-        ),
-    ),
-)
-
-
-@given(st.lists(st.one_of(COMMAND, st.binary(max_size=30)), max_size=30))
-def test_whatever_clients_send_the_base_goes_on(pieces: list[bytes]) -> None:
-    """Invariant: after any bytes the firmware lives, its rover is somewhere, and a client can connect."""
-    pioneer = Pioneer().open()
-    for piece in pieces:
-        pioneer.say(piece)
-        pioneer.run(0.05, fed=False)
-    assert all(map(math.isfinite, pioneer.rover.pose))
-    assert all(map(math.isfinite, pioneer.firmware.drive.odometry))
-    pioneer.now += 0.2
-    pioneer.tell(Command.CLOSE)
-    pioneer.tell(Command.CLOSE)
-    assert [len(pioneer.tell(sync)) for sync in SYNC] == [1, 1, 1]
-
-
-def test_unknown_commands_are_counted_and_feed_the_watchdog() -> None:
-    pioneer = Pioneer().open()
-    pioneer.tell(Command.VEL, 100)
-    for _ in range(6):
-        pioneer.now += 1.0
-        pioneer.say(encode_frame(199, b"\x3b\x01\x00"))
-    assert pioneer.speed == pytest.approx(0.1)
-    assert pioneer.firmware.unknown[199] == 6
-    assert isinstance(pioneer.firmware, Firmware)

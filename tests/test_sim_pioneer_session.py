@@ -1,0 +1,279 @@
+"""The real session with the mock base, through memory, on a virtual clock, over lines good and bad."""
+
+import math
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pioneer_bench import Pioneer
+
+from bridge.arcos import Command, encode_command
+from bridge.events import Configured, Connected, Failed, Lost, Recovered, StateReceived
+from bridge.odometry import BaseState
+from bridge.robots import ROBOTS
+from bridge.session import Event, Session, State
+from sim.pioneer.firmware import Link
+
+STEP_S = 0.02
+
+
+class Pair:
+    """A session and a base, 50 turns a second; ``driver`` is what a gate would do each turn."""
+
+    def __init__(self, pioneer: Pioneer | None = None, model: str = "auto") -> None:
+        self.pioneer = pioneer or Pioneer()
+        self.session = Session(model)
+        self.events: list[Event] = []
+        self.driver: Callable[[Session], None] = lambda session: None
+        self.cut_up = self.cut_down = False
+        self.session.connect(self.now)
+
+    @property
+    def now(self) -> float:
+        return self.pioneer.now
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        firmware = self.pioneer.firmware
+        for _ in range(round(seconds / STEP_S)):
+            self.pioneer.now += STEP_S
+            firmware.advance(self.now)
+            heard = firmware.data_to_send()
+            self.events += self.session.receive(b"" if self.cut_up else heard, self.now)
+            self.driver(self.session)
+            self.events += self.session.tick(self.now)
+            said = self.session.data_to_send()
+            firmware.receive(b"" if self.cut_down else said, self.now)
+            if until():
+                return
+
+    def ready(self) -> "Pair":
+        self.run(20.0, until=lambda: self.session.state is State.READY)
+        assert self.session.state is State.READY
+        return self
+
+    def driving(self, v: float, omega: float) -> "Pair":
+        self.ready().session.enable(True)
+        self.driver = lambda session: session.set_motion(v, omega)
+        return self
+
+    def of(self, kind: type[Event]) -> list[Event]:
+        return [event for event in self.events if isinstance(event, kind)]
+
+    @property
+    def state(self) -> BaseState:
+        last = self.of(StateReceived)[-1]
+        assert isinstance(last, StateReceived)
+        return last.state
+
+
+@pytest.mark.parametrize("model", list(ROBOTS))
+def test_connecting_takes_less_than_a_second(model: str) -> None:
+    pair = Pair(Pioneer(model)).ready()
+    assert pair.now < 1.0
+    pair.run(0.3)
+    kinds = [type(event) for event in pair.events]
+    assert kinds[:3] == [Connected, Configured, StateReceived]
+    configured = pair.events[1]
+    assert isinstance(configured, Configured)
+    assert configured.robot.name == model
+    assert configured.config is not None
+    assert not pair.state.motors_enabled
+
+
+@pytest.mark.parametrize("model", list(ROBOTS))
+def test_the_rover_drives_as_told_and_the_state_says_so(model: str) -> None:
+    pair = Pair(Pioneer(model)).driving(0.16, 0.137)
+    pair.run(10.0)
+    assert pair.state.v == pytest.approx(0.16, abs=0.001)
+    assert pair.state.moving
+    pair.driver = lambda session: session.set_motion(0.0, 0.0)
+    pair.run(3.0)
+    true, state = pair.pioneer.rover.pose, pair.state
+    assert (state.x, state.y) == pytest.approx((true.x, true.y), abs=0.003)
+    assert math.remainder(state.theta - true.theta, math.tau) == pytest.approx(0, abs=0.002)
+    assert state.v == state.omega == 0.0
+    # The delays and ramps of starting and stopping cancel out; enabling took a SIP or two.
+    assert state.theta == pytest.approx(0.137 * 10, abs=0.03)
+
+
+def test_a_turn_command_between_two_whole_degrees_is_driven_on_average() -> None:
+    pair = Pair().driving(0.0, 0.1047)  # 5.999 deg/s
+    pair.run(2.0)
+    for omega in (0.1, 0.092, 0.0231, -0.05):
+        pair.driver = lambda session, omega=omega: session.set_motion(0.05, omega)
+        pair.run(1.0)
+        before = pair.pioneer.rover.body.angle
+        pair.run(5.0)
+        assert (pair.pioneer.rover.body.angle - before) / 5.0 == pytest.approx(omega, abs=0.0008)
+
+
+def test_a_standing_rover_stands() -> None:
+    pair = Pair().driving(0.0015, -0.0015)
+    pair.run(30.0)
+    assert pair.pioneer.rover.pose == (0.0, 0.0, 0.0)
+
+
+def test_closing_leaves_a_base_that_stands_with_its_motors_off_and_waits() -> None:
+    pair = Pair().driving(0.2, 0.0)
+    pair.run(3.0)
+    pair.session.close(pair.now)
+    pair.run(2.0)
+    assert pair.session.state is State.IDLE
+    assert pair.pioneer.firmware.link is Link.WAITING
+    assert not pair.pioneer.firmware.drive.enabled
+    assert pair.pioneer.rover.velocity == pytest.approx((0, 0))
+
+
+def test_a_base_in_an_old_session_does_not_move_when_a_new_driver_connects() -> None:
+    """Its set-points would go on with the first packet of any kind (watchdog)."""
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.VEL, 300)
+    pioneer.run(6.0, fed=False)
+    pioneer.firmware.line_changed()
+    x = pioneer.rover.pose.x
+    pair = Pair(pioneer).ready()
+    pair.run(2.0)
+    assert pioneer.rover.pose.x == x
+    assert pair.state.x == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_base_that_answers_nothing_is_given_up() -> None:
+    pair = Pair(Pioneer("p3at-sh", "mute"))
+    pair.run(10.0)
+    (failed,) = pair.events
+    assert isinstance(failed, Failed)
+    assert pair.now > 4
+
+
+def test_no_word_from_the_base_stops_the_rover() -> None:
+    pair = Pair().driving(0.2, 0.0)
+    pair.run(3.0)
+    pair.cut_up = True
+    cut = pair.now
+    pair.run(5.0, until=lambda: pair.pioneer.rover.velocity.v == 0.0)
+    # 0.5 s, the base's delay of 0.15 s, braking from 0.2 m/s at 0.31 m/s²
+    assert pair.now - cut < 0.5 + 0.15 + 0.2 / 0.31 + 0.1
+    assert [type(e) for e in pair.events if not isinstance(e, StateReceived)][-1] is Lost
+
+
+def test_a_cut_line_leaves_the_rover_to_the_bases_watchdog_and_it_stays_put_afterwards() -> None:
+    pair = Pair().driving(0.2, 0.0)
+    pair.run(3.0)
+    pair.cut_up = pair.cut_down = True
+    cut = pair.now
+    pair.run(5.0, until=lambda: pair.pioneer.rover.velocity.v == 0.0)
+    assert 2.0 < pair.now - cut < 2.0 + 0.25 + 0.15 + 0.2 / 0.31 + 0.1
+    x = pair.pioneer.rover.pose.x
+    pair.run(0.2)
+    pair.cut_up = pair.cut_down = False
+    pair.run(5.0)
+    assert pair.session.state is State.READY
+    assert pair.of(Recovered) or len(pair.of(Connected)) == 2
+    assert pair.pioneer.rover.pose.x - x < 0.002
+    assert not pair.state.motors_enabled
+
+
+def test_a_short_silence_is_recovered_from_in_the_same_session() -> None:
+    pair = Pair().ready()
+    pair.run(1.0)
+    pair.cut_up = True
+    pair.run(1.0)
+    pair.cut_up = False
+    pair.run(1.0)
+    assert len(pair.of(Connected)) == len(pair.of(Lost)) == len(pair.of(Recovered)) == 1
+
+
+def test_a_base_that_restarts_is_connected_to_again() -> None:
+    pair = Pair().driving(0.2, 0.0)
+    pair.run(3.0)
+    pair.pioneer.firmware.receive(encode_command(Command.RESET), pair.now)
+    pair.run(3.0)
+    assert pair.session.state is State.READY
+    assert [type(e) for e in pair.events if not isinstance(e, StateReceived)] == [
+        *(Connected, Configured, Lost, Connected, Configured)
+    ]
+    assert pair.pioneer.rover.velocity.v == 0.0
+
+
+def test_a_power_cycle_without_a_notice_is_noticed() -> None:
+    pair = Pair().ready()
+    pair.run(1.0)
+    pair.pioneer.firmware.receive(encode_command(Command.CLOSE), pair.now)
+    pair.run(6.0)
+    assert pair.session.state is State.READY
+    assert len(pair.of(Lost)) == 1
+    assert len(pair.of(Connected)) == 2
+
+
+def test_odometry_is_reset_over_the_line() -> None:
+    pair = Pair().driving(0.2, 0.3)
+    pair.run(4.0)
+    pair.session.stop()
+    pair.driver = lambda session: None
+    pair.run(2.0)
+    pair.session.reset_odometry()
+    pair.run(0.5)
+    assert (pair.state.x, pair.state.y, pair.state.theta) == (0.0, 0.0, 0.0)
+    pair.session.enable(True)
+    pair.driver = lambda session: session.set_motion(0.1, 0.0)
+    pair.run(3.0)
+    assert pair.state.x > 0.2
+    assert abs(pair.state.y) < 0.002
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    "faults", [("corrupt=0.15",), ("drop=0.15",), ("corrupt=0.08", "drop=0.08", "noise=0.2")]
+)
+def test_a_bad_line_is_survived_both_ways(faults: tuple[str, ...], seed: int) -> None:
+    """Invariant: the pose stays the base's, speeds stay as commanded, and the end is a standstill."""
+    pair = Pair(Pioneer("p3at-sh", *faults, seed=seed))
+    pair.run(20.0, until=lambda: pair.session.state is State.READY)
+    pair.session.enable(True)
+    pair.driver = lambda session: session.set_motion(0.15, 0.1)
+    pair.run(5.0, until=lambda: bool(pair.of(StateReceived)))
+    for _ in range(100):
+        pair.run(0.1)
+        if pair.of(Lost):
+            break
+        assert abs(pair.pioneer.rover.target.v) < 0.1501
+        odometry, state = pair.pioneer.firmware.drive.odometry, pair.state
+        assert math.hypot(state.x - odometry.x, state.y - odometry.y) < 0.15 * 0.6 + 0.003
+    decoder = pair.session.decoder
+    assert decoder.bad_checksums + decoder.skipped_bytes > 0
+    for _ in range(6):
+        pair.session.close(pair.now)
+        pair.run(0.1)
+        pair.session.connect(pair.now)
+        pair.run(2.0)
+    assert pair.pioneer.rover.velocity == pytest.approx((0.0, 0.0))
+
+
+@settings(max_examples=15)
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(0.1, 2.0), st.booleans(), st.booleans(), st.floats(-0.3, 0.3), st.floats(-0.6, 0.6)
+        ),
+        max_size=8,
+    )
+)
+def test_whatever_line_is_cut_when_the_rover_stands_soon_after(
+    story: list[tuple[float, bool, bool, float, float]],
+) -> None:
+    """Invariant: no command for 3 s (0.5 s and braking, or the base's 2 s and braking): the rover stands."""
+    pair = Pair().driving(0.2, 0.0)
+    for seconds, cut_up, cut_down, v, omega in story:
+        pair.cut_up, pair.cut_down = cut_up, cut_down
+        pair.session.enable(True)
+        pair.driver = lambda session, v=v, omega=omega: session.set_motion(v, omega)
+        pair.run(seconds)
+    pair.driver = lambda session: session.set_motion(0.0, 0.0)
+    pair.run(4.0)
+    pair.cut_up = pair.cut_down = True
+    assert pair.pioneer.rover.velocity == pytest.approx((0.0, 0.0), abs=1e-6)
+    pair.run(3.0)
+    pair.cut_up = pair.cut_down = False
+    pair.run(3.0)
+    assert pair.pioneer.rover.velocity == pytest.approx((0.0, 0.0), abs=1e-6)

@@ -3,6 +3,7 @@
 Times are seconds since the motors were first enabled; a fault without a time is there from the beginning.
 """
 
+import math
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,21 +12,21 @@ from rover_ncp.core.errors import UsageError
 
 __all__ = ["FAULTS", "Fault", "Faults", "parse_fault"]
 
-FAULTS: dict[str, tuple[float | None, str]] = {
-    "mute": (None, "the base sends nothing"),
-    "deaf": (None, "the base hears nothing"),
-    "corrupt": (0.1, "this share of packets, both ways, has a bit flipped"),
-    "drop": (0.1, "this share of packets, both ways, loses a byte"),
-    "noise": (0.1, "this share of packets, both ways, has bytes before it that belong to none"),
-    "freeze-odometry": (None, "SIPs keep coming, odometry stands"),
-    "jump-odometry": (0.5, "x is off by this many metres"),
-    "bumper": (None, "a front bumper is pressed"),
-    "stall": (None, "the wheels are blocked and the motors stall"),
-    "stop-button": (None, "the STOP button is pressed"),
-    "low-battery": (10.5, "the battery's voltage"),
-    "reset": (None, "the base restarts, once"),
+FAULTS: dict[str, tuple[float, float, float] | None] = {
+    "mute": None,  # the base sends nothing
+    "deaf": None,  # the base hears nothing
+    "corrupt": (0.1, 0.0, 1.0),  # this share of packets, both ways, has a bit flipped
+    "drop": (0.1, 0.0, 1.0),  # this share of packets, both ways, loses a byte
+    "noise": (0.1, 0.0, 1.0),  # this share of packets, both ways, has bytes before it that belong to none
+    "freeze-odometry": None,  # SIPs keep coming, odometry stands
+    "jump-odometry": (0.5, -100.0, 100.0),  # x is off by this many metres
+    "bumper": None,  # a front bumper is pressed
+    "stall": None,  # the wheels are blocked and the motors stall
+    "stop-button": None,
+    "low-battery": (10.5, 0.0, 25.0),  # the battery's voltage
+    "reset": None,  # the base restarts, once
 }
-"""Name: (default of its value, or None when it takes none; what it does)."""
+"""Name: default, least and greatest value; None when it takes none."""
 
 _DAMAGE = ("corrupt", "drop", "noise")
 
@@ -37,7 +38,7 @@ class Fault:
     name: str
     value: float = 0.0
     start_s: float | None = None
-    end_s: float = float("inf")
+    end_s: float = math.inf
 
     def active(self, enabled_s: float | None) -> bool:
         """Return whether it is there, so many seconds after the motors were first enabled (None: not yet)."""
@@ -54,21 +55,22 @@ def parse_fault(text: str) -> Fault:
         raise UsageError(
             f"--fault {text}: expected NAME[=VALUE][@START[-END]], NAME one of {', '.join(FAULTS)}"
         )
-    default = FAULTS[name][0]
-    if has_value and default is None:
+    value_range = FAULTS[name]
+    if has_value and value_range is None:
         raise UsageError(f"--fault {text}: {name} takes no value")
+    default, least, greatest = value_range or (0.0, 0.0, 0.0)
     start, until, end = when.partition("-")
     try:
         fault = Fault(
             name,
-            float(value) if has_value else default or 0.0,
+            float(value) if has_value else default,
             float(start) if at else None,
-            float(end) if until else float("inf"),
+            float(end) if until else math.inf,
         )
     except ValueError as error:
         raise UsageError(f"--fault {text}: expected numbers in NAME[=VALUE][@START[-END]]") from error
-    if name in _DAMAGE and not 0.0 <= fault.value <= 1.0:
-        raise UsageError(f"--fault {text}: expected a share from 0 to 1")
+    if not least <= fault.value <= greatest:
+        raise UsageError(f"--fault {text}: expected a value from {least:g} to {greatest:g}")
     if not (fault.start_s or 0.0) < fault.end_s:
         raise UsageError(f"--fault {text}: expected an end after the start")
     return fault

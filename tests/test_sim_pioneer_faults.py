@@ -1,0 +1,171 @@
+"""Faults of the mock: how they are written, when they begin, what a client sees of them."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pioneer_bench import Pioneer
+
+from bridge.arcos import Command, Decoder, Packet, encode_frame
+from bridge.packets import Flag
+from rover_ncp.core.errors import UsageError
+from sim.pioneer.faults import FAULTS, Fault, Faults, parse_fault
+from sim.pioneer.firmware import Link
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("mute", Fault("mute")),
+        ("mute@12.0", Fault("mute", 0.0, 12.0)),
+        ("mute@12-14.5", Fault("mute", 0.0, 12.0, 14.5)),
+        ("corrupt", Fault("corrupt", 0.1)),
+        ("corrupt=0.25@3", Fault("corrupt", 0.25, 3.0)),
+        ("low-battery=10.8@8", Fault("low-battery", 10.8, 8.0)),
+    ],
+)
+def test_faults_are_written_in_one_word(text: str, fault: Fault) -> None:
+    assert parse_fault(text) == fault
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("explode", "NAME one of mute, deaf"),
+        ("mute=1", "takes no value"),
+        ("mute@soon", "expected numbers"),
+        ("corrupt=most", "expected numbers"),
+        ("corrupt=1.5", "value from 0 to 1"),
+        ("corrupt=nan", "value from 0 to 1"),
+        ("low-battery=-3", "value from 0 to 25"),
+        ("mute@5-4", "end after the start"),
+        ("mute@nan", "end after the start"),
+        ("", "NAME one of"),
+    ],
+)
+def test_a_fault_that_makes_no_sense_is_refused(text: str, expected: str) -> None:
+    with pytest.raises(UsageError, match=expected):
+        parse_fault(text)
+
+
+@given(
+    st.text(max_size=20) | st.builds("{}={}@{}-{}".format, st.sampled_from(list(FAULTS)), *[st.text()] * 3)
+)
+def test_any_text_is_a_fault_or_a_usage_error(text: str) -> None:
+    try:
+        fault = parse_fault(text)
+    except UsageError:
+        return
+    assert fault.name in FAULTS
+
+
+def test_times_count_from_the_first_enable() -> None:
+    pioneer = Pioneer("p3at-sh", "bumper@1-2").open(motors=False)
+    pioneer.run(5.0)
+    pioneer.tell(Command.ENABLE, 1)
+    pioneer.run(0.9)
+    assert pioneer.sips()[-1].stall_right == 0
+    pioneer.run(0.5)
+    assert pioneer.sips()[-1].stall_right == 0b1000
+    pioneer.run(0.7)
+    assert pioneer.sips()[-1].stall_right == 0
+
+
+def driven(*faults: str) -> Pioneer:
+    """Drive for 4 s; the fault is there from the second second on."""
+    pioneer = Pioneer("p3at-sh", *faults).open()
+    pioneer.tell(Command.VEL, 200)
+    pioneer.run(4.0)
+    return pioneer
+
+
+def test_mute_sends_nothing_and_goes_on_driving() -> None:
+    pioneer = driven("mute@2")
+    assert len(pioneer.sips()) == pytest.approx(20, abs=1)
+    assert pioneer.speed == pytest.approx(0.2)
+
+
+def test_deaf_starves_the_watchdog() -> None:
+    pioneer = driven("deaf@1")
+    pioneer.run(1.0)
+    assert pioneer.speed == 0.0
+    assert len(pioneer.sips()) == 50
+
+
+def test_frozen_odometry_stands_while_the_rover_drives() -> None:
+    pioneer = driven("freeze-odometry@2")
+    units = [sip.x for sip in pioneer.sips()]
+    assert len(set(units[21:])) == 1
+    assert pioneer.rover.pose.x > units[-1] / 1000 + 0.3
+
+
+def test_jumping_odometry_is_off_by_its_value() -> None:
+    pioneer = driven("jump-odometry=0.5@2")
+    steps = [b.x - a.x for a, b in zip(pioneer.sips(), pioneer.sips()[1:], strict=False)]
+    assert max(steps) == pytest.approx(520, abs=2)
+    assert sorted(steps)[-2] <= 21
+
+
+def test_stall_blocks_the_wheels() -> None:
+    pioneer = driven("stall@2")
+    assert pioneer.speed == 0.0
+    assert pioneer.sips()[-1].stall_left == pioneer.sips()[-1].stall_right == 1
+
+
+def test_the_stop_button_switches_the_motors_off_for_good() -> None:
+    pioneer = driven("stop-button@2-3")
+    pressed = [sip for sip in pioneer.sips() if sip.flags & Flag.STOP_BUTTON]
+    assert len(pressed) == pytest.approx(10, abs=1)
+    assert not any(sip.flags & Flag.MOTORS for sip in pressed)
+    assert not pioneer.sips()[-1].flags & Flag.MOTORS
+    assert pioneer.speed == 0.0
+    pioneer.tell(Command.ENABLE, 1)
+    assert pioneer.sip().flags & Flag.MOTORS
+
+
+def test_enable_has_no_effect_while_the_stop_button_is_pressed() -> None:
+    pioneer = driven("stop-button@2")
+    pioneer.tell(Command.ENABLE, 1)
+    assert not pioneer.sip().flags & Flag.MOTORS
+    free = Pioneer("p3at-sh", "stop-button@1").open()
+    free.tell(Command.E_STALL, 0)
+    free.run(2.0)
+    assert (
+        free.sip().flags & (Flag.MOTORS | Flag.STOP_BUTTON | Flag.E_STALL) == Flag.MOTORS | Flag.STOP_BUTTON
+    )
+
+
+def test_a_low_battery_shows_in_every_field() -> None:
+    sip = driven("low-battery=10.5@2").sips()[-1]
+    assert (sip.battery_dv, sip.battery_x10) == (105, 105)
+    assert sip.faults == 1 << 3
+
+
+def test_a_reset_gives_notice_once_and_waits_for_a_client() -> None:
+    pioneer = driven("reset@2")
+    assert len(pioneer.of_kind(0xFF)) == 1
+    assert pioneer.firmware.link is Link.WAITING
+    pioneer.run(2.0)
+    assert pioneer.speed == 0.0
+    pioneer.open()
+    pioneer.run(1.0)
+    assert pioneer.firmware.link is Link.OPEN
+
+
+@pytest.mark.parametrize("name", ["corrupt", "drop", "noise"])
+def test_damage_hits_its_share_of_packets_the_same_ones_for_a_seed(name: str) -> None:
+    frame = encode_frame(0x32, bytes(range(40)))
+
+    def line(seed: int) -> list[bytes]:
+        faults = Faults([parse_fault(f"{name}=0.3")], seed)
+        return [faults.damage(frame, None) for _ in range(1000)]
+
+    damaged = [data for data in line(1) if data != frame]
+    assert len(damaged) == pytest.approx(300, abs=60)
+    assert line(1) == line(1) != line(2)
+    whole = Packet(0x32, bytes(range(40)))
+    if name != "noise":
+        assert not any(whole in Decoder().feed(data) for data in damaged)
+
+
+def test_a_healthy_line_changes_nothing() -> None:
+    assert Faults().damage(b"\xfa\xfb", 1.0) == b"\xfa\xfb"

@@ -33,6 +33,7 @@ IntArray = NDArray[np.int64]
 
 MOST_LANES = 32
 """More gain nothing: all lanes' numbers should stay in a core's first cache."""
+RACERS_PER_LANE = 6
 IDLE = -1
 WARMING_UP = -1
 
@@ -109,7 +110,7 @@ class Engine:
             raise ValueError(f"stop_below needs one threshold for each of {count} vectors")
         if not count:
             return np.zeros(0)
-        fleet, lanes = self._team(_width(count))
+        fleet, lanes = self._team(_width(count, race=bool((stop > -np.inf).any())))
         queue = _Queue(vectors, stop, np.zeros(count))
         _run(self._program, self._task, lanes, fleet.arrays, queue)
         return queue.returns
@@ -131,9 +132,14 @@ class Engine:
         return self._teams[width]
 
 
-def _width(count: int) -> int:
-    """Return how many lanes serve so many candidates: whole bays, in as few rounds as can be, evenly full."""
-    rounds = -(-count // MOST_LANES)
+def _width(count: int, race: bool) -> int:
+    """Return how many lanes serve so many candidates, in whole bays.
+
+    Episodes of the same length go in as few rounds as can be, evenly full. In a race they end at all times,
+    so fewer lanes with a queue behind them do more than many that stand idle at the end.
+    """
+    most = min(MOST_LANES, count // RACERS_PER_LANE) if race else MOST_LANES
+    rounds = -(-count // max(most, ROVERS_PER_BAY))
     return -(-count // (rounds * ROVERS_PER_BAY)) * ROVERS_PER_BAY
 
 

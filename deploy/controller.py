@@ -46,6 +46,7 @@ class Controller:
         self._inputs = policy.sensing.inputs
         self._course = course
         self._runner = PolicyRunner(policy)
+        self._runner.warm_up([0.0] * len(self._inputs))  # compiles, now and not when the rover waits
         self.estimator = Estimator(settings)
         self._course_odom = ORIGIN
         self._times: list[float] = []

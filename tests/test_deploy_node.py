@@ -117,8 +117,9 @@ class Bridge:
         """Do something, once, as soon as so many commands have come."""
 
         def wait():
-            while len(self.commands) < count and not self._stop.wait(0.005):
-                pass
+            while len(self.commands) < count:
+                if self._stop.wait(0.005):
+                    return
             action()
 
         threading.Thread(target=wait, daemon=True).start()

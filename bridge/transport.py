@@ -131,7 +131,8 @@ class SerialTransport(Transport):
     def read(self, timeout: float) -> bytes:
         """See Transport."""
         try:
-            self._port.timeout = timeout
+            if self._port.timeout != timeout:  # setting it configures the port anew
+                self._port.timeout = timeout
             data = self._port.read(1)
             if data:
                 data += self._port.read(min(self._port.in_waiting, CHUNK_BYTES))

@@ -350,6 +350,15 @@ def test_a_simulators_commands_move_the_truth_and_not_odometry() -> None:
     assert pioneer.rover.pose == pytest.approx((0, 0, 0), abs=1e-9)
 
 
+def test_even_the_edge_of_the_world_can_be_reported() -> None:
+    pioneer = Pioneer().open()
+    pioneer.tell(Command.SIM_SET_POSE, (2**31 - 1, -(2**31), -90))
+    pioneer.tell(Command.VEL, 700)
+    pioneer.tell(Command.SIM_STAT, 2)
+    pioneer.run(4.0)
+    assert SimStat.decode(pioneer.of_kind(Kind.SIMSTAT)[-1].payload).y_mm > 0
+
+
 def test_hostbaud_has_no_effect_on_tcp_and_reset_gives_notice() -> None:
     pioneer = Pioneer().open()
     pioneer.tell(Command.HOSTBAUD, 2)

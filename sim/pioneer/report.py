@@ -170,8 +170,8 @@ class Reporter:
             sim_interval_ms=self._config.sip_cycle,
             real_interval_ms=self._config.sip_cycle,
             last_interval_ms=self._config.sip_cycle,
-            x_mm=round(x * 1000),
-            y_mm=round(y * 1000),
+            x_mm=_signed(round(x * 1000), 32),
+            y_mm=_signed(round(y * 1000), 32),
             theta_deg=round(math.degrees(theta)),
         ).encode()
 

@@ -1,0 +1,212 @@
+"""A mock Pioneer and a bridge as real processes, and a driver's hand on them. Run as a program, it drives."""
+
+import csv
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+import zenoh
+
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.keys import key
+from rover_ncp.core.lease import (
+    CommandTag,
+    GateStatus,
+    MotorsReply,
+    MotorsRequest,
+    StopReply,
+    StopRequest,
+    dump_json,
+    parse_json,
+)
+from rover_ncp.core.messages import read_odometry, read_text, read_twist, twist_stamped
+from sim.studies.processes import Process
+
+PERIOD_S = 0.05
+BRAKING_M_S2, DELAY_S = 0.31, 0.15
+MACHINE_S = 0.1
+"""What two busy cores may add to any measured time."""
+
+
+def wait_for(condition, timeout_s=5.0):
+    """Poll until ``condition()`` is true, and return it."""
+    deadline = time.monotonic() + timeout_s
+    while not (found := condition()):
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.01)
+    return found
+
+
+def client(locator):
+    """Open a Zenoh session as a driver would."""
+    settings = zenoh.Config()
+    for path, value in {
+        "mode": "client",
+        "connect/endpoints": [locator],
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/link/tx/lease": 1000,
+        "connect/timeout_ms": 2000,
+    }.items():
+        settings.insert_json5(path, json.dumps(value))
+    return zenoh.open(settings)
+
+
+class Driver:
+    """A session with the bridge; ``send`` sends one command, ``drive`` sends them for a while."""
+
+    def __init__(self, locator, namespace=""):
+        self.session, self.namespace = client(locator), namespace
+        self.id, self.sequence = os.urandom(16), 0
+        self.seen = {}
+        self.gate, self.odom, self.out = GateStatus(), None, None
+        self._subscriber = self.session.declare_subscriber(key(namespace, "odom")[:-4] + "**", self._heard)
+        self._commands = self.session.declare_publisher(key(namespace, "cmd_vel"))
+        wait_for(lambda: self._commands.matching_status.matching)
+
+    def _heard(self, sample):
+        name = str(sample.key_expr)
+        name = name[len(self.namespace) + 1 :] if self.namespace else name
+        data = sample.payload.to_bytes()
+        self.seen[name] = data
+        if name == "odom":
+            self.odom = read_odometry(data)
+        elif name == "rover/gate":
+            self.gate = parse_json(GateStatus, read_text(data))
+        elif name == "rover/cmd_out":
+            self.out = read_twist(data).velocity
+
+    def ask(self, name, payload):
+        """Ask a query and return the bytes of the one answer, or the error's text."""
+        replies = list(self.session.get(key(self.namespace, name), payload=payload, timeout=3.0))
+        assert len(replies) == 1
+        return replies[0].ok.payload.to_bytes() if replies[0].ok else replies[0].err.payload.to_string()
+
+    def motors(self, enable=True):
+        request = MotorsRequest(enable=enable, driver=self.id.hex(), name="test", sent_ns=time.monotonic_ns())
+        return parse_json(MotorsReply, self.ask("rover/motors", dump_json(request)))
+
+    def stop(self, release=False):
+        request = StopRequest(release=release, reason="" if release else "test")
+        return parse_json(StopReply, self.ask("rover/stop", dump_json(request)))
+
+    def tag(self, age_s=0.0):
+        self.sequence += 1
+        return CommandTag(self.id, self.sequence, time.monotonic_ns() - round(age_s * 1e9)).pack()
+
+    def send(self, v=0.15, omega=0.0, age_s=0.0):
+        """Send one command; return the wall clock's ns."""
+        sent_ns = time.time_ns()
+        self._commands.put(twist_stamped(Velocity(v, omega), sent_ns), attachment=self.tag(age_s))
+        return sent_ns
+
+    def put(self, payload, attachment=None):
+        self._commands.put(payload, attachment=attachment)
+
+    def drive(self, seconds, v=0.15, omega=0.0):
+        """Send commands for so long; return when the last one was sent, in ns."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            sent_ns = self.send(v, omega)
+            time.sleep(PERIOD_S)
+        return sent_ns
+
+    def start(self, v=0.15, omega=0.0):
+        """Get the motors and drive until the base reports nearly that speed."""
+        wait_for(lambda: self.motors().granted)
+        deadline = time.monotonic() + 5.0
+        while self.odom is None or abs(self.odom.velocity.v - v) > 0.02:
+            assert time.monotonic() < deadline, f"does not drive: {self.gate}"
+            self.drive(PERIOD_S, v, omega)
+        return self
+
+    def close(self):
+        self.session.close()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+
+class Rig:
+    """Mock and bridge; ``truth`` is what the mock's rover really did."""
+
+    def __init__(self, folder: Path, mock=(), bridge=()):
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder, self._bridge_arguments = folder, bridge
+        self.mock = Process(
+            "mock", ["--listen", "127.0.0.1:0", "--truth", str(folder / "truth.csv"), *mock], folder
+        )
+        self.bridge = None
+        try:
+            self.base = self.mock.wait_for_line("listening on ")
+            self.start_bridge()
+        except BaseException:
+            self.close()
+            raise
+
+    def start_bridge(self):
+        arguments = ["--base", f"tcp/{self.base}", "--listen", "tcp/127.0.0.1:0", *self._bridge_arguments]
+        self.bridge = Process("bridge", arguments, self.folder)
+        ready = dict(part.split("=", 1) for part in self.bridge.wait_for_line("ready ").split())
+        self.locator = ready["zenoh"]
+
+    def close(self):
+        for process in (self.bridge, self.mock):
+            if process is not None:
+                process.stop()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def truth(self):
+        """Rows of (wall clock in ns, x, v, omega)."""
+        with (self.folder / "truth.csv").open() as file:
+            return [
+                (int(row["t_ns"]), float(row["x"]), float(row["v"]), float(row["omega"]))
+                for row in csv.DictReader(file)
+                if None not in row.values()
+            ]
+
+    def stood_after(self, since_ns, still_s=0.4):
+        """Wait until it has stood for ``still_s``; return how long after ``since_ns`` it came to stand."""
+
+        def standing():
+            rows = [row for row in self.truth() if row[0] >= since_ns]
+            moving = [t for t, _, v, omega in rows if abs(v) > 1e-3 or abs(omega) > 1e-3]
+            last_ns = moving[-1] if moving else since_ns
+            enough = rows and rows[-1][0] - last_ns > still_s * 1e9
+            return ((last_ns - since_ns) * 1e-9,) if enough else None
+
+        return wait_for(standing, 8.0)[0]
+
+    def speed_at(self, wall_ns):
+        """Return the true speed at a moment of the past."""
+        wait_for(lambda: self.truth()[-1][0] >= wall_ns)
+        return next(v for t, _, v, _ in self.truth() if t >= wall_ns)
+
+
+def braking_s(v):
+    """How long the base takes to stand from speed ``v`` once it was told to: its own delay, then braking."""
+    return DELAY_S + abs(v) / BRAKING_M_S2
+
+
+def drive_for_ever(locator):
+    with Driver(locator) as driver:
+        driver.start()
+        while True:
+            sent_ns = driver.send()
+            sys.stdout.write(f"{sent_ns}\n")
+            sys.stdout.flush()
+            time.sleep(PERIOD_S)
+
+
+if __name__ == "__main__":
+    drive_for_ever(sys.argv[1])

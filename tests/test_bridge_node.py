@@ -1,0 +1,194 @@
+"""Bridge and mock as real processes on loopback TCP and Zenoh: who may drive, and what stops the rover."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import bridge_bench
+import pytest
+from bridge_bench import MACHINE_S, Driver, Rig, braking_s, wait_for
+
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.keys import KEYS, Kind, Role
+from rover_ncp.core.lease import CommandTag
+from rover_ncp.core.messages import decode, twist_stamped
+
+STOP_S = 0.5
+"""Requirement 1: the rover stands so long after the last command, plus braking."""
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    with Rig(tmp_path_factory.mktemp("rig")) as rig:
+        yield rig
+
+
+@pytest.fixture
+def driver(rig):
+    with Driver(rig.locator) as driver:
+        yield driver
+        driver.stop()  # brakes harder than giving the motors back would
+        rig.stood_after(time.time_ns(), 0.1)
+        driver.motors(enable=False)
+        driver.stop(release=True)
+
+
+def test_everything_that_the_table_promises_is_published(rig, driver):
+    promised = {row for row in KEYS if row.senders == {Role.BRIDGE} and row.kind is Kind.MESSAGE}
+    driver.start()
+    wait_for(lambda: {row.name for row in promised} <= set(driver.seen))
+    for row in promised:
+        assert len(driver.seen[row.name]) <= row.max_bytes
+        decode(row.type, driver.seen[row.name])
+    tokens = list(driver.session.liveliness().get("rover/alive/*", timeout=2.0))
+    assert [str(reply.ok.key_expr) for reply in tokens] == ["rover/alive/bridge"]
+
+
+def test_the_driver_drives_and_the_odometry_tells(rig, driver):
+    driver.start(v=0.1)
+    before = driver.odom
+    driver.drive(0.5, v=0.1)
+    assert driver.gate.driver == driver.id.hex()
+    assert driver.gate.held == ""
+    assert driver.out == Velocity(0.1, 0.0)
+    moved = driver.odom.pose.x - before.pose.x
+    assert moved == pytest.approx((driver.odom.stamp_ns - before.stamp_ns) * 1e-9 * 0.1, rel=0.2)
+    assert abs(driver.odom.stamp_ns - time.time_ns()) < 1e9
+
+
+def test_a_second_driver_is_refused_and_its_commands_do_not_count(rig, driver):
+    driver.start()
+    with Driver(rig.locator) as other:
+        reply = other.motors()
+        assert (reply.granted, reply.reason) == (False, "another-driver")
+        assert reply.detail == "test has the motors"
+        foreign = driver.gate.dropped.get("foreign", 0)
+        for _ in range(5):
+            other.send(v=-0.3)
+            driver.drive(0.05)
+        wait_for(lambda: driver.gate.dropped.get("foreign", 0) == foreign + 5)
+        assert driver.odom.velocity.v > 0.1
+        driver.motors(enable=False)
+        assert other.motors().granted
+        other.motors(enable=False)
+
+
+def test_a_stop_is_latched_until_it_is_released(rig, driver):
+    driver.start()
+    asked_ns = time.time_ns()
+    assert driver.stop().stopped
+    driver.drive(0.5)
+    assert rig.stood_after(asked_ns) < STOP_S + braking_s(0.15) + MACHINE_S
+    reply = driver.motors()
+    assert (reply.granted, reply.reason) == (False, "stopped")
+    assert "test" in reply.detail
+    assert driver.gate.stop_reason == "test"
+    assert not driver.stop(release=True).stopped
+    driver.start()
+
+
+def test_silence_stops_the_rover(rig, driver):
+    sent_ns = driver.start().drive(0.3)
+    stops = driver.gate.stops.get("silence", 0)
+    speed = rig.speed_at(sent_ns)
+    assert speed > 0.1
+    assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
+    wait_for(lambda: driver.gate.stops.get("silence", 0) > stops)
+    # The lease lapses and the motors go off without anybody asking.
+    wait_for(lambda: driver.gate.driver == "" and driver.gate.ended == "lease-lapsed")
+
+
+def test_a_killed_driver_stops_the_rover(rig, driver):
+    with subprocess.Popen(
+        [sys.executable, bridge_bench.__file__, rig.locator],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path.cwd())},
+    ) as child:
+        lines = [child.stdout.readline() for _ in range(5)]
+        child.send_signal(signal.SIGKILL)
+        lines += child.stdout.readlines()
+    sent_ns = int([line for line in lines if line.endswith("\n")][-1])
+    assert rig.speed_at(sent_ns) > 0.1
+    assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
+
+
+def test_commands_that_arrive_late_do_not_drive(rig, driver):
+    driver.start()
+    sent_ns = driver.drive(0.1)
+    stale = driver.gate.dropped.get("stale", 0)
+    for _ in range(10):
+        driver.send(age_s=5.0)
+        time.sleep(0.05)
+    assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
+    wait_for(lambda: driver.gate.dropped.get("stale", 0) == stale + 10)
+
+
+GARBAGE = {
+    "not finite": twist_stamped(Velocity(math.nan, 0.1), 1),
+    "infinite": twist_stamped(Velocity(math.inf, -math.inf), 1),
+    "truncated": twist_stamped(Velocity(0.2, 0.1), 1)[:-9],
+    "too long": b"\0\1\0\0" + b"\0" * 100_000,
+    "another type": b"\0\1\0\0" + b"\xff" * 60,
+    "empty": b"",
+}
+
+
+def test_garbage_from_others_changes_nothing(rig, driver):
+    driver.start()
+    foreign = driver.gate.dropped.get("foreign", 0)
+    wrong_tags = [None, b"", b"x" * 31, b"x" * 33, CommandTag(b"o" * 16, 2**64 - 1, 2**63 - 1).pack()]
+    puts = [(data, tag) for data in GARBAGE.values() for tag in wrong_tags]
+    with Driver(rig.locator) as other:
+        for k, (data, tag) in enumerate(puts):
+            other.put(data, tag)
+            if k % 5 == 0:
+                driver.drive(0.05)
+        for _ in range(2000):
+            other.put(GARBAGE["not finite"])
+        driver.drive(0.3)
+        wait_for(lambda: driver.gate.dropped.get("foreign", 0) == foreign + len(puts) + 2000)
+    assert driver.gate.held == ""
+    assert driver.odom.velocity.v > 0.1
+
+
+def test_garbage_from_the_driver_stops_the_rover(rig, driver):
+    for kind, data in GARBAGE.items():
+        driver.start()
+        reason = "not-finite" if "finite" in kind else "unreadable"
+        before = driver.gate.dropped.get(reason, 0)
+        sent_ns = driver.drive(0.05)
+        for _ in range(3):
+            driver.put(data, driver.tag())
+        wait_for(lambda: driver.gate.dropped.get(reason, 0) == before + 3)  # noqa: B023
+        assert driver.gate.held == reason
+        assert driver.out == Velocity(0.0, 0.0)
+    assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
+
+
+def test_odometry_is_reset_when_nobody_drives(rig, driver):
+    driver.start().drive(0.2)
+    assert b"somebody is driving" in driver.ask("rover/reset_odometry", b"{}")
+    driver.motors(enable=False)
+    rig.stood_after(time.time_ns())
+    assert abs(driver.odom.pose.x) > 0.01
+    assert driver.ask("rover/reset_odometry", b"{}") == b'{"ok":true,"reason":""}'
+    wait_for(lambda: max(map(abs, driver.odom.pose)) < 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "payload", "expected"),
+    [
+        ("rover/motors", b"", "MotorsRequest"),
+        ("rover/motors", b'{"enable": true}', "driver"),
+        ("rover/stop", b'{"release": 1e999}', "StopRequest"),
+        ("rover/stop", b" " * 100_000, "expected at most 4096"),
+        ("rover/reset_odometry", b"[]", "ResetRequest"),
+    ],
+)
+def test_a_request_that_cannot_be_read_is_refused_by_name(rig, driver, name, payload, expected):
+    assert expected in driver.ask(name, payload)

@@ -1,0 +1,238 @@
+"""The bridge as a process: how it begins, how it ends, and a base that fails under it."""
+
+import itertools
+import json
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, wait_for
+
+from rover_ncp import shell
+from sim.studies.processes import Process
+
+STOP_S = 0.5
+WATCHDOG_S = 2.0
+PLAIN_TWIST = b"\0\1\0\0" + struct.pack("<6d", 0.15, 0, 0, 0, 0, 0)
+
+
+@pytest.fixture
+def fails(capsys):
+    """Run a bridge that cannot start, in this process; return its exit code and its one line."""
+
+    def run(base, *arguments):
+        code = shell.run(["bridge", "--base", base, "--listen", "tcp/127.0.0.1:0", *arguments, "--json"])
+        captured = capsys.readouterr()
+        result = json.loads(captured.out)
+        assert result["exit_code"] == code
+        assert captured.err == f"rover-ncp: {result['error']}\n"
+        return code, result["error"]
+
+    return run
+
+
+@pytest.fixture
+def nobody():
+    """An endpoint where nothing listens."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+    return endpoint  # noqa: RET504  # only now is nobody there
+
+
+def test_ctrl_c_stops_the_rover_and_says_what_went_over_the_line(tmp_path):
+    with Rig(tmp_path) as rig, Driver(rig.locator) as driver:
+        sent_ns = driver.start().drive(0.2)
+        rig.bridge.send_signal(signal.SIGINT)
+        done = rig.bridge.wait(5.0)
+        assert rig.stood_after(sent_ns) < braking_s(0.15) + STOP_S
+        assert done.code == 130
+        mock = rig.mock.stop().result
+    result = json.loads((tmp_path / "bridge.json").read_text())
+    assert result["bytes_to_base"] == mock["bytes_in"] > 0
+    assert result["bytes_from_base"] == mock["bytes_out"] > 0
+    assert result["accepted"] == driver.sequence
+    assert (result["dropped"], result["stops"], result["reconnects"]) == ({}, {}, 0)
+
+
+def test_a_hung_or_killed_bridge_leaves_the_rover_to_its_watchdog(tmp_path):
+    with Rig(tmp_path) as rig, Driver(rig.locator) as driver:
+        driver.start().drive(0.2)
+        rig.bridge.send_signal(signal.SIGSTOP)
+        assert rig.stood_after(time.time_ns()) < WATCHDOG_S + braking_s(0.15) + MACHINE_S
+        driver.drive(0.3)  # these commands wait in the socket
+        resumed_ns = time.time_ns()
+        rig.bridge.send_signal(signal.SIGCONT)
+        driver.drive(0.3)
+        assert rig.stood_after(resumed_ns) == 0.0
+        driver.start().drive(0.2)
+        rig.bridge.send_signal(signal.SIGKILL)
+        assert rig.stood_after(time.time_ns()) < WATCHDOG_S + braking_s(0.15) + MACHINE_S
+
+
+def test_a_base_that_restarts_is_found_again_and_stands_until_somebody_asks(tmp_path):
+    with Rig(tmp_path) as rig, Driver(rig.locator) as driver:
+        driver.start()
+        rig.mock.send_signal(signal.SIGKILL)
+        rig.mock.wait(5.0)
+        wait_for(lambda: driver.gate.held == "no-base")
+        assert driver.motors().reason == "no-base"
+        truth = ["--truth", str(tmp_path / "truth.csv")]
+        rig.mock = Process("mock", ["--listen", rig.base, *truth], tmp_path)
+        rig.mock.wait_for_line("listening on ")
+        began_ns = time.time_ns()
+        wait_for(lambda: driver.drive(PERIOD_S) and driver.gate.held != "no-base", 8.0)
+        assert driver.gate.driver == ""
+        driver.drive(0.3)
+        assert rig.stood_after(began_ns) == 0.0
+        sent_ns = driver.start().drive(0.1)
+        done = rig.bridge.stop()
+        assert (done.code, done.result["reconnects"]) == (0, 1)
+        assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
+
+
+def test_faults_of_the_base_stop_the_rover_until_the_driver_asks_again(tmp_path):
+    faults = ["mute@1-1.9", "bumper@3-3.3", "stop-button@4.6-4.9"]
+    with (
+        Rig(tmp_path, mock=itertools.chain(*(["--fault", fault] for fault in faults))) as rig,
+        Driver(rig.locator) as driver,
+    ):
+        for reason in ("no-base", "bumper", "stop-button"):
+            driver.start()
+            sent_ns = driver.send()
+            while driver.gate.ended != reason:
+                assert time.time_ns() - sent_ns < 4e9, driver.gate
+                driver.drive(PERIOD_S)
+            sent_ns = time.time_ns()
+            driver.drive(0.2)
+            assert rig.stood_after(sent_ns, 0.2) < STOP_S + braking_s(0.15) + MACHINE_S
+        stops = rig.bridge.stop().result["stops"]
+    assert stops["bumper"] == stops["stop-button"] == 1
+    assert stops["odometry"] == 1  # before the base counts as lost
+
+
+def test_options_do_what_they_say(tmp_path):
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("v_max: 0.1\nlease_s: 2.0\n")
+    options = ["--namespace", "/lab/bot1", "--limits", str(limits), "--accept-ros"]
+    with Rig(tmp_path, bridge=options) as rig, Driver(rig.locator, "lab/bot1") as driver:
+        reply = wait_for(lambda: (reply := driver.motors()).granted and reply)
+        assert (reply.limits["v"], reply.lease_s) == (0.1, 2.0)
+        driver.drive(0.5, v=0.3)
+        assert driver.out.v == 0.1
+        driver.put(PLAIN_TWIST)
+        wait_for(lambda: driver.gate.dropped == {"foreign": 1})
+        driver.motors(enable=False)
+        rig.stood_after(time.time_ns())
+        time.sleep(1.0)  # a pause, after which plain commands may drive
+
+        deadline = time.monotonic() + 5.0
+        while driver.odom.velocity.v < 0.09:
+            assert time.monotonic() < deadline
+            sent_ns = time.time_ns()
+            driver.put(PLAIN_TWIST)
+            time.sleep(PERIOD_S)
+        assert driver.gate.driver_name == "ros"
+        assert driver.motors().reason == "another-driver"
+        assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.1) + MACHINE_S
+        rig.bridge.send_signal(signal.SIGHUP)
+        done = rig.bridge.wait(5.0)
+    assert done.code == 0
+    assert set(done.result["limited"]) == {"speed"}
+
+
+def test_no_robot_is_exit_3(fails, nobody):
+    assert fails(nobody) == (3, f"{nobody}: connection refused: nothing listens there")
+
+
+def test_a_robot_that_answers_nonsense_is_exit_3(fails):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def babble():
+            peer, _ = server.accept()
+            with peer:
+                while peer.recv(100):
+                    peer.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+
+        thread = threading.Thread(target=babble, daemon=True)
+        thread.start()
+        address = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        code, line = fails(address)
+    thread.join(5.0)
+    assert code == 3
+    assert line.startswith(f"{address}: what answers is no ARCOS base")
+
+
+def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):
+    with socket.create_server(("127.0.0.1", 0)) as taken, socket.create_server(("127.0.0.1", 0)) as robot:
+        listen = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        code, line = fails(f"tcp/127.0.0.1:{robot.getsockname()[1]}", "--listen", listen)
+        robot.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            robot.accept()
+    assert code == 2
+    assert line == f"--listen {listen}: another process listens there already"
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "expected"),
+    [
+        ("--listen", "garbage", "--listen garbage: expected PROTOCOL/HOST:PORT, like tcp/127.0.0.1:7447"),
+        ("--listen", "tcp/127.0.0.1", "--listen tcp/127.0.0.1: cannot listen there: invalid socket address"),
+        ("--listen", "tcp/192.0.2.1:0", "Cannot assign requested address"),
+        ("--namespace", "a*", "namespace 'a*'"),
+        ("--model", "hal", "model hal: expected auto, p3at"),
+        ("--base", "ftp/x", "base ftp/x: expected tcp/HOST"),
+        ("--limits", "no.yaml", "no.yaml: cannot be read"),
+        ("--zenoh-config", "no.json5", "no.json5: no such file"),
+    ],
+)
+def test_a_wrong_option_is_exit_2_and_one_line(fails, nobody, option, value, expected):
+    code, line = fails(nobody, option, value)
+    assert code == 2
+    assert expected in line
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("v_max: 3.0", "$.v_max: input should be less than or equal to 1.2, got 3.0"),
+        ("silence_s: 2.0", "$.silence_s"),
+        ("v_max: .nan", "$.v_max"),
+        ("speed: 1", "$.speed: unknown key"),
+        ("fence: {x_min: 1, x_max: 0, y_min: 0, y_max: 1}", "x_min < x_max"),
+    ],
+)
+def test_limits_that_would_undo_the_safety_are_refused(fails, nobody, tmp_path, content, expected):
+    limits = tmp_path / "limits.yaml"
+    limits.write_text(content + "\n")
+    code, line = fails(nobody, "--limits", str(limits))
+    assert code == 2
+    assert line.startswith(f"{limits}: ")
+    assert expected in line
+
+
+def test_a_zenoh_configuration_says_where_to_listen_and_garbage_is_refused(fails, nobody, tmp_path, capsys):
+    config = tmp_path / "zenoh.json5"
+    config.write_text('{ listen: { endpoints: ["tcp/192.0.2.1:9"] } }')
+    assert shell.run(["bridge", "--base", nobody, "--zenoh-config", str(config)]) == 2
+    assert "--listen tcp/192.0.2.1:9: cannot listen there" in capsys.readouterr().err
+    config.write_text('{ lissten: { endpoints: ["tcp/192.0.2.1:9"] } }')
+    code, line = fails(nobody, "--zenoh-config", str(config))
+    assert code == 2
+    assert line.startswith(f"{config}: not a Zenoh configuration: ")
+
+
+def test_the_bridge_is_light():
+    heavy = "numba pymunk filterpy matplotlib gymnasium scipy llvmlite rover_ncp.circuit sim deploy"
+    program = f"""
+import sys
+import bridge.node
+print([name for name in {heavy.split()!r} if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

@@ -1,0 +1,47 @@
+"""A gate with its state, and a driver's clock that differs from the bridge's."""
+
+from bridge.gate import step
+from bridge.gate_state import Command, Enable, Heard, State
+from bridge.limits import Limits
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.lease import CommandTag
+
+ME, OTHER = b"me".ljust(16), b"other".ljust(16)
+SLOW = Velocity(0.1, -0.1)
+LIMITS = Limits()
+
+
+class Gate:
+    """A gate with its state. Times are the bridge's; the driver's clock differs by ``ahead_s``."""
+
+    def __init__(self, limits=LIMITS, accept_ros=False, ahead_s=1234.5):
+        self.state, self.limits, self.accept_ros, self.ahead_s = State(), limits, accept_ros, ahead_s
+        self.sequence = 0
+
+    def at(self, now, event):
+        self.state, verdict = step(self.state, event, now, self.limits, self.accept_ros)
+        return verdict
+
+    def stamp(self, now):
+        return round((now + self.ahead_s) * 1e9)
+
+    def drive(self, now, velocity=SLOW, driver=ME, age=0.0, sequence=None):
+        """A command that was sent ``age`` seconds before it arrives at ``now``."""
+        if sequence is None:
+            self.sequence += 1
+            sequence = self.sequence
+        return self.at(now, Command(velocity, CommandTag(driver, sequence, self.stamp(now - age))))
+
+    def enable(self, now, driver=ME, age=0.0):
+        return self.at(now, Enable(driver, "deploy", self.stamp(now - age)))
+
+    def driving(self, now=0.0):
+        """Bring the gate to where a command is in force since ``now``, at full size."""
+        self.at(now - 0.3, Heard(motors_on=False))
+        assert self.enable(now - 0.3).refusal is None
+        self.at(now - 0.2, Heard())
+        for k in (2, 1, 0):
+            verdict = self.drive(now - 0.05 * k)
+        self.at(now, Heard())
+        assert verdict.velocity == SLOW
+        return self

@@ -39,7 +39,7 @@ __all__ = [
 CONFIG_S, OPEN_S = 1.0, 2.0
 """How long to wait for a CONFIGpac, which is optional, and for the first SIP, which is not."""
 
-POLITE_TRIES, SILENT_TRIES, TOTAL_TRIES = 1, 8, 40
+POLITE_TRIES, SILENT_TRIES, TOTAL_TRIES = 1, 6, 40
 """Silent handshakes before CLOSE goes first; before giving up; handshakes at all, heard or not."""
 
 _PACKET_INPUTS: dict[int, Input] = {

@@ -54,9 +54,9 @@ LOSS_S = 0.5
 PATIENCE_S = {
     State.IDLE: math.inf,
     State.LISTENING: 0.25,  # an open session speaks each 0.1 s
-    State.SYNC0: 0.5,
-    State.SYNC1: 0.5,
-    State.SYNC2: 0.5,
+    State.SYNC0: 0.7,  # AMRISim takes up to 0.5 s
+    State.SYNC1: 0.7,
+    State.SYNC2: 0.7,
     State.HANGING_UP: 0.4,  # as long as Player's p2os waits after CLOSE
     State.CONFIGURING: 0.2,  # ARIA's rhythm of asking for the CONFIGpac
     State.READY: LOSS_S,
@@ -83,6 +83,11 @@ TABLE: dict[State, dict[Input, Entry]] = {
     State.LISTENING: {
         Input.SIP: (State.HANGING_UP, "hang_up"),
         Input.RESET: (State.LISTENING, "nothing"),
+        # An echo that comes late still tells what the base waits for next.
+        Input.ECHO0: (State.SYNC1, "sync1"),
+        Input.ECHO1: (State.SYNC2, "sync2"),
+        Input.NAMES: (State.CONFIGURING, "open"),
+        Input.STRANGER: (State.IDLE, "refuse"),
         Input.EXPIRED: (State.SYNC0, "sync0"),
         Input.GAVE_UP: (State.IDLE, "give_up"),
         Input.CLOSE: (State.IDLE, "nothing"),

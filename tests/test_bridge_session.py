@@ -2,11 +2,12 @@
 
 import pytest
 from arcos_bench import BYTES, CONFIG, ECHO0, ECHO1, NAMES, STRANGER, Bench, Sent, sip
+from arcos_captures import CAPTURES, Capture
 from hypothesis import given
 from hypothesis import strategies as st
 
 from bridge.arcos import Command, encode_frame
-from bridge.events import Configured, Failed, Lost, Recovered, StateReceived
+from bridge.events import Configured, Connected, Failed, Lost, Recovered, StateReceived
 from bridge.packets import Flag, Kind
 from bridge.session import MotionLimits, Session, State
 from bridge.states import PATIENCE_S
@@ -21,7 +22,7 @@ def test_a_silent_line_is_given_up_after_a_few_seconds_and_close_is_tried() -> N
         bench.wait(0.05)
         commands += bench.commands()
     assert 4.0 < bench.now - 100 < 7.0
-    assert commands.count(Command.PULSE) == 8
+    assert commands.count(Command.PULSE) == 6
     assert commands[:3] == [Command.PULSE, Command.PULSE, Command.CLOSE]
     (failed,) = bench.events
     assert isinstance(failed, Failed)
@@ -334,3 +335,24 @@ def test_reset_notices_of_both_kinds_are_understood() -> None:
         bench = driving()
         bench.hear(encode_frame(kind))
         assert [type(event) for event in bench.events] == [Lost]
+
+
+@pytest.mark.parametrize("capture", CAPTURES, ids=lambda c: c.name)
+def test_recorded_robots_are_followed_played_by_the_clock_alone(capture: Capture) -> None:
+    """They answer other clients, at those clients' times; the last pose is that of the recording's end."""
+    bench = Bench()
+    bench.connect()
+    start = bench.now
+    for t, data in capture.chunks("r2c"):
+        while bench.now < start + t - 0.05:
+            bench.wait(0.05)
+        bench.now = start + t
+        bench.hear(data)
+    states = [event.state for event in bench.events if isinstance(event, StateReceived)]
+    assert [type(event) for event in bench.events if not isinstance(event, StateReceived)] == [
+        *(Connected, Configured)
+    ]
+    ends = {"aria_drive": 0.756, "aria_wrap": 43262 * 0.465e-3, "fault": 0.763, "player": 0.670}
+    end = next((x for name, x in ends.items() if capture.name.startswith(name)), 0.0)
+    assert states[-1].x == pytest.approx(end)
+    assert len(states) > 25

@@ -17,7 +17,7 @@ LETTERS = dict(zip("IL012HCRX", State, strict=True))
 #            connect close down expired echo0 echo1 names stranger sip config reset
 NEXT = {
     "I": "L    =     =    =       =     =     =     =        =   =      =",
-    "L": "=    I     I    0       =     =     =     =        H   =      L",
+    "L": "=    I     I    0       1     2     C     I        H   =      L",
     "0": "=    I     I    L       1     L     L     L        H   =      L",
     "1": "=    I     I    L       =     2     L     L        H   =      L",
     "2": "=    I     I    L       L     =     C     I        H   =      L",
@@ -36,17 +36,17 @@ SENT = {
     **{(letter, Input.SIP): [*ZEROS, Command.CLOSE] for letter in "L012"},
     ("L", Input.EXPIRED): [Command.PULSE],
     ("H", Input.EXPIRED): [Command.PULSE],
-    ("0", Input.ECHO0): [Command.OPEN],
-    ("1", Input.ECHO1): [Command.CLOSE],
-    ("2", Input.NAMES): [Command.OPEN, Command.CONFIG],
-    ("2", Input.STRANGER): [Command.CLOSE],
+    **{(letter, Input.ECHO0): [Command.OPEN] for letter in "L0"},
+    **{(letter, Input.ECHO1): [Command.CLOSE] for letter in "L1"},
+    **{(letter, Input.NAMES): [Command.OPEN, Command.CONFIG] for letter in "L2"},
+    **{(letter, Input.STRANGER): [Command.CLOSE] for letter in "L2"},
     ("C", Input.EXPIRED): [Command.OPEN, Command.CONFIG],
     ("R", Input.EXPIRED): ZEROS,
     ("X", Input.SIP): TAKE,
 }
 EVENTS: dict[tuple[str, Input], list[type]] = {
-    ("2", Input.NAMES): [Connected],
-    ("2", Input.STRANGER): [Failed],
+    **{(letter, Input.NAMES): [Connected] for letter in "L2"},
+    **{(letter, Input.STRANGER): [Failed] for letter in "L2"},
     ("R", Input.SIP): [StateReceived],
     ("R", Input.EXPIRED): [Lost],
     ("R", Input.ECHO0): [Lost],

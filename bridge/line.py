@@ -61,10 +61,11 @@ class Line:
                 self._failed = error
 
     def close(self) -> None:
-        """End the thread, then the line, once what was written has gone out."""
+        """End the thread, then all lines, once what was written has gone out."""
         self._closing.set()
         self._thread.join(2 * READ_S)
-        self.drop()
+        for transport in self._all:  # also one that the loop never got to know of
+            transport.close()
 
     def _open(self) -> Transport:
         transport = open_transport(self.endpoint)

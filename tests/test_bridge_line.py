@@ -1,0 +1,144 @@
+"""The line to the base: what its thread hands to the loop, errors included."""
+
+import socket
+import time
+
+import pytest
+
+from bridge import line as line_module
+from bridge.inbox import ROOM, Broken, Crashed, Inbox, Opened, Received, Sampled
+from bridge.line import Line
+from bridge.transport import TcpTransport
+from rover_ncp.core.errors import NoRobot, UsageError
+
+
+@pytest.fixture
+def server(monkeypatch):
+    monkeypatch.setattr(line_module, "RETRY_S", 0.05)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(5.0)
+        yield server
+
+
+@pytest.fixture
+def open_line(server):
+    lines = []
+
+    def open_it():
+        inbox = Inbox()
+        lines.append(Line(f"tcp/127.0.0.1:{server.getsockname()[1]}", inbox))
+        return lines[-1], inbox
+
+    yield open_it
+    for line in lines:
+        line.close()
+        assert not line._thread.is_alive()
+
+
+def next_of(inbox, kind):
+    """Take arrivals until one of that kind comes."""
+    deadline = time.monotonic() + 5.0
+    while time.monotonic() < deadline:
+        for _, arrival in inbox.take(0.1):
+            if isinstance(arrival, kind):
+                return arrival
+    raise AssertionError(f"no {kind.__name__}")
+
+
+def test_bytes_go_both_ways_and_are_counted(server, open_line):
+    line, inbox = open_line()
+    peer, _ = server.accept()
+    with peer:
+        line.use(next_of(inbox, Opened).transport)
+        line.write(b"hello")
+        assert peer.recv(100) == b"hello"
+        peer.sendall(b"wombat")
+        assert next_of(inbox, Received).data == b"wombat"
+    assert (line.bytes_out, line.bytes_in) == (5, 6)
+
+
+def test_arrivals_carry_their_moment_in_order(server, open_line):
+    _, inbox = open_line()
+    before = time.monotonic()
+    peer, _ = server.accept()
+    with peer:
+        peer.sendall(b"x")
+        time.sleep(0.05)
+        moments = [moment for moment, _ in inbox.take(0.0)]
+    assert moments == sorted(moments)
+    assert abs(moments[0] - before) < 1.0
+
+
+def test_a_broken_line_is_told_and_opened_again(server, open_line):
+    line, inbox = open_line()
+    first, _ = server.accept()
+    line.use(next_of(inbox, Opened).transport)
+    line.write(b"12345")
+    first.recv(5)
+    first.close()
+    assert "closed the connection" in str(next_of(inbox, Broken).error)
+    line.drop()
+    line.write(b"lost")
+    second, _ = server.accept()
+    with second:
+        line.use(next_of(inbox, Opened).transport)
+        line.write(b"678")
+        assert second.recv(100) == b"678"
+    assert line.bytes_out == 8
+
+
+def test_a_write_that_fails_breaks_the_line(server, open_line, monkeypatch):
+    line, inbox = open_line()
+    peer, _ = server.accept()
+    with peer:
+        transport = next_of(inbox, Opened).transport
+        line.use(transport)
+
+        def fail(_):
+            raise NoRobot("the line takes no more bytes")
+
+        monkeypatch.setattr(transport, "write", fail)
+        line.write(b"x")
+        monkeypatch.undo()
+        line.write(b"y")  # nothing more goes out on a line that has failed
+        assert "takes no more bytes" in str(next_of(inbox, Broken).error)
+        peer.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            peer.recv(10)
+
+
+def test_an_error_nobody_thought_of_reaches_the_loop(server, open_line, monkeypatch):
+    def explode(*_):
+        raise RuntimeError("boom")
+
+    monkeypatch.setattr(TcpTransport, "read", explode)
+    _, inbox = open_line()
+    error = next_of(inbox, Crashed).error
+    assert isinstance(error, RuntimeError)
+    assert str(error) == "boom"
+
+
+def test_a_line_that_cannot_be_opened_says_so_at_once(server):
+    port = server.getsockname()[1]
+    server.close()
+    with pytest.raises(NoRobot, match="refused"):
+        Line(f"tcp/127.0.0.1:{port}", Inbox())
+    with pytest.raises(UsageError, match="expected tcp/HOST"):
+        Line("carrier pigeon", Inbox())
+
+
+def test_a_flood_of_commands_does_not_fill_the_memory_nor_push_out_bytes():
+    inbox = Inbox()
+    command = Sampled(b"", None, None)
+    for _ in range(ROOM + 100):
+        inbox.put(command)
+    inbox.put(Received(b"sip"))
+    arrivals = [arrival for _, arrival in inbox.take(0.0)]
+    assert arrivals == [command] * ROOM + [Received(b"sip")]
+    assert inbox.flooded == 100
+
+
+def test_waiting_ends_by_itself():
+    began = time.monotonic()
+    assert Inbox().take(0.05) == []
+    assert 0.04 < time.monotonic() - began < 1.0

@@ -1,0 +1,147 @@
+"""What the base says, as ROS messages."""
+
+import math
+import struct
+from dataclasses import replace
+
+import pytest
+
+from bridge import ros
+from bridge.arcos import Decoder
+from bridge.gate_state import Lease, Reason, State
+from bridge.odometry import BaseState
+from bridge.robots import ROBOTS
+from rover_ncp.core.keys import spec
+from rover_ncp.core.lease import dump_json
+from rover_ncp.core.messages import decode, read_odometry, text
+
+STAMP = 1_700_000_000_123_456_789
+ROBOT = ROBOTS["p3at-sh"]
+STATE = BaseState(
+    received_s=1.0,
+    x=1.0,
+    y=-2.0,
+    theta=7.0,  # more than a turn: the base counts on
+    v=0.16,
+    omega=-0.18,
+    moving=True,
+    motors_enabled=True,
+    stop_pressed=False,
+    stalled=(False, False),
+    bumpers=(0b10, 0b1),
+    battery_v=12.5,
+)
+
+
+def sent(state):
+    both = ros.each_sip(state, ROBOT, STAMP) | ros.each_so_often(state, ROBOT, STAMP)
+    return {name: decode(spec(name).type, data) for name, data in both.items()}
+
+
+def test_odometry_is_base_link_in_odom():
+    message = sent(STATE)["odom"]
+    assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
+    sample = read_odometry(ros.each_sip(STATE, ROBOT, STAMP)["odom"])
+    assert sample.stamp_ns == STAMP
+    assert sample.velocity == (0.16, -0.18)
+    assert sample.pose == pytest.approx((1.0, -2.0, 7.0 - math.tau))
+    assert all(message.pose.covariance[7 * k] > 0.0 for k in range(6))
+
+
+def test_the_transform_says_the_same_as_the_odometry():
+    messages = sent(STATE)
+    (transform,) = messages["tf"].transforms
+    assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
+    position, rotation = messages["odom"].pose.pose.position, messages["odom"].pose.pose.orientation
+    moved, turned = transform.transform.translation, transform.transform.rotation
+    assert (moved.x, moved.y, moved.z) == (position.x, position.y, 0.0)
+    assert (turned.z, turned.w) == (rotation.z, rotation.w)
+
+
+def test_echoes_lie_where_the_sonars_look():
+    # Sonar 0 sits left and looks left, sonar 11 sits at the back and looks almost straight back.
+    echoes = {0: 1.0, 11: 2.0, 3: 5.0, 99: 1.0, 4: 0.0}  # nothing heard, no such sonar, no range
+    cloud = sent(replace(STATE, sonar=echoes))["sonar"]
+    points = [struct.unpack_from("<3f", cloud.data.tobytes(), 12 * k) for k in range(cloud.width)]
+    assert cloud.header.frame_id == "base_link"
+    left, back = points
+    assert left == pytest.approx((0.147, 1.136, 0.0), abs=1e-6)
+    angle = math.radians(-170)
+    assert back == pytest.approx((-0.241 + 2 * math.cos(angle), -0.027 + 2 * math.sin(angle), 0.0), abs=1e-6)
+
+
+def test_a_base_that_heard_no_sonar_sends_no_cloud():
+    assert "sonar" not in ros.each_sip(STATE, ROBOT, STAMP)
+
+
+def test_every_sonar_has_its_place_on_the_base():
+    transforms = sent(STATE)["tf_static"].transforms
+    assert [item.child_frame_id for item in transforms] == [f"sonar_{k}" for k in range(16)]
+    assert {item.header.frame_id for item in transforms} == {"base_link"}
+    assert (transforms[0].transform.translation.x, transforms[0].transform.translation.y) == (0.147, 0.136)
+
+
+def test_bumpers_and_battery():
+    messages = sent(STATE)
+    assert list(messages["bumpers"].data) == [0b10, 0b1]
+    assert messages["battery_state"].voltage == 12.5
+
+
+@pytest.mark.parametrize(("charge_state", "status"), [(None, 0), (0, 2), (1, 1), (3, 1), (255, 0)])
+def test_charging_is_told_as_far_as_it_is_known(charge_state, status):
+    assert sent(replace(STATE, charge_state=charge_state))["battery_state"].power_supply_status == status
+
+
+def test_the_gates_state_tells_who_drives_and_what_holds():
+    lease = Lease(b"\x01" * 16, "deploy", 0, 0.0, 1.0)
+    status = ros.gate_status(State(lease=lease, held=None, accepted=3, dropped={Reason.STALE: 2}))
+    assert (status.driver, status.driver_name, status.held) == ("01" * 16, "deploy", "")
+    assert (status.accepted, status.dropped) == (3, {"stale": 2})
+    status = ros.gate_status(State(held=Reason.NO_LEASE, ended=Reason.BUMPER))
+    assert (status.driver, status.held, status.ended) == ("", "", "bumper")
+    assert ros.gate_status(State(latched="smoke", held=Reason.STOPPED)).stop_reason == "smoke"
+
+
+def test_the_longest_state_of_the_gate_fits_its_key():
+    counts = dict.fromkeys(Reason, 2**40)
+    state = State(
+        lease=Lease(b"\xff" * 16, "ü" * 200, 0, 0.0, 1.0),
+        latched="ü" * 200,
+        dropped=counts,
+        limited=counts,
+        stops=counts,
+    )
+    assert len(text(dump_json(ros.gate_status(state)).decode())) <= spec("rover/gate").max_bytes
+
+
+def levels(base, gate=None, decoder=None):
+    data = ros.diagnostics(
+        base, gate or State(held=None), decoder or Decoder(), reconnects=2, hardware="p3at", stamp_ns=STAMP
+    )
+    message = decode(spec("diagnostics").type, data)
+    assert {status.hardware_id for status in message.status} == {"p3at"}
+    return {status.name.split(": ")[1]: (status.level, status.message) for status in message.status}
+
+
+def test_a_healthy_bridge_says_so():
+    healthy = replace(STATE, bumpers=(0, 0))
+    assert levels(healthy) == {
+        "link to the base": (0, "clean"),
+        "base": (0, "fine"),
+        "gate": (0, "open"),
+    }
+
+
+def test_troubles_are_named():
+    ill = replace(STATE, stop_pressed=True, stalled=(False, True), faults=8)
+    found = levels(ill, State(held=Reason.SILENCE))
+    assert found["base"] == (2, "STOP button pressed, stalled, bumper pressed, reports faults")
+    assert found["gate"] == (1, "silence")
+    assert levels(None)["base"] == (2, "not connected")
+    assert levels(STATE, State(held=Reason.NO_LEASE, ended=Reason.STALL))["gate"] == (1, "stall")
+
+
+def test_damaged_packets_show():
+    decoder = Decoder()
+    decoder.feed(bytes.fromhex("fafb03000001") + bytes.fromhex("fafb03000000"))
+    assert levels(STATE, decoder=decoder)["link to the base"] == (1, "packets were damaged")

@@ -34,6 +34,8 @@ __all__ = ["Arrival", "Link", "Mailbox"]
 
 QUERY_TIMEOUT_S = 2.0
 RELEASE_TIMEOUT_S = 1.0
+ANOTHER_DRIVER = "another-driver"
+"""The gate's name for it."""
 
 
 class Arrival(NamedTuple):
@@ -155,9 +157,10 @@ class Link:
         if reply is None:
             raise NotAuthorised(f"the bridge at {self.robot} does not take our request for the motors")
         if not reply.granted:
-            if self.gate.driver not in {"", self.driver.hex()}:
-                raise AnotherDriver(f"the bridge at {self.robot} refuses the motors: {reply.reason}")
-            raise SafetyStop("gate", f"the motors are refused: {reply.reason}")
+            words = f"the bridge at {self.robot} refuses the motors: {reply.detail or reply.reason}"
+            if reply.reason == ANOTHER_DRIVER:
+                raise AnotherDriver(words)
+            raise SafetyStop(reply.reason or "gate", words)
         return reply
 
     def _motors(self, enable: bool, name: str, timeout_s: float) -> MotorsReply | None:

@@ -144,7 +144,7 @@ def run(options: Options, output: Output) -> int:
     fields = _fields(drive, options, config, tape.recorder)
     words = _words(fields)
     if output.as_json and fields["exit_code"]:
-        output.say(words)  # a person who looks at stderr reads there why it did not end well
+        output.say(words.splitlines()[0])  # who looks at stderr reads there why it did not end well
     output.result(fields, words)
     return int(fields["exit_code"])
 

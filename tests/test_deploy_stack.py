@@ -1,0 +1,123 @@
+"""The driver among real processes: mock Pioneer and bridge over loopback TCP and Zenoh."""
+
+import signal
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from deploy.replay import replay
+from deploy.ticks import TICKS_TOPIC, TickRecord
+from rover_ncp.core.geometry import distance, wrap_angle
+from rover_ncp.core.lease import parse_json
+from rover_ncp.core.messages import read_text
+from rover_ncp.core.recording import read_recording
+from sim.studies.processes import LiveRun
+from sim.studies.truth import read_truth
+
+BRAKING_S = 0.16 / 0.31 + 0.15
+"""From the circuit's full speed, with the base's delay."""
+SLOW_MACHINE_S = 0.6
+
+
+@pytest.fixture
+def run(tmp_path):
+    with LiveRun(tmp_path / "log") as run:
+        yield run
+
+
+@pytest.fixture
+def driver(run, request, tmp_path):
+    """The driver on its way: it goes straight ahead, far beyond this short course's goal."""
+    data = request.config.rootpath / "tests" / "data"
+    files = ["--policy", str(data / "golden/parking.bnn"), "--course", str(data / "short_course.yaml")]
+    return run.deploy(*files, "--record", str(tmp_path / "run.mcap"))
+
+
+def wait_until(condition, seconds=30.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "timed out"
+        time.sleep(0.02)
+
+
+def wait_until_it_drives(run):
+    wait_until(lambda: read_truth(run.truth)[-1].pose.x > 0.1 if run.truth.stat().st_size > 200 else False)
+
+
+def standstill_s(run, since_ns):
+    """Wait until the true rover has stood for 0.4 s; return how long after ``since_ns`` it stopped."""
+
+    def stands():
+        states = read_truth(run.truth)[-40:]
+        return distance(states[0].pose, states[-1].pose) < 1e-4
+
+    wait_until(stands)
+    states = [state for state in read_truth(run.truth) if state.wall_ns > since_ns]
+    moving = [b.wall_ns for a, b in pairwise(states) if distance(a.pose, b.pose) > 1e-6]
+    return (moving[-1] - since_ns) * 1e-9 if moving else 0.0
+
+
+def test_the_estimate_is_where_the_rover_is_and_the_drive_recomputes(run, driver, tmp_path):
+    done = driver.wait(60)
+    assert done.code == 1, done
+    assert "from the goal" in done.result["reason"]
+    assert done.result["ticks"] + done.result["missed"] == 40
+    assert done.result["stopped_by"] is None
+
+    truth = read_truth(run.truth)
+    t = np.array([state.wall_ns for state in truth])
+    poses = np.unwrap(np.array([state.pose for state in truth]), axis=0)
+    recording = read_recording(tmp_path / "run.mcap")
+    records = [parse_json(TickRecord, read_text(message.data)) for message in recording.topic(TICKS_TOPIC)]
+    assert len(records) == done.result["ticks"] + 1
+    assert poses[-1][0] > 0.3
+    errors = []
+    for record in records:
+        if not record.predicted:
+            x, y, theta = (np.interp(record.wall_ns, t, column) for column in poses.T)
+            errors.append(np.hypot(record.estimate[0] - x, record.estimate[1] - y))
+            assert abs(wrap_angle(record.estimate[2] - theta)) < 0.004
+    # Full speed is 1.6 mm in 10 ms: what a stalled machine adds to the age of a few samples is allowed.
+    assert np.median(errors) < 0.002
+    assert max(errors) < 0.015
+
+    assert replay(tmp_path / "run.mcap").difference is None
+
+
+def test_ctrl_c_stops_the_rover_before_it_ends_the_driver(run, driver, tmp_path):
+    wait_until_it_drives(run)
+    pressed_ns = time.time_ns()
+    driver.send_signal(signal.SIGINT)
+    done = driver.wait(20)
+    assert done.code == 130
+    assert done.result["reason"] == "interrupted"
+    assert standstill_s(run, pressed_ns) < 0.5 + BRAKING_S + SLOW_MACHINE_S
+    assert read_recording(tmp_path / "run.mcap").complete
+
+
+def test_a_killed_driver_leaves_a_standing_rover_and_its_recording(run, driver, tmp_path):
+    wait_until_it_drives(run)
+    driver.send_signal(signal.SIGKILL)
+    killed_ns = time.time_ns()
+    assert driver.wait(10).code == -signal.SIGKILL
+    assert standstill_s(run, killed_ns) < 0.5 + BRAKING_S + SLOW_MACHINE_S
+    recording = read_recording(tmp_path / "run.mcap")
+    assert not recording.complete
+    assert killed_ns - recording.messages[-1].log_ns < 0.5e9 + SLOW_MACHINE_S * 1e9
+    comparison = replay(tmp_path / "run.mcap")
+    assert comparison.difference is None
+    assert comparison.ticks > 5
+
+
+def test_a_killed_bridge_ends_the_drive_by_name(run, driver):
+    wait_until_it_drives(run)
+    run.processes["bridge"].send_signal(signal.SIGKILL)
+    killed = time.monotonic()
+    done = driver.wait(20)
+    assert time.monotonic() - killed < 5
+    assert done.code == 4
+    assert done.result["stopped_by"] == "bridge-lost"
+    assert done.last_line == "stopped by bridge-lost: the bridge is gone"
+    assert standstill_s(run, time.time_ns()) < 2.0 + BRAKING_S + SLOW_MACHINE_S  # the base's own watchdog

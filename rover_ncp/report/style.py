@@ -1,0 +1,38 @@
+"""Colours and scales that pictures and pages share: safe for colour-blind eyes, and never alone.
+
+Whatever a colour says is also said by a shape, a dash, a number or a word. The qualitative colours are those
+of Okabe and Ito; potentials use matplotlib's viridis, whose lightness rises all the way.
+"""
+
+import math
+
+__all__ = [
+    "AMBER",
+    "BLUE",
+    "GREEN",
+    "GREY",
+    "INK",
+    "POTENTIAL_HIGH_MV",
+    "POTENTIAL_LOW_MV",
+    "POTENTIAL_MAP",
+    "PURPLE",
+    "SKY",
+    "VERMILLION",
+    "ring_radius",
+]
+
+BLUE, VERMILLION, GREEN, AMBER = "#0072B2", "#D55E00", "#009E73", "#E69F00"
+SKY, PURPLE = "#56B4E9", "#AA4499"
+INK, GREY = "#1B1F24", "#6B7280"
+
+POTENTIAL_MAP = "viridis"
+POTENTIAL_LOW_MV, POTENTIAL_HIGH_MV = -90.0, 0.0
+"""All that a circuit can reach; colours mean the same in every picture."""
+
+_RING_FROM_S, _RING_INNER, _RING_DECADE = 1e-4, 34.0, 6.0
+
+
+def ring_radius(tau_s: float) -> float:
+    """Return the radius of a time constant's ring, in the units of `layout`: a decade is 6 wide."""
+    decades = math.log10(max(tau_s, _RING_FROM_S) / _RING_FROM_S)
+    return _RING_INNER + _RING_DECADE * decades

@@ -41,7 +41,7 @@ def bridge(
     the limits reaches it. Motors are off until a driver asks for them. It is ready when it prints
     "ready zenoh=... base=..."; Ctrl-C or SIGTERM stops the rover and ends it.
     """
-    from bridge.node import run_bridge
+    from bridge.run import run_bridge
 
     return run_bridge(
         base=base,

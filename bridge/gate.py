@@ -57,9 +57,7 @@ STEP_MAX_S = 0.1
 """A loop that slept does not earn acceleration for the time it slept."""
 
 
-def step(
-    state: State, event: Event, now: float, limits: Limits, accept_ros: bool = False
-) -> tuple[State, Verdict]:
+def step(state: State, event: Event, now: float, limits: Limits, accept_ros: bool) -> tuple[State, Verdict]:
     """Take in one event at ``now`` and say what the base is to do from now on."""
     elapsed = min(max(now - state.now, 0.0), STEP_MAX_S)
     state = _lapse(replace(state, now=max(now, state.now)))

@@ -17,7 +17,7 @@ from rover_ncp.core.errors import NoRobot
 __all__ = ["Arrival", "Asked", "Broken", "Crashed", "Inbox", "Opened", "Received", "Sampled"]
 
 ROOM = 2048
-"""Commands beyond this are let fall: 0.1 s of a flood of 20,000 a second."""
+"""What peers send beyond this is let fall: 0.1 s of a flood of 20,000 a second."""
 
 
 @dataclass(frozen=True)
@@ -76,12 +76,12 @@ class Inbox:
         self._changed = threading.Condition()
         self._arrivals: deque[tuple[float, Arrival]] = deque()
         self.flooded = 0
-        """Commands that found no room."""
+        """Commands and queries that found no room."""
 
     def put(self, arrival: Arrival) -> None:
-        """Add what arrived just now. Commands alone may be let fall; bytes and mishaps never are."""
+        """Add what arrived just now. What peers send may be let fall; bytes and mishaps never are."""
         with self._changed:
-            if isinstance(arrival, Sampled) and len(self._arrivals) >= ROOM:
+            if isinstance(arrival, Sampled | Asked) and len(self._arrivals) >= ROOM:
                 self.flooded += 1
                 return
             self._arrivals.append((time.monotonic(), arrival))

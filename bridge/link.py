@@ -31,6 +31,8 @@ _SETTINGS: dict[str, Any] = {
     # A peer learns how long we may be silent from us, not from its own settings.
     "transport/link/tx/lease": 1000,
     "transport/link/tx/keep_alive": 4,
+    # The longest message we read has 4 kB, the longest that passes through us hardly more.
+    "transport/link/rx/max_message_size": 1 << 20,
 }
 
 

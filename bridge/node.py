@@ -10,10 +10,8 @@ Rules of this file:
 
 import contextlib
 import math
-import signal
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 from bridge import ros
 from bridge.events import Configured, Connected, Event, Failed, Lost, Recovered, StateReceived
@@ -24,18 +22,15 @@ from bridge.inbox import Arrival, Asked, Broken, Crashed, Inbox, Opened, Receive
 from bridge.limits import Limits
 from bridge.line import Line
 from bridge.link import Link
-from bridge.motion import MotionLimits
 from bridge.odometry import BaseState
 from bridge.queries import Answers
 from bridge.robots import RobotParameters
 from bridge.session import Session
-from rover_ncp.core.config import load_yaml
-from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.lease import CommandTag, dump_json
 from rover_ncp.core.messages import read_twist, text
 
-__all__ = ["Node", "run_bridge"]
+__all__ = ["Node"]
 
 TICK_S = 0.02
 """How often the loop turns when nothing arrives."""
@@ -43,7 +38,6 @@ APART_S = 0.01
 """Commands that come faster than this are not passed on one by one: a serial line could not carry them."""
 STATUS_S = 0.1
 SLOW_S = 1.0
-INTERRUPTED = 130
 
 
 class Node:
@@ -109,7 +103,6 @@ class Node:
                 self._judge(self._command(arrival), arrived_s)
             case Asked():
                 self._answers.give(arrival, arrived_s, self.gate)
-                self._publish_gate(time.monotonic())
             case Opened(transport):
                 self._line.use(transport)
                 self._session.connect(time.monotonic())
@@ -167,8 +160,10 @@ class Node:
         # Neither a stop nor a command that counts waits for the next tick.
         self._stopping |= self._verdict.held is not None and before.held is None
         self._commanded |= self.gate.accepted > before.accepted
-        for line in _news(before, self.gate):
-            self._say(line)
+        if _public(self.gate) != _public(before):
+            self._status_due_s = -math.inf
+            for line in _news(before, self.gate):
+                self._say(line)
         return self._verdict
 
     # What follows from it.
@@ -231,6 +226,11 @@ def _heard(state: BaseState) -> Heard:
     )
 
 
+def _public(gate: State) -> tuple[object, ...]:
+    """Return what everybody is to know at once."""
+    return gate.lease.driver if gate.lease else None, gate.held, gate.ended, gate.latched
+
+
 def _news(before: State, after: State) -> Iterator[str]:
     """Tell people who drives and what stops the rover."""
     old, new = before.lease, after.lease
@@ -247,70 +247,3 @@ def _news(before: State, after: State) -> Iterator[str]:
 def _wall_ns(monotonic_s: float) -> int:
     """Return the wall clock's time of a moment on the monotonic clock, in ns since the epoch."""
     return time.time_ns() - round((time.monotonic() - monotonic_s) * 1e9)
-
-
-def run_bridge(
-    *,
-    base: str,
-    listen: str | None,
-    namespace: str,
-    model: str,
-    limits: Path | None,
-    zenoh_config: Path | None,
-    accept_ros: bool,
-    as_json: bool,
-) -> int:
-    """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
-    output = Output(as_json)
-    allowed = Limits() if limits is None else load_yaml(limits, Limits)
-    session = Session(model, MotionLimits(v=allowed.v_max, omega=allowed.omega_max))
-    inbox = Inbox()
-    with _signals() as received, Link(listen, namespace, zenoh_config, inbox) as link:
-        line = Line(base, inbox)
-
-        def ready() -> None:
-            link.announce()
-            output.say(f"ready zenoh={link.locator} base={base}")
-
-        node = Node(
-            line,
-            link,
-            inbox,
-            session,
-            limits=allowed,
-            accept_ros=accept_ros,
-            say=output.say,
-            ready=ready,
-        )
-        node.run(lambda: bool(received))
-    status = ros.gate_status(node.gate)
-    output.result(
-        {
-            "zenoh": link.locator,
-            "base": base,
-            "bytes_to_base": line.bytes_out,
-            "bytes_from_base": line.bytes_in,
-            "accepted": status.accepted,
-            "dropped": status.dropped,
-            "limited": status.limited,
-            "stops": status.stops,
-            "reconnects": max(node.reconnects, 0),
-            "flooded": inbox.flooded,
-        },
-        f"{status.accepted} commands passed, {sum(status.dropped.values())} dropped, "
-        f"{sum(status.stops.values())} stops; {line.bytes_out} bytes to the base, {line.bytes_in} from it",
-    )
-    return INTERRUPTED if signal.SIGINT in received else 0
-
-
-@contextlib.contextmanager
-def _signals() -> Iterator[list[int]]:
-    """Collect SIGINT, SIGTERM and SIGHUP (a closed terminal) instead of being ended by them."""
-    received: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, lambda got, _: received.append(got)) for number in numbers}
-    try:
-        yield received
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

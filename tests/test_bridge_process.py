@@ -236,3 +236,15 @@ print([name for name in {heavy.split()!r} if name in sys.modules])
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
+
+
+def test_the_bridge_imports_quickly(benchmark):
+    program = (
+        "import time; began = time.perf_counter(); import bridge.node; print(time.perf_counter() - began)"
+    )
+
+    def seconds():
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+        return float(done.stdout)
+
+    benchmark.pedantic(seconds, rounds=5, warmup_rounds=1)  # to stay under 0.5 s on an idle machine

@@ -1,0 +1,88 @@
+"""The ``bridge`` command: reads its options, runs the loop until a signal comes, reports."""
+
+import contextlib
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+from bridge import ros
+from bridge.inbox import Inbox
+from bridge.limits import Limits
+from bridge.line import Line
+from bridge.link import Link
+from bridge.motion import MotionLimits
+from bridge.node import Node
+from bridge.session import Session
+from rover_ncp.core.config import load_yaml
+from rover_ncp.core.console import Output
+
+__all__ = ["run_bridge"]
+
+INTERRUPTED = 130
+
+
+def run_bridge(
+    *,
+    base: str,
+    listen: str | None,
+    namespace: str,
+    model: str,
+    limits: Path | None,
+    zenoh_config: Path | None,
+    accept_ros: bool,
+    as_json: bool,
+) -> int:
+    """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
+    output = Output(as_json)
+    allowed = Limits() if limits is None else load_yaml(limits, Limits)
+    session = Session(model, MotionLimits(v=allowed.v_max, omega=allowed.omega_max))
+    inbox = Inbox()
+    with _signals() as received, Link(listen, namespace, zenoh_config, inbox) as link:
+        line = Line(base, inbox)
+
+        def ready() -> None:
+            link.announce()
+            output.say(f"ready zenoh={link.locator} base={base}")
+
+        node = Node(
+            line,
+            link,
+            inbox,
+            session,
+            limits=allowed,
+            accept_ros=accept_ros,
+            say=output.say,
+            ready=ready,
+        )
+        node.run(lambda: bool(received))
+    status = ros.gate_status(node.gate)
+    output.result(
+        {
+            "zenoh": link.locator,
+            "base": base,
+            "bytes_to_base": line.bytes_out,
+            "bytes_from_base": line.bytes_in,
+            "accepted": status.accepted,
+            "dropped": status.dropped,
+            "limited": status.limited,
+            "stops": status.stops,
+            "reconnects": max(node.reconnects, 0),
+            "flooded": inbox.flooded,
+        },
+        f"{status.accepted} commands passed, {sum(status.dropped.values())} dropped, "
+        f"{sum(status.stops.values())} stops; {line.bytes_out} bytes to the base, {line.bytes_in} from it",
+    )
+    return INTERRUPTED if signal.SIGINT in received else 0
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[list[int]]:
+    """Collect SIGINT, SIGTERM and SIGHUP (a closed terminal) instead of being ended by them."""
+    received: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda got, _: received.append(got)) for number in numbers}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

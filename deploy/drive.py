@@ -5,7 +5,7 @@ Rules of this file:
 1. Whatever ends a drive, the motors are given back before anything else is done about it.
 2. Odometry sets off the tick; when it does not come in time, the tick runs on prediction and is counted.
 3. Before a tick commands anything: is the bridge there, is the odometry young, does the filter trust itself,
-   is the lease still ours? If not, the drive ends with the rule's name.
+   is the lease still ours, does the rover follow? If not, the drive ends with the rule's name.
 """
 
 import math
@@ -19,6 +19,7 @@ from deploy.controller import ORIGIN, Controller
 from deploy.intake import Intake, Sample, StillWatch
 from deploy.link import Link
 from deploy.reporter import Reporter
+from deploy.response import ResponseWatch
 from deploy.state import Event, State, next_state
 from deploy.ticks import SampleRef, StartRecord, TickRecord, numbers, seconds
 from rover_ncp.core.course import TICK_S, Verdict
@@ -53,6 +54,7 @@ class Drive:
         self._pending: list[SampleRef] = []
         self._granted_ns: int | None = None
         self._lease_seen = False
+        self._response = ResponseWatch()
         self.intake = Intake(link.odometry)
         self.keeper = RateKeeper(TICK_NS, 0)
         self.state = State.WAITING
@@ -160,6 +162,9 @@ class Drive:
         if tick is not None and not self._config.dry_run:
             if not all(map(math.isfinite, tick.command)):
                 raise SafetyStop("command", f"the circuit asks for {tick.command}")
+            if unfollowed := self._response.tick(tick.command, estimate.velocity):
+                held = f" (the gate says: {self._link.gate.held})" if self._link.gate.held else ""
+                raise SafetyStop("no-response", f"the rover drove {unfollowed}{held}")
             sequence = self._link.command(tick.command)
         if not predicted:
             self.latencies_ns.append(time.monotonic_ns() - newest.arrival_ns)

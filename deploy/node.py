@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import math
 import signal
 import sys
 import zlib
@@ -25,6 +26,7 @@ from deploy.state import State
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.course import TICK_S, load_course
+from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.messages import (
     neurons,
@@ -113,14 +115,18 @@ class _Tape:
 def run(options: Options, output: Output) -> int:
     """Drive once, and return the exit code. Raises RoverNcpError for what kept the drive from beginning."""
     policy, course = load_policy(options.policy), load_course(options.course)
-    ticks = course.ticks if options.duration_s is None else round(options.duration_s / TICK_S)
+    ticks = course.ticks
+    if options.duration_s is not None:
+        if not TICK_S <= options.duration_s < math.inf:
+            raise UsageError(f"--duration {options.duration_s:g}: expected seconds, at least {TICK_S}")
+        ticks = min(ticks, round(options.duration_s / TICK_S))
     config = DriveConfig(
         robot=options.robot,
         namespace=options.namespace,
         policy=policy.circuit.name,
         course=course.name,
         dry_run=options.dry_run,
-        ticks=min(ticks, course.ticks),
+        ticks=ticks,
     )
     controller = Controller(policy, course, config.estimator)
     files = attachments(policy, course, config)

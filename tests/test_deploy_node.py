@@ -156,6 +156,12 @@ def course(tmp_path_factory):
 
 
 @pytest.fixture
+def golden(request):
+    """A circuit that drives straight ahead at full speed."""
+    return request.config.rootpath / "tests/data/golden/parking.bnn"
+
+
+@pytest.fixture
 def drive(bridge, policy, course, tmp_path, capsys, monkeypatch):
     """Drive once with shorter waits; returns exit code and result."""
     monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, still_s=0.25))
@@ -301,6 +307,13 @@ def test_losing_the_bridge_or_the_lease_ends_the_drive_with_a_name(bridge, drive
     assert bridge.released.is_set()
 
 
+def test_a_rover_that_does_not_follow_is_not_commanded_for_long(bridge, drive, golden):
+    bridge.odom = lambda pose, velocity, stamp: odometry(ODOM_AT_START, STILL, stamp)
+    code, result = drive(policy=str(golden), course="parking")
+    assert (code, result["stopped_by"]) == (4, "no-response")
+    assert result["ticks"] < 60
+
+
 def test_a_refusal_names_its_reason_and_moves_nothing(bridge, drive):
     bridge.refusal = "stop-button"
     code, result = drive()
@@ -394,6 +407,8 @@ def test_a_rover_that_moves_before_the_start_is_not_driven(bridge, drive, monkey
         ({"policy": "nothing.yaml"}, "nothing.yaml: no such file"),
         ({"policy": "unheard-of"}, "unheard-of: no such file, and none of the shipped"),
         ({"course": "nowhere.yaml"}, "nowhere.yaml: no such file"),
+        ({"duration_s": math.nan}, "--duration nan: expected seconds"),
+        ({"duration_s": math.inf}, "--duration inf: expected seconds"),
         ({"robot": "192.168.1.20"}, r"--robot 192.168.1.20: expected PROTOCOL/HOST\[:PORT\]"),
         ({"namespace": "a b"}, "namespace 'a b'"),
         ({"zenoh_config": Path("missing.json5")}, "missing.json5: no such file"),

@@ -1,0 +1,44 @@
+"""Whether the rover does what it is told, as far as odometry can say.
+
+Odometry that stands still while fresh samples keep coming, wheels that are blocked without the base noticing,
+a gate that holds the rover back: each looks like commands that nothing follows. Judged over a second of
+commands, after the time that the base's delay and acceleration take (0.15 s, and 0.5 s to full speed).
+"""
+
+from collections import deque
+
+from rover_ncp.core.course import TICK_S
+from rover_ncp.core.geometry import Velocity
+
+__all__ = ["ResponseWatch"]
+
+WINDOW_TICKS = round(1.0 / TICK_S)
+LAG_TICKS = round(0.7 / TICK_S)
+ASKED_MIN_M = 0.05
+ASKED_MIN_RAD = 0.10
+"""Less than these, asked for within the window, may be lost in the base's whole mm/s and deg/s."""
+FOLLOWED_MIN = 0.1
+"""The share of it that must have been driven."""
+
+
+class ResponseWatch:
+    """Takes in each tick's command and estimated motion."""
+
+    def __init__(self) -> None:
+        self._asked: deque[Velocity] = deque(maxlen=WINDOW_TICKS + LAG_TICKS)
+        self._driven: deque[Velocity] = deque(maxlen=WINDOW_TICKS)
+
+    def tick(self, asked: Velocity, driven: Velocity) -> str:
+        """Return what is not followed, "" if all is well. ``driven`` is the motion before this command."""
+        self._driven.append(driven)
+        complaint = ""
+        if len(self._asked) == self._asked.maxlen:
+            window = list(self._asked)[:WINDOW_TICKS]
+            for name, unit, least in (("v", "m", ASKED_MIN_M), ("omega", "rad", ASKED_MIN_RAD)):
+                # Commands to and fro may cancel out; motion either way shows that something is followed.
+                wanted = abs(sum(getattr(command, name) for command in window)) * TICK_S
+                got = sum(abs(getattr(motion, name)) for motion in self._driven) * TICK_S
+                if wanted >= least and got < FOLLOWED_MIN * wanted:
+                    complaint = f"{got:.3f} {unit} where {wanted:.3f} {unit} were asked for within a second"
+        self._asked.append(asked)
+        return complaint

@@ -1,0 +1,63 @@
+import pytest
+
+from deploy.controller import Controller
+from deploy.estimator import EstimatorSettings
+from deploy.response import ResponseWatch
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.course import load_course
+from rover_ncp.core.geometry import Pose, Velocity
+from sim.world.bay import Bay
+from sim.world.rover import Rover, RoverModel
+
+STILL = Velocity(0.0, 0.0)
+
+
+def first_complaint(asked, driven, ticks=100):
+    """The tick of the first complaint, None if there is none; both are functions of the tick."""
+    watch = ResponseWatch()
+    return next((k for k in range(ticks) if watch.tick(asked(k), driven(k))), None)
+
+
+@pytest.mark.parametrize(
+    "asked", [Velocity(0.06, 0), Velocity(-0.16, 0), Velocity(0, 0.12), Velocity(0, -0.18)]
+)
+def test_commands_that_nothing_follows_are_noticed_within_two_seconds(asked):
+    assert first_complaint(lambda k: asked, lambda k: STILL) == 17
+    # Frozen in the middle of a drive.
+    assert 25 <= first_complaint(lambda k: asked, lambda k: asked if k < 20 else STILL) <= 40
+
+
+@pytest.mark.parametrize("asked", [Velocity(0.04, 0), Velocity(0, 0.09), STILL])
+def test_what_is_too_little_to_tell_is_not_judged(asked):
+    assert first_complaint(lambda k: asked, lambda k: STILL) is None
+
+
+@pytest.mark.parametrize("seconds", [1, 3])
+def test_a_turn_to_and_fro_that_cancels_out_is_not_judged(seconds):
+    def asked(k):
+        return Velocity(0.0, 0.18 if (k // (10 * seconds)) % 2 else -0.18)
+
+    assert first_complaint(asked, lambda k: asked(k - 5) if k > 5 else STILL) is None
+
+
+@pytest.mark.parametrize("model", [RoverModel(), RoverModel(accel=0.21, delay_v_s=0.3, delay_omega_s=0.3)])
+def test_a_rover_that_obeys_is_never_accused(model, request):
+    """A whole manoeuvre, on the base as it is and on a sluggish one (delays 300 ms, acceleration −30 %)."""
+    course, rover = load_course("parking"), Rover(model, Bay())
+    for policy in ("parking", str(request.config.rootpath / "tests/data/golden/parking.bnn")):
+        controller, watch = Controller(load_policy(policy), course, EstimatorSettings()), ResponseWatch()
+        controller.start(Pose(0, 0, 0), -0.1)
+        rover.set_pose(Pose(0, 0, 0))
+        for index in range(course.ticks):
+            controller.odometry(rover.pose, rover.velocity, 0.1 * index)
+            tick = controller.tick(index, 0.1 * index)
+            assert watch.tick(tick.command, tick.estimate.velocity) == ""
+            rover.command(*tick.command)
+            for _ in range(10):
+                rover.substep()
+
+
+def test_it_says_what_was_asked_and_what_came():
+    watch = ResponseWatch()
+    words = [watch.tick(Velocity(0.1, 0), Velocity(0.001, 0)) for _ in range(18)]
+    assert words[-1] == "0.001 m where 0.100 m were asked for within a second"

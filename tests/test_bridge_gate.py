@@ -197,6 +197,14 @@ def test_a_stop_is_latched_until_released_and_the_driver_asks_again():
     assert gate.enable(0.3).refusal is None
 
 
+def test_a_hazard_ends_no_lease_that_was_given_back_before():
+    gate = Gate().driving()
+    gate.at(0.05, Release(ME))
+    assert gate.at(0.1, Heard(bumped=True)).held is Reason.BUMPER
+    assert gate.state.ended is None
+    assert gate.state.stops == {}
+
+
 def test_a_low_battery_counts_when_it_lasts():
     gate = Gate().driving()
     low, fine = Heard(battery_v=10.9), Heard(battery_v=11.0)

@@ -105,6 +105,16 @@ def test_asking_again_forgets_what_was_known_of_the_clock():
     assert gate.drive(0.4).dropped is None
 
 
+@pytest.mark.parametrize(("after_s", "dropped"), [(59.0, Reason.STALE), (62.0, None)])
+def test_the_quickest_command_is_remembered_for_a_minute(after_s, dropped):
+    gate = Gate().driving()
+    for k in range(1, round(after_s * 4)):
+        gate.at(0.25 * k, Heard())
+        assert gate.drive(0.25 * k, age=0.15).dropped is None
+    gate.at(after_s, Heard())
+    assert gate.drive(after_s, age=0.3).dropped is dropped
+
+
 @pytest.mark.parametrize("drift", [1e-4, -1e-4])
 def test_clocks_that_drift_apart_for_three_hours_do_not_matter(drift):
     gate = Gate().driving()

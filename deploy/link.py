@@ -28,7 +28,7 @@ from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.keys import KEYS, Kind, Role, key, spec
 from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
 from rover_ncp.core.messages import read_text, twist_stamped
-from rover_ncp.core.recording import Recorded
+from rover_ncp.core.recording import Recorded, header_stamp_ns
 
 __all__ = ["Arrival", "Link", "Mailbox"]
 
@@ -219,8 +219,8 @@ class Link:
         ros_type = spec(name).type
 
         def record(sample: zenoh.Sample) -> None:
-            now = time.time_ns()
-            self._record(Recorded(name, ros_type, sample.payload.to_bytes(), now, now))
+            data, now = sample.payload.to_bytes(), time.time_ns()
+            self._record(Recorded(name, ros_type, data, now, header_stamp_ns(ros_type, data) or now))
 
         return record
 

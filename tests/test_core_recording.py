@@ -10,7 +10,7 @@ from rosbags.highlevel import AnyReader
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.messages import odometry, pose_stamped, text
-from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording, rewrite
+from rover_ncp.core.recording import Recorded, RecordingWriter, header_stamp_ns, read_recording, rewrite
 
 T0 = 1_700_000_000_000_000_000
 POLICY = b"format: 1\n" * 50
@@ -69,6 +69,15 @@ def test_other_readers_understand_it(written):
             if connection.topic == "odom"
         ]
     assert poses == [0.01 * number for number in range(40)]
+
+
+def test_the_time_of_sending_is_the_headers_stamp():
+    assert header_stamp_ns("nav_msgs/msg/Odometry", odom(7).data) == T0 + 700_000_000
+    big_endian = b"\x00\x00\x00\x00" + struct.pack(">iI", 5, 6) + bytes(64)
+    assert header_stamp_ns("geometry_msgs/msg/TwistStamped", big_endian) == 5_000_000_006
+    assert header_stamp_ns("std_msgs/msg/String", text("hello, world")) is None
+    assert header_stamp_ns("nav_msgs/msg/Odometry", b"\x00\x01\x00\x00short") is None
+    assert header_stamp_ns("nav_msgs/msg/Odometry", b"\xff" * 40) is None
 
 
 def test_a_topic_has_one_type(tmp_path):

@@ -6,6 +6,7 @@ off anywhere still gives all its whole records. Specification: https://mcap.dev/
 """
 
 import contextlib
+import functools
 import io
 import struct
 import time
@@ -26,11 +27,14 @@ from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_bytes, write_atomic
 from rover_ncp.core.messages import definition
 
-__all__ = ["Recorded", "Recording", "RecordingWriter", "read_recording", "rewrite"]
+__all__ = ["Recorded", "Recording", "RecordingWriter", "header_stamp_ns", "read_recording", "rewrite"]
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 256 * 1024
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".bnn": "text/plain"}
+# A Header begins with its stamp, right behind CDR's own four bytes: int32 seconds, uint32 nanoseconds.
+CDR_ORDERS = (b"\x00\x00", b"\x00\x01")
+CDR_STAMP, CDR_STAMP_BIG = struct.Struct("<iI"), struct.Struct(">iI")
 RECORD_LIMIT = 1 << 30
 """No record of ours comes near; a longer one means a damaged length."""
 
@@ -67,6 +71,20 @@ class Recording:
             held = ", ".join(self.attachments) or "none"
             raise FileError(f"{self.path}: has no attachment {name} (it has: {held})")
         return self.attachments[name]
+
+
+@functools.cache
+def _begins_with_header(ros_type: str) -> bool:
+    fields = [line for line in definition(ros_type).splitlines() if line and not line.startswith("#")]
+    return fields[0].split() == ["std_msgs/Header", "header"]
+
+
+def header_stamp_ns(ros_type: str, data: bytes) -> int | None:
+    """Return the stamp of a message whose first field is a Header; None when there is none to read."""
+    if not _begins_with_header(ros_type) or len(data) < CDR_STAMP.size + 4 or data[:2] not in CDR_ORDERS:
+        return None
+    seconds, nanoseconds = (CDR_STAMP if data[1] else CDR_STAMP_BIG).unpack_from(data, 4)
+    return int(seconds * 1_000_000_000 + nanoseconds)
 
 
 class RecordingWriter:

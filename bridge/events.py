@@ -7,7 +7,16 @@ from bridge.odometry import BaseState
 from bridge.packets import ConfigPac
 from bridge.robots import RobotParameters
 
-__all__ = ["Configured", "Connected", "Event", "Failed", "Lost", "Recovered", "StateReceived"]
+__all__ = [
+    "BaudChanged",
+    "Configured",
+    "Connected",
+    "Event",
+    "Failed",
+    "Lost",
+    "Recovered",
+    "StateReceived",
+]
 
 
 @dataclass(frozen=True)
@@ -53,4 +62,11 @@ class Failed:
     reason: str
 
 
-Event: TypeAlias = Connected | Configured | StateReceived | Lost | Recovered | Failed
+@dataclass(frozen=True)
+class BaudChanged:
+    """The serial line is to run at this rate before anything more is sent."""
+
+    baudrate: int
+
+
+Event: TypeAlias = Connected | Configured | StateReceived | Lost | Recovered | Failed | BaudChanged

@@ -60,6 +60,19 @@ class Line:
             except NoRobot as error:
                 self._failed = error
 
+    @property
+    def baudrate(self) -> int | None:
+        """The rate the line runs at; None without a line, or on one that has no rate."""
+        return None if self._current is None else self._current.baudrate
+
+    def set_baudrate(self, baudrate: int) -> None:
+        """Let the line run at another rate. A failure arrives as `Broken`."""
+        if self._current is not None and self._failed is None:
+            try:
+                self._current.set_baudrate(baudrate)
+            except NoRobot as error:
+                self._failed = error
+
     def close(self) -> None:
         """End the thread, then all lines, once what was written has gone out."""
         self._closing.set()

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from bridge import ros
-from bridge.events import Configured, Connected, Event, Failed, Lost, Recovered, StateReceived
+from bridge.events import BaudChanged, Configured, Connected, Event, Failed, Lost, Recovered, StateReceived
 from bridge.gate import step
 from bridge.gate_state import BaseLost, Command, Heard, Reason, State, Tick, Verdict
 from bridge.gate_state import Event as GateEvent
@@ -105,7 +105,7 @@ class Node:
                 self._answers.give(arrival, arrived_s, self.gate)
             case Opened(transport):
                 self._line.use(transport)
-                self._session.connect(time.monotonic())
+                self._session.connect(time.monotonic(), transport.baudrate)
             case Broken(error):
                 if self.reconnects < 0:
                     raise error
@@ -142,6 +142,8 @@ class Node:
                     self._say(f"the base is there: {self._hardware}")
                     if self.reconnects == 0:
                         self._ready()
+                case BaudChanged(baudrate):
+                    self._line.set_baudrate(baudrate)
                 case Recovered():
                     self._say("the base speaks again")
                 case Lost(reason):
@@ -151,7 +153,7 @@ class Node:
                 case Failed(reason):
                     if self.reconnects < 0:
                         raise NoRobot(f"{self._line.endpoint}: {reason}")
-                    self._session.connect(time.monotonic())
+                    self._session.connect(time.monotonic(), self._line.baudrate)
 
     def _judge(self, event: GateEvent, now: float) -> Verdict:
         """Pass an event through the gate."""

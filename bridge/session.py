@@ -13,7 +13,8 @@ Sources: AROS manual p. 43 (motors, watchdog); ``states.py`` for the handshake.
 """
 
 from bridge.arcos import Command, Decoder, Packet, encode_command
-from bridge.events import Configured, Connected, Event, Failed, Lost, Recovered, StateReceived
+from bridge.baud import Rates
+from bridge.events import BaudChanged, Configured, Connected, Event, Failed, Lost, Recovered, StateReceived
 from bridge.helm import Helm
 from bridge.motion import MotionLimits
 from bridge.odometry import BaseState, Odometer
@@ -23,6 +24,7 @@ from bridge.states import LOSS_S, PATIENCE_S, TABLE, Input, State
 from rover_ncp.core.errors import UsageError
 
 __all__ = [
+    "BaudChanged",
     "Configured",
     "Connected",
     "Event",
@@ -77,12 +79,18 @@ class Session:
         self._now = self._deadline = self._opened_s = 0.0
         self._tries = self._silent_tries = 0
         self._bytes_heard = self._packets_before = 0
+        self._rates = Rates()
 
     # What the user calls.
 
-    def connect(self, now: float) -> None:
-        """Begin to connect; events tell how it goes."""
+    def connect(self, now: float, baudrate: int | None = None) -> None:
+        """Begin to connect; events tell how it goes.
+
+        A line opened at ``baudrate`` is told by `BaudChanged` when it is to run at another; without one it is
+        never told so.
+        """
         self._now = now
+        self._rates.begin(baudrate)
         self._dispatch(Input.CONNECT)
 
     def close(self, now: float) -> None:
@@ -215,9 +223,10 @@ class Session:
 
     def _do_try_again(self) -> None:
         self._silent_tries += 1
-        if self._silent_tries >= SILENT_TRIES:
+        if self._silent_tries >= SILENT_TRIES + self._rates.tries:
             self._dispatch(Input.GAVE_UP)
         elif self._silent_tries > POLITE_TRIES:
+            self._change_baud(self._rates.look(self._silent_tries - POLITE_TRIES - 1))
             # The answer to SYNC2 may have been lost: then a session waits for OPEN and echoes nothing.
             self._send(Command.CLOSE)
 
@@ -258,12 +267,12 @@ class Session:
     def _do_first_sip(self) -> None:
         self._base = self._odometer.update(self._sip, self._now)
         if self._config is not None:
-            self._dispatch(Input.SETTLED)
+            self._settle()
 
     def _do_configure(self) -> None:
         self._odometer.config = self._config
         if self._base is not None:
-            self._dispatch(Input.SETTLED)
+            self._settle()
 
     def _do_ask_again(self) -> None:
         waited = self._now - self._opened_s
@@ -277,6 +286,28 @@ class Session:
             return
         if self._config is None:
             self._send(Command.CONFIG)
+
+    def _settle(self) -> None:
+        slow = self._rates.faster(self._config) is not None
+        self._dispatch(Input.SLOW if slow else Input.SETTLED)
+
+    def _do_ask_faster(self) -> None:
+        self._send(Command.HOSTBAUD, self._rates.faster(self._config))
+
+    def _do_switch(self) -> None:
+        self._change_baud(self._rates.switch())
+        # Whatever it holds was cut by the change; and the base is to see that we came along.
+        self.decoder.drop()
+        self._send(Command.PULSE)
+
+    def _do_switch_back(self) -> None:
+        self._change_baud(self._rates.back())
+        self.decoder.drop()
+        self._do_be_ready()
+
+    def _change_baud(self, baudrate: int | None) -> None:
+        if baudrate is not None:
+            self._events.append(BaudChanged(baudrate))
 
     def _do_be_ready(self) -> None:
         self._events.append(Configured(self._config, self._odometer.robot))

@@ -28,6 +28,8 @@ class State(Enum):
     CONFIGURING = "open, waiting for SIP and CONFIGpac"
     READY = "ready"
     LOST = "the base went silent"
+    ASKING_FASTER = "asked for a faster line"
+    FASTER = "at the faster rate, not heard yet"
 
 
 class Input(Enum):
@@ -45,6 +47,7 @@ class Input(Enum):
     SIP = "server information packet"
     CONFIG = "CONFIGpac"
     SETTLED = "SIPs come, and the CONFIGpac came or never will"
+    SLOW = "the same, on a slow line that could be faster"
     RESET = "notice that the base was reset"
 
 
@@ -61,6 +64,8 @@ PATIENCE_S = {
     State.CONFIGURING: 0.2,  # ARIA's rhythm of asking for the CONFIGpac
     State.READY: LOSS_S,
     State.LOST: 3.0,
+    State.ASKING_FASTER: 0.05,  # ARIA waits 10 ms; HOSTBAUD's 9 bytes take that long at 9600 alone
+    State.FASTER: 0.9,  # as long as ARIA waits for a packet
 }
 """How long a state lasts by itself, in seconds."""
 
@@ -74,6 +79,11 @@ _SYNCING: dict[Input, Entry] = _ENDING | {
     Input.SIP: (State.HANGING_UP, "hang_up"),
     Input.RESET: (State.LISTENING, "nothing"),
     Input.EXPIRED: (State.LISTENING, "try_again"),
+}
+_OPEN: dict[Input, Entry] = {
+    Input.RESET: (State.LISTENING, "nothing"),
+    Input.CLOSE: (State.IDLE, "leave"),
+    Input.LINK_DOWN: (State.IDLE, "nothing"),
 }
 # The wrong echo starts over; that of an earlier try, come late, is passed over.
 _WRONG: Entry = (State.LISTENING, "nothing")
@@ -118,15 +128,20 @@ TABLE: dict[State, dict[Input, Entry]] = {
         Input.RESET: (State.LISTENING, "nothing"),
         Input.EXPIRED: (State.SYNC0, "sync0"),
     },
-    State.CONFIGURING: {
+    State.CONFIGURING: _OPEN
+    | {
         Input.SIP: (None, "first_sip"),
         Input.CONFIG: (None, "configure"),
         Input.EXPIRED: (State.CONFIGURING, "ask_again"),
         Input.SETTLED: (State.READY, "be_ready"),
+        Input.SLOW: (State.ASKING_FASTER, "ask_faster"),
         Input.GAVE_UP: (State.LISTENING, "nothing"),
-        Input.RESET: (State.LISTENING, "nothing"),
-        Input.CLOSE: (State.IDLE, "leave"),
-        Input.LINK_DOWN: (State.IDLE, "nothing"),
+    },
+    State.ASKING_FASTER: _OPEN | {Input.EXPIRED: (State.FASTER, "switch")},
+    State.FASTER: _OPEN
+    | {
+        Input.SIP: (State.READY, "be_ready"),
+        Input.EXPIRED: (State.READY, "switch_back"),
     },
     State.READY: {
         Input.SIP: (State.READY, "publish"),

@@ -41,6 +41,12 @@ class Transport(ABC):
         self.name = name
         self.bytes_in = 0
         self.bytes_out = 0
+        self.baudrate: int | None = None
+        """The rate it runs at; None on a line that has none."""
+
+    @abstractmethod
+    def set_baudrate(self, baudrate: int) -> None:
+        """Run at another rate from now on, if the line has one. Raises NoRobot when the line is gone."""
 
     @abstractmethod
     def read(self, timeout: float) -> bytes:
@@ -77,6 +83,9 @@ class TcpTransport(Transport):
         # A command is a few bytes that must not wait for more.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.settimeout(WRITE_TIMEOUT_S)
+
+    def set_baudrate(self, baudrate: int) -> None:
+        """See Transport: this line has no rate."""
 
     def read(self, timeout: float) -> bytes:
         """See Transport."""
@@ -127,6 +136,15 @@ class SerialTransport(Transport):
             )
         except (serial.SerialException, OSError, ValueError) as error:
             raise self._gone(_reason(error)) from error
+        self.baudrate = baudrate
+
+    def set_baudrate(self, baudrate: int) -> None:
+        """See Transport."""
+        try:
+            self._port.baudrate = baudrate
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise self._gone(_reason(error)) from error
+        self.baudrate = baudrate
 
     def read(self, timeout: float) -> bytes:
         """See Transport."""

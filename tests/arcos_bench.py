@@ -16,6 +16,7 @@ ECHO0, ECHO1 = encode_frame(0), encode_frame(1)
 NAMES = frame(encode_names("IIT-madras_3906", "Pioneer", "P3AT-SH"))
 STRANGER = frame(encode_names("somebody", "Pioneer", "amigo"))
 CONFIG = frame(ConfigPac(front_bumps=5, rear_bumps=5).encode())
+FAST_CONFIG = frame(ConfigPac(front_bumps=5, rear_bumps=5, autobaud=2).encode())
 RESET = encode_frame(0xFF)
 BYTES = {
     Input.ECHO0: ECHO0,
@@ -38,11 +39,12 @@ class Bench:
     def __init__(self, model: str = "auto") -> None:
         self.session = Session(model)
         self.now = 100.0
+        self.baudrate: int | None = None
         self.events: list[Event] = []
         self._decoder = Decoder()
 
     def connect(self) -> None:
-        self.session.connect(self.now)
+        self.session.connect(self.now, self.baudrate)
 
     def hear(self, data: bytes) -> None:
         self.events += self.session.receive(data, self.now)
@@ -68,6 +70,12 @@ class Bench:
             (State.CONFIGURING, CONFIG + sip()),
             (State.READY, PATIENCE_S[State.READY]),
         ]
+        if state in {State.ASKING_FASTER, State.FASTER}:
+            self.baudrate = 9600
+            way[-2:] = [
+                (State.CONFIGURING, FAST_CONFIG + sip()),
+                (State.ASKING_FASTER, PATIENCE_S[State.ASKING_FASTER]),
+            ]
         if state is not State.IDLE:
             self.connect()
         if state is State.HANGING_UP:

@@ -4,7 +4,7 @@ import pytest
 from arcos_bench import Bench
 
 from bridge.arcos import Command
-from bridge.events import Connected, Failed, Lost, Recovered, StateReceived
+from bridge.events import BaudChanged, Configured, Connected, Failed, Lost, Recovered, StateReceived
 from bridge.session import Session, State
 from bridge.states import PATIENCE_S, TABLE, Input
 
@@ -12,7 +12,7 @@ OUTSIDE = [
     *(Input.CONNECT, Input.CLOSE, Input.LINK_DOWN, Input.EXPIRED, Input.ECHO0, Input.ECHO1),
     *(Input.NAMES, Input.STRANGER, Input.SIP, Input.CONFIG, Input.RESET),
 ]
-LETTERS = dict(zip("IL012HCRX", State, strict=True))
+LETTERS = dict(zip("IL012HCRXAF", State, strict=True))
 # A row for each state, a letter for each input of OUTSIDE: the next state, or = for nothing at all.
 #            connect close down expired echo0 echo1 names stranger sip config reset
 NEXT = {
@@ -25,6 +25,8 @@ NEXT = {
     "C": "=    I     I    C       =     =     =     =        C   C      L",
     "R": "=    I     I    X       L     =     =     =        R   R      L",
     "X": "=    I     I    L       L     =     =     =        R   =      L",
+    "A": "=    I     I    F       =     =     =     =        =   =      L",
+    "F": "=    I     I    R       =     =     =     =        R   =      L",
 }
 ZEROS = [Command.VEL, Command.RVEL, Command.STOP]
 LIMITS = [*[Command.SETV, Command.SETA, Command.SETA], *[Command.SETRV, Command.SETRA, Command.SETRA]]
@@ -32,7 +34,7 @@ TAKE = [*LIMITS, Command.SONAR, Command.VEL, Command.RVEL, Command.ENABLE]
 LEAVE = [*ZEROS, Command.ENABLE, Command.CLOSE]
 SENT = {
     **{(letter, Input.CLOSE): [Command.CLOSE] for letter in "012H"},
-    **{(letter, Input.CLOSE): LEAVE for letter in "CRX"},
+    **{(letter, Input.CLOSE): LEAVE for letter in "CRXAF"},
     **{(letter, Input.SIP): [*ZEROS, Command.CLOSE] for letter in "L012"},
     ("L", Input.EXPIRED): [Command.PULSE],
     ("H", Input.EXPIRED): [Command.PULSE],
@@ -43,6 +45,9 @@ SENT = {
     ("C", Input.EXPIRED): [Command.OPEN, Command.CONFIG],
     ("R", Input.EXPIRED): ZEROS,
     ("X", Input.SIP): TAKE,
+    ("A", Input.EXPIRED): [Command.PULSE],
+    ("F", Input.SIP): TAKE,
+    ("F", Input.EXPIRED): TAKE,
 }
 EVENTS: dict[tuple[str, Input], list[type]] = {
     **{(letter, Input.NAMES): [Connected] for letter in "L2"},
@@ -53,6 +58,9 @@ EVENTS: dict[tuple[str, Input], list[type]] = {
     ("R", Input.RESET): [Lost],
     ("R", Input.LINK_DOWN): [Lost],
     ("X", Input.SIP): [Recovered, StateReceived],
+    ("A", Input.EXPIRED): [BaudChanged],
+    ("F", Input.SIP): [Configured],
+    ("F", Input.EXPIRED): [BaudChanged, Configured],
 }
 PAIRS = [
     (letter, what, outcome)
@@ -79,4 +87,4 @@ def test_every_action_of_the_table_exists_and_every_pair_was_tried() -> None:
     assert all(hasattr(Session, f"_do_{action}") for action in actions)
     assert set(TABLE) == set(State) == set(PATIENCE_S)
     inner = {what for row in TABLE.values() for what in row} - set(OUTSIDE)
-    assert inner == {Input.GAVE_UP, Input.SETTLED}
+    assert inner == {Input.GAVE_UP, Input.SETTLED, Input.SLOW}

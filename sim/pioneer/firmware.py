@@ -22,7 +22,8 @@ from collections.abc import Callable
 from enum import Enum
 
 from bridge.arcos import COMMANDS, Argument, Command, Decoder, Packet, decode_argument, encode_frame, pair
-from bridge.packets import Kind, encode_names
+from bridge.baud import RATES
+from bridge.packets import ConfigPac, Kind, encode_names
 from bridge.robots import ROBOTS
 from rover_ncp.core.geometry import Pose
 from sim.pioneer.drive import Drive
@@ -53,6 +54,7 @@ class Firmware:
     """One base: ``model`` is a key of ``ROBOTS``, ``rover`` is what it drives, from where that stands.
 
     ``observe`` is called after each substep with its time in s, on the clock that ``start_s`` is of.
+    ``config`` holds the FLASH values if they are not those of the model.
     """
 
     def __init__(
@@ -62,6 +64,8 @@ class Firmware:
         faults: Faults | None = None,
         start_s: float = 0.0,
         observe: Callable[[float], None] | None = None,
+        *,
+        config: ConfigPac | None = None,
     ) -> None:
         self.robot = ROBOTS[model]
         self.decoder = Decoder()
@@ -70,12 +74,14 @@ class Firmware:
         """How often each unknown command came."""
         self.bad_arguments: Counter[int] = Counter()
         """How often each command came with an argument that could not be used."""
-        self._config = config_of(model)
+        self._config = config or config_of(model)
         self._sonars = Sonars(self.robot, self._config.sonar_cycle / 1000)
         self._reporter = Reporter(self.robot, self._config, self.drive, self._sonars)
         self._faults = faults or Faults()
         self._observe = observe
         self._home = rover.pose
+        self.baudrate = RATES[0]
+        """The rate of its serial line: HOSTBAUD changes it, the end of a session restores FLASH's."""
         self.link = Link.WAITING
         self.sip_due_s = math.inf
         """When the next SIP will be sent."""
@@ -252,6 +258,7 @@ class Firmware:
             Command.E_STALL: self.panel.set_e_stall,
             Command.BATTEST: self._test_battery,
             Command.SIM_RESET: lambda _: self._go_home(),
+            Command.HOSTBAUD: self._set_baudrate,
         }
 
     # Commands.
@@ -273,6 +280,7 @@ class Firmware:
         self._expected = 0
         self.sip_due_s = math.inf
         self._streams: dict[Command, int] = {}
+        self.baudrate = RATES[self._config.host_baud]
         self.drive.enable(False)
         self.drive.restore_flash()
         self._sonars.restore_flash()
@@ -318,6 +326,10 @@ class Firmware:
         name = "alpha" if deg_s2 > 0 else "alpha_decel"
         if deg_s2:
             self.drive.set_limit(**{name: math.radians(min(abs(deg_s2), self._config.rot_acc_top))})
+
+    def _set_baudrate(self, code: int) -> None:
+        if code < len(RATES):
+            self.baudrate = RATES[code]
 
     def _test_battery(self, decivolts: int) -> None:
         self._battery_test_dv = decivolts

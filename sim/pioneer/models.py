@@ -69,7 +69,7 @@ def config_of(name: str) -> ConfigPac:
         front_bumps=BUMPER_SEGMENTS,
         rear_bumps=BUMPER_SEGMENTS,
         sonar_cycle=40,
-        autobaud=1,
+        autobaud=2,
         ticks_mm=TICKS_PER_MM,
         shutdown_volts=100,
         version="2.9",

@@ -1,0 +1,87 @@
+"""A base that behaves as AMRISim, the simulator that Pioneer users have, where it differs from ARCOS.
+
+What it says of itself, names and CONFIGpac, are the recorded bytes of a real AMRISim; the rest is what its
+recorded sessions show and its source says (EmulatePioneer.cc; facts only).
+"""
+
+import socket
+import threading
+from dataclasses import replace
+
+from arcos_captures import CAPTURES
+
+from bridge.arcos import Decoder
+from bridge.packets import SIP_KINDS, ConfigPac, Kind, Sip
+from bridge.robots import ROBOTS
+from sim.pioneer.firmware import Firmware, Link
+from sim.pioneer.models import rover_model_of
+from sim.pioneer.server import Server
+from sim.world.bay import Bay
+from sim.world.rover import Rover
+
+MODEL = "p3at-sh"
+CAPTURE = next(capture for capture in CAPTURES if capture.name == "aria_simpleConnect_p3at-sh")
+RECORDED = {
+    packet.kind: packet
+    for packet in Decoder().feed(b"".join(data for _, data in CAPTURE.chunks("r2c")), 0.0)
+    if packet.kind in {Kind.SYNC2, Kind.CONFIG}
+}
+
+
+class AmriSim(Firmware):
+    """Motors on from the start, SIPs always of type 0x32, counters of 16 bits, no watchdog, lenient SYNC."""
+
+    def _open(self):
+        super()._open()
+        self.drive.enable(True)
+
+    def _synchronise(self, packet):
+        self._expected = packet.kind
+        super()._synchronise(packet)
+
+    def _substep(self):
+        self._fed_s = self.now  # it only logs a warning
+        super()._substep()
+
+    def _emit(self, packet):
+        packet = RECORDED.get(packet.kind, packet)
+        if packet.kind in SIP_KINDS:
+            x, y, _ = self.drive.odometry
+            units = self.robot.distance_m
+            counters = {"x": round(x / units) % 65536, "y": round(y / units) % 65536}
+            packet = replace(Sip.decode(packet), **counters, moving=False).encode()
+        super()._emit(packet)
+
+
+class AmriSimServer:
+    """One on TCP, turned by a thread until ``close``."""
+
+    def __init__(self):
+        self.rover = Rover(rover_model_of(ROBOTS[MODEL]), Bay())
+        flash = ConfigPac.decode(RECORDED[Kind.CONFIG].payload)
+
+        def make(start_s, observe):
+            return AmriSim(MODEL, self.rover, None, start_s, observe, config=flash)
+
+        self.server = Server("127.0.0.1", 0, make)
+        self.base = f"tcp/127.0.0.1:{self.server.port}"
+        self._wake, self._bell = socket.socketpair()
+        self._thread = threading.Thread(target=self.server.serve, args=(self._wake,), daemon=True)
+        self._thread.start()
+
+    @property
+    def connected(self):
+        return self.server.firmware.link is Link.OPEN
+
+    def close(self):
+        self._bell.send(b"!")
+        self._thread.join()
+        self.server.close()
+        self._wake.close()
+        self._bell.close()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()

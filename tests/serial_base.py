@@ -1,0 +1,96 @@
+"""A mock Pioneer on a pseudo-terminal, in real time, whose serial line has a rate that must be met."""
+
+import os
+import pty
+import random
+import select
+import termios
+import threading
+import time
+import tty
+from dataclasses import replace
+
+from bridge.arcos import Command, Packet
+from bridge.baud import RATES
+from bridge.robots import ROBOTS
+from sim.pioneer.firmware import Firmware
+from sim.pioneer.models import config_of, rover_model_of
+from sim.world.bay import Bay
+from sim.world.rover import Rover
+
+SPEEDS = {getattr(termios, f"B{rate}"): rate for rate in (9600, 19200, 38400, 57600, 115200)}
+
+
+class Listening(Firmware):
+    """Notes the packets it gets."""
+
+    def __init__(self, *args, **kwargs):
+        self.heard: list[Packet] = []
+        super().__init__(*args, **kwargs)
+
+    def _take(self, packet):
+        self.heard.append(packet)
+        super()._take(packet)
+
+
+class SerialBase:
+    """``port`` is what a client opens; ``rate`` is the base's in FLASH. A thread turns it until ``close``.
+
+    With ``strict``, what goes through at another rate than the base's arrives as garbage.
+    """
+
+    def __init__(self, model="p3at-sh", strict=False, rate=9600):
+        self._far, self._near = (
+            pty.openpty()
+        )  # ours stays open: without it, reading ends when a client leaves
+        tty.setraw(self._near)
+        self.port = os.ttyname(self._near)
+        self.rover = Rover(rover_model_of(ROBOTS[model]), Bay())
+        self._start_s = time.monotonic()
+        flash = replace(config_of(model), host_baud=RATES.index(rate))
+        self.firmware = Listening(model, self.rover, start_s=self._start_s, config=flash)
+        self.rates = []
+        """Every rate the base had while bytes went through."""
+        self._strict, self._garbler = strict, random.Random(0)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def client_rate(self):
+        """The rate that the client set its port to."""
+        return SPEEDS[termios.tcgetattr(self._near)[5]]
+
+    def heard(self, command: Command):
+        return [packet for packet in self.firmware.heard if packet.kind == command]
+
+    def close(self):
+        self._stop.set()
+        self._thread.join()
+        os.close(self._far)
+        os.close(self._near)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def _run(self):
+        while not self._stop.is_set():
+            readable, _, _ = select.select([self._far], [], [], 0.01)
+            if readable:
+                self.firmware.receive(self._through(os.read(self._far, 4096)), time.monotonic())
+            self.firmware.advance(time.monotonic())
+            data = self.firmware.data_to_send()
+            if data:
+                os.write(self._far, self._through(data))
+
+    def _through(self, data):
+        rate = self.firmware.baudrate
+        if not self.rates or self.rates[-1] != rate:
+            self.rates.append(rate)
+        if not self._strict or self.client_rate == rate:
+            return data
+        # A receiver at another rate takes its samples at the wrong moments: other bytes, and other many.
+        return self._garbler.randbytes(max(1, len(data) * self.client_rate // rate))

@@ -1,0 +1,84 @@
+"""Serial lines, on pseudo-terminals: third-party Soar against the mock, ours against rates that differ."""
+
+import json
+import math
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from bridge_bench import Driver, wait_for
+from serial_base import SerialBase
+
+from bridge.arcos import Command
+from sim.pioneer.firmware import Link
+from sim.studies.processes import Process
+
+
+def test_soar_connects_drives_and_leaves_in_its_own_manner() -> None:
+    with SerialBase() as base:
+        peer = Path(__file__).with_name("soar_peer.py")
+        done = subprocess.run(
+            [sys.executable, str(peer), base.port], capture_output=True, text=True, timeout=60, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        (line,) = [line for line in done.stdout.splitlines() if line.startswith("SEEN ")]
+        seen = json.loads(line.removeprefix("SEEN "))
+        wait_for(lambda: base.firmware.link is Link.WAITING)
+        assert not base.firmware.unknown
+        assert not base.firmware.bad_arguments
+        true = base.rover.pose
+    assert seen["config"]["SUBTYPE"] == "p3at-sh"
+    assert seen["config"]["WATCHDOG"] == 2000
+    assert seen["battery_dv"] == pytest.approx(127, abs=10)
+    assert (seen["motors_before"], seen["motors_after"]) == (0, 0)
+    x, y, _ = seen["straight"]
+    assert (x, y) == (pytest.approx(true.x, abs=0.01), pytest.approx(true.y, abs=0.01))
+    assert 0.2 < x < 0.45  # 0.2 m/s for 1.5 s, or what a loaded machine makes of them
+    assert seen["turned"] == pytest.approx(true.theta, abs=0.01)
+    assert math.radians(20) < seen["turned"] < math.radians(50)
+    assert (seen["analogs"], len(seen["sonars"])) == (9, 8)
+
+
+@pytest.fixture
+def bridge_on(tmp_path):
+    """Start a bridge as a process on a serial base."""
+    running = []
+
+    def start(base: SerialBase, baudrate: int) -> tuple[Process, str]:
+        endpoint = f"serial/{base.port}#baudrate={baudrate}"
+        process = Process("bridge", ["--base", endpoint, "--listen", "tcp/127.0.0.1:0"], tmp_path)
+        running.append(process)
+        ready = dict(part.split("=", 1) for part in process.wait_for_line("ready ").split())
+        assert ready["base"] == endpoint
+        return process, ready["zenoh"]
+
+    yield start
+    for process in running:
+        process.stop()
+
+
+def test_a_bridge_on_a_serial_line_asks_for_a_faster_rate_and_drives(bridge_on) -> None:
+    with SerialBase(strict=True) as base:
+        assert base.firmware.baudrate == 9600
+        process, zenoh = bridge_on(base, 9600)
+        assert (base.firmware.baudrate, base.client_rate) == (38400, 38400)
+        with Driver(zenoh) as driver:
+            driver.start().drive(0.3)
+            assert base.rover.velocity.v > 0.1
+        # A process killed leaves the base fast and its session open; the next one begins slow, and finds it.
+        process.send_signal(signal.SIGKILL)
+        process.wait(5.0)
+        assert (base.firmware.link, base.firmware.baudrate) == (Link.OPEN, 38400)
+        process, zenoh = bridge_on(base, 9600)
+        process.stop()
+        assert (base.firmware.link, base.firmware.baudrate) == (Link.WAITING, 9600)
+    assert base.rates == [9600, 38400, 9600, 38400]
+
+
+def test_a_wrong_rate_is_found_out(bridge_on) -> None:
+    with SerialBase(strict=True, rate=19200) as base:
+        bridge_on(base, 9600)[0].stop()
+    assert base.rates == [19200, 38400]
+    assert len(base.heard(Command.HOSTBAUD)) == 1

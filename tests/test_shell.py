@@ -36,7 +36,7 @@ def test_help_teaches_and_imports_nothing_heavy(command):
     [
         (["fly"], "No such command 'fly'"),
         (["train", "--agens", "3"], "--agens"),
-        (["train", "--agents", "x"], "'x'"),
+        (["train", "--agents", "x"], "'--agents'"),
     ],
 )
 def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, expected, capsys):

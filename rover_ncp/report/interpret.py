@@ -34,8 +34,9 @@ BINS = 10
 """Bins of a histogram of Omega over -pi/2..pi/2 (supplement, figure of the slopes)."""
 THRESHOLD = 1.5
 """One sign must outnumber the other so many times; the paper says "more than half" more."""
-STILL_MV = 1e-9
-"""A smaller difference is rounding, not movement: potentials of -90..0 mV carry 1e-14 mV."""
+STILL_MV = 1e-5
+"""A smaller difference is no movement: the paper's float32 has steps of 7.6e-6 mV at -70 mV, so that what
+goes on below, such as the endless last approach to rest, was not there to be counted."""
 
 
 class Sign(StrEnum):

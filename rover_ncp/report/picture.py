@@ -41,6 +41,11 @@ def render(drawn: "Figure") -> Picture:
     """Return a figure as SVG and PNG."""
     import matplotlib as mpl
 
+    # The layout is found once; left to itself matplotlib finds it anew for each file.
+    engine = drawn.get_layout_engine()
+    if engine is not None:
+        engine.execute(drawn)
+        drawn.set_layout_engine("none")
     files = []
     # A fixed salt for the names of clip paths, and no date: otherwise no two files would be the same.
     with mpl.rc_context({"svg.hashsalt": "rover-ncp", "svg.fonttype": "path"}):

@@ -55,6 +55,7 @@ def slope_histograms(
 
 def _histogram(axes: "Axes", told: Contribution, column: int, row: int, small: bool) -> None:
     """Draw one histogram into the unit cell whose corner is at (column, row), y down."""
+    from matplotlib.collections import PolyCollection
     from matplotlib.patches import Rectangle
 
     tint = _TINTS[told.sign]
@@ -66,9 +67,15 @@ def _histogram(axes: "Axes", told: Contribution, column: int, row: int, small: b
     # Roots: the steepest slopes, where one of the two hardly moves, are by far the most.
     scale = 0.66 / np.sqrt(max(counts.max(), 1.0))
     colors = [VERMILLION if number < BINS // 2 else BLUE for number in range(BINS)]
-    for values, color in ((counts, GREY), (counts - flat, colors)):
-        heights = -scale * np.sqrt(values)
-        axes.bar(lefts, heights, bottom=row + 0.93, width=0.86 * 0.88 / BINS, align="edge", color=color)
+    middle = np.zeros(BINS)
+    middle[BINS // 2] = counts[BINS // 2]
+    heights = scale * np.sqrt(np.concatenate([middle, counts - flat]))
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, -1.0], [0.0, -1.0]])
+    width = 0.86 * 0.88 / BINS
+    bars = [
+        corners * [width, high] + [x, row + 0.93] for x, high in zip([*lefts, *lefts], heights, strict=True)
+    ]
+    axes.add_collection(PolyCollection(bars, facecolors=[GREY] * BINS + colors, linewidths=0), autolim=False)
     axes.plot([column + 0.5] * 2, [row + 0.05, row + 0.93], color=GREY, linewidth=0.7)
     words = SYMBOLS[told.sign] if small else f"{SYMBOLS[told.sign]}  P {told.positive}, Q {told.negative}"
     axes.text(column + 0.07, row + 0.08, words, fontsize=9, weight="bold", color=INK, va="top")

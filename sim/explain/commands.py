@@ -1,0 +1,126 @@
+"""Commands of this package; heavy libraries load only when one runs."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rover_ncp.core.console import Output
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from rover_ncp.report.analysis import Analysis
+    from sim.explain.explain import Explained
+
+SHOWN = 12
+"""Rows of the longer tables; the files hold them all."""
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
+
+
+def explain(
+    source: Annotated[
+        str, typer.Argument(help="A policy (name, YAML or .bnn), or a recording (.mcap) of a drive.")
+    ],
+    *,
+    course: Annotated[
+        str | None,
+        typer.Option(
+            help="Course to drive, by name or YAML file.", show_default="parking, or the recording's"
+        ),
+    ] = None,
+    threshold: Annotated[
+        float,
+        typer.Option(min=1.0, help="A contribution has a sign when one outnumbers the other so many times."),
+    ] = 1.5,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for tables (CSV) and pictures (SVG and PNG).")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Say why a circuit drives as it does: which neurons did what, and which parts it cannot do without.
+
+    A sentence for each phase of the manoeuvre; how each neuron contributes to each motor neuron (Definition 1
+    of the paper, with its counts); the range of each time constant; the drive simulated again without each
+    neuron and each synapse; and how much the return hangs on each parameter.
+    """
+    from sim.explain.explain import explain as explain_source
+    from sim.explain.explain import write
+
+    output = Output(json)
+    found = explain_source(source, course, threshold=threshold, on_progress=output.say)
+    for number, told in enumerate(found.analysis.explanations, 1):
+        output.say(f"{number}. {told.text}")
+    for table in _tables(found):
+        output.console.print(table)
+    written = write(found, out) if out is not None else []
+    ending = f"{len(written)} files in {out}" if out is not None else "--out DIR writes tables and pictures"
+    output.result({**found.fields(), "files": [str(path) for path in written]}, ending)
+
+
+def _tables(found: "Explained") -> "list[Table]":
+    return [*_contributions(found.analysis), _time_constants(found), _without(found), _moved(found)]
+
+
+def _table(title: str, first: str, *others: str) -> "Table":
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    table.add_column(first)
+    for heading in others:
+        table.add_column(heading, justify="right")
+    return table
+
+
+def _contributions(analysis: "Analysis") -> "list[Table]":
+    from rover_ncp.report.picture_pairs import SYMBOLS
+    from rover_ncp.report.published import CONTRIBUTIONS
+
+    table = _table(
+        "Contributions, P/Q: + positive, − antagonistic, ± phase-switching", "from", *analysis.motors
+    )
+    for name in analysis.sources:
+        told = [analysis.contributions[name, motor] for motor in analysis.motors]
+        table.add_row(name, *(f"{SYMBOLS[one.sign]} {one.positive}/{one.negative}" for one in told))
+    tables = [table]
+    for motor in analysis.motors:
+        pairs = [(name, motor) for name in analysis.sources if (name, motor) in CONTRIBUTIONS]
+        if pairs:
+            beside = _table(f"To {motor}, beside the paper", "from", "whole run", "while driving", "paper")
+            for pair in pairs:
+                one, driving = analysis.contributions[pair], analysis.driving[pair]
+                beside.add_row(pair[0], str(one.sign), str(driving.sign), str(CONTRIBUTIONS[pair]))
+            tables.append(beside)
+    return tables
+
+
+def _time_constants(found: "Explained") -> "Table":
+    table = _table("Time constants (s)", "neuron", "lowest", "highest")
+    for constant in found.analysis.time_constants:
+        table.add_row(constant.neuron, f"{constant.lowest_s:.3g}", f"{constant.highest_s:.3g}")
+    return table
+
+
+def _without(found: "Explained") -> "Table":
+    table = _table("Driving without a part, the worst first", "without", "return", "m from the goal", "parks")
+    needed = [row for row in found.knock_outs if not row.parked]
+    for row in sorted(needed, key=lambda row: row.total)[:SHOWN]:
+        name = f"neuron {row.name}" if row.kind == "neuron" else row.name
+        table.add_row(name, f"{row.total:.3f}", f"{row.error_m:.3f}", "no")
+    spared = [row.name for row in found.knock_outs if row.parked]
+    if len(needed) > SHOWN:
+        table.add_row(f"and {len(needed) - SHOWN} more", "", "", "no")
+    if spared:
+        table.add_row(f"any of {len(spared)} others", "", "", "yes")
+    return table
+
+
+def _moved(found: "Explained") -> "Table":
+    table = _table(
+        "Change of the return when a parameter moves by 1 % of its range", "parameter", "lower", "higher"
+    )
+    for row in sorted(found.sensitivities, key=lambda row: row.worst)[:SHOWN]:
+        name = f"{row.kind.replace('_', ' ')}, {row.name}"
+        table.add_row(name, f"{row.change_down:+.3f}", f"{row.change_up:+.3f}")
+    return table

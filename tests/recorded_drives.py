@@ -1,0 +1,91 @@
+"""A drive as deploy would have recorded it, made from a simulated one: nothing here needs a process."""
+
+from pathlib import Path
+
+import numpy as np
+
+from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
+from rover_ncp.core import messages
+from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.course import load_course
+from rover_ncp.core.geometry import Pose, Velocity, compose
+from rover_ncp.core.keys import spec
+from rover_ncp.core.lease import DriverStatus, GateStatus, dump_json
+from rover_ncp.core.recording import Recorded, RecordingWriter
+from sim.learn.rollout import rollout
+
+BEGAN_NS = 1_700_000_000_000_000_000
+TICK_NS = 100_000_000
+ODOM_START = Pose(3.0, -2.0, 1.0)
+"""Where odometry stands when the drive begins: anywhere."""
+
+
+def drive_messages(policy, course, truth=True):
+    """Return the messages of a drive in order, and the rollout they were made from."""
+    run = rollout(policy, course)
+    told = []
+
+    def put(topic, data, ns):
+        ros_type = spec(topic).type if topic in _OURS else _FOREIGN[topic]
+        told.append(Recorded(topic, ros_type, data, ns, ns))
+
+    def odom(pose, v, omega, ns):
+        put("odom", messages.odometry(compose(ODOM_START, pose), Velocity(v, omega), ns), ns)
+
+    def status(state, tick, ns, **more):
+        text = dump_json(DriverStatus(state=state, tick=tick, t_s=0.1 * tick, **more)).decode()
+        put("rover/status", messages.text(text), ns)
+
+    def gate(ns, **fields):
+        put("rover/gate", messages.text(dump_json(GateStatus(**fields)).decode()), ns)
+
+    gate(BEGAN_NS - 5 * TICK_NS, held="no-lease")
+    status("armed", 0, BEGAN_NS - 4 * TICK_NS)
+    status("driving", 0, BEGAN_NS - 3 * TICK_NS)
+    covariance = np.diag([1e-6, 2e-6, 1e-6])
+    for k, pose in enumerate(map(Pose._make, run.poses)):
+        ns = BEGAN_NS + k * TICK_NS
+        last = k == len(run.commands)
+        v, omega = run.commands[k] if not last else (0.0, 0.0)
+        odom(pose, v, omega, ns - 5_000_000)
+        if truth:
+            put("truth/pose", messages.pose_stamped(pose, ns, "course"), ns)
+        estimate = messages.pose_with_covariance(pose, covariance * (1 + k), ns, "course")
+        put("rover/estimate", estimate, ns)
+        if last:
+            break
+        put("rover/neurons", messages.neurons(run.potentials[k], policy.circuit.neurons), ns)
+        put("cmd_vel", messages.twist_stamped(Velocity(v, omega), ns), ns)
+        put("rover/cmd_out", messages.twist_stamped(Velocity(v, omega), ns), ns + 2_000_000)
+        gate(ns + 3_000_000, driver="0" * 32, accepted=k + 1)
+        status("driving", k, ns + 1_000_000)
+    put("battery_state", messages.battery_state(12.8, BEGAN_NS), BEGAN_NS)
+    status("parked" if run.verdict.parked else "ended", len(run.commands), ns + TICK_NS)
+    told.sort(key=lambda message: message.log_ns)
+    return told, run
+
+
+_OURS = {
+    "odom",
+    "rover/estimate",
+    "rover/neurons",
+    "cmd_vel",
+    "rover/cmd_out",
+    "rover/status",
+    "rover/gate",
+    "battery_state",
+}
+_FOREIGN = {"truth/pose": "geometry_msgs/msg/PoseStamped"}
+
+
+def write_drive(path: Path, policy="parking", course="parking", truth=True, more=()):
+    """Write a recording of a policy on a course; return the rollout it was made from."""
+    known, policy = load_course(course), load_policy(policy)
+    told, run = drive_messages(policy, known, truth)
+    with RecordingWriter(path) as writer:
+        writer.attach("policy.yaml", policy_to_yaml(policy).encode())
+        writer.attach("course.yaml", dump_yaml(known.model_dump(mode="json")).encode())
+        writer.attach("deploy.yaml", b"format: 1\nversion: 0.1.0\nrobot: tcp/127.0.0.1:7447\n")
+        for message in sorted([*told, *more], key=lambda message: message.log_ns):
+            writer.write(message)
+    return run

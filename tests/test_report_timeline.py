@@ -1,0 +1,180 @@
+import math
+
+import numpy as np
+import pytest
+from recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
+
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core import messages
+from rover_ncp.core.course import load_course
+from rover_ncp.core.errors import ConfigError, FileError
+from rover_ncp.core.geometry import Pose
+from rover_ncp.core.lease import DriverStatus, GateStatus, dump_json
+from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording
+from rover_ncp.report.events import Watcher
+from rover_ncp.report.recorded import judge, read_drive
+from rover_ncp.report.timeline import Timeline
+
+SHORT = "tests/data/short_course.yaml"
+STRING = "std_msgs/msg/String"
+
+
+@pytest.fixture(scope="module")
+def short():
+    policy, course = load_policy("parking"), load_course(SHORT)
+    told, run = drive_messages(policy, course)
+    return policy, course, told, run
+
+
+def timeline_of(policy, course, told):
+    timeline = Timeline(policy, course)
+    for message in told:
+        timeline.take(message)
+    return timeline
+
+
+def text(topic, model, ns):
+    return Recorded(topic, STRING, messages.text(dump_json(model).decode()), ns, ns)
+
+
+def test_a_drive_gives_back_the_run_it_was_recorded_from(short):
+    policy, course, told, run = short
+    trace = timeline_of(policy, course, told).trace()
+    assert trace.times == pytest.approx(run.times[:-1])
+    assert trace.poses == pytest.approx(run.poses)
+    assert (trace.potentials == run.potentials).all()
+    assert trace.commands == pytest.approx(run.commands, abs=1e-12)
+
+
+def test_odometry_is_laid_onto_the_course(short):
+    policy, course, told, run = short
+    timeline = timeline_of(policy, course, told)
+    assert len(timeline.odometry) == len(run.poses)
+    for moved, pose in zip(timeline.odometry, run.poses, strict=True):
+        assert timeline.on_course(moved.pose) == pytest.approx(pose, abs=1e-9)
+    assert timeline.truth[-1].pose == pytest.approx(run.poses[-1])
+
+
+def test_before_the_first_tick_there_is_no_run(short):
+    policy, course, told, _ = short
+    timeline = timeline_of(policy, course, told[:2])
+    assert timeline.began_ns is None
+    assert timeline.on_course(Pose(0, 0, 0)) is None
+    with pytest.raises(ValueError, match="without a tick"):
+        timeline.trace()
+
+
+def test_events_are_the_news_among_the_words_of_driver_and_gate():
+    watcher = Watcher()
+    watcher.driver(1, DriverStatus(state="armed"))
+    watcher.driver(2, DriverStatus(state="driving"))
+    watcher.driver(3, DriverStatus(state="driving"))
+    watcher.bridge(4, GateStatus(accepted=11, held="bumper"))
+    watcher.bridge(5, GateStatus(accepted=11, held="bumper"))
+    watcher.bridge(6, GateStatus(accepted=12))
+    watcher.driver(7, DriverStatus(state="driving", tick=14, overruns=1))
+    watcher.bridge(8, GateStatus(accepted=12, limited={"speed": 1}))
+    watcher.bridge(9, GateStatus(accepted=13, limited={"speed": 2}, dropped={"stale": 1}))
+    watcher.bridge(10, GateStatus(accepted=13, held="stopped", stop_reason="a person"))
+    watcher.bridge(11, GateStatus(accepted=13, held="stopped", ended="stopped"))
+    watcher.driver(12, DriverStatus(state="fault", reason="stopped by lease"))
+    assert watcher.events == [
+        (1, "state", "armed"),
+        (2, "state", "driving"),
+        (4, "stop", "the gate holds the rover still, bumper"),
+        (6, "gate", "the gate lets commands through again"),
+        (7, "late", "tick 14 was late"),
+        (8, "gate", "the gate limited a command for the first time, speed"),
+        (9, "gate", "the gate dropped a command for the first time, stale"),
+        (10, "stop", "the gate holds the rover still, stopped: a person"),
+        (11, "stop", "the gate took the motors away, stopped"),
+        (12, "stop", "fault: stopped by lease"),
+    ]
+
+
+def test_start_signal_and_predicted_ticks_are_events(short):
+    policy, course, told, _ = short
+    record = messages.text('{"index": 20, "predicted": true}')
+    at = BEGAN_NS + 20 * TICK_NS
+    timeline = timeline_of(policy, course, [*told, Recorded("deploy/ticks", STRING, record, at, at)])
+    events = timeline.events
+    assert (BEGAN_NS + round(course.start_signal_s * 1e9), "start", "start signal") in events
+    assert (at, "late", "no odometry in time: tick 20 ran on prediction") in events
+    assert [event.wall_ns for event in events] == sorted(event.wall_ns for event in events)
+    assert timeline.predicted == 1
+    assert not any(event.kind == "start" for event in timeline_of(policy, course, told[:20]).events)
+
+
+def test_a_rover_held_before_its_first_command_is_no_event(short):
+    policy, course, told, _ = short
+    timeline = timeline_of(policy, course, told)
+    assert [event.kind for event in timeline.events].count("stop") == 0
+
+
+@pytest.mark.parametrize("topic", ["odom", "rover/neurons", "rover/estimate", "cmd_vel", "rover/gate"])
+def test_what_cannot_be_read_is_counted_and_left_out(short, topic):
+    policy, course, told, _ = short
+    garbage = Recorded(topic, STRING, b"\x00\x01garbage", BEGAN_NS, BEGAN_NS)
+    timeline = timeline_of(policy, course, [garbage, *told])
+    assert timeline.unreadable == {topic: 1}
+    assert len(timeline.ticks) == course.ticks
+
+
+def test_neurons_of_another_circuit_are_not_taken(short):
+    policy, course, told, _ = short
+    other = Recorded(
+        "rover/neurons", "std_msgs/msg/Float64MultiArray", messages.neurons([-70.0], ["X"]), BEGAN_NS, 0
+    )
+    timeline = timeline_of(policy, course, [*told[:5], other])
+    assert timeline.unreadable == {"rover/neurons": 1}
+
+
+def test_a_recording_is_judged_by_the_truth_and_by_the_estimate(tmp_path):
+    run = write_drive(tmp_path / "run.mcap", course=SHORT)
+    drive = read_drive(tmp_path / "run.mcap")
+    assert drive.complete
+    assert drive.settings["version"] == "0.1.0"
+    judged = judge(drive.timeline)
+    assert [one.by for one in judged] == ["true", "estimated"]
+    for one in judged:
+        assert one.verdict.error_m == pytest.approx(run.verdict.error_m)
+        assert one.verdict.parked is run.verdict.parked
+
+
+def test_without_truth_only_the_estimate_judges(tmp_path):
+    write_drive(tmp_path / "run.mcap", course=SHORT, truth=False)
+    assert [one.by for one in judge(read_drive(tmp_path / "run.mcap").timeline)] == ["estimated"]
+
+
+def test_a_bumper_is_a_touch(tmp_path):
+    bump = text("rover/gate", GateStatus(accepted=9, held="bumper", stops={"bumper": 1}), BEGAN_NS + 10**10)
+    write_drive(tmp_path / "run.mcap", course=SHORT, more=[bump])
+    assert judge(read_drive(tmp_path / "run.mcap").timeline)[0].verdict.reason == "touched an obstacle"
+
+
+def test_refuses_what_is_no_recorded_drive(tmp_path):
+    empty = tmp_path / "empty.mcap"
+    with RecordingWriter(empty):
+        pass
+    with pytest.raises(FileError, match=r"no attachment policy\.yaml"):
+        read_drive(empty)
+    write_drive(tmp_path / "run.mcap", course=SHORT)
+    still = tmp_path / "still.mcap"
+    with RecordingWriter(still) as writer:
+        for name in ("policy.yaml", "course.yaml"):
+            writer.attach(name, read_recording(tmp_path / "run.mcap").attachment(name))
+    with pytest.raises(FileError, match="no tick"):
+        read_drive(still)
+    broken = tmp_path / "broken.mcap"
+    with RecordingWriter(broken) as writer:
+        writer.attach("policy.yaml", b"format: 9")
+        writer.attach("course.yaml", b"")
+    with pytest.raises(ConfigError, match=r"broken\.mcap, policy\.yaml"):
+        read_drive(broken)
+
+
+def test_covariances_come_through(short):
+    policy, course, told, _ = short
+    tick = timeline_of(policy, course, told).ticks[3]
+    assert np.allclose(tick.estimate.covariance, np.diag([4e-6, 8e-6, 4e-6]))
+    assert math.isclose(tick.estimate.pose.x, 0.0, abs_tol=1e-9)

@@ -1,0 +1,129 @@
+import json
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from recorded_drives import write_drive
+
+from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
+from rover_ncp.circuit.policy import PolicyRunner
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.course import load_course
+from rover_ncp.shell import run
+from sim.explain.explain import explain
+from sim.explain.knockout import knock_outs, without_neuron, without_synapse
+from sim.explain.sensitivity import parameter_names, sensitivities
+from sim.learn.engine import Engine
+from sim.learn.rollout import rollout
+
+SHORT = "tests/data/short_course.yaml"
+
+
+@pytest.fixture(scope="module")
+def parking():
+    return load_policy("parking")
+
+
+def outputs(policy, ticks=30):
+    runner = PolicyRunner(policy)
+    return [runner.tick([0.3, 0.1, 0.5, 1.0]) for _ in range(ticks)]
+
+
+def test_without_a_motor_neuron_nothing_is_asked_of_it(parking):
+    for neuron, output, sign in (("FWD", 0, 1), ("LFT", 1, 1), ("RGT", 1, -1)):
+        assert all(sign * one[output] <= 0 for one in outputs(without_neuron(parking, neuron)))
+
+
+def test_without_a_sensory_neuron_what_it_senses_makes_no_difference(parking):
+    blind = without_neuron(parking, "PVD")
+    one, other = PolicyRunner(blind), PolicyRunner(blind)
+    for _ in range(20):
+        assert one.tick([0.9, 0.1, 0.5, 1.0]) == other.tick([0.0, 0.1, 0.5, 1.0])
+
+
+def test_without_a_neuron_its_destinations_do_not_hear_it(parking):
+    circuit = parking.circuit
+    deaf = without_neuron(parking, "AVD").circuit
+    own = circuit.source == circuit.index("AVD")
+    assert (deaf.weight[own] == 0).all()
+    assert (deaf.weight[~own] == circuit.weight[~own]).all()
+
+
+def test_a_synapse_that_is_cut_weighs_nothing(parking):
+    cut = without_synapse(parking, 7).circuit.weight
+    assert cut[7] == 0
+    assert (np.delete(cut, 7) == np.delete(parking.circuit.weight, 7)).all()
+
+
+def test_knock_outs_are_the_drives_without_each_part(parking):
+    course = load_course(SHORT)
+    intact = rollout(parking, course)
+    found = knock_outs(parking, course, intact)
+    assert [row.kind for row in found] == ["neuron"] * 12 + ["synapse"] * 30
+    by_name = {row.name: row for row in found}
+    # Nothing moves forward without FWD.
+    assert by_name["FWD"].error_m == pytest.approx(np.hypot(course.goal.x, course.goal.y), abs=1e-6)
+    assert by_name["FWD"].change == by_name["FWD"].total - intact.total
+    both = rollout(without_synapse(parking, 27), course)
+    assert by_name[parking.circuit.label(27)].total == both.total
+
+
+def test_sensitivities_are_the_returns_of_moved_parameters(parking):
+    course = load_course(SHORT)
+    found = sensitivities(parking, course, step=0.01)
+    vector = parking.parameters()
+    assert len(found) == len(vector)
+    engine = Engine(parking, course)
+    base = engine.returns(vector)[0]
+    for i in (0, 40, 93):
+        row = found[i]
+        assert row.value == vector[i]
+        for step, change in ((-row.down, row.change_down), (row.up, row.change_up)):
+            moved = vector.copy()
+            moved[i] += step
+            assert engine.returns(moved)[0] - base == pytest.approx(change, abs=1e-9)
+    bounds = BOUNDS[ParameterKind.WEIGHT]
+    for row, (kind, name) in zip(found, parameter_names(parking), strict=True):
+        assert (row.kind, row.name) == (kind, name)
+        if kind is ParameterKind.WEIGHT:
+            assert row.down == pytest.approx(min(0.01 * (bounds.upper - bounds.lower), row.value))
+
+
+def test_a_recording_is_explained_from_its_potentials_as_its_simulation_is(tmp_path):
+    write_drive(tmp_path / "run.mcap", course=SHORT)
+    recorded, simulated = explain(str(tmp_path / "run.mcap")), explain("parking", SHORT)
+    assert recorded.course == simulated.course
+    assert recorded.analysis.contributions == simulated.analysis.contributions
+    texts = [[told.text for told in found.analysis.explanations] for found in (recorded, simulated)]
+    assert texts[0] == texts[1]
+    assert recorded.knock_outs == simulated.knock_outs
+
+
+def test_command_writes_tables_pictures_and_one_json_object(tmp_path, capsys):
+    code = run(["explain", "parking", "--course", SHORT, "--out", str(tmp_path / "out"), "--json"])
+    said = capsys.readouterr()
+    assert code == 0
+    fields = json.loads(said.out)
+    assert {"phases", "contributions", "time_constants", "knock_outs", "sensitivities"} <= set(fields)
+    assert len(fields["contributions"]) == 9 * 3
+    to_rgt = {row["source"]: row for row in fields["contributions"] if row["destination"] == "RGT"}
+    assert to_rgt["AVM"]["paper"] == "positive"
+    assert to_rgt["ALM"]["paper"] is None
+    assert all({"positive", "negative", "sign", "driving"} <= set(row) for row in to_rgt.values())
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"knock_outs.csv", "knock_outs.svg", "knock_outs.png", "explanation.md", "circuit.svg"} <= written
+    for path in (tmp_path / "out").glob("*.png"):
+        assert path.read_bytes().startswith(b"\x89PNG")
+        ET.parse(path.with_suffix(".svg"))
+    assert len(list((tmp_path / "out").glob("*.svg"))) == 8
+    assert sorted(fields["files"]) == sorted(str(tmp_path / "out" / name) for name in written)
+    sentence = fields["phases"][0]["sentence"]
+    assert sentence in (tmp_path / "out" / "explanation.md").read_text()
+    assert sentence in said.err
+
+
+def test_command_names_a_file_that_is_no_recording(tmp_path, capsys):
+    bad = tmp_path / "run.mcap"
+    bad.write_bytes(b"not a recording")
+    assert run(["explain", str(bad)]) == 2
+    assert "not an MCAP recording" in capsys.readouterr().err

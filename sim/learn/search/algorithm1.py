@@ -21,8 +21,9 @@ ESTIMATE_AFTER = 100
 """Iterations without success after which the incumbent is estimated anew (the paper's N)."""
 START_SCALE = 0.05
 # Taken literally, the rule balances only where every second candidate succeeds: the scale would shrink
-# until adding the noise changes no bit. The floor keeps it a search.
-LEAST_SCALE = 0.002
+# until adding the noise changes no bit. The floor keeps it a search; of 0.002, 0.005, 0.01 and 0.02 this one
+# learned parking fastest (median of 12 agents after 500, 1000, 2000 and 4000 iterations, seed 500).
+LEAST_SCALE = 0.01
 MOST_SCALE = 0.5
 
 

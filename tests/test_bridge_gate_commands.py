@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from gate_bench import ME, OTHER, SLOW, Gate
+from gate_bench import LIMITS, ME, OTHER, SLOW, Gate
 
 from bridge.gate import ROS_DRIVER
 from bridge.gate_state import (
@@ -107,12 +107,21 @@ def test_asking_again_forgets_what_was_known_of_the_clock():
 
 @pytest.mark.parametrize(("after_s", "dropped"), [(59.0, Reason.STALE), (62.0, None)])
 def test_the_quickest_command_is_remembered_for_a_minute(after_s, dropped):
-    gate = Gate().driving()
+    begun = 1000.0
+    gate = Gate().driving(begun)
     for k in range(1, round(after_s * 4)):
+        gate.at(begun + 0.25 * k, Heard())
+        assert gate.drive(begun + 0.25 * k, age=0.15).dropped is None
+    gate.at(begun + after_s, Heard())
+    assert gate.drive(begun + after_s, age=0.3).dropped is dropped
+
+
+def test_the_quickest_command_may_come_in_between():
+    gate = Gate().driving()
+    for k in range(1, 120):
         gate.at(0.25 * k, Heard())
-        assert gate.drive(0.25 * k, age=0.15).dropped is None
-    gate.at(after_s, Heard())
-    assert gate.drive(after_s, age=0.3).dropped is dropped
+        assert gate.drive(0.25 * k, age=-0.1 if k == 40 else 0.09).dropped is None
+    assert gate.drive(30.0, age=0.15).dropped is Reason.STALE
 
 
 @pytest.mark.parametrize("drift", [1e-4, -1e-4])
@@ -203,6 +212,14 @@ def test_plain_commands_of_another_time_do_not_count(age_s):
     gate.at(0.0, Heard())
     assert gate.at(0.1, Command(SLOW, age_s=age_s)).dropped is Reason.STALE
     assert gate.state.lease is None
+
+
+def test_a_command_counts_until_its_time_is_over_and_no_longer():
+    gate = Gate(accept_ros=True)
+    gate.at(0.0, Heard())
+    gate.at(0.0, Command(SLOW))
+    assert gate.at(LIMITS.silence_s, Tick()).held is None
+    assert gate.at(math.nextafter(LIMITS.silence_s, 1.0), Tick()).held is Reason.SILENCE
 
 
 def test_an_old_plain_command_counts_for_less_long():

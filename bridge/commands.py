@@ -27,10 +27,14 @@ def bridge(
         Path | None, typer.Option(help="YAML with v_max, omega_max, accel, alpha, fence ... of the gate.")
     ] = None,
     zenoh_config: Annotated[
-        Path | None, typer.Option(help="Zenoh configuration for TLS, users and access control.")
+        Path | None,
+        typer.Option(help="Zenoh configuration for TLS, users and access control; see 'rover-ncp keys'."),
     ] = None,
     accept_ros: Annotated[
         bool, typer.Option("--accept-ros", help="Let plain ROS cmd_vel (Twist, TwistStamped) drive too.")
+    ] = False,
+    insecure: Annotated[
+        bool, typer.Option("--insecure", help="Listen beyond this machine although anybody could drive then.")
     ] = False,
     json: Json = False,
 ) -> int | None:
@@ -51,5 +55,6 @@ def bridge(
         limits=limits,
         zenoh_config=zenoh_config,
         accept_ros=accept_ros,
+        insecure=insecure,
         as_json=json,
     )

@@ -13,37 +13,27 @@ import zenoh
 from pydantic import BaseModel
 
 from bridge.inbox import Asked, Crashed, Inbox, Sampled
-from rover_ncp.core.errors import FileError, PortInUse, UsageError
+from bridge.listening import any_port, configured, reason
+from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.keys import KEYS, Kind, Role, key
 from rover_ncp.core.lease import dump_json
 
-__all__ = ["LISTEN", "Link"]
-
-LISTEN = "tcp/127.0.0.1:7447"
-"""Zenoh's own port, on this machine alone."""
-
-_SETTINGS: dict[str, Any] = {
-    "mode": "router",
-    # Half a second of start-up, for a network whose other routers we do not look for.
-    "scouting/delay": 0,
-    "scouting/multicast/enabled": False,
-    "scouting/gossip/enabled": False,
-    # A peer learns how long we may be silent from us, not from its own settings.
-    "transport/link/tx/lease": 1000,
-    "transport/link/tx/keep_alive": 4,
-    # The longest message we read has 4 kB, the longest that passes through us hardly more.
-    "transport/link/rx/max_message_size": 1 << 20,
-}
+__all__ = ["Link"]
 
 
 class Link:
-    """An open session, listening. Raises UsageError, FileError (``config``) or PortInUse."""
+    """An open session, listening. Raises UsageError, FileError (``config``) or PortInUse.
 
-    def __init__(self, listen: str | None, namespace: str, config: Path | None, inbox: Inbox) -> None:
+    Beyond this machine it listens only to those who say who they are, unless ``insecure``.
+    """
+
+    def __init__(
+        self, listen: str | None, namespace: str, config: Path | None, inbox: Inbox, insecure: bool = False
+    ) -> None:
         self._inbox = inbox
         self._namespace = namespace
         self._key("odom")  # a bad namespace is said before anything is opened
-        settings, endpoints = _configured(listen, config)
+        settings, endpoints = configured(listen, config, insecure)
         self._session = _open(settings, endpoints)
         self._token: Any = None
         self._held: list[Any] = []
@@ -137,46 +127,12 @@ class Link:
 
     def _locator(self, endpoints: list[str]) -> str:
         """Return the first endpoint; for port 0, ask the session which one it got."""
-        if not _any_port(endpoints):
+        if not any_port(endpoints):
             return endpoints[0].partition("#")[0]
         for reply in self._session.get(f"@/{self._session.info.zid()}/router", timeout=1.0):
             if reply.ok is not None:
                 return str(json.loads(reply.ok.payload.to_string())["locators"][0])
         raise UsageError(f"--listen {endpoints[0]}: the port that was taken is not known; say one")
-
-
-def _configured(listen: str | None, file: Path | None) -> tuple[zenoh.Config, list[str]]:
-    """Return the session's settings and where it listens: the option, else the file, else our default."""
-    if file is not None and not file.is_file():
-        raise FileError(f"{file}: no such file")
-    try:
-        settings = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
-    except zenoh.ZError as error:
-        raise FileError(f"{file}: not a Zenoh configuration: {_first(error)}") from error
-    endpoints = [listen] if listen else _endpoints(settings)
-    for path, value in _SETTINGS.items():
-        settings.insert_json5(path, json.dumps(value))
-    try:
-        settings.insert_json5("listen/endpoints", json.dumps(endpoints))
-    except zenoh.ZError as error:
-        raise UsageError(f"--listen {endpoints[0]}: expected PROTOCOL/HOST:PORT, like {LISTEN}") from error
-    if _any_port(endpoints):
-        settings.insert_json5("adminspace/enabled", "true")  # the only place that tells the port
-    return settings, endpoints
-
-
-def _endpoints(settings: zenoh.Config) -> list[str]:
-    """Return where a configuration listens. Zenoh's default is every interface, ours this machine alone."""
-    found = json.loads(settings.get_json("listen/endpoints"))
-    if found == json.loads(zenoh.Config().get_json("listen/endpoints")):
-        return [LISTEN]
-    if isinstance(found, dict):  # one list for each mode
-        found = found.get("router")
-    return [str(item) for item in found or [LISTEN]]
-
-
-def _any_port(endpoints: list[str]) -> bool:
-    return endpoints[0].partition("#")[0].endswith(":0")
 
 
 def _open(settings: zenoh.Config, endpoints: list[str]) -> zenoh.Session:
@@ -186,9 +142,4 @@ def _open(settings: zenoh.Config, endpoints: list[str]) -> zenoh.Session:
         where = ", ".join(endpoints)
         if "already in use" in str(error):
             raise PortInUse(f"--listen {where}: another process listens there already") from error
-        raise UsageError(f"--listen {where}: cannot listen there: {_first(error)}") from error
-
-
-def _first(error: zenoh.ZError) -> str:
-    """Return Zenoh's reason without the places in its source."""
-    return str(error).split(" at /", maxsplit=1)[0].splitlines()[0]
+        raise UsageError(f"--listen {where}: cannot listen there: {reason(error)}") from error

@@ -30,6 +30,7 @@ def run_bridge(
     limits: Path | None,
     zenoh_config: Path | None,
     accept_ros: bool,
+    insecure: bool,
     as_json: bool,
 ) -> int:
     """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
@@ -37,7 +38,7 @@ def run_bridge(
     allowed = Limits() if limits is None else load_yaml(limits, Limits)
     session = Session(model, MotionLimits(v=allowed.v_max, omega=allowed.omega_max))
     inbox = Inbox()
-    with _signals() as received, Link(listen, namespace, zenoh_config, inbox) as link:
+    with _signals() as received, Link(listen, namespace, zenoh_config, inbox, insecure) as link:
         line = Line(base, inbox)
 
         def ready() -> None:

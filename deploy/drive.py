@@ -89,7 +89,7 @@ class Drive:
                 f"within {config.bridge_wait_s:g} s"
             )
         if not config.dry_run and not self._until(link.authorised, config.permission_wait_s):
-            raise NotAuthorised(f"the bridge at {link.robot} does not take commands from us")
+            raise NotAuthorised(f"not authorised: the bridge at {link.robot} does not take commands from us")
         if not self._until(lambda: self.intake.take(0) is not None, config.odometry_wait_s):
             raise NoRobot(f"the bridge at {link.robot} sends no odometry: is its base connected?")
 

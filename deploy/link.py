@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Self
 
 import zenoh
 
-from deploy.session import client_config
+from deploy.session import client_config, refused
 from rover_ncp.core.errors import (
     AnotherDriver,
     FormatError,
@@ -69,7 +69,10 @@ class Mailbox:
 
 
 class Link:
-    """One session with one bridge. Opening it raises NoBridge when nothing answers at ``robot``."""
+    """One session with one bridge.
+
+    Opening it raises NoBridge when nothing answers at ``robot``, NotAuthorised when it does not take us.
+    """
 
     def __init__(
         self,
@@ -96,10 +99,7 @@ class Link:
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
-            raise NoBridge(
-                f"nothing answers at {locator}, or it refuses us: is 'rover-ncp bridge' running there, "
-                "listening on that address?"
-            ) from error
+            raise refused(locator) from error
         try:
             self._declare()
         except BaseException:
@@ -155,7 +155,9 @@ class Link:
         self._may_hold_motors = True  # from now on, whatever becomes of the answer
         reply = self._motors(enable=True, name=name, timeout_s=QUERY_TIMEOUT_S)
         if reply is None:
-            raise NotAuthorised(f"the bridge at {self.robot} does not take our request for the motors")
+            raise NotAuthorised(
+                f"not authorised: the bridge at {self.robot} does not take our request for the motors"
+            )
         if not reply.granted:
             words = f"the bridge at {self.robot} refuses the motors: {reply.detail or reply.reason}"
             if reply.reason == ANOTHER_DRIVER:

@@ -2,16 +2,19 @@
 
 import json
 import re
+import socket
 from pathlib import Path
 
 import zenoh
 
-from rover_ncp.core.errors import FileError, UsageError
+from rover_ncp.core.errors import FileError, NoBridge, NotAuthorised, UnreachableError, UsageError
 
-__all__ = ["PORT", "client_config", "locator"]
+__all__ = ["PORT", "client_config", "locator", "refused"]
 
 PORT = 7447
 """Zenoh's own port, where the bridge listens."""
+
+PROBE_S = 1.0
 
 _LOCATOR = re.compile(
     r"(?P<protocol>[a-z]+)/(?P<host>\[[0-9A-Fa-f:.]+\]|[^/:#?\s]+)(?P<port>:\d+)?(?P<rest>[#?]\S*)?"
@@ -39,6 +42,23 @@ def locator(robot: str) -> str:
             f"--robot {robot}: expected PROTOCOL/HOST[:PORT], for example tcp/192.168.1.20:{PORT}"
         )
     return f"{match['protocol']}/{match['host']}{match['port'] or f':{PORT}'}{match['rest'] or ''}"
+
+
+def refused(endpoint: str) -> UnreachableError:
+    """Return why no session came about there, as far as it can be seen from outside."""
+    match = _LOCATOR.fullmatch(endpoint)
+    assert match is not None  # or there would have been no session to open
+    try:
+        # Zenoh says the same of an empty port and of one that sent us away.
+        socket.create_connection((match["host"].strip("[]"), int(match["port"][1:])), PROBE_S).close()
+    except OSError:
+        return NoBridge(
+            f"nothing answers at {endpoint}: is 'rover-ncp bridge' running there, listening on that address?"
+        )
+    return NotAuthorised(
+        f"not authorised: what listens at {endpoint} takes no session from us; it may want a certificate, "
+        "user and password (--zenoh-config, see 'rover-ncp keys'), or is no bridge, or hangs"
+    )
 
 
 def client_config(robot: str, file: Path | None) -> tuple[zenoh.Config, str]:

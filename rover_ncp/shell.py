@@ -28,6 +28,7 @@ _EXTRAS = {
     "gymnasium": "train",
     "matplotlib": "train",
     "plotly": "report",
+    "cryptography": "keys",
 }
 # The order in which a newcomer meets the commands; others follow by name.
 _ORDER = ["park", "train", "eval", "mock", "bridge", "deploy", "replay"]

@@ -54,10 +54,11 @@ def read_text(path: Path) -> str:
         raise FileError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
 
 
-def write_atomic(path: Path, content: bytes | str) -> None:
+def write_atomic(path: Path, content: bytes | str, private: bool = False) -> None:
     """Write a file whole or not at all: a temporary file beside it, synced, then renamed over it.
 
-    Makes missing folders. Raises FileError when the place cannot be written.
+    A ``private`` one is its owner's alone. Makes missing folders. Raises FileError when the place cannot be
+    written.
     """
     data = content.encode() if isinstance(content, str) else content
     try:
@@ -68,10 +69,11 @@ def write_atomic(path: Path, content: bytes | str) -> None:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
-            # mkstemp makes private files; what we ship to users follows their umask as any file would.
-            umask = os.umask(0)
-            os.umask(umask)
-            Path(temporary).chmod(0o666 & ~umask)
+            if not private:
+                # mkstemp makes private files; what we ship to users follows their umask as any file would.
+                umask = os.umask(0)
+                os.umask(umask)
+                Path(temporary).chmod(0o666 & ~umask)
             Path(temporary).replace(path)
         except BaseException:
             Path(temporary).unlink(missing_ok=True)

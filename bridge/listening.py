@@ -1,0 +1,119 @@
+"""Where and how the bridge's Zenoh session listens, and that not just anybody may drive through it."""
+
+import ipaddress
+import json
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from rover_ncp.core.errors import FileError, UsageError
+
+__all__ = ["LISTEN", "any_port", "configured", "reason"]
+
+LISTEN = "tcp/127.0.0.1:7447"
+"""Zenoh's own port, on this machine alone."""
+
+_SETTINGS: dict[str, Any] = {
+    "mode": "router",
+    # Half a second of start-up, for a network whose other routers we do not look for.
+    "scouting/delay": 0,
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    # A peer learns how long we may be silent from us, not from its own settings.
+    "transport/link/tx/lease": 1000,
+    "transport/link/tx/keep_alive": 4,
+    # The longest message we read has 4 kB, the longest that passes through us hardly more.
+    "transport/link/rx/max_message_size": 1 << 20,
+}
+_USERS = "transport/auth/usrpwd/dictionary_file"
+_MTLS = "transport/link/tls/enable_mtls"
+_LOCAL_PROTOCOLS = frozenset({"unixsock-stream", "unixpipe"})
+_ENCRYPTED_PROTOCOLS = frozenset({"tls", "quic"})
+
+
+def configured(listen: str | None, file: Path | None, insecure: bool) -> tuple[zenoh.Config, list[str]]:
+    """Return the session's settings and where it listens: the option, else the file, else our default.
+
+    Raises FileError for a bad file, UsageError for a bad endpoint, or for one beyond this machine where
+    nobody has to say who they are, unless ``insecure``.
+    """
+    if file is not None and not file.is_file():
+        raise FileError(f"{file}: no such file")
+    try:
+        settings = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
+    except zenoh.ZError as error:
+        raise FileError(f"{file}: not a Zenoh configuration: {reason(error)}") from error
+    endpoints = [listen] if listen else _endpoints(settings)
+    for path, value in _SETTINGS.items():
+        settings.insert_json5(path, json.dumps(value))
+    try:
+        settings.insert_json5("listen/endpoints", json.dumps(endpoints))
+    except zenoh.ZError as error:
+        raise UsageError(f"--listen {endpoints[0]}: expected PROTOCOL/HOST:PORT, like {LISTEN}") from error
+    users = json.loads(settings.get_json(_USERS))
+    if users is not None and file is not None:
+        # Beside the file that names it, wherever the bridge was started from.
+        settings.insert_json5(_USERS, json.dumps(str(file.parent.absolute() / users)))
+    if not insecure:
+        _refuse_everybody(settings, endpoints)
+    if any_port(endpoints):
+        settings.insert_json5("adminspace/enabled", "true")  # the only place that tells the port
+    return settings, endpoints
+
+
+def any_port(endpoints: list[str]) -> bool:
+    """Return whether the system is to choose the port of the first endpoint."""
+    return endpoints[0].partition("#")[0].endswith(":0")
+
+
+def reason(error: zenoh.ZError) -> str:
+    """Return Zenoh's reason without the places in its source."""
+    return str(error).split(" at /", maxsplit=1)[0].splitlines()[0]
+
+
+def _endpoints(settings: zenoh.Config) -> list[str]:
+    """Return where a configuration listens. Zenoh's default is every interface, ours this machine alone."""
+    found = json.loads(settings.get_json("listen/endpoints"))
+    if found == json.loads(zenoh.Config().get_json("listen/endpoints")):
+        return [LISTEN]
+    return _of_router(found) or [LISTEN]
+
+
+def _of_router(endpoints: Any) -> list[str]:
+    if isinstance(endpoints, dict):  # one list for each mode
+        endpoints = endpoints.get("router")
+    return [str(item) for item in endpoints or []]
+
+
+def _refuse_everybody(settings: zenoh.Config, endpoints: list[str]) -> None:
+    """Raise UsageError if somebody beyond this machine could drive without saying who they are.
+
+    A router that we connect to brings all who are connected to it.
+    """
+    open_ = [where for where in endpoints if not _local(where)]
+    open_ += [
+        where for where in _of_router(json.loads(settings.get_json("connect/endpoints"))) if not _local(where)
+    ]
+    if not open_ or json.loads(settings.get_json(_USERS)) is not None:
+        return
+    mutual = json.loads(settings.get_json(_MTLS)) is True
+    if mutual and all(where.partition("/")[0] in _ENCRYPTED_PROTOCOLS for where in open_):
+        return
+    raise UsageError(
+        f"{open_[0]}: whoever reaches it could drive the rover; make keys with 'rover-ncp keys' and give "
+        "--zenoh-config, or say --insecure"
+    )
+
+
+def _local(endpoint: str) -> bool:
+    """Whether only this machine reaches it."""
+    protocol, _, rest = endpoint.partition("/")
+    if protocol in _LOCAL_PROTOCOLS:
+        return True
+    address = rest.partition("#")[0].partition("?")[0]
+    host = (address.rpartition(":")[0] or address).strip("[]")
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

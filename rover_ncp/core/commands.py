@@ -1,0 +1,49 @@
+"""Commands of this package; heavy libraries load only when one runs."""
+
+import socket
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rover_ncp.core.console import Output
+from rover_ncp.core.errors import UsageError
+from rover_ncp.core.files import write_atomic
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
+
+
+def keys(
+    *,
+    out: Annotated[Path, typer.Option(help="Folder for the files; it must not hold keys already.")],
+    host: Annotated[
+        list[str] | None,
+        typer.Option(help="Name or IP address of the bridge's machine, as drivers call it; again for more."),
+    ] = None,
+    namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
+    json: Json = False,
+) -> None:
+    """Make a certificate authority, and certificates and passwords for a bridge, a driver and a viewer.
+
+    Writes one Zenoh configuration for each end, which holds all that end needs: bridge.json5 (with users.txt
+    beside it) for 'rover-ncp bridge --zenoh-config', driver.json5 for 'rover-ncp deploy --zenoh-config',
+    viewer.json5 for whoever may look and not drive. With them both ends prove who they are, all that
+    travels is encrypted, and each user may do what the table of keys says, nothing else. ca-key.pem signs:
+    keep it off the robot.
+    """
+    from rover_ncp.core.credentials import make_credentials
+
+    taken = [name.name for name in out.glob("*") if name.suffix in {".pem", ".json5"}] if out.is_dir() else []
+    if taken:
+        raise UsageError(f"--out {out}: holds keys already ({', '.join(sorted(taken))}); say another folder")
+    hosts = list(dict.fromkeys([*(host or []), "127.0.0.1", "localhost", socket.gethostname()]))
+    files = make_credentials(hosts, namespace)
+    for name, content in files.items():
+        write_atomic(out / name, content, private=name != "ca.pem")
+    Output(json).result(
+        {"folder": str(out), "files": sorted(files), "hosts": hosts, "namespace": namespace},
+        f"wrote {', '.join(sorted(files))} into {out}\n"
+        f"the bridge may be called {', '.join(hosts)}\n"
+        f"next, on the robot: rover-ncp bridge --base ... --zenoh-config {out}/bridge.json5\n"
+        f"      at the desk:  rover-ncp deploy --robot tls/HOST --zenoh-config {out}/driver.json5",
+    )

@@ -1,0 +1,271 @@
+"""A bridge with the keys of ``rover-ncp keys``: each row of who may do what, over TLS between processes."""
+
+import base64
+import json
+import re
+import time
+from pathlib import Path
+
+import pytest
+import zenoh
+from bridge_bench import Rig, wait_for
+
+from deploy.session import client_config
+from rover_ncp import shell
+from rover_ncp.core.access import access_control
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.keys import KEYS, Kind, Role
+from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
+from rover_ncp.core.messages import read_text, twist_stamped
+from sim.studies.processes import Process
+
+ME = bytes(range(16))
+HEARD = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.BRIDGE}]
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("keys")
+    assert shell.run(["keys", "--out", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def rig(keys, tmp_path_factory):
+    listen = ["--listen", "tls/127.0.0.1:0", "--zenoh-config", str(keys / "bridge.json5")]
+    with Rig(tmp_path_factory.mktemp("rig"), bridge=listen) as rig:
+        yield rig
+
+
+def read(path: Path):
+    return json.loads(re.sub(r"^//.*\n", "", path.read_text()))
+
+
+class User:
+    """A session as ``role``, or with a configuration of one's own; ``heard`` is the newest of each key."""
+
+    def __init__(self, rig, config: Path):
+        self.session = zenoh.open(client_config(rig.locator, config)[0])
+        self.heard = {}
+        self._held = [
+            self.session.declare_subscriber(
+                name, lambda sample, name=name: self.heard.update({name: sample.payload.to_bytes()})
+            )
+            for name in HEARD
+        ]
+        self._commands = self.session.declare_publisher("cmd_vel")
+        self.sequence = 0
+
+    @property
+    def may_drive(self):
+        return self._commands.matching_status.matching
+
+    @property
+    def gate(self):
+        return parse_json(GateStatus, read_text(self.heard["rover/gate"]))
+
+    def enable(self):
+        request = MotorsRequest(enable=True, driver=ME.hex(), name="me", sent_ns=time.monotonic_ns())
+        replies = list(self.session.get("rover/motors", payload=dump_json(request), timeout=1.0))
+        return [parse_json(MotorsReply, reply.ok.payload.to_bytes()) for reply in replies if reply.ok]
+
+    def command(self, name="cmd_vel", v=0.1):
+        self.sequence += 1
+        tag = CommandTag(ME, self.sequence, time.monotonic_ns()).pack()
+        self.session.put(name, twist_stamped(Velocity(v, 0.0), time.time_ns()), attachment=tag)
+
+    def tokens(self, name):
+        return len(list(self.session.liveliness().get(name, timeout=1.0)))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.session.close()
+
+
+def test_a_driver_sees_everything_and_drives(rig, keys):
+    with User(rig, keys / "driver.json5") as driver:
+        wait_for(lambda: driver.may_drive and {*HEARD} - {"sonar"} <= driver.heard.keys())
+        (reply,) = wait_for(lambda: (found := driver.enable()) and found[0].granted and found)
+        assert reply.granted
+        wait_for(lambda: driver.command() or driver.gate.accepted > 0)
+        wait_for(lambda: driver.gate.driver == "")  # it fell silent
+
+
+def test_a_viewer_sees_everything_and_drives_by_no_means(rig, keys):
+    with User(rig, keys / "viewer.json5") as viewer:
+        wait_for(lambda: {*HEARD} - {"sonar"} <= viewer.heard.keys())
+        before = viewer.gate
+        for name in ("cmd_vel", "*", "**", "cmd_$*", "cmd_vel/**"):
+            viewer.command(name)
+        assert not viewer.may_drive
+        assert viewer.enable() == []
+        for name in ("rover/stop", "rover/reset_odometry", "rover/*", "**"):
+            replies = viewer.session.get(name, payload=b"{}", timeout=0.5)
+            assert [reply for reply in replies if reply.ok and str(reply.ok.key_expr) in HEARD] == []
+            assert [reply for reply in replies if reply.ok] == []
+        viewer.heard.clear()
+        wait_for(lambda: "rover/gate" in viewer.heard)
+        after = viewer.gate
+    assert (after.accepted, after.dropped, after.driver, after.stop_reason) == (
+        before.accepted,
+        before.dropped,
+        before.driver,
+        "",
+    )
+
+
+def test_nobody_speaks_for_the_bridge(rig, keys):
+    with User(rig, keys / "driver.json5") as driver, User(rig, keys / "viewer.json5") as viewer:
+        wait_for(lambda: "rover/gate" in viewer.heard and driver.may_drive)
+        token = driver.session.liveliness().declare_token("rover/alive/bridge")
+        own = driver.session.liveliness().declare_token("rover/alive/driver")
+        for name in ("odom", "rover/gate", "rover/*", "**"):
+            driver.session.put(name, b"forged")
+        wait_for(lambda: viewer.tokens("rover/alive/driver") == 1)
+        assert viewer.tokens("rover/alive/bridge") == 1
+        viewer.heard.clear()
+        wait_for(lambda: {"odom", "rover/gate"} <= viewer.heard.keys())
+        assert b"forged" not in viewer.heard.values()
+        token.undeclare()
+        own.undeclare()
+        assert viewer.tokens("rover/alive/bridge") == 1
+
+
+def spoil_certificate(transport, stranger):
+    """Certificates of another lab, with the right password."""
+    other = read(stranger / "driver.json5")["transport"]
+    transport["link"] = other["link"]
+    transport["link"]["tls"]["root_ca_certificate_base64"] = transport["ca"]
+
+
+def spoil_password(transport, stranger):
+    transport["auth"]["usrpwd"]["password"] += "x"
+
+
+def spoil_user(transport, stranger):
+    transport["auth"]["usrpwd"] = {"user": None, "password": None}
+
+
+def spoil_key(transport, stranger):
+    for name in ("connect_certificate_base64", "connect_private_key_base64"):
+        transport["link"]["tls"].pop(name)
+
+
+@pytest.mark.parametrize("spoil", [spoil_certificate, spoil_password, spoil_user, spoil_key])
+def test_a_stranger_cannot_connect(rig, keys, tmp_path, spoil):
+    stranger = tmp_path / "stranger"
+    assert shell.run(["keys", "--out", str(stranger)]) == 0
+    transport = read(keys / "driver.json5")["transport"]
+    transport["ca"] = transport["link"]["tls"]["root_ca_certificate_base64"]
+    spoil(transport, stranger)
+    transport.pop("ca")
+    (tmp_path / "zenoh.json5").write_text(json.dumps({"transport": transport}))
+    with pytest.raises(zenoh.ZError), User(rig, tmp_path / "zenoh.json5"):
+        pass
+
+
+def test_a_certificate_goes_with_its_own_user_only(rig, keys, tmp_path):
+    viewer, driver = (read(keys / f"{role}.json5")["transport"] for role in ("viewer", "driver"))
+    viewer["auth"] = driver["auth"]
+    (tmp_path / "zenoh.json5").write_text(json.dumps({"transport": viewer}))
+    with User(rig, tmp_path / "zenoh.json5") as mixed:
+        assert mixed.enable() == []
+        assert not mixed.may_drive
+        assert mixed.heard == {}
+
+
+def test_a_drivers_certificate_is_none_to_listen_with(keys, tmp_path):
+    tls = read(keys / "driver.json5")["transport"]["link"]["tls"]
+    for name in ("certificate", "private_key"):
+        tls[f"listen_{name}_base64"] = tls[f"connect_{name}_base64"]
+    config = zenoh.Config()
+    for path, value in {
+        "mode": "router",
+        "listen/endpoints": ["tls/127.0.0.1:0"],
+        "transport/link/tls": tls,
+        "adminspace/enabled": True,
+        "scouting/multicast/enabled": False,
+    }.items():
+        config.insert_json5(path, json.dumps(value))
+    with zenoh.open(config) as impostor:
+        (reply,) = impostor.get(f"@/{impostor.info.zid()}/router", timeout=1.0)
+        locator = json.loads(reply.ok.payload.to_string())["locators"][0]
+        with pytest.raises(zenoh.ZError):
+            zenoh.open(client_config(locator, keys / "driver.json5")[0])
+
+
+def test_deploy_says_not_authorised_and_drives_when_it_is(rig, keys, tmp_path, capsys):
+    options = ["deploy", "--robot", rig.locator]
+    assert shell.run([*options, "--zenoh-config", str(keys / "viewer.json5")]) == 3
+    viewer = capsys.readouterr().err
+    assert viewer.startswith("rover-ncp: not authorised: the bridge at tls/127.0.0.1")
+    assert shell.run(options) == 3
+    stranger = capsys.readouterr().err
+    assert stranger.startswith("rover-ncp: not authorised: what listens at tls/127.0.0.1")
+    driver = ["--zenoh-config", str(keys / "driver.json5"), "--duration", "0.5"]
+    done = Process("deploy", [*options[1:], *driver], tmp_path).wait(30.0)
+    assert (done.code, done.result["ticks"]) == (1, 5)
+
+
+LAN = ["tcp/0.0.0.0:0", "tcp/[::]:0", "tls/0.0.0.0:0"]
+
+
+@pytest.mark.parametrize("listen", LAN)
+def test_listening_beyond_this_machine_needs_users(listen, capsys, tmp_path):
+    arguments = ["bridge", "--base", "tcp/127.0.0.1:1", "--listen", listen]
+    assert shell.run(arguments) == 2
+    assert f"{listen}: whoever reaches it could drive the rover" in capsys.readouterr().err
+    config = tmp_path / "zenoh.json5"
+    config.write_text(f'{{ connect: {{ endpoints: ["{listen}"] }} }}')
+    assert shell.run([*arguments[:4], "tcp/127.0.0.1:0", "--zenoh-config", str(config)]) == 2
+
+
+def test_insecure_is_a_word_to_be_said(capsys):
+    # What fails then is the robot, which is not there: the bridge did listen.
+    arguments = ["bridge", "--base", "tcp/127.0.0.1:1", "--listen", "tcp/0.0.0.0:0", "--insecure"]
+    assert shell.run(arguments) == 3
+    assert "connection refused" in capsys.readouterr().err
+
+
+def test_files_that_hold_secrets_are_their_owners_alone_and_never_replaced(keys, capsys):
+    modes = {path.name: path.stat().st_mode & 0o777 for path in keys.iterdir()}
+    assert modes.pop("ca.pem") & 0o077 != 0
+    assert set(modes.values()) == {0o600}
+    before = (keys / "driver.json5").read_bytes()
+    assert shell.run(["keys", "--out", str(keys)]) == 2
+    assert "holds keys already" in capsys.readouterr().err
+    assert (keys / "driver.json5").read_bytes() == before
+    names = b64(read(keys / "bridge.json5")["transport"]["link"]["tls"]["listen_certificate_base64"])
+    assert names.startswith(b"-----BEGIN CERTIFICATE")
+
+
+def b64(text):
+    return base64.b64decode(text)
+
+
+def test_each_right_follows_from_the_table_of_keys():
+    control = access_control((Role.DRIVER, Role.VIEWER, Role.LOCALISER), "bot1")
+    assert control["default_permission"] == "deny"
+    allowed = {
+        (policy["subjects"][0], flow, message, key)
+        for policy in control["policies"]
+        for rule in control["rules"]
+        if rule["id"] in policy["rules"]
+        for flow in rule["flows"]
+        for message in rule["messages"]
+        for key in rule["key_exprs"]
+    }
+    assert {item for item in allowed if "*" in item[3] or not item[3].startswith("bot1/")} == set()
+    ingress = {(who, key) for who, flow, message, key in allowed if (flow, message) == ("ingress", "put")}
+    assert {key for who, key in ingress if who == "viewer"} == set()
+    assert {key for who, key in ingress if who == "localiser"} == {"bot1/pose"}
+    assert {key for who, key in ingress if who == "driver"} == {
+        f"bot1/{name}" for name in ("cmd_vel", "pose", "rover/estimate", "rover/neurons", "rover/status")
+    }
+    assert {(who, key) for who, flow, message, key in allowed if (flow, message) == ("ingress", "query")} == {
+        ("driver", f"bot1/rover/{name}") for name in ("motors", "stop", "reset_odometry")
+    }
+    tokens = {(who, key) for who, flow, m, key in allowed if (flow, m) == ("ingress", "liveliness_token")}
+    assert tokens == {("driver", "bot1/rover/alive/driver")}

@@ -3,8 +3,8 @@
 Rules of this file:
 
 1. The same inputs give the same bits: `replay` runs a recording through this very class.
-2. The circuit sees the course's frame and nothing else of the world: the estimate, predicted to the moment
-   of the tick, and the start signal.
+2. The circuit sees the signals its sensing names (`core/signals.py`) and nothing else of the world: they
+   come from the estimate, predicted to the moment of the tick, and from the course.
 3. Before the first tick the circuit makes one tick on the start pose with the start signal at 0, its motors
    ignored, as it did in the simulator.
 """
@@ -20,6 +20,8 @@ from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
+from rover_ncp.core.reference import plan_reference
+from rover_ncp.core.signals import SIGNALS, needs_reference, see
 
 __all__ = ["ORIGIN", "Controller", "Tick"]
 
@@ -43,10 +45,11 @@ class Controller:
     def __init__(self, policy: Policy, course: Course, settings: EstimatorSettings) -> None:
         if problems := _misfits(policy):
             raise ConfigError(f"policy {policy.circuit.name}", problems)
-        self._inputs = policy.sensing.inputs
+        self._signal_at = [SIGNALS.index(name) for name in policy.sensing.inputs]
         self._course = course
+        self._reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
         self._runner = PolicyRunner(policy)
-        self._runner.warm_up([0.0] * len(self._inputs))  # compiles, now and not when the rover waits
+        self._runner.warm_up([0.0] * len(self._signal_at))  # compiles, now and not when the rover waits
         self.estimator = Estimator(settings)
         self._course_odom = ORIGIN
         self._times: list[float] = []
@@ -57,7 +60,7 @@ class Controller:
         self._course_odom = compose(pose, inverse(odometry))
         self.estimator.start(pose, t)
         self._runner.reset()
-        self._runner.warm_up(self._observation(pose, 0.0))
+        self._runner.warm_up(self._observation(pose, 0, 0.0))
 
     def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
         """Take in odometry, in its own frame, measured at time ``t``."""
@@ -69,7 +72,7 @@ class Controller:
         """Run tick ``index`` of the course at time ``t``, which is not before the last odometry."""
         estimate = self.look(index, t)
         start = self._course.start_signal(index * TICK_S)
-        v, omega = self._runner.tick(self._observation(estimate.pose, start))
+        v, omega = self._runner.tick(self._observation(estimate.pose, index, start))
         return Tick(
             index,
             index * TICK_S,
@@ -92,23 +95,18 @@ class Controller:
         """
         return self._course.judge(self._times, self._poses, touched=False)
 
-    def _observation(self, pose: Pose, start: float) -> NDArray[np.float64]:
-        seen = _seen(pose, start)
-        return np.array([seen[name] for name in self._inputs], dtype=np.float64)
+    def _observation(self, pose: Pose, index: int, start: float) -> NDArray[np.float64]:
+        signals = see(pose, start, self._reference.tick(index) if self._reference else None)
+        return np.array([signals[i] for i in self._signal_at], dtype=np.float64)
 
 
 def _misfits(policy: Policy) -> list[str]:
     """Return why a policy cannot drive a rover tick by tick; empty when it can."""
-    known, problems = _seen(ORIGIN, 0.0), []
-    if unknown := [name for name in policy.sensing.inputs if name not in known]:
-        problems.append(f"its sensing asks for {', '.join(unknown)}; known are {', '.join(known)}")
+    problems = []
+    if unknown := [name for name in policy.sensing.inputs if name not in SIGNALS]:
+        problems.append(f"its sensing asks for {', '.join(unknown)}; known are {', '.join(SIGNALS)}")
     if policy.motors.outputs != Velocity._fields:
         problems.append(f"its outputs are {', '.join(policy.motors.outputs)}; expected v, omega")
     if not math.isclose(policy.tick_s, TICK_S):
         problems.append(f"its tick lasts {policy.tick_s:g} s; a control tick lasts {TICK_S} s")
     return problems
-
-
-def _seen(pose: Pose, start: float) -> dict[str, float]:
-    """Return everything a sensing can ask for, by its name: m and rad in the course's frame."""
-    return {"x": pose.x, "y": pose.y, "theta": pose.theta, "start": start}

@@ -8,17 +8,21 @@ import gymnasium
 import numpy as np
 import pytest
 
-from rover_ncp.circuit.policy import PolicyRunner, parking_policy
+from rover_ncp.circuit.policy import PolicyRunner, course_policy, parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
 from rover_ncp.core.course import Obstacle, load_course
 from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.reference import plan_reference
 from sim.learn.engine import Engine
 from sim.learn.rollout import rollout
 from sim.world.env import ENV_ID
+from sim.world.random_course import random_course
+from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
 COURSE = load_course("parking")
 POLICY = parking_policy(parking_circuit())
+TRACKER = course_policy(tap_withdrawal_circuit())
 FENCED = COURSE.model_copy(
     update={
         "obstacles": (
@@ -30,11 +34,11 @@ FENCED = COURSE.model_copy(
 )
 
 
-def candidates(count, seed=0):
+def candidates(count, seed=0, policy=POLICY):
     """Parameter vectors around the untuned ones; most of them drive, some in circles."""
-    layout = POLICY.layout()
+    layout = policy.layout()
     noise = np.random.default_rng(seed).normal(size=(count, layout.size))
-    vectors = POLICY.parameters() + 0.08 * noise * (layout.upper - layout.lower)
+    vectors = policy.parameters() + 0.08 * noise * (layout.upper - layout.lower)
     return np.clip(vectors, layout.lower, layout.upper)
 
 
@@ -97,6 +101,67 @@ def test_other_rovers_other_returns():
     assert not np.array_equal(returns, Engine(POLICY, COURSE).returns(vectors))
 
 
+@pytest.mark.parametrize("policy", [POLICY, TRACKER], ids=["absolute", "course"])
+@pytest.mark.parametrize("level", ["none", "full", "harsh"])
+def test_trials_end_as_a_rover_alone_does(policy, level):
+    model = RoverModel()
+    trials = draw_trials(load_randomization(level), model, 5, count=3, ticks=COURSE.ticks)
+    vectors = candidates(3, seed=5, policy=policy)
+    found = Engine(policy, COURSE, model, trials).outcomes(vectors)
+    reference = plan_reference(COURSE)
+    for i, vector in enumerate(vectors):
+        for j in range(trials.size):
+            run = rollout(policy.with_parameters(vector), COURSE, model, trials=trials, row=j)
+            assert found.total[i, j] == run.total
+            assert found.parked[i, j] == run.verdict.parked
+            assert found.error_m[i, j] == pytest.approx(run.verdict.error_m, abs=1e-12)
+            assert found.error_rad[i, j] == pytest.approx(run.verdict.error_rad, abs=1e-12)
+            if policy is TRACKER:
+                away = run.poses[1:, :2] - reference.poses[1:, :2]
+                assert found.tracking_m2[i, j] == pytest.approx(np.mean(np.sum(away**2, axis=1)), rel=1e-3)
+            tail = run.poses[-21:]
+            moved = np.hypot(*(tail[:, :2] - tail[-1, :2]).T).max()
+            assert found.moved_m[i, j] == pytest.approx(moved, abs=1e-12)
+            assert found.turned_rad[i, j] == pytest.approx(np.abs(tail[:, 2] - tail[-1, 2]).max(), abs=1e-12)
+    assert len(np.unique(found.total)) == (3 if level == "none" else 9)
+
+
+def test_courses_and_trials_in_one_batch_as_each_alone():
+    model = RoverModel()
+    pairs = [random_course(1, 0), random_course(1, 1)]
+    short = pairs[0][0].model_copy(update={"horizon_s": 30.0, "checkpoints": pairs[0][0].checkpoints[:-1]})
+    courses, references = [short, pairs[1][0]], [drive for _, drive in pairs]
+    trials = draw_trials(load_randomization("full"), model, 6, count=4, ticks=COURSE.ticks)
+    engine, vectors = Engine(TRACKER, courses, model, trials, references), candidates(12, 6, TRACKER)
+    found = engine.outcomes(vectors)
+    for j in range(4):
+        course, drive = courses[j % 2], references[j % 2]
+        policy = TRACKER.with_parameters(vectors[3])
+        run = rollout(policy, course, model, trials=trials, row=j, reference=drive)
+        assert found.total[3, j] == run.total
+        assert found.error_m[3, j] == pytest.approx(run.verdict.error_m, abs=1e-12)
+    assert np.array_equal(engine.outcomes(vectors[5:7]).total, found.total[5:7])
+    # Others, with longer delays than lanes had room for before, and back.
+    engine.change_trials(
+        draw_trials(load_randomization("none"), RoverModel(delay_v_s=0.9), 0, count=2, ticks=320)
+    )
+    assert not np.array_equal(engine.outcomes(vectors).total, found.total[:, :2])
+    engine.change_trials(trials)
+    assert np.array_equal(engine.outcomes(vectors).total, found.total)
+
+
+def test_a_reference_is_planned_from_the_course_if_none_is_given():
+    vectors = candidates(2, 7, TRACKER)
+    planned = Engine(TRACKER, COURSE, references=[plan_reference(COURSE)]).outcomes(vectors)
+    assert np.array_equal(Engine(TRACKER, COURSE).outcomes(vectors).total, planned.total)
+    assert rollout(TRACKER.with_parameters(vectors[1]), COURSE).total == planned.total[1, 0]
+
+
+def test_courses_of_different_obstacles_do_not_go_together():
+    with pytest.raises(ConfigError, match="same obstacles"):
+        Engine(POLICY, [COURSE, FENCED])
+
+
 def test_no_candidates_no_returns():
     assert Engine(POLICY, COURSE).returns(np.empty((0, POLICY.layout().size))).shape == (0,)
 
@@ -126,13 +191,13 @@ def test_a_rollout_shows_what_happened():
 
 def test_a_policy_that_cannot_drive_is_refused():
     bench = tap_withdrawal_circuit()
-    swapped = POLICY.sensing.model_copy(update={"inputs": ("y", "x", "theta", "start")})
+    odd = POLICY.sensing.model_copy(update={"inputs": ("warmth", "x", "theta", "start")})
     for build in (Engine, rollout):
         with pytest.raises(ConfigError, match=r"no neuron 'LFT'"):
             build(parking_policy(bench), COURSE)
-        with pytest.raises(ConfigError, match="inputs must be x, y, theta, start, got y, x, theta, start"):
+        with pytest.raises(ConfigError, match="its sensing asks for warmth; known are x, y, theta, start"):
             other = parking_policy(parking_circuit())
-            object.__setattr__(other, "sensing", swapped)
+            object.__setattr__(other, "sensing", odd)
             build(other, COURSE)
         with pytest.raises(ConfigError, match=r"must be 0.1 s, got 0.2 s"):
             slow = parking_policy(parking_circuit())
@@ -144,10 +209,11 @@ COLD_SCRIPT = """
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.core.course import load_course
-from sim.learn.engine import Engine, _run
+from sim.learn.engine import Engine
+from sim.learn.episode import run_episodes
 policy = parking_policy(parking_circuit())
 returned = Engine(policy, load_course("parking")).returns(policy.parameters())[0]
-print(float(returned).hex(), sum(_run.stats.cache_hits.values()))
+print(float(returned).hex(), sum(run_episodes.stats.cache_hits.values()))
 """
 
 

@@ -22,7 +22,7 @@ from rover_ncp.circuit.sensing import Drive
 from rover_ncp.circuit.solver import fill_lane
 from rover_ncp.circuit.vectors import WIDTH
 
-__all__ = ["allocate_lanes", "lane_parameters", "make_program", "resting_potentials"]
+__all__ = ["allocate_lanes", "inert_parameters", "lane_parameters", "make_program", "resting_potentials"]
 
 IntArray = NDArray[np.int64]
 
@@ -62,7 +62,25 @@ def make_program(policy: Policy) -> Program:
         motor_scale=1.0 / (policy.motors.high_mV - policy.motors.low_mV),
         input_layer_at=_layer_at(policy, layout, ParameterKind.INPUT_LAYER),
         output_layer_at=_layer_at(policy, layout, ParameterKind.OUTPUT_LAYER),
+        input_range=np.array(policy.sensing.ranges or np.ones(len(policy.sensing.inputs)), np.float64),
+        output_limit=np.array(policy.motors.limits or (), np.float64),
     )
+
+
+def inert_parameters(policy: Policy) -> NDArray[np.bool_]:
+    """Return which parameters (P,) no run of a policy depends on: those of driven neurons, mostly."""
+    program = make_program(policy)
+    chemical = (program.settled, program.active)
+    read = [
+        *program.stepped[1:],
+        *(places for synapses in chemical for places in (synapses.weight_at, synapses.sigma_at)),
+        *(gaps.weight_at for gaps in (program.settled_gaps, program.active_gaps)),
+        program.input_layer_at.ravel(),
+        program.output_layer_at.ravel(),
+    ]
+    inert = np.ones(policy.layout().size, bool)
+    inert[np.concatenate(read)] = False
+    return inert
 
 
 def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParameters:
@@ -122,6 +140,7 @@ def _with_held(drive: Drive, circuit: Circuit) -> Drive:
     return Drive(
         neuron=np.concatenate([drive.neuron, np.array(held, np.int64)]),
         channel=np.concatenate([drive.channel, zeros.astype(np.int64)]),
+        base=np.concatenate([drive.base, zeros]),
         gain=np.concatenate([drive.gain, zeros]),
         lower=np.concatenate([drive.lower, held_mV]),
         upper=np.concatenate([drive.upper, held_mV]),

@@ -5,7 +5,7 @@ to the maximum, the negative neuron's gives y_n from 0 to the minimum; beyond th
 end. The paper's text has -70..-20 mV, its code (and so every published circuit) -60..-20 mV.
 """
 
-from typing import NamedTuple, Self
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.circuit.sensing import Channel, require_distinct
 from rover_ncp.core.config import StrictModel
 
-__all__ = ["Motors", "Pull", "parking_motors"]
+__all__ = ["Motors", "Pull", "course_motors", "parking_motors"]
 
 
 class Pull(NamedTuple):
@@ -30,10 +30,12 @@ class Motors(StrictModel):
     """The whole mapping: channels, and the named outputs that they are, or that a linear layer makes of them.
 
     Without a layer the channels carry the outputs' names, in the same order. A neuron may drive several
-    channels (the four-degrees-of-freedom variant, supplement 6).
+    channels (the four-degrees-of-freedom variant, supplement 6). With a layer, outputs may be given limits:
+    then the layer says which part of its limit an output is, and no output goes beyond.
     """
 
     outputs: tuple[str, ...] = Field(min_length=1)
+    limits: tuple[Annotated[float, Field(gt=0)], ...] | None = None
     low_mV: float = Field(default=-60.0, ge=-90, le=0)
     high_mV: float = Field(default=-20.0, ge=-90, le=0)
     channels: tuple[Channel, ...] = Field(min_length=1)
@@ -42,6 +44,10 @@ class Motors(StrictModel):
     def _consistent(self) -> Self:
         if not self.low_mV < self.high_mV:
             raise ValueError(f"low_mV must be below high_mV, got {self.low_mV} and {self.high_mV}")
+        if self.limits is not None and len(self.limits) != len(self.outputs):
+            raise ValueError(f"needs as many limits as outputs, got {len(self.limits)}")
+        if any(channel.origin is not None for channel in self.channels):
+            raise ValueError("a motor channel has no origin")
         require_distinct("output", self.outputs)
         require_distinct("channel", [channel.name for channel in self.channels])
         return self
@@ -64,5 +70,20 @@ def parking_motors() -> Motors:
         channels=(
             Channel(name="v", positive="FWD", maximum=0.16),
             Channel(name="omega", positive="LFT", maximum=0.18, negative="RGT", minimum=-0.18),
+        ),
+    )
+
+
+def course_motors() -> Motors:
+    """Return the motors of the paper's half-cheetah, mixed into speed (m/s) and rate of turn (rad/s).
+
+    The limits leave room above a reference's motion to catch up with it, and lie below those of the gate.
+    """
+    return Motors(
+        outputs=("v", "omega"),
+        limits=(0.24, 0.36),
+        channels=(
+            Channel(name="forward", positive="FWD", maximum=1.0),
+            Channel(name="reverse", positive="REV", maximum=1.0),
         ),
     )

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.circuit import BOUNDS, RESTING_MV, Circuit, ParameterKind
-from rover_ncp.circuit.motors import Motors, parking_motors
-from rover_ncp.circuit.sensing import Sensing, parking_sensing
+from rover_ncp.circuit.motors import Motors, course_motors, parking_motors
+from rover_ncp.circuit.sensing import Sensing, course_sensing, parking_sensing
 from rover_ncp.core.errors import ConfigError, UsageError
 
-__all__ = ["ParameterBlock", "ParameterLayout", "Policy", "PolicyRunner", "parking_policy"]
+__all__ = ["ParameterBlock", "ParameterLayout", "Policy", "PolicyRunner", "course_policy", "parking_policy"]
 
 FloatArray = NDArray[np.float64]
 
@@ -94,6 +94,10 @@ class Policy:
             *_layer_problems("input_layer", self.input_layer, self._channels[0], self.sensing.inputs),
             *_layer_problems("output_layer", self.output_layer, self.motors.outputs, self._channels[1]),
         ]
+        if self.input_layer is None and self.sensing.ranges is not None:
+            problems.append("sensing.ranges: without an input layer the channels have the ranges")
+        if self.output_layer is None and self.motors.limits is not None:
+            problems.append("motors.limits: without an output layer the channels have the limits")
         if not 0 < self.dt_s <= 1:
             problems.append(f"dt_s: must be above 0 and at most 1 s, got {self.dt_s}")
         if not 1 <= self.substeps <= 10_000:
@@ -192,6 +196,20 @@ def parking_policy(circuit: Circuit, clamp: bool = True) -> Policy:
     return Policy(circuit, parking_sensing(clamp), parking_motors(), courses=("parking",))
 
 
+def course_policy(circuit: Circuit) -> Policy:
+    """Return a circuit with the sensing relative to a course, untuned: the neurons FWD and REV as tracks.
+
+    The first pair of sensors feels what asks for speed, the second what asks for a turn.
+    """
+    return Policy(
+        circuit,
+        course_sensing(),
+        course_motors(),
+        input_layer=np.array([[1.0, 0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 1.0, 0.0, 1.0]]),
+        output_layer=np.array([[0.5, 0.5], [1.0, -1.0]]),
+    )
+
+
 class PolicyRunner:
     """One policy, run tick by tick. Starts with every neuron at rest."""
 
@@ -225,8 +243,9 @@ class PolicyRunner:
     def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:
         """Run one control tick on an observation (inputs,) and return the outputs.
 
-        For parking: (x, y, theta, start) in m and rad to (v, omega) in m/s and rad/s. Raises UsageError for
-        an observation of another length or with a number that is not finite; the state is then unchanged.
+        For driving: the sensing's signals (``core/signals.py``) to (v, omega) in m/s and rad/s. Raises
+        UsageError for an observation of another length or with a number that is not finite; the state is
+        then unchanged.
         """
         inputs = self.policy.sensing.inputs
         if len(observation) != len(inputs):

@@ -66,6 +66,10 @@ class Program(NamedTuple):
     input_layer_at: IntArray
     output_layer_at: IntArray
     """(channels, inputs) and (outputs, channels): places in the vector; without a layer of shape (0, 0)."""
+    input_range: FloatArray
+    """(inputs,) what a layer's inputs are divided by."""
+    output_limit: FloatArray
+    """(outputs,) what a layer's outputs are parts of; of shape (0,) without limits."""
 
 
 class LaneParameters(NamedTuple):

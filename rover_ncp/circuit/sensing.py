@@ -1,13 +1,14 @@
 """How an observation becomes the potentials of sensory neurons (supplement eq. 1-2).
 
 A channel x with range [x_min, x_max] sets its positive neuron to -70 + 50 x / x_max and its negative neuron
-to -70 + 50 x / x_min, in mV. Clamped, both stay within -70..-20 mV: what lies beyond the range reads as its
-end. Unclamped, as in the published code (and so for circuits trained with it), a single neuron follows its
-line without end, and of a pair the neuron of x's sign does, while the other stays at -70 mV.
+to -70 + 50 x / x_min, in mV, where x counts from the channel's origin. Clamped, both stay within -70..-20
+mV: what lies beyond the range reads as its end. Unclamped, as in the published code (and so for circuits
+trained with it), a single neuron follows its line without end, and of a pair the neuron of x's sign does,
+while the other stays at -70 mV.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Self
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,17 @@ from pydantic import Field, model_validator
 from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.core.config import StrictModel
 
-__all__ = ["HIGH_MV", "LOW_MV", "SATURATION_MV", "Channel", "Drive", "Sensing", "parking_sensing"]
+__all__ = [
+    "HIGH_MV",
+    "LOW_MV",
+    "SATURATION_MV",
+    "Channel",
+    "Drive",
+    "Sensing",
+    "course_sensing",
+    "parking_sensing",
+    "shifted_sensing",
+]
 
 LOW_MV = -70.0
 HIGH_MV = -20.0
@@ -32,6 +43,8 @@ class Channel(StrictModel):
     maximum: float | None = Field(default=None, gt=0)
     negative: str | None = None
     minimum: float | None = Field(default=None, lt=0)
+    origin: float | None = None
+    """Sensors only: the value, if not 0, at which its neurons are at the lower end, and its range begins."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -51,10 +64,11 @@ class Channel(StrictModel):
 
 
 class Drive(NamedTuple):
-    """Sensory neurons as arrays (s,): potential = clip(LOW_MV + gain * channel, lower, upper), in mV."""
+    """Sensory neurons as arrays (s,): potential = clip(base + gain * channel, lower, upper), in mV."""
 
     neuron: NDArray[np.int64]
     channel: NDArray[np.int64]
+    base: NDArray[np.float64]
     gain: NDArray[np.float64]
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
@@ -63,11 +77,13 @@ class Drive(NamedTuple):
 class Sensing(StrictModel):
     """The whole mapping: named inputs, and the channels that they are, or that a linear layer makes of them.
 
-    Without a layer the channels carry the inputs' names, in the same order.
+    Without a layer the channels carry the inputs' names, in the same order. With one, an input may be
+    given a range: what it is divided by before the layer, so that entries of the layer compare.
     """
 
     name: str = Field(min_length=1)
     inputs: tuple[str, ...] = Field(min_length=1)
+    ranges: tuple[Annotated[float, Field(gt=0)], ...] | None = None
     clamp: bool = True
     channels: tuple[Channel, ...] = Field(min_length=1)
 
@@ -80,6 +96,8 @@ class Sensing(StrictModel):
             ("sensory neuron", neurons),
         ):
             require_distinct(what, names)
+        if self.ranges is not None and len(self.ranges) != len(self.inputs):
+            raise ValueError(f"needs as many ranges as inputs, got {len(self.ranges)}")
         return self
 
     @property
@@ -95,7 +113,9 @@ class Sensing(StrictModel):
             for neuron, end in channel.sides:
                 lower = LOW_MV if self.clamp or pair else -SATURATION_MV
                 upper = HIGH_MV if self.clamp else SATURATION_MV
-                rows.append((circuit.index(neuron), number, (HIGH_MV - LOW_MV) / end, lower, upper))
+                gain = (HIGH_MV - LOW_MV) / end
+                base = LOW_MV - gain * (channel.origin or 0.0)
+                rows.append((circuit.index(neuron), number, base, gain, lower, upper))
         columns = list(zip(*rows, strict=True))
         return Drive(
             np.array(columns[0], np.int64),
@@ -119,4 +139,32 @@ def parking_sensing(clamp: bool = True) -> Sensing:
         inputs=tuple(name for name, _, _ in table),
         clamp=clamp,
         channels=tuple(Channel(name=name, positive=neuron, maximum=end) for name, neuron, end in table),
+    )
+
+
+def shifted_sensing() -> Sensing:
+    """Return the paper's sensing with ranges in which a rover that starts elsewhere still moves."""
+    table = (("x", "PVD", 1.0, -0.15), ("y", "PLM", 1.0, -0.15), ("theta", "ALM", 1.0, -0.25))
+    moved = tuple(
+        Channel(name=name, positive=neuron, maximum=end - origin, origin=origin)
+        for name, neuron, end, origin in table
+    )
+    start = Channel(name="start", positive="AVM", maximum=1.0)
+    return Sensing(name="shifted", inputs=("x", "y", "theta", "start"), channels=(*moved, start))
+
+
+def course_sensing() -> Sensing:
+    """Return the sensing relative to a course: two mixtures of five signals, on the touch neurons in pairs.
+
+    The pairs are those of the paper's benchmarks (PLM and AVM, ALM and PVD, each ±1). A range is what is
+    large on the way: a fifth of a metre, a fifth of a right angle and more, the motors' speeds.
+    """
+    return Sensing(
+        name="course",
+        inputs=("longitudinal", "lateral", "heading", "speed", "turn"),
+        ranges=(0.2, 0.2, 0.4, 0.16, 0.18),
+        channels=(
+            Channel(name="first", positive="PLM", maximum=1.0, negative="AVM", minimum=-1.0),
+            Channel(name="second", positive="ALM", maximum=1.0, negative="PVD", minimum=-1.0),
+        ),
     )

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import MIDPOINT_MV
 from rover_ncp.circuit.program import Chemical, Gaps, LaneParameters, Program
-from rover_ncp.circuit.sensing import LOW_MV
 from rover_ncp.circuit.vectors import WIDTH, load, scale_by_power_of_two, store
 from rover_ncp.jit import kernel
 
@@ -91,11 +90,12 @@ def set_sensory_neurons(
     program: Program, lanes: LaneParameters, block: int, observations: FloatArray
 ) -> None:
     """Set a block's driven neurons from its observations."""
-    neurons, channels, gains, lowers, uppers = program.drive
+    neurons, channels, bases, gains, lowers, uppers = program.drive
     entries, potentials = lanes.input_layer, lanes.potential
     columns, count = program.input_layer_at.shape[1], observations.shape[1]
     for s in range(len(neurons)):
-        neuron, channel, gain, lower, upper = neurons[s], channels[s], gains[s], lowers[s], uppers[s]
+        neuron, channel, base, gain = neurons[s], channels[s], bases[s], gains[s]
+        lower, upper = lowers[s], uppers[s]
         for lane in range(WIDTH):
             column = min(block * WIDTH + lane, count - 1)
             if columns == 0:
@@ -104,7 +104,7 @@ def set_sensory_neurons(
                 value = 0.0
                 for i in range(columns):
                     value += entries[block, channel * columns + i, lane] * observations[i, column]
-            potential = LOW_MV + gain * value
+            potential = base + gain * value
             # In this order a NaN, which only an overflow in the layer could make, reads as the lower end.
             potential = potential if potential > lower else lower
             potentials[0, neuron, lane] = min(potential, upper)
@@ -169,6 +169,7 @@ def read_motors(program: Program, lanes: LaneParameters, block: int, commands: F
     low, scale = program.motor_low, program.motor_scale
     entries, potentials, channels = lanes.output_layer, lanes.potential, lanes.channel
     outputs, columns = program.output_layer_at.shape
+    limits = program.output_limit
     start = block * WIDTH
     channels[:] = 0.0
     for q in range(len(neurons)):
@@ -184,6 +185,8 @@ def read_motors(program: Program, lanes: LaneParameters, block: int, commands: F
                 value = 0.0
                 for i in range(columns):
                     value += entries[block, o * columns + i, lane] * channels[0, i, lane]
+                if len(limits) > 0:
+                    value = limits[o] * min(max(value, -1.0), 1.0)
             commands[o, start + lane] = value
 
 
@@ -203,8 +206,9 @@ def fill_lane(program: Program, lanes: LaneParameters, lane: int, vector: FloatA
         conductances[block, d, place] = rate + leak
     fill_gaps(program.settled_gaps, lanes.settled_gap, lanes.conductance, vector, lane)
     fill_gaps(program.active_gaps, lanes.active_gap, lanes.conductance, vector, lane)
+    ranges = program.input_range
     for i, at in enumerate(program.input_layer_at.flat):
-        lanes.input_layer[block, i, place] = vector[at]
+        lanes.input_layer[block, i, place] = vector[at] / ranges[i % len(ranges)]
     for i, at in enumerate(program.output_layer_at.flat):
         lanes.output_layer[block, i, place] = vector[at]
 

@@ -22,14 +22,21 @@ def tick(policy: Policy, potentials: FloatArray, observation: FloatArray) -> tup
     In each substep the sensory neurons are set, then all others step from the old potentials.
     """
     circuit = policy.circuit
-    channels = observation if policy.input_layer is None else policy.input_layer @ observation
+    channels = observation
+    if policy.input_layer is not None:
+        ranges = np.array(policy.sensing.ranges or np.ones(len(observation)))
+        channels = policy.input_layer @ (observation / ranges)
     driven = {circuit.neurons[i]: value for i, value in circuit.held.items()}
     driven |= sensory_potentials(policy.sensing, channels)
     potentials = _with(circuit, potentials, driven)
     for _ in range(policy.substeps):
         potentials = _with(circuit, step(circuit, potentials, policy.dt_s), driven)
     values = motor_channels(policy.motors, circuit, potentials)
-    return potentials, values if policy.output_layer is None else policy.output_layer @ values
+    if policy.output_layer is not None:
+        values = policy.output_layer @ values
+        if policy.motors.limits is not None:
+            values = np.array(policy.motors.limits) * np.clip(values, -1.0, 1.0)
+    return potentials, values
 
 
 def _with(circuit: Circuit, potentials: FloatArray, driven: dict[str, float]) -> FloatArray:
@@ -84,7 +91,7 @@ def sensory_potentials(sensing: Sensing, channels: FloatArray) -> dict[str, floa
     for channel, value in zip(sensing.channels, channels, strict=True):
         pair = len(channel.sides) == 2
         for neuron, end in channel.sides:
-            potential = LOW_MV + (HIGH_MV - LOW_MV) * value / end
+            potential = LOW_MV + (HIGH_MV - LOW_MV) * (value - (channel.origin or 0.0)) / end
             lower = LOW_MV if sensing.clamp or pair else -SATURATION_MV
             upper = HIGH_MV if sensing.clamp else SATURATION_MV
             potentials[neuron] = float(np.clip(potential, lower, upper))

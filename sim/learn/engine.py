@@ -1,32 +1,29 @@
-"""Whole episodes of many candidates in one kernel: lanes of circuits, each with a rover of a fleet.
-
-Candidates wait in a queue for a free lane. A lane runs its candidate's episode on a clock of its own, and
-takes the next candidate when the episode ends or, in a race, is lost; so all lanes stay busy, and what a
-candidate returns depends neither on its lane nor on its company. ``rollout.py`` says what an episode is; the
-tests hold the two together to the last bit.
+"""Scores parameter vectors by whole episodes, on one course or several, with or without random trials.
 
 A return only falls, as every reward is negative: a candidate that is already worse than what it must beat
 has lost, and stopping it changes no decision.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rover_ncp.circuit.circuit import RESTING_MV
 from rover_ncp.circuit.lanes import allocate_lanes, make_program, resting_potentials
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.program import LaneParameters, Program
-from rover_ncp.circuit.solver import fill_lane, tick_lanes
 from rover_ncp.core.course import TICK_S, Course
-from rover_ncp.jit import kernel
-from sim.learn.rollout import START, require_driver
-from sim.world.fleet import ROVERS_PER_BAY, Fleet, FleetArrays, advance, place, read_poses, send, wrapped
-from sim.world.rover import RoverModel, require_free_start
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.reference import Reference, plan_reference
+from rover_ncp.core.signals import SIGNALS, needs_reference
+from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, run_episodes
+from sim.learn.rollout import require_driver
+from sim.world.fleet import ROVERS_PER_BAY, Fleet
+from sim.world.randomization import Trials, nominal_trials
+from sim.world.rover import SUBSTEP_S, RoverModel, require_free_start
 from sim.world.scoring import due_checkpoints
 
-__all__ = ["Engine"]
+__all__ = ["Engine", "Outcomes"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -34,106 +31,208 @@ IntArray = NDArray[np.int64]
 MOST_LANES = 32
 """More gain nothing: all lanes' numbers should stay in a core's first cache."""
 RACERS_PER_LANE = 6
-IDLE = -1
-WARMING_UP = -1
 
 
-class _Task(NamedTuple):
-    """A course as the kernel sees it; T ticks."""
+class Outcomes(NamedTuple):
+    """How episodes ended, each array (candidates, trials); m, rad, and their squares."""
 
-    start: FloatArray
-    """(3,) pose."""
-    signal: FloatArray
-    """(T + 1,) start signal at the start of each tick."""
-    due: IntArray
-    """(T,) checkpoint judged at the end of each tick, or -1."""
-    checkpoints: FloatArray
-    """(checkpoints, 3) poses."""
-
-
-class _Lanes(NamedTuple):
-    """The state of L lanes."""
-
-    parameters: LaneParameters
-    potentials: FloatArray
-    observations: FloatArray
-    commands: FloatArray
-    poses: FloatArray
-    """(n, L), (4, L), (2, L), (3, L)."""
-    candidate: IntArray
-    """(L,) or IDLE."""
-    tick: IntArray
-    """(L,) or WARMING_UP."""
     total: FloatArray
-    """(L,) running return."""
-
-
-class _Queue(NamedTuple):
-    """The candidates of one call, k of them, and what becomes of them."""
-
-    vectors: FloatArray
-    """(k, P)."""
-    stop_below: FloatArray
-    returns: FloatArray
-    """(k,) each."""
+    """Returns."""
+    error_m: FloatArray
+    error_rad: FloatArray
+    moved_m: FloatArray
+    turned_rad: FloatArray
+    """The most in the time to be still."""
+    touched: NDArray[np.bool_]
+    tracking_m2: FloatArray
+    tracking_rad2: FloatArray
+    """Mean squared distance and angle to the reference; of no meaning without one."""
+    parked: NDArray[np.bool_]
+    misses: FloatArray
+    """(candidates, trials, checkpoints, 3) x, y and heading from each checkpoint when it was judged, 0 where a
+    course has fewer: a return is minus the sum of their squares."""
 
 
 class Engine:
-    """Scores parameter vectors of one kind of policy on one course. Not for several threads at once.
+    """Scores parameter vectors of one kind of policy. Not for several threads at once.
 
-    Raises ConfigError when the policy cannot drive or the course's start is blocked.
+    With ``trials``, trial i is driven on course i modulo the number of courses; without, each course once
+    as the model is. References are planned where the policy sees them and none are given.
+
+    Raises ConfigError when the policy cannot drive, a course's start is blocked, or courses that differ in
+    their obstacles are to be driven together.
     """
 
-    def __init__(self, policy: Policy, course: Course, model: RoverModel | None = None) -> None:
+    def __init__(
+        self,
+        policy: Policy,
+        course: Course | Sequence[Course],
+        model: RoverModel | None = None,
+        trials: Trials | None = None,
+        references: Sequence[Reference] | None = None,
+    ) -> None:
         require_driver(policy)
-        self.policy, self.course, self.model = policy, course, model or RoverModel()
-        require_free_start(self.model, course)
+        courses = [course] if isinstance(course, Course) else list(course)
+        self.policy, self.courses, self.model = policy, courses, model or RoverModel()
+        require_free_start(self.model, courses[0])
+        if any(other.obstacles != courses[0].obstacles for other in courses):
+            raise ConfigError("courses", ["all that are driven together must have the same obstacles"])
+        if references is None and needs_reference(policy.sensing.inputs):
+            references = [plan_reference(each) for each in courses]
         self._program = make_program(policy)
-        self._task = _Task(
-            start=np.array(START),
-            signal=np.array([course.start_signal(TICK_S * tick) for tick in range(course.ticks + 1)]),
-            due=due_checkpoints(course),
-            checkpoints=np.array([point.pose for point in course.checkpoints]),
-        )
-        self._teams: dict[int, tuple[Fleet, _Lanes]] = {}
+        self._signal_at = np.array([SIGNALS.index(name) for name in policy.sensing.inputs])
+        self._tasks = _tasks(courses, references, self.model)
+        ticks = int(self._tasks.ticks.max())
+        self._nominal = trials is None
+        self.change_trials(trials or nominal_trials(self.model, ticks))
+        self._teams: dict[int, tuple[Fleet, Lanes]] = {}
+
+    def change_trials(self, trials: Trials) -> None:
+        """Drive other trials from now on."""
+        if trials.noise.shape[1] <= int(self._tasks.ticks.max()):
+            raise ValueError(f"trials of {trials.noise.shape[1] - 1} ticks are too short for the courses")
+        self._trials = trials
+        delays = tuple(SUBSTEP_S * float(trials.delay[:, axis].max()) for axis in range(2))
+        self._slowest = getattr(self, "_slowest", (0.0, 0.0))
+        if any(a > b for a, b in zip(delays, self._slowest, strict=True)):
+            # Commands wait longer than fleets made so far have room for.
+            self._slowest = tuple(max(a, b) for a, b in zip(delays, self._slowest, strict=True))
+            self._teams = {}
 
     def returns(self, vectors: ArrayLike, stop_below: ArrayLike | None = None) -> FloatArray:
-        """Return the returns (k,) of parameter vectors (k, P), which must lie in bounds.
+        """Return the returns (k,) of parameter vectors (k, P), which must lie in bounds, in the first trial.
 
         With ``stop_below`` (k,), an episode ends as soon as its running return is below its threshold; what
         is returned for it is then below the threshold, too, and at least what the whole episode would give.
         """
-        vectors = np.ascontiguousarray(np.atleast_2d(np.asarray(vectors, np.float64)))
+        vectors = _rows(vectors)
         count = len(vectors)
         stop = np.full(count, -np.inf) if stop_below is None else np.array(stop_below, np.float64)
         if stop.shape != (count,):
             raise ValueError(f"stop_below needs one threshold for each of {count} vectors")
-        if not count:
-            return np.zeros(0)
-        fleet, lanes = self._team(_width(count, race=bool((stop > -np.inf).any())))
-        queue = _Queue(vectors, stop, np.zeros(count))
-        _run(self._program, self._task, lanes, fleet.arrays, queue)
-        return queue.returns
+        zeros = np.zeros(count, np.int64)
+        return self._run(vectors, np.arange(count), zeros, zeros, stop).results[:, 0]
 
-    def _team(self, width: int) -> tuple[Fleet, _Lanes]:
+    def traces(self, vectors: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the returns (k,) of parameter vectors (k, P), and the misses (k, E, C, 3) they are made of.
+
+        E trials of C checkpoints, x, y and heading each; a return is the mean over the trials of minus the
+        sum of the squares.
+        """
+        outcomes = self.outcomes(vectors)
+        return outcomes.total.mean(axis=1), outcomes.misses
+
+    def outcomes(self, vectors: ArrayLike) -> Outcomes:
+        """Return how parameter vectors (k, P), which must lie in bounds, do in every trial."""
+        vectors = _rows(vectors)
+        if self._nominal:
+            tasks = np.arange(len(self.courses))
+            trials = np.zeros(len(self.courses), np.int64)
+        else:
+            trials = np.arange(self._trials.size)
+            tasks = trials % len(self.courses)
+        count = len(vectors)
+        queue = self._run(
+            vectors,
+            np.repeat(np.arange(count), len(trials)),
+            np.tile(tasks, count),
+            np.tile(trials, count),
+            np.full(count * len(trials), -np.inf),
+        )
+        found = queue.results.reshape(count, len(trials), RESULTS)
+        total, error_m, error_rad, moved_m, turned_rad, touches, tracking_m2, tracking_rad2 = (
+            found[:, :, i] for i in range(RESULTS)
+        )
+        touched = touches > 0
+        rules = [self.courses[task].parked for task in tasks]
+        position, heading, still_m, still_rad = np.array(
+            [[rule.position_m, rule.heading_rad, rule.still_m, rule.still_rad] for rule in rules]
+        ).T
+        parked = (error_m <= position) & (error_rad <= heading) & ~touched
+        parked &= (moved_m < still_m) & (turned_rad < still_rad)
+        return Outcomes(
+            total,
+            error_m,
+            error_rad,
+            moved_m,
+            turned_rad,
+            touched,
+            tracking_m2,
+            tracking_rad2,
+            parked,
+            queue.misses.reshape(count, len(trials), -1, 3),
+        )
+
+    def _run(
+        self, vectors: FloatArray, vector: IntArray, task: IntArray, trial: IntArray, stop: FloatArray
+    ) -> Queue:
+        results = np.zeros((len(vector), RESULTS))
+        misses = np.zeros((len(vector), *self._tasks.checkpoints.shape[1:]))
+        queue = Queue(vectors, vector, task, trial, stop, results, misses)
+        if len(vector):
+            fleet, lanes = self._team(_width(len(vector), race=bool((stop > -np.inf).any())))
+            run_episodes(
+                self._program, self._signal_at, self._tasks, self._trials, lanes, fleet.arrays, queue
+            )
+        return queue
+
+    def _team(self, width: int) -> tuple[Fleet, Lanes]:
         """Return lanes and rovers of a width, built once."""
         if width not in self._teams:
-            lanes = _Lanes(
+            lanes = Lanes(
                 parameters=allocate_lanes(self._program, self.policy, width),
                 potentials=resting_potentials(self.policy, width),
-                observations=np.zeros((4, width)),
+                observations=np.zeros((len(self._signal_at), width)),
                 commands=np.zeros((2, width)),
                 poses=np.zeros((3, width)),
-                candidate=np.full(width, IDLE),
+                held=np.zeros((2, width)),
+                driven=np.zeros((2, width)),
+                odometry=np.zeros((3, width)),
+                earlier=np.zeros((3, width)),
+                episode=np.full(width, IDLE),
                 tick=np.zeros(width, np.int64),
                 total=np.zeros(width),
+                tail=np.zeros((width, int(self._tasks.still.max()) + 1, 3)),
+                tracking=np.zeros((2, width)),
+                signals=np.zeros(len(SIGNALS)),
             )
-            self._teams[width] = Fleet([self.model] * width, self.course.obstacles), lanes
+            delay_v, delay_omega = self._slowest
+            slowest = self.model.model_copy(update={"delay_v_s": delay_v, "delay_omega_s": delay_omega})
+            self._teams[width] = Fleet([slowest] * width, self.courses[0].obstacles), lanes
         return self._teams[width]
 
 
+def _rows(vectors: ArrayLike) -> FloatArray:
+    return np.ascontiguousarray(np.atleast_2d(np.asarray(vectors, np.float64)))
+
+
+def _tasks(courses: Sequence[Course], references: Sequence[Reference] | None, model: RoverModel) -> Tasks:
+    most = max(course.ticks for course in courses)
+    points = max(len(course.checkpoints) for course in courses)
+    tasks = Tasks(
+        ticks=np.array([course.ticks for course in courses]),
+        still=np.array([round(course.parked.still_s / TICK_S) for course in courses]),
+        signal=np.zeros((len(courses), most + 1)),
+        due=np.full((len(courses), most), -1, np.int64),
+        checkpoints=np.zeros((len(courses), points, 3)),
+        goal=np.array([course.goal for course in courses]),
+        reference=np.zeros((len(courses), most + 1, 5)),
+        limits=np.array([model.accel, model.decel, model.alpha, model.alpha_decel]),
+    )
+    for row, course in enumerate(courses):
+        ticks = course.ticks
+        tasks.signal[row, : ticks + 1] = [course.start_signal(TICK_S * tick) for tick in range(ticks + 1)]
+        tasks.due[row, :ticks] = due_checkpoints(course)
+        tasks.checkpoints[row, : len(course.checkpoints)] = [point.pose for point in course.checkpoints]
+        if references is not None:
+            for tick in range(ticks + 1):
+                pose, motion = references[row].tick(tick)
+                tasks.reference[row, tick] = *pose, *motion
+    return tasks
+
+
 def _width(count: int, race: bool) -> int:
-    """Return how many lanes serve so many candidates, in whole bays.
+    """Return how many lanes serve so many episodes, in whole bays.
 
     Episodes of the same length go in as few rounds as can be, evenly full. In a race they end at all times,
     so fewer lanes with a queue behind them do more than many that stand idle at the end.
@@ -141,83 +240,3 @@ def _width(count: int, race: bool) -> int:
     most = min(MOST_LANES, count // RACERS_PER_LANE) if race else MOST_LANES
     rounds = -(-count // max(most, ROVERS_PER_BAY))
     return -(-count // (rounds * ROVERS_PER_BAY)) * ROVERS_PER_BAY
-
-
-@kernel
-def _run(program: Program, task: _Task, lanes: _Lanes, fleet: FleetArrays, queue: _Queue) -> None:
-    """Run the episodes of all candidates in the queue."""
-    waiting, running = 0, 0
-    lanes.candidate[:] = IDLE
-    while True:
-        for lane in range(len(lanes.candidate)):
-            if lanes.candidate[lane] == IDLE and waiting < len(queue.returns):
-                fill_lane(program, lanes.parameters, lane, queue.vectors[waiting])
-                _start(task, lanes, fleet, lane)
-                lanes.candidate[lane] = waiting
-                waiting += 1
-                running += 1
-        if running == 0:
-            return
-        tick_lanes(program, lanes.parameters, lanes.potentials, lanes.observations, lanes.commands)
-        _hold_back(lanes)
-        send(fleet, lanes.commands)
-        advance(fleet)
-        read_poses(fleet, lanes.poses)
-        running -= _finish_tick(task, lanes, fleet, queue)
-
-
-@kernel
-def _start(task: _Task, lanes: _Lanes, fleet: FleetArrays, lane: int) -> None:
-    """Begin an episode: neurons at rest, the rover at the start, no start signal."""
-    lanes.potentials[:, lane] = RESTING_MV
-    lanes.tick[lane] = WARMING_UP
-    lanes.total[lane] = 0.0
-    place(fleet, lane, task.start[0], task.start[1], task.start[2])
-    lanes.observations[:3, lane] = task.start
-    lanes.observations[3, lane] = 0.0
-
-
-@kernel
-def _hold_back(lanes: _Lanes) -> None:
-    """Keep the rovers still whose circuit is warming up, or whose lane is idle."""
-    commands, candidate, tick = lanes.commands, lanes.candidate, lanes.tick
-    for lane in range(len(candidate)):
-        if candidate[lane] == IDLE or tick[lane] == WARMING_UP:
-            commands[0, lane] = commands[1, lane] = 0.0
-
-
-@kernel
-def _finish_tick(task: _Task, lanes: _Lanes, fleet: FleetArrays, queue: _Queue) -> int:
-    """Judge what a tick led to, and observe; return how many episodes ended."""
-    # Local names: numba counts references whenever an array is taken out of a tuple.
-    candidate, tick, total, poses = lanes.candidate, lanes.tick, lanes.total, lanes.poses
-    observations, start, signal, due, checkpoints = (
-        lanes.observations,
-        task.start,
-        task.signal,
-        task.due,
-        task.checkpoints,
-    )
-    stop_below = queue.stop_below
-    ended = 0
-    for lane in range(len(candidate)):
-        if candidate[lane] == IDLE:
-            continue
-        now = tick[lane]
-        if now == WARMING_UP:
-            # The rover stood still, but for what the last contact of its last episode left to correct.
-            place(fleet, lane, start[0], start[1], start[2])
-            poses[:, lane] = start
-        elif due[now] >= 0:
-            target = due[now]
-            dx, dy = poses[0, lane] - checkpoints[target, 0], poses[1, lane] - checkpoints[target, 1]
-            dtheta = wrapped(poses[2, lane] - checkpoints[target, 2])
-            total[lane] -= dx * dx + dy * dy + dtheta * dtheta
-        tick[lane] = now + 1
-        observations[:3, lane] = poses[:, lane]
-        observations[3, lane] = signal[now + 1]
-        if now + 1 == len(due) or total[lane] < stop_below[candidate[lane]]:
-            queue.returns[candidate[lane]] = total[lane]
-            candidate[lane] = IDLE
-            ended += 1
-    return ended

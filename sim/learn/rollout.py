@@ -3,7 +3,9 @@
 An episode, as the paper's simulator runs it: every neuron at rest, one warm-up tick of the circuit on the
 start observation without the start signal, its motors ignored. Then in each control tick the circuit sees the
 pose at its start, its command is sent, ten physics substeps follow, and at its end the checkpoint that is due
-is judged. ``engine.py`` does the same for many candidates at once and gives the same bits.
+is judged. In a trial (``sim/world/randomization.py``) the circuit sees what odometry believes, the command
+may get lost, and the base makes of it what it can. ``engine.py`` does the same for many candidates at once
+and gives the same bits.
 """
 
 import math
@@ -15,19 +17,29 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.geometry import Pose, distance
+from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.core.reference import Reference, plan_reference
+from rover_ncp.core.signals import SIGNALS, needs_reference, see
 from sim.world.bay import Bay
 from sim.world.fleet import SUBSTEPS
+from sim.world.randomization import (
+    BaseErrors,
+    OdometryErrors,
+    Trials,
+    driven,
+    nominal_trials,
+    reckoned,
+    stepped,
+    trial_model,
+)
 from sim.world.rover import Rover, RoverModel, require_free_start
 from sim.world.scoring import due_checkpoints, reward
 
-__all__ = ["INPUTS", "OUTPUTS", "START", "Rollout", "require_driver", "rollout"]
+__all__ = ["OUTPUTS", "Rollout", "require_driver", "rollout"]
 
 FloatArray = NDArray[np.float64]
 
-INPUTS = ("x", "y", "theta", "start")
 OUTPUTS = ("v", "omega")
-START = Pose(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +50,8 @@ class Rollout:
     """(T + 1,) s, from 0."""
     poses: FloatArray
     """(T + 1, 3), the first one the start."""
+    seen: FloatArray
+    """(T, 3) what the circuit was shown at the start of each tick."""
     commands: FloatArray
     """(T, 2): v in m/s and omega in rad/s, as sent at the start of each tick."""
     potentials: FloatArray
@@ -51,47 +65,112 @@ class Rollout:
 
 
 def require_driver(policy: Policy) -> None:
-    """Raise ConfigError unless a policy drives a rover from its pose: parking's inputs, outputs and tick."""
-    problems = [
-        f"{what} must be {', '.join(expected)}, got {', '.join(found)}"
-        for what, expected, found in (
-            ("inputs", INPUTS, policy.sensing.inputs),
-            ("outputs", OUTPUTS, policy.motors.outputs),
-        )
-        if expected != found
-    ]
+    """Raise ConfigError unless a policy drives a rover: known signals in, v and omega out, 0.1 s a tick."""
+    problems = []
+    if unknown := [name for name in policy.sensing.inputs if name not in SIGNALS]:
+        problems.append(f"its sensing asks for {', '.join(unknown)}; known are {', '.join(SIGNALS)}")
+    if policy.motors.outputs != OUTPUTS:
+        problems.append(f"outputs must be {', '.join(OUTPUTS)}, got {', '.join(policy.motors.outputs)}")
     if not math.isclose(policy.tick_s, TICK_S):
         problems.append(f"a tick (dt_s times substeps) must be {TICK_S} s, got {policy.tick_s:g} s")
     if problems:
         raise ConfigError(f"policy {policy.circuit.name}", problems)
 
 
-def rollout(policy: Policy, course: Course, model: RoverModel | None = None) -> Rollout:
-    """Drive a course from its start to its horizon. Raises ConfigError when the policy cannot drive."""
+class _Odometry:
+    """What a rover sees of its own pose in a trial."""
+
+    def __init__(self, trials: Trials, row: int) -> None:
+        self._trials, self._row = trials, row
+        self._now = self._earlier = self._true = Pose(*trials.start[row].tolist())
+
+    def moved(self, pose: Pose) -> None:
+        """Take in where a tick brought the rover."""
+        trials, row = self._trials, self._row
+        self._earlier = self._now
+        if trials.exact:
+            self._now = pose
+        else:
+            errors = *trials.odometry[row], trials.imbalance[row], trials.slip[row], trials.drift[row]
+            self._now = reckoned(self._now, self._true, pose, OdometryErrors(*map(float, errors)))
+        self._true = pose
+
+    def pushed(self, pose: Pose) -> None:
+        """Take in nothing of a push: the next tick begins from where it brought the rover."""
+        self._true = pose
+
+    def seen(self, tick: int) -> Pose:
+        """Return the pose shown at the start of a tick."""
+        if self._trials.exact:
+            return self._now
+        age = float(self._trials.age[self._row, tick])
+        noise = self._trials.noise[self._row, tick].tolist()
+        x, y, theta = (
+            now + (error - age * (now - earlier))
+            for now, earlier, error in zip(self._now, self._earlier, noise, strict=True)
+        )
+        return Pose(x, y, wrap_angle(theta))
+
+
+def rollout(
+    policy: Policy,
+    course: Course,
+    model: RoverModel | None = None,
+    *,
+    trials: Trials | None = None,
+    row: int = 0,
+    reference: Reference | None = None,
+) -> Rollout:
+    """Drive a course to its horizon, as the model is or in trial ``row``.
+
+    Raises ConfigError when the policy cannot drive.
+    """
     require_driver(policy)
     model = model or RoverModel()
     require_free_start(model, course)
-    rover, runner = Rover(model, Bay(course.obstacles), START), PolicyRunner(policy)
-    runner.warm_up([*START, 0.0])
-    poses, commands, potentials, misses = [rover.pose], [], [], []
+    trials = trials or nominal_trials(model, course.ticks)
+    if reference is None and needs_reference(policy.sensing.inputs):
+        reference = plan_reference(course)
+    chosen = [SIGNALS.index(name) for name in policy.sensing.inputs]
+    start, odometry = Pose(*trials.start[row].tolist()), _Odometry(trials, row)
+    rover, runner = Rover(trial_model(model, trials, row), Bay(course.obstacles), start), PolicyRunner(policy)
+
+    def observation(tick: int, signal: float) -> list[float]:
+        signals = see(odometry.seen(tick), signal, reference.tick(tick) if reference else None)
+        return [signals[i] for i in chosen]
+
+    runner.warm_up(observation(0, 0.0))
+    gain_v, gain_omega = trials.gain[row].tolist()
+    base = BaseErrors(gain_v, gain_omega, float(trials.imbalance[row]), float(trials.slip[row]))
+    held = (0.0, 0.0)
+    poses, seen, commands, potentials, misses = [rover.pose], [], [], [], []
     touched, total = False, 0.0
     for tick, checkpoint in enumerate(due_checkpoints(course)):
-        v, omega = runner.tick([*rover.pose, course.start_signal(TICK_S * tick)])
-        rover.command(v, omega)
+        seen.append(odometry.seen(tick))
+        v, omega = runner.tick(observation(tick, course.start_signal(TICK_S * tick)))
+        if not trials.lost[row, tick]:
+            held = stepped(v, float(trials.step[0])), stepped(omega, float(trials.step[1]))
+        rover.command(*driven(*held, base))
         for _ in range(SUBSTEPS):
             rover.substep()
             touched = touched or rover.in_contact
-        poses.append(rover.pose)
-        commands.append((v, omega))
-        potentials.append(runner.potentials)
         if checkpoint >= 0:
             target = course.checkpoints[checkpoint].pose
             total += reward(rover.pose, target)
             misses.append(distance(rover.pose, target))
+        odometry.moved(rover.pose)
+        if tick + 1 == trials.bump[row, 0] and not trials.exact:
+            push = Pose(*trials.bump[row, 1:].tolist())
+            rover.push(push)
+            odometry.pushed(rover.pose)
+        poses.append(rover.pose)
+        commands.append((v, omega))
+        potentials.append(runner.potentials)
     times = [TICK_S * tick for tick in range(course.ticks + 1)]
     return Rollout(
         times=np.array(times),
         poses=np.array(poses),
+        seen=np.array(seen),
         commands=np.array(commands),
         potentials=np.array(potentials),
         touched=touched,

@@ -173,6 +173,12 @@ class Rover:
         self._omega_queue.clear()
         self._v_target = self._omega_target = 0.0
 
+    def push(self, shift: Pose) -> None:
+        """Shift the rover's body at once, in the bay's frame; it keeps its velocity."""
+        x, y = self.body.position
+        self.body.position = (x + shift.x, y + shift.y)
+        self.body.angle += shift.theta
+
     def substep(self) -> None:
         """Advance by 0.01 s."""
         while self._v_queue and self._v_queue[0][0] <= self.substeps:

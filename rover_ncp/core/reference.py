@@ -1,0 +1,220 @@
+"""The moving reference of a course: where a rover that can drive no better than ours should be at each tick.
+
+Checkpoints are poses with deadlines and need not agree with each other: the paper's ask for a turn quicker
+than its motors' and for headings that are not those of the path. The reference is the drive of a unicycle,
+v and ω linear between knots 0.5 s apart and within the motors' limits, that comes nearest to the checkpoints
+in the sense of least squares and ends on the goal. So it is smooth and drivable by construction, and how far
+it stays away from a checkpoint says how far the course is from drivable.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.core.course import TICK_S, Course
+from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
+
+__all__ = ["OMEGA_MAX", "V_MAX", "Deviation", "Reference", "deviations", "drive_profile", "plan_reference"]
+
+FloatArray = NDArray[np.float64]
+
+V_MAX = 0.16
+"""Fastest reference in m/s: the paper's motors."""
+OMEGA_MAX = 0.18
+"""Fastest turn of a reference in rad/s: the paper's motors."""
+
+_KNOT_TICKS = 5
+_DECIMALS = 5
+# One unit of the sum of squares: so far off a checkpoint, or so sharp a bend of v or ω between knots.
+_POSITION_M, _HEADING_RAD = 0.01, 0.02
+_BEND_V, _BEND_OMEGA = 0.05, 0.10
+_GOAL_WEIGHT = 20.0
+_BACKWARD_M = 0.02
+_SAME = 1e-6
+"""Neighbours no farther apart than this in m and rad are the same pose: the rover rests."""
+
+
+class Deviation(NamedTuple):
+    """How far the reference is from a checkpoint when it is due."""
+
+    t: float
+    error_m: float
+    error_rad: float
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """One row for each tick of a course, its start included (T + 1): poses and motion there."""
+
+    poses: FloatArray
+    """(T + 1, 3): x and y in m, theta in rad, not wrapped."""
+    motion: FloatArray
+    """(T + 1, 2): v in m/s, negative backward, and omega in rad/s."""
+
+    @property
+    def ticks(self) -> int:
+        """T, the number of ticks."""
+        return len(self.poses) - 1
+
+    def tick(self, k: int) -> tuple[Pose, Velocity]:
+        """Return pose and motion at the start of tick ``k``; after the last tick, as at its end."""
+        row = min(k, self.ticks)
+        x, y, theta = self.poses[row].tolist()
+        return Pose(x, y, wrap_angle(theta)), Velocity(*self.motion[row].tolist())
+
+    def at(self, t: float) -> tuple[Pose, Velocity]:
+        """Return pose and motion at ``t`` seconds, linear between ticks, at rest on the last pose after."""
+        place = min(max(t / TICK_S, 0.0), float(self.ticks))
+        k = min(int(place), self.ticks - 1)
+        part = place - k
+        x, y, theta = (1 - part) * self.poses[k] + part * self.poses[k + 1]
+        v, omega = (1 - part) * self.motion[k] + part * self.motion[k + 1]
+        return Pose(float(x), float(y), wrap_angle(float(theta))), Velocity(float(v), float(omega))
+
+
+def drive_profile(start: Pose, v: Sequence[float], omega: Sequence[float]) -> Reference:
+    """Drive speeds (T + 1,), linear between ticks, from ``start``: a reference drivable by construction."""
+    poses = [tuple(start)]
+    x, y, theta = start
+    for k in range(len(v) - 1):
+        mean_v, turn = 0.5 * (v[k] + v[k + 1]), 0.5 * TICK_S * (omega[k] + omega[k + 1])
+        heading = theta + 0.5 * turn
+        x += TICK_S * mean_v * math.cos(heading)
+        y += TICK_S * mean_v * math.sin(heading)
+        theta += turn
+        poses.append((x, y, theta))
+    return Reference(np.array(poses), np.column_stack([v, omega]).astype(np.float64))
+
+
+def plan_reference(course: Course, v_max: float = V_MAX, omega_max: float = OMEGA_MAX) -> Reference:
+    """Return the reference of a course, which begins at its first checkpoint if that is due at 0 s.
+
+    Otherwise it begins at the origin, as the rover does. It goes backward only where the course does.
+    """
+    # scipy is a matter of half a second, and of those courses that a policy follows by their reference.
+    from scipy.optimize import least_squares
+
+    fit = _Fit(course)
+    backward = v_max if _goes_backward(course, fit.start) else 0.0
+    v, omega = np.zeros(fit.knots), np.zeros(fit.knots)
+    if fit.free.any():
+        count = np.count_nonzero(fit.free)
+        upper = np.repeat([v_max, omega_max], count)
+        lower = np.repeat([-backward, -omega_max], count)
+        begin = np.repeat([0.0 if backward else 0.1 * v_max, 0.0], count)
+        found = least_squares(
+            fit.residuals, begin, fit.jacobian, bounds=(lower, upper), x_scale=upper, tr_solver="lsmr"
+        )
+        # Rounded, so that another machine's last bits do not show.
+        v[fit.free], omega[fit.free] = np.round(found.x.reshape(2, count), _DECIMALS)
+    return drive_profile(fit.start, _between(v), _between(omega))
+
+
+def deviations(course: Course, reference: Reference) -> list[Deviation]:
+    """Return how far the reference is from each checkpoint at its deadline."""
+    found = []
+    for point in course.checkpoints:
+        pose, _ = reference.at(point.t)
+        found.append(
+            Deviation(point.t, distance(pose, point.pose), abs(wrap_angle(pose.theta - point.theta)))
+        )
+    return found
+
+
+def _goes_backward(course: Course, start: Pose) -> bool:
+    """Whether a chord between neighbouring poses points against the mean of their headings."""
+    poses = [start, *(point.pose for point in course.checkpoints)]
+    for a, b in pairwise(poses):
+        heading = a.theta + 0.5 * wrap_angle(b.theta - a.theta)
+        if (b.x - a.x) * math.cos(heading) + (b.y - a.y) * math.sin(heading) < -_BACKWARD_M:
+            return True
+    return False
+
+
+class _Fit:
+    """The least-squares problem: unknowns are v, then ω, at the knots where the course does not rest."""
+
+    def __init__(self, course: Course) -> None:
+        points = course.checkpoints
+        self.start = points[0].pose if points[0].t == 0 else Pose(0.0, 0.0, 0.0)
+        self.knots = -(-course.ticks // _KNOT_TICKS) + 1
+        self.free = _moving(course, self.knots)
+        headings = np.unwrap([self.start.theta, *(point.theta for point in points)])[1:]
+        self._targets = np.array([[point.x for point in points], [point.y for point in points], headings])
+        at_goal = np.abs(self._targets - self._targets[:, -1:]).max(axis=0) < _SAME
+        self._scale = np.array([[_POSITION_M], [_POSITION_M], [_HEADING_RAD]]) / np.where(
+            at_goal, _GOAL_WEIGHT, 1.0
+        )
+        self._due = _hat(np.array([point.t for point in points]) / TICK_S, course.ticks + 1)
+        blend = _hat(np.arange(course.ticks + 1) / _KNOT_TICKS, self.knots)[:, self.free]
+        # At the middle of each tick, as a mean of the unknowns.
+        self._mean = 0.5 * (blend[1:] + blend[:-1])
+        self._bend = np.diff(np.eye(self.knots), 2, axis=0)[:, self.free]
+
+    def _drive(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the step lengths (T,), the headings in the middle (T,) and at the ticks (T + 1,)."""
+        v, omega = unknowns.reshape(2, -1)
+        theta = self.start.theta + TICK_S * _sums((self._mean @ omega)[:, None])[:, 0]
+        return TICK_S * (self._mean @ v), 0.5 * (theta[1:] + theta[:-1]), theta
+
+    def residuals(self, unknowns: FloatArray) -> FloatArray:
+        step, heading, theta = self._drive(unknowns)
+        path = _sums(np.column_stack([step * np.cos(heading), step * np.sin(heading)]))
+        reached = self._due @ np.column_stack([path + self.start[:2], theta])
+        v, omega = unknowns.reshape(2, -1)
+        misses = (reached.T - self._targets) / self._scale
+        return np.concatenate([misses.ravel(), self._bend @ v / _BEND_V, self._bend @ omega / _BEND_OMEGA])
+
+    def jacobian(self, unknowns: FloatArray) -> FloatArray:
+        step, heading, _ = self._drive(unknowns)
+        step, cos, sin = step[:, None], np.cos(heading)[:, None], np.sin(heading)[:, None]
+        turned = TICK_S * _sums(self._mean)
+        between = 0.5 * (turned[1:] + turned[:-1])
+        by_v = (_sums(TICK_S * cos * self._mean), _sums(TICK_S * sin * self._mean), 0.0 * turned)
+        by_omega = (_sums(-step * sin * between), _sums(step * cos * between), turned)
+        rows = [
+            self._due @ np.hstack([v, omega]) / scale[:, None]
+            for v, omega, scale in zip(by_v, by_omega, self._scale, strict=True)
+        ]
+        none = np.zeros_like(self._bend)
+        rows += [np.hstack([self._bend / _BEND_V, none]), np.hstack([none, self._bend / _BEND_OMEGA])]
+        return np.vstack(rows)
+
+
+def _moving(course: Course, knots: int) -> NDArray[np.bool_]:
+    """Return (knots,) where the course moves: not between equal neighbours, nor behind the last one."""
+    times = TICK_S * _KNOT_TICKS * np.arange(knots)
+    free = times < course.checkpoints[-1].t
+    free[0] = False
+    for a, b in pairwise(course.checkpoints):
+        if max(abs(p - q) for p, q in zip(a.pose, b.pose, strict=True)) < _SAME:
+            free &= (times < a.t) | (times > b.t)
+    return free
+
+
+def _between(knots: FloatArray) -> list[float]:
+    """Return the values at ticks from those at knots, one after the other: no library's order of sums."""
+    values = []
+    for a, b in pairwise(knots.tolist()):
+        values += [a + (b - a) * i / _KNOT_TICKS for i in range(_KNOT_TICKS)]
+    return [*values, float(knots[-1])]
+
+
+def _sums(rows: FloatArray) -> FloatArray:
+    """Return the sums (T + 1, ...) of the first 0, 1, 2, ... rows."""
+    return np.vstack([np.zeros((1, rows.shape[1])), np.cumsum(rows, axis=0)])
+
+
+def _hat(places: FloatArray, count: int) -> FloatArray:
+    """Return the matrix (places, count) that interpolates linearly between whole numbers."""
+    places = np.minimum(places, count - 1)
+    below = np.minimum(places.astype(int), count - 2)
+    matrix = np.zeros((len(places), count))
+    matrix[np.arange(len(places)), below] = 1 - (places - below)
+    matrix[np.arange(len(places)), below + 1] = places - below
+    return matrix

@@ -1,0 +1,337 @@
+"""Whole episodes in one kernel: lanes of circuits, each with a rover of a fleet.
+
+Episodes wait in a queue for a free lane. A lane runs its episode on a clock of its own, and takes the next
+one when that ends or, in a race, is lost; so all lanes stay busy, and what an episode gives depends neither
+on its lane nor on its company. ``rollout.py`` says what an episode is; the tests hold the two together to
+the last bit.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.circuit import RESTING_MV
+from rover_ncp.circuit.program import LaneParameters, Program
+from rover_ncp.circuit.solver import fill_lane, tick_lanes
+from rover_ncp.core.geometry import Pose
+from rover_ncp.core.signals import seen_from
+from rover_ncp.jit import kernel
+from sim.world import chipmunk
+from sim.world.fleet import FleetArrays, advance, place, read_poses, send, wrapped
+from sim.world.randomization import BaseErrors, OdometryErrors, Trials, driven, reckoned, stepped
+from sim.world.rover import SUBSTEP_S
+
+__all__ = ["IDLE", "RESULTS", "Lanes", "Queue", "Tasks", "run_episodes"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+IDLE = -1
+WARMING_UP = -1
+
+RESULTS = 8
+"""Numbers an episode ends in, in this order: return; distance (m) and angle (rad) to the goal; the farthest
+that pose and heading were, in the time to be still, from where they ended (m, rad); touched (0 or 1); means
+over all ticks of the squared distance (m²) and angle (rad²) to the reference."""
+
+
+class Tasks(NamedTuple):
+    """C courses as the kernel sees them; up to T ticks, up to W ticks to be still."""
+
+    ticks: IntArray
+    still: IntArray
+    """(C,) each."""
+    signal: FloatArray
+    """(C, T + 1) start signal at the start of each tick."""
+    due: IntArray
+    """(C, T) checkpoint judged at the end of each tick, or -1."""
+    checkpoints: FloatArray
+    """(C, checkpoints, 3) poses, the last one the goal."""
+    goal: FloatArray
+    """(C, 3)."""
+    reference: FloatArray
+    """(C, T + 1, 5): x, y, theta, v, omega at the start of each tick; 0 where no policy asks for it."""
+    limits: FloatArray
+    """(4,) the model's accel, decel, alpha, alpha_decel."""
+
+
+class Lanes(NamedTuple):
+    """The state of L lanes."""
+
+    parameters: LaneParameters
+    potentials: FloatArray
+    observations: FloatArray
+    commands: FloatArray
+    poses: FloatArray
+    """(n, L), (inputs, L), (2, L), (3, L)."""
+    held: FloatArray
+    driven: FloatArray
+    """(2, L) each: the command that arrived last, and what the base makes of it."""
+    odometry: FloatArray
+    earlier: FloatArray
+    """(3, L) each: where odometry believes to be, heading not wrapped, now and a tick ago."""
+    episode: IntArray
+    """(L,) or IDLE."""
+    tick: IntArray
+    """(L,) or WARMING_UP."""
+    total: FloatArray
+    """(L,) running return."""
+    tail: FloatArray
+    """(L, W + 1, 3) ring of the last poses."""
+    tracking: FloatArray
+    """(2, L) running sums."""
+    signals: FloatArray
+    """(9,) work: all that can be seen."""
+
+
+class Queue(NamedTuple):
+    """The E episodes of one call, and what becomes of them."""
+
+    vectors: FloatArray
+    """(V, P)."""
+    vector: IntArray
+    task: IntArray
+    trial: IntArray
+    """(E,) each: rows of vectors, tasks and trials."""
+    stop_below: FloatArray
+    """(E,) an episode ends as soon as its running return is below."""
+    results: FloatArray
+    """(E, RESULTS)."""
+    misses: FloatArray
+    """(E, checkpoints, 3) x, y and heading from each checkpoint when it was judged; 0 where none was."""
+
+
+_seen_from = kernel(seen_from)
+_driven = kernel(driven)
+_reckoned = kernel(reckoned)
+_stepped = kernel(stepped)
+
+
+@kernel
+def run_episodes(
+    program: Program,
+    signal_at: IntArray,
+    tasks: Tasks,
+    trials: Trials,
+    lanes: Lanes,
+    fleet: FleetArrays,
+    queue: Queue,
+) -> None:
+    """Run all episodes in the queue. ``signal_at`` (inputs,) says which signal each input is."""
+    waiting, running = 0, 0
+    lanes.episode[:] = IDLE
+    while True:
+        for lane in range(len(lanes.episode)):
+            if lanes.episode[lane] == IDLE and waiting < len(queue.results):
+                fill_lane(program, lanes.parameters, lane, queue.vectors[queue.vector[waiting]])
+                lanes.episode[lane] = waiting
+                start_episode(signal_at, tasks, trials, lanes, fleet, queue, lane)
+                waiting += 1
+                running += 1
+        if running == 0:
+            return
+        tick_lanes(program, lanes.parameters, lanes.potentials, lanes.observations, lanes.commands)
+        pass_commands(trials, lanes, queue)
+        send(fleet, lanes.driven)
+        advance(fleet)
+        read_poses(fleet, lanes.poses)
+        running -= finish_tick(signal_at, tasks, trials, lanes, fleet, queue)
+
+
+@kernel
+def start_episode(
+    signal_at: IntArray,
+    tasks: Tasks,
+    trials: Trials,
+    lanes: Lanes,
+    fleet: FleetArrays,
+    queue: Queue,
+    lane: int,
+) -> None:
+    """Begin an episode: neurons at rest, the trial's rover at its start, no start signal."""
+    episode = lanes.episode[lane]
+    task, trial = queue.task[episode], queue.trial[episode]
+    lanes.potentials[:, lane] = RESTING_MV
+    lanes.tick[lane] = WARMING_UP
+    lanes.total[lane] = 0.0
+    lanes.held[:, lane] = 0.0
+    lanes.tracking[:, lane] = 0.0
+    lanes.odometry[:, lane] = trials.start[trial]
+    lanes.earlier[:, lane] = trials.start[trial]
+    for axis in range(2):
+        factor = trials.acceleration[trial, axis]
+        fleet.rise[axis, lane] = (tasks.limits[2 * axis] * factor) * SUBSTEP_S
+        fleet.fall[axis, lane] = (tasks.limits[2 * axis + 1] * factor) * SUBSTEP_S
+        fleet.delay[axis, lane] = trials.delay[trial, axis]
+    put_at_start(trials, lanes, fleet, trial, lane)
+    observe(signal_at, tasks, trials, lanes, task, trial, lane, 0, 0.0)
+
+
+@kernel
+def put_at_start(trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, lane: int) -> None:
+    """Place the rover where its trial starts."""
+    start = trials.start[trial]
+    place(fleet, lane, start[0], start[1], start[2])
+    lanes.poses[:, lane] = start
+    lanes.tail[lane, 0] = start
+
+
+@kernel
+def observe(
+    signal_at: IntArray,
+    tasks: Tasks,
+    trials: Trials,
+    lanes: Lanes,
+    task: int,
+    trial: int,
+    lane: int,
+    tick: int,
+    signal: float,
+) -> None:
+    """Show the circuit what it sees at the start of a tick: a pose by odometry, with noise, and the rest."""
+    seen, reference = lanes.signals, tasks.reference[task, tick]
+    for axis in range(3):
+        seen[axis] = lanes.odometry[axis, lane]
+        if not trials.exact:
+            old = trials.age[trial, tick] * (lanes.odometry[axis, lane] - lanes.earlier[axis, lane])
+            seen[axis] += trials.noise[trial, tick, axis] - old
+    if not trials.exact:
+        seen[2] = wrapped(seen[2])
+    seen[3] = signal
+    seen[4], seen[5], seen[6] = _seen_from(
+        Pose(seen[0], seen[1], seen[2]), Pose(reference[0], reference[1], reference[2])
+    )
+    seen[7], seen[8] = reference[3], reference[4]
+    for i in range(len(signal_at)):
+        lanes.observations[i, lane] = seen[signal_at[i]]
+
+
+@kernel
+def pass_commands(trials: Trials, lanes: Lanes, queue: Queue) -> None:
+    """Bring the commands to the bases, but for those lost; rovers stay whose circuit warms up or is idle."""
+    commands, held, episode, tick = lanes.commands, lanes.held, lanes.episode, lanes.tick
+    for lane in range(len(episode)):
+        if episode[lane] == IDLE or tick[lane] == WARMING_UP:
+            lanes.driven[0, lane] = lanes.driven[1, lane] = 0.0
+            continue
+        trial = queue.trial[episode[lane]]
+        if not trials.lost[trial, tick[lane]]:
+            held[0, lane] = _stepped(commands[0, lane], trials.step[0])
+            held[1, lane] = _stepped(commands[1, lane], trials.step[1])
+        lanes.driven[0, lane], lanes.driven[1, lane] = _driven(
+            held[0, lane],
+            held[1, lane],
+            BaseErrors(
+                trials.gain[trial, 0], trials.gain[trial, 1], trials.imbalance[trial], trials.slip[trial]
+            ),
+        )
+
+
+@kernel
+def finish_tick(
+    signal_at: IntArray, tasks: Tasks, trials: Trials, lanes: Lanes, fleet: FleetArrays, queue: Queue
+) -> int:
+    """Judge what a tick led to, and observe; return how many episodes ended."""
+    # Local names: numba counts references whenever an array is taken out of a tuple.
+    episodes, ticks, total, poses, tail = lanes.episode, lanes.tick, lanes.total, lanes.poses, lanes.tail
+    due, checkpoints, reference = tasks.due, tasks.checkpoints, tasks.reference
+    misses = queue.misses
+    ended = 0
+    for lane in range(len(episodes)):
+        episode = episodes[lane]
+        if episode == IDLE:
+            continue
+        task, trial, now = queue.task[episode], queue.trial[episode], ticks[lane]
+        ticks[lane] = now + 1
+        if now == WARMING_UP:
+            # The rover stood still, but for what the last contact of its last episode left to correct.
+            put_at_start(trials, lanes, fleet, trial, lane)
+            observe(signal_at, tasks, trials, lanes, task, trial, lane, 0, tasks.signal[task, 0])
+            continue
+        if due[task, now] >= 0:
+            target = due[task, now]
+            dx = poses[0, lane] - checkpoints[task, target, 0]
+            dy = poses[1, lane] - checkpoints[task, target, 1]
+            dtheta = wrapped(poses[2, lane] - checkpoints[task, target, 2])
+            total[lane] -= dx * dx + dy * dy + dtheta * dtheta
+            misses[episode, target, 0] = dx
+            misses[episode, target, 1] = dy
+            misses[episode, target, 2] = dtheta
+        where = reference[task, now + 1]
+        dx, dy = poses[0, lane] - where[0], poses[1, lane] - where[1]
+        dtheta = wrapped(poses[2, lane] - where[2])
+        lanes.tracking[0, lane] += dx * dx + dy * dy
+        lanes.tracking[1, lane] += dtheta * dtheta
+        length = tail.shape[1]
+        before = tail[lane, now % length]
+        if trials.exact:
+            lanes.odometry[:, lane] = poses[:, lane]
+        else:
+            reckon(trials, lanes, trial, lane, before, now + 1)
+        tail[lane, (now + 1) % length] = poses[:, lane]
+        if now + 1 == trials.bump[trial, 0] and not trials.exact:
+            bump(trials, lanes, fleet, trial, lane)
+            tail[lane, (now + 1) % length] = poses[:, lane]
+        if now + 1 == tasks.ticks[task] or total[lane] < queue.stop_below[episode]:
+            conclude(tasks, lanes, fleet, task, lane, queue.results[episode])
+            episodes[lane] = IDLE
+            ended += 1
+        else:
+            observe(signal_at, tasks, trials, lanes, task, trial, lane, now + 1, tasks.signal[task, now + 1])
+    return ended
+
+
+@kernel
+def reckon(trials: Trials, lanes: Lanes, trial: int, lane: int, before: FloatArray, tick: int) -> None:
+    """Move odometry by what a tick seemed to be."""
+    poses, odometry = lanes.poses, lanes.odometry
+    lanes.earlier[:, lane] = odometry[:, lane]
+    odometry[0, lane], odometry[1, lane], odometry[2, lane] = _reckoned(
+        Pose(odometry[0, lane], odometry[1, lane], odometry[2, lane]),
+        Pose(before[0], before[1], before[2]),
+        Pose(poses[0, lane], poses[1, lane], poses[2, lane]),
+        OdometryErrors(
+            trials.odometry[trial, 0],
+            trials.odometry[trial, 1],
+            trials.imbalance[trial],
+            trials.slip[trial],
+            trials.drift[trial],
+        ),
+    )
+
+
+@kernel
+def bump(trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, lane: int) -> None:
+    """Push the rover, unseen by its odometry."""
+    body, layout, push = fleet.bodies[lane], fleet.layout, trials.bump[trial]
+    chipmunk.store(body + layout.position, chipmunk.load(body + layout.position) + push[1])
+    chipmunk.store(body + layout.position + 8, chipmunk.load(body + layout.position + 8) + push[2])
+    angle = chipmunk.load(body + layout.angle) + push[3]
+    chipmunk.call_with_number(layout.set_angle, body, angle)
+    lanes.poses[0, lane] = chipmunk.load(body + layout.position)
+    lanes.poses[1, lane] = chipmunk.load(body + layout.position + 8)
+    lanes.poses[2, lane] = wrapped(angle)
+
+
+@kernel
+def conclude(
+    tasks: Tasks, lanes: Lanes, fleet: FleetArrays, task: int, lane: int, results: FloatArray
+) -> None:
+    """Write what an episode ends in (``RESULTS``); of one that is stopped early only the return counts."""
+    tail, goal, ticks = lanes.tail, tasks.goal[task], lanes.tick[lane]
+    length = tail.shape[1]
+    end = tail[lane, ticks % length]
+    moved, turned = 0.0, 0.0
+    for back in range(min(tasks.still[task], ticks) + 1):
+        pose = tail[lane, (ticks - back) % length]
+        moved = max(moved, np.hypot(pose[0] - end[0], pose[1] - end[1]))
+        turned = max(turned, abs(wrapped(pose[2] - end[2])))
+    results[0] = lanes.total[lane]
+    results[1] = np.hypot(end[0] - goal[0], end[1] - goal[1])
+    results[2] = abs(wrapped(end[2] - goal[2]))
+    results[3] = moved
+    results[4] = turned
+    results[5] = fleet.touched[lane]
+    results[6] = lanes.tracking[0, lane] / ticks
+    results[7] = lanes.tracking[1, lane] / ticks

@@ -1,0 +1,58 @@
+"""Courses nobody drew: random drives of a rover that keeps to the motors' limits, so drivable as they are.
+
+A drive is a few pieces of constant speed and turn rate, joined over half a second, from rest to rest; the
+course's checkpoints are where it is each second. Course 7 of a seed is the same whatever else is drawn.
+"""
+
+import numpy as np
+
+from rover_ncp.core.course import TICK_S, Checkpoint, Course
+from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.core.reference import Reference, drive_profile
+
+__all__ = ["random_course"]
+
+HORIZON_S = 32.0
+"""As the paper's course."""
+_KNOT_S = 0.5
+_REST_S = 9.0
+"""At the end, to come to rest and be seen at rest."""
+_SPEED_M_S = (0.05, 0.14)
+_TURN_RAD_S = 0.17
+_STRAIGHT = 0.3
+_DECIMALS = 6
+
+
+def random_course(seed: int, number: int) -> tuple[Course, Reference]:
+    """Return course ``number`` of a seed, and the drive it was made from."""
+    stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+    knots = round(HORIZON_S / _KNOT_S) + 1
+    v, omega = np.zeros(knots), np.zeros(knots)
+    begin = at = int(stream.integers(2, 8))
+    end = int(stream.integers(at + 10, round((HORIZON_S - _REST_S) / _KNOT_S)))
+    while at < end:
+        piece = slice(at, min(at + int(stream.integers(3, 11)), end))
+        v[piece] = stream.uniform(*_SPEED_M_S)
+        omega[piece] = stream.uniform(-_TURN_RAD_S, _TURN_RAD_S) * (stream.random() >= _STRAIGHT)
+        at = piece.stop
+    ticks = np.arange(round(HORIZON_S / TICK_S) + 1) * TICK_S
+    times = _KNOT_S * np.arange(knots)
+    drive = drive_profile(
+        Pose(0.0, 0.0, 0.0), np.interp(ticks, times, v).tolist(), np.interp(ticks, times, omega).tolist()
+    )
+    # The last piece is left over the knot that follows it.
+    under_way = np.arange(_KNOT_S * (begin - 1), _KNOT_S * end, 1.0).tolist()
+    deadlines = [0.0, *under_way, _KNOT_S * end, HORIZON_S]
+    course = Course(
+        name=f"random-{seed}-{number}",
+        start_signal_s=_KNOT_S * (begin - 1),
+        horizon_s=HORIZON_S,
+        checkpoints=tuple(_checkpoint(drive, t) for t in deadlines),
+    )
+    return course, drive
+
+
+def _checkpoint(drive: Reference, t: float) -> Checkpoint:
+    pose, _ = drive.at(t)
+    x, y = round(pose.x, _DECIMALS), round(pose.y, _DECIMALS)
+    return Checkpoint(t=t, x=x, y=y, theta=round(wrap_angle(pose.theta), _DECIMALS))

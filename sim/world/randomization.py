@@ -1,0 +1,239 @@
+"""Robots nobody measured: what a trial changes about rover, odometry and commands, drawn ahead.
+
+A trial has a random stream of its own, from the root seed and its number, and takes from it in a fixed order
+whatever it needs: so trial 7 of seed 1 is the same robot on the same day whoever drives it, in whatever
+company, and harder ranges stretch the same draws. Parameters are uniform in their ranges, noise is Gaussian.
+"""
+
+import math
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rover_ncp.core.config import StrictModel, load_yaml
+from rover_ncp.core.course import TICK_S
+from rover_ncp.core.files import resolve
+from rover_ncp.core.geometry import Pose
+from sim.world.rover import SUBSTEP_S, RoverModel
+
+__all__ = [
+    "BaseErrors",
+    "OdometryErrors",
+    "Randomization",
+    "Trials",
+    "draw_trials",
+    "driven",
+    "load_randomization",
+    "nominal_trials",
+    "reckoned",
+    "stepped",
+    "trial_model",
+]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class Randomization(StrictModel):
+    """How far a trial may be from the model; ± unless it is said otherwise. The defaults change nothing."""
+
+    format: Literal[1] = 1
+    name: str = Field(min_length=1)
+    start_m: float = Field(default=0.0, ge=0, description="start in x and in y, known to the rover")
+    start_rad: float = Field(default=0.0, ge=0)
+    delay_v_s: tuple[float, float] | None = Field(default=None, description="least and most, not the model's")
+    delay_omega_s: tuple[float, float] | None = None
+    acceleration: float = Field(default=0.0, ge=0, lt=1, description="share, forward and turning")
+    gain: float = Field(default=0.0, ge=0, lt=1, description="share of speed and of turn rate")
+    odometry_scale: float = Field(default=0.0, ge=0, lt=1, description="share, in distance and in heading")
+    noise_m: float = Field(default=0.0, ge=0, description="standard deviation of a seen x and y")
+    noise_rad: float = Field(default=0.0, ge=0)
+    lost: float = Field(default=0.0, ge=0, lt=1, description="share of commands that do not arrive")
+    burst: float = Field(default=1.0, ge=1, description="mean number of commands lost in a row")
+    imbalance_rad_m: float = Field(default=0.0, ge=0, description="turn per way that no encoder sees")
+    slip_s: float = Field(default=0.0, ge=0, description="0..: lost share of a turn per rad/s, unseen")
+    speed_step_m_s: float = Field(default=0.0, ge=0, description="commands come in whole steps")
+    turn_step_rad_s: float = Field(default=0.0, ge=0)
+    jitter_s: float = Field(default=0.0, ge=0, le=TICK_S, description="0..: age of a seen pose")
+    drift_rad_s: float = Field(default=0.0, ge=0, description="of the seen heading")
+    bump_m: float = Field(default=0.0, ge=0, description="one push on the way, unseen")
+    bump_rad: float = Field(default=0.0, ge=0)
+
+
+class Trials(NamedTuple):
+    """N trials of up to T ticks as arrays for kernels."""
+
+    exact: bool
+    """The rover sees its true pose; all of odometry, noise and age is left out."""
+    start: FloatArray
+    """(N, 3) pose in the course's frame."""
+    acceleration: FloatArray
+    """(N, 2) factors on the limits of v and omega."""
+    delay: IntArray
+    """(N, 2) substeps."""
+    gain: FloatArray
+    """(N, 2) of v and omega."""
+    odometry: FloatArray
+    """(N, 2) scales of distance and heading."""
+    imbalance: FloatArray
+    slip: FloatArray
+    drift: FloatArray
+    """(N,) each."""
+    bump: FloatArray
+    """(N, 4): the tick at whose start it comes, then x, y, theta in m and rad."""
+    noise: FloatArray
+    """(N, T + 1, 3) what is added to the pose seen at the start of each tick."""
+    age: FloatArray
+    """(N, T + 1) share of a tick by which that pose is old."""
+    lost: NDArray[np.bool_]
+    """(N, T) whether the command of a tick is lost."""
+    step: FloatArray
+    """(2,) of v and omega; 0 for none."""
+
+    @property
+    def size(self) -> int:
+        """N."""
+        return len(self.start)
+
+
+def load_randomization(name_or_path: str | Path) -> Randomization:
+    """Load shipped ranges by name (none, mild, full, harsh) or a file by path."""
+    return load_yaml(resolve("randomizations", name_or_path), Randomization)
+
+
+def nominal_trials(model: RoverModel, ticks: int) -> Trials:
+    """Return the one trial in which everything is as the model says."""
+    return draw_trials(Randomization(name="none"), model, 0, count=1, ticks=ticks)
+
+
+def draw_trials(
+    ranges: Randomization, model: RoverModel, seed: int, *, count: int, ticks: int, first: int = 0
+) -> Trials:
+    """Draw trials ``first``, ``first`` + 1, ... of a seed, each for ``ticks`` ticks or fewer."""
+    streams = [
+        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first + i,))) for i in range(count)
+    ]
+    # (N, 17) in −1..1; new parameters go to the end, so that the others stay.
+    u = np.array([stream.uniform(-1.0, 1.0, 17) for stream in streams])
+    noise = np.array([stream.normal(size=(ticks + 1, 3)) for stream in streams])
+    chance = np.array([stream.random((ticks + 1, 2)) for stream in streams])
+    nominal = (model.delay_v_s, model.delay_v_s), (model.delay_omega_s, model.delay_omega_s)
+    least, most = np.array([ranges.delay_v_s or nominal[0], ranges.delay_omega_s or nominal[1]]).T
+    delay_s = least + (most - least) * 0.5 * (1.0 + u[:, 3:5])
+    sigma = np.array([ranges.noise_m, ranges.noise_m, ranges.noise_rad])
+    push = np.array([ranges.bump_m, ranges.bump_m, ranges.bump_rad])
+    return Trials(
+        exact=not (
+            ranges.odometry_scale
+            or ranges.drift_rad_s
+            or ranges.imbalance_rad_m
+            or ranges.slip_s
+            or ranges.bump_m
+            or ranges.bump_rad
+            or ranges.jitter_s
+            or sigma.any()
+        ),
+        start=u[:, 0:3] * np.array([ranges.start_m, ranges.start_m, ranges.start_rad]),
+        acceleration=1.0 + ranges.acceleration * u[:, 5:7],
+        delay=np.rint(delay_s / SUBSTEP_S).astype(np.int64),
+        gain=1.0 + ranges.gain * u[:, 7:9],
+        odometry=1.0 + ranges.odometry_scale * u[:, 9:11],
+        imbalance=ranges.imbalance_rad_m * u[:, 11],
+        slip=ranges.slip_s * 0.5 * (1.0 + u[:, 12]),
+        drift=ranges.drift_rad_s * u[:, 13],
+        # On the way: in the first half of the time there is, which on our courses is spent driving.
+        bump=np.column_stack([np.floor(ticks * 0.25 * (1.0 + chance[:, ticks, 0])), push * u[:, 14:17]]),
+        noise=sigma * noise,
+        age=ranges.jitter_s / TICK_S * chance[:, :, 1],
+        lost=_lost(ranges, chance[:, :ticks, 0]),
+        step=np.array([ranges.speed_step_m_s, ranges.turn_step_rad_s]),
+    )
+
+
+def _lost(ranges: Randomization, chance: FloatArray) -> NDArray[np.bool_]:
+    """Return (N, T) what a two-state channel loses: bursts of a mean length, a share lost in all."""
+    ends = 1.0 / ranges.burst
+    begins = ends * ranges.lost / (1.0 - ranges.lost)
+    lost = np.zeros(chance.shape, np.bool_)
+    before = np.zeros(len(chance), np.bool_)
+    for tick in range(chance.shape[1]):
+        before = np.where(before, chance[:, tick] >= ends, chance[:, tick] < begins)
+        lost[:, tick] = before
+    return lost
+
+
+def trial_model(model: RoverModel, trials: Trials, row: int) -> RoverModel:
+    """Return the rover of one trial."""
+    forward, turning = trials.acceleration[row].tolist()
+    delay_v, delay_omega = trials.delay[row].tolist()
+    return model.model_copy(
+        update={
+            "accel": model.accel * forward,
+            "decel": model.decel * forward,
+            "alpha": model.alpha * turning,
+            "alpha_decel": model.alpha_decel * turning,
+            "delay_v_s": delay_v * SUBSTEP_S,
+            "delay_omega_s": delay_omega * SUBSTEP_S,
+        }
+    )
+
+
+class BaseErrors(NamedTuple):
+    """What turns a command into another motion; gains, rad/m, s."""
+
+    gain_v: float
+    gain_omega: float
+    imbalance: float
+    slip: float
+
+
+class OdometryErrors(NamedTuple):
+    """What turns a motion into a belief; scales, rad/m, s, rad/s."""
+
+    distance_scale: float
+    heading_scale: float
+    imbalance: float
+    slip: float
+    drift: float
+
+
+# The functions below are compiled into the engine's kernel as they are, and called by the plain rollout.
+
+
+def stepped(value: float, step: float) -> float:
+    """Return the nearest whole multiple of ``step``; the value itself if that is 0."""
+    return value if step == 0.0 else step * math.floor(value / step + 0.5)
+
+
+def driven(v: float, omega: float, base: BaseErrors) -> tuple[float, float]:
+    """Return what a base makes of a command (m/s, rad/s): the motion it then accelerates to."""
+    forward = base.gain_v * v
+    turn = base.gain_omega * omega
+    return forward, turn * (1.0 - base.slip * abs(turn)) + base.imbalance * forward
+
+
+def reckoned(believed: Pose, before: Pose, after: Pose, errors: OdometryErrors) -> Pose:
+    """Return where odometry believes to be after a tick, its heading not wrapped.
+
+    It measures the motion in the rover's frame: distances and turn with their scales, the turn also with
+    what slipped away and without what no encoder sees. True headings are within (−π, π].
+    """
+    dx, dy = after.x - before.x, after.y - before.y
+    cos, sin = math.cos(before.theta), math.sin(before.theta)
+    ahead = errors.distance_scale * (cos * dx + sin * dy)
+    left = errors.distance_scale * (cos * dy - sin * dx)
+    turn = after.theta - before.theta
+    if turn > math.pi:
+        turn -= math.tau
+    elif turn <= -math.pi:
+        turn += math.tau
+    turn = turn * (1.0 + errors.slip * abs(turn) / TICK_S) - errors.imbalance * ahead
+    cos, sin = math.cos(believed.theta), math.sin(believed.theta)
+    return Pose(
+        believed.x + cos * ahead - sin * left,
+        believed.y + sin * ahead + cos * left,
+        believed.theta + (errors.heading_scale * turn + errors.drift * TICK_S),
+    )

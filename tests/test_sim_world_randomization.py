@@ -1,0 +1,150 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rover_ncp.core.errors import ConfigError, FileError
+from rover_ncp.core.geometry import Pose, compose, inverse
+from sim.world.random_course import random_course
+from sim.world.randomization import (
+    BaseErrors,
+    OdometryErrors,
+    Randomization,
+    draw_trials,
+    driven,
+    load_randomization,
+    nominal_trials,
+    reckoned,
+    stepped,
+    trial_model,
+)
+from sim.world.rover import RoverModel
+
+MODEL = RoverModel()
+TICKS = 320
+N = 400
+
+
+def drawn(name, count=N, seed=1, first=0):
+    return draw_trials(load_randomization(name), MODEL, seed, count=count, ticks=TICKS, first=first)
+
+
+@pytest.mark.parametrize("name", ["mild", "full", "harsh"])
+def test_parameters_fill_the_ranges_of_the_file_and_no_more(name):
+    trials = drawn(name)
+    start = 0.05 if name == "mild" else 0.1
+    turn = math.radians(5 if name == "mild" else 10)
+    for values, low, high in (
+        (trials.start[:, :2], -start, start),
+        (trials.start[:, 2], -turn, turn),
+        (trials.delay / 100, 0.05, 0.30),
+        (trials.acceleration, 0.7, 1.3),
+        (trials.gain, 0.9, 1.1),
+        (trials.odometry, 0.97, 1.03),
+    ):
+        assert low - 1e-6 <= values.min() < low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) < values.max() <= high + 1e-6
+        assert values.mean() == pytest.approx((low + high) / 2, abs=0.06 * (high - low))
+    assert trials.noise.std(axis=(0, 1)) == pytest.approx([0.005, 0.005, math.radians(0.5)], rel=0.01)
+    assert trials.lost.mean() == pytest.approx(0.15 if name == "harsh" else 0.05, abs=0.004)
+    ends = trials.lost[:, :-1] & ~trials.lost[:, 1:]
+    burst = trials.lost[:, :-1].sum() / ends.sum()
+    assert burst == pytest.approx(3.0 if name == "harsh" else 1.0, rel=0.05)
+    assert not trials.exact
+
+
+def test_harder_ranges_stretch_the_same_draws():
+    mild, full, harsh = drawn("mild", 5), drawn("full", 5), drawn("harsh", 5)
+    assert np.allclose(2 * mild.start, full.start, atol=1e-6)
+    assert np.array_equal(full.gain, harsh.gain)
+    assert np.array_equal(full.noise, harsh.noise)
+
+
+def test_a_trial_is_the_same_in_any_company():
+    together = drawn("harsh", 6)
+    alone = drawn("harsh", 2, first=3)
+    for a, b in zip(together, alone, strict=True):
+        if np.ndim(a) and len(a) == 6:
+            assert np.array_equal(a[3:5], b)
+    assert not np.array_equal(together.start, drawn("harsh", 6, seed=2).start)
+    assert len({tuple(row) for row in together.start}) == 6
+
+
+def test_none_is_the_model():
+    for trials in (nominal_trials(MODEL, TICKS), drawn("none", 3)):
+        assert trials.exact
+        assert not trials.start.any()
+        assert not trials.lost.any()
+        assert (trials.gain == 1).all()
+        assert trial_model(MODEL, trials, 0) == MODEL
+
+
+def test_a_trials_rover_has_its_delays_and_accelerations():
+    trials = drawn("full", 3)
+    model = trial_model(MODEL, trials, 1)
+    assert (model.delay_v_substeps, model.delay_omega_substeps) == tuple(trials.delay[1])
+    assert model.accel == MODEL.accel * trials.acceleration[1, 0]
+    assert model.alpha_decel == MODEL.alpha_decel * trials.acceleration[1, 1]
+
+
+angle = st.floats(-3.1, 3.1)
+place = st.floats(-3, 3)
+poses = st.builds(Pose, place, place, angle)
+
+
+@given(poses, poses, poses)
+def test_odometry_without_errors_follows_every_motion(believed, before, after):
+    found = reckoned(believed, before, after, OdometryErrors(1.0, 1.0, 0.0, 0.0, 0.0))
+    expected = compose(believed, compose(inverse(before), after))
+    assert found[:2] == pytest.approx(expected[:2], abs=1e-9)
+    assert math.remainder(found[2] - expected[2], math.tau) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_odometry_has_the_errors_it_is_given():
+    there, further = Pose(0.0, 0.0, 0.0), Pose(0.02, 0.0, 0.01)
+
+    def odometry(*errors):
+        return reckoned(there, there, further, OdometryErrors(*errors))
+
+    assert odometry(1.03, 1.0, 0.0, 0.0, 0.0) == pytest.approx((0.0206, 0, 0.01))
+    assert odometry(1.0, 0.97, 0.0, 0.0, 0.0) == pytest.approx((0.02, 0, 0.0097))
+    assert odometry(1.0, 1.0, 0.05, 0.0, 0.0) == pytest.approx((0.02, 0, 0.009))
+    assert odometry(1.0, 1.0, 0.0, 0.3, 0.0) == pytest.approx((0.02, 0, 0.0103))
+    assert odometry(1.0, 1.0, 0.0, 0.0, 0.1) == pytest.approx((0.02, 0, 0.02))
+
+
+def test_what_a_base_makes_of_a_command():
+    assert driven(0.1, -0.2, BaseErrors(1.1, 0.9, 0.0, 0.0)) == pytest.approx((0.11, -0.18))
+    assert driven(0.1, 0.0, BaseErrors(1.0, 1.0, 0.03, 0.0)) == pytest.approx((0.1, 0.003))
+    assert driven(0.0, 0.2, BaseErrors(1.0, 1.0, 0.0, 0.3))[1] == pytest.approx(0.2 * (1 - 0.06))
+    assert stepped(0.1234567, 0.001) == pytest.approx(0.123)
+    assert stepped(-0.03, 0.0174533) == pytest.approx(-2 * 0.0174533)
+    assert stepped(0.1234567, 0.0) == 0.1234567
+
+
+def test_ranges_that_cannot_be_are_refused(tmp_path):
+    (tmp_path / "bad.yaml").write_text("name: bad\nlost: 1.5\nstart: 3\n")
+    with pytest.raises(ConfigError, match=r"\$\.lost: .*\$\.start: unknown key"):
+        load_randomization(tmp_path / "bad.yaml")
+    with pytest.raises(FileError, match="none of the shipped randomizations"):
+        load_randomization("wild")
+    assert Randomization(name="mine").lost == 0.0
+
+
+def test_random_courses_are_their_seeds_and_numbers():
+    course, drive = random_course(3, 7)
+    again, _ = random_course(3, 7)
+    other, _ = random_course(3, 8)
+    assert course == again
+    assert course.checkpoints != other.checkpoints
+    assert drive.ticks == course.ticks == 320
+    for point in course.checkpoints:
+        pose, _ = drive.at(point.t)
+        assert pose == pytest.approx(point.pose, abs=1e-6)
+    for number in range(50):
+        _, drive = random_course(3, number)
+        assert 0.2 < np.abs(np.diff(drive.poses[:, :2], axis=0)).sum() < 5
+        assert not drive.motion[-90:].any()
+        assert not drive.motion[:5].any()

@@ -9,8 +9,9 @@ STAMP := $(VENV)/.installed
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park
 
+# Two workers, a file to each: many tests wait for real processes, and two cores are what CI has.
 test: $(STAMP)
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses 2 --dist loadfile
 
 check: lint types contracts test
 

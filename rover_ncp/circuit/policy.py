@@ -197,16 +197,17 @@ def parking_policy(circuit: Circuit, clamp: bool = True) -> Policy:
 
 
 def course_policy(circuit: Circuit) -> Policy:
-    """Return a circuit with the sensing relative to a course, untuned: the neurons FWD and REV as tracks.
+    """Return a circuit with the sensing relative to a course, the neurons FWD and REV as the two tracks.
 
-    The first pair of sensors feels what asks for speed, the second what asks for a turn.
+    To begin with, the first pair of sensors feels what asks for speed, the second what asks for a turn, and
+    more of REV than of FWD turns left.
     """
     return Policy(
         circuit,
         course_sensing(),
         course_motors(),
-        input_layer=np.array([[1.0, 0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 1.0, 0.0, 1.0]]),
-        output_layer=np.array([[0.5, 0.5], [1.0, -1.0]]),
+        input_layer=np.array([[1.0, 0.0, 0.0, 0.6, 0.0], [0.0, 0.8, 1.0, 0.0, 0.6]]),
+        output_layer=np.array([[0.5, 0.5], [-1.5, 1.5]]),
     )
 
 

@@ -22,7 +22,7 @@ from rover_ncp.core.course import Course, load_course
 from rover_ncp.core.errors import ConfigError
 from sim.world.rover import RoverModel, require_free_start
 
-__all__ = ["Record", "Task", "TrainSettings", "resolve_task"]
+__all__ = ["Record", "Task", "TrainSettings", "made_with", "resolve_task"]
 
 _LIBRARIES = ("rover-ncp", "numpy", "numba", "pymunk")
 _GIT_TIMEOUT_S = 5.0
@@ -67,7 +67,7 @@ class Record(StrictModel):
         return cls(
             command=settings.command(),
             settings=settings,
-            made_with=_made_with(),
+            made_with=made_with(),
             course=task.course.model_dump(mode="json"),
             circuit=yaml.safe_load(circuit_to_yaml(task.policy.circuit)),
         )
@@ -111,7 +111,8 @@ def resolve_task(settings: TrainSettings) -> Task:
     return Task(course, replace(policy, courses=(course.name,)))
 
 
-def _made_with() -> dict[str, str]:
+def made_with() -> dict[str, str]:
+    """Return the versions of what decides a result, and the source's commit where there is one."""
     versions = {"python": platform.python_version()}
     versions |= {library: metadata.version(library) for library in _LIBRARIES}
     commit = _commit()

@@ -109,19 +109,49 @@ def evaluate(
     ],
     *,
     course: Annotated[str, typer.Option(help="Course to drive, by name or YAML file.")] = "parking",
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="Drive so many random trials.", show_default="1")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Root seed of the trials and random courses.")] = 0,
+    randomize: Annotated[
+        str | None,
+        typer.Option(help="Ranges of the trials: none, mild, full, harsh or YAML file.", show_default="none"),
+    ] = None,
+    random_courses: Annotated[
+        int | None,
+        typer.Option(min=1, help="Drive so many random courses in turn instead.", show_default=False),
+    ] = None,
     json: Json = False,
 ) -> int:
-    """Drive a course once in simulation with a policy, and score it.
+    """Drive a course in simulation with a policy, and score it.
+
+    Without --trials or --randomize, once, on the rover as it is modelled:
 
     The return is the paper's: minus the squared misses of all checkpoints, 1 rad counting as 1 m; 0 is out of
     reach, doing nothing on the parking course scores -14.18. A .bnn circuit gets the sensors it was trained
-    with, which are not clamped. Ends with 0 parked, 1 not parked.
+    with, which are not clamped.
+
+    With them, on rovers that nobody measured: each trial has its own delays, gains, noise and start, which
+    follow from the seed and the trial's number alone. What is counted is what truly happened.
+
+        rover-ncp eval course --trials 1000 --randomize full
+        rover-ncp eval course --trials 1000 --randomize full --random-courses 200
+
+    Ends with 1 if a single trial was driven and did not park, else with 0.
     """
     from rover_ncp.circuit.policy_file import load_policy
     from rover_ncp.core.course import load_course
     from sim.learn.rollout import rollout
 
     output = Output(json)
+    if not (trials is None and randomize is None and random_courses is None):
+        settings = {
+            "randomize": randomize or "none",
+            "seed": seed,
+            "random_courses": random_courses or 0,
+            "course": course,
+        }
+        return _evaluate_trials(output, policy, trials or 1, settings)
     known = load_course(course)
     run = rollout(load_policy(policy), known)
     verdict = run.verdict
@@ -140,3 +170,32 @@ def evaluate(
         f"{1000 * verdict.error_rad:.0f} mrad off at the end, {1000 * run.rms_m:.0f} mm rms on the way",
     )
     return 0 if verdict.parked else 1
+
+
+def _evaluate_trials(output: Output, policy: str, trials: int, settings: dict[str, Any]) -> int:
+    """Drive random trials, on one course or on random ones, and report."""
+    from rover_ncp.circuit.policy_file import load_policy
+    from rover_ncp.core.course import load_course
+    from sim.studies.evaluate import evaluate as evaluate_policy
+    from sim.studies.evaluate import unseen_courses
+    from sim.world.randomization import load_randomization
+
+    known, ranges = load_policy(policy), load_randomization(settings["randomize"])
+    seed, count = settings["seed"], settings["random_courses"]
+    courses = unseen_courses(seed, count) if count else [load_course(settings["course"])]
+    found = evaluate_policy(known, courses, ranges, trials=trials, seed=seed)
+    low, high = found.success_ci95
+    lines = [
+        f"{found.success_rate:.1%} of {trials} trials parked (95 % interval {low:.1%} to {high:.1%})",
+        *(
+            f"{name}: median {1000 * spread.p50:.0f}, 95 % below {1000 * spread.p95:.0f}, "
+            f"at most {1000 * spread.max:.0f} {unit}"
+            for name, spread, unit in (
+                ("distance to the goal", found.error_m, "mm"),
+                ("angle to its heading", found.error_rad, "mrad"),
+            )
+        ),
+        *(f"{count} of those that did not: {reason}" for reason, count in found.failures.items()),
+    ]
+    output.result(found.fields() | settings, "\n".join(lines))
+    return 1 if trials == 1 and found.success_rate < 1 else 0

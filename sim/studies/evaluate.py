@@ -1,0 +1,122 @@
+"""Many trials of one policy, and what came of them. What is judged is the true pose."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.course import Course
+from rover_ncp.core.errors import UsageError
+from sim.learn.engine import Engine, Outcomes
+from sim.world.random_course import random_course
+from sim.world.randomization import Randomization, draw_trials
+from sim.world.rover import RoverModel
+
+__all__ = ["Evaluation", "Spread", "evaluate", "summarize", "unseen_courses", "wilson"]
+
+_NORMAL_95 = 1.959963984540054
+_BATCH = 500
+"""Trials at a time, so that drawn noise takes some 10 MB whatever is asked for."""
+
+
+class Spread(NamedTuple):
+    """Median, 95th percentile and largest of an error."""
+
+    p50: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(cls, errors: NDArray[np.float64]) -> "Spread":
+        """Return the spread of errors (n,)."""
+        return cls(*np.percentile(errors, [50, 95]).tolist(), float(errors.max()))
+
+
+class Evaluation(NamedTuple):
+    """How trials ended; errors of all of them, parked or not, in m and rad."""
+
+    trials: int
+    success_rate: float
+    success_ci95: tuple[float, float]
+    """Wilson's interval."""
+    error_m: Spread
+    error_rad: Spread
+    failures: dict[str, int]
+    """First reason, in the order of ``Course.judge``: how many."""
+
+    def fields(self) -> dict[str, Any]:
+        """Return what ``--json`` prints."""
+        spreads = {"error_m": self.error_m._asdict(), "error_rad": self.error_rad._asdict()}
+        return self._asdict() | {"success_ci95": list(self.success_ci95)} | spreads
+
+
+def evaluate(
+    policy: Policy,
+    courses: Sequence[Course],
+    ranges: Randomization,
+    *,
+    trials: int,
+    seed: int,
+    model: RoverModel | None = None,
+) -> Evaluation:
+    """Drive ``trials`` trials of a seed, trial i on course i modulo their number. Raises ConfigError."""
+    if trials < 1:
+        raise UsageError(f"at least one trial must be driven, got {trials}")
+    model = model or RoverModel()
+    batch = -(-_BATCH // len(courses)) * len(courses)
+    ticks = max(course.ticks for course in courses)
+    engine, found = None, []
+    for first in range(0, trials, batch):
+        count = min(batch, trials - first)
+        drawn = draw_trials(ranges, model, seed, count=count, ticks=ticks, first=first)
+        if engine is None:
+            engine = Engine(policy, courses, model, drawn)
+        else:
+            engine.change_trials(drawn)
+        found.append(engine.outcomes(policy.parameters()))
+    rules = [courses[i % len(courses)].parked for i in range(trials)]
+    limits = np.array([[rule.position_m, rule.heading_rad] for rule in rules])
+    return summarize(
+        Outcomes(*(np.concatenate(column, axis=1) for column in zip(*found, strict=True))), limits
+    )
+
+
+def summarize(found: Outcomes, limits: NDArray[np.float64]) -> Evaluation:
+    """Return how the trials of one candidate ended; ``limits`` (trials, 2) are the courses' m and rad."""
+    parked = found.parked[0]
+    reasons = np.select(
+        [
+            parked,
+            found.touched[0],
+            ~(found.error_m[0] <= limits[:, 0]),
+            ~(found.error_rad[0] <= limits[:, 1]),
+        ],
+        ["", "touched an obstacle", "too far from the goal", "too far from the goal's heading"],
+        "still moving",
+    )
+    count, successes = parked.size, int(np.count_nonzero(parked))
+    return Evaluation(
+        trials=count,
+        success_rate=successes / count,
+        success_ci95=wilson(successes, count),
+        error_m=Spread.of(found.error_m[0]),
+        error_rad=Spread.of(found.error_rad[0]),
+        failures=dict(Counter(reasons[~parked].tolist()).most_common()),
+    )
+
+
+def wilson(successes: int, count: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a probability, from so many successes."""
+    share, z2 = successes / count, _NORMAL_95**2
+    middle = (share + z2 / (2 * count)) / (1 + z2 / count)
+    half = _NORMAL_95 / (1 + z2 / count) * math.sqrt(share * (1 - share) / count + z2 / (4 * count**2))
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def unseen_courses(seed: int, count: int) -> list[Course]:
+    """Return random courses for an evaluation; a policy gets their checkpoints, not the drive behind."""
+    return [random_course(seed, number)[0] for number in range(count)]

@@ -162,7 +162,7 @@ def robust_search(
         least = max(worst // fraction(number), 1)
         values = [-mean_of_worst((-row).tolist(), least) for row in found]
         optimizer.tell(list(zip(places, values, strict=True)))
-        yield Generation(number + 1, cube.vector(optimizer.mean), optimizer._sigma, min(values))
+        yield Generation(number + 1, cube.vector(optimizer.mean), float(optimizer._sigma), min(values))
 
 
 def _fractions(generations: int) -> Callable[[int], int]:

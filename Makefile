@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: park test check lint types contracts clean
+.PHONY: park test check lint types contracts safety clean
 
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park
@@ -24,6 +24,10 @@ types: $(STAMP)
 
 contracts: $(STAMP)
 	$(BIN)/lint-imports
+
+# Measures the safety matrix and writes it into docs/safety.md.
+safety: $(STAMP)
+	$(BIN)/python tests/safety_table.py
 
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; say make PYTHON=..." % v)'

@@ -23,7 +23,7 @@ from deploy.response import ResponseWatch
 from deploy.state import Event, State, next_state
 from deploy.ticks import SampleRef, StartRecord, TickRecord, numbers, seconds
 from rover_ncp.core.course import TICK_S, Verdict
-from rover_ncp.core.errors import FormatError, NoBridge, NoRobot, NotAuthorised, SafetyStop
+from rover_ncp.core.errors import AnotherDriver, FormatError, NoBridge, NoRobot, NotAuthorised, SafetyStop
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.lease import DriverStatus
 from rover_ncp.core.messages import read_pose
@@ -224,6 +224,11 @@ class Drive:
             raise SafetyStop("lease", "the gate does not confirm that we may drive")
 
     def _stands(self, watch: StillWatch) -> bool:
+        gate = self._link.gate
+        if gate.driver and not self._config.dry_run:
+            # To wait for a rover that somebody else drives would be to wait for them to let go.
+            who = gate.driver_name or gate.driver
+            raise AnotherDriver(f"the bridge at {self._link.robot} refuses the motors: {who} has them")
         sample = self.intake.take(0)
         return sample is not None and watch.see(sample)
 

@@ -42,15 +42,20 @@ class Finished:
 
 
 class Process:
-    """A ``rover-ncp`` command as a child process. Its output goes to files, so that no pipe can fill up."""
+    """A ``rover-ncp`` command as a child process. Its output goes to files, so that no pipe can fill up.
 
-    def __init__(self, command: str, arguments: Sequence[str], log_dir: Path) -> None:
+    ``module`` is what Python runs to get it, when something is to be wrapped around it.
+    """
+
+    def __init__(
+        self, command: str, arguments: Sequence[str], log_dir: Path, module: str = "rover_ncp"
+    ) -> None:
         self.command = command
         self._result = log_dir / f"{command}.json"
         self._log = log_dir / f"{command}.log"
         with self._result.open("wb") as out, self._log.open("wb") as err:
             self._child = subprocess.Popen(
-                [sys.executable, "-m", "rover_ncp", command, *arguments, "--json"],
+                [sys.executable, "-m", module, command, *arguments, "--json"],
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,

@@ -1,0 +1,113 @@
+"""A driver that is no circuit: a steady hand at constant speed, and what a hostile or broken one would send.
+
+It speaks as ``rover-ncp deploy`` does, in a few lines, and never gives up: whenever it has no motors it asks
+for them again, and it drives on whatever the gate says. So what stops the rover is the gate, never the hand.
+"""
+
+import os
+import threading
+import time
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+
+from deploy.session import client_config
+from rover_ncp.core.errors import FormatError
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.lease import CommandTag, GateStatus, MotorsRequest, dump_json, parse_json
+from rover_ncp.core.messages import read_odometry, read_text, read_twist, twist_stamped
+
+__all__ = ["Hand"]
+
+PERIOD_S = 0.05
+ASK_S = 0.25
+
+
+class Hand:
+    """Drives at ``velocity`` until told otherwise; ``lease_s`` is how long the link may be silent."""
+
+    def __init__(self, robot: str, lease_s: float = 1.0) -> None:
+        config, _ = client_config(robot, None)
+        config.insert_json5("transport/link/tx/lease", str(round(lease_s * 1000)))
+        self._session = zenoh.open(config)
+        self.id = os.urandom(16)
+        self.velocity = Velocity(0.0, 0.0)
+        self.payload: bytes | None = None
+        """Sent instead of the velocity, if there is one."""
+        self.greedy = True
+        """Whether it asks for the motors when it has none."""
+        self.silent = False
+        self.gate = GateStatus()
+        self.out = Velocity(0.0, 0.0)
+        """What the gate let through."""
+        self.speed = 0.0
+        """By the odometry."""
+        self.last_sent_ns = 0
+        """When the last command was sent, ns since the epoch."""
+        self.sequence = 0
+        self._asked_s = 0.0
+        hear = self._session.declare_subscriber
+        self._held: list[Any] = [
+            hear("odom", self._odometry),
+            hear("rover/gate", self._gate),
+            hear("rover/cmd_out", self._out),
+        ]
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
+        self._thread.start()
+
+    @property
+    def driving(self) -> bool:
+        """Whether the gate gave us the motors."""
+        return self.gate.driver == self.id.hex()
+
+    def send(self, payload: bytes, age_s: float = 0.0, tagged: bool = True) -> None:
+        """Send one command of our own making."""
+        tag = None
+        if tagged:
+            self.sequence += 1
+            tag = CommandTag(self.id, self.sequence, time.monotonic_ns() - round(age_s * 1e9)).pack()
+        self._session.put("cmd_vel", payload, attachment=tag)
+
+    def close(self) -> None:
+        """Fall silent and leave, without a word."""
+        self._closing.set()
+        self._thread.join()
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        while not self._closing.wait(PERIOD_S):
+            now = time.monotonic()
+            if self.greedy and not self.driving and now - self._asked_s > ASK_S:
+                self._asked_s = now
+                self._ask()
+            if not self.silent:
+                self.last_sent_ns = time.time_ns()
+                self.send(self.payload or twist_stamped(self.velocity, self.last_sent_ns))
+
+    def _ask(self) -> None:
+        request = MotorsRequest(enable=True, driver=self.id.hex(), name="hand", sent_ns=time.monotonic_ns())
+        # What the gate grants, its status tells.
+        list(self._session.get("rover/motors", payload=dump_json(request), timeout=0.5))
+
+    def _odometry(self, sample: zenoh.Sample) -> None:
+        with suppress(FormatError):
+            self.speed = read_odometry(sample.payload.to_bytes()).velocity.v
+
+    def _gate(self, sample: zenoh.Sample) -> None:
+        with suppress(FormatError):
+            self.gate = parse_json(GateStatus, read_text(sample.payload.to_bytes()))
+
+    def _out(self, sample: zenoh.Sample) -> None:
+        with suppress(FormatError):
+            self.out = read_twist(sample.payload.to_bytes()).velocity

@@ -1,0 +1,82 @@
+"""How long a rover took to come to rest, from what its mock wrote of its true motion."""
+
+import csv
+import time
+from pathlib import Path
+from typing import NamedTuple, TextIO
+
+from rover_ncp.core.errors import RoverNcpError
+
+__all__ = ["STILL_M_S", "STILL_RAD_S", "Motion", "NotStill", "TruthReader"]
+
+STILL_M_S, STILL_RAD_S = 1e-3, 1e-3
+"""Below these a rover counts as standing."""
+
+
+class NotStill(RoverNcpError):
+    """The rover goes on although it should stand."""
+
+    exit_code = 1
+
+
+class Motion(NamedTuple):
+    """One line of a truth file: when (ns since the epoch), place in m, speeds in m/s and rad/s."""
+
+    wall_ns: int
+    x: float
+    y: float
+    v: float
+    omega: float
+
+    @property
+    def moving(self) -> bool:
+        """Whether it moves."""
+        return abs(self.v) > STILL_M_S or abs(self.omega) > STILL_RAD_S
+
+
+class TruthReader:
+    """Reads a truth file that a running mock goes on writing; ``rows`` are all so far."""
+
+    def __init__(self, path: Path) -> None:
+        self._file: TextIO = path.open(newline="")
+        self._columns: list[str] = []
+        self._rest = ""
+        self.rows: list[Motion] = []
+
+    def read(self) -> list[Motion]:
+        """Take in what was written meanwhile, and return all rows."""
+        text = self._rest + self._file.read()
+        whole = text.rfind("\n") + 1
+        self._rest = text[whole:]
+        for values in csv.reader(text[:whole].splitlines()):
+            if not self._columns:
+                self._columns = values
+                continue
+            row = dict(zip(self._columns, values, strict=True))
+            numbers = (float(row[name]) for name in ("x", "y", "v", "omega"))
+            self.rows.append(Motion(int(row["t_ns"]), *numbers))
+        return self.rows
+
+    def moving(self) -> bool:
+        """Whether it moves, by the newest row."""
+        rows = self.read()
+        return bool(rows) and rows[-1].moving
+
+    def stood_after(self, since_ns: int, timeout_s: float, still_s: float = 0.3) -> float:
+        """Wait until it has stood for ``still_s``; return how long after ``since_ns`` it came to stand.
+
+        Raises NotStill after ``timeout_s``.
+        """
+        deadline = time.monotonic() + timeout_s
+        while True:
+            rows = [row for row in self.read() if row.wall_ns >= since_ns]
+            last_ns = next((row.wall_ns for row in reversed(rows) if row.moving), since_ns)
+            if rows and rows[-1].wall_ns - last_ns > still_s * 1e9:
+                return (last_ns - since_ns) * 1e-9
+            if time.monotonic() > deadline:
+                raise NotStill(f"the rover still moves {timeout_s:g} s after it should have stopped")
+            time.sleep(0.02)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()

@@ -1,0 +1,70 @@
+"""What the driver's link notices by itself: here, that it is too slow to drive over."""
+
+import json
+import time
+
+import pytest
+import zenoh
+
+from deploy.link import ASK_TRIES, ROUND_TRIP_S, Link
+from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.lease import MotorsReply, MotorsRequest, dump_json, parse_json
+
+
+class SlowBridge:
+    """Grants the motors after ``delays``, one for each request."""
+
+    def __init__(self, *delays):
+        self._delays, self.requests = list(delays), []
+        config = zenoh.Config()
+        for path, value in {
+            "mode": "router",
+            "listen/endpoints": ["tcp/127.0.0.1:0"],
+            "scouting/multicast/enabled": False,
+            "scouting/delay": 0,
+            "adminspace/enabled": True,
+        }.items():
+            config.insert_json5(path, json.dumps(value))
+        self.session = zenoh.open(config)
+        (reply,) = self.session.get(f"@/{self.session.info.zid()}/router", timeout=1.0)
+        self.robot = json.loads(reply.ok.payload.to_string())["locators"][0]
+        self._motors = self.session.declare_queryable("rover/motors", self._answer)
+
+    def _answer(self, query):
+        with query:
+            request = parse_json(MotorsRequest, query.payload.to_bytes())
+            self.requests.append(request)
+            if request.enable:
+                time.sleep(self._delays.pop(0))
+            query.reply("rover/motors", dump_json(MotorsReply(granted=request.enable)))
+
+
+@pytest.fixture
+def ask():
+    def ask(*delays):
+        bridge = SlowBridge(*delays)
+        try:
+            with Link(bridge.robot, "", None, lambda _: None) as link:
+                return link.request_motors("test"), bridge
+        finally:
+            bridge.session.close()
+
+    return ask
+
+
+def test_nobody_drives_over_a_link_that_is_always_slow(ask):
+    late = ROUND_TRIP_S + 0.05
+    with pytest.raises(
+        SafetyStop, match=r"stopped by slow-link: the bridge at tcp/127.* takes 0.[2-9]"
+    ) as stop:
+        ask(*[late] * ASK_TRIES)
+    assert stop.value.exit_code == 4
+
+
+def test_a_link_may_be_slow_by_chance_and_is_measured_anew(ask):
+    reply, bridge = ask(ROUND_TRIP_S + 0.05, 0.0)
+    assert reply.granted
+    enabling = [request for request in bridge.requests if request.enable]
+    assert len(enabling) == 2
+    assert bridge.requests[-1].enable is False  # given back at the end
+    assert enabling[1].sent_ns > enabling[0].sent_ns

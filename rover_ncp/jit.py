@@ -24,12 +24,24 @@ def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function with numba on its first call, or load what an earlier process compiled."""
     try:
         compiled: Any = njit(cache=True, error_model="numpy")(function)
-        cache_file = compiled._cache._cache_file
-        cache_file._source_stamp = (cache_file._source_stamp, stamp(function))
+        _stamp_when_used(compiled._cache, function)
     except (RuntimeError, AttributeError):
         # No writable folder for the cache, or a numba that keeps its stamp elsewhere: compile each time.
         compiled = njit(error_model="numpy")(function)
     return compiled
+
+
+def _stamp_when_used(cache: Any, function: Callable[..., Any]) -> None:
+    """Add the stamp when the kernel is first looked for: what it calls may stand further down in its file."""
+    cache_file, load = cache._cache_file, cache.load_overload
+    of_the_file = cache_file._source_stamp
+
+    def load_overload(*arguments: Any) -> Any:
+        if cache_file._source_stamp is of_the_file:
+            cache_file._source_stamp = (of_the_file, stamp(function))
+        return load(*arguments)
+
+    cache.load_overload = load_overload
 
 
 def stamp(function: Callable[..., Any]) -> str:

@@ -15,7 +15,10 @@ from callee import FACTOR, inner
 from rover_ncp.jit import kernel
 @kernel
 def outer(x):
-    return inner(x) + FACTOR + callee.inner(x)
+    return middle(x) + FACTOR + callee.inner(x)
+@kernel
+def middle(x):
+    return inner(x)
 if __name__ == "__main__":
     print(outer(10.0), sum(outer.stats.cache_hits.values()))
 """

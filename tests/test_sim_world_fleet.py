@@ -93,7 +93,7 @@ def test_a_rover_placed_again_is_as_good_as_new():
 
 
 def test_a_fleet_fills_whole_bays():
-    with pytest.raises(ValueError, match="multiple of 8"):
+    with pytest.raises(ValueError, match="multiple of 4"):
         Fleet([RoverModel()] * 9)
 
 

@@ -13,6 +13,10 @@ park: $(STAMP)
 test: $(STAMP)
 	$(BIN)/pytest --numprocesses 2 --dist loadfile
 
+# The pages in Debian's chromium, which it installs where there is none; pictures of them in runs/browser.
+test-browser: $(BROWSER_STAMP)
+	$(BIN)/pytest -m browser
+
 check: lint types contracts test
 
 lint: $(STAMP)
@@ -33,6 +37,11 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; say make PYTHON=..." % v)'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+$(BROWSER_STAMP): $(STAMP)
+	command -v chromium >/dev/null || { apt-get -qq update && apt-get -qq install --yes --no-install-recommends chromium fonts-dejavu-core; } >/dev/null
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,browser]'
 	touch $@
 
 clean:

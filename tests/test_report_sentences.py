@@ -130,6 +130,16 @@ def test_a_rival_is_named():
     assert "; against it R at −45 mV" in left.text
 
 
+def test_a_neuron_that_swings_from_tick_to_tick_is_named():
+    high, low = [-20, -30, -80, -25, -60, -30], [-20, -50, -80, -25, -60, -30]
+    (left,) = explain(trace_of([LEFT] * 10, [high, low] * 5))
+    assert left.swinging == (("A", 20),)
+    assert left.text.endswith(" From tick to tick A (by 20 mV) swings.")
+    rising = [[-20, -70 + 5 * k, -80, -25, -60, -30] for k in range(10)]
+    (left,) = explain(trace_of([LEFT] * 10, rising))
+    assert left.swinging == ()
+
+
 def test_mirrored_motors_tell_the_mirrored_story():
     policy = parking_policy(_random_circuit(3))
     v, omega = policy.motors.channels

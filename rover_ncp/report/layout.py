@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
 
-__all__ = ["HEIGHT", "RADIUS", "ROW", "WIDTH", "Curve", "Layer", "Layout", "lay_out", "layers"]
+__all__ = ["HEIGHT", "RADIUS", "ROW", "WIDTH", "Curve", "Layer", "Layout", "labels", "lay_out", "layers"]
 
 FloatArray = NDArray[np.float64]
 
@@ -79,6 +79,17 @@ def layers(policy: Policy) -> tuple[Layer, ...]:
         else Layer.INTER
         for name in circuit.neurons
     )
+
+
+def labels(policy: Policy) -> dict[str, str]:
+    """Return what sensory neurons sense and what motor neurons do, as in ``omega > 0``."""
+    senses = {neuron: channel.name for channel in policy.sensing.channels for neuron, _ in channel.sides}
+    acts = {
+        neuron: channel.name if len(channel.sides) == 1 else f"{channel.name} {'>' if end > 0 else '<'} 0"
+        for channel in policy.motors.channels
+        for neuron, end in channel.sides
+    }
+    return {**senses, **acts}
 
 
 def lay_out(policy: Policy) -> Layout:

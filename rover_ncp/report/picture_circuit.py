@@ -8,7 +8,7 @@ import numpy as np
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.report.currents import synapse_currents
 from rover_ncp.report.interpret import TimeConstant
-from rover_ncp.report.layout import HEIGHT, RADIUS, ROW, WIDTH, Curve, Layer, lay_out
+from rover_ncp.report.layout import HEIGHT, RADIUS, ROW, WIDTH, Curve, Layer, labels, lay_out
 from rover_ncp.report.picture import Picture, figure, render
 from rover_ncp.report.style import AMBER, BLUE, GREY, INK, VERMILLION, ring_radius
 from rover_ncp.report.trace import Trace
@@ -38,20 +38,14 @@ def circuit(trace: Trace, taus: Sequence[TimeConstant]) -> Picture:
     axes.set_aspect("equal")
     axes.axis("off")
     ranges = {row.neuron: row for row in taus}
-    senses = {n: channel.name for channel in policy.sensing.channels for n, _ in channel.sides}
-    acts = {
-        neuron: channel.name if len(channel.sides) == 1 else f"{channel.name} {'>' if end > 0 else '<'} 0"
-        for channel in policy.motors.channels
-        for neuron, end in channel.sides
-    }
+    told = labels(policy)
     for curve, kind, mean in zip(layout.curves, policy.circuit.kind, current, strict=True):
         _synapse(axes, curve, SynapseKind(kind), 0.5 + 4.0 * float(np.sqrt(mean / strongest)))
     for name, (x, y) in zip(policy.circuit.neurons, layout.places, strict=True):
         _neuron(axes, name, x, y, ranges.get(name))
-        if name in senses:
-            _arrow_text(axes, x, y - RADIUS - 16, senses[name])
-        if name in acts:
-            _arrow_text(axes, x, y + ring_radius(10.0) + 8, acts[name])
+        if name in told:
+            above = name in policy.sensing.neurons
+            _label(axes, x, y - RADIUS - 16 if above else y + ring_radius(10.0) + 8, told[name])
     for number, row in enumerate(Layer):
         if row in layout.layers:
             axes.text(
@@ -110,7 +104,7 @@ def _neuron(axes: "Axes", name: str, x: float, y: float, tau: TimeConstant | Non
     axes.text(x, y + 10, words, fontsize=6.6, ha="center", va="center", color=INK, zorder=6, linespacing=1.05)
 
 
-def _arrow_text(axes: "Axes", x: float, y: float, words: str) -> None:
+def _label(axes: "Axes", x: float, y: float, words: str) -> None:
     axes.text(x, y, words, fontsize=9, color=INK, ha="center", va="center", style="italic")
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.core.course import Course
+from rover_ncp.report.geometry import LENGTH_M, OUTLINE, placed, rectangle
 from rover_ncp.report.layout import Layer, layers
 from rover_ncp.report.phases import Phase
 from rover_ncp.report.picture import Picture, figure, quiet, render
@@ -25,27 +26,15 @@ from rover_ncp.report.trace import Trace
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["OUTLINE", "activity", "trajectory"]
+__all__ = ["activity", "trajectory"]
 
 FloatArray = NDArray[np.float64]
-
-LENGTH_M, WIDTH_M = 0.626, 0.505
-"""A Pioneer 3-AT (its manual, table of specifications)."""
-OUTLINE = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1], [1, 1]]) / 2 * [LENGTH_M, WIDTH_M]
-"""The rover's corners in its own frame, closed, in m."""
 
 STOOD_M = 5e-4
 ARROW_M = 0.05
 LABEL_M = 0.055
 
 _TURNS = {1: (BLUE, "left turn"), -1: (VERMILLION, "right turn"), 0: (GREY, "straight")}
-
-
-def placed(corners: FloatArray, pose: Sequence[float]) -> FloatArray:
-    """Return corners (k, 2) of a body's frame where the body is."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    moved: FloatArray = corners @ np.array([[c, s], [-s, c]]) + np.asarray(pose[:2])
-    return moved
 
 
 def trajectory(trace: Trace, course: Course, found: Sequence[Phase]) -> Picture:
@@ -139,8 +128,7 @@ def _setting(axes: "Axes", course: Course) -> None:
 
     quiet(axes)
     for obstacle in course.obstacles:
-        corners = OUTLINE / [LENGTH_M, WIDTH_M] * [obstacle.length, obstacle.width]
-        where = placed(corners, (obstacle.x, obstacle.y, obstacle.theta))
+        where = rectangle(obstacle.length, obstacle.width, (obstacle.x, obstacle.y, obstacle.theta))
         axes.add_patch(Polygon(where, facecolor="#E3E5E9", edgecolor=GREY, hatch="///", linewidth=1))
     goal, rule = course.goal, course.parked
     axes.add_patch(

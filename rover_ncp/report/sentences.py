@@ -30,6 +30,8 @@ LEAST_SHARE = 0.15
 MOST = 2
 """Neurons named on either side."""
 LEAST_CHANGE_MV = 3.0
+SWING_MV = 5.0
+"""Sensory neurons change by less in a tick of any drive, so a wider swing is the circuit's own."""
 LEAK_MV = 5.0
 """A motor neuron that no synapse pulls farther is where its own leak puts it."""
 
@@ -74,6 +76,8 @@ class Explanation:
     pulls: tuple[Pull, ...]
     """On the neuron behind, the strongest first."""
     change: Change | None
+    swinging: tuple[Level, ...]
+    """Neurons that alternate, with their mean absolute change from tick to tick in mV, the widest first."""
     text: str = ""
     """The sentence, or two."""
 
@@ -106,6 +110,7 @@ def _explained(trace: Trace, currents: Currents, phase: Phase, before: Phase | N
         activity="" if synapse is None else _activity(trace, phase, synapse),
         pulls=() if behind is None else _pulls(circuit, currents, behind, phase),
         change=None if behind is None else _change(circuit, currents, behind, before, phase),
+        swinging=_swinging(trace, phase),
     )
     return replace(found, text=_Words(trace.policy).text(found))
 
@@ -167,6 +172,17 @@ def _change(
     return most
 
 
+def _swinging(trace: Trace, phase: Phase) -> tuple[Level, ...]:
+    steps = np.diff(trace.potentials[phase.ticks], axis=0)
+    if len(steps) < 2:
+        return ()
+    # One jump at the start of a phase is no swing: it must go back and forth.
+    turning = np.minimum(np.abs(steps[1:]), np.abs(steps[:-1])) * (steps[1:] * steps[:-1] < 0)
+    widths = turning.mean(axis=0)
+    rows = [Level(name, float(width)) for name, width in zip(trace.neurons, widths, strict=True)]
+    return tuple(sorted((row for row in rows if row.mean_mV > SWING_MV), key=lambda row: -row.mean_mV))
+
+
 class _Words:
     """Puts an explanation's numbers into words."""
 
@@ -196,6 +212,9 @@ class _Words:
                 f" What changed: the pull of {self._name(change.neuron)} on {told.behind.neuron} {verb} "
                 f"from {_mv(change.before_mV, sign=True)} to {_mv(change.now_mV, sign=True)}."
             )
+        if told.swinging:
+            swings = " and ".join(f"{row.neuron} (by {_mv(row.mean_mV)})" for row in told.swinging[:MOST])
+            parts.append(f" From tick to tick {swings} {'swings' if len(told.swinging) == 1 else 'swing'}.")
         return "".join(parts)
 
     def _head(self, phase: Phase) -> str:

@@ -59,6 +59,31 @@ def explain(
     output.result({**found.fields(), "files": [str(path) for path in written]}, ending)
 
 
+def report(
+    source: Annotated[
+        Path, typer.Argument(help="A recording (.mcap) of a drive, or the folder of a training run.")
+    ],
+    *,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The page to write.", show_default="RUN.html, or report.html in the folder"),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Write a page that shows a drive, or a training: one HTML file, to be opened from disk.
+
+    Of a drive: where it went, what every neuron and synapse did, what was asked and what the gate let
+    through, tied to one time slider, with a sentence for each phase of the manoeuvre. Of a training: the
+    learning curves, the parameters against their bounds, the drives of its policies. The page holds
+    everything it needs and asks the network for nothing.
+    """
+    from sim.explain.pages import write_page
+
+    output = Output(json)
+    page = write_page(source, out)
+    output.result({"page": str(page.path), "kind": page.kind, "bytes": page.size}, f"report: {page.path}")
+
+
 def _tables(found: "Explained") -> "list[Table]":
     return [*_contributions(found.analysis), _time_constants(found), _without(found), _moved(found)]
 

@@ -1,0 +1,230 @@
+"""The report in a real browser; `make test-browser` installs what this needs, `make test` leaves it out."""
+
+import os
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+from recorded_drives import BEGAN_NS, TICK_NS, write_drive
+
+from rover_ncp.core import messages
+from rover_ncp.core.lease import DriverStatus, dump_json
+from rover_ncp.core.recording import Recorded
+from sim.explain.pages import write_page
+
+pytestmark = pytest.mark.browser
+
+SHOTS = Path("runs/browser")
+EVIL = "<img src=x onerror=\"document.title='hacked'\"></script><script>document.title='hacked'</script>"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    chromium = shutil.which("chromium")
+    assert chromium, "no chromium: make test-browser installs it"
+    # Chromium's own sandbox cannot be had by root.
+    arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=chromium, args=arguments)
+        yield running
+        running.close()
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drive")
+    write_drive(folder / "run.mcap")
+    return write_page(folder / "run.mcap").path
+
+
+TIMEOUT_S = 20.0
+STROKES = (
+    "[...document.querySelectorAll('#circuit path[stroke-width]')].map(p => p.getAttribute('stroke-width'))"
+)
+VESSEL = """name => {
+  const group = document.querySelector(`[data-neuron=${name}]`), level = group.querySelector('rect');
+  const number = group.querySelector('.value').textContent;
+  return [level.getAttribute('fill'), Number(level.getAttribute('height')), number];
+}"""
+SLIDE = """t => {
+  const slider = document.getElementById('time');
+  slider.value = t;
+  slider.dispatchEvent(new Event('input'));
+}"""
+FONT_SIZES = """[...document.querySelectorAll('main p, main li, main dd, main td, #caption')]
+  .map(e => parseFloat(getComputedStyle(e).fontSize))"""
+FOCUSED = "(e => e.dataset.neuron || e.id || e.closest('[id]')?.id)(document.activeElement)"
+
+
+def until(page, script):
+    """Wait until a script says yes; playwright's own waiting needs eval, which the page forbids."""
+    deadline = time.monotonic() + TIMEOUT_S
+    while not page.evaluate(script):
+        assert time.monotonic() < deadline, f"never true: {script}"
+        page.wait_for_timeout(30)
+
+
+class Watched:
+    """A page together with whatever it complains of and asks for."""
+
+    def __init__(self, browser, path, width=1280, height=900):
+        self.page = browser.new_page(viewport={"width": width, "height": height})
+        self.complaints, self.requests = [], []
+        self.page.on("console", lambda said: self.complaints.append(f"{said.type}: {said.text}"))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda asked: self.requests.append(asked.url))
+        self.page.goto(path.as_uri())
+        self.page.wait_for_selector("#circuit .neuron")
+        self.to(0.0)
+
+    def to(self, t):
+        """Move the slider, and wait until the page is there."""
+        self.page.evaluate(SLIDE, t)
+        until(self.page, f"document.getElementById('clock').textContent === '{t:.1f} s'")
+
+    def outline(self):
+        """Where the plotted outline of the rover starts: its front left corner, by the estimate."""
+        return self.page.evaluate("(d => [d.x[0], d.y[0]])(document.getElementById('path-plot').data[6])")
+
+    def neuron(self, name):
+        """What a neuron's vessel looks like: colour, height, number."""
+        return self.page.evaluate(VESSEL, name)
+
+    def clock(self):
+        return float(self.page.text_content("#clock").removesuffix(" s"))
+
+
+@pytest.fixture
+def opened(browser, drive, request):
+    watched = Watched(browser, drive, *getattr(request, "param", ()))
+    yield watched
+    watched.page.close()
+    assert watched.complaints == []
+    assert [url for url in watched.requests if not url.startswith("data:")] == [drive.as_uri()]
+
+
+def test_the_slider_moves_the_rover_and_changes_the_neurons(opened):
+    before, avb, lft = opened.outline(), opened.neuron("AVB"), opened.neuron("LFT")
+    opened.to(8.0)
+    after = opened.outline()
+    assert abs(after[0] - before[0]) + abs(after[1] - before[1]) > 0.2
+    for old, new in ((avb, opened.neuron("AVB")), (lft, opened.neuron("LFT"))):
+        assert new[0] != old[0]
+        assert new[1] > old[1] + 5
+        assert new[2] != old[2]
+    widths = opened.page.evaluate(STROKES)
+    opened.to(14.0)
+    assert widths != opened.page.evaluate(STROKES)
+
+
+def test_the_words_follow_the_slider(opened):
+    opened.to(5.0)
+    assert "Left turn" in opened.page.text_content("#caption")
+    assert opened.page.locator("#phases li.current").count() == 1
+    assert "left turn" in opened.page.get_attribute("#time", "aria-valuetext")
+    opened.to(12.0)
+    assert "Right turn" in opened.page.text_content("#phases li.current")
+    assert "θ" in opened.page.text_content("#path-now")
+
+
+def test_play_runs_and_pause_holds(opened):
+    opened.page.click("#play")
+    until(opened.page, "document.getElementById('time').value > 2")
+    opened.page.click("#play")
+    held = opened.clock()
+    opened.page.wait_for_timeout(300)
+    assert opened.clock() == held
+    opened.to(31.5)
+    opened.page.click("#play")
+    until(opened.page, "document.getElementById('play').textContent === 'Play'")
+    assert opened.clock() == pytest.approx(31.9, abs=0.2)
+
+
+def test_everything_can_be_done_with_the_keyboard(opened):
+    page = opened.page
+    page.focus("#time")
+    page.keyboard.press("ArrowRight")
+    until(opened.page, "document.getElementById('clock').textContent === '0.1 s'")
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("ArrowRight")
+    until(opened.page, "document.getElementById('clock').textContent === '0.2 s'")
+    page.keyboard.press(" ")
+    until(opened.page, "document.getElementById('play').textContent === 'Pause'")
+    page.keyboard.press(" ")
+    until(opened.page, "document.getElementById('play').textContent === 'Play'")
+    reached = set()
+    page.focus(".skip")
+    for _ in range(90):
+        page.keyboard.press("Tab")
+        reached.add(page.evaluate(FOCUSED))
+    assert {
+        "AVB",
+        "RGT",
+        "phases",
+        "events",
+        "signs",
+        "paint",
+        "pair-from",
+        "play",
+        "time",
+        "speed",
+    } <= reached
+    page.focus("[data-neuron=AVB]")
+    page.keyboard.press("Enter")
+    assert page.get_attribute("[data-neuron=AVB]", "aria-pressed") == "true"
+    assert "AVB" in page.text_content("#neuron-now")
+    assert page.evaluate("document.getElementById('path-plot').data[3].marker.size.length") == 320
+
+
+def test_a_phase_and_a_click_into_a_plot_go_to_their_moment(opened):
+    opened.page.click("#phases li:nth-child(3) button")
+    until(opened.page, "document.getElementById('time').value > 8")
+    lanes = opened.page.locator("#lanes")
+    lanes.click(position={"x": 52 + (lanes.bounding_box()["width"] - 62) / 2, "y": 100})  # half way in time
+    until(opened.page, "Math.abs(document.getElementById('time').value - 15.95) < 0.3")
+
+
+def test_a_pair_of_neurons_is_shown(opened):
+    opened.page.select_option("#pair-from", "AVA")
+    opened.page.select_option("#pair-to", "RGT")
+    words = opened.page.text_content("#pair-words")
+    assert words.startswith("AVA to RGT: ")
+    cell = opened.page.locator("#signs button[aria-label^='AVA to RGT']")
+    sign, p = words.split(": ")[1].split(" (P ")
+    assert cell.get_attribute("aria-label").startswith(f"AVA to RGT: {sign}, P {p.split(',')[0]}")
+    opened.page.locator("#signs button").first.click()
+    assert opened.page.text_content("#pair-words").startswith("PVD to LFT: ")
+
+
+@pytest.mark.parametrize("opened", [(1280, 900), (400, 850)], indirect=True, ids=["desk", "phone"])
+def test_the_page_fits_and_is_photographed(opened):
+    page = opened.page
+    opened.to(7.0)
+    width = page.viewport_size["width"]
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    sizes = page.evaluate(FONT_SIZES)
+    assert min(sizes) >= 12
+    drawn = page.evaluate("document.querySelector('#circuit .name').getBoundingClientRect().height")
+    assert drawn >= 11
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SHOTS / f"report_{width}_top.png")
+    page.evaluate("document.getElementById('player').style.position = 'static'")
+    page.screenshot(path=SHOTS / f"report_{width}.png", full_page=True)
+
+
+def test_words_of_a_peer_stay_words(browser, tmp_path):
+    ns = BEGAN_NS + 400 * TICK_NS
+    status = DriverStatus(state="fault", reason=EVIL, tick=320)
+    more = [
+        Recorded("rover/status", "std_msgs/msg/String", messages.text(dump_json(status).decode()), ns, ns)
+    ]
+    write_drive(tmp_path / "run.mcap", more=more)
+    watched = Watched(browser, write_page(tmp_path / "run.mcap").path)
+    assert EVIL in watched.page.text_content("#events")
+    assert "hacked" not in watched.page.title()
+    assert watched.page.locator("#events img").count() == 0
+    assert watched.complaints == []
+    watched.page.close()

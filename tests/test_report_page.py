@@ -1,0 +1,132 @@
+import json
+import re
+
+import pytest
+from recorded_drives import BEGAN_NS, TICK_NS, write_drive
+
+from rover_ncp.core import messages
+from rover_ncp.core.lease import DriverStatus, GateStatus, dump_json
+from rover_ncp.core.recording import Recorded
+from rover_ncp.report.page import drive_page, html
+from rover_ncp.report.recorded import read_drive
+from rover_ncp.report.summary import summarise
+from rover_ncp.shell import run
+
+SHORT = "tests/data/short_course.yaml"
+STRING = "std_msgs/msg/String"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    path = tmp_path_factory.mktemp("drive") / "run.mcap"
+    simulated = write_drive(path, course=SHORT)
+    return drive_page(read_drive(path)), simulated
+
+
+def data_of(text):
+    return json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)[1])
+
+
+def test_the_page_holds_plotly_once_and_is_small(page):
+    text, _ = page
+    assert len(re.findall(r"plotly\.js v\d", text)) == 1
+    assert len(text.encode()) < 10_000_000
+
+
+def test_the_page_refers_to_nothing_outside(page):
+    from plotly.offline import get_plotlyjs
+
+    own = page[0].replace(get_plotlyjs(), "")
+    assert not re.findall(r"""(?:src|href)\s*=\s*["'](?!data:|#)""", own)
+    assert set(re.findall(r"https?://[^\s\"'<>)]+", own)) <= {
+        "http://www.w3.org/2000/svg"
+    }  # a name, no address
+    assert "default-src 'none'" in own
+    assert "connect-src 'none'" in own
+
+
+def test_the_data_are_the_run(page):
+    text, simulated = page
+    data = data_of(text)
+    ticks = data["drive"]["ticks"]
+    assert ticks["t"] == pytest.approx(simulated.times[:-1], abs=1e-3)
+    assert ticks["x"] == pytest.approx(simulated.poses[:-1, 0], abs=1e-4)
+    assert ticks["potentials"][5] == pytest.approx(simulated.potentials[:, 5], abs=0.01)
+    assert len(ticks["currents"]) == len(data["circuit"]["synapses"]) == 30
+    assert data["drive"]["odometry"]["x"] == pytest.approx(simulated.poses[:, 0], abs=1e-4)
+    assert data["drive"]["truth"]["y"] == pytest.approx(simulated.poses[:, 1], abs=1e-4)
+    assert data["drive"]["letThrough"]["v"] == pytest.approx(simulated.commands[:, 0], abs=1e-4)
+    assert len(data["findings"]["contributions"]) == 12 * 11
+    assert len(data["course"]["checkpoints"]) == 2
+
+
+def test_an_ellipse_has_the_axes_of_its_covariance(page):
+    # The helper gives tick k the variances (1 + k) * 1e-6 in x and (1 + k) * 2e-6 in y.
+    major, minor, direction = data_of(page[0])["drive"]["ticks"]["ellipse"][7]
+    assert (major, minor) == pytest.approx(((8 * 2e-6) ** 0.5, (8 * 1e-6) ** 0.5), abs=1e-6)
+    assert abs(direction) == pytest.approx(1.5708, abs=1e-3)
+
+
+def test_text_from_peers_cannot_leave_its_place():
+    evil = "</script><script>alert(1)</script><!--"
+    text = html(f"{evil} & more", {"words": evil})
+    assert "<script>alert" not in text
+    assert "&lt;/script&gt;&lt;script&gt;" in text
+    assert data_of(text) == {"words": evil}
+
+
+def test_a_placeholder_among_the_data_is_data():
+    assert data_of(html("t", {"words": "{{plotly}} {{script}}"})) == {"words": "{{plotly}} {{script}}"}
+
+
+def summary_of(tmp_path, **options):
+    write_drive(tmp_path / "run.mcap", course=SHORT, **options)
+    return summarise(read_drive(tmp_path / "run.mcap"))
+
+
+def test_the_summary_names_verdict_rates_and_origin(tmp_path):
+    told = summary_of(tmp_path)
+    rows, origin = dict(told.rows), dict(told.origin)
+    assert told.parked is False
+    assert told.headline.startswith("Not parked: ")
+    assert "from the goal" in rows["By the true pose"]
+    assert rows["Ticks"] == "40 at 10.00 Hz, 0 late, 0 on prediction"
+    assert rows["Odometry"] == "10.00 Hz"
+    assert rows["Gate"] == "40 commands accepted, 0 dropped, 0 limited, 0 stops"
+    assert rows["Battery"] == "12.8 to 12.8 V"
+    assert origin["Driven with"] == "rover-ncp 0.1.0"
+    assert "rover-ncp train" in origin["Trained by"]
+    assert "2023-11-14 22:13:20 UTC" in told.subline
+
+
+def test_the_summary_tells_a_stop_and_its_reason(tmp_path):
+    late = BEGAN_NS + 50 * TICK_NS
+    gate = GateStatus(accepted=40, stops={"bumper": 1}, dropped={"stale": 3})
+    status = DriverStatus(state="fault", reason="stopped by bumper", tick=40, overruns=2)
+    more = [
+        Recorded("rover/gate", STRING, messages.text(dump_json(gate).decode()), late, late),
+        Recorded("rover/status", STRING, messages.text(dump_json(status).decode()), late, late),
+        Recorded("odom", "nav_msgs/msg/Odometry", b"garbage", late, late),
+    ]
+    told = summary_of(tmp_path, more=more)
+    rows = dict(told.rows)
+    assert told.headline == "Not parked: touched an obstacle"
+    assert rows["Ended as"] == "fault: stopped by bumper"
+    assert rows["Gate"] == "40 commands accepted, 3 dropped (stale 3), 0 limited, 1 stops (bumper 1)"
+    assert rows["Ticks"].endswith("2 late, 0 on prediction")
+    assert rows["Unreadable"] == "1 messages (odom 1)"
+
+
+def test_command_writes_the_page_beside_the_recording(tmp_path, capsys):
+    write_drive(tmp_path / "run.mcap", course=SHORT)
+    assert run(["report", str(tmp_path / "run.mcap"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    page = tmp_path / "run.html"
+    assert said == {"page": str(page), "kind": "drive", "bytes": page.stat().st_size}
+    assert run(["report", str(tmp_path / "run.mcap"), "--out", str(tmp_path / "other.html")]) == 0
+    assert (tmp_path / "other.html").read_bytes() == page.read_bytes()
+
+
+def test_command_names_what_cannot_be_reported(tmp_path, capsys):
+    assert run(["report", str(tmp_path / "none.mcap")]) == 2
+    assert "none.mcap" in capsys.readouterr().err

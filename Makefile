@@ -3,8 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+BROWSER_STAMP := $(VENV)/.browser
 
-.PHONY: park test check lint types contracts safety clean
+.PHONY: park test test-browser check lint types contracts safety clean
 
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park

@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 
 from rover_ncp.circuit.bnn import circuit_to_bnn
-from rover_ncp.circuit.policy import parking_policy
-from rover_ncp.circuit.policy_file import save_policy
+from rover_ncp.circuit.policy import course_policy, parking_policy
+from rover_ncp.circuit.policy_file import load_circuit, save_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
 from rover_ncp.core.course import load_course
+from rover_ncp.core.reference import plan_reference
 from rover_ncp.shell import run
 from sim.learn.rollout import rollout
+from sim.studies.evaluate import unseen_courses, wilson
+from sim.world.randomization import draw_trials, load_randomization
+from sim.world.rover import RoverModel
 
 STAY = """\
 format: 1
@@ -116,3 +120,61 @@ def test_bad_input_is_one_line_and_exit_code_2(files, capsys, arguments, expecte
     assert expected in err
     assert err.count("\n") == 1
     assert json.loads(out)["exit_code"] == 2
+
+
+def test_trials_are_counted_as_each_alone_is_judged(files, capsys):
+    policy = course_policy(load_circuit("tracking"))
+    save_policy(Path("tracker.yaml"), policy)
+    arguments = ["--trials", "12", "--seed", "4", "--randomize", "harsh", "--json"]
+    assert run(["eval", "tracker.yaml", *arguments]) == 0
+    fields = json.loads(capsys.readouterr().out)
+    model, course = RoverModel(), load_course("parking")
+    trials = draw_trials(load_randomization("harsh"), model, 4, count=12, ticks=course.ticks)
+    reference = plan_reference(course)
+    verdicts = [
+        rollout(policy, course, model, trials=trials, row=i, reference=reference).verdict for i in range(12)
+    ]
+    parked = sum(verdict.parked for verdict in verdicts)
+    errors = [verdict.error_m for verdict in verdicts]
+    assert 0 < parked < 12
+    assert fields["trials"] == 12
+    assert fields["success_rate"] == parked / 12
+    assert sum(fields["failures"].values()) == 12 - parked
+    assert fields["error_m"] == pytest.approx(
+        {"p50": np.median(errors), "p95": np.percentile(errors, 95), "max": max(errors)}
+    )
+    assert fields["success_ci95"][0] < parked / 12 < fields["success_ci95"][1]
+
+
+def test_only_a_single_trial_that_fails_ends_with_1(files, capsys):
+    arguments = ["eval", "numb.bnn", "--randomize", "mild", "--trials"]
+    assert run([*arguments, "1"]) == 1
+    assert run([*arguments, "3"]) == 0
+    assert capsys.readouterr().out.count("0.0% of") == 2
+
+
+def test_random_courses_are_driven_in_turn(files, capsys):
+    save_policy(Path("tracker.yaml"), course_policy(load_circuit("tracking")))
+    arguments = ["--trials", "5", "--seed", "2", "--random-courses", "2", "--json"]
+    assert run(["eval", "tracker.yaml", *arguments]) == 0
+    fields = json.loads(capsys.readouterr().out)
+    # Without randomisation a course ends the same each time: three trials on the first, two on the second.
+    courses = unseen_courses(2, 2)
+    verdicts = [rollout(course_policy(load_circuit("tracking")), course).verdict for course in courses]
+    shares = [3 * verdicts[0].parked, 2 * verdicts[1].parked]
+    assert fields["success_rate"] == sum(shares) / 5
+    assert fields["error_m"]["max"] == pytest.approx(max(verdict.error_m for verdict in verdicts))
+
+
+@pytest.mark.parametrize(
+    ("successes", "count", "interval"),
+    # Newcombe (1998), Statistics in Medicine 17, table I: Wilson's score without correction.
+    [
+        (81, 263, (0.2553, 0.3662)),
+        (15, 148, (0.0624, 0.1605)),
+        (0, 20, (0.0, 0.1611)),
+        (29, 29, (0.8830, 1.0)),
+    ],
+)
+def test_wilsons_interval(successes, count, interval):
+    assert wilson(successes, count) == pytest.approx(interval, abs=5e-5)

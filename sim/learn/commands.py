@@ -45,6 +45,21 @@ def train(
             show_default="published",
         ),
     ] = None,
+    randomize: Annotated[
+        str | None,
+        typer.Option(
+            help="Train on random trials: mild, full, harsh or a YAML file of ranges.", show_default=False
+        ),
+    ] = None,
+    rollouts: Annotated[
+        int | None, typer.Option(min=1, help="Trials of a candidate.", show_default="64 if random")
+    ] = None,
+    worst: Annotated[
+        int | None, typer.Option(min=1, help="Average so many worst ones.", show_default="all rollouts")
+    ] = None,
+    random_courses: Annotated[
+        int | None, typer.Option(min=0, help="Courses beside the given one.", show_default="24 if random")
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder of the run, missing or empty.", show_default="the next free runs/train-N"),
@@ -69,6 +84,13 @@ def train(
 
         rover-ncp train --seed 1 --out runs/mine
         rover-ncp train --out runs/mine --resume
+
+    With --randomize, a circuit learns to follow any course on robots nobody measured: what it senses is
+    where it is relative to the course (the circuit, tracking unless told otherwise, needs the neurons FWD
+    and REV), a candidate's score is the mean over many random trials, and the search is CMA-ES; iterations
+    are its generations. It takes some minutes and cannot be resumed.
+
+        rover-ncp train --randomize full --out runs/robust
     """
     from sim.learn.folder import new_run_path, saved_settings
     from sim.learn.progress import TrainProgress
@@ -86,6 +108,19 @@ def train(
         "search": search,
     }
     given = {name: value for name, value in options.items() if value is not None}
+    robust = {
+        "randomize": randomize,
+        "rollouts": rollouts,
+        "worst": worst,
+        "random_courses": random_courses,
+    }
+    if randomize is not None:
+        if resume or not {agents, search, processes} <= {None}:
+            raise UsageError("--randomize goes with none of --resume, --agents, --search and --processes")
+        _train_robust(output, options | robust, out or new_run_path())
+        return
+    if any(value is not None for value in robust.values()):
+        raise UsageError("--rollouts, --worst and --random-courses need --randomize")
     if resume and out is None:
         raise UsageError("--resume needs --out, the folder of the run to go on with")
     saved = saved_settings(out) if resume and out is not None else None
@@ -126,4 +161,31 @@ def train(
         fields,
         f"best of {settings.agents} agents: return {result.agents.best.value:.4f}, {how} "
         f"(median {result.agents.median_return:.4f}; {result.wall_s:.1f} s)\n{result.policy_path}",
+    )
+
+
+def _train_robust(output: Output, options: dict[str, Any], out: Path) -> None:
+    """Train on random trials, and say how the result does on others."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from rover_ncp.core.course import load_course
+    from sim.learn.robust_run import RobustSettings, train_robust
+
+    given = {name: value for name, value in options.items() if value is not None}
+    if "rollouts" in given:
+        given.setdefault("worst", given["rollouts"])
+    settings = RobustSettings(**given)
+    load_course(settings.course)  # before a folder is made, so that a typo leaves none behind
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("generations", total=settings.iterations)
+        result = train_robust(settings, out, lambda last: progress.update(task, completed=last.number))
+    fields = settings.model_dump() | {
+        "generations": result.last.number,
+        "cost": result.last.best,
+        "policy": str(result.path),
+    }
+    output.result(
+        fields, f"cost {result.last.best:.3f} after {result.last.number} generations\n{result.path}"
     )

@@ -75,7 +75,7 @@ class UnitCube:
         part = np.clip(place, 0.0, 1.0)
         scaled[self.active] = low[self.active] + part * (high - low)[self.active]
         vector = np.where(self._log, np.exp(np.where(self._log, scaled, 0.0)), scaled)
-        return np.clip(vector, self._lower, self._upper)
+        return np.where(self.active, np.clip(vector, self._lower, self._upper), self._start)
 
     def _scaled(self, vector: FloatArray) -> FloatArray:
         return np.where(self._log, np.log(np.where(self._log, vector, 1.0)), vector)

@@ -33,7 +33,8 @@ class Spread(NamedTuple):
     @classmethod
     def of(cls, errors: NDArray[np.float64]) -> "Spread":
         """Return the spread of errors (n,)."""
-        return cls(*np.percentile(errors, [50, 95]).tolist(), float(errors.max()))
+        p50, p95 = np.percentile(errors, [50, 95]).tolist()
+        return cls(p50, p95, float(errors.max()))
 
 
 class Evaluation(NamedTuple):

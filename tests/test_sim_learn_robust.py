@@ -1,0 +1,135 @@
+"""Training on random trials, and its command."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from rover_ncp.circuit.policy import course_policy
+from rover_ncp.circuit.policy_file import load_circuit, load_policy
+from rover_ncp.core.course import load_course
+from rover_ncp.core.reference import plan_reference
+from rover_ncp.shell import run
+from sim.learn.engine import Engine, Outcomes
+from sim.learn.robust import UnitCube, costs, robust_search, training_courses
+from sim.world.random_course import random_course
+from sim.world.randomization import draw_trials, load_randomization
+from sim.world.rover import RoverModel
+
+COURSE, MODEL = load_course("parking"), RoverModel()
+START = course_policy(load_circuit("tracking"))
+FULL = load_randomization("full")
+
+
+def engine():
+    trials = draw_trials(FULL, MODEL, 0, count=1, ticks=COURSE.ticks)
+    return Engine(START, COURSE, MODEL, trials)
+
+
+def search(generations, seed=3):
+    return list(
+        robust_search(engine(), FULL, seed=seed, generations=generations, rollouts=8, worst=8, model=MODEL)
+    )
+
+
+def test_the_cube_and_the_parameters_are_the_same_place():
+    cube, layout = UnitCube(START), START.layout()
+    assert cube.vector(cube.start) == pytest.approx(START.parameters(), rel=1e-12)
+    assert cube.active.sum() == layout.size - 3 * 4  # what the four sensory neurons would be is set
+    inside = np.random.default_rng(0).uniform(size=len(cube.start))
+    vector = cube.vector(inside)
+    assert (vector >= layout.lower).all()
+    assert (vector <= layout.upper).all()
+    assert np.array_equal(vector[~cube.active], START.parameters()[~cube.active])
+    START.with_parameters(cube.vector(inside + 5.0))  # whatever is asked for stays in bounds
+
+
+def test_what_decides_nothing_is_left_out():
+    cube, judge = UnitCube(START), engine()
+    vector = START.parameters()
+    changed = np.where(cube.active, vector, 0.5 * (START.layout().lower + START.layout().upper))
+    assert not np.array_equal(changed, vector)
+    assert np.array_equal(judge.outcomes(changed).total, judge.outcomes(vector).total)
+
+
+def outcome(**changes):
+    fields = dict.fromkeys(Outcomes._fields, np.zeros((1, 1)))
+    return Outcomes(**fields | {name: np.array([[value]]) for name, value in changes.items()})
+
+
+@pytest.mark.parametrize(
+    ("field", "good", "bad"),
+    [
+        ("error_m", 0.05, 0.12),
+        ("error_rad", 0.05, 0.12),
+        ("moved_m", 0.003, 0.006),
+        ("turned_rad", 0.003, 0.006),
+    ],
+)
+def test_a_cost_rises_with_each_error_and_most_where_parked_ends(field, good, bad):
+    perfect = costs(outcome())[0, 0]
+    near, far, farthest = (costs(outcome(**{field: value}))[0, 0] for value in (good, bad, 20 * bad))
+    assert perfect < near < far < farthest
+    assert far - near > 4
+    assert farthest - far < 6
+
+
+def test_training_and_evaluation_share_no_course():
+    given = plan_reference(COURSE)
+    courses, references = training_courses(COURSE, given, 0, 24)
+    assert len(courses) == len(references) == 30
+    assert sum(course is COURSE for course in courses) == 6
+    seen = {course.checkpoints for course in courses}
+    assert len(seen) == 25
+    assert not seen & {random_course(0, number)[0].checkpoints for number in range(24)}
+    assert training_courses(COURSE, given, 0, 0) == ([COURSE], [given])
+
+
+def test_the_search_improves_and_repeats_itself():
+    first = search(12)
+    assert [last.number for last in first] == list(range(1, 13))
+    again = search(12)
+    assert all(np.array_equal(a.mean, b.mean) for a, b in zip(first, again, strict=True))
+    assert not np.array_equal(search(1, seed=4)[0].mean, first[0].mean)
+    judge = engine()
+    judge.change_trials(draw_trials(FULL, MODEL, 9, count=60, ticks=COURSE.ticks))
+    before, after = costs(judge.outcomes([START.parameters(), first[-1].mean])).mean(axis=1)
+    assert after < before
+
+
+def test_the_command_leaves_a_policy_that_says_how_it_was_made(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    options = ["--randomize", "mild", "--iterations", "2", "--rollouts", "4", "--random-courses", "2"]
+    assert run(["train", *options, "--seed", "5", "--out", "mine", "--json"]) == 0
+    fields = json.loads(capsys.readouterr().out)
+    assert (fields["generations"], fields["randomize"], fields["worst"]) == (2, "mild", 4)
+    policy = load_policy("mine/policy.yaml")
+    assert policy.sensing.name == "course"
+    assert policy.courses == ("parking", "random")
+    assert (tmp_path / "mine/curve.csv").read_text().count("\n") == 3
+    assert yaml.safe_load((tmp_path / "mine/settings.yaml").read_text())["settings"]["seed"] == 5
+    command = policy.provenance["command"].split()
+    assert command[:2] == ["rover-ncp", "train"]
+    assert run([*command[1:], "--out", "again"]) == 0
+    assert np.array_equal(load_policy("again/policy.yaml").parameters(), policy.parameters())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--rollouts", "3"], "need --randomize"),
+        (["--randomize", "full", "--agents", "3"], "goes with none of"),
+        (["--randomize", "wild"], "none of the shipped randomizations"),
+        (["--randomize", "full", "--rollouts", "3", "--worst", "4"], "the worst 4 of 3 rollouts"),
+        (["--randomize", "full", "--circuit", "parking"], "no neuron 'REV'"),
+        (["--randomize", "full", "--out", "."], "is not an empty folder"),
+    ],
+)
+def test_what_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, arguments, expected):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "something").write_text("here")
+    assert run(["train", "--out", "run", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert expected in err
+    assert err.count("\n") == 1

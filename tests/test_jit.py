@@ -18,6 +18,9 @@ def outer(x):
     return middle(x) + FACTOR + callee.inner(x)
 @kernel
 def middle(x):
+    return last(x)
+@kernel
+def last(x):
     return inner(x)
 if __name__ == "__main__":
     print(outer(10.0), sum(outer.stats.cache_hits.values()))

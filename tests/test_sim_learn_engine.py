@@ -12,6 +12,7 @@ from rover_ncp.circuit.policy import PolicyRunner, course_policy, parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
 from rover_ncp.core.course import Obstacle, load_course
 from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.geometry import wrap_angle
 from rover_ncp.core.reference import plan_reference
 from sim.learn.engine import Engine
 from sim.learn.rollout import rollout
@@ -19,6 +20,7 @@ from sim.world.env import ENV_ID
 from sim.world.random_course import random_course
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
+from sim.world.scoring import due_checkpoints
 
 COURSE = load_course("parking")
 POLICY = parking_policy(parking_circuit())
@@ -69,6 +71,22 @@ def test_a_lane_returns_what_the_environment_returns():
             total += reward
         returns.append(total)
     assert Engine(POLICY, COURSE).returns(vectors).tolist() == returns
+
+
+def test_misses_are_those_of_a_rover_alone_and_make_up_the_return():
+    vectors = candidates(10, seed=8)
+    returns, misses = Engine(POLICY, FENCED).traces(vectors)
+    due = due_checkpoints(FENCED)
+    assert misses.shape == (10, 1, len(FENCED.checkpoints), 3)
+    for vector, total, episode in zip(vectors, returns, misses[:, 0], strict=True):
+        run = alone(vector, FENCED)
+        expected = np.zeros_like(episode)
+        for tick in np.flatnonzero(due >= 0):
+            at, target = run.poses[tick + 1], FENCED.checkpoints[due[tick]].pose
+            expected[due[tick]] = at[0] - target.x, at[1] - target.y, wrap_angle(at[2] - target.theta)
+        assert episode.tolist() == expected.tolist()
+        assert total == run.total
+        assert -np.sum(episode**2) == pytest.approx(total, rel=1e-14)
 
 
 def test_company_and_place_change_no_bit():

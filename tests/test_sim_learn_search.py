@@ -1,4 +1,4 @@
-"""Search strategies on toy objectives: what they may do, what they must decide, and that they repeat."""
+"""The random searches on toy objectives: what they may do, what they must decide, and that they repeat."""
 
 import json
 from collections.abc import Callable
@@ -23,7 +23,7 @@ from sim.learn.search.algorithm1 import (
 )
 from sim.learn.search.base import Search
 from sim.learn.search.published import RULES, Caps, Published, shake
-from sim.learn.search.strategies import STRATEGIES, start_search
+from sim.learn.search.strategies import start_search
 
 POLICY = parking_policy(parking_circuit())
 LAYOUT = POLICY.layout()
@@ -31,7 +31,8 @@ DEFAULTS = POLICY.parameters()
 WIDTH = LAYOUT.upper - LAYOUT.lower
 GOAL = LAYOUT.lower + WIDTH * np.random.default_rng(99).random(LAYOUT.size)
 
-both = pytest.mark.parametrize("name", sorted(STRATEGIES))
+SEARCHES = {"published": Published, "algorithm1": Algorithm1}
+both = pytest.mark.parametrize("name", sorted(SEARCHES))
 
 
 def sphere(vectors: np.ndarray) -> np.ndarray:
@@ -40,7 +41,9 @@ def sphere(vectors: np.ndarray) -> np.ndarray:
 
 
 def begin(name: str, seed: int = 0) -> Search[Any]:
-    return start_search(name, LAYOUT, DEFAULTS, np.random.default_rng(seed))
+    search = start_search(name, LAYOUT, DEFAULTS, np.random.default_rng(seed))
+    assert isinstance(search, SEARCHES[name])
+    return search
 
 
 def advance(

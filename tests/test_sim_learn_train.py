@@ -197,7 +197,7 @@ def test_a_folder_in_use_is_refused(reference: Path, tmp_path: Path) -> None:
     [
         ({"seed": 2}, "--seed was 1 when this run began, now 2"),
         ({"agents": 3, "iterations": 9}, "--agents was 2 .*now 3; --iterations was 150 .*now 9"),
-        ({"search": "algorithm1"}, "--search was published .*now algorithm1"),
+        ({"search": "algorithm1"}, "--search was gauss-newton .*now algorithm1"),
         ({"course": "parking"}, "--course was .*short_course.yaml .*now parking$"),
     ],
 )

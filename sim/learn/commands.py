@@ -15,6 +15,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on std
 class SearchName(StrEnum):
     """The search strategies; listed here so that --help need not import them."""
 
+    GAUSS_NEWTON = "gauss-newton"
     PUBLISHED = "published"
     ALGORITHM1 = "algorithm1"
 
@@ -41,8 +42,9 @@ def train(
     search: Annotated[
         SearchName | None,
         typer.Option(
-            help="published: a few random entries change. algorithm1: all change, by an adapting scale.",
-            show_default="published",
+            help="gauss-newton: descents on the misses of all checkpoints. published: a few random entries "
+            "change. algorithm1: all change, by an adapting scale.",
+            show_default="gauss-newton",
         ),
     ] = None,
     randomize: Annotated[

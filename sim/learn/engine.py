@@ -28,8 +28,8 @@ __all__ = ["Engine", "Outcomes"]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-MOST_LANES = 32
-"""More gain nothing: all lanes' numbers should stay in a core's first cache."""
+LEAST_LANES, MOST_LANES = 8, 36
+"""Fewer leave vectors half empty; more gain nothing: all numbers should stay in a core's first cache."""
 RACERS_PER_LANE = 6
 
 
@@ -49,8 +49,8 @@ class Outcomes(NamedTuple):
     """Mean squared distance and angle to the reference; of no meaning without one."""
     parked: NDArray[np.bool_]
     misses: FloatArray
-    """(candidates, trials, checkpoints, 3) x, y and heading from each checkpoint when it was judged, 0 where a
-    course has fewer: a return is minus the sum of their squares."""
+    """(candidates, trials, checkpoints, 3) x, y and heading from each checkpoint when it was judged, 0 where
+    a course has fewer: a return is minus the sum of their squares."""
 
 
 class Engine:
@@ -171,10 +171,12 @@ class Engine:
         queue = Queue(vectors, vector, task, trial, stop, results, misses)
         if len(vector):
             fleet, lanes = self._team(_width(len(vector), race=bool((stop > -np.inf).any())))
-            run_episodes(
-                self._program, self._signal_at, self._tasks, self._trials, lanes, fleet.arrays, queue
-            )
+            self.run_queue(lanes, fleet, queue)
         return queue
+
+    def run_queue(self, lanes: Lanes, fleet: Fleet, queue: Queue) -> None:
+        """Run the episodes of a queue."""
+        run_episodes(self._program, self._signal_at, self._tasks, self._trials, lanes, fleet.arrays, queue)
 
     def _team(self, width: int) -> tuple[Fleet, Lanes]:
         """Return lanes and rovers of a width, built once."""
@@ -238,5 +240,5 @@ def _width(count: int, race: bool) -> int:
     so fewer lanes with a queue behind them do more than many that stand idle at the end.
     """
     most = min(MOST_LANES, count // RACERS_PER_LANE) if race else MOST_LANES
-    rounds = -(-count // max(most, ROVERS_PER_BAY))
+    rounds = -(-count // max(most, LEAST_LANES))
     return -(-count // (rounds * ROVERS_PER_BAY)) * ROVERS_PER_BAY

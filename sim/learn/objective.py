@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rover_ncp.core.errors import UsageError
 from sim.learn.search.base import Vector
 
 __all__ = ["Deterministic", "Objective", "Sampled", "mean_of_worst"]
@@ -30,19 +31,37 @@ class Objective(Protocol):
         infinity there asks for the estimate itself. ``keys`` name each one's random stream.
         """
 
+    def trace(self, vectors: Vector) -> tuple[Vector, Vector]:
+        """Return the returns (k,) of vectors (k, P), and the misses (k, E, C, 3) they are made of.
+
+        E episodes of C checkpoints each; a return is minus the sum of the squares, averaged over episodes.
+        """
+
 
 class Deterministic:
     """A task without chance: one rollout says it all.
 
     ``returns`` takes vectors (k, P) and the thresholds (k,) below which a rollout may stop; it gives (k,).
+    ``traces`` is what ``trace`` says, for strategies that need it.
     """
 
-    def __init__(self, returns: Callable[[Vector, Vector], Vector]) -> None:
+    def __init__(
+        self,
+        returns: Callable[[Vector, Vector], Vector],
+        traces: Callable[[Vector], tuple[Vector, Vector]] | None = None,
+    ) -> None:
         self._returns = returns
+        self._traces = traces
 
     def estimate(self, vectors: Vector, to_beat: Vector, keys: Sequence[Key]) -> Vector:
         """Return the returns (k,) of vectors (k, P)."""
         return self._returns(vectors, to_beat)
+
+    def trace(self, vectors: Vector) -> tuple[Vector, Vector]:
+        """Return the returns (k,) of vectors (k, P), and the misses (k, E, C, 3) they are made of."""
+        if self._traces is None:
+            raise TypeError("this objective knows only returns")
+        return self._traces(vectors)
 
 
 class Sampled:
@@ -70,6 +89,10 @@ class Sampled:
         returns = self._returns(np.repeat(vectors, self._rollouts, axis=0), np.concatenate(seeds))
         rows = returns.reshape(len(vectors), self._rollouts)
         return np.array([mean_of_worst(row.tolist(), self._worst) for row in rows])
+
+    def trace(self, vectors: Vector) -> tuple[Vector, Vector]:
+        """Raise UsageError: between two estimates chance moves the misses more than any parameter does."""
+        raise UsageError("a search that needs the misses cannot estimate from random rollouts")
 
 
 def mean_of_worst(returns: Sequence[float], worst: int) -> float:

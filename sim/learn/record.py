@@ -36,7 +36,7 @@ class TrainSettings(StrictModel):
     seed: int = Field(default=0, ge=0)
     agents: int = Field(default=12, ge=1, le=1000)
     iterations: int = Field(default=20_000, ge=1)
-    search: Literal["published", "algorithm1"] = "published"
+    search: Literal["gauss-newton", "published", "algorithm1"] = "gauss-newton"
 
     def command(self) -> str:
         """Return the command line that makes the same circuits again."""

@@ -7,14 +7,14 @@ process, and how many iterations are done at a time, changes nothing: the tests 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import ParameterLayout
 from sim.learn.objective import Objective
-from sim.learn.search.base import Search, SearchState, Vector
-from sim.learn.search.strategies import start_search
+from sim.learn.search.base import SearchState, Strategy, Vector
+from sim.learn.search.strategies import STRATEGIES, start_search
 
 __all__ = ["AgentState", "Plan", "Team", "revive"]
 
@@ -31,6 +31,8 @@ class Plan:
     layout: ParameterLayout
     defaults: Vector
     build_objective: Callable[[], Objective]
+    inert: NDArray[np.bool_] | None = None
+    """(P,) which parameters have no effect, where that is known."""
 
 
 @dataclass(frozen=True)
@@ -59,37 +61,68 @@ class AgentState:
 
 
 class Team:
-    """Advances agents by lockstep: every step evaluates one candidate of each as lanes of one batch."""
+    """Advances agents by lockstep: every step evaluates the candidates of all as lanes of one batch."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._objective = plan.build_objective()
+        self._needs_misses = STRATEGIES[plan.strategy].needs_misses
 
     def advance(self, agents: Sequence[AgentState], iterations: int) -> list[AgentState]:
         """Return the agents after ``iterations`` candidates each; those already there stay as they are."""
         searches = [revive(self._plan, agent) for agent in agents]
         changes: list[list[tuple[int, float]]] = [[] for _ in agents]
         while active := [i for i, s in enumerate(searches) if s.value is None or s.iterations < iterations]:
-            asked = [searches[i].ask() for i in active]
-            to_beat = np.array([searches[i].to_beat for i in active])
-            keys = [(agents[i].number, _ROLLOUTS, searches[i].evaluations) for i in active]
-            values = self._objective.estimate(np.concatenate(asked), to_beat, keys)
-            for i, value in zip(active, values, strict=True):
-                before = searches[i].value
-                searches[i].tell([value])
-                if searches[i].value != before:
-                    changes[i].append((searches[i].iterations, float(value)))
+            asked = [_ask(searches[i], iterations) for i in active]
+            keys = [
+                (agents[i].number, _ROLLOUTS, searches[i].evaluations + ahead)
+                for i, candidates in zip(active, asked, strict=True)
+                for ahead in range(len(candidates))
+            ]
+            counts = [len(candidates) for candidates in asked]
+            to_beat = np.repeat([searches[i].to_beat for i in active], counts)
+            values, misses = self._evaluate(np.concatenate(asked), to_beat, keys)
+            first = 0
+            for i, count in zip(active, counts, strict=True):
+                part = slice(first, first + count)
+                changes[i] += _tell(searches[i], values[part], None if misses is None else misses[part])
+                first += count
         return [
             AgentState(agent.number, search.state(), agent.improvements + tuple(new))
             for agent, search, new in zip(agents, searches, changes, strict=True)
         ]
 
+    def _evaluate(
+        self, vectors: Vector, to_beat: Vector, keys: Sequence[tuple[int, ...]]
+    ) -> tuple[Vector, Vector | None]:
+        if self._needs_misses:
+            return self._objective.trace(vectors)
+        return self._objective.estimate(vectors, to_beat, keys), None
 
-def revive(plan: Plan, agent: AgentState) -> Search[Any]:
+
+def _ask(search: Strategy, iterations: int) -> Vector:
+    left = 1 if search.value is None else iterations - search.iterations
+    return search.ask(min(left, search.most_ahead))
+
+
+def _tell(search: Strategy, values: Vector, misses: Vector | None) -> list[tuple[int, float]]:
+    """Tell a search; return the iterations at which its incumbent's return changed, and to what."""
+    value, evaluations = search.value, search.evaluations
+    changes = []
+    for number in range(search.tell(values, misses)):
+        if value is None or values[number] > value:
+            value = float(values[number])
+            changes.append((evaluations + number, value))
+    if search.value is not None and search.value != value:  # the incumbent was found to be worth less
+        changes.append((search.iterations, search.value))
+    return changes
+
+
+def revive(plan: Plan, agent: AgentState) -> Strategy:
     """Return the agent's search as it stood. Raises ValueError, KeyError or TypeError for a damaged state."""
     seed = np.random.SeedSequence(plan.root_seed, spawn_key=(agent.number, _SEARCH))
     generator = np.random.Generator(np.random.PCG64(seed))
-    search = start_search(plan.strategy, plan.layout, plan.defaults, generator)
+    search = start_search(plan.strategy, plan.layout, plan.defaults, generator, plan.inert)
     if agent.search is not None:
         search.restore(agent.search)
     return search

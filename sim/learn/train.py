@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from rover_ncp.circuit.lanes import inert_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import Course
 from rover_ncp.core.errors import RoverNcpError
@@ -42,13 +43,15 @@ def training_plan(settings: TrainSettings, task: Task) -> Plan:
         layout=task.policy.layout(),
         defaults=task.policy.parameters(),
         build_objective=partial(_objective, task.policy, task.course),
+        inert=inert_parameters(task.policy),
     )
 
 
 def _objective(policy: Policy, course: Course) -> Objective:
     from sim.learn.engine import Engine
 
-    return Deterministic(Engine(policy, course).returns)
+    engine = Engine(policy, course)
+    return Deterministic(engine.returns, engine.traces)
 
 
 def train(

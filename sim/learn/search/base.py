@@ -20,12 +20,49 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import ParameterLayout
 
-__all__ = ["Adaptation", "Search", "SearchState", "Vector"]
+__all__ = ["Adaptation", "Search", "SearchState", "Strategy", "Vector"]
 
 Vector = NDArray[np.float64]
 
 SearchState = Mapping[str, Any]
-"""A search between ``tell`` and ``ask`` as plain numbers, lists and mappings: JSON keeps every bit."""
+"""A search between ``tell`` and ``ask`` as plain values, lists and mappings: JSON keeps every bit."""
+
+
+class Strategy(Protocol):
+    """What a search is to those who run it."""
+
+    needs_misses: ClassVar[bool]
+    """Whether returns are not enough, see ``Objective.trace``."""
+    most_ahead: ClassVar[int]
+    """How many candidates to ask for at once, at most."""
+    value: float | None
+    """The incumbent's return; None before the first was told."""
+    evaluations: int
+    """Returns taken."""
+
+    @property
+    def incumbent(self) -> Vector:
+        """The best vector (P,) so far; before there is any, that which will be evaluated first."""
+
+    @property
+    def iterations(self) -> int:
+        """Returns taken after the first one."""
+
+    @property
+    def to_beat(self) -> float:
+        """What the returns of the candidates handed out must exceed to matter."""
+
+    def ask(self, count: int = 1) -> Vector:
+        """Return candidates (n, P), 1 <= n <= count."""
+
+    def tell(self, values: Sequence[float] | Vector, misses: Vector | None = None) -> int:
+        """Take the returns (n,), and misses (n, E, C, 3) if needed; return how many of them counted."""
+
+    def state(self) -> SearchState:
+        """Return all that the next ``ask`` depends on."""
+
+    def restore(self, state: SearchState) -> None:
+        """Continue from a ``state()``. Raises ValueError, KeyError or TypeError if it is not one of ours."""
 
 
 class Adaptation(Protocol):
@@ -58,6 +95,9 @@ class Search(ABC, Generic[AdaptationT]):
 
     The start (P,) is evaluated first and is the first incumbent. ``evaluations`` counts the returns taken.
     """
+
+    needs_misses: ClassVar[bool] = False
+    most_ahead: ClassVar[int] = 1
 
     def __init__(
         self, layout: ParameterLayout, start: Vector, generator: np.random.Generator, adaptation: AdaptationT
@@ -124,11 +164,12 @@ class Search(ABC, Generic[AdaptationT]):
                 break
         return np.stack([draw.vector for draw in self._pending])
 
-    def tell(self, values: Sequence[float] | Vector) -> int:
+    def tell(self, values: Sequence[float] | Vector, misses: Vector | None = None) -> int:
         """Take the returns (n,) of what ``ask`` gave, in its order; return how many of them counted.
 
         Only a return strictly greater than the incumbent's counts as a success. Any value that is not
-        gives the same decisions, so a rollout may stop as soon as success is out of its reach.
+        gives the same decisions, so a rollout may stop as soon as success is out of its reach. Misses are
+        not looked at.
         """
         if len(values) != len(self._pending):
             raise ValueError(f"{len(self._pending)} candidates wait for their returns, got {len(values)}")

@@ -1,0 +1,365 @@
+"""The Gauss-Newton search on toy objectives: what it measures and decides, and that it repeats to the bit."""
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rover_ncp.circuit.circuit import ParameterKind
+from rover_ncp.circuit.lanes import inert_parameters
+from rover_ncp.circuit.policy import ParameterLayout, parking_policy
+from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from sim.learn.search import gauss_newton
+from sim.learn.search.gauss_newton import FIRST_DAMPING, HOPS, PROBE, SAMPLES, WINDOW, GaussNewton
+from sim.learn.search.least_squares import correct_slopes, damped_steps, survival, survival_weights
+from sim.learn.search.packed import pack, unpack
+from sim.learn.search.unit_box import BY_LOGARITHM, UnitBox, reflected
+
+POLICY = parking_policy(parking_circuit())
+LAYOUT = POLICY.layout()
+DEFAULTS = POLICY.parameters()
+WIDTH = LAYOUT.upper - LAYOUT.lower
+INERT = inert_parameters(POLICY)
+GOAL = np.where(INERT, DEFAULTS, LAYOUT.lower + WIDTH * np.random.default_rng(99).random(LAYOUT.size))
+CHECKPOINTS = -(-LAYOUT.size // 3)
+
+Toy = Any
+
+
+def sphere(vectors: np.ndarray) -> np.ndarray:
+    """Misses (n, 1, C, 3): how far each parameter is from the goal, as a fraction of its range."""
+    misses = np.zeros((len(vectors), CHECKPOINTS * 3))
+    misses[:, : LAYOUT.size] = (vectors - GOAL) / WIDTH
+    return misses.reshape(len(vectors), 1, CHECKPOINTS, 3)
+
+
+def valley(vectors: np.ndarray) -> np.ndarray:
+    """Misses of a bent, narrow valley (Rosenbrock's) between each two parameters, with other hollows."""
+    unit = 3.0 * (vectors - LAYOUT.lower) / WIDTH - 1.0
+    unit[:, INERT] = 1.0
+    misses = np.zeros((len(vectors), CHECKPOINTS, 3))
+    a, b = unit[:, 0 : 2 * CHECKPOINTS : 2], unit[:, 1 : 2 * CHECKPOINTS : 2]
+    misses[:, : a.shape[1], 0] = 1.0 - a
+    misses[:, : b.shape[1], 1] = 3.0 * (b - a[:, : b.shape[1]] ** 2)
+    misses[:, : a.shape[1], 2] = 0.2 * np.sin(5.0 * (a - 1.0))
+    return misses[:, None]
+
+
+def returns(misses: np.ndarray) -> np.ndarray:
+    return -np.sum(misses**2, axis=(1, 2, 3))
+
+
+def begin(seed: int = 0) -> GaussNewton:
+    return GaussNewton(UnitBox(LAYOUT, DEFAULTS, INERT), np.random.default_rng(seed))
+
+
+def advance(search: GaussNewton, evaluations: int, toy: Toy = sphere, portion: int = 1000) -> None:
+    while search.evaluations < evaluations:
+        misses = toy(search.ask(min(portion, evaluations - search.evaluations)))
+        search.tell(returns(misses), misses)
+
+
+def batch(search: GaussNewton, toy: Toy = sphere) -> np.ndarray:
+    """Give a search all it asks for; return the candidates (n, P)."""
+    vectors = search.ask(1000)
+    misses = toy(vectors)
+    assert search.tell(returns(misses), misses) == len(vectors)
+    return vectors
+
+
+# -- the search --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("toy", [sphere, valley])
+def test_it_beats_random_sampling_by_far(toy: Toy) -> None:
+    samples = LAYOUT.lower + WIDTH * np.random.default_rng(5).random((2000, LAYOUT.size))
+    at_random = float(returns(toy(samples)).max())
+    for seed in range(3):
+        search = begin(seed)
+        advance(search, 2000, toy)
+        assert search.value is not None
+        assert search.value > 0.25 * at_random  # returns are negative: a quarter of the loss
+        assert search.value == returns(toy(search.incumbent[None]))[0]
+
+
+def test_on_straight_misses_a_single_descent_arrives() -> None:
+    box = UnitBox(LAYOUT, DEFAULTS, INERT)
+    target = np.random.default_rng(3).uniform(0.2, 0.8, box.size)
+    goal = box.vectors(target[None])[0]
+
+    def straight(vectors: np.ndarray) -> np.ndarray:
+        unit = (vectors - LAYOUT.lower) / WIDTH
+        for kind in BY_LOGARITHM:
+            at = LAYOUT.block(kind).slice
+            unit[:, at] = np.log(vectors[:, at] / LAYOUT.lower[at]) / np.log(
+                LAYOUT.upper[at] / LAYOUT.lower[at]
+            )
+        misses = np.zeros((len(vectors), CHECKPOINTS * 3))
+        misses[:, : box.size] = unit[:, box.free] - target
+        return misses.reshape(len(vectors), 1, CHECKPOINTS, 3)
+
+    search = begin()
+    advance(search, 1 + SAMPLES + box.size + 60, straight)
+    assert search.incumbent == pytest.approx(goal, rel=1e-4, abs=1e-4)
+
+
+def test_a_seed_repeats_to_the_last_bit_and_another_does_not() -> None:
+    runs = [begin(seed) for seed in (7, 7, 8)]
+    for run in runs:
+        advance(run, 400, valley)
+    assert runs[0].state() == runs[1].state()
+    assert runs[0].value != runs[2].value
+
+
+@given(portions=st.lists(st.integers(1, 60), min_size=1, max_size=8))
+@settings(max_examples=15, deadline=None)
+def test_portions_and_json_change_nothing(portions: list[int]) -> None:
+    whole, search = begin(), begin()
+    advance(whole, 500, valley)
+    for portion in portions * 500:
+        if search.evaluations == 500:
+            break
+        advance(search, min(search.evaluations + portion, 500), valley)
+        resumed = begin(seed=55)
+        resumed.restore(json.loads(json.dumps(search.state(), allow_nan=False)))
+        search = resumed
+    assert search.state() == whole.state()
+
+
+def test_the_untuned_start_comes_first_and_is_no_iteration() -> None:
+    search = begin()
+    first = batch(search)
+    assert first[0] == pytest.approx(DEFAULTS, rel=1e-12)
+    assert len(first) == 1
+    assert (search.iterations, search.evaluations) == (0, 1)
+    assert search.value == returns(sphere(first))[0]
+
+
+def test_samples_then_a_probe_of_every_parameter_then_two_steps_and_one_probe() -> None:
+    search = begin()
+    batch(search)
+    assert len(batch(search)) == SAMPLES
+    probes = batch(search)
+    moved = probes != np.median(probes, axis=0)
+    assert moved[:, ~INERT].sum(axis=0).tolist() == [1] * len(probes)
+    assert not moved[:, INERT].any()
+    assert [len(batch(search)) for _ in range(5)] == [3] * 5
+    assert search.evaluations == 1 + SAMPLES + len(probes) + 15
+
+
+def test_every_candidate_lies_in_bounds_and_inert_parameters_are_left_alone() -> None:
+    search = begin(3)
+    seen = np.concatenate([batch(search, valley) for _ in range(400)])
+    assert np.all((seen >= LAYOUT.lower) & (seen <= LAYOUT.upper))
+    assert np.all(seen[:, INERT] == DEFAULTS[INERT])
+    assert np.all(np.ptp(seen[:, ~INERT], axis=0) > 0)
+
+
+def hopeless(vectors: np.ndarray) -> np.ndarray:
+    return np.ones((len(vectors), 1, CHECKPOINTS, 3)) + 1e-6 * np.sin(1e3 * vectors[:, :1, None, None])
+
+
+def test_a_descent_that_gains_nothing_makes_room_for_new_samples() -> None:
+    search = begin()
+    sizes = [len(batch(search, hopeless)) for _ in range(2 * (WINDOW + 3) + 1)]
+    free = LAYOUT.size - int(INERT.sum())
+    assert sizes[: WINDOW + 5] == [1, SAMPLES, free, *[3] * WINDOW, SAMPLES, free]
+
+
+def test_a_search_that_is_close_hops_from_its_best_point() -> None:
+    search = begin()
+    near = DEFAULTS + 0.01 * WIDTH
+
+    def close(vectors: np.ndarray) -> np.ndarray:
+        """Close everywhere, closest at the untuned start, and nowhere any better."""
+        away = np.abs((vectors - DEFAULTS) / WIDTH).sum(axis=1) > 1e-9
+        return np.full((len(vectors), 1, CHECKPOINTS, 3), 0.01) * (1 + away)[:, None, None, None]
+
+    assert returns(close(near[None]))[0] > -0.3
+    sizes = [len(batch(search, close)) for _ in range(2)]
+    assert sizes == [1, HOPS]
+    search = begin()
+    batch(search, close)
+    hops = batch(search, close)
+    share = (np.abs(hops - DEFAULTS) > 1e-9).mean()
+    assert 0.04 < share < 0.16
+
+
+def test_a_return_alone_is_not_enough() -> None:
+    search = begin()
+    with pytest.raises(ValueError, match="0 candidates wait"):
+        search.tell([1.0], np.zeros((1, 1, CHECKPOINTS, 3)))
+    vectors = search.ask(5)
+    for call, message in (
+        (lambda: search.tell([1.0]), "needs the misses"),
+        (lambda: search.tell([1.0, 2.0], np.zeros((2, 1, CHECKPOINTS, 3))), "1 candidates wait"),
+        (lambda: search.tell([math.nan], sphere(vectors)), "not a number"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+    with pytest.raises(RuntimeError, match="before tell"):
+        search.ask()
+    with pytest.raises(RuntimeError, match="between ask"):
+        search.state()
+    with pytest.raises(ValueError, match="at least one"):
+        begin().ask(0)
+
+
+@pytest.mark.parametrize("done", [0, 30, 100, 151])
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("incumbent", [0.0]),
+        ("incumbent", [1e9] * LAYOUT.size),
+        ("best", pack(np.zeros(3))),
+        ("best", {"shape": [82], "float64": "zz"}),
+        ("value", math.nan),
+        ("value", "best"),
+        ("evaluations", "many"),
+        ("phase", "lunch"),
+        ("phase", "steps"),
+        ("batch", pack(np.zeros((0, 82)))),
+        ("values", [1.0] * 90),
+        ("misses", pack(np.zeros(5))),
+        ("descent", {}),
+        ("generator", {"bit_generator": "MT19937"}),
+    ],
+)
+def test_a_damaged_state_is_refused(done: int, key: str, value: object) -> None:
+    search = begin()
+    advance(search, done)
+    good = search.state()
+    if (value, good["phase"]) == ("steps", "steps"):
+        value = "samples"
+    with pytest.raises((ValueError, KeyError, TypeError)):
+        search.restore({**good, key: value})
+    assert search.state() == good
+
+
+# -- the unit box ------------------------------------------------------------------------------------------
+
+
+def test_the_box_reaches_every_bound_and_comes_back_to_the_start() -> None:
+    box = UnitBox(LAYOUT, DEFAULTS)
+    corners = box.vectors(np.array([np.zeros(box.size), np.ones(box.size)]))
+    assert corners[0].tolist() == LAYOUT.lower.tolist()
+    assert corners[1] == pytest.approx(LAYOUT.upper, rel=1e-12)
+    assert box.vectors(box.start[None])[0] == pytest.approx(DEFAULTS, rel=1e-12)
+    middle = box.vectors(np.full((1, box.size), 0.5))[0]
+    leak = LAYOUT.block(ParameterKind.LEAK)
+    assert middle[leak.slice] == pytest.approx(math.sqrt(leak.lower * leak.upper))
+    weight = LAYOUT.block(ParameterKind.WEIGHT)
+    assert middle[weight.slice] == pytest.approx((weight.lower + weight.upper) / 2)
+
+
+def test_layers_are_parameters_like_any_other() -> None:
+    layout = ParameterLayout(LAYOUT.blocks[:1])
+    box = UnitBox(layout, DEFAULTS[: layout.size], np.zeros(layout.size, bool))
+    assert box.size == layout.size
+
+
+def test_walls_are_mirrors() -> None:
+    points = np.array([-0.25, 0.0, 0.3, 1.0, 1.2, 2.5, -1.5])
+    assert reflected(points) == pytest.approx([0.25, 0.0, 0.3, 1.0, 0.8, 0.5, 0.5])
+
+
+def test_inert_parameters_change_no_return_and_all_others_do() -> None:
+    from rover_ncp.core.course import load_course
+    from sim.learn.engine import Engine
+
+    rng = np.random.default_rng(1)
+    base = np.clip(DEFAULTS + 0.05 * WIDTH * rng.standard_normal(LAYOUT.size), LAYOUT.lower, LAYOUT.upper)
+    vectors = np.tile(base, (LAYOUT.size + 1, 1))
+    for i in range(LAYOUT.size):
+        vectors[i, i] += 0.01 * WIDTH[i] * (1 if base[i] < LAYOUT.upper[i] - 0.02 * WIDTH[i] else -1)
+    _, misses = Engine(POLICY, load_course("parking")).traces(vectors)
+    same = np.array([np.array_equal(row, misses[-1]) for row in misses[:-1]])
+    assert same.tolist() == INERT.tolist()
+
+
+# -- arithmetic --------------------------------------------------------------------------------------------
+
+
+@given(
+    parameters=st.integers(1, 30),
+    residuals=st.integers(1, 30),
+    damping=st.floats(1e-2, 1e3),
+    seed=st.integers(0, 10**6),
+)
+@settings(max_examples=60, deadline=None)
+def test_steps_are_those_of_a_linear_algebra_library(
+    parameters: int, residuals: int, damping: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    slopes, misses = rng.standard_normal((parameters, residuals)), rng.standard_normal(residuals)
+    point = np.where(rng.random(parameters) < 0.3, np.round(rng.random(parameters)), rng.random(parameters))
+    dampings, targets = np.array([damping, 10 * damping]), np.empty((2, parameters))
+    damped_steps(slopes, misses, point, dampings, targets)
+    gradient = slopes @ misses
+    held = ((point == 0) & (gradient > 0)) | ((point == 1) & (gradient < 0))
+    free = np.where(held[:, None], 0.0, slopes)
+    for target, lam in zip(targets, dampings, strict=True):
+        step = np.linalg.solve(free @ free.T + lam * np.eye(parameters), -free @ misses)
+        assert target == pytest.approx(np.clip(point + step, 0, 1), abs=1e-8)
+
+
+def test_without_damping_worth_the_name_a_singular_system_still_gives_a_step() -> None:
+    slopes = np.full((5, 66), 1e4)
+    targets = np.empty((1, 5))
+    damped_steps(slopes, np.ones(66), np.full(5, 0.5), np.array([1e-9]), targets)
+    assert np.isfinite(targets).all()
+
+
+def test_a_correction_explains_the_step_and_touches_nothing_across_it() -> None:
+    rng = np.random.default_rng(0)
+    slopes, step, change = rng.normal(size=(7, 5)), rng.normal(size=7), rng.normal(size=5)
+    before = slopes.copy()
+    correct_slopes(slopes, step, change)
+    assert step @ slopes == pytest.approx(change)
+    across = rng.normal(size=7)
+    across -= step * (across @ step) / (step @ step)
+    assert across @ slopes == pytest.approx(across @ before)
+    correct_slopes(slopes, np.zeros(7), change)  # no step teaches nothing
+    assert step @ slopes == pytest.approx(change)
+
+
+def test_survival_counts_the_checkpoints_reached_and_its_weights_are_its_slopes() -> None:
+    rng = np.random.default_rng(2)
+    misses = rng.normal(size=(2, 6, 3))
+    assert survival(np.zeros((2, 6, 3)), 5.0) == 6.0
+    assert survival(np.full((1, 6, 3), 1e6), 5.0) == pytest.approx(0.0, abs=1e-300)
+    loss = np.cumsum((misses**2).sum(axis=2), axis=1)
+    assert survival(misses, 5.0) == pytest.approx(np.exp(-loss / 5.0).sum(axis=1).mean())
+    weights = np.empty_like(misses)
+    survival_weights(misses, 5.0, weights)
+    assert np.mean(weights**2) == pytest.approx(1.0)
+    # The gradient of survival is that of the weighted squares, but for sign and scale.
+    step, slopes = 1e-6, np.empty_like(misses)
+    for at in np.ndindex(*misses.shape):
+        moved = misses.copy()
+        moved[at] += step
+        slopes[at] = (survival(moved, 5.0) - survival(misses, 5.0)) / step
+    ratio = slopes / (weights**2 * misses)
+    assert ratio == pytest.approx(np.full_like(ratio, ratio.flat[0]), rel=1e-3)
+    assert ratio.flat[0] < 0
+
+
+def test_arrays_keep_their_bits_and_a_damaged_one_is_refused() -> None:
+    array = np.array([[0.1, -0.0, 5e-324], [math.inf, 1e308, math.pi]])
+    packed = json.loads(json.dumps(pack(array)))
+    assert unpack(packed, (2, None)).tobytes() == array.tobytes()
+    for shape in ((3, 2), (6,), (None, None, None)):
+        with pytest.raises(ValueError, match="expected an array of shape"):
+            unpack(packed, shape)
+    with pytest.raises(ValueError, match=r"buffer size|cannot reshape|hexadecimal"):
+        unpack({**packed, "float64": "00"}, (2, 3))
+
+
+def test_the_constants_fit_each_other() -> None:
+    assert 0 < gauss_newton.LEAST_DAMPING < FIRST_DAMPING < gauss_newton.MOST_DAMPING
+    assert gauss_newton.CLOSE_M2 < gauss_newton.FAIR_M2
+    assert 0 < PROBE < 0.1

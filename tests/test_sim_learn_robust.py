@@ -29,7 +29,16 @@ def engine():
 
 def search(generations, seed=3):
     return list(
-        robust_search(engine(), FULL, seed=seed, generations=generations, rollouts=8, worst=8, model=MODEL)
+        robust_search(
+            engine(),
+            UnitCube(START),
+            FULL,
+            seed=seed,
+            generations=generations,
+            rollouts=8,
+            worst=8,
+            model=MODEL,
+        )
     )
 
 

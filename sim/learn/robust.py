@@ -10,7 +10,7 @@ logarithm, all else linearly. Those of neurons that are driven decide nothing an
 """
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from sim.world.random_course import random_course
 from sim.world.randomization import Randomization, draw_trials
 from sim.world.rover import RoverModel
 
-__all__ = ["Generation", "UnitCube", "costs", "robust_search", "training_courses"]
+__all__ = ["Cube", "Generation", "UnitCube", "costs", "robust_search", "training_courses"]
 
 FloatArray = NDArray[np.float64]
 
@@ -45,6 +45,17 @@ class Generation(NamedTuple):
     mean: FloatArray
     spread: float
     best: float
+
+
+class Cube(Protocol):
+    """What is searched, as numbers in 0..1."""
+
+    @property
+    def start(self) -> FloatArray:
+        """(A,) where the search begins."""
+
+    def vector(self, place: FloatArray) -> FloatArray:
+        """Return what the engine takes, for a place (A,), which is moved into the cube if need be."""
 
 
 class UnitCube:
@@ -130,6 +141,7 @@ def training_courses(
 
 def robust_search(
     engine: Engine,
+    cube: Cube,
     ranges: Randomization,
     *,
     seed: int,
@@ -138,10 +150,9 @@ def robust_search(
     worst: int,
     model: RoverModel,
 ) -> Iterator[Generation]:
-    """Search from the engine's policy; yields after every generation. The same seed gives the same search."""
+    """Search from the cube's start; yields after every generation. The same seed gives the same search."""
     from cmaes import CMA
 
-    cube = UnitCube(engine.policy)
     ticks = max(course.ticks for course in engine.courses)
     optimizer = CMA(
         mean=cube.start,

@@ -22,7 +22,7 @@ from rover_ncp.core.files import write_atomic
 from rover_ncp.core.reference import plan_reference
 from sim.learn.engine import Engine
 from sim.learn.record import made_with
-from sim.learn.robust import Generation, robust_search, training_courses
+from sim.learn.robust import Generation, UnitCube, robust_search, training_courses
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
@@ -100,6 +100,7 @@ def train_robust(
 
     for last in robust_search(
         engine,
+        UnitCube(start),
         ranges,
         seed=settings.seed,
         generations=settings.iterations,

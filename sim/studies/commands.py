@@ -137,6 +137,8 @@ def evaluate(
         rover-ncp eval course --trials 1000 --randomize full
         rover-ncp eval course --trials 1000 --randomize full --random-courses 200
 
+    There, kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws.
+
     Ends with 1 if a single trial was driven and did not park, else with 0.
     """
     from rover_ncp.circuit.policy_file import load_policy
@@ -178,12 +180,14 @@ def _evaluate_trials(output: Output, policy: str, trials: int, settings: dict[st
     from rover_ncp.core.course import load_course
     from sim.studies.evaluate import evaluate as evaluate_policy
     from sim.studies.evaluate import unseen_courses
+    from sim.studies.laws import LAWS
     from sim.world.randomization import load_randomization
 
-    known, ranges = load_policy(policy), load_randomization(settings["randomize"])
+    driver = policy if policy in LAWS else load_policy(policy)
+    ranges = load_randomization(settings["randomize"])
     seed, count = settings["seed"], settings["random_courses"]
     courses = unseen_courses(seed, count) if count else [load_course(settings["course"])]
-    found = evaluate_policy(known, courses, ranges, trials=trials, seed=seed)
+    found = evaluate_policy(driver, courses, ranges, trials=trials, seed=seed)
     low, high = found.success_ci95
     lines = [
         f"{found.success_rate:.1%} of {trials} trials parked (95 % interval {low:.1%} to {high:.1%})",

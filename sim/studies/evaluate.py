@@ -12,8 +12,9 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import Course
 from rover_ncp.core.errors import UsageError
 from sim.learn.engine import Engine, Outcomes
+from sim.studies.laws import LAWS, LawEngine
 from sim.world.random_course import random_course
-from sim.world.randomization import Randomization, draw_trials
+from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import RoverModel
 
 __all__ = ["Evaluation", "Spread", "evaluate", "summarize", "unseen_courses", "wilson"]
@@ -56,7 +57,7 @@ class Evaluation(NamedTuple):
 
 
 def evaluate(
-    policy: Policy,
+    driver: Policy | str,
     courses: Sequence[Course],
     ranges: Randomization,
     *,
@@ -64,7 +65,10 @@ def evaluate(
     seed: int,
     model: RoverModel | None = None,
 ) -> Evaluation:
-    """Drive ``trials`` trials of a seed, trial i on course i modulo their number. Raises ConfigError."""
+    """Drive ``trials`` trials of a seed, trial i on course i modulo their number. Raises ConfigError.
+
+    ``driver`` is a policy, or the name of a classical law.
+    """
     if trials < 1:
         raise UsageError(f"at least one trial must be driven, got {trials}")
     model = model or RoverModel()
@@ -75,15 +79,21 @@ def evaluate(
         count = min(batch, trials - first)
         drawn = draw_trials(ranges, model, seed, count=count, ticks=ticks, first=first)
         if engine is None:
-            engine = Engine(policy, courses, model, drawn)
+            engine = _engine(driver, courses, model, drawn)
         else:
             engine.change_trials(drawn)
-        found.append(engine.outcomes(policy.parameters()))
+        found.append(engine.outcomes(LAWS[driver].tuned if isinstance(driver, str) else driver.parameters()))
     rules = [courses[i % len(courses)].parked for i in range(trials)]
     limits = np.array([[rule.position_m, rule.heading_rad] for rule in rules])
     return summarize(
         Outcomes(*(np.concatenate(column, axis=1) for column in zip(*found, strict=True))), limits
     )
+
+
+def _engine(driver: Policy | str, courses: Sequence[Course], model: RoverModel, trials: Trials) -> Engine:
+    if isinstance(driver, str):
+        return LawEngine(driver, courses, trials)
+    return Engine(driver, courses, model, trials)
 
 
 def summarize(found: Outcomes, limits: NDArray[np.float64]) -> Evaluation:

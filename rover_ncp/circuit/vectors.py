@@ -16,7 +16,7 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic, models, overload, register_model
 
-__all__ = ["WIDTH", "load", "scale_by_power_of_two", "store"]
+__all__ = ["WIDTH", "load", "scale_by_power_of_two", "store", "total"]
 
 WIDTH = 8
 """Lanes in a vector."""
@@ -114,6 +114,22 @@ def store(typing_context: Any, array: Any, block: Any, row: Any, value: Any) -> 
         return context.get_dummy_value()
 
     return types.void(array, types.intp, types.intp, value), generate
+
+
+@_in_kernels
+def total(typing_context: Any, vector: Any) -> Any:
+    """Return the sum of a vector's eight numbers, added from the first to the last."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        numbers = [
+            builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), i)) for i in range(WIDTH)
+        ]
+        result = numbers[0]
+        for number in numbers[1:]:
+            result = builder.fadd(result, number)
+        return result
+
+    return types.float64(_vector), generate
 
 
 @_in_kernels

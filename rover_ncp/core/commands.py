@@ -47,3 +47,37 @@ def keys(
         f"next, on the robot: rover-ncp bridge --base ... --zenoh-config {out}/bridge.json5\n"
         f"      at the desk:  rover-ncp deploy --robot tls/HOST --zenoh-config {out}/driver.json5",
     )
+
+
+def recover(
+    run: Annotated[Path, typer.Argument(help="A recording whose writer was killed, or whose disk was full.")],
+    *,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the whole recording here instead of in its place.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Make a recording whole that was cut off: every message it holds, and the index that viewers need.
+
+    What a killed process had not yet written is gone, half a second at most. The file is replaced at once or
+    not at all. A recording that is whole already stays as it is.
+    """
+    from rover_ncp.core.recording import read_recording, rewrite
+
+    recording = read_recording(run)
+    target = out or run
+    if not recording.complete or out is not None:
+        rewrite(recording, target)
+    count = len(recording.messages)
+    seconds = (recording.messages[-1].log_ns - recording.messages[0].log_ns) * 1e-9 if count else 0.0
+    said = "was whole already" if recording.complete else "is whole again"
+    Output(json).result(
+        {
+            "recording": str(target),
+            "was_complete": recording.complete,
+            "messages": count,
+            "attachments": sorted(recording.attachments),
+            "seconds": seconds,
+        },
+        f"{target} {said}: {count} messages over {seconds:.1f} s, {len(recording.attachments)} attachments",
+    )

@@ -1,0 +1,103 @@
+"""Recordings that end badly: the driver killed, the disk full. The drive does not care; the file is saved."""
+
+import json
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from bridge_bench import Rig, wait_for
+from mcap.reader import make_reader
+
+from rover_ncp import shell
+from rover_ncp.core.recording import read_recording
+
+COURSE = Path(__file__).parent / "data" / "prompt_course.yaml"
+LOST_S = 0.5
+SMALL_BYTES = 40_000
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    with Rig(tmp_path_factory.mktemp("rig")) as rig:
+        yield rig
+
+
+def start(rig, record, limit=None, *options):
+    """Start a deploy that records; no file it writes may grow beyond ``limit`` bytes."""
+
+    def small():
+        if limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    arguments = ["--robot", rig.locator, "--course", str(COURSE), "--record", str(record), *options, "--json"]
+    return subprocess.Popen(
+        [sys.executable, "-m", "rover_ncp", "deploy", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        preexec_fn=small,  # noqa: PLW1509  # it calls setrlimit and nothing else
+        text=True,
+    )
+
+
+def messages_of(path):
+    """Read with the mcap library's own reader, by its index."""
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_summary().statistics.attachment_count == 3
+        return list(reader.iter_messages())
+
+
+def test_a_killed_drive_loses_half_a_second_and_is_made_whole(rig, tmp_path, capsys):
+    record = tmp_path / "run.mcap"
+    process = start(rig, record)
+    wait_for(lambda: record.exists() and record.stat().st_size > 60_000, 20.0)
+    killed_ns = time.time_ns()
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    before = read_recording(record)
+    assert not before.complete
+    assert killed_ns - before.messages[-1].log_ns < LOST_S * 1e9
+    assert shell.run(["recover", str(record), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["was_complete"], said["messages"]) == (False, len(before.messages))
+    assert len(messages_of(record)) == len(before.messages)
+    assert sorted(message.data for message in read_recording(record).messages) == sorted(
+        message.data for message in before.messages
+    )
+    content = record.read_bytes()
+    assert shell.run(["recover", str(record)]) == 0  # again: nothing to do
+    assert "was whole already" in capsys.readouterr().out
+    assert record.read_bytes() == content
+    assert shell.run(["replay", str(record)]) == 0
+
+
+def test_a_full_disk_does_not_stop_the_drive_and_is_reported(rig, tmp_path):
+    record = tmp_path / "run.mcap"
+    process = start(rig, record, SMALL_BYTES, "--duration", "5")
+    out, _ = process.communicate(timeout=30)
+    result = json.loads(out)
+    assert process.returncode == 1  # not parked within 5 s; nothing worse
+    assert result["ticks"] == 50
+    assert "File too large" in result["recording_failure"]
+    assert result["recording_dropped"] > 0
+    assert record.stat().st_size <= SMALL_BYTES
+    assert shell.run(["recover", str(record), "--out", str(tmp_path / "whole.mcap")]) == 0
+    assert {message[1].topic for message in messages_of(tmp_path / "whole.mcap")} >= {"odom", "cmd_vel"}
+
+
+def test_what_cannot_be_recovered_says_so(tmp_path, capsys):
+    for name, content, words in (
+        ("no.mcap", None, "cannot be read"),
+        ("empty.mcap", b"", "the file is empty"),
+        ("other.mcap", b"PK\3\4" + bytes(100), "not an MCAP recording"),
+    ):
+        path = tmp_path / name
+        if content is not None:
+            path.write_bytes(content)
+        assert shell.run(["recover", str(path)]) == 2
+        assert words in capsys.readouterr().err
+        assert not path.exists() if content is None else path.read_bytes() == content

@@ -34,6 +34,16 @@ contracts: $(STAMP)
 safety: $(STAMP)
 	$(BIN)/python tests/safety_table.py
 
+# The gate has the last word: every line and branch of it is run by its own tests.
+coverage-gate: $(STAMP)
+	$(BIN)/coverage run --branch --include='bridge/gate*.py,bridge/limits.py' --data-file=.coverage-gate \
+		-m pytest -q tests/test_bridge_gate*.py tests/test_bridge_limits.py
+	$(BIN)/coverage report --data-file=.coverage-gate --show-missing --fail-under=100
+
+# And every change of it is noticed by them, but those of tests/data/gate_survivors.yaml. Takes minutes.
+mutate: $(STAMP)
+	$(BIN)/python tests/mutate_gate.py
+
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; say make PYTHON=..." % v)'
 	$(PYTHON) -m venv $(VENV)

@@ -1,0 +1,180 @@
+"""Mutation testing of the gate: ``python tests/mutate_gate.py [FIRST LAST]``, or ``make mutate``.
+
+Every mutant differs from ``bridge/gate.py`` in one place: a comparison, an operator, a constant, a condition,
+a keyword of a call, a statement. Each is run against the gate's tests in a process of its own, forked from
+one that has everything loaded. A mutant that no test kills must stand in ``tests/data/gate_survivors.yaml``
+with the reason why it is the same gate; one that stands there and dies is an error too.
+"""
+
+import ast
+import copy
+import os
+import sys
+import types
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import hypothesis.strategies  # noqa: F401  # what all tests load is loaded once, before forking
+import numpy as np  # noqa: F401  # idem
+import pytest
+import yaml
+
+import bridge
+import bridge.limits  # idem; the gate itself must not be among them
+
+ROOT = Path(__file__).parent.parent
+GATE = ROOT / "bridge" / "gate.py"
+SURVIVORS = ROOT / "tests" / "data" / "gate_survivors.yaml"
+TESTS = ["test_bridge_gate.py", "test_bridge_gate_commands.py", "test_bridge_gate_anything.py"]
+TIMEOUT_S = 30
+
+COMPARISONS = {
+    ast.Lt: [ast.LtE, ast.GtE],
+    ast.LtE: [ast.Lt, ast.Gt],
+    ast.Gt: [ast.GtE, ast.LtE],
+    ast.GtE: [ast.Gt, ast.Lt],
+    ast.Eq: [ast.NotEq],
+    ast.NotEq: [ast.Eq],
+    ast.Is: [ast.IsNot],
+    ast.IsNot: [ast.Is],
+    ast.In: [ast.NotIn],
+    ast.NotIn: [ast.In],
+}
+OPERATORS = {
+    ast.Add: [ast.Sub],
+    ast.Sub: [ast.Add],
+    ast.Mult: [ast.Div],
+    ast.Div: [ast.Mult],
+    ast.FloorDiv: [ast.Div],
+}
+
+
+def mutations(node):  # noqa: PLR0912  # one branch for each kind of node
+    """Yield (what, change) for one node; ``change`` alters a copy of it in place."""
+    if isinstance(node, ast.Compare):
+        for place, operator in enumerate(node.ops):
+            for other in COMPARISONS.get(type(operator), []):
+                yield f"{type(operator).__name__} to {other.__name__}", _set(node, "ops", place, other())
+    elif isinstance(node, ast.BinOp):
+        for other in OPERATORS.get(type(node.op), []):
+            yield f"{type(node.op).__name__} to {other.__name__}", _set(node, "op", None, other())
+    elif isinstance(node, ast.BoolOp):
+        other = ast.Or if isinstance(node.op, ast.And) else ast.And
+        yield f"{type(node.op).__name__} to {other.__name__}", _set(node, "op", None, other())
+        for place in range(len(node.values)):
+            yield f"operand {place} gone", _remove(node, "values", place)
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.Not):
+        yield f"{type(node.op).__name__} gone", None
+    elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
+        yield f"{node.value} to {not node.value}", _set(node, "value", None, not node.value)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+        yield f"{node.value} to {node.value + 1}", _set(node, "value", None, node.value + 1)
+    elif isinstance(node, ast.Call):
+        for place, keyword in enumerate(node.keywords):
+            if keyword.arg is not None:
+                yield f"{keyword.arg}= gone", _remove(node, "keywords", place)
+        if isinstance(node.func, ast.Name) and node.func.id in {"min", "max"}:
+            other = {"min": "max", "max": "min"}[node.func.id]
+            yield f"{node.func.id} to {other}", _set(node, "func", None, ast.Name(other, ast.Load()))
+    elif isinstance(node, ast.If | ast.IfExp | ast.While):
+        for value in (True, False):
+            yield f"condition {value}", _set(node, "test", None, ast.Constant(value))
+
+
+def _set(node, name, place, value):
+    def change(target):
+        if place is None:
+            setattr(target, name, value)
+        else:
+            getattr(target, name)[place] = value
+
+    return change
+
+
+def _remove(node, name, place):
+    return lambda target: getattr(target, name).pop(place)
+
+
+def mutants():
+    """Yield (name, module) of every mutant; a name is the function, the line's text and the change."""
+    source = GATE.read_text()
+    lines, tree = source.splitlines(), ast.parse(source)
+    owners = {}
+    for function in [node for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)]:
+        for node in ast.walk(function):
+            owners[node] = function.name
+    counts = {}
+    for index, node in enumerate(ast.walk(tree)):
+        for what, change in mutations(node):
+            mutant = copy.deepcopy(tree)
+            target = list(ast.walk(mutant))[index]
+            if change is None:
+                target.op, target.operand = _without(target)
+            else:
+                change(target)
+            text = lines[node.lineno - 1].strip()
+            name = f"{owners.get(node, 'module')}: {text} [{what}]"
+            counts[name] = counts.get(name, 0) + 1
+            number = f" #{counts[name]}" if counts[name] > 1 else ""
+            yield name + number, ast.fix_missing_locations(mutant)
+
+
+def _without(node):
+    """A unary operator that does nothing: plus for minus, a double not for not."""
+    if isinstance(node.op, ast.USub):
+        return ast.UAdd(), node.operand
+    return ast.Not(), ast.UnaryOp(ast.Not(), node.operand)
+
+
+def run_tests():
+    """Run the gate's tests against the module in place; return whether one failed."""
+    tests = [str(ROOT / "tests" / name) for name in TESTS]
+    options = ["-x", "-q", "-p", "no:cacheprovider", f"--timeout={TIMEOUT_S}", "--hypothesis-seed=0"]
+    options += ["--hypothesis-profile=mutants", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+    return pytest.main([*options, *tests]) != 0
+
+
+def killed(tree):
+    """Whether the tests notice the mutant, or one of them never ends."""
+    child = os.fork()
+    if child == 0:
+        for stream in (1, 2):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+        try:
+            module = types.ModuleType("bridge.gate")
+            module.__file__ = str(GATE)
+            sys.modules["bridge.gate"] = module
+            exec(compile(tree, str(GATE), "exec"), module.__dict__)
+            bridge.gate = module
+            failed = run_tests()
+        except BaseException:
+            failed = True
+        os._exit(0 if failed else 1)
+    _, status = os.waitpid(child, 0)
+    return status != 256
+
+
+def main(arguments):
+    if killed(ast.parse(GATE.read_text())):
+        print("the gate itself does not pass its tests")
+        return 1
+    found = list(mutants())
+    first, last = (int(arguments[0]), int(arguments[1])) if arguments else (0, len(found))
+    chosen = found[first:last]
+    listed = yaml.safe_load(SURVIVORS.read_text()) if SURVIVORS.exists() else {}
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        dead = list(pool.map(lambda item: killed(item[1]), chosen))
+    alive = {name for (name, _), died in zip(chosen, dead, strict=True) if not died}
+    unexplained = sorted(alive - set(listed))
+    names = {name for name, _ in chosen}
+    wrong = sorted(name for name in listed if name in names and name not in alive)
+    gone = sorted(name for name in listed if name not in {name for name, _ in found})
+    print(f"{len(chosen)} mutants, {sum(dead)} killed, {len(alive)} survive, {len(unexplained)} unexplained")
+    for title, items in (("survives", unexplained), ("listed, but dies", wrong), ("listed, no mutant", gone)):
+        for name in items:
+            print(f"{title}: {name}")
+    return 1 if unexplained or wrong or gone else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

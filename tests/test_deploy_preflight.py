@@ -1,0 +1,55 @@
+"""``check`` against a robot that is well, and against robots that are not: real processes."""
+
+import json
+
+import pytest
+from bridge_bench import Rig
+
+from rover_ncp import shell
+
+
+@pytest.fixture
+def check(capsys):
+    def check(robot, *options):
+        code = shell.run(["check", "--robot", robot, "--on-blocks", "--json", *options])
+        captured = capsys.readouterr()
+        return code, json.loads(captured.out), captured.err
+
+    return check
+
+
+def test_a_robot_that_is_well(tmp_path, check):
+    with Rig(tmp_path) as rig:
+        code, said, _ = check(rig.locator)
+        stopped = rig.stood_after(rig.truth()[-1][0])
+        gate = rig.bridge.stop().result
+    assert (code, said["ready"]) == (0, True), said
+    assert [finding["name"] for finding in said["findings"]] == [
+        *("odometry", "battery", "stop", "motors", "forward", "left", "silence")
+    ]
+    assert stopped == 0.0
+    assert gate["stops"] == {"silence": 1}  # the rehearsal, and no other
+
+
+@pytest.mark.parametrize(
+    ("faults", "name", "words"),
+    [
+        (["low-battery=11.2"], "battery", "11.2 V"),
+        (["stop-button"], "stop", "held by stop-button"),
+        (["freeze-odometry@0"], "forward", "it reports 0.00 m/s"),
+    ],
+)
+def test_a_robot_that_is_not(tmp_path, check, faults, name, words):
+    with Rig(tmp_path, mock=[item for fault in faults for item in ("--fault", fault)]) as rig:
+        code, said, err = check(rig.locator)
+        rig.stood_after(rig.truth()[-1][0])
+    assert (code, said["ready"]) == (1, False)
+    assert said["findings"][-1]["name"] == name
+    assert words in said["findings"][-1]["detail"]
+    assert f"no: {name}: " in err or not err
+
+
+def test_without_blocks_nothing_turns(capsys):
+    assert shell.run(["check", "--robot", "tcp/127.0.0.1:1"]) == 2
+    assert "put the robot on blocks" in capsys.readouterr().err
+    assert shell.run(["check", "--robot", "tcp/127.0.0.1:1", "--on-blocks"]) == 3

@@ -85,3 +85,34 @@ def replay(
     )
     Output(json).result(fields, words)
     return 0 if same else 1
+
+
+def watch(
+    *,
+    robot: Annotated[
+        str,
+        typer.Option(help="Where the bridge listens: PROTOCOL/HOST[:PORT], such as tcp/192.168.1.20."),
+    ],
+    policy: Annotated[
+        str, typer.Option(help="The policy that drives, by name or file: whose neurons to draw.")
+    ] = "parking",
+    course: Annotated[str, typer.Option(help="The course that is driven, by name or file.")] = "parking",
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Where this machine serves the page; 0 takes a free port.")
+    ] = 8080,
+    namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
+    zenoh_config: Annotated[
+        Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates or user and password.")
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Show a robot's drive live on a page of this machine, with a Stop button.
+
+    The page is that of 'rover-ncp report', fed ten times a second: path, circuit, commands, events. Its
+    Stop button stops the rover until released; a viewer who is not authorised to stop sees that it is not.
+    Nobody but this machine can open the page. It is ready when it prints "watching at ADDRESS"; Ctrl-C ends
+    it, and changes nothing about the rover.
+    """
+    from deploy.watch import Options, run
+
+    return run(Options(robot, policy, course, port, namespace, zenoh_config), Output(json))

@@ -28,6 +28,8 @@ _EXTRAS = {
     "gymnasium": "train",
     "matplotlib": "train",
     "plotly": "report",
+    "starlette": "report",
+    "uvicorn": "report",
     "cryptography": "keys",
 }
 # The order in which a newcomer meets the commands; others follow by name.

@@ -1,11 +1,7 @@
 """The report in a real browser; `make test-browser` installs what this needs, `make test` leaves it out."""
 
-import os
-import shutil
-import time
-from pathlib import Path
-
 import pytest
+from browser import Watched, chromium
 from recorded_drives import BEGAN_NS, TICK_NS, write_drive
 
 from rover_ncp.core import messages
@@ -15,22 +11,19 @@ from sim.explain.pages import write_page
 
 pytestmark = pytest.mark.browser
 
-SHOTS = Path("runs/browser")
 EVIL = "<img src=x onerror=\"document.title='hacked'\"></script><script>document.title='hacked'</script>"
+STROKES = (
+    "[...document.querySelectorAll('#circuit path[stroke-width]')].map(p => p.getAttribute('stroke-width'))"
+)
+FONT_SIZES = """[...document.querySelectorAll('main p, main li, main dd, main td, #caption')]
+  .map(e => parseFloat(getComputedStyle(e).fontSize))"""
+FOCUSED = "(e => e.dataset.neuron || e.id || e.closest('[id]')?.id)(document.activeElement)"
 
 
 @pytest.fixture(scope="module")
 def browser():
-    from playwright.sync_api import sync_playwright
-
-    chromium = shutil.which("chromium")
-    assert chromium, "no chromium: make test-browser installs it"
-    # Chromium's own sandbox cannot be had by root.
-    arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
-    with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=chromium, args=arguments)
+    with chromium() as running:
         yield running
-        running.close()
 
 
 @pytest.fixture(scope="module")
@@ -40,70 +33,14 @@ def drive(tmp_path_factory):
     return write_page(folder / "run.mcap").path
 
 
-TIMEOUT_S = 20.0
-STROKES = (
-    "[...document.querySelectorAll('#circuit path[stroke-width]')].map(p => p.getAttribute('stroke-width'))"
-)
-VESSEL = """name => {
-  const group = document.querySelector(`[data-neuron=${name}]`), level = group.querySelector('rect');
-  const number = group.querySelector('.value').textContent;
-  return [level.getAttribute('fill'), Number(level.getAttribute('height')), number];
-}"""
-SLIDE = """t => {
-  const slider = document.getElementById('time');
-  slider.value = t;
-  slider.dispatchEvent(new Event('input'));
-}"""
-FONT_SIZES = """[...document.querySelectorAll('main p, main li, main dd, main td, #caption')]
-  .map(e => parseFloat(getComputedStyle(e).fontSize))"""
-FOCUSED = "(e => e.dataset.neuron || e.id || e.closest('[id]')?.id)(document.activeElement)"
-
-
-def until(page, script):
-    """Wait until a script says yes; playwright's own waiting needs eval, which the page forbids."""
-    deadline = time.monotonic() + TIMEOUT_S
-    while not page.evaluate(script):
-        assert time.monotonic() < deadline, f"never true: {script}"
-        page.wait_for_timeout(30)
-
-
-class Watched:
-    """A page together with whatever it complains of and asks for."""
-
-    def __init__(self, browser, path, width=1280, height=900):
-        self.page = browser.new_page(viewport={"width": width, "height": height})
-        self.complaints, self.requests = [], []
-        self.page.on("console", lambda said: self.complaints.append(f"{said.type}: {said.text}"))
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on("request", lambda asked: self.requests.append(asked.url))
-        self.page.goto(path.as_uri())
-        self.page.wait_for_selector("#circuit .neuron")
-        self.to(0.0)
-
-    def to(self, t):
-        """Move the slider, and wait until the page is there."""
-        self.page.evaluate(SLIDE, t)
-        until(self.page, f"document.getElementById('clock').textContent === '{t:.1f} s'")
-
-    def outline(self):
-        """Where the plotted outline of the rover starts: its front left corner, by the estimate."""
-        return self.page.evaluate("(d => [d.x[0], d.y[0]])(document.getElementById('path-plot').data[6])")
-
-    def neuron(self, name):
-        """What a neuron's vessel looks like: colour, height, number."""
-        return self.page.evaluate(VESSEL, name)
-
-    def clock(self):
-        return float(self.page.text_content("#clock").removesuffix(" s"))
-
-
 @pytest.fixture
 def opened(browser, drive, request):
-    watched = Watched(browser, drive, *getattr(request, "param", ()))
+    watched = Watched(browser, drive.as_uri(), *getattr(request, "param", ()))
+    watched.to(0.0)
     yield watched
     watched.page.close()
     assert watched.complaints == []
-    assert [url for url in watched.requests if not url.startswith("data:")] == [drive.as_uri()]
+    assert watched.foreign_requests(drive.as_uri()) == []
 
 
 def test_the_slider_moves_the_rover_and_changes_the_neurons(opened):
@@ -132,14 +69,14 @@ def test_the_words_follow_the_slider(opened):
 
 def test_play_runs_and_pause_holds(opened):
     opened.page.click("#play")
-    until(opened.page, "document.getElementById('time').value > 2")
+    opened.until("document.getElementById('time').value > 2")
     opened.page.click("#play")
     held = opened.clock()
     opened.page.wait_for_timeout(300)
     assert opened.clock() == held
     opened.to(31.5)
     opened.page.click("#play")
-    until(opened.page, "document.getElementById('play').textContent === 'Play'")
+    opened.until("document.getElementById('play').textContent === 'Play'")
     assert opened.clock() == pytest.approx(31.9, abs=0.2)
 
 
@@ -147,14 +84,14 @@ def test_everything_can_be_done_with_the_keyboard(opened):
     page = opened.page
     page.focus("#time")
     page.keyboard.press("ArrowRight")
-    until(opened.page, "document.getElementById('clock').textContent === '0.1 s'")
+    opened.until("document.getElementById('clock').textContent === '0.1 s'")
     page.evaluate("document.activeElement.blur()")
     page.keyboard.press("ArrowRight")
-    until(opened.page, "document.getElementById('clock').textContent === '0.2 s'")
+    opened.until("document.getElementById('clock').textContent === '0.2 s'")
     page.keyboard.press(" ")
-    until(opened.page, "document.getElementById('play').textContent === 'Pause'")
+    opened.until("document.getElementById('play').textContent === 'Pause'")
     page.keyboard.press(" ")
-    until(opened.page, "document.getElementById('play').textContent === 'Play'")
+    opened.until("document.getElementById('play').textContent === 'Play'")
     reached = set()
     page.focus(".skip")
     for _ in range(90):
@@ -181,10 +118,10 @@ def test_everything_can_be_done_with_the_keyboard(opened):
 
 def test_a_phase_and_a_click_into_a_plot_go_to_their_moment(opened):
     opened.page.click("#phases li:nth-child(3) button")
-    until(opened.page, "document.getElementById('time').value > 8")
+    opened.until("document.getElementById('time').value > 8")
     lanes = opened.page.locator("#lanes")
     lanes.click(position={"x": 52 + (lanes.bounding_box()["width"] - 62) / 2, "y": 100})  # half way in time
-    until(opened.page, "Math.abs(document.getElementById('time').value - 15.95) < 0.3")
+    opened.until("Math.abs(document.getElementById('time').value - 15.95) < 0.3")
 
 
 def test_a_pair_of_neurons_is_shown(opened):
@@ -209,10 +146,7 @@ def test_the_page_fits_and_is_photographed(opened):
     assert min(sizes) >= 12
     drawn = page.evaluate("document.querySelector('#circuit .name').getBoundingClientRect().height")
     assert drawn >= 11
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SHOTS / f"report_{width}_top.png")
-    page.evaluate("document.getElementById('player').style.position = 'static'")
-    page.screenshot(path=SHOTS / f"report_{width}.png", full_page=True)
+    opened.photograph(f"report_{width}")
 
 
 def test_words_of_a_peer_stay_words(browser, tmp_path):
@@ -222,7 +156,7 @@ def test_words_of_a_peer_stay_words(browser, tmp_path):
         Recorded("rover/status", "std_msgs/msg/String", messages.text(dump_json(status).decode()), ns, ns)
     ]
     write_drive(tmp_path / "run.mcap", more=more)
-    watched = Watched(browser, write_page(tmp_path / "run.mcap").path)
+    watched = Watched(browser, write_page(tmp_path / "run.mcap").path.as_uri())
     assert EVIL in watched.page.text_content("#events")
     assert "hacked" not in watched.page.title()
     assert watched.page.locator("#events img").count() == 0

@@ -12,7 +12,7 @@ from rover_ncp.report.summary import summarise
 
 __all__ = ["SCRIPTS", "drive_page", "html"]
 
-SCRIPTS = ("shapes.js", "circuit.js", "plots.js", "pairs.js", "player.js", "page.js")
+SCRIPTS = ("shapes.js", "circuit.js", "plots.js", "pairs.js", "player.js", "page.js", "live.js")
 """In the order in which they build on each other."""
 _ASSETS = resources.files("rover_ncp.report") / "assets"
 

@@ -73,7 +73,7 @@ def judge(timeline: Timeline) -> tuple[Judged, ...]:
     estimates = [tick.estimate for tick in timeline.ticks]
     if timeline.final is not None and timeline.final is not estimates[-1]:
         estimates.append(timeline.final)
-    times = [(estimate.stamp_ns - began) * 1e-9 for estimate in estimates]
+    times = [(estimate.wall_ns - began) * 1e-9 for estimate in estimates]
     poses = [estimate.pose for estimate in estimates]
     found.append(Judged(course.judge(times, poses, touched), "estimated"))
     return tuple(found)

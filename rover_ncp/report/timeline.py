@@ -2,7 +2,8 @@
 
 Knows the topics of `rover_ncp.core.keys`, the true pose that a simulator's judge adds, and of the driver's
 own records only whether a tick ran on prediction. A message that cannot be read is counted and left out.
-Times are ns of the driver's wall clock; moments of a tick are those stamped by the driver.
+Times are ns of one wall clock: of a recording the driver's, which stamps its ticks; live, that of whoever
+listens, and all moments are those of arrival.
 """
 
 import json
@@ -18,12 +19,12 @@ from rover_ncp.core.course import Course
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 from rover_ncp.core.lease import DriverStatus, GateStatus, parse_json
-from rover_ncp.core.messages import PoseSample, read_neurons, read_odometry, read_pose, read_text, read_twist
+from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read_text, read_twist
 from rover_ncp.core.recording import Recorded
 from rover_ncp.report.events import Event, Watcher
 from rover_ncp.report.trace import Trace, motor_shares
 
-__all__ = ["TRUTH_TOPIC", "Command", "Moved", "Tick", "Timeline"]
+__all__ = ["TRUTH_TOPIC", "Command", "Estimated", "Moved", "Tick", "Timeline"]
 
 FloatArray = NDArray[np.float64]
 
@@ -31,11 +32,19 @@ TRUTH_TOPIC = "truth/pose"
 TICKS_TOPIC = "deploy/ticks"
 
 
+class Estimated(NamedTuple):
+    """Where the driver believed to be; the covariance (3, 3) is that of x, y and theta."""
+
+    wall_ns: int
+    pose: Pose
+    covariance: FloatArray
+
+
 class Tick(NamedTuple):
     """One control tick: the estimate it was made from, and the potentials (n,) in mV it led to."""
 
     wall_ns: int
-    estimate: PoseSample
+    estimate: Estimated
     potentials: FloatArray
 
 
@@ -60,7 +69,7 @@ class Timeline:
     def __init__(self, policy: Policy, course: Course) -> None:
         self.policy, self.course = policy, course
         self.ticks: list[Tick] = []
-        self.final: PoseSample | None = None
+        self.final: Estimated | None = None
         """The estimate after the last tick."""
         self.odometry: list[Moved] = []
         self.truth: list[Moved] = []
@@ -140,7 +149,8 @@ class Timeline:
         )
 
     def _estimate(self, message: Recorded) -> None:
-        self.final = read_pose(message.data)
+        sample = read_pose(message.data)
+        self.final = Estimated(message.publish_ns, sample.pose, sample.covariance)
 
     def _neurons(self, message: Recorded) -> None:
         potentials = read_neurons(message.data)
@@ -151,7 +161,7 @@ class Timeline:
         if not self.ticks:
             start = self.odometry[-1].pose if self.odometry else Pose(0.0, 0.0, 0.0)
             self._course_odom = compose(self.final.pose, inverse(start))
-        self.ticks.append(Tick(self.final.stamp_ns, self.final, np.array(list(potentials.values()))))
+        self.ticks.append(Tick(message.publish_ns, self.final, np.array(list(potentials.values()))))
 
     def _odometry(self, message: Recorded) -> None:
         sample = read_odometry(message.data)

@@ -27,19 +27,23 @@ class Circuit {
     drawing.append(definitions);
     const rows = new Map(circuit.neurons.map((neuron) => [neuron.layer, neuron.y]));
     for (const [layer, y] of rows) drawing.append(svg("text", { class: "layer", transform: `translate(2 ${y}) rotate(-90)` }, layer));
-    for (const neuron of circuit.neurons) {
-      const ring = rings[neuron.name];
-      if (!ring) continue;
-      const thick = Math.max(ring[1] - ring[0], 1.5);
-      const circle = svg("circle", { cx: neuron.x, cy: neuron.y, r: ring[0] + thick / 2, fill: "none", stroke: COLOR.amber, "stroke-opacity": 0.35, "stroke-width": thick });
-      circle.append(svg("title", {}, `range of the time constant of ${neuron.name}`));
-      drawing.append(circle);
-    }
+    this.rings = svg("g");
+    drawing.append(this.rings);
+    this.ring(rings);
     this.edges = circuit.synapses.map((synapse) => this.edge(synapse));
     drawing.append(...this.edges.map((edge) => edge.path));
     this.neurons = circuit.neurons.map((neuron, index) => this.neuron(neuron, index, definitions, onChoose));
     drawing.append(...this.neurons.map((neuron) => neuron.group));
     holder.replaceChildren(drawing);
+  }
+
+  // Amber rings from the least to the largest time constant.
+  ring(rings) {
+    this.rings.replaceChildren(...this.circuit.neurons.filter(({ name }) => rings[name]).map(({ name, x, y }) => {
+      const [inner, outer] = rings[name], thick = Math.max(outer - inner, 1.5);
+      return svg("circle", { cx: x, cy: y, r: inner + thick / 2, fill: "none", stroke: COLOR.amber, "stroke-opacity": 0.35, "stroke-width": thick },
+        svg("title", {}, `range of the time constant of ${name}`));
+    }));
   }
 
   edge({ kind, source, destination, curve }) {

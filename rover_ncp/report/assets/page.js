@@ -30,7 +30,7 @@ function phaseList(phases) {
     const [head, ...rest] = phase.text.split(": ");
     const jump = element("button", { type: "button" }, head);
     jump.addEventListener("click", () => player.set(phase.start));
-    return element("li", {}, jump, ": " + rest.join(": "));
+    return element("li", {}, jump, rest.join(": "));
   }));
 }
 
@@ -43,7 +43,7 @@ function eventList(events) {
   }));
 }
 
-const strongest = () => Math.max(1e-9, ...model.drive.ticks.currents.flatMap((column) => column.map(Math.abs)));
+const strongest = () => Math.max(1e-9, ...model.drive.ticks.currents.map((column) => column.reduce((most, current) => Math.max(most, Math.abs(current)), 0)));
 const pathPlot = new PathPlot($("path-plot"), model);
 const circuit = new Circuit($("circuit"), model.circuit, model.findings.rings || {}, strongest(), chooseNeuron);
 circuitLegend($("circuit-legend"));
@@ -94,14 +94,20 @@ eventList(model.drive.events);
 definitions($("summary"), model.summary || []);
 definitions($("origin"), model.origin || []);
 $("origin-box").hidden = !(model.origin || []).length;
-if (model.findings.phases) {
-  phaseList(model.findings.phases);
+// What is known of the circuit's doings: all of it at the end of a drive, the phases also on the way.
+function showFindings() {
+  const { findings } = model;
+  phaseList(findings.phases || []);
+  lastPhase = null;
+  if (!findings.contributions) return;
   for (const id of ["contributions", "pair"]) $(id).hidden = false;
-  pair = new Pair(model);
+  if (!pair) pair = new Pair(model);
   pair.draw();
-  signTable($("signs"), model.findings, (source, destination) => pair.choose(source, destination));
-  constantsTable($("taus"), model.findings.timeConstants);
+  signTable($("signs"), findings, (source, destination) => pair.choose(source, destination));
+  constantsTable($("taus"), findings.timeConstants);
 }
+
+showFindings();
 if (!model.live) {
   headline(model.headline, model.parked, model.subline);
   player.set(0);

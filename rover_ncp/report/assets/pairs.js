@@ -1,5 +1,6 @@
 // Definition 1: the table of signs, and one pair of neurons at a time.
 const PLASMA = [[0, "#0d0887"], [0.25, "#7e03a8"], [0.5, "#cc4778"], [0.75, "#f89540"], [1, "#f0f921"]];
+const PAIR_HEIGHT = 300;
 const SIGN = { positive: "+", antagonistic: "−", "phase-switching": "±", none: "0" };
 
 function signTable(table, findings, onPair) {
@@ -53,8 +54,9 @@ class Pair {
     const [a, b] = [source, destination].map((name) => ticks.potentials[circuit.neurons.findIndex((neuron) => neuron.name === name)]);
     const found = findings.contributions[`${source} ${destination}`];
     this.columns = [a, b];
+    for (const id of ["pair-phase", "pair-slopes"]) hold($(id), PAIR_HEIGHT);
     const axis = { gridcolor: GRID, zeroline: false, fixedrange: true };
-    const plain = { font: PLOT_FONT, plot_bgcolor: "#fff", paper_bgcolor: "rgba(0,0,0,0)", dragmode: false, height: 300, showlegend: false };
+    const plain = { font: PLOT_FONT, plot_bgcolor: "#fff", paper_bgcolor: "rgba(0,0,0,0)", dragmode: false, height: PAIR_HEIGHT, showlegend: false };
     Plotly.react($("pair-phase"), [
       { x: a, y: b, mode: "lines+markers", line: { color: "#c5c9d0", width: 1.5 }, hovertemplate: "%{text} s<extra></extra>", text: ticks.t.map((t) => number(t, 1)),
         marker: { size: 5, color: ticks.t, colorscale: PLASMA, colorbar: { title: { text: "s" }, thickness: 10, outlinewidth: 0 } } },

@@ -3,6 +3,8 @@ const PLOT_FONT = { family: "system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-
 const PLOT_CONFIG = { displayModeBar: false, responsive: true, scrollZoom: false, doubleClick: false };
 const GRID = "#e4e6ea";
 const ELLIPSE_SIGMAS = 3;
+// Columns grow in place while a rover drives; Plotly looks at them again only when told that they are others.
+let revision = 0;
 const narrow = () => window.innerWidth < 560;
 
 const PATH_LINES = [
@@ -15,6 +17,12 @@ const COMMAND_LINES = [
   ["measured", { color: COLOR.ink, width: 1.2, dash: "dot" }],
 ];
 const DASHES = { dash: "7 4", dot: "2 3" };
+
+// Hold a plot's room while Plotly draws it anew, so that nothing below it jumps.
+function hold(holder, height) {
+  holder.style.height = `${height}px`;
+  return height;
+}
 
 // A legend of lines beside a plot; Plotly's own would take its room from the plot.
 function lineLegend(list, lines, others = []) {
@@ -61,7 +69,7 @@ class PathPlot {
     const [left, right, low, high] = this.bounds();
     const axis = { gridcolor: GRID, zeroline: false, ticks: "outside", tickcolor: GRID, fixedrange: true };
     const layout = {
-      font: PLOT_FONT, height: narrow() ? 340 : 500, margin: { l: 46, r: 8, t: 8, b: 40, autoexpand: false }, plot_bgcolor: "#fff", paper_bgcolor: "rgba(0,0,0,0)",
+      datarevision: (revision += 1), font: PLOT_FONT, height: hold(this.holder, narrow() ? 340 : 500), margin: { l: 46, r: 8, t: 8, b: 40, autoexpand: false }, plot_bgcolor: "#fff", paper_bgcolor: "rgba(0,0,0,0)",
       xaxis: { ...axis, title: { text: "x (m)", standoff: 6 }, range: [left, right] },
       yaxis: { ...axis, title: { text: "y (m)", standoff: 4 }, range: [low, high], scaleanchor: "x", scaleratio: 1 },
       showlegend: false, shapes, dragmode: false, hovermode: "closest",
@@ -86,12 +94,11 @@ class PathPlot {
   }
 
   bounds() {
-    const { course, drive } = this.model;
-    const xs = [...course.checkpoints.map((p) => p[1]), ...drive.ticks.x, ...drive.truth.x, ...drive.odometry.x];
-    const ys = [...course.checkpoints.map((p) => p[2]), ...drive.ticks.y, ...drive.truth.y, ...drive.odometry.y];
-    for (const corners of course.obstacles) corners.forEach((value, k) => (k % 2 ? ys : xs).push(value));
-    const reach = 0.38;
-    return [Math.min(...xs) - reach, Math.max(...xs) + reach, Math.min(...ys) - reach, Math.max(...ys) + reach];
+    const { course, drive } = this.model, reach = 0.38;
+    const known = [drive.ticks, drive.truth, drive.odometry];
+    const [left, right] = extent([course.checkpoints.map((p) => p[1]), ...known.map((columns) => columns.x), ...course.obstacles.map((corners) => corners.filter((_, k) => k % 2 === 0))]);
+    const [low, high] = extent([course.checkpoints.map((p) => p[2]), ...known.map((columns) => columns.y), ...course.obstacles.map((corners) => corners.filter((_, k) => k % 2 === 1))]);
+    return [left - reach, right + reach, low - reach, high + reach];
   }
 
   // Deadlines beside the checkpoints, where they have room: those that wait in one place first.
@@ -179,7 +186,7 @@ class TimePlot {
   show(traces, layout) {
     const time = { range: [0, this.end()], fixedrange: true, gridcolor: GRID, zeroline: false };
     Plotly.react(this.holder, traces, {
-      font: PLOT_FONT, margin: this.margin, plot_bgcolor: "rgba(0,0,0,0)", paper_bgcolor: "rgba(0,0,0,0)", dragmode: false, hovermode: false, ...layout,
+      datarevision: (revision += 1), font: PLOT_FONT, margin: this.margin, plot_bgcolor: "rgba(0,0,0,0)", paper_bgcolor: "rgba(0,0,0,0)", dragmode: false, hovermode: false, ...layout,
       xaxis: { ...time, title: { text: "time (s)", standoff: 6 }, ...(layout.xaxis || {}) },
     }, PLOT_CONFIG);
     if (!this.cursor) {
@@ -214,7 +221,7 @@ class Lanes extends TimePlot {
       shapes.push({ type: "line", xref: "paper", x0: 0, x1: 1, y0: half, y1: half, line: { color: "#b9bec6", width: 0.7, dash: "dot" }, layer: "below" });
     });
     this.show(traces, {
-      height: 60 + 44 * rows.length, shapes, annotations,
+      height: hold(this.holder, 60 + 44 * rows.length), shapes, annotations,
       yaxis: { range: [-0.05, rows.length], tickvals: middles, ticktext: names, fixedrange: true, showgrid: false, zeroline: false, ticklen: 0 },
     });
   }
@@ -232,7 +239,7 @@ class Commands extends TimePlot {
     const { shapes, annotations } = this.backdrop();
     const axis = { fixedrange: true, gridcolor: GRID, zerolinecolor: "#9aa2ad", automargin: false };
     this.show(traces, {
-      height: 380, shapes, annotations,
+      height: hold(this.holder, 380), shapes, annotations,
       yaxis2: { ...axis, domain: [0.54, 1], title: { text: rows[0][2], standoff: 2 } },
       yaxis: { ...axis, domain: [0, 0.46], title: { text: rows[1][2], standoff: 2 } },
       showlegend: false, xaxis: { anchor: "y" },

@@ -29,6 +29,16 @@ function locate(times, t) {
   return low - 1;
 }
 
+// The least and the largest of several columns.
+function extent(columns) {
+  let low = Infinity, high = -Infinity;
+  for (const column of columns) for (const value of column) {
+    low = Math.min(low, value);
+    high = Math.max(high, value);
+  }
+  return [low, high];
+}
+
 // A number as people write it, with a real minus.
 const number = (value, digits = 0) => value.toFixed(digits).replace(/^-(?=[0.]*$)/, "").replace("-", "−");
 const signed = (value, digits = 0) => (value > 0 && Number(value.toFixed(digits)) !== 0 ? "+" : "") + number(value, digits);

@@ -1,0 +1,66 @@
+"""Who may stop, between real processes with the keys of ``rover-ncp keys``."""
+
+import pytest
+from bridge_bench import Rig, wait_for
+
+from deploy.viewer import Viewer
+from rover_ncp import shell
+from rover_ncp.core.errors import NoBridge, NotAuthorised
+from rover_ncp.core.lease import GateStatus, parse_json
+from rover_ncp.core.messages import read_text
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("keys")
+    assert shell.run(["keys", "--out", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def rig(keys, tmp_path_factory):
+    listen = ["--listen", "tls/127.0.0.1:0", "--zenoh-config", str(keys / "bridge.json5")]
+    with Rig(tmp_path_factory.mktemp("rig"), bridge=listen) as rig:
+        yield rig
+
+
+def gates(heard):
+    return [parse_json(GateStatus, read_text(m.data)) for m in heard if m.topic == "rover/gate"]
+
+
+def test_a_viewer_hears_everything_and_stops_nothing(rig, keys):
+    heard = []
+    with Viewer(rig.locator, "", keys / "viewer.json5", heard.append) as viewer:
+        wait_for(lambda: {"odom", "rover/gate", "tf"} <= {message.topic for message in heard})
+        assert viewer.bridge_alive
+        assert viewer.may_stop is False
+        with pytest.raises(NotAuthorised, match="not authorised to stop"):
+            viewer.stop()
+        count = len(gates(heard))
+        wait_for(lambda: len(gates(heard)) > count + 2)
+        assert gates(heard)[-1].held != "stopped"
+
+
+def test_who_may_drive_may_stop_and_release(rig, keys):
+    heard = []
+    with Viewer(rig.locator, "", keys / "driver.json5", heard.append) as viewer:
+        wait_for(lambda: viewer.may_stop)
+        assert viewer.stop().stopped is True
+        wait_for(lambda: gates(heard) and gates(heard)[-1].held == "stopped")
+        assert gates(heard)[-1].stop_reason == "the Stop button of a viewer"
+        assert viewer.stop(release=True).stopped is False
+        wait_for(lambda: gates(heard)[-1].held != "stopped")
+
+
+def test_the_end_of_the_bridge_is_noticed(tmp_path):
+    with Rig(tmp_path) as rig, Viewer(rig.locator, "", None, lambda message: None) as viewer:
+        wait_for(lambda: viewer.bridge_alive and viewer.may_stop)
+        rig.bridge.stop()
+        wait_for(lambda: not viewer.bridge_alive and not viewer.may_stop)
+        with pytest.raises(NoBridge):
+            viewer.stop()
+
+
+def test_nobody_there():
+    with pytest.raises(NoBridge, match="nothing answers"):
+        Viewer("tcp/127.0.0.1:9", "", None, lambda message: None)

@@ -14,6 +14,7 @@ from pydantic import BaseModel
 
 from bridge.inbox import Asked, Crashed, Inbox, Sampled
 from bridge.listening import any_port, configured, reason
+from bridge.ros_tokens import bridge_token, topic_token
 from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.keys import KEYS, Kind, Role, key
 from rover_ncp.core.lease import dump_json
@@ -54,9 +55,20 @@ class Link:
         self.close()
 
     def announce(self) -> None:
-        """Let everybody know that the bridge is there."""
+        """Let everybody know that the bridge is there; ROS bridges, which topics it has."""
         if self._token is None:
-            self._token = self._session.liveliness().declare_token(self._key("rover/alive/bridge"))
+            tokens = self._session.liveliness()
+            self._held += [tokens.declare_token(key) for key in self._ros_tokens()]
+            self._token = tokens.declare_token(self._key("rover/alive/bridge"))
+
+    def _ros_tokens(self) -> list[str]:
+        zid = str(self._session.info.zid())
+        rows = [row for row in KEYS if row.name in self._publishers or row.name == "cmd_vel"]
+        topics = [
+            topic_token(zid, self._key(row.name), row.type, published=row.name in self._publishers)
+            for row in rows
+        ]
+        return [bridge_token(zid), *topics]
 
     def publish(self, name: str, data: bytes) -> None:
         """Send a message on a key of the table."""

@@ -6,12 +6,16 @@ import pytest
 
 from deploy.controller import Controller
 from deploy.estimator import EstimatorSettings, Outcome
-from rover_ncp.circuit.policy import PolicyRunner, parking_policy
+from rover_ncp.circuit.policy import PolicyRunner, course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative, wrap_angle
+from rover_ncp.core.reference import plan_reference
+from rover_ncp.core.signals import SIGNALS, see
+from sim.learn.rollout import rollout
 from sim.world.bay import Bay
+from sim.world.randomization import nominal_trials
 from sim.world.rover import Rover, RoverModel
 
 GOLDEN = "tests/data/golden/parking.bnn"
@@ -72,6 +76,31 @@ def test_the_circuit_is_run_as_in_the_simulator(policy):
         assert tick.command == command
         assert np.array_equal(tick.potentials, runner.potentials)
     assert len({tick.command for tick in ticks}) > 100  # the run does move
+
+
+def test_a_circuit_that_follows_the_course_sees_its_reference_as_in_the_simulator():
+    tracker, reference = course_policy(load_circuit("tracking")), plan_reference(COURSE)
+    there = Pose(0.06, -0.04, 0.1)
+    poses, ticks, _ = drive(tracker, pose=there, report=as_a_base_reports, latency=0.0)
+    runner = PolicyRunner(tracker)
+    chosen = [SIGNALS.index(name) for name in tracker.sensing.inputs]
+
+    def seen(pose, index):
+        signals = see(pose, 0.0, reference.tick(index))
+        return [signals[i] for i in chosen]
+
+    runner.warm_up(seen(there, 0))
+    for tick in ticks:
+        assert tick.command == runner.tick(seen(tick.estimate.pose, tick.index))
+    # And it drives there, as the engine's rover does.
+    assert distance(poses[-1], COURSE.goal) < 0.1
+    simulated = rollout(tracker, COURSE, trials=started_at(there)).poses
+    assert max(map(distance, poses, [Pose(*pose) for pose in simulated])) < 0.02
+
+
+def started_at(pose):
+    trials = nominal_trials(RoverModel(), COURSE.ticks)
+    return trials._replace(start=np.array([pose]))
 
 
 def test_driven_on_odometry_the_rover_goes_where_exact_poses_take_it(policy):

@@ -21,7 +21,7 @@ from rover_ncp.core.course import Course
 from rover_ncp.core.reference import Reference
 from sim.learn.engine import Engine, Outcomes
 from sim.learn.objective import mean_of_worst
-from sim.world.random_course import random_course
+from sim.world.random_course import mirrored, mirrored_reference, random_course
 from sim.world.randomization import Randomization, draw_trials
 from sim.world.rover import RoverModel
 
@@ -34,8 +34,8 @@ _ROLLOUTS_SHARE = ((0.2, 4), (0.5, 2), (1.0, 1))
 """Up to this share of the generations, that fraction of the rollouts."""
 _COURSES_APART = 10**9
 """Training courses have seeds from here on, evaluations smaller ones: no course is in both."""
-_GIVEN_SHARE = 4
-"""One of so many training courses is the given one."""
+_RANDOM_BETWEEN = 3
+"""So many random courses follow each turn of the given one, which goes to the left and to the right."""
 
 
 class Generation(NamedTuple):
@@ -131,11 +131,18 @@ def _blurred(error: FloatArray, limit: float, width: float) -> FloatArray:
 def training_courses(
     given: Course, planned: Reference, seed: int, count: int
 ) -> tuple[list[Course], list[Reference]]:
-    """Return ``count`` random courses of a seed with the given one among them, and their references."""
-    pairs = [random_course(_COURSES_APART + seed, number) for number in range(count)]
-    for place in range(0, count, _GIVEN_SHARE):
-        pairs.insert(place + place // _GIVEN_SHARE, (given, planned))
-    pairs = pairs or [(given, planned)]
+    """Return ``count`` random courses of a seed, their references, and among them those of the given one.
+
+    The given one also comes mirrored: a circuit, unlike a law, has to learn left and right apart. Alone it
+    is when ``count`` is 0.
+    """
+    turns = ((given, planned), (mirrored(given), mirrored_reference(planned)))
+    pairs = []
+    for number in range(count):
+        if number % _RANDOM_BETWEEN == 0:
+            pairs.append(turns[number // _RANDOM_BETWEEN % 2])
+        pairs.append(random_course(_COURSES_APART + seed, number))
+    pairs = pairs or [turns[0]]
     return [course for course, _ in pairs], [reference for _, reference in pairs]
 
 

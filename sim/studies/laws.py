@@ -25,7 +25,7 @@ from rover_ncp.jit import kernel
 from sim.learn.engine import Engine
 from sim.learn.episode import IDLE, Lanes, Queue, Tasks, finish_tick, pass_commands, start_episode
 from sim.learn.robust import Generation, robust_search, training_courses
-from sim.world.fleet import Fleet, FleetArrays, advance, read_poses, send
+from sim.world.fleet import Fleet, FleetArrays, advance, read_poses, send, wrapped
 from sim.world.randomization import Randomization, Trials, draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
@@ -80,13 +80,15 @@ def law_command(law: int, gains: FloatArray, seen: FloatArray) -> tuple[float, f
     v = speed * math.cos(heading) + gains[0] * ahead
     if law == KANAYAMA:
         return v, turn + speed * (gains[1] * left + gains[2] * math.sin(heading))
+    # What follows leads to a point ahead, by driving forward.
+    v = max(v, 0.0)
     x, y = ahead + gains[1] * math.cos(heading), left + gains[1] * math.sin(heading)
     distance = max(math.hypot(x, y), _LEAST_AHEAD_M)
     if law == PURE_PURSUIT:
         return v, gains[2] * turn + v * 2.0 * y / distance**2
     # Both angles are measured from the line of sight: the rover's heading, and the carrot's.
     sight = math.atan2(y, x)
-    delta, theta = -sight, heading - sight
+    delta, theta = -sight, wrapped(heading - sight)
     bent = gains[2] * theta
     wanted = math.atan(-bent)
     kappa = (

@@ -1,16 +1,19 @@
 """Courses nobody drew: random drives of a rover that keeps to the motors' limits, so drivable as they are.
 
-A drive is a few pieces of constant speed and turn rate, joined over half a second, from rest to rest; the
+A drive is a few pieces of constant speed and turn rate, joined over half a second, from rest to rest, a third
+of them straight and a third of them nearly as sharp as the motors turn; the
 course's checkpoints are where it is each second. Course 7 of a seed is the same whatever else is drawn.
 """
 
+from typing import Any
+
 import numpy as np
 
-from rover_ncp.core.course import TICK_S, Checkpoint, Course
+from rover_ncp.core.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.core.geometry import Pose, wrap_angle
-from rover_ncp.core.reference import Reference, drive_profile
+from rover_ncp.core.reference import OMEGA_MAX, Reference, drive_profile
 
-__all__ = ["random_course"]
+__all__ = ["mirrored", "mirrored_reference", "random_course"]
 
 HORIZON_S = 32.0
 """As the paper's course."""
@@ -18,8 +21,9 @@ _KNOT_S = 0.5
 _REST_S = 9.0
 """At the end, to come to rest and be seen at rest."""
 _SPEED_M_S = (0.05, 0.14)
-_TURN_RAD_S = 0.17
-_STRAIGHT = 0.3
+_SHARP_RAD_S = 0.15
+_SHARE = 1.0 / 3.0
+"""Of straight pieces, and of sharp ones."""
 _DECIMALS = 6
 
 
@@ -33,7 +37,7 @@ def random_course(seed: int, number: int) -> tuple[Course, Reference]:
     while at < end:
         piece = slice(at, min(at + int(stream.integers(3, 11)), end))
         v[piece] = stream.uniform(*_SPEED_M_S)
-        omega[piece] = stream.uniform(-_TURN_RAD_S, _TURN_RAD_S) * (stream.random() >= _STRAIGHT)
+        omega[piece] = _turn(stream)
         at = piece.stop
     ticks = np.arange(round(HORIZON_S / TICK_S) + 1) * TICK_S
     times = _KNOT_S * np.arange(knots)
@@ -52,7 +56,35 @@ def random_course(seed: int, number: int) -> tuple[Course, Reference]:
     return course, drive
 
 
+def _turn(stream: np.random.Generator) -> float:
+    kind, side, size = stream.random(), stream.choice([-1.0, 1.0]), stream.random()
+    if kind < _SHARE:
+        return 0.0
+    least = _SHARP_RAD_S if kind < 2.0 * _SHARE else 0.0
+    return float(side * (least + (OMEGA_MAX - least) * size))
+
+
 def _checkpoint(drive: Reference, t: float) -> Checkpoint:
     pose, _ = drive.at(t)
     x, y = round(pose.x, _DECIMALS), round(pose.y, _DECIMALS)
     return Checkpoint(t=t, x=x, y=y, theta=round(wrap_angle(pose.theta), _DECIMALS))
+
+
+def mirrored(course: Course) -> Course:
+    """Return a course with left and right exchanged."""
+
+    def flip(thing: Checkpoint | Obstacle) -> Any:
+        return thing.model_copy(update={"y": -thing.y, "theta": -thing.theta})
+
+    return course.model_copy(
+        update={
+            "name": f"{course.name}-mirrored",
+            "checkpoints": tuple(flip(point) for point in course.checkpoints),
+            "obstacles": tuple(flip(obstacle) for obstacle in course.obstacles),
+        }
+    )
+
+
+def mirrored_reference(reference: Reference) -> Reference:
+    """Return a reference with left and right exchanged."""
+    return Reference(reference.poses * np.array([1.0, -1.0, -1.0]), reference.motion * np.array([1.0, -1.0]))

@@ -24,7 +24,9 @@ INTERRUPTED = 130
 _EXTRAS = {
     "numba": "drive",
     "filterpy": "drive",
+    "scipy": "drive",
     "pymunk": "train",
+    "cmaes": "train",
     "gymnasium": "train",
     "matplotlib": "train",
     "plotly": "report",

@@ -114,6 +114,7 @@ class Drive:
             self.verdict = self._controller.verdict()
             event = Event.PARKED if self.verdict.parked else Event.NOT_PARKED
             self._follow(event, self.verdict.reason)
+        self._reporter.finish()
 
     def _arm(self, attachments: dict[str, int]) -> None:
         config = self._config
@@ -126,7 +127,7 @@ class Drive:
         pose = self._external_pose() or ORIGIN
         self._controller.start(sample.pose, 0.0, pose)
         self._start = sample.ref
-        self._reporter.start(StartRecord(sample=sample.ref, pose=pose, attachments=attachments))
+        self._reporter.start(StartRecord(sample=sample.ref, pose=pose, attachments=attachments), sample.pose)
         if not config.dry_run:
             self._link.request_motors(f"policy {config.policy}")
             self._granted_ns = time.monotonic_ns()

@@ -7,6 +7,8 @@ from deploy.controller import Tick
 from deploy.estimator import Estimate
 from deploy.link import Link
 from deploy.ticks import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
+from deploy.views import Views
+from rover_ncp.core.geometry import Pose
 from rover_ncp.core.lease import DriverStatus, dump_json
 from rover_ncp.core.messages import neurons, pose_with_covariance, text
 from rover_ncp.core.recording import Recorded
@@ -27,10 +29,13 @@ class Reporter:
 
     def __init__(self, link: Link, record: Callable[[Recorded], None], neuron_names: Sequence[str]) -> None:
         self._link, self._record, self._names = link, record, neuron_names
+        self._views = Views(record, neuron_names, COURSE_FRAME)
 
-    def start(self, record: StartRecord) -> None:
-        """Record how the drive began."""
-        self._note(START_TOPIC, dump_json(record), time.time_ns())
+    def start(self, record: StartRecord, odometry: Pose) -> None:
+        """Record how the drive began, where odometry stood at ``odometry``."""
+        wall_ns = time.time_ns()
+        self._note(START_TOPIC, dump_json(record), wall_ns)
+        self._views.start(wall_ns, Pose(*record.pose), odometry)
 
     def tick(self, record: TickRecord, estimate: Estimate, tick: Tick | None) -> None:
         """Tell where the rover is, and what the circuit was like if it was asked."""
@@ -38,6 +43,11 @@ class Reporter:
         self._link.publish("rover/estimate", estimate_message(estimate, record.wall_ns), record.wall_ns)
         if tick is not None:
             self._link.publish("rover/neurons", neurons(tick.potentials, self._names), record.wall_ns)
+        self._views.tick(record.wall_ns, estimate.pose, None if tick is None else tick.potentials)
+
+    def finish(self) -> None:
+        """Record what can be told only of a whole drive."""
+        self._views.finish()
 
     def status(self, status: DriverStatus) -> None:
         """Tell how the drive stands."""

@@ -75,7 +75,7 @@ def record_drive(path, policy):
         first, sample = sip(T0)
         controller.start(sample.pose, 0.0)
         crcs = {name: zlib.crc32(content) for name, content in files.items()}
-        reporter.start(StartRecord(sample=first, pose=(0, 0, 0), attachments=crcs))
+        reporter.start(StartRecord(sample=first, pose=(0, 0, 0), attachments=crcs), sample.pose)
         for index in range(TICKS + 1):
             at_ns = T0 + (index + 1) * 100 * MS + int(rng.integers(0, 2 * MS))
             pose = compose(pose, Pose(0.1 * velocity.v, 0.0, 0.1 * velocity.omega))

@@ -31,6 +31,7 @@ __all__ = [
     "encode",
     "neurons",
     "odometry",
+    "path",
     "point_cloud",
     "pose_stamped",
     "pose_with_covariance",
@@ -164,6 +165,13 @@ def read_twist(data: bytes, max_bytes: int = 512) -> TwistSample:
 def pose_stamped(pose: Pose, stamp_ns: int, frame: str) -> bytes:
     """Return a PoseStamped, which viewers draw (they do not draw Odometry)."""
     return encode(make(POSE_STAMPED, header=_header(stamp_ns, frame), pose=_pose(pose)))
+
+
+def path(poses: Sequence[Pose], stamp_ns: int, frame: str) -> bytes:
+    """Return a Path through poses, all with one stamp."""
+    header = _header(stamp_ns, frame)
+    stamped = [make(POSE_STAMPED, header=header, pose=_pose(pose)) for pose in poses]
+    return encode(make("nav_msgs/msg/Path", header=header, poses=stamped))
 
 
 def pose_with_covariance(

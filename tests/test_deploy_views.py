@@ -1,0 +1,88 @@
+"""What a recording holds for viewers, and the layout that ships for them."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy.views import Views
+from rover_ncp.circuit.tap_withdrawal import PARKING_NEURONS
+from rover_ncp.core.cdr import decode
+from rover_ncp.core.geometry import Pose, compose
+from rover_ncp.core.keys import KEYS
+from rover_ncp.core.messages import read_neurons
+from sim.studies.truth import TRUTH_TOPIC
+
+NAMES = ("A", "B", "Long_name")
+LAYOUT = Path("docs/viewing/rover-ncp.json")
+
+
+def recorded(ticks=3):
+    told = []
+    views = Views(told.append, NAMES, "course")
+    views.start(1_000, Pose(0.5, 0.0, 0.1), Pose(3.0, -2.0, 1.0))
+    for k in range(ticks):
+        last = k == ticks - 1
+        potentials = None if last else np.array([-70.0 - k, -1e-9, -12.25])
+        views.tick(2_000 + k, Pose(0.1 * k, 0.2, 0.3), potentials)
+    views.finish()
+    return told
+
+
+def test_odometry_lies_where_the_course_says():
+    frames = next(message for message in recorded() if message.topic == "deploy/frames")
+    transform = decode(frames.type, frames.data).transforms[0]
+    assert (transform.header.frame_id, transform.child_frame_id) == ("course", "odom")
+    where, turn = transform.transform.translation, transform.transform.rotation
+    odom = Pose(where.x, where.y, 2 * np.arctan2(turn.z, turn.w))
+    assert compose(odom, Pose(3.0, -2.0, 1.0)) == pytest.approx(Pose(0.5, 0.0, 0.1))
+
+
+def test_each_neuron_is_a_series_of_its_own_name():
+    told = [message for message in recorded() if message.topic.startswith("neurons/")]
+    assert [message.topic for message in told[:3]] == ["neurons/A", "neurons/B", "neurons/Long_name"]
+    assert [read_neurons(message.data) for message in told] == [
+        {"A": -70.0},
+        {"B": -1e-9},
+        {"Long_name": -12.25},
+        {"A": -71.0},
+        {"B": -1e-9},
+        {"Long_name": -12.25},
+    ]
+
+
+def test_the_path_is_whole_and_there_from_the_start():
+    told = recorded()
+    path = told[-1]
+    assert (path.topic, path.log_ns) == ("deploy/path", 1_000)
+    poses = decode(path.type, path.data).poses
+    assert [pose.pose.position.x for pose in poses] == pytest.approx([0.0, 0.1, 0.2])
+    assert [m.topic for m in told].count("deploy/pose") == 3
+
+
+def test_a_drive_without_a_tick_has_no_path():
+    assert [message.topic for message in recorded(ticks=0)] == ["deploy/frames"]
+
+
+def test_the_layout_shows_topics_that_recordings_have():
+    layout = json.loads(LAYOUT.read_text())
+    known = {row.name for row in KEYS} | {message.topic for message in recorded()} | {TRUTH_TOPIC}
+    known |= {f"neurons/{name}" for name in PARKING_NEURONS}
+    panels = layout["configById"]
+    shown, plotted = set(), []
+    for name, panel in panels.items():
+        if name.startswith("3D!"):
+            shown |= set(panel["topics"])
+        plotted += [path["value"] for path in panel.get("paths", [])]
+        if "topicPath" in panel:
+            plotted.append(panel["topicPath"])
+    topics = {re.split(r"\.|\[", path)[0] for path in plotted}
+    assert shown | topics <= known
+    # Each neuron of the parking circuit is a named series.
+    labels = {p["value"]: p["label"] for panel in panels.values() for p in panel.get("paths", [])}
+    for name in PARKING_NEURONS:
+        assert labels[f"neurons/{name}.data[0]"] == name
+    placed = json.dumps(layout["layout"])
+    assert all(name in placed for name in panels)

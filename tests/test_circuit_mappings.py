@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -6,9 +8,10 @@ from pydantic import ValidationError
 
 from rover_ncp.circuit.circuit import build_circuit
 from rover_ncp.circuit.motors import Motors, parking_motors
-from rover_ncp.circuit.policy import Policy, PolicyRunner
-from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.circuit.policy import Policy, PolicyRunner, course_policy, parking_policy
+from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing, shifted_sensing
+from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
+from rover_ncp.core.errors import ConfigError
 
 UNCONNECTED = build_circuit("unconnected", ("up", "down", "alone", "M", "N"), ())
 MOTORS = Motors(outputs=("y",), channels=(Channel(name="y", positive="M", maximum=1.0),))
@@ -131,3 +134,58 @@ def test_one_neuron_may_drive_two_outputs():
     assert v == pytest.approx(0.16 * (share[0] - share[1]), abs=1e-12)
     assert omega == pytest.approx(0.18 * (share[0] - share[1]), abs=1e-12)
     assert v != 0
+
+
+@pytest.mark.parametrize(
+    ("x", "expected"), [(-0.15, -70), (0.0, -70 + 50 * 0.15 / 1.15), (1.0, -20), (2.0, -20)]
+)
+def test_shifted_ranges_begin_at_their_origins(x, expected):
+    policy = replace(parking_policy(parking_circuit()), sensing=shifted_sensing())
+    runner = PolicyRunner(policy)
+    runner.tick([x, -0.15, -0.25, 0.0])
+    potentials = dict(zip(policy.circuit.neurons, runner.potentials, strict=True))
+    assert potentials["PVD"] == pytest.approx(expected)
+    assert potentials["PLM"] == potentials["ALM"] == potentials["AVM"] == pytest.approx(-70)
+
+
+def test_layers_work_on_parts_of_ranges_and_limits():
+    policy = course_policy(tap_withdrawal_circuit())
+    runner = PolicyRunner(policy)
+    # Of the first mixture: half of longitudinal's range, and of speed's a quarter at weight 0.6.
+    runner.tick([0.1, 0.0, 0.0, 0.04, 0.0])
+    potentials = dict(zip(policy.circuit.neurons, runner.potentials, strict=True))
+    assert potentials["PLM"] == pytest.approx(-70 + 50 * (0.5 + 0.6 / 4))
+    assert potentials["AVM"] == pytest.approx(-70)
+    loud = replace(policy, output_layer=np.array([[3.0, 3.0], [-3.0, 3.0]]))
+    object.__setattr__(loud.circuit, "held", {9: -20.0, 10: -70.0})
+    assert PolicyRunner(loud).tick([0.0] * 5) == pytest.approx((0.24, -0.36))
+    object.__setattr__(loud.circuit, "held", {9: -56.0, 10: -56.0})
+    assert PolicyRunner(loud).tick([0.0] * 5) == pytest.approx((0.24 * 0.6, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("part", "changes", "expected"),
+    [
+        ("sensing", {"ranges": (1.0, 1.0)}, "as many ranges as inputs, got 2"),
+        ("sensing", {"ranges": (1.0, 1.0, 1.0, 0.0, 1.0)}, "greater than 0"),
+        ("motors", {"limits": (0.24,)}, "as many limits as outputs, got 1"),
+        (
+            "motors",
+            {"channels": ({"name": "v", "positive": "FWD", "maximum": 1, "origin": 0.1},)},
+            "no origin",
+        ),
+    ],
+)
+def test_ranges_and_limits_must_fit(part, changes, expected):
+    policy = course_policy(tap_withdrawal_circuit())
+    model = getattr(policy, part)
+    with pytest.raises(ValidationError, match=expected):
+        type(model).model_validate(model.model_dump(exclude_none=True) | changes)
+
+
+def test_without_layers_there_are_no_ranges_and_limits():
+    policy = course_policy(tap_withdrawal_circuit())
+    with pytest.raises(ConfigError, match="without an input layer the channels have the ranges"):
+        replace(policy, input_layer=None)
+    with pytest.raises(ConfigError, match="without an output layer the channels have the limits"):
+        replace(policy, output_layer=None)

@@ -125,7 +125,8 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
     share, z2 = successes / count, _NORMAL_95**2
     middle = (share + z2 / (2 * count)) / (1 + z2 / count)
     half = _NORMAL_95 / (1 + z2 / count) * math.sqrt(share * (1 - share) / count + z2 / (4 * count**2))
-    return max(middle - half, 0.0), min(middle + half, 1.0)
+    # At the ends the exact bounds, which rounding would miss.
+    return 0.0 if successes == 0 else middle - half, 1.0 if successes == count else middle + half
 
 
 def unseen_courses(seed: int, count: int) -> list[Course]:

@@ -97,7 +97,7 @@ class Search(ABC, Generic[AdaptationT]):
     """
 
     needs_misses: ClassVar[bool] = False
-    most_ahead: ClassVar[int] = 1
+    most_ahead: ClassVar[int] = 4  # measured: more are drawn in vain, fewer leave lanes idle
 
     def __init__(
         self, layout: ParameterLayout, start: Vector, generator: np.random.Generator, adaptation: AdaptationT

@@ -105,12 +105,12 @@ class _Descent:
 
     def targets(self) -> Vector:
         """Return where the steps of a batch lead, (n, D)."""
-        weights = np.ones_like(self.at.misses)
+        slopes, residuals = self.slopes, self.at.misses.ravel()
         if self.survives:
+            weights = np.empty_like(self.at.misses)
             survival_weights(self.at.misses, LIFETIME_M2, weights)
-        slopes = self.slopes * weights.ravel()
+            slopes, residuals = slopes * weights.ravel(), residuals * weights.ravel()
         targets = np.empty((len(BOLDNESS), len(slopes)))
-        residuals = (self.at.misses * weights).ravel()
         damped_steps(slopes, residuals, self.at.point, self.damping * BOLDNESS, targets)
         return targets
 
@@ -201,10 +201,11 @@ class GaussNewton:
             raise ValueError("this search needs the misses")
         if not len(values) == len(misses) == self._asked:
             raise ValueError(f"{self._asked} candidates wait for their returns, got {len(values)}")
-        if any(math.isnan(value) for value in values):
+        numbers = [float(value) for value in values]
+        if any(map(math.isnan, numbers)):
             raise ValueError("a return is not a number")
-        for value, row in zip(map(float, values), misses, strict=True):
-            outcome = _Outcome(self._batch[len(self._told)], value, np.array(row))
+        for value, row in zip(numbers, np.array(misses), strict=True):
+            outcome = _Outcome(self._batch[len(self._told)], value, row)
             self._told.append(outcome)
             self.evaluations += 1
             if self.value is None or value > self.value:
@@ -266,11 +267,16 @@ class GaussNewton:
         """Return the descent's point with one parameter moved, up or down, within the box: (n, D)."""
         assert self._descent is not None
         point = self._descent.at.point
-        moves = np.where(self._generator.random(len(parameters)) < 0.5, PROBE, -PROBE)
-        there = point[parameters] + moves
-        moves = np.where(there > 1.0, -PROBE, np.where(there < 0.0, PROBE, moves))
-        probes = np.tile(point, (len(parameters), 1))
-        probes[np.arange(len(parameters)), parameters] += moves
+        probes = np.empty((len(parameters), len(point)))
+        probes[:] = point
+        ways = self._generator.random(len(parameters)) < 0.5
+        for probe, parameter, up in zip(probes, parameters.tolist(), ways.tolist(), strict=True):
+            there = probe[parameter] + (PROBE if up else -PROBE)
+            if there > 1.0:
+                there = probe[parameter] - PROBE
+            elif there < 0.0:
+                there = probe[parameter] + PROBE
+            probe[parameter] = there
         return probes
 
     def state(self) -> SearchState:

@@ -60,7 +60,8 @@ class UnitBox:
 
     def vectors(self, points: Vector) -> Vector:
         """Return the parameter vectors (n, P) of points (n, D)."""
-        vectors = np.tile(self.defaults, (len(points), 1))
+        vectors = np.empty((len(points), len(self.defaults)))
+        vectors[:] = self.defaults
         _write_values(points, self._scales, self.free, vectors)
         return vectors
 

@@ -1,0 +1,60 @@
+"""The command ``bench``; heavy libraries load only when it runs."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rover_ncp.core.console import Output
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
+
+
+class What(StrEnum):
+    """What can be measured."""
+
+    TRAIN = "train"
+    SEARCH = "search"
+
+
+def bench(
+    what: Annotated[What, typer.Argument(help="train: how fast it is. search: how far it gets.")],
+    *,
+    iterations: Annotated[
+        int | None,
+        typer.Option(min=1, help="Iterations of each agent.", show_default="500 for train, 20000 for search"),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Root seed of the searches.")] = 0,
+    agents: Annotated[int, typer.Option(min=1, max=1000, help="Agents of a search.")] = 12,
+    csv: Annotated[
+        Path | None, typer.Option(help="search: write every agent's returns here.", show_default=False)
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Measure the training: how fast it is, or how far each search gets.
+
+    train measures episodes and iterations per second, on one core and on all, against the plain environment
+    of a single rover, what a substep costs alone and as a lane, and where the time goes. Speeds of one core
+    are in CPU time. search trains with every strategy from the same root seed and counts the agents that pass
+    a return of -0.1 (it parks), -0.05 and -0.03; with all its iterations that takes minutes.
+
+        rover-ncp bench train --json
+        rover-ncp bench search --seed 1 --csv returns.csv
+    """
+    output = Output(json)
+    if what is What.TRAIN:
+        from sim.studies.bench_train import bench_train
+
+        fields = bench_train(iterations or 500, output.say)
+        output.result(fields, f"peak memory {fields['peak_memory_mb']:.0f} MB")
+        return
+
+    from rover_ncp.core.files import write_atomic
+    from sim.studies.bench_search import bench_search, returns_table
+
+    budget = iterations or 20_000
+    found, trained = bench_search(seed, agents, budget, output.say)
+    if csv is not None:
+        write_atomic(csv, returns_table(trained, seed, budget))
+    output.result(found, f"{agents} agents, {budget} iterations each")

@@ -1,0 +1,70 @@
+"""How far each search gets with the same budget: ``rover-ncp bench search``."""
+
+from collections.abc import Callable, Mapping, Sequence
+from statistics import median
+from typing import Any
+
+from sim.learn.ensemble import Snapshot, run_ensemble
+from sim.learn.record import TrainSettings, resolve_task
+from sim.learn.search.strategies import STRATEGIES
+from sim.learn.team import AgentState
+from sim.learn.train import training_plan
+from sim.learn.workers import Inline, LocalProcesses, available_processes
+
+__all__ = ["MARKS", "PASSED", "bench_search", "returns_table"]
+
+MARKS = (1000, 2000, 5000, 10_000, 20_000)
+"""Iterations at which returns are looked at."""
+PASSED = (-0.1, -0.05, -0.03)
+"""Returns whose passing is counted."""
+
+
+def bench_search(
+    seed: int, agents: int, iterations: int, say: Callable[[str], None]
+) -> tuple[Mapping[str, Any], Mapping[str, Sequence[AgentState]]]:
+    """Train with every strategy from one root seed; return what to report, and the agents by strategy."""
+    marks = [mark for mark in MARKS if mark < iterations] + [iterations]
+    trained = {}
+    for strategy in STRATEGIES:
+        settings = TrainSettings.model_validate(
+            {"seed": seed, "agents": agents, "iterations": iterations, "search": strategy}
+        )
+        plan = training_plan(settings, resolve_task(settings))
+        start = Snapshot(tuple(AgentState(number) for number in range(agents)))
+        count = min(available_processes(), agents)
+        with Inline(plan) if count == 1 else LocalProcesses(plan, count) as workers:
+            trained[strategy] = run_ensemble(workers, start, iterations, lambda _: False).agents
+        say(_line(strategy, [agent.value for agent in trained[strategy]]))
+    fields = {
+        "seed": seed,
+        "agents": agents,
+        "iterations": marks,
+        "strategies": {name: _summary(found, marks) for name, found in trained.items()},
+    }
+    return fields, trained
+
+
+def _summary(agents: Sequence[AgentState], marks: Sequence[int]) -> dict[str, Any]:
+    returns = {mark: [agent.value_at(mark) for agent in agents] for mark in marks}
+    last = returns[marks[-1]]
+    return {
+        "returns": returns,
+        "median": {mark: median(values) for mark, values in returns.items()},
+        "passed": {f"{level:g}": sum(value > level for value in last) for level in PASSED},
+    }
+
+
+def _line(strategy: str, returns: Sequence[float]) -> str:
+    counts = ", ".join(f"{sum(value > level for value in returns)} past {level:g}" for level in PASSED)
+    return f"{strategy}: median {median(returns):.4f}, worst {min(returns):.4f}; {counts} of {len(returns)}"
+
+
+def returns_table(agents: Mapping[str, Sequence[AgentState]], seed: int, iterations: int) -> str:
+    """Return all returns as CSV, a row for each agent; numbers read back to the same bits."""
+    marks = [mark for mark in MARKS if mark < iterations] + [iterations]
+    lines = [",".join(["strategy", "seed", "agent", *(f"after_{mark}" for mark in marks)])]
+    for strategy, found in agents.items():
+        for agent in found:
+            values = (repr(agent.value_at(mark)) for mark in marks)
+            lines.append(",".join([strategy, str(seed), str(agent.number), *values]))
+    return "\n".join(lines) + "\n"

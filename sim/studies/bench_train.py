@@ -1,0 +1,203 @@
+"""How fast the training engine is, and where its time goes: ``rover-ncp bench train``.
+
+Speeds of one core are counted in CPU time, medians of several runs, so that what else the machine does shows
+as little as it can; those of all cores in wall time. The engine's worth is a ratio within the run.
+"""
+
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rover_ncp.circuit.lanes import allocate_lanes, make_program, resting_potentials
+from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.solver import tick_lanes
+from rover_ncp.core.course import TICK_S
+from rover_ncp.jit import kernel
+from sim.learn.engine import Engine
+from sim.learn.ensemble import Snapshot, run_ensemble
+from sim.learn.record import Task, TrainSettings, resolve_task
+from sim.learn.rollout import rollout
+from sim.learn.search.strategies import STRATEGIES
+from sim.learn.team import AgentState, Plan, Team
+from sim.learn.train import training_plan
+from sim.learn.workers import Inline, LocalProcesses, available_processes
+from sim.world.bay import Bay
+from sim.world.fleet import ROVERS_PER_BAY, SUBSTEPS, Fleet, advance, send
+from sim.world.rover import Rover, RoverModel
+
+__all__ = ["LANES", "bench_train"]
+
+LANES = tuple(2**n for n in range(13))
+"""1 to 4096."""
+_REPEATS = 5
+_EPISODES = 72
+_AGENTS = 12
+_WARM_ITERATIONS = 100
+_TICKS = 40
+_NS = 1e9
+
+_COMPILE_SCRIPT = """
+import time
+from rover_ncp.circuit.policy import parking_policy
+from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.core.course import load_course
+from sim.learn.engine import Engine
+policy = parking_policy(parking_circuit())
+engine = Engine(policy, load_course("parking"))
+began = time.process_time()
+engine.returns(policy.parameters())
+print(time.process_time() - began)
+"""
+
+
+def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
+    """Measure everything on the parking course; ``iterations`` of 12 agents for each strategy and speed."""
+    settings = {name: TrainSettings.model_validate({"search": name}) for name in STRATEGIES}
+    task = resolve_task(settings["gauss-newton"])
+    plans = {name: training_plan(each, task) for name, each in settings.items()}
+    cores = available_processes()
+    fields: dict[str, Any] = {"cores": cores}
+    fields |= _episodes(task, say)
+    fields["iterations_per_s"] = {}
+    for name, plan in plans.items():
+        one_cpu = _iterations_per_cpu_s(plan, iterations)
+        one, every = (_iterations_per_wall_s(plan, iterations, count) for count in (1, cores))
+        speeds = {"one_core_cpu": one_cpu, "one_core": one, "all_cores": every, "ratio": every / one}
+        fields["iterations_per_s"][name] = speeds
+        say(f"{name}: {one_cpu:.0f} iterations/s of CPU time, {every / one:.2f} times that on {cores} cores")
+    fields["cost_by_lanes"] = [_cost(task, lanes) for lanes in LANES]
+    for row in fields["cost_by_lanes"]:
+        say("{lanes} lanes: circuit {circuit_ns:.0f} ns, physics {physics_ns:.0f} ns a substep".format(**row))
+    fields["substep_ns"] = _substeps(task, fields["cost_by_lanes"])
+    fields["share"] = _shares(fields)
+    fields["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    cold, cached = _compile_times()
+    fields["compile_s"] = {"cold": cold, "cached": cached}
+    say(f"compiling takes {cold:.1f} s, loading what was compiled {cached:.1f} s")
+    return fields
+
+
+def _episodes(task: Task, say: Callable[[str], None]) -> dict[str, Any]:
+    """Episodes per second of CPU time: engine, and the plain single rover on the same circuits."""
+    engine, vectors = Engine(task.policy, task.course), _candidates(task.policy, _EPISODES)
+    lanes = _EPISODES / _cpu_s(lambda: engine.returns(vectors))
+    alone = [task.policy.with_parameters(vector) for vector in vectors[:2]]
+    plain = len(alone) / _cpu_s(lambda: [rollout(policy, task.course) for policy in alone])
+    say(f"{lanes:.0f} episodes/s; the plain environment {plain:.1f}: {lanes / plain:.0f} times as fast")
+    return {"episodes_per_s": lanes, "plain_episodes_per_s": plain, "ratio_to_plain": lanes / plain}
+
+
+def _candidates(policy: Policy, count: int) -> np.ndarray:
+    layout = policy.layout()
+    noise = np.random.default_rng(0).normal(size=(count, layout.size))
+    vectors = policy.parameters() + 0.05 * noise * (layout.upper - layout.lower)
+    return np.clip(vectors, layout.lower, layout.upper)
+
+
+def _cpu_s(run: Callable[[], object]) -> float:
+    """Return the median CPU time of a call that ran once before."""
+    run()
+    times = []
+    for _ in range(_REPEATS):
+        began = time.process_time()
+        run()
+        times.append(time.process_time() - began)
+    return statistics.median(times)
+
+
+def _iterations_per_cpu_s(plan: Plan, iterations: int) -> float:
+    team = Team(plan)
+    agents = team.advance([AgentState(number) for number in range(_AGENTS)], _WARM_ITERATIONS)
+    began = time.process_time()
+    team.advance(agents, _WARM_ITERATIONS + iterations)
+    return _AGENTS * iterations / (time.process_time() - began)
+
+
+def _iterations_per_wall_s(plan: Plan, iterations: int, processes: int) -> float:
+    start = Snapshot(tuple(AgentState(number) for number in range(_AGENTS)))
+    with Inline(plan) if processes == 1 else LocalProcesses(plan, processes) as workers:
+        warm = run_ensemble(workers, start, _WARM_ITERATIONS, lambda _: False)
+        began = time.monotonic()
+        run_ensemble(workers, warm, _WARM_ITERATIONS + iterations, lambda _: False)
+        return _AGENTS * iterations / (time.monotonic() - began)
+
+
+def _cost(task: Task, lanes: int) -> dict[str, Any]:
+    """Return what a substep costs a lane among so many, in ns; the physics in whole bays."""
+    ticks = max(_TICKS // max(lanes // 64, 1), 1)
+    program = make_program(task.policy)
+    parameters = allocate_lanes(program, task.policy, lanes)
+    potentials = resting_potentials(task.policy, lanes)
+    observations = np.full((len(task.policy.sensing.inputs), lanes), 0.3)
+    commands = np.zeros((2, lanes))
+    circuit = _cpu_s(lambda: _tick_circuits(program, parameters, potentials, observations, commands, ticks))
+    rovers = -(-lanes // ROVERS_PER_BAY) * ROVERS_PER_BAY
+    fleet, driven = Fleet([RoverModel()] * rovers), np.full((2, rovers), 0.1)
+    physics = _cpu_s(lambda: _tick_rovers(fleet.arrays, driven, ticks))
+    substeps = lanes * ticks * SUBSTEPS
+    return {"lanes": lanes, "circuit_ns": circuit * _NS / substeps, "physics_ns": physics * _NS / substeps}
+
+
+@kernel
+def _tick_circuits(program, parameters, potentials, observations, commands, ticks):  # type: ignore[no-untyped-def]  # noqa: PLR0917  # numba's own types
+    for _ in range(ticks):
+        tick_lanes(program, parameters, potentials, observations, commands)
+
+
+@kernel
+def _tick_rovers(fleet, commands, ticks):  # type: ignore[no-untyped-def]  # numba's own types
+    for _ in range(ticks):
+        send(fleet, commands)
+        advance(fleet)
+
+
+def _substeps(task: Task, by_lanes: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    """Return ns per substep: alone from Python, and as a lane of the width the engine likes."""
+    runner, rover = PolicyRunner(task.policy), Rover(RoverModel(), Bay(()), task.course.checkpoints[0].pose)
+    rover.command(0.1, 0.1)
+    circuit = _cpu_s(lambda: [runner.tick([0.3, 0.3, 0.3, 1.0]) for _ in range(_TICKS)])
+    physics = _cpu_s(lambda: _substep(rover, _TICKS * SUBSTEPS))
+    lane = next(row for row in by_lanes if row["lanes"] == 32)
+    return {
+        "circuit": {"scalar": circuit * _NS / (_TICKS * SUBSTEPS), "lane": lane["circuit_ns"]},
+        "physics": {"scalar": physics * _NS / (_TICKS * SUBSTEPS), "lane": lane["physics_ns"]},
+    }
+
+
+def _substep(rover: Rover, times: int) -> None:
+    for _ in range(times):
+        rover.substep()
+
+
+def _shares(fields: dict[str, Any]) -> dict[str, float]:
+    """Return the parts of a gauss-newton iteration's time; they sum up to 1."""
+    total = 1.0 / fields["iterations_per_s"]["gauss-newton"]["one_core_cpu"]
+    substeps = 32.0 / TICK_S * SUBSTEPS
+    parts = {name: fields["substep_ns"][name]["lane"] * substeps / _NS for name in ("physics", "circuit")}
+    parts["other_engine"] = 1.0 / fields["episodes_per_s"] - sum(parts.values())
+    parts["search"] = total - 1.0 / fields["episodes_per_s"]
+    return {name: part / total for name, part in parts.items()}
+
+
+def _compile_times() -> tuple[float, float]:
+    """Return the CPU seconds until the first episode has run: with an empty cache, and with a full one."""
+    with tempfile.TemporaryDirectory() as folder:
+        times = [
+            subprocess.run(
+                [sys.executable, "-c", _COMPILE_SCRIPT],
+                env=os.environ | {"NUMBA_CACHE_DIR": folder},
+                capture_output=True,
+                text=True,
+                check=True,
+            ).stdout
+            for _ in range(2)
+        ]
+    return float(times[0]), float(times[1])

@@ -1,0 +1,79 @@
+"""The benchmarks at a size that takes seconds: what they count must be what happened."""
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from sim.learn.record import TrainSettings, resolve_task
+from sim.learn.search.strategies import STRATEGIES
+from sim.learn.team import AgentState, Team
+from sim.learn.train import training_plan
+from sim.studies import bench_train
+from sim.studies.bench_commands import bench
+from sim.studies.bench_search import MARKS, PASSED
+
+ITERATIONS = 60
+
+
+def run(*arguments: str) -> dict:
+    app = typer.Typer()
+    app.command()(bench)
+    done = CliRunner().invoke(app, [*arguments, "--json"], catch_exceptions=False)
+    assert done.exit_code == 0
+    return json.loads(done.stdout)
+
+
+def test_the_searches_are_compared_by_what_training_gives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.studies.bench_search.available_processes", lambda: 1)
+    monkeypatch.setattr("sim.studies.bench_search.MARKS", (20, 40, *MARKS))
+    monkeypatch.setattr("sim.studies.bench_search.PASSED", (-30.0, -8.0, *PASSED))
+    table = tmp_path / "returns.csv"
+    found = run(
+        "search", "--iterations", str(ITERATIONS), "--agents", "3", "--seed", "4", "--csv", str(table)
+    )
+    assert found["iterations"] == [20, 40, ITERATIONS]
+    assert list(found["strategies"]) == list(STRATEGIES)
+    rows = list(csv.DictReader(io.StringIO(table.read_text())))
+    for strategy, summary in found["strategies"].items():
+        settings = TrainSettings.model_validate({"seed": 4, "search": strategy})
+        team = Team(training_plan(settings, resolve_task(settings)))
+        agents = team.advance([AgentState(number) for number in range(3)], ITERATIONS)
+        for mark in found["iterations"]:
+            expected = [agent.value_at(mark) for agent in agents]
+            assert summary["returns"][str(mark)] == expected
+            assert summary["median"][str(mark)] == sorted(expected)[1]
+            in_table = [float(row[f"after_{mark}"]) for row in rows if row["strategy"] == strategy]
+            assert in_table == expected
+        last = [agent.value for agent in agents]
+        assert summary["passed"]["-30"] == sum(value > -30 for value in last)
+        assert summary["passed"]["-8"] == sum(value > -8 for value in last)
+    assert len(rows) == 3 * len(STRATEGIES)
+
+
+def test_the_speeds_and_their_shares(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench_train, "LANES", (1, 6, 32))
+    monkeypatch.setattr(bench_train, "_REPEATS", 1)
+    monkeypatch.setattr(bench_train, "_EPISODES", 36)
+    monkeypatch.setattr(bench_train, "_COMPILE_SCRIPT", "print(0.5)")
+    monkeypatch.setattr(bench_train, "_WARM_ITERATIONS", 2)
+    found = run("train", "--iterations", "6")
+    assert found["ratio_to_plain"] > 20  # 100 on an idle machine
+    assert set(found["iterations_per_s"]) == set(STRATEGIES)
+    assert all(value > 0 for speeds in found["iterations_per_s"].values() for value in speeds.values())
+    assert [row["lanes"] for row in found["cost_by_lanes"]] == [1, 6, 32]
+    alone, _, together = found["cost_by_lanes"]
+    assert alone["circuit_ns"] > 2 * together["circuit_ns"]
+    assert alone["physics_ns"] > together["physics_ns"]
+    for part in ("circuit", "physics"):
+        assert found["substep_ns"][part]["scalar"] > 10 * found["substep_ns"][part]["lane"]
+    assert sum(found["share"].values()) == pytest.approx(1.0)
+    assert found["compile_s"] == {"cold": 0.5, "cached": 0.5}
+    assert 50 < found["peak_memory_mb"] < 5000
+    assert found["cores"] >= 1

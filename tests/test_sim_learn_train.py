@@ -228,7 +228,7 @@ def _other_value(data: dict[str, Any]) -> None:
 
 
 def _lost_key(data: dict[str, Any]) -> None:
-    del data["search"]["adaptation"]
+    del data["search"]["value"]
 
 
 def _out_of_bounds(data: dict[str, Any]) -> None:

@@ -4,8 +4,8 @@ import signal
 
 from hypothesis import Phase, settings
 
-# A shell that starts the tests in the background has them ignore Ctrl-C, and so would every process they start
-# and then interrupt.
+# A shell that starts the tests in the background has them ignore Ctrl-C, and so would every process that they
+# start and then interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # How long an example takes says more about the machine's other work than about the code.

@@ -6,6 +6,7 @@ curve.csv          each agent's best return so far, see ``curve.py``
 curve.png          the same as a picture, at the end
 agents/NN.json     an agent between two iterations: all that resuming needs
 agents/NN.yaml     its policy, at the end
+milestones/N.yaml  the best policy after N iterations, for N = 0, 100, 200, 500, 1000, 2000 and so on
 """
 
 import fcntl
@@ -28,7 +29,7 @@ from sim.learn.ensemble import Snapshot
 from sim.learn.record import Record, Task, TrainSettings, resolve_task
 from sim.learn.team import AgentState, Plan
 
-__all__ = ["RunFolder", "new_run_path", "open_run", "saved_settings"]
+__all__ = ["RunFolder", "is_milestone", "new_run_path", "open_run", "saved_settings"]
 
 _RUNS = Path("runs")
 _RECORD = "settings.yaml"
@@ -40,6 +41,12 @@ _TEMPORARY = (
     ".curve.png.",
     *(f".{d}" for d in "0123456789"),
 )
+
+
+def is_milestone(iterations: int) -> bool:
+    """Whether a run keeps the best policy of this moment: after 0, 100, 200, 500, 1000 ... iterations."""
+    digits = str(iterations)
+    return iterations == 0 or (iterations >= 100 and digits[0] in "125" and not digits[1:].strip("0"))
 
 
 def new_run_path() -> Path:
@@ -72,6 +79,7 @@ class RunFolder:
         self.path = path
         self.policy_path = path / "policy.yaml"
         self._agents = path / "agents"
+        self._milestones = path / "milestones"
         self._record = record
         self.task = task
 
@@ -83,8 +91,20 @@ class RunFolder:
             agents.append(load_agent(path, number, plan) if path.is_file() else AgentState(number))
         return Snapshot(tuple(agents))
 
+    def save_milestone(self, snapshot: Snapshot) -> None:
+        """Write the best policy if all agents stand at a milestone. Raises FileError.
+
+        Where one is ahead, saved by an earlier process, that process had written this milestone before.
+        """
+        together = {agent.iterations for agent in snapshot.agents} == {snapshot.iterations}
+        if together and snapshot.arrived(0) and is_milestone(snapshot.iterations):
+            path = self._milestones / f"{snapshot.iterations:06}.yaml"
+            save_policy(path, self.policy(snapshot.best, snapshot))
+
     def save_progress(self, snapshot: Snapshot) -> None:
         """Write the agents, the best policy and the table of the curves. Raises FileError."""
+        # First, and always: who resumes from these agents does not come by this iteration again.
+        self.save_milestone(snapshot)
         for agent in snapshot.agents:
             save_agent(self._agents / f"{agent.number:02}.json", agent)
         save_policy(self.policy_path, self.policy(snapshot.best, snapshot))
@@ -156,7 +176,7 @@ def _is_leftover(name: str) -> bool:
 
 
 def _sweep(path: Path) -> None:
-    for folder in (path, path / "agents"):
+    for folder in (path, path / "agents", path / "milestones"):
         for file in folder.glob(".*"):
             if _is_leftover(file.name):
                 file.unlink(missing_ok=True)

@@ -120,6 +120,7 @@ class _Rounds:
     def _after_round(self, snapshot: Snapshot) -> bool:
         now = time.monotonic()
         self.snapshot = snapshot
+        self._folder.save_milestone(snapshot)
         if self._clock is None:
             # The first round holds the start of the processes and the compilation.
             self._clock = (now, snapshot.total_iterations)

@@ -2,7 +2,9 @@
 
 Odometry that stands still while fresh samples keep coming, wheels that are blocked without the base noticing,
 a gate that holds the rover back: each looks like commands that nothing follows. Judged over a second of
-commands, after the time that the base's delay and acceleration take (0.15 s, and 0.5 s to full speed).
+commands, after the time that the base's delay and acceleration take: 0.15 s and 0.5 s to full speed, or
+hardly any. A short burst of commands may be long over by the end of the longer time, so only what was asked
+for both ways counts.
 """
 
 from collections import deque
@@ -14,6 +16,7 @@ __all__ = ["ResponseWatch"]
 
 WINDOW_TICKS = round(1.0 / TICK_S)
 LAG_TICKS = round(0.7 / TICK_S)
+SHORTEST_LAG_TICKS = round(0.1 / TICK_S)
 ASKED_MIN_M = 0.05
 ASKED_MIN_RAD = 0.10
 """Less than these, asked for within the window, may be lost in the base's whole mm/s and deg/s."""
@@ -33,10 +36,13 @@ class ResponseWatch:
         self._driven.append(driven)
         complaint = ""
         if len(self._asked) == self._asked.maxlen:
-            window = list(self._asked)[:WINDOW_TICKS]
+            commands, latest = list(self._asked), LAG_TICKS - SHORTEST_LAG_TICKS
+            windows = commands[:WINDOW_TICKS], commands[latest : latest + WINDOW_TICKS]
             for name, unit, least in (("v", "m", ASKED_MIN_M), ("omega", "rad", ASKED_MIN_RAD)):
                 # Commands to and fro may cancel out; motion either way shows that something is followed.
-                wanted = abs(sum(getattr(command, name) for command in window)) * TICK_S
+                wanted = TICK_S * min(
+                    abs(sum(getattr(command, name) for command in window)) for window in windows
+                )
                 got = sum(abs(getattr(motion, name)) for motion in self._driven) * TICK_S
                 if wanted >= least and got < FOLLOWED_MIN * wanted:
                     complaint = f"{got:.3f} {unit} where {wanted:.3f} {unit} were asked for within a second"

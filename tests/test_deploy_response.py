@@ -40,6 +40,17 @@ def test_a_turn_to_and_fro_that_cancels_out_is_not_judged(seconds):
     assert first_complaint(asked, lambda k: asked(k - 5) if k > 5 else STILL) is None
 
 
+@pytest.mark.parametrize("lag", [1, 2, 4, 7])
+@pytest.mark.parametrize("ticks", [3, 6, 9])
+def test_a_burst_of_commands_is_not_judged_when_it_is_long_over(lag, ticks):
+    """As a circuit asks for that turns the last few degrees on the spot and then stands."""
+
+    def asked(k):
+        return Velocity(0.0, -0.36) if 20 <= k < 20 + ticks else STILL
+
+    assert first_complaint(asked, lambda k: asked(k - lag)) is None
+
+
 @pytest.mark.parametrize("model", [RoverModel(), RoverModel(accel=0.21, delay_v_s=0.3, delay_omega_s=0.3)])
 def test_a_rover_that_obeys_is_never_accused(model, request):
     """A whole manoeuvre, on the base as it is and on a sluggish one (delays 300 ms, acceleration −30 %)."""

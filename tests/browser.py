@@ -39,14 +39,14 @@ def chromium():
 class Watched:
     """A page together with whatever it complains of and asks for."""
 
-    def __init__(self, browser, address, width=1280, height=900):
+    def __init__(self, browser, address, width=1280, height=900, shown="#circuit .neuron"):
         self.page = browser.new_page(viewport={"width": width, "height": height})
         self.complaints, self.requests = [], []
         self.page.on("console", lambda said: self.complaints.append(f"{said.type}: {said.text}"))
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("request", lambda asked: self.requests.append(asked.url))
         self.page.goto(address)
-        self.page.wait_for_selector("#circuit .neuron")
+        self.page.wait_for_selector(shown)
 
     def until(self, script, timeout_s=TIMEOUT_S):
         """Wait until a script says yes; playwright's own waiting needs eval, which the page forbids."""
@@ -76,9 +76,8 @@ class Watched:
         """Leave two pictures: what one sees first, and the whole page."""
         SHOTS.mkdir(parents=True, exist_ok=True)
         self.page.screenshot(path=SHOTS / f"{name}_top.png")
-        self.page.evaluate("document.getElementById('player').style.position = 'static'")
+        self.page.add_style_tag(content="#player { position: static !important; }")
         self.page.screenshot(path=SHOTS / f"{name}.png", full_page=True)
-        self.page.evaluate("document.getElementById('player').style.position = ''")
 
     def foreign_requests(self, own):
         """What was asked of anybody but ``own``."""

@@ -3,17 +3,28 @@
 import json
 import re
 from importlib import resources
-from typing import Any
+from typing import Any, NamedTuple
 
 from rover_ncp.report.analysis import analyse
 from rover_ncp.report.page_data import circuit_data, course_data, drive_data, findings
 from rover_ncp.report.recorded import Drive
 from rover_ncp.report.summary import summarise
 
-__all__ = ["SCRIPTS", "drive_page", "html"]
+__all__ = ["DRIVE", "TRAINING", "drive_page", "html"]
 
-SCRIPTS = ("shapes.js", "circuit.js", "plots.js", "pairs.js", "player.js", "page.js", "live.js")
-"""In the order in which they build on each other."""
+
+class Template(NamedTuple):
+    """A page's frame, and its scripts in the order in which they build on each other."""
+
+    frame: str
+    scripts: tuple[str, ...]
+
+
+DRIVE = Template(
+    "page.html",
+    ("shapes.js", "circuit.js", "plots.js", "pairs.js", "player.js", "page.js", "live.js"),
+)
+TRAINING = Template("training.html", ("shapes.js", "plots.js", "training.js"))
 _ASSETS = resources.files("rover_ncp.report") / "assets"
 
 
@@ -37,7 +48,7 @@ def drive_page(drive: Drive) -> str:
     )
 
 
-def html(title: str, data: dict[str, Any], connect: str = "'none'") -> str:
+def html(title: str, data: dict[str, Any], template: Template = DRIVE, connect: str = "'none'") -> str:
     """Return a page that shows ``data``; ``connect`` is whom its script may talk to, as a CSP source.
 
     Everything is in the file, and its content security policy forbids the browser to fetch anything else.
@@ -49,10 +60,10 @@ def html(title: str, data: dict[str, Any], connect: str = "'none'") -> str:
         "connect": connect,
         "style": _asset("page.css"),
         "data": _in_script(json.dumps(data, allow_nan=False, separators=(",", ":"), ensure_ascii=False)),
-        "script": _in_script("\n".join(_asset(name) for name in SCRIPTS)),
+        "script": _in_script("\n".join(_asset(name) for name in template.scripts)),
         "plotly": _in_script(get_plotlyjs()),
     }
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _asset("page.html"))
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _asset(template.frame))
 
 
 def _asset(name: str) -> str:

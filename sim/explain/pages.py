@@ -3,10 +3,11 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import write_atomic
-from rover_ncp.report.page import drive_page
+from rover_ncp.report.page import TRAINING, drive_page, html
+from rover_ncp.report.page_data import course_data
 from rover_ncp.report.recorded import read_drive
+from sim.explain.training import Training, read_training, training_data
 
 __all__ = ["Page", "write_page"]
 
@@ -25,8 +26,14 @@ def write_page(source: Path, out: Path | None = None) -> Page:
     Raises FileError and ConfigError.
     """
     if source.is_dir():
-        raise FileError(f"{source}: is a folder")
-    text, kind = drive_page(read_drive(source)), "drive"
-    path = out or source.with_suffix(".html")
+        text, kind, path = _training_page(read_training(source)), "training", source / "report.html"
+    else:
+        text, kind, path = drive_page(read_drive(source)), "drive", source.with_suffix(".html")
+    path = out or path
     write_atomic(path, text)
     return Page(path, kind, len(text.encode()))
+
+
+def _training_page(training: Training) -> str:
+    data = {"course": course_data(training.course), **training_data(training)}
+    return html(f"{data['headline']} ({training.record.settings.course})", data, TRAINING)

@@ -115,7 +115,7 @@ class Circuit {
     const start = `${neuron.name} ${number(ticks.potentials[index][i])} mV`;
     if (neuron.layer === "sensory") return `${start}, set by ${neuron.label}`;
     const pulls = this.circuit.synapses
-      .map((synapse, number_) => ({ from: this.circuit.neurons[synapse.source].name, to: synapse.destination, pull: ticks.pulls[number_][i] }))
+      .map((synapse, place) => ({ from: this.circuit.neurons[synapse.source].name, to: synapse.destination, pull: ticks.pulls[place][i] }))
       .filter((row) => row.to === index && Math.abs(row.pull) >= 0.5)
       .sort((a, b) => Math.abs(b.pull) - Math.abs(a.pull))
       .map((row) => `${row.from} ${signed(row.pull)} mV`);

@@ -74,6 +74,7 @@ def park(
         "overruns": estimate["overruns"],
         "recording": str(parked.recording),
         "picture": str(parked.picture),
+        "report": str(parked.report),
         "policy": policy,
         "pids": parked.pids,
         "bytes_to_base": bridge.get("bytes_to_base"),
@@ -84,7 +85,7 @@ def park(
     output.result(
         fields,
         f"{ending}; truly {1000 * verdict.error_m:.0f} mm and {1000 * verdict.error_rad:.0f} mrad off\n"
-        f"picture: {parked.picture}\nrecording: {parked.recording}",
+        f"picture: {parked.picture}\nrecording: {parked.recording}\nreport: {parked.report}",
     )
     return 0 if verdict.parked else 1
 

@@ -21,6 +21,8 @@ from rover_ncp.core.files import write_atomic
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import read_text
 from rover_ncp.core.recording import Recording, read_recording, rewrite
+from rover_ncp.report.page import drive_page
+from rover_ncp.report.recorded import read_drive
 from sim.learn.ensemble import Snapshot
 from sim.learn.record import TrainSettings
 from sim.learn.rollout import rollout
@@ -49,6 +51,8 @@ class Parked:
     bridge: dict[str, Any]
     recording: Path
     picture: Path
+    report: Path
+    """The page that shows the drive."""
 
 
 def train_until_parked(
@@ -104,6 +108,8 @@ def park(policy: str, course_name: str, out: Path, say: Callable[[str], None]) -
     rewrite(recorded, recording, recorded_truth(truth))
     picture = out / "trajectory.png"
     write_atomic(picture, trajectory_png(course, _true_path(truth, began_ns), estimates))
+    report = out / "run.html"
+    write_atomic(report, drive_page(read_drive(recording)))
     return Parked(
         verdict=judge_truth(course, truth, began_ns),
         estimate=done.result,
@@ -111,6 +117,7 @@ def park(policy: str, course_name: str, out: Path, say: Callable[[str], None]) -
         bridge=bridge.result,
         recording=recording,
         picture=picture,
+        report=report,
     )
 
 

@@ -223,7 +223,8 @@ def test_a_missing_or_empty_file(tmp_path):
             (tmp_path / name).write_text(" \n")
             with pytest.raises(FileError, match=f"{name}: the file is empty"):
                 load(tmp_path / name)
-    with pytest.raises(FileError, match="none of the shipped circuits \\(parking, tap_withdrawal, tracking\\)"):
+    shipped = "parking, tap_withdrawal, tracking"
+    with pytest.raises(FileError, match=f"none of the shipped circuits \\({shipped}\\)"):
         load_circuit("elsewhere")
 
 

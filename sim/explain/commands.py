@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from rover_ncp.report.analysis import Analysis
-    from sim.explain.explain import Explained
+    from sim.explain.explained import Explained
 
 SHOWN = 12
 """Rows of the longer tables; the files hold them all."""

@@ -1,0 +1,21 @@
+"""The shipped circuit explained in the documentation is the shipped circuit."""
+
+import re
+from pathlib import Path
+
+from sim.explain.explain import explain
+from sim.explain.prose import prose
+
+FOLDER = Path("docs/interpretation")
+AGAIN = (
+    "the shipped policy has changed: rover-ncp explain parking --out docs/interpretation, keep *.md and *.png"
+)
+
+
+def test_the_shipped_circuit_is_the_one_that_is_explained():
+    assert (FOLDER / "explanation.md").read_text() == prose(explain("parking")), AGAIN
+
+
+def test_every_picture_of_the_page_is_there():
+    shown = set(re.findall(r"\]\((\w+\.png)\)", (FOLDER / "explanation.md").read_text()))
+    assert shown == {path.name for path in FOLDER.glob("*.png")}

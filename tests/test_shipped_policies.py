@@ -1,0 +1,39 @@
+"""What is shipped does what its pages say, on trials that nobody trained on."""
+
+import numpy as np
+import pytest
+
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.course import load_course
+from sim.studies.evaluate import evaluate, unseen_courses
+from sim.world.randomization import load_randomization
+
+
+@pytest.mark.parametrize(
+    ("course", "ranges", "least"),
+    [
+        ("parking", "full", 0.96),
+        ("parking", "harsh", 0.90),
+        ("mirrored", "full", 0.92),
+        ("bay", "full", 0.95),
+    ],
+)
+def test_the_course_relative_circuit_parks_robots_nobody_measured(course, ranges, least):
+    policy = load_policy("course")
+    found = evaluate(policy, [load_course(course)], load_randomization(ranges), trials=300, seed=2024)
+    assert found.success_rate >= least
+    assert found.error_m.p95 < (0.06 if ranges == "full" else 0.09)
+
+
+def test_it_drives_courses_it_never_saw():
+    found = evaluate(
+        load_policy("course"), unseen_courses(2024, 6), load_randomization("full"), trials=120, seed=2024
+    )
+    assert found.success_rate >= 0.96
+
+
+def test_what_makes_the_circuit_again_is_written_in_it():
+    policy = load_policy("course")
+    assert policy.provenance["command"].startswith("rover-ncp train")
+    assert policy.provenance["made_with"]["commit"]
+    assert np.count_nonzero(policy.circuit.weight) <= 28

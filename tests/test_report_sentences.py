@@ -6,13 +6,13 @@ import pytest
 
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
 from rover_ncp.circuit.motors import Motors
-from rover_ncp.circuit.policy import Policy, parking_policy
+from rover_ncp.circuit.policy import Policy, course_policy, parking_policy
 from rover_ncp.circuit.sensing import Channel, Sensing
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
 from rover_ncp.core.course import load_course
 from rover_ncp.report.phases import phases
 from rover_ncp.report.sentences import explain
-from rover_ncp.report.trace import Trace, motor_shares
+from rover_ncp.report.trace import Trace, motor_outputs, motor_shares
 from sim.learn.rollout import rollout
 
 EX, IN = SynapseKind.EXCITATORY, SynapseKind.INHIBITORY
@@ -92,6 +92,19 @@ def test_shares_of_the_motors_make_the_command():
     run = rollout(policy, load_course("parking"))
     shares = sum(share for _, share in motor_shares(policy, run.potentials))
     assert shares == pytest.approx(run.commands, abs=1e-12)
+    assert motor_outputs(policy, run.potentials) == pytest.approx(run.commands, abs=1e-12)
+
+
+def test_a_layer_mixes_the_motors_and_its_limits_hold():
+    policy = course_policy(tap_withdrawal_circuit())
+    layout = policy.layout()
+    for seed in range(3):
+        vector = np.random.default_rng(seed).uniform(layout.lower, layout.upper)
+        driven = policy.with_parameters(vector)
+        run = rollout(driven, load_course("parking"))
+        assert motor_outputs(driven, run.potentials) == pytest.approx(run.commands, abs=1e-12)
+        told = explain(Trace(driven, run.times[:-1], run.poses, run.commands, run.potentials))
+        assert {part.motor.neuron for part in told} <= {"FWD", "REV"}
 
 
 def test_a_left_turn_is_explained_from_its_numbers():

@@ -83,13 +83,11 @@ def layers(policy: Policy) -> tuple[Layer, ...]:
 
 def labels(policy: Policy) -> dict[str, str]:
     """Return what sensory neurons sense and what motor neurons do, as in ``omega > 0``."""
-    senses = {neuron: channel.name for channel in policy.sensing.channels for neuron, _ in channel.sides}
-    acts = {
+    return {
         neuron: channel.name if len(channel.sides) == 1 else f"{channel.name} {'>' if end > 0 else '<'} 0"
-        for channel in policy.motors.channels
+        for channel in (*policy.sensing.channels, *policy.motors.channels)
         for neuron, end in channel.sides
     }
-    return {**senses, **acts}
 
 
 def lay_out(policy: Policy) -> Layout:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.core.course import Course
 from rover_ncp.report.geometry import LENGTH_M, OUTLINE, placed, rectangle
-from rover_ncp.report.layout import Layer, layers
+from rover_ncp.report.layout import Layer, labels, layers
 from rover_ncp.report.phases import Phase
 from rover_ncp.report.picture import Picture, figure, quiet, render
 from rover_ncp.report.style import (
@@ -81,9 +81,7 @@ def activity(trace: Trace, course: Course) -> Picture:
     # Where the rover stood nothing new would be painted: the last potential lies on top.
     moved = np.append(np.hypot(*np.diff(way, axis=0).T)[:-1] > STOOD_M, True)
     segments = np.stack([way[:-1], way[1:]], axis=1)[moved]
-    senses = {
-        neuron: channel.name for channel in trace.policy.sensing.channels for neuron, _ in channel.sides
-    }
+    told = labels(trace.policy)
     for number, row in enumerate(rows):
         for place in range(columns):
             axes = grid[number, place]
@@ -100,7 +98,7 @@ def activity(trace: Trace, course: Course) -> Picture:
             axes.update_datalim(way)
             axes.plot(*course.goal[:2], marker="x", color=INK, markersize=6, zorder=5)
             low, high = trace.of(row[place]).min(), trace.of(row[place]).max()
-            sensed = f" [{senses[row[place]]}]" if row[place] in senses else ""
+            sensed = f" [{told[row[place]]}]" if row[place] in trace.policy.sensing.neurons else ""
             axes.set_title(f"{row[place]}{sensed}", loc="left", fontsize=10, color=INK)
             axes.text(
                 0.03,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import MIDPOINT_MV, Circuit
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.report.currents import Currents, synapse_currents
+from rover_ncp.report.layout import labels
 from rover_ncp.report.phases import Phase, phases
 from rover_ncp.report.trace import Trace, motor_shares
 
@@ -187,9 +188,8 @@ class _Words:
     """Puts an explanation's numbers into words."""
 
     def __init__(self, policy: Policy) -> None:
-        self._senses = {
-            neuron: channel.name for channel in policy.sensing.channels for neuron, _ in channel.sides
-        }
+        told = labels(policy)
+        self._senses = {neuron: told[neuron] for neuron in policy.sensing.neurons}
 
     def text(self, told: Explanation) -> str:
         """Return the sentence, or two."""

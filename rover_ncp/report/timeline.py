@@ -22,7 +22,7 @@ from rover_ncp.core.lease import DriverStatus, GateStatus, parse_json
 from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read_text, read_twist
 from rover_ncp.core.recording import Recorded
 from rover_ncp.report.events import Event, Watcher
-from rover_ncp.report.trace import Trace, motor_shares
+from rover_ncp.report.trace import Trace, motor_outputs
 
 __all__ = ["TRUTH_TOPIC", "Command", "Estimated", "Moved", "Tick", "Timeline"]
 
@@ -144,7 +144,7 @@ class Timeline:
             policy=self.policy,
             times=np.array([(tick.wall_ns - began) * 1e-9 for tick in self.ticks]),
             poses=np.array(poses),
-            commands=np.sum([share for _, share in motor_shares(self.policy, potentials)], axis=0),
+            commands=motor_outputs(self.policy, potentials),
             potentials=potentials,
         )
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
 
-__all__ = ["Trace", "motor_shares"]
+__all__ = ["Trace", "motor_outputs", "motor_shares"]
 
 FloatArray = NDArray[np.float64]
 
@@ -40,10 +40,13 @@ class Trace:
 def motor_shares(policy: Policy, potentials: FloatArray) -> list[tuple[str, FloatArray]]:
     """Return what each motor neuron adds to the outputs, (T, outputs), at potentials (T, n) in mV.
 
-    A neuron that drives several channels stands there once for each.
+    A neuron that drives several channels stands there once for each. Together they may go beyond an output's
+    limit, which only `motor_outputs` keeps.
     """
     motors, circuit = policy.motors, policy.circuit
     layer = np.eye(len(motors.channels)) if policy.output_layer is None else policy.output_layer
+    if motors.limits is not None:
+        layer = np.array(motors.limits)[:, None] * layer
     shares = []
     for number, channel in enumerate(motors.channels):
         for neuron, end in channel.sides:
@@ -51,3 +54,10 @@ def motor_shares(policy: Policy, potentials: FloatArray) -> list[tuple[str, Floa
             strength = np.clip((potential - motors.low_mV) / (motors.high_mV - motors.low_mV), 0.0, 1.0)
             shares.append((neuron, end * strength[:, None] * layer[:, number]))
     return shares
+
+
+def motor_outputs(policy: Policy, potentials: FloatArray) -> FloatArray:
+    """Return the outputs (T, outputs) that potentials (T, n) in mV mean."""
+    outputs: FloatArray = np.sum([share for _, share in motor_shares(policy, potentials)], axis=0)
+    limits = policy.motors.limits
+    return outputs if limits is None else np.clip(outputs, -np.array(limits), np.array(limits))

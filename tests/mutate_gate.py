@@ -8,19 +8,17 @@ with the reason why it is the same gate; one that stands there and dies is an er
 
 import ast
 import copy
+import gc
 import os
 import sys
 import types
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import hypothesis.strategies  # noqa: F401  # what all tests load is loaded once, before forking
-import numpy as np  # noqa: F401  # idem
 import pytest
 import yaml
 
 import bridge
-import bridge.limits  # idem; the gate itself must not be among them
 
 ROOT = Path(__file__).parent.parent
 GATE = ROOT / "bridge" / "gate.py"
@@ -126,12 +124,20 @@ def _without(node):
     return ast.Not(), ast.UnaryOp(ast.Not(), node.operand)
 
 
-def run_tests():
+def run_tests(*more):
     """Run the gate's tests against the module in place; return whether one failed."""
     tests = [str(ROOT / "tests" / name) for name in TESTS]
-    options = ["-x", "-q", "-p", "no:cacheprovider", f"--timeout={TIMEOUT_S}", "--hypothesis-seed=0"]
-    options += ["--hypothesis-profile=mutants", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
-    return pytest.main([*options, *tests]) != 0
+    options = ["-x", "-q", "--tb=no", "-p", "no:cacheprovider", f"--timeout={TIMEOUT_S}"]
+    options += ["--hypothesis-seed=0", "--hypothesis-profile=mutants"]
+    options += ["-W", "ignore::pytest.PytestAssertRewriteWarning", "-W", "ignore::pytest.PytestConfigWarning"]
+    return pytest.main([*options, *more, *tests]) != 0
+
+
+def forget():
+    """Let the next import of the gate and of what uses it be a new one."""
+    for name in list(sys.modules):
+        if "gate" in name and name.startswith(("bridge.gate", "tests.test_bridge_gate", "gate_bench")):
+            del sys.modules[name]
 
 
 def killed(tree):
@@ -141,6 +147,7 @@ def killed(tree):
         for stream in (1, 2):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
         try:
+            forget()
             module = types.ModuleType("bridge.gate")
             module.__file__ = str(GATE)
             sys.modules["bridge.gate"] = module
@@ -155,15 +162,24 @@ def killed(tree):
 
 
 def main(arguments):
+    run_tests("--collect-only", "-qq")  # what all of them load is loaded once
     if killed(ast.parse(GATE.read_text())):
         print("the gate itself does not pass its tests")
         return 1
     found = list(mutants())
+    gc.freeze()  # or each child's collector would walk through all those trees
     first, last = (int(arguments[0]), int(arguments[1])) if arguments else (0, len(found))
     chosen = found[first:last]
     listed = yaml.safe_load(SURVIVORS.read_text()) if SURVIVORS.exists() else {}
+    dead = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        dead = list(pool.map(lambda item: killed(item[1]), chosen))
+        for (name, _), died in zip(chosen, pool.map(lambda item: killed(item[1]), chosen), strict=True):
+            dead.append(died)
+            print(
+                f"{len(dead)}/{len(chosen)} {'killed' if died else 'SURVIVES'}  {name}",
+                file=sys.stderr,
+                flush=True,
+            )
     alive = {name for (name, _), died in zip(chosen, dead, strict=True) if not died}
     unexplained = sorted(alive - set(listed))
     names = {name for name, _ in chosen}

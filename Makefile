@@ -14,7 +14,7 @@ park: $(STAMP)
 test: $(STAMP)
 	$(BIN)/pytest --numprocesses 2 --dist loadfile
 
-# The pages in Debian's chromium, which it installs where there is none; pictures of them in runs/browser.
+# The pages in Debian's chromium, which it installs where there is none, recordings in Rerun; pictures in runs/browser.
 test-browser: $(BROWSER_STAMP)
 	$(BIN)/pytest -m browser
 

@@ -1,0 +1,61 @@
+"""Recordings in a viewer that is not ours: Rerun's own reader; `make test-browser` installs what this needs."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from recorded_drives import write_drive
+
+from rover_ncp import shell
+from rover_ncp.core.recording import read_recording
+
+pytestmark = pytest.mark.browser
+
+COURSE = Path(__file__).parent / "data" / "short_course.yaml"
+
+
+def checked(recording):
+    """Return topic → status as `rerun mcap check` prints them; it must find the file sound."""
+    program = shutil.which(
+        "rerun", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    )
+    assert program, "no rerun: make test-browser installs it"
+    done = subprocess.run(
+        [program, "mcap", "check", str(recording)],
+        env=os.environ | {"RERUN_ANALYTICS": "0", "NO_COLOR": "1"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [line.split() for line in done.stdout.splitlines()]
+    return {row[3]: (row[0], row[4]) for row in rows if len(row) == 5 and row[1].isdigit()}
+
+
+def test_a_live_drive_opens_without_complaint(tmp_path, capsys):
+    status = shell.run(
+        ["park", "--policy", "parking", "--course", str(COURSE), "--out", str(tmp_path / "park")]
+    )
+    assert status in {0, 1}, capsys.readouterr().err  # that course is short, not made to be parked on
+    recording = tmp_path / "park" / "run.mcap"
+    told = checked(recording)
+    assert set(told) == {message.topic for message in read_recording(recording).messages}
+    assert {"odom", "tf", "tf_static", "deploy/path", "neurons/AVB", "rover/estimate", "truth/pose"} <= set(
+        told
+    )
+    assert {row for row in told.values()} == {("ok", "—")}
+
+
+def test_a_recovered_recording_opens_and_a_cut_off_one_does_not(tmp_path):
+    recording = tmp_path / "run.mcap"
+    write_drive(recording)
+    content = recording.read_bytes()
+    recording.write_bytes(content[: len(content) * 2 // 3])
+    with pytest.raises(AssertionError, match="recovery"):
+        checked(recording)
+    assert shell.run(["recover", str(recording)]) == 0
+    assert {status for status, _ in checked(recording).values()} == {"ok"}

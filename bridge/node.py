@@ -26,6 +26,7 @@ from bridge.odometry import BaseState
 from bridge.queries import Answers
 from bridge.robots import RobotParameters
 from bridge.session import Session
+from rover_ncp.core.clock import Clock
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.lease import CommandTag, dump_json
 from rover_ncp.core.messages import read_twist, text
@@ -54,7 +55,9 @@ class Node:
         accept_ros: bool,
         say: Callable[[str], None],
         ready: Callable[[], None],
+        clock: Clock = time,
     ) -> None:
+        self._clock = clock
         self._line, self._link, self._inbox, self._session = line, link, inbox, session
         self._limits, self._accept_ros, self._say = limits, accept_ros, say
         self._ready = ready
@@ -75,15 +78,16 @@ class Node:
             while not stopping():
                 self.turn()
         finally:
-            self._session.close(time.monotonic())
+            self._session.close(self._clock.monotonic())
             self._line.write(self._session.data_to_send())
             self._line.close()
 
     def turn(self) -> None:
         """Turn the loop once: take what arrived, at most one tick's wait for it, and act on it."""
-        for arrived_s, arrival in self._inbox.take(max(self._acted_s + TICK_S - time.monotonic(), 0.0)):
+        wait_s = max(self._acted_s + TICK_S - self._clock.monotonic(), 0.0)
+        for arrived_s, arrival in self._inbox.take(wait_s):
             self._take(arrival, arrived_s)
-        now = time.monotonic()
+        now = self._clock.monotonic()
         waited = now - self._acted_s
         if self._stopping or waited >= TICK_S or (self._commanded and waited >= APART_S):
             self._act(now)
@@ -98,19 +102,19 @@ class Node:
     def _take(self, arrival: Arrival, arrived_s: float) -> None:
         match arrival:
             case Received(data):
-                self._handle(self._session.receive(data, time.monotonic()), arrived_s)
+                self._handle(self._session.receive(data, self._clock.monotonic()), arrived_s)
             case Sampled():
                 self._judge(self._command(arrival), arrived_s)
             case Asked():
                 self._answers.give(arrival, arrived_s, self.gate)
             case Opened(transport):
                 self._line.use(transport)
-                self._session.connect(time.monotonic(), transport.baudrate)
+                self._session.connect(self._clock.monotonic(), transport.baudrate)
             case Broken(error):
                 if self.reconnects < 0:
                     raise error
                 self._line.drop()
-                self._handle(self._session.link_down(str(error), time.monotonic()), arrived_s)
+                self._handle(self._session.link_down(str(error), self._clock.monotonic()), arrived_s)
             case Crashed(error):
                 raise error
 
@@ -124,7 +128,7 @@ class Node:
         except FormatError:
             return Command(None, tag)
         sent_ns = stamp_ns if stamp_ns is not None else sample.sent_ns
-        age_s = (time.time_ns() - sent_ns) * 1e-9 if sent_ns is not None and tag is None else None
+        age_s = (self._clock.time_ns() - sent_ns) * 1e-9 if sent_ns is not None and tag is None else None
         return Command(velocity, tag, age_s)
 
     def _handle(self, events: list[Event], arrived_s: float) -> None:
@@ -153,7 +157,7 @@ class Node:
                 case Failed(reason):
                     if self.reconnects < 0:
                         raise NoRobot(f"{self._line.endpoint}: {reason}")
-                    self._session.connect(time.monotonic(), self._line.baudrate)
+                    self._session.connect(self._clock.monotonic(), self._line.baudrate)
 
     def _judge(self, event: GateEvent, now: float) -> Verdict:
         """Pass an event through the gate."""
@@ -183,11 +187,11 @@ class Node:
         self._session.set_motion(*verdict.velocity)
         self._handle(self._session.tick(now), now)
         if verdict.velocity != last.velocity:
-            self._link.publish("rover/cmd_out", ros.velocity(verdict.velocity, _wall_ns(now)))
+            self._link.publish("rover/cmd_out", ros.velocity(verdict.velocity, self._wall_ns(now)))
 
     def _publish_sip(self, state: BaseState, arrived_s: float) -> None:
         assert self._robot is not None  # a base is configured before it reports
-        stamp_ns = _wall_ns(arrived_s)
+        stamp_ns = self._wall_ns(arrived_s)
         for name, data in ros.each_sip(state, self._robot, stamp_ns).items():
             self._link.publish(name, data)
         self._link.publish("rover/cmd_out", ros.velocity(self._sent.velocity, stamp_ns))
@@ -198,7 +202,7 @@ class Node:
 
     def _publish_slowly(self, now: float) -> None:
         self._slow_due_s = now + SLOW_S
-        stamp_ns = _wall_ns(now)
+        stamp_ns = self._wall_ns(now)
         health = ros.diagnostics(
             self._base,
             self.gate,
@@ -211,6 +215,10 @@ class Node:
         if self._base is not None and self._robot is not None:
             for name, data in ros.each_so_often(self._base, self._robot, stamp_ns).items():
                 self._link.publish(name, data)
+
+    def _wall_ns(self, monotonic_s: float) -> int:
+        """Return the wall clock's time of a moment on the monotonic clock, in ns since the epoch."""
+        return self._clock.time_ns() - round((self._clock.monotonic() - monotonic_s) * 1e9)
 
 
 def _heard(state: BaseState) -> Heard:
@@ -244,8 +252,3 @@ def _news(before: State, after: State) -> Iterator[str]:
         )
     if before.held is None and after.held not in {None, Reason.NO_LEASE}:
         yield f"stopped: {after.held}"
-
-
-def _wall_ns(monotonic_s: float) -> int:
-    """Return the wall clock's time of a moment on the monotonic clock, in ns since the epoch."""
-    return time.time_ns() - round((time.monotonic() - monotonic_s) * 1e9)

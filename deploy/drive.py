@@ -22,6 +22,7 @@ from deploy.reporter import Reporter
 from deploy.response import ResponseWatch
 from deploy.state import Event, State, next_state
 from deploy.ticks import SampleRef, StartRecord, TickRecord, numbers, seconds
+from rover_ncp.core.clock import Clock
 from rover_ncp.core.course import TICK_S, Verdict
 from rover_ncp.core.errors import AnotherDriver, FormatError, NoBridge, NoRobot, NotAuthorised, SafetyStop
 from rover_ncp.core.geometry import Pose
@@ -48,9 +49,11 @@ class Drive:
         reporter: Reporter,
         config: DriveConfig,
         interrupted: Callable[[], bool],
+        *,
+        clock: Clock = time,
     ) -> None:
         self._link, self._controller, self._reporter = link, controller, reporter
-        self._config, self._interrupted = config, interrupted
+        self._config, self._interrupted, self._clock = config, interrupted, clock
         self._pending: list[SampleRef] = []
         self._granted_ns: int | None = None
         self._lease_seen = False
@@ -130,7 +133,7 @@ class Drive:
         self._reporter.start(StartRecord(sample=sample.ref, pose=pose, attachments=attachments), sample.pose)
         if not config.dry_run:
             self._link.request_motors(f"policy {config.policy}")
-            self._granted_ns = time.monotonic_ns()
+            self._granted_ns = self._clock.monotonic_ns()
         self._follow(Event.GRANTED)
 
     def _drive(self) -> None:
@@ -142,7 +145,7 @@ class Drive:
         self.keeper = keeper = RateKeeper(TICK_NS, first.ref.measured_ns)
         newest = first
         while True:
-            now_ns = time.monotonic_ns()
+            now_ns = self._clock.monotonic_ns()
             if now_ns >= keeper.deadline_ns:
                 keeper.skip_missed(now_ns)
             fresh = newest.ref.measured_ns >= keeper.opens_ns
@@ -151,7 +154,7 @@ class Drive:
                 self._tick(newest, now_ns, predicted=not fresh, last=last)
                 if last:
                     return
-            newest = self._take((keeper.deadline_ns - time.monotonic_ns()) / NS) or newest
+            newest = self._take((keeper.deadline_ns - self._clock.monotonic_ns()) / NS) or newest
             self._check()
 
     def _tick(self, newest: Sample, now_ns: int, predicted: bool, last: bool) -> None:
@@ -168,8 +171,8 @@ class Drive:
                 raise SafetyStop("no-response", f"the rover drove {unfollowed}{held}")
             sequence = self._link.command(tick.command)
         if not predicted:
-            self.latencies_ns.append(time.monotonic_ns() - newest.arrival_ns)
-        wall_ns = time.time_ns()
+            self.latencies_ns.append(self._clock.monotonic_ns() - newest.arrival_ns)
+        wall_ns = self._clock.time_ns()
         self._reporter.tick(
             TickRecord(
                 index=index,
@@ -206,7 +209,7 @@ class Drive:
         if not self._link.bridge_alive:
             raise SafetyStop("bridge-lost", "the bridge is gone")
         assert self.intake.newest is not None
-        age_s = (time.monotonic_ns() - self.intake.newest.ref.measured_ns) / NS
+        age_s = (self._clock.monotonic_ns() - self.intake.newest.ref.measured_ns) / NS
         if age_s > self._config.odometry_age_s:
             limit = self._config.odometry_age_s
             raise SafetyStop("odometry-age", f"the newest odometry is {age_s:.2f} s old (at most {limit} s)")
@@ -221,7 +224,7 @@ class Drive:
             self._lease_seen = True
         elif self._lease_seen:
             raise SafetyStop(gate.ended or "lease", "the gate took the motors away")
-        elif time.monotonic_ns() - granted_ns > self._config.lease_wait_s * NS:
+        elif self._clock.monotonic_ns() - granted_ns > self._config.lease_wait_s * NS:
             raise SafetyStop("lease", "the gate does not confirm that we may drive")
 
     def _stands(self, watch: StillWatch) -> bool:
@@ -236,7 +239,7 @@ class Drive:
     def _external_pose(self) -> Pose | None:
         """Return the newest external pose if it is a pose and came while we watched the rover stand."""
         arrival = self._link.pose.take(0)
-        if arrival is None or time.monotonic_ns() - arrival.arrival_ns > self._config.still_s * NS:
+        if arrival is None or self._clock.monotonic_ns() - arrival.arrival_ns > self._config.still_s * NS:
             return None
         with suppress(FormatError):
             pose = read_pose(arrival.data).pose
@@ -245,13 +248,13 @@ class Drive:
         return None
 
     def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        deadline = time.monotonic() + timeout_s
+        deadline = self._clock.monotonic() + timeout_s
         while not condition():
             if self._interrupted():
                 raise Interrupted
-            if time.monotonic() > deadline:
+            if self._clock.monotonic() > deadline:
                 return False
-            time.sleep(POLL_S / 10)
+            self._clock.sleep(POLL_S / 10)
         return True
 
     def _follow(self, event: Event, reason: str = "") -> None:

@@ -8,6 +8,7 @@ from deploy.estimator import Estimate
 from deploy.link import Link
 from deploy.ticks import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.views import Views
+from rover_ncp.core.clock import Clock
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.lease import DriverStatus, dump_json
 from rover_ncp.core.messages import neurons, pose_with_covariance, text
@@ -27,13 +28,19 @@ def estimate_message(estimate: Estimate, wall_ns: int) -> bytes:
 class Reporter:
     """Publishes and records; nothing here decides anything."""
 
-    def __init__(self, link: Link, record: Callable[[Recorded], None], neuron_names: Sequence[str]) -> None:
-        self._link, self._record, self._names = link, record, neuron_names
+    def __init__(
+        self,
+        link: Link,
+        record: Callable[[Recorded], None],
+        neuron_names: Sequence[str],
+        clock: Clock = time,
+    ) -> None:
+        self._link, self._record, self._names, self._clock = link, record, neuron_names, clock
         self._views = Views(record, neuron_names, COURSE_FRAME)
 
     def start(self, record: StartRecord, odometry: Pose) -> None:
         """Record how the drive began, where odometry stood at ``odometry``."""
-        wall_ns = time.time_ns()
+        wall_ns = self._clock.time_ns()
         self._note(START_TOPIC, dump_json(record), wall_ns)
         self._views.start(wall_ns, Pose(*record.pose), odometry)
 
@@ -51,7 +58,7 @@ class Reporter:
 
     def status(self, status: DriverStatus) -> None:
         """Tell how the drive stands."""
-        self._link.publish("rover/status", text(dump_json(status).decode()), time.time_ns())
+        self._link.publish("rover/status", text(dump_json(status).decode()), self._clock.time_ns())
 
     def _note(self, topic: str, json: bytes, wall_ns: int) -> None:
-        self._record(Recorded(topic, _JSON, text(json.decode()), time.time_ns(), wall_ns))
+        self._record(Recorded(topic, _JSON, text(json.decode()), self._clock.time_ns(), wall_ns))

@@ -1,4 +1,4 @@
-"""Recordings in a viewer that is not ours: Rerun's own reader; `make test-browser` installs what this needs."""
+"""Recordings in a viewer that is not ours; `make test-browser` installs what this needs."""
 
 import os
 import shutil
@@ -47,7 +47,7 @@ def test_a_live_drive_opens_without_complaint(tmp_path, capsys):
     assert {"odom", "tf", "tf_static", "deploy/path", "neurons/AVB", "rover/estimate", "truth/pose"} <= set(
         told
     )
-    assert {row for row in told.values()} == {("ok", "—")}
+    assert set(told.values()) == {("ok", "—")}
 
 
 def test_a_recovered_recording_opens_and_a_cut_off_one_does_not(tmp_path):

@@ -1,0 +1,80 @@
+"""Networks in lanes against their textbook equations, and on courses."""
+
+import numpy as np
+import pytest
+
+from rover_ncp.circuit.policy import course_policy, parking_policy
+from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
+from rover_ncp.core.course import load_course
+from sim.learn.net_engine import NetEngine
+from sim.learn.nets import NetKind, allocate_net_lanes, fill_net_lane, net_for, tick_net_lanes
+
+PARKING = parking_policy(parking_circuit())
+
+
+def textbook(net, vector, observations):
+    """Return the commands (T, outputs) of one network for observations (T, inputs)."""
+    cells, columns = net.cells, net.columns
+    first, last = (vector[block.slice] for block in net.layout().blocks)
+    hidden_rows = first.reshape(net.gates, cells, columns)
+    output_rows = last.reshape(len(net.high), cells + 1)
+    hidden = memory = np.zeros(cells)
+    commands = []
+    for row in observations:
+        x = np.clip((row - net.center) / np.array(net.scale), -np.array(net.most), net.most)
+        if net.kind is NetKind.MLP:
+            hidden = np.tanh(hidden_rows[0] @ [*x, 1.0])
+        else:
+            i, f, g, o = hidden_rows @ [*x, *hidden, 1.0]
+            sigmoid = [1.0 / (1.0 + np.exp(-gate)) for gate in (i, f, o)]
+            memory = sigmoid[1] * memory + sigmoid[0] * np.tanh(g)
+            hidden = sigmoid[2] * np.tanh(memory)
+        z = np.clip(output_rows @ [*hidden, 1.0], -1.0, 1.0)
+        commands.append(np.where(z > 0, np.array(net.high) * z, -np.array(net.low) * z))
+    return np.array(commands)
+
+
+@pytest.mark.parametrize("kind", list(NetKind))
+@pytest.mark.parametrize("policy", [PARKING, course_policy(tap_withdrawal_circuit())], ids=["pose", "layers"])
+def test_every_lane_is_the_textbook_network(kind, policy):
+    net, rng, count = net_for(policy, kind), np.random.default_rng(1), 5
+    lanes, layout = allocate_net_lanes(net, count), net.layout()
+    vectors = rng.uniform(layout.lower, layout.upper, (count, layout.size)) / 3.0
+    for lane in range(count):
+        fill_net_lane(net.program(), lanes, lane, vectors[lane])
+    observations = rng.uniform(-1.5, 1.5, (6, len(policy.sensing.inputs), count))
+    got = []
+    for seen in observations:
+        commands = np.empty((2, count))
+        tick_net_lanes(net.program(), lanes, seen, commands)
+        got.append(commands)
+    for lane in range(count):
+        expected = textbook(net, vectors[lane], observations[:, :, lane])
+        np.testing.assert_allclose(np.array(got)[:, :, lane], expected, rtol=1e-12, atol=1e-14)
+
+
+def test_sizes_ranges_and_limits_are_those_of_the_circuit():
+    mlp, lstm = (net_for(PARKING, kind) for kind in NetKind)
+    assert mlp.layout().size == 11 * (4 + 1) + 2 * (11 + 1)
+    assert lstm.layout().size == 4 * 11 * (4 + 11 + 1) + 2 * (11 + 1)
+    assert (mlp.low, mlp.high) == ((0.0, -0.18), (0.16, 0.18))
+    assert mlp.most == (1.0,) * 4
+    assert net_for(course_policy(tap_withdrawal_circuit()), NetKind.MLP).scale == (0.2, 0.2, 0.4, 0.16, 0.18)
+
+
+@pytest.mark.parametrize("kind", list(NetKind))
+def test_a_course_gives_the_same_return_in_any_company(kind):
+    course = load_course("parking")
+    net = net_for(PARKING, kind)
+    engine = NetEngine(net, PARKING, course)
+    vectors = np.array([net.start(np.random.default_rng(i)) for i in range(20)])
+    together = engine.returns(vectors)
+    assert len(set(together.tolist())) == 20
+    alone = [engine.returns(vector[None])[0] for vector in vectors[:3]]
+    assert alone == together[:3].tolist()
+
+
+def test_a_network_that_asks_for_nothing_stays():
+    net = net_for(PARKING, NetKind.MLP)
+    engine = NetEngine(net, PARKING, load_course("parking"))
+    assert engine.returns(np.zeros(net.layout().size))[0] == pytest.approx(-14.18, abs=0.01)

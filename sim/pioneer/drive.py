@@ -9,7 +9,8 @@ manual p. 28). Sources: AROS manual p. 44 (which command replaces which), Adept 
 import math
 
 from bridge.robots import RobotParameters
-from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
+from sim.pioneer.trial import BaseTrial
 from sim.world.rover import SUBSTEP_S, Rover
 
 __all__ = ["Drive"]
@@ -34,8 +35,9 @@ STALL_WHEEL_M_S, STALL_SHARE, STALL_AFTER_S, STALL_REST_S = 0.02, 0.25, 0.15, 0.
 class Drive:
     """The motors and wheels of one base. Speeds in m/s and rad/s, headings in rad in the odometry's frame."""
 
-    def __init__(self, robot: RobotParameters, rover: Rover) -> None:
+    def __init__(self, robot: RobotParameters, rover: Rover, trial: BaseTrial) -> None:
         self.rover = rover
+        self._trial = trial
         self.enabled = False
         self.odometry = Pose(0.0, 0.0, 0.0)
         self.wheels_m = (0.0, 0.0)
@@ -59,7 +61,7 @@ class Drive:
             "alpha": model.alpha,
             "alpha_decel": model.alpha_decel,
         }
-        self.rover.change_limits(**self.limits)
+        self.rover.change_limits(**self._real(self.limits))
         self._braking = False
         self.stop()
 
@@ -69,7 +71,7 @@ class Drive:
         """Change accel, decel (m/s²), alpha or alpha_decel (rad/s²)."""
         self.limits |= limit
         if not self._braking:
-            self.rover.change_limits(**limit)
+            self.rover.change_limits(**self._real(limit))
 
     def set_speed(self, v: float) -> None:
         """VEL."""
@@ -131,9 +133,14 @@ class Drive:
         return self._v, self._omega
 
     @property
+    def measured(self) -> Velocity:
+        """The motion as encoders and gyro see it."""
+        return self._trial.measured(self.rover.velocity)
+
+    @property
     def wheel_speeds(self) -> tuple[float, float]:
-        """Left and right, m/s."""
-        return self._wheels(*self.rover.velocity)
+        """Left and right, m/s, as the encoders see them."""
+        return self._wheels(*self.measured)
 
     @property
     def moving(self) -> bool:
@@ -145,6 +152,14 @@ class Drive:
     def _obeys(self) -> bool:
         return self.enabled and not self._braking
 
+    def _real(self, limits: dict[str, float]) -> dict[str, float]:
+        """Return the accelerations that the rover keeps when told to keep to ``limits``."""
+        trial = self._trial
+        return {
+            name: limit * (trial.effort_omega if name.startswith("alpha") else trial.effort_v)
+            for name, limit in limits.items()
+        }
+
     def _wheels(self, v: float, omega: float) -> tuple[float, float]:
         return v - omega * self._half_track, v + omega * self._half_track
 
@@ -155,14 +170,14 @@ class Drive:
         idle = halted or not self.enabled or self._resting_s > 0.0
         wanted = (0.0, 0.0) if idle else (self._speed(), self._turn())
         if wanted != self._commanded:
-            self.rover.command(*wanted)
+            self.rover.command(*self._trial.driven(*wanted))
             self._commanded = wanted
         self.rover.substep()
         self._count_way()
         self._watch_stall()
         if self._braking and not self.moving:
             self._braking = False
-            self.rover.change_limits(**self.limits)
+            self.rover.change_limits(**self._real(self.limits))
 
     def _speed(self) -> float:
         speed = self._v
@@ -187,7 +202,7 @@ class Drive:
         return math.copysign(min(gain * abs(left), braking), left)
 
     def _count_way(self) -> None:
-        v, omega = self.rover.velocity
+        v, omega = self.measured
         x, y, theta = self.odometry
         step = v * SUBSTEP_S
         # As the simulator moves: with the heading before the turn.

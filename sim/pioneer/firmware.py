@@ -31,6 +31,8 @@ from sim.pioneer.faults import Faults
 from sim.pioneer.models import BASE_CLASS, BASE_NAME, config_of
 from sim.pioneer.report import BATTERY_DV, Panel, Reporter
 from sim.pioneer.sonar import Sonars
+from sim.pioneer.trial import SET_POINTS, BaseTrial
+from sim.world.randomization import nominal_trials
 from sim.world.rover import SUBSTEP_S, Rover
 
 __all__ = ["Firmware", "Link"]
@@ -54,7 +56,8 @@ class Firmware:
     """One base: ``model`` is a key of ``ROBOTS``, ``rover`` is what it drives, from where that stands.
 
     ``observe`` is called after each substep with its time in s, on the clock that ``start_s`` is of.
-    ``config`` holds the FLASH values if they are not those of the model.
+    ``config`` holds the FLASH values if they are not those of the model; ``trial`` says what is wrong with
+    the base today.
     """
 
     def __init__(
@@ -66,10 +69,12 @@ class Firmware:
         observe: Callable[[float], None] | None = None,
         *,
         config: ConfigPac | None = None,
+        trial: BaseTrial | None = None,
     ) -> None:
         self.robot = ROBOTS[model]
         self.decoder = Decoder()
-        self.drive = Drive(self.robot, rover)
+        self._trial = trial or BaseTrial(nominal_trials(rover.model, ticks=1))
+        self.drive = Drive(self.robot, rover, self._trial)
         self.unknown: Counter[int] = Counter()
         """How often each unknown command came."""
         self.bad_arguments: Counter[int] = Counter()
@@ -83,8 +88,8 @@ class Firmware:
         self.baudrate = RATES[0]
         """The rate of its serial line: HOSTBAUD changes it, the end of a session restores FLASH's."""
         self.link = Link.WAITING
-        self.sip_due_s = math.inf
-        """When the next SIP will be sent."""
+        self.sip_due_s = self._measure_due_s = math.inf
+        """When the next SIP will be sent, and when what it says will be measured."""
         self._expected = 0
         self._out = bytearray()
         self._start_s, self._substeps = start_s, 0
@@ -134,11 +139,15 @@ class Firmware:
         self._sonars.listen(self.drive.rover, self.now)
         if self._observe:
             self._observe(self.now)
+        if self.link is Link.OPEN and self.now >= self._measure_due_s - 1e-9:
+            self._measure_due_s += self._config.sip_cycle / 1000
+            self._reporter.measure()
         if self.link is Link.OPEN and self.now >= self.sip_due_s - 1e-9:
-            self.sip_due_s += self._config.sip_cycle / 1000
             self._report()
+            self.sip_due_s = self._measure_due_s + self._trial.next_age_s
 
     def _report(self) -> None:
+        self._begin_tick()
         sip = self._reporter.sip()
         if self._streaming(Command.SIM_STAT):
             self._emit(self._reporter.simstat())
@@ -147,6 +156,15 @@ class Firmware:
             self._emit(self._reporter.io())
         if self._streaming(Command.ENCODER):
             self._emit(self._reporter.encoders())
+
+    def _begin_tick(self) -> None:
+        """Let the trial go on, once the motors were enabled."""
+        if self._enabled_first_s is None:
+            return
+        self._trial.tick += 1
+        self._reporter.noise = self._trial.noise
+        if push := self._trial.push:
+            self.drive.rover.push(push)
 
     def _streaming(self, command: Command) -> bool:
         """Return whether a packet is due: mode 1 asks for one, more for a stream."""
@@ -197,6 +215,8 @@ class Firmware:
         command = COMMANDS.get(packet.kind)
         if command is None:
             self.unknown[packet.kind] += 1
+            return
+        if command in SET_POINTS and self._trial.lost:
             return
         argument = decode_argument(command, packet.payload)
         if argument is None and command is Command.SIM_STAT:
@@ -278,7 +298,7 @@ class Firmware:
         """End the session: stop, motors off, working values as in FLASH (AROS manual p. 44)."""
         self.link = Link.WAITING
         self._expected = 0
-        self.sip_due_s = math.inf
+        self.sip_due_s = self._measure_due_s = math.inf
         self._streams: dict[Command, int] = {}
         self.baudrate = RATES[self._config.host_baud]
         self.drive.enable(False)
@@ -288,7 +308,8 @@ class Firmware:
     def _open(self) -> None:
         if self.link is Link.SYNCED:
             self.link = Link.OPEN
-            self.sip_due_s = self.now + self._config.sip_cycle / 1000
+            self._measure_due_s = self.now + self._config.sip_cycle / 1000
+            self.sip_due_s = self._measure_due_s + self._trial.next_age_s
 
     def _restart(self) -> None:
         self._emit(Packet(Kind.RESET_FF))

@@ -11,6 +11,7 @@ from rover_ncp.core.geometry import Pose
 from sim.pioneer.drive import Drive
 from sim.pioneer.models import TICKS_PER_MM
 from sim.pioneer.sonar import Sonars
+from sim.pioneer.trial import ORIGIN
 
 __all__ = ["Panel", "Reporter"]
 
@@ -73,6 +74,8 @@ class Reporter:
         self.panel = Panel()
         self.odometry_frozen = False
         self.odometry_jump_m = 0.0
+        self.noise = ORIGIN
+        """Added to the pose."""
         self._robot = robot
         self._config = config
         self._drive = drive
@@ -85,22 +88,25 @@ class Reporter:
             odometry=drive.odometry,
             heading_set_point=drive.heading_set_point,
             wheel_speeds=drive.wheel_speeds,
-            omega=drive.rover.velocity.omega,
+            omega=drive.measured.omega,
             wheels_m=drive.wheels_m,
             moving=drive.moving,
         )
 
-    def sip(self) -> Packet:
-        """Return the SIP of this moment; sonar readings are those since the last one."""
+    def measure(self) -> None:
+        """Take the motion that the next packets tell of."""
         if not self.odometry_frozen:
             self._last = self._motion()
+
+    def sip(self) -> Packet:
+        """Return the SIP of the motion last measured; sonar readings are those since the last SIP."""
         motion, panel, robot = self._last, self.panel, self._robot
         left, right = (round(speed / robot.velocity_m_s) for speed in motion.wheel_speeds)
         stalled = (True, True) if panel.blocked else self._drive.stalled
         return Sip(
-            x=_counter((motion.odometry.x + self.odometry_jump_m) / robot.distance_m),
-            y=_counter(motion.odometry.y / robot.distance_m),
-            theta=_heading(motion.odometry.theta),
+            x=_counter((motion.odometry.x + self.noise.x + self.odometry_jump_m) / robot.distance_m),
+            y=_counter((motion.odometry.y + self.noise.y) / robot.distance_m),
+            theta=_heading(motion.odometry.theta + self.noise.theta),
             left=left,
             right=right,
             battery_dv=min(panel.battery_dv, 255),

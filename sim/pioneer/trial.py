@@ -1,0 +1,72 @@
+"""A random trial as one base lives through it: what its wheels make of commands, what its encoders see.
+
+The simulator counts a trial in control ticks. A base knows none, but each of its SIPs sets one off in whoever
+drives: so a base counts the SIPs since its motors were first enabled. With the first of them the trial's
+noise begins; while the window of a lost tick is open, set-points do not arrive; a SIP is as late as the pose
+seen in that tick is old. Commands in whole steps are not among a trial's errors here: ARCOS has its own.
+"""
+
+from bridge.arcos import Command
+from rover_ncp.core.course import TICK_S
+from rover_ncp.core.geometry import Pose, Velocity
+from sim.world.randomization import BaseErrors, OdometryErrors, Trials, driven
+
+__all__ = ["ORIGIN", "BaseTrial"]
+
+ORIGIN = Pose(0.0, 0.0, 0.0)
+SET_POINTS = frozenset({Command.VEL, Command.RVEL})
+
+
+class BaseTrial:
+    """Row ``row`` of ``trials``; what may change with the tick is that of tick ``tick``."""
+
+    def __init__(self, trials: Trials, row: int = 0) -> None:
+        self._trials, self._row = trials, row
+        gain_v, gain_omega = trials.gain[row].tolist()
+        distance_scale, heading_scale = trials.odometry[row].tolist()
+        imbalance, slip = float(trials.imbalance[row]), float(trials.slip[row])
+        self._base = BaseErrors(gain_v, gain_omega, imbalance, slip)
+        self._odometry = OdometryErrors(
+            distance_scale, heading_scale, imbalance, slip, float(trials.drift[row])
+        )
+        self.effort_v, self.effort_omega = trials.acceleration[row].tolist()
+        """Factors on the accelerations that the base is told to keep to."""
+        self.tick = -1
+        """Before the first; and after the last there is neither loss nor push."""
+
+    def driven(self, v: float, omega: float) -> tuple[float, float]:
+        """Return what a set-point (m/s, rad/s) leads to."""
+        return driven(v, omega, self._base)
+
+    def measured(self, motion: Velocity) -> Velocity:
+        """Return the motion that encoders and gyro see."""
+        errors = self._odometry
+        v = errors.distance_scale * motion.v
+        turn = motion.omega * (1.0 + errors.slip * abs(motion.omega)) - errors.imbalance * v
+        return Velocity(v, errors.heading_scale * turn + errors.drift)
+
+    @property
+    def noise(self) -> Pose:
+        """What is added to the pose of the SIP that begins this tick."""
+        if self.tick < 0 or self._trials.exact:
+            return ORIGIN
+        rows = self._trials.noise[self._row]
+        return Pose(*rows[self.tick % len(rows)].tolist())
+
+    @property
+    def next_age_s(self) -> float:
+        """How late the SIP is that begins the next tick."""
+        ages = self._trials.age[self._row]
+        return float(ages[(self.tick + 1) % len(ages)]) * TICK_S
+
+    @property
+    def lost(self) -> bool:
+        """Whether set-points get lost."""
+        lost = self._trials.lost[self._row]
+        return 0 <= self.tick < len(lost) and bool(lost[self.tick])
+
+    @property
+    def push(self) -> Pose | None:
+        """Where the rover is pushed at the start of this tick."""
+        when, *push = self._trials.bump[self._row].tolist()
+        return Pose(*push) if self.tick == when and any(push) else None

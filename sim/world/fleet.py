@@ -8,7 +8,7 @@ in one bay they would be a little quicker, but rounding would make each place's 
 Measured per rover and substep (one core of an AMD EPYC): 112 ns alone in a bay, 67 ns in bays of four, 70 in
 bays of six, 74 in bays of eight: a space's step costs 54 ns whatever is in it, and every two rovers on one
 spot 4 ns. All but 5 ns of it is Chipmunk's step; 19 ns go into the sine and cosine of the heading. Where
-nothing stands that a rover could touch, a step is no more than adding velocity to position: that is done here,
+nothing stands that a rover could touch, a step only adds velocity to position: that is done here,
 to the same bits, in a third of the time (``advance_alone``).
 
 One thread at a time may use a fleet.

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from bridge.conventions import Convention
+
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 
 
@@ -30,6 +32,13 @@ def bridge(
         Path | None,
         typer.Option(help="Zenoh configuration for TLS, users and access control; see 'rover-ncp keys'."),
     ] = None,
+    ros: Annotated[
+        list[Convention] | None,
+        typer.Option(
+            help="How ROS 2 sees the topics, beside their plain keys; both may be named.",
+            show_default="ros2dds",
+        ),
+    ] = None,
     accept_ros: Annotated[
         bool, typer.Option("--accept-ros", help="Let plain ROS cmd_vel (Twist, TwistStamped) drive too.")
     ] = False,
@@ -54,6 +63,7 @@ def bridge(
         model=model,
         limits=limits,
         zenoh_config=zenoh_config,
+        ros=ros or [Convention.ROS2DDS],
         accept_ros=accept_ros,
         insecure=insecure,
         as_json=json,

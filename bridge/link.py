@@ -4,7 +4,8 @@ Callbacks only put what arrives into the inbox. Publishing never blocks: what ca
 """
 
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Collection
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -12,11 +13,14 @@ from typing import Any, Self
 import zenoh
 from pydantic import BaseModel
 
+from bridge.conventions import Convention
 from bridge.inbox import Asked, Crashed, Inbox, Sampled
 from bridge.listening import any_port, configured, reason
-from bridge.ros_tokens import bridge_token, topic_token
+from bridge.rmw_node import RmwNode, latching_publisher, sampled
+from bridge.rmw_zenoh import domain_id
+from bridge.ros2dds import bridge_token, topic_token
 from rover_ncp.core.errors import PortInUse, UsageError
-from rover_ncp.core.keys import KEYS, Kind, Role, key
+from rover_ncp.core.keys import KEYS, KeySpec, Kind, Role, key
 from rover_ncp.core.lease import dump_json
 
 __all__ = ["Link"]
@@ -25,16 +29,29 @@ __all__ = ["Link"]
 class Link:
     """An open session, listening. Raises UsageError, FileError (``config``) or PortInUse.
 
-    Beyond this machine it listens only to those who say who they are, unless ``insecure``.
+    Beyond this machine it listens only to those who say who they are, unless ``insecure``. ``ros`` says in
+    what form ROS nodes look for the topics; the domain of rmw_zenoh is that of ROS_DOMAIN_ID.
     """
 
     def __init__(
-        self, listen: str | None, namespace: str, config: Path | None, inbox: Inbox, insecure: bool = False
+        self,
+        listen: str | None,
+        namespace: str,
+        config: Path | None,
+        inbox: Inbox,
+        *,
+        insecure: bool = False,
+        ros: Collection[Convention] = (Convention.ROS2DDS,),
     ) -> None:
         self._inbox = inbox
         self._namespace = namespace
+        self._ros = ros
+        self._rmw: RmwNode | None = None
         self._key("odom")  # a bad namespace is said before anything is opened
         settings, endpoints = configured(listen, config, insecure)
+        if Convention.RMW_ZENOH in ros:
+            # ROS nodes find each other through the router they are connected to, which we are then.
+            settings.insert_json5("scouting/gossip/enabled", "true")
         self._session = _open(settings, endpoints)
         self._token: Any = None
         self._held: list[Any] = []
@@ -58,14 +75,17 @@ class Link:
         """Let everybody know that the bridge is there; ROS bridges, which topics it has."""
         if self._token is None:
             tokens = self._session.liveliness()
-            self._held += [tokens.declare_token(key) for key in self._ros_tokens()]
+            if Convention.ROS2DDS in self._ros:
+                self._held += [tokens.declare_token(key) for key in self._ros2dds_tokens()]
+            if self._rmw is not None:
+                self._rmw.announce()
             self._token = tokens.declare_token(self._key("rover/alive/bridge"))
 
-    def _ros_tokens(self) -> list[str]:
+    def _ros2dds_tokens(self) -> list[str]:
         zid = str(self._session.info.zid())
         rows = [row for row in KEYS if row.name in self._publishers or row.name == "cmd_vel"]
         topics = [
-            topic_token(zid, self._key(row.name), row.type, published=row.name in self._publishers)
+            topic_token(zid, self._key(row.name), row.type, row.name in self._publishers, row.latched)
             for row in rows
         ]
         return [bridge_token(zid), *topics]
@@ -73,6 +93,8 @@ class Link:
     def publish(self, name: str, data: bytes) -> None:
         """Send a message on a key of the table."""
         self._publishers[name].put(data)
+        if self._rmw is not None:
+            self._rmw.publish(name, data)
 
     def answer(self, asked: Asked, reply: BaseModel) -> None:
         """Answer a query; an asker who is gone does not matter."""
@@ -93,19 +115,24 @@ class Link:
 
     def _declare(self) -> None:
         ours = [row for row in KEYS if row.senders == {Role.BRIDGE} and row.kind is Kind.MESSAGE]
-        self._publishers = {
-            row.name: self._session.declare_publisher(
-                self._key(row.name),
-                encoding=zenoh.Encoding.APPLICATION_CDR,
-                congestion_control=zenoh.CongestionControl.DROP,
-            )
-            for row in ours
-        }
+        self._publishers = {row.name: self._publisher(row) for row in ours}
         self._held.append(self._session.declare_subscriber(self._key("cmd_vel"), self._guard(self._sampled)))
         for row in KEYS:
             if row.kind is Kind.QUERYABLE:
                 asked = self._guard(self._asking(row.name, row.max_bytes))
                 self._held.append(self._session.declare_queryable(self._key(row.name), asked))
+        if Convention.RMW_ZENOH in self._ros:
+            commanded = self._guard(lambda sample: self._inbox.put(sampled(sample)))
+            self._rmw = RmwNode(self._session, domain_id(os.environ), self._namespace, ours, commanded)
+
+    def _publisher(self, row: KeySpec) -> Any:
+        if row.latched:
+            return latching_publisher(self._session, self._key(row.name))
+        return self._session.declare_publisher(
+            self._key(row.name),
+            encoding=zenoh.Encoding.APPLICATION_CDR,
+            congestion_control=zenoh.CongestionControl.DROP,
+        )
 
     def _guard(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         """Zenoh would print an error in a callback and go on; we hand it to the loop."""

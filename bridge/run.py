@@ -2,10 +2,11 @@
 
 import contextlib
 import signal
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
-from bridge import ros
+from bridge import ros as ros_messages
+from bridge.conventions import Convention
 from bridge.inbox import Inbox
 from bridge.limits import Limits
 from bridge.line import Line
@@ -29,6 +30,7 @@ def run_bridge(
     model: str,
     limits: Path | None,
     zenoh_config: Path | None,
+    ros: Collection[Convention],
     accept_ros: bool,
     insecure: bool,
     as_json: bool,
@@ -38,7 +40,10 @@ def run_bridge(
     allowed = Limits() if limits is None else load_yaml(limits, Limits)
     session = Session(model, MotionLimits(v=allowed.v_max, omega=allowed.omega_max))
     inbox = Inbox()
-    with _signals() as received, Link(listen, namespace, zenoh_config, inbox, insecure) as link:
+    with (
+        _signals() as received,
+        Link(listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros) as link,
+    ):
         line = Line(base, inbox)
 
         def ready() -> None:
@@ -56,7 +61,7 @@ def run_bridge(
             ready=ready,
         )
         node.run(lambda: bool(received))
-    status = ros.gate_status(node.gate)
+    status = ros_messages.gate_status(node.gate)
     output.result(
         {
             "zenoh": link.locator,

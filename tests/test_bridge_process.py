@@ -149,6 +149,7 @@ def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):
         ("--listen", "tcp/192.0.2.1:0", "whoever reaches it could drive the rover"),
         ("--namespace", "a*", "namespace 'a*'"),
         ("--model", "hal", "model hal: expected auto, p3at"),
+        ("--ros", "corba", "Invalid value for '--ros'"),
         ("--base", "ftp/x", "base ftp/x: expected tcp/HOST"),
         ("--limits", "no.yaml", "no.yaml: cannot be read"),
         ("--zenoh-config", "no.json5", "no.json5: no such file"),

@@ -39,7 +39,10 @@ ALL = frozenset({Role.BRIDGE, Role.DRIVER, Role.VIEWER})
 
 @dataclass(frozen=True)
 class KeySpec:
-    """A row: ``type`` is a ROS type or names JSON models; payloads over ``max_bytes`` are refused."""
+    """A row: ``type`` is a ROS type or names JSON models; payloads over ``max_bytes`` are refused.
+
+    Who subscribes to a ``latched`` one gets its last message although it was sent before.
+    """
 
     name: str
     kind: Kind
@@ -48,10 +51,11 @@ class KeySpec:
     receivers: frozenset[Role]
     max_bytes: int
     about: str
+    latched: bool = False
 
 
-def _from_bridge(name: str, ros_type: str, max_bytes: int, about: str) -> KeySpec:
-    return KeySpec(name, Kind.MESSAGE, ros_type, frozenset({Role.BRIDGE}), ALL, max_bytes, about)
+def _from_bridge(name: str, ros_type: str, max_bytes: int, about: str, *, latched: bool = False) -> KeySpec:
+    return KeySpec(name, Kind.MESSAGE, ros_type, frozenset({Role.BRIDGE}), ALL, max_bytes, about, latched)
 
 
 def _from_driver(name: str, ros_type: str, max_bytes: int, about: str) -> KeySpec:
@@ -67,7 +71,9 @@ def _asked(name: str, model: str, about: str) -> KeySpec:
 KEYS: tuple[KeySpec, ...] = (
     _from_bridge("odom", "nav_msgs/msg/Odometry", 4096, "pose and velocity of the base, each SIP"),
     _from_bridge("tf", "tf2_msgs/msg/TFMessage", 4096, "odom → base_link, each SIP"),
-    _from_bridge("tf_static", "tf2_msgs/msg/TFMessage", 1 << 16, "where the sensors sit on the base"),
+    _from_bridge(
+        "tf_static", "tf2_msgs/msg/TFMessage", 1 << 16, "where the sensors sit on the base", latched=True
+    ),
     _from_bridge("battery_state", "sensor_msgs/msg/BatteryState", 4096, "once a second"),
     _from_bridge("sonar", "sensor_msgs/msg/PointCloud2", 1 << 16, "the echoes of one SIP, in base_link"),
     _from_bridge(

@@ -18,6 +18,8 @@ from rover_ncp.core.geometry import Pose, Velocity
 __all__ = [
     "BASE_FRAME",
     "ODOM_FRAME",
+    "TWIST",
+    "TWIST_STAMPED",
     "Diagnostic",
     "OdometrySample",
     "PoseSample",

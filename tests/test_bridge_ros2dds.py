@@ -2,7 +2,7 @@
 
 from bridge_bench import Rig, client
 
-from bridge.ros_tokens import bridge_token, topic_token
+from bridge.ros2dds import bridge_token, topic_token
 from rover_ncp.core.keys import KEYS, Kind, Role
 
 
@@ -16,6 +16,9 @@ def test_tokens_have_the_form_that_the_ros_bridge_reads():
     assert (
         topic_token("abc", "bot1/cmd_vel", "geometry_msgs/msg/TwistStamped", published=False)
         == "@/abc/@ros2_lv/MS/bot1§cmd_vel/geometry_msgs§msg§TwistStamped/:1:0:0,10"
+    )
+    assert topic_token("abc", "tf_static", "tf2_msgs/msg/TFMessage", published=True, latched=True).endswith(
+        "§TFMessage/:1:1:0,1"
     )
 
 

@@ -7,8 +7,8 @@ default lets no token of the bridge out but its own: there ``ros2 topic list`` s
 
 __all__ = ["bridge_token", "topic_token"]
 
-_QOS = ":1:0:0,10"
-"""No keys; reliable, volatile, keep the last 10 (Cyclone DDS' numbers)."""
+# No keys; reliable; volatile or transient local; keep the last 10 or 1 (Cyclone DDS' numbers).
+_KEEP_10, _LATCHED = ":1:0:0,10", ":1:1:0,1"
 
 
 def bridge_token(zid: str) -> str:
@@ -16,7 +16,8 @@ def bridge_token(zid: str) -> str:
     return f"@/{zid}/@ros2_lv"
 
 
-def topic_token(zid: str, key: str, ros_type: str, published: bool) -> str:
+def topic_token(zid: str, key: str, ros_type: str, published: bool, latched: bool = False) -> str:
     """Return the token of a topic on ``key`` with a type such as ``nav_msgs/msg/Odometry``."""
     kind = "MP" if published else "MS"
-    return f"{bridge_token(zid)}/{kind}/{key.replace('/', '§')}/{ros_type.replace('/', '§')}/{_QOS}"
+    qos = _LATCHED if latched else _KEEP_10
+    return f"{bridge_token(zid)}/{kind}/{key.replace('/', '§')}/{ros_type.replace('/', '§')}/{qos}"

@@ -1,0 +1,14 @@
+"""How ROS 2 may learn of the bridge's topics, beside the plain keys that it always has."""
+
+from enum import StrEnum
+
+__all__ = ["Convention"]
+
+
+class Convention(StrEnum):
+    """A name for ``--ros``."""
+
+    ROS2DDS = "ros2dds"
+    """zenoh-bridge-ros2dds: the plain keys, and a token for each."""
+    RMW_ZENOH = "rmw-zenoh"
+    """ROS 2 nodes whose own middleware is Zenoh (RMW_IMPLEMENTATION=rmw_zenoh_cpp)."""

@@ -1,0 +1,128 @@
+"""rmw_zenoh's form: keys of topics, tokens of its graph, what rides with each message. Pure functions.
+
+Form from rmw_zenoh (docs/design.md, liveliness_utils.cpp, attachment_helpers.cpp; facts only), as of ROS 2
+Jazzy and later: Humble has no type hashes and hears nothing of this. The payloads are the plain keys' own.
+"""
+
+import re
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import xxhash
+
+from rover_ncp.core.errors import FormatError, UsageError
+from rover_ncp.core.messages import type_hash
+
+__all__ = ["NODE_NAME", "Attachment", "Graph", "Topic", "domain_id", "gid"]
+
+NODE_NAME = "rover_bridge"
+_DOMAIN_MAX = 232
+"""The largest ROS_DOMAIN_ID whose ports DDS has."""
+_NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+# What differs from rmw_zenoh's defaults (reliable, volatile, keep the last 42, no deadlines):
+# reliability:durability:history,depth:deadline:lifespan:liveliness.
+_KEEP_10 = "::,10:,:,:,,"
+_LATCHED = ":1:,1:,:,:,,"
+"""Transient local, the last 1: as tf2 has tf_static."""
+_ATTACHMENT = struct.Struct("<qqB16s")
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A ROS topic without its leading slash, and a type such as ``nav_msgs/msg/Odometry``."""
+
+    name: str
+    ros_type: str
+    latched: bool = False
+
+    def key(self, domain: int) -> str:
+        """Return the key its messages travel on."""
+        return f"{domain}/{self.name}/{self.dds_type}/{type_hash(self.ros_type)}"
+
+    @property
+    def dds_type(self) -> str:
+        """The type's name as ROS's C++ type support has it: ``nav_msgs::msg::dds_::Odometry_``."""
+        *folders, name = self.ros_type.split("/")
+        return "::".join([*folders, "dds_", f"{name}_"])
+
+
+@dataclass(frozen=True)
+class Graph:
+    """One node of the ROS graph, on the Zenoh session ``zid``; ``namespace`` has no slashes around it.
+
+    Raises UsageError for a namespace that ROS does not know.
+    """
+
+    domain: int
+    zid: str
+    namespace: str = ""
+
+    def __post_init__(self) -> None:
+        if self.namespace and not _NAMESPACE.fullmatch(self.namespace):
+            raise UsageError(
+                f"namespace {self.namespace!r}: expected names of letters, digits and _, joined by /, for ROS"
+            )
+
+    def node_token(self) -> str:
+        """Return the token that stands for the node."""
+        return self._token(0, "NN")
+
+    def publisher_token(self, number: int, topic: Topic) -> str:
+        """Return the token of a publisher; ``number`` is its own among all of the session."""
+        return self._topic_token(number, "MP", topic)
+
+    def subscriber_token(self, number: int, topic: Topic) -> str:
+        """Return the token of a subscriber."""
+        return self._topic_token(number, "MS", topic)
+
+    def _token(self, number: int, kind: str) -> str:
+        # Node 0 of the session, in the enclave "/".
+        return f"@ros2_lv/{self.domain}/{self.zid}/0/{number}/{kind}/%/{_mangled(self.namespace)}/{NODE_NAME}"
+
+    def _topic_token(self, number: int, kind: str, topic: Topic) -> str:
+        qos = _LATCHED if topic.latched else _KEEP_10
+        hashed = type_hash(topic.ros_type)
+        return f"{self._token(number, kind)}/{_mangled(topic.name)}/{topic.dds_type}/{hashed}/{qos}"
+
+
+class Attachment(NamedTuple):
+    """What rides with each message: 33 bytes, of which one is the length of ``gid``.
+
+    ``sequence`` counts a publisher's messages from 1, ``stamp_ns`` is its wall clock when it sent this one,
+    ``gid`` says which publisher it is.
+    """
+
+    sequence: int
+    stamp_ns: int
+    gid: bytes
+
+    def pack(self) -> bytes:
+        """Return the bytes."""
+        return _ATTACHMENT.pack(self.sequence, self.stamp_ns, len(self.gid), self.gid)
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """Read the bytes. Raises FormatError."""
+        if len(data) != _ATTACHMENT.size or data[16] != 16:
+            raise FormatError(f"not an attachment of rmw_zenoh: {len(data)} bytes")
+        sequence, stamp_ns, _, gid_ = _ATTACHMENT.unpack(data)
+        return cls(sequence, stamp_ns, gid_)
+
+
+def gid(token: str) -> bytes:
+    """Return the 16 bytes by which ROS knows a publisher: the hash of its token, low half first."""
+    return xxhash.xxh3_128_digest(token.encode())[::-1]
+
+
+def domain_id(environment: Mapping[str, str]) -> int:
+    """Return ROS_DOMAIN_ID, 0 without one. Raises UsageError for one that is none."""
+    value = environment.get("ROS_DOMAIN_ID") or "0"
+    if not (value.isascii() and value.isdigit() and int(value) <= _DOMAIN_MAX):
+        raise UsageError(f"ROS_DOMAIN_ID={value}: expected a number from 0 to {_DOMAIN_MAX}")
+    return int(value)
+
+
+def _mangled(name: str) -> str:
+    return f"/{name}".replace("/", "%")

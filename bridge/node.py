@@ -82,9 +82,14 @@ class Node:
             self._line.write(self._session.data_to_send())
             self._line.close()
 
+    @property
+    def due_s(self) -> float:
+        """When the loop turns even if nothing arrives."""
+        return self._acted_s + TICK_S
+
     def turn(self) -> None:
         """Turn the loop once: take what arrived, at most one tick's wait for it, and act on it."""
-        wait_s = max(self._acted_s + TICK_S - self._clock.monotonic(), 0.0)
+        wait_s = max(self.due_s - self._clock.monotonic(), 0.0)
         for arrived_s, arrival in self._inbox.take(wait_s):
             self._take(arrival, arrived_s)
         now = self._clock.monotonic()

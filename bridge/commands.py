@@ -68,3 +68,23 @@ def bridge(
         insecure=insecure,
         as_json=json,
     )
+
+
+def urdf(
+    model: Annotated[str, typer.Argument(help="p3at, p3at-sh, p3dx or p3dx-sh.")] = "p3at-sh",
+    *,
+    json: Json = False,
+) -> None:
+    """Print a robot's shape as a URDF, for RViz and robot_state_publisher.
+
+    Its frames are those that the bridge publishes on tf_static.
+    """
+    from bridge.robots import ROBOTS
+    from bridge.urdf import urdf as description
+    from rover_ncp.core.console import Output
+    from rover_ncp.core.errors import UsageError
+
+    if model not in ROBOTS:
+        raise UsageError(f"model {model}: expected {', '.join(ROBOTS)}")
+    text = description(ROBOTS[model])
+    Output(json).result({"model": model, "urdf": text}, text.rstrip())

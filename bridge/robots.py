@@ -1,7 +1,8 @@
 """The Pioneers we know: how their packets turn into metres, their outline, their limits, their sonars.
 
 Sources: ARIA's params/p3at.p, p3at-sh.p, p3dx.p, p3dx-sh.p and ArRobotTypes (all numbers but one; Player's
-robot_params has the same conversion factors); heading units as every client uses them, 4096 a turn.
+robot_params has the same conversion factors); heading units as every client uses them, 4096 a turn. Heights
+and wheels are those of the maker's own 3D models, as far as they tell; only pictures depend on them.
 """
 
 import math
@@ -9,7 +10,16 @@ from dataclasses import dataclass
 
 from rover_ncp.core.geometry import Pose
 
-__all__ = ["ROBOTS", "RobotParameters", "parameters_for"]
+__all__ = ["ROBOTS", "RobotParameters", "Wheels", "parameters_for"]
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """Driven wheels, all alike; ``places`` are their (x, y) in the base's frame. Metres."""
+
+    radius_m: float
+    width_m: float
+    places: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -21,12 +31,22 @@ class RobotParameters:
     """Metres per unit of XPOS and YPOS."""
     half_track_m: float
     """Half the difference of wheel speeds over this is the turn rate; a skid-steered base's is effective."""
-    length_m: float
+    front_m: float
+    rear_m: float
+    """How far the outline reaches before and behind the centre of rotation, bumpers included."""
     width_m: float
+    height_m: float
     v_max: float
     omega_max: float
     sonars: tuple[Pose, ...]
     """Sonar poses in the base's frame; the place is the sonar's number."""
+    sonar_height_m: float
+    wheels: Wheels
+
+    @property
+    def length_m(self) -> float:
+        """Length of the outline."""
+        return self.front_m + self.rear_m
 
     @property
     def theta_rad(self) -> float:
@@ -57,17 +77,43 @@ _DX_SONARS = _sonars(
 )
 
 
+_AT_WHEELS = Wheels(0.111, 0.075, tuple((x, y) for x in (0.135, -0.135) for y in (0.197, -0.197)))
+_DX_WHEELS = Wheels(0.0975, 0.0475, ((0.0, 0.165), (0.0, -0.165)))
+
+
 def _at(name: str, distance_mm: float) -> RobotParameters:
     """Pioneer 3-AT: DiffConvFactor 0.0034, 626 mm by 505 mm, 1200 mm/s, 300 deg/s."""
     return RobotParameters(
-        name, distance_mm / 1000, 0.001 / 0.0034, 0.626, 0.505, 1.2, math.radians(300), _AT_SONARS
+        name,
+        distance_m=distance_mm / 1000,
+        half_track_m=0.001 / 0.0034,
+        front_m=0.313,
+        rear_m=0.313,
+        width_m=0.505,
+        height_m=0.277,
+        v_max=1.2,
+        omega_max=math.radians(300),
+        sonars=_AT_SONARS,
+        sonar_height_m=0.25,
+        wheels=_AT_WHEELS,
     )
 
 
 def _dx(name: str, distance_mm: float) -> RobotParameters:
     """Pioneer 3-DX: DiffConvFactor 0.0056, 511 mm by 425 mm, 2200 mm/s, 500 deg/s."""
     return RobotParameters(
-        name, distance_mm / 1000, 0.001 / 0.0056, 0.511, 0.425, 2.2, math.radians(500), _DX_SONARS
+        name,
+        distance_m=distance_mm / 1000,
+        half_track_m=0.001 / 0.0056,
+        front_m=0.210,
+        rear_m=0.301,
+        width_m=0.425,
+        height_m=0.237,
+        v_max=2.2,
+        omega_max=math.radians(500),
+        sonars=_DX_SONARS,
+        sonar_height_m=0.208,
+        wheels=_DX_WHEELS,
     )
 
 

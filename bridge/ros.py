@@ -1,7 +1,7 @@
 """What the base says, as ROS messages: frames of REP-105, axes and units of REP-103. Pure functions.
 
 ``odom`` is where the base was when it was connected or its odometry was reset; ``base_link`` is its centre of
-rotation. Sonar echoes are points in ``base_link``; where each sonar sits is in ``tf_static``.
+rotation, on the ground. Sonar echoes are points in ``base_link``; where each sonar sits is in ``tf_static``.
 """
 
 import math
@@ -17,7 +17,7 @@ from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.lease import GateStatus
 from rover_ncp.core.messages import BASE_FRAME, ODOM_FRAME, Diagnostic, Transform
 
-__all__ = ["diagnostics", "each_sip", "each_so_often", "gate_status", "velocity"]
+__all__ = ["diagnostics", "each_sip", "each_so_often", "gate_status", "sensor_frames", "velocity"]
 
 # What a single reading may be off by from its rounding (uniform: step² / 12), not what odometry drifts by:
 # positions in whole mm, headings in 1/4096 turn, wheel speeds in whole mm/s, turn rates in 0.1 deg/s.
@@ -52,22 +52,26 @@ def _echoes(ranges: Mapping[int, float], robot: RobotParameters) -> list[tuple[f
         if number < len(robot.sonars) and 0.0 < range_m < NO_ECHO_MM / 1000:
             sonar = robot.sonars[number]
             x = sonar.x + range_m * math.cos(sonar.theta)
-            points.append((x, sonar.y + range_m * math.sin(sonar.theta), 0.0))
+            points.append((x, sonar.y + range_m * math.sin(sonar.theta), robot.sonar_height_m))
     return points
 
 
 def each_so_often(state: BaseState, robot: RobotParameters, stamp_ns: int) -> dict[str, bytes]:
     """Return the messages that go out once a second, by key."""
-    sonars = [
-        Transform(BASE_FRAME, f"sonar_{number}", sonar.x, sonar.y, 0.0, sonar.theta)
-        for number, sonar in enumerate(robot.sonars)
-    ]
     charging = None if state.charge_state is None else _CHARGING.get(state.charge_state)
     return {
         "battery_state": messages.battery_state(state.battery_v, stamp_ns, charging=charging),
-        # Sent again and again, so that who comes late has it too.
-        "tf_static": messages.transforms(sonars, stamp_ns),
+        # Sent again and again for those who come late and do not ask for what was sent before.
+        "tf_static": messages.transforms(sensor_frames(robot), stamp_ns),
     }
+
+
+def sensor_frames(robot: RobotParameters) -> list[Transform]:
+    """Return where each sensor sits on the base."""
+    return [
+        Transform(BASE_FRAME, f"sonar_{number}", sonar.x, sonar.y, robot.sonar_height_m, sonar.theta)
+        for number, sonar in enumerate(robot.sonars)
+    ]
 
 
 def velocity(command: Velocity, stamp_ns: int) -> bytes:

@@ -65,9 +65,9 @@ def test_echoes_lie_where_the_sonars_look():
     points = [struct.unpack_from("<3f", cloud.data.tobytes(), 12 * k) for k in range(cloud.width)]
     assert cloud.header.frame_id == "base_link"
     left, back = points
-    assert left == pytest.approx((0.147, 1.136, 0.0), abs=1e-6)
+    assert left == pytest.approx((0.147, 1.136, 0.25), abs=1e-6)
     angle = math.radians(-170)
-    assert back == pytest.approx((-0.241 + 2 * math.cos(angle), -0.027 + 2 * math.sin(angle), 0.0), abs=1e-6)
+    assert back == pytest.approx((-0.241 + 2 * math.cos(angle), -0.027 + 2 * math.sin(angle), 0.25), abs=1e-6)
 
 
 def test_a_base_that_heard_no_sonar_sends_no_cloud():
@@ -78,7 +78,9 @@ def test_every_sonar_has_its_place_on_the_base():
     transforms = sent(STATE)["tf_static"].transforms
     assert [item.child_frame_id for item in transforms] == [f"sonar_{k}" for k in range(16)]
     assert {item.header.frame_id for item in transforms} == {"base_link"}
-    assert (transforms[0].transform.translation.x, transforms[0].transform.translation.y) == (0.147, 0.136)
+    first = transforms[0].transform
+    assert (first.translation.x, first.translation.y, first.translation.z) == (0.147, 0.136, 0.25)
+    assert (first.rotation.z, first.rotation.w) == pytest.approx((math.sqrt(0.5), math.sqrt(0.5)))
 
 
 def test_bumpers_and_battery():

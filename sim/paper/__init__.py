@@ -1,0 +1,1 @@
+"""The paper's experiments: tasks, agents, a grid of runs, and the tables made of it."""

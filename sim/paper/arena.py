@@ -1,0 +1,63 @@
+"""A benchmark's environment, ready to score parameter vectors of one agent by whole episodes."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rover_ncp.circuit.policy import Policy
+from sim.learn.nets import Net
+from sim.paper.brain import make_brain
+from sim.paper.episodes import IDLE, RESULTS, Queue, Room, run_episodes
+from sim.paper.plants import allocate_plants
+from sim.paper.tasks import Benchmark
+
+__all__ = ["Arena"]
+
+FloatArray = NDArray[np.float64]
+Seeds = NDArray[np.uint64]
+
+_LANES, _MUJOCO_LANES = 64, 16
+"""Physics written out here costs little beside a circuit; MuJoCo's data should stay in a core's caches."""
+
+
+class Arena:
+    """Scores parameter vectors of one agent. One thread at a time."""
+
+    def __init__(self, task: Benchmark, agent: Policy | Net, lanes: int | None = None) -> None:
+        self.task, self.steps = task, 0
+        count = lanes or (_MUJOCO_LANES if task.mujoco else _LANES)
+        policy = agent if isinstance(agent, Policy) else None
+        inputs = len(policy.sensing.inputs) if policy else len(agent.scale)  # type: ignore[union-attr]
+        outputs = len(policy.motors.outputs) if policy else len(agent.high)  # type: ignore[union-attr]
+        self._brain = make_brain(agent, count)
+        self._room = Room(
+            np.zeros((inputs, count)),
+            np.zeros((outputs, count)),
+            np.full(count, IDLE),
+            np.zeros(count, np.int64),
+        )
+        if task.mujoco is None:
+            self._plants = allocate_plants(task.plant, count, task.bonus)
+        else:
+            from sim.paper.mujoco_plants import MujocoPool  # an extra that the other tasks do without
+
+            self._pool = MujocoPool(task.mujoco.file, task.mujoco.frames, count, task.mujoco.step_s)
+            self._plants = allocate_plants(task.plant, count, task.bonus, self._pool.lanes)
+
+    def starts(self, seeds: Seeds) -> FloatArray:
+        """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
+        generators = (np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(s)))) for s in seeds)
+        return np.array([self.task.start(generator) for generator in generators])
+
+    def run(self, vectors: ArrayLike, seeds: Seeds, hopeless: ArrayLike = -np.inf) -> FloatArray:
+        """Run one episode for each vector (n, P) and seed (n,); returns (n, 3), see ``RESULTS``.
+
+        An episode is given up when a quarter or half of it went worse than ``hopeless`` (n,) asks for.
+        ``steps`` counts what the environments have done.
+        """
+        rows = np.ascontiguousarray(vectors, np.float64)
+        results = np.zeros((len(rows), RESULTS))
+        limits = np.array(np.broadcast_to(np.asarray(hopeless, np.float64), len(rows)))
+        queue = Queue(rows, np.arange(len(rows)), self.starts(seeds), self.task.horizon, limits, results)
+        run_episodes(self._brain, self._plants, self._room, queue)
+        self.steps += int(results[:, 2].sum())
+        return results

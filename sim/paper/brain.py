@@ -1,0 +1,92 @@
+"""What steers a plant, many lanes at once: circuits of one wiring, or networks of one kind.
+
+A kernel is compiled for the types it is given, not for the meaning of a number in them: so that one kernel
+serves both, a brain holds a program of either kind, of which it runs one.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.circuit import RESTING_MV, SynapseKind, build_circuit
+from rover_ncp.circuit.lanes import allocate_lanes, make_program, resting_potentials
+from rover_ncp.circuit.motors import Motors
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.program import LaneParameters, Program
+from rover_ncp.circuit.sensing import Channel, Sensing
+from rover_ncp.circuit.solver import fill_lane, tick_lanes
+from rover_ncp.jit import kernel
+from sim.learn.nets import (
+    Net,
+    NetKind,
+    NetLanes,
+    NetProgram,
+    allocate_net_lanes,
+    fill_net_lane,
+    tick_net_lanes,
+)
+
+__all__ = ["Brain", "make_brain", "start_lane", "think"]
+
+FloatArray = NDArray[np.float64]
+
+_NO_NET = Net(NetKind.MLP, (), (), (), (), (), cells=0)
+
+
+class Brain(NamedTuple):
+    """L lanes of circuits, or of networks."""
+
+    is_net: bool
+    program: Program
+    lanes: LaneParameters
+    potentials: FloatArray
+    """(n, L) in mV."""
+    net: NetProgram
+    nets: NetLanes
+
+
+def make_brain(agent: Policy | Net, count: int) -> Brain:
+    """Return ``count`` lanes, each to be set by ``start_lane``."""
+    policy = agent if isinstance(agent, Policy) else _no_policy()
+    net = agent if isinstance(agent, Net) else _NO_NET
+    program = make_program(policy)
+    return Brain(
+        is_net=isinstance(agent, Net),
+        program=program,
+        lanes=allocate_lanes(program, policy, count),
+        potentials=resting_potentials(policy, count),
+        net=net.program(),
+        nets=allocate_net_lanes(net, count),
+    )
+
+
+def _no_policy() -> Policy:
+    circuit = build_circuit("none", ("S", "M"), [(SynapseKind.EXCITATORY, 0, 1, 0.0)])
+    sensor = Channel(name="x", positive="S", maximum=1.0)
+    motor = Channel(name="y", positive="M", maximum=1.0)
+    return Policy(
+        circuit,
+        Sensing(name="none", inputs=("x",), channels=(sensor,)),
+        Motors(outputs=("y",), channels=(motor,)),
+    )
+
+
+@kernel
+def start_lane(brain: Brain, lane: int, vector: FloatArray) -> None:
+    """Set a lane's parameters (P,) and put it at rest."""
+    if brain.is_net:
+        fill_net_lane(brain.net, brain.nets, lane, vector)
+    else:
+        fill_lane(brain.program, brain.lanes, lane, vector)
+        for neuron in range(brain.potentials.shape[0]):
+            brain.potentials[neuron, lane] = RESTING_MV
+
+
+@kernel
+def think(brain: Brain, observations: FloatArray, commands: FloatArray) -> None:
+    """Run all lanes for a tick: ``observations`` (inputs, L) to ``commands`` (outputs, L)."""
+    if brain.is_net:
+        tick_net_lanes(brain.net, brain.nets, observations, commands)
+    else:
+        tick_lanes(brain.program, brain.lanes, brain.potentials, observations, commands)

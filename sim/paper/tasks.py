@@ -1,0 +1,215 @@
+"""The paper's tasks: environment, mappings, settings, and what counts as success.
+
+Mappings and settings: Hasani et al. (ICRA 2020), Tables S1 and S3. Thresholds are Gymnasium's where it has
+one. A pendulum's paper return has a bonus of 0.2 (1 - |x|) on every rewarded step, so it ends at 1200.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.circuit import Circuit
+from rover_ncp.circuit.motors import Motors
+from rover_ncp.circuit.policy import Policy, parking_policy
+from rover_ncp.circuit.sensing import Channel, Sensing
+from rover_ncp.core.errors import UsageError
+from sim.paper.plants import CART_POLE, CHEETAH, MOUNTAIN_CAR, PENDULUM
+
+__all__ = ["TASKS", "Benchmark", "MujocoModel", "Settings", "Task", "find_task", "two_signals"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How the paper searches: candidates, rollouts of each, and how many worst ones are averaged."""
+
+    iterations: int
+    rollouts: int
+    worst: int
+
+
+@dataclass(frozen=True)
+class MujocoModel:
+    """A model of Gymnasium's, steps of it in one of the environment, and their length if not the model's."""
+
+    file: str
+    frames: int
+    step_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Task:
+    """One row of the paper's tables."""
+
+    name: str
+    title: str
+    settings: Settings
+    horizon: int
+    success: float
+    """A run succeeds whose mean return, without bonus, is at least this."""
+    ceiling: float
+    """No return, with bonus, can be above."""
+    steps: int
+    """Steps of the environment that a run takes by default."""
+    policy: Callable[[Circuit], Policy]
+    """Puts the task's sensing and motors around a circuit."""
+
+
+@dataclass(frozen=True)
+class Benchmark(Task):
+    """A task of Gymnasium's, run in lanes."""
+
+    plant: int = MOUNTAIN_CAR
+    start: Callable[[np.random.Generator], FloatArray] = field(default=lambda generator: np.zeros(0))
+    """Draws the first state as the environment's reset does."""
+    environment: str = ""
+    mujoco: MujocoModel | None = None
+    bonus: float = 0.0
+    races: bool = False
+    """Whether rewards come evenly over an episode, so that a bad one shows early."""
+
+
+def two_signals(name: str, inputs: tuple[tuple[str, float], ...], end: float) -> Callable[[Circuit], Policy]:
+    """Return the mapping of two signals to the touch neurons in pairs, and of FWD and REV to one action."""
+    pairs = (("PLM", "AVM"), ("ALM", "PVD"))
+    channels = tuple(
+        Channel(name=signal, positive=positive, maximum=limit, negative=negative, minimum=-limit)
+        for (signal, limit), (positive, negative) in zip(inputs, pairs, strict=True)
+    )
+    sensing = Sensing(name=name, inputs=tuple(signal for signal, _ in inputs), channels=channels)
+    action = Channel(name="action", positive="FWD", maximum=end, negative="REV", minimum=-end)
+    motors = Motors(outputs=("action",), channels=(action,))
+    return lambda circuit: Policy(circuit, sensing, motors)
+
+
+def _cheetah_policy(circuit: Circuit) -> Policy:
+    """Put the two linear layers, 17 to 2 and 2 to 6, around a circuit."""
+    joints = ("back_thigh", "back_shin", "back_foot", "front_thigh", "front_shin", "front_foot")
+    places = ("z", "pitch", *joints)
+    inputs = (*places, "v_x", *(f"{place}_rate" for place in places))
+    sensing = Sensing(
+        name="half-cheetah",
+        inputs=inputs,
+        channels=(
+            Channel(name="first", positive="PLM", maximum=1.0, negative="AVM", minimum=-1.0),
+            Channel(name="second", positive="ALM", maximum=1.0, negative="PVD", minimum=-1.0),
+        ),
+    )
+    motors = Motors(
+        outputs=joints,
+        limits=(1.0,) * len(joints),
+        channels=(
+            Channel(name="forward", positive="FWD", maximum=1.0),
+            Channel(name="reverse", positive="REV", maximum=1.0),
+        ),
+    )
+    return Policy(
+        circuit,
+        sensing,
+        motors,
+        input_layer=np.zeros((2, len(inputs))),
+        output_layer=np.zeros((len(joints), 2)),
+    )
+
+
+def _car_start(generator: np.random.Generator) -> FloatArray:
+    return np.array([generator.uniform(-0.6, -0.4), 0.0])
+
+
+def _cart_pole_start(generator: np.random.Generator) -> FloatArray:
+    return generator.uniform(-0.05, 0.05, 4)
+
+
+def _pendulum_start(generator: np.random.Generator) -> FloatArray:
+    return generator.uniform(-0.01, 0.01, 4)
+
+
+def _roboschool_start(generator: np.random.Generator) -> FloatArray:
+    return np.array([0.0, generator.uniform(-0.1, 0.1), 0.0, 0.0])
+
+
+def _cheetah_start(generator: np.random.Generator) -> FloatArray:
+    return np.concatenate([generator.uniform(-0.1, 0.1, 9), 0.1 * generator.standard_normal(9)])
+
+
+def _pendulum(name: str, title: str, roboschool: bool, bonus: float) -> Benchmark:
+    return Benchmark(
+        name=name,
+        title=title,
+        settings=Settings(25_000, 20, 10),
+        horizon=1000,
+        success=950.0,
+        ceiling=1000.0 * (1.0 + bonus),
+        steps=3_000_000,
+        policy=two_signals("pendulum", (("angle", 0.12), ("cart", 1.0)), 0.3),
+        plant=PENDULUM,
+        start=_roboschool_start if roboschool else _pendulum_start,
+        environment="InvertedPendulum-v5",
+        mujoco=MujocoModel("inverted_pendulum.xml", 1, 0.0165)
+        if roboschool
+        else MujocoModel("inverted_pendulum.xml", 2),
+        bonus=bonus,
+    )
+
+
+_PARKING = Settings(20_000, 1, 1)
+
+_ALL = (
+    _pendulum("pendulum", "Inverted pendulum", False, 0.2),
+    _pendulum("pendulum-plain", "Inverted pendulum, no bonus", False, 0.0),
+    _pendulum("roboschool", "Inverted pendulum, Roboschool's step and start", True, 0.2),
+    _pendulum("roboschool-plain", "Inverted pendulum, Roboschool's step and start, no bonus", True, 0.0),
+    Benchmark(
+        name="mountain-car",
+        title="Mountain car",
+        settings=Settings(50_000, 20, 20),
+        horizon=999,
+        success=90.0,
+        ceiling=100.0,
+        steps=20_000_000,
+        policy=two_signals("mountain-car", (("position", 1.0), ("velocity", 0.02)), 1.0),
+        plant=MOUNTAIN_CAR,
+        start=_car_start,
+        environment="MountainCarContinuous-v0",
+    ),
+    Benchmark(
+        name="half-cheetah",
+        title="Half-cheetah",
+        settings=Settings(20_000, 10, 5),
+        horizon=1000,
+        success=2000.0,
+        ceiling=np.inf,
+        steps=6_000_000,
+        policy=_cheetah_policy,
+        plant=CHEETAH,
+        start=_cheetah_start,
+        environment="HalfCheetah-v5",
+        mujoco=MujocoModel("half_cheetah.xml", 5),
+        races=True,
+    ),
+    Benchmark(
+        name="cart-pole",
+        title="Cart-pole, continuous force",
+        settings=Settings(50_000, 20, 10),
+        horizon=500,
+        success=475.0,
+        ceiling=500.0,
+        steps=20_000_000,
+        policy=two_signals("cart-pole", (("angle", 0.15), ("rate", 1.0)), 1.0),
+        plant=CART_POLE,
+        start=_cart_pole_start,
+        environment="CartPole-v1",
+    ),
+    Task("parking", "Parking", _PARKING, 320, -0.1, 0.0, 320 * 20_000, parking_policy),
+)
+TASKS = {task.name: task for task in _ALL}
+
+
+def find_task(name: str) -> Task:
+    """Return a task by its name; raises UsageError, naming them all."""
+    if name not in TASKS:
+        raise UsageError(f"no task {name!r}; there are {', '.join(TASKS)}")
+    return TASKS[name]

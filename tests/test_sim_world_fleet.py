@@ -12,7 +12,7 @@ from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.geometry import Pose, wrap_angle
 from sim.world import chipmunk
 from sim.world.bay import Bay
-from sim.world.fleet import Fleet, steps_as_chipmunk, wrapped
+from sim.world.fleet import Fleet, wrapped
 from sim.world.rover import Rover, RoverModel
 
 BOX = (
@@ -72,17 +72,6 @@ def test_each_rover_of_a_fleet_goes_as_it_would_alone(obstacles, touching):
         assert fleet.touched[lane] == touched
     assert fleet.touched.sum() >= touching
     assert obstacles or not fleet.touched.any()
-
-
-def test_without_chipmunk_rovers_go_the_same_way():
-    commands = random_commands(5, 300, 16, 0.5, 2.0)
-    fleets = [Fleet(models(16), alone=alone) for alone in (True, False, None)]
-    assert [fleet.arrays.alone for fleet in fleets] == [True, False, steps_as_chipmunk()]
-    for command in commands:
-        alone, stepped, chosen = (fleet.tick(np.ascontiguousarray(command.T)) for fleet in fleets)
-        assert np.array_equal(chosen, stepped)
-        assert alone == pytest.approx(stepped, abs=1e-9)
-    assert not Fleet([RoverModel()] * 4, BOX).arrays.alone
 
 
 def test_a_rover_placed_again_is_as_good_as_new():

@@ -7,16 +7,16 @@ in one bay they would be a little quicker, but rounding would make each place's 
 
 Measured per rover and substep (one core of an AMD EPYC): 112 ns alone in a bay, 67 ns in bays of four, 70 in
 bays of six, 74 in bays of eight: a space's step costs 54 ns whatever is in it, and every two rovers on one
-spot 4 ns. All but 5 ns of it is Chipmunk's step; 19 ns go into the sine and cosine of the heading. Where
-nothing stands that a rover could touch, a step only adds velocity to position: that is done here,
-to the same bits, in a third of the time (``advance_alone``).
+spot 4 ns. All but 5 ns of it is Chipmunk's step; 19 ns go into the sine and cosine of the heading.
+
+Every substep of every rover is Chipmunk's step with its shape present, also where nothing stands that it could
+touch: an integrator of our own would be faster there, and be a second simulator.
 
 One thread at a time may use a fleet.
 """
 
 import math
 from collections.abc import Sequence
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +45,6 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 ROVERS_PER_BAY = 4
-_COMPARED_TICKS = 200
 SUBSTEPS = 10
 """Physics steps in a control tick."""
 
@@ -54,8 +53,6 @@ class FleetArrays(NamedTuple):
     """What the kernels work on; L rovers, as many lanes. Speeds in m/s and rad/s."""
 
     layout: chipmunk.Layout
-    alone: bool
-    """Nothing stands in the bays, and rovers are stepped without Chipmunk."""
     spaces: IntArray
     """(L / ROVERS_PER_BAY,) addresses."""
     bodies: IntArray
@@ -82,15 +79,9 @@ class FleetArrays(NamedTuple):
 
 
 class Fleet:
-    """Rovers on copies of one bay; ``arrays`` is for the kernels of this module.
+    """Rovers on copies of one bay; ``arrays`` is for the kernels of this module."""
 
-    With ``alone`` they are stepped without Chipmunk, which is for bays in which nothing stands; left out, so
-    it is done where it gives the same bits.
-    """
-
-    def __init__(
-        self, models: Sequence[RoverModel], obstacles: Sequence[Obstacle] = (), alone: bool | None = None
-    ) -> None:
+    def __init__(self, models: Sequence[RoverModel], obstacles: Sequence[Obstacle] = ()) -> None:
         if not models or len(models) % ROVERS_PER_BAY:
             raise ValueError(f"a fleet is a multiple of {ROVERS_PER_BAY} rovers, got {len(models)}")
         # Kept for their memory, whose addresses the kernels have.
@@ -102,7 +93,6 @@ class Fleet:
         lanes = len(models)
         self.arrays = FleetArrays(
             layout=chipmunk.find_layout(),
-            alone=not obstacles and steps_as_chipmunk() if alone is None else alone,
             spaces=np.array([chipmunk.space_address(bay.space) for bay in self.bays]),
             bodies=np.array([chipmunk.body_address(body) for body in self.bodies]),
             shapes=np.array([chipmunk.shape_address(next(iter(body.shapes))) for body in self.bodies]),
@@ -188,10 +178,6 @@ def advance(fleet: FleetArrays) -> None:
             due = fleet.clock[0] - fleet.delay[axis, lane] // SUBSTEPS
             fleet.new[axis, lane] = fleet.sent[due % ticks_kept, axis, lane]
             fleet.old[axis, lane] = fleet.sent[(due - 1) % ticks_kept, axis, lane]
-    if fleet.alone:
-        for lane in range(len(fleet.bodies)):
-            advance_alone(fleet, lane)
-        return
     # Local names: numba counts references whenever an array is taken out of a tuple.
     layout, bodies, spaces, touched = fleet.layout, fleet.bodies, fleet.spaces, fleet.touched
     old, new, delay, rise, fall, grip = fleet.old, fleet.new, fleet.delay, fleet.rise, fleet.fall, fleet.grip
@@ -220,55 +206,6 @@ def advance(fleet: FleetArrays) -> None:
             for lane in lanes:
                 if chipmunk.load_word(bodies[lane] + layout.contacts) != 0:
                     touched[lane] = 1
-
-
-@kernel
-def advance_alone(fleet: FleetArrays, lane: int) -> None:
-    """Advance a rover that nothing can touch by a tick, doing in each substep what Chipmunk's step does."""
-    body, layout = fleet.bodies[lane], fleet.layout
-    x, y = chipmunk.load(body + layout.position), chipmunk.load(body + layout.position + 8)
-    vx, vy = chipmunk.load(body + layout.velocity), chipmunk.load(body + layout.velocity + 8)
-    cos, sin = chipmunk.load(body + layout.rotation), chipmunk.load(body + layout.rotation + 8)
-    angle, omega = chipmunk.load(body + layout.angle), chipmunk.load(body + layout.angular_velocity)
-    delay_v, delay_omega = fleet.delay[0, lane] % SUBSTEPS, fleet.delay[1, lane] % SUBSTEPS
-    old_v, old_omega = fleet.old[0, lane], fleet.old[1, lane]
-    new_v, new_omega = fleet.new[0, lane], fleet.new[1, lane]
-    rise_v, rise_omega = fleet.rise[0, lane], fleet.rise[1, lane]
-    fall_v, fall_omega = fleet.fall[0, lane], fleet.fall[1, lane]
-    grip = fleet.grip[lane]
-    for substep in range(SUBSTEPS):
-        forward, sideways = _own_axes(cos, sin, vx, vy, omega)
-        forward = _toward(forward, old_v if substep < delay_v else new_v, rise_v, fall_v)
-        sideways = _toward(sideways, 0.0, grip, grip)
-        omega = _toward(omega, old_omega if substep < delay_omega else new_omega, rise_omega, fall_omega)
-        vx, vy = cos * forward - sin * sideways, sin * forward + cos * sideways
-        x, y = x + vx * SUBSTEP_S, y + vy * SUBSTEP_S
-        if omega != 0.0:
-            angle += omega * SUBSTEP_S
-            cos, sin = math.cos(angle), math.sin(angle)
-    chipmunk.store(body + layout.position, x)
-    chipmunk.store(body + layout.position + 8, y)
-    chipmunk.store(body + layout.velocity, vx)
-    chipmunk.store(body + layout.velocity + 8, vy)
-    chipmunk.store(body + layout.rotation, cos)
-    chipmunk.store(body + layout.rotation + 8, sin)
-    chipmunk.store(body + layout.angle, angle)
-    chipmunk.store(body + layout.angular_velocity, omega)
-
-
-@cache
-def steps_as_chipmunk() -> bool:
-    """Return whether on this machine ``advance_alone`` gives Chipmunk's bits.
-
-    Its compiler may fuse operations or come with another sine; then Chipmunk steps all rovers.
-    """
-    fleets = [Fleet([RoverModel()] * ROVERS_PER_BAY, alone=alone) for alone in (True, False)]
-    for tick in range(_COMPARED_TICKS):
-        commands = np.full((2, ROVERS_PER_BAY), 0.3 * math.cos(0.1 * tick))
-        one, other = (fleet.tick(commands) for fleet in fleets)
-        if not np.array_equal(one, other):
-            return False
-    return True
 
 
 _own_axes = kernel(own_axes)

@@ -109,12 +109,16 @@ class StampClock:
 
     WINDOW_NS = 60 * NS
 
-    def __init__(self) -> None:
+    def __init__(self, in_order: bool = True) -> None:
+        self._in_order = in_order
         self._smallest: deque[tuple[int, int]] = deque()  # (arrival, arrival − stamp), both rising
         self._measured_ns: int | None = None
 
     def measured_ns(self, stamp_ns: int, arrival_ns: int) -> int:
-        """Return when the sample was measured, on the receiver's clock; never before the one before it."""
+        """Return when the sample was measured, on the receiver's clock.
+
+        Where samples come in order, never before the one before it.
+        """
         offset = arrival_ns - stamp_ns
         while self._smallest and self._smallest[-1][1] >= offset:
             self._smallest.pop()
@@ -122,7 +126,7 @@ class StampClock:
         while self._smallest[0][0] < arrival_ns - self.WINDOW_NS:
             self._smallest.popleft()
         measured = stamp_ns + self._smallest[0][1]
-        if self._measured_ns is not None:
+        if self._in_order and self._measured_ns is not None:
             measured = max(measured, self._measured_ns)
         self._measured_ns = measured
         return measured

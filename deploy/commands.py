@@ -1,7 +1,7 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -33,6 +33,13 @@ def deploy(
         bool,
         typer.Option("--dry-run", help="Do everything but ask for the motors and send commands."),
     ] = False,
+    pose: Annotated[
+        Literal["auto", "required", "none"],
+        typer.Option(
+            help="External poses on the key 'pose': use them if they come, wait for them before the start, "
+            "or leave them alone."
+        ),
+    ] = "auto",
     namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
     zenoh_config: Annotated[
         Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates or user and password.")
@@ -41,16 +48,17 @@ def deploy(
 ) -> int:
     """Let a circuit drive the robot behind a bridge.
 
-    Waits for the bridge and for a rover that stands still, takes where it stands as the course's origin
-    (unless something publishes 'pose'), asks for the motors and drives the course. Ctrl-C stops the rover
-    first. However the drive ends, the motors are off afterwards.
+    Waits for the bridge and for a rover that stands still, takes where it stands as the course's origin,
+    asks for the motors and drives the course. Where something on 'pose' says meanwhile where it stands, it
+    starts from there, and later poses correct what odometry believes. Ctrl-C stops the rover first. However
+    the drive ends, the motors are off afterwards.
 
     Ends with 0 parked, 1 not parked (judged on the estimate), 3 no bridge, no robot, not authorised or
     another driver, 4 stopped by a safety rule, which is named, 130 interrupted.
     """
     from deploy.node import Options, run
 
-    options = Options(robot, policy, course, record, duration, dry_run, namespace, zenoh_config)
+    options = Options(robot, policy, course, record, duration, dry_run, namespace, zenoh_config, pose)
     return run(options, Output(json))
 
 

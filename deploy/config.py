@@ -1,6 +1,7 @@
 """What a drive is: its settings, and the files that go into its recording."""
 
 from importlib.metadata import version
+from typing import Literal
 
 from pydantic import Field
 
@@ -12,9 +13,12 @@ from rover_ncp.core.course import Course
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording
 
-__all__ = ["CONFIG_FILE", "COURSE_FILE", "POLICY_FILE", "DriveConfig", "attached", "attachments"]
+__all__ = ["CONFIG_FILE", "COURSE_FILE", "POLICY_FILE", "DriveConfig", "PoseUse", "attached", "attachments"]
 
 POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
+
+PoseUse = Literal["auto", "required", "none"]
+"""Whether external poses place the rover: if they come, in any case, or never."""
 
 
 class DriveConfig(StrictModel):
@@ -36,6 +40,8 @@ class DriveConfig(StrictModel):
     still_m: float = Field(default=0.003, gt=0)
     still_rad: float = Field(default=0.005, gt=0)
     odometry_age_s: float = Field(default=0.4, gt=0, le=0.5, description="older odometry stops the rover")
+    pose: PoseUse = "auto"
+    pose_wait_s: float = Field(default=10.0, gt=0, description="for the first external pose, if required")
     lease_wait_s: float = Field(default=1.0, gt=0, description="for the gate to confirm our lease")
     estimator: EstimatorSettings = EstimatorSettings()
 

@@ -19,7 +19,7 @@ from deploy.estimator import Estimate, Estimator, EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
+from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.reference import plan_reference
 from rover_ncp.core.signals import SIGNALS, needs_reference, see
 
@@ -51,22 +51,31 @@ class Controller:
         self._runner = PolicyRunner(policy)
         self._runner.warm_up([0.0] * len(self._signal_at))  # compiles, now and not when the rover waits
         self.estimator = Estimator(settings)
-        self._course_odom = ORIGIN
         self._times: list[float] = []
         self._poses: list[Pose] = []
 
-    def start(self, odometry: Pose, t: float, pose: Pose = ORIGIN) -> None:
-        """Begin at rest at time ``t``, at ``pose`` in the course, where odometry stands at ``odometry``."""
-        self._course_odom = compose(pose, inverse(odometry))
-        self.estimator.start(pose, t)
+    def start(
+        self,
+        odometry: Pose,
+        t: float,
+        pose: Pose = ORIGIN,
+        covariance: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Begin at rest at time ``t``, at ``pose`` in the course, where odometry stands at ``odometry``.
+
+        ``covariance`` (3, 3) says how sure the pose is; without one it defines where the course lies.
+        """
+        self.estimator.start(pose, t, odometry, covariance)
         self._runner.reset()
         self._runner.warm_up(self._observation(pose, 0, 0.0))
 
     def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
         """Take in odometry, in its own frame, measured at time ``t``."""
-        if not all(map(math.isfinite, pose)):
-            return self.estimator.odometry(pose, velocity, t)
-        return self.estimator.odometry(compose(self._course_odom, pose), velocity, t)
+        return self.estimator.odometry(pose, velocity, t)
+
+    def external(self, pose: Pose, covariance: NDArray[np.float64], t: float) -> Outcome:
+        """Take in an external pose (course frame) with its covariance (3, 3), measured at time ``t``."""
+        return self.estimator.external(pose, covariance, t)
 
     def tick(self, index: int, t: float) -> Tick:
         """Run tick ``index`` of the course at time ``t``, which is not before the last odometry."""

@@ -11,12 +11,14 @@ Rules of this file:
 import math
 import time
 from collections.abc import Callable
-from contextlib import suppress
+
+import numpy as np
 
 from deploy.clock import NS, RateKeeper
 from deploy.config import DriveConfig
 from deploy.controller import ORIGIN, Controller
-from deploy.intake import Intake, Sample, StillWatch
+from deploy.estimator import Outcome
+from deploy.intake import Intake, PoseIntake, Sample, SeenPose, StillWatch, middle
 from deploy.link import Link
 from deploy.reporter import Reporter
 from deploy.response import ResponseWatch
@@ -24,10 +26,8 @@ from deploy.state import Event, State, next_state
 from deploy.ticks import SampleRef, StartRecord, TickRecord, numbers, seconds
 from rover_ncp.core.clock import Clock
 from rover_ncp.core.course import TICK_S, Verdict
-from rover_ncp.core.errors import AnotherDriver, FormatError, NoBridge, NoRobot, NotAuthorised, SafetyStop
-from rover_ncp.core.geometry import Pose
+from rover_ncp.core.errors import AnotherDriver, NoBridge, NoPose, NoRobot, NotAuthorised, SafetyStop
 from rover_ncp.core.lease import DriverStatus
-from rover_ncp.core.messages import read_pose
 
 __all__ = ["Drive", "Interrupted"]
 
@@ -59,6 +59,9 @@ class Drive:
         self._lease_seen = False
         self._response = ResponseWatch()
         self.intake = Intake(link.odometry)
+        self.poses = PoseIntake(link.poses)
+        self._standing_poses: list[SeenPose] = []
+        self._placed = False
         self.keeper = RateKeeper(TICK_NS, 0)
         self.state = State.WAITING
         self.reason = ""
@@ -71,6 +74,17 @@ class Drive:
     def rejected(self) -> int:
         """Odometry samples that the estimator refused."""
         return self._controller.estimator.rejected
+
+    def pose_counts(self) -> dict[str, int]:
+        """Return what became of external poses."""
+        became = self._controller.estimator.poses
+        return {
+            "taken": self.poses.count,
+            "unreadable": self.poses.garbled,
+            "used": became[Outcome.ACCEPTED],
+            "refused": became[Outcome.OUTLIER] + became[Outcome.NOT_FINITE],
+            "too_late": became[Outcome.TOO_OLD],
+        }
 
     @property
     def progress(self) -> str:
@@ -124,13 +138,28 @@ class Drive:
         watch = StillWatch(config.still_s, config.still_m, config.still_rad)
         if not self._until(lambda: self._stands(watch), config.still_wait_s):
             raise SafetyStop("not-standing", f"the rover does not stand still for {config.still_s:g} s")
+        if config.pose == "required" and not self._until(
+            lambda: self._stands(watch) and bool(self._standing_poses), config.pose_wait_s
+        ):
+            raise NoPose(f"nobody says on 'pose' where the rover stands within {config.pose_wait_s:g} s")
         sample = self.intake.newest
         assert sample is not None  # it stands, so it was seen
         self._follow(Event.READY)
-        pose = self._external_pose() or ORIGIN
-        self._controller.start(sample.pose, 0.0, pose)
+        pose, covariance = ORIGIN, None
+        if self._standing_poses:
+            self._placed = True
+            pose = middle([seen.pose for seen in self._standing_poses])
+            # No surer than the last of them: what is wrong with one is wrong with all.
+            covariance = self._standing_poses[-1].covariance
+        self._controller.start(sample.pose, 0.0, pose, covariance)
         self._start = sample.ref
-        self._reporter.start(StartRecord(sample=sample.ref, pose=pose, attachments=attachments), sample.pose)
+        record = StartRecord(
+            sample=sample.ref,
+            pose=pose,
+            covariance=None if covariance is None else tuple(covariance.ravel().tolist()),
+            attachments=attachments,
+        )
+        self._reporter.start(record, sample.pose)
         if not config.dry_run:
             self._link.request_motors(f"policy {config.policy}")
             self._granted_ns = self._clock.monotonic_ns()
@@ -200,6 +229,11 @@ class Drive:
                 sample.pose, sample.velocity, seconds(sample.ref.measured_ns, self._start)
             )
             self._pending.append(sample.ref)
+        for seen in self.poses.take():
+            if self._placed:
+                t = seconds(seen.ref.measured_ns, self._start)
+                self._controller.external(seen.pose, seen.covariance, t)
+                self._pending.append(seen.ref)
         return sample
 
     def _check(self) -> None:
@@ -213,8 +247,9 @@ class Drive:
         if age_s > self._config.odometry_age_s:
             limit = self._config.odometry_age_s
             raise SafetyStop("odometry-age", f"the newest odometry is {age_s:.2f} s old (at most {limit} s)")
-        if self._controller.estimator.fault:
-            raise SafetyStop("estimator", self._controller.estimator.fault)
+        estimator = self._controller.estimator
+        if estimator.fault:
+            raise SafetyStop(estimator.fault_rule, estimator.fault)
         if self._granted_ns is not None:
             self._check_lease(self._granted_ns)
 
@@ -233,19 +268,21 @@ class Drive:
             # To wait for a rover that somebody else drives would be to wait for them to let go.
             who = gate.driver_name or gate.driver
             raise AnotherDriver(f"the bridge at {self._link.robot} refuses the motors: {who} has them")
+        self._hear_poses()
         sample = self.intake.take(0)
         return sample is not None and watch.see(sample)
 
-    def _external_pose(self) -> Pose | None:
-        """Return the newest external pose if it is a pose and came while we watched the rover stand."""
-        arrival = self._link.pose.take(0)
-        if arrival is None or self._clock.monotonic_ns() - arrival.arrival_ns > self._config.still_s * NS:
-            return None
-        with suppress(FormatError):
-            pose = read_pose(arrival.data).pose
-            if all(map(math.isfinite, pose)):
-                return pose
-        return None
+    def _hear_poses(self) -> None:
+        """Keep the external poses that say where the rover stands now."""
+        if self._config.pose == "none":
+            return
+        oldest = self._clock.monotonic_ns() - self._config.still_s * NS
+        heard = [*self._standing_poses, *self.poses.take()]
+        self._standing_poses = [
+            seen
+            for seen in heard
+            if seen.ref.measured_ns >= oldest and np.isfinite([*seen.pose, *seen.covariance.ravel()]).all()
+        ]
 
     def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         deadline = self._clock.monotonic() + timeout_s

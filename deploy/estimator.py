@@ -1,64 +1,34 @@
-"""Where the rover is: an extended Kalman filter over odometry, with a gate before it.
+"""Where the rover is, from odometry, a gyro where there is one, and external poses when they come.
 
 Rules of this file:
 
-1. The filter is seeded once, by `Estimator.start`, and never again. What does not fit is refused; refused
+1. The filters are seeded once, by `Estimator.start`, and never again. What does not fit is refused; refused
    too often in a row is a fault, which stays.
-2. Nothing that is not finite reaches the filter.
+2. Nothing that is not finite reaches a filter.
 3. Asking where the rover is (`Estimator.at`) changes nothing.
 
-The state is (x, y, θ, v, ω) in the course's frame. Between measurements v and ω stay as they are but for
-white noise in the two accelerations; the noise is chosen so that one tick at the base's full acceleration
-(0.31 m/s², 1.25 rad/s²) is one standard deviation. Encoders resolve 1 mm and 0.09°, far finer than that, so
-the filter follows odometry almost without lag, bridges missing samples, and refuses impossible ones: a
-circuit trained on exact poses must not be shown late ones.
+Two extended Kalman filters, one after the other: `odometry_filter` follows what the base reports in
+odometry's own frame, refuses jumps and bridges gaps; `course_filter` carries that onto the course, knows how
+wrong odometry may be, and lets external poses and a gyro correct it.
 """
 
 import math
 from dataclasses import dataclass
-from enum import Enum
-from typing import Any
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
-from pydantic import Field
 
-from rover_ncp.core.config import StrictModel
-from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
+from deploy.course_filter import PULL, SCALE, SKID, CourseFilter, Moment
+from deploy.filter_settings import EstimatorSettings, Outcome
+from deploy.odometry_filter import OdometryFilter
+from rover_ncp.core.geometry import Pose, Velocity
 
 __all__ = ["Estimate", "Estimator", "EstimatorSettings", "Outcome"]
 
-X, Y, THETA, V, OMEGA = range(5)
-
-BLOCKS = (slice(X, V), slice(V, OMEGA + 1))
-"""Pose and motion are taken in one after the other, which is the same, as their errors are independent.
-Together they would need a 5 × 5 inverse, which scipy hands to threads: 50 ms where other processes work."""
-
 Array = NDArray[np.float64]
 
-
-class EstimatorSettings(StrictModel):
-    """Noises and limits of the filter, SI units."""
-
-    position_m: float = Field(default=0.0005, gt=0, description="odometry, position: steps of 1 mm")
-    heading_rad: float = Field(default=0.0007, gt=0, description="odometry, heading: steps of 0.09°")
-    speed_m_s: float = Field(default=0.003, gt=0, description="odometry, speed: whole mm/s per wheel")
-    turn_rad_s: float = Field(default=0.006, gt=0, description="odometry, turn rate: from whole mm/s")
-    acceleration: float = Field(default=0.01, gt=0, description="process noise of v in (m/s)²/s")
-    angular_acceleration: float = Field(default=0.16, gt=0, description="process noise of ω in (rad/s)²/s")
-    slip: float = Field(default=1e-6, gt=0, description="process noise of x and y in m²/s")
-    gate: float = Field(default=25.74, gt=0, description="largest NIS: 1 in 10,000 of a χ² with 5 degrees")
-    rejected_in_a_row: int = Field(default=3, ge=1, description="so many refused in a row are a fault")
-
-
-class Outcome(Enum):
-    """What became of a measurement."""
-
-    ACCEPTED = "accepted"
-    OUTLIER = "outlier"
-    NOT_FINITE = "not finite"
-    OUT_OF_ORDER = "out of order"
+GYRO_GAP_S = 0.25
+"""A gyro silent for longer than this says nothing of the turn since."""
 
 
 @dataclass(frozen=True)
@@ -71,149 +41,156 @@ class Estimate:
     covariance: Array
 
 
-class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy ships no types
-    """filterpy's EKF with the unicycle as its motion."""
+class _Gyro:
+    """The angle that a gyro has turned, from its rates."""
 
-    x: Array
-    dt = 0.0
+    def __init__(self) -> None:
+        self._t, self._rad, self._rate = -math.inf, 0.0, 0.0
+        self._torn = True
 
-    def predict_x(self, u: Any = 0) -> None:  # filterpy's signature
-        self.x = _moved(self.x, self.dt)
+    def measure(self, rate: float, t: float) -> None:
+        """Take in the mean rate since the reading before."""
+        gap = t - self._t
+        if 0.0 <= gap <= GYRO_GAP_S:
+            self._rad += rate * gap
+        else:
+            self._torn = True
+        self._t, self._rate = t, rate
+
+    def angle(self, t: float) -> float:
+        """Return the angle at ``t``, NaN where nothing is known, and once after each gap.
+
+        So what is known before a gap and what is known after it are never held against each other.
+        """
+        if self._torn or abs(t - self._t) > GYRO_GAP_S:
+            self._torn = abs(t - self._t) > GYRO_GAP_S
+            return math.nan
+        return self._rad + self._rate * (t - self._t)
 
 
 class Estimator:
-    """The filter with its gate. Times are seconds on one clock, any zero."""
+    """The filters with their gates. Times are seconds on one clock, any zero."""
 
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
         self._settings = settings or EstimatorSettings()
-        self._filter: Any = None
-        self._t = 0.0
-        s = self._settings
-        deviations = [s.position_m, s.position_m, s.heading_rad, s.speed_m_s, s.turn_rad_s]
-        self._noise = np.diag(np.square(deviations))
-        self.nis = 0.0
-        """Normalised innovation squared of the last finite measurement."""
+        self._odometry: OdometryFilter | None = None
+        self._gyro = _Gyro()
         self.rejected = 0
-        """Measurements refused so far."""
+        """Odometry samples refused so far."""
+        self.poses = dict.fromkeys(Outcome, 0)
+        """What became of the external poses; those that wait are counted again when they are weighed."""
         self.fault = ""
         """Why the estimate can no longer be trusted; empty while it can."""
-        self._in_a_row = 0
+        self.fault_rule = ""
+        """The safety rule of that fault: estimator, or external-pose."""
+        self._in_a_row = self._poses_in_a_row = 0
 
-    def start(self, pose: Pose, t: float) -> None:
-        """Seed the filter, once: the rover stands at ``pose`` (course frame) at time ``t``."""
-        if self._filter is not None:
+    def start(
+        self, pose: Pose, t: float, odometry: Pose | None = None, covariance: Array | None = None
+    ) -> None:
+        """Seed the filters, once: the rover stands at ``pose`` (course frame) at time ``t``.
+
+        ``odometry`` is where its own odometry believes to be, the same if it is not said. ``covariance``
+        (3, 3) says how sure the pose is; by default it defines the course's frame, and so is exact.
+        """
+        if self._odometry is not None:
             raise RuntimeError("the estimator is seeded once and never again")
-        if not all(map(math.isfinite, (*pose, t))):
-            raise ValueError(f"cannot start from {pose} at {t}")
-        ekf = _Filter(dim_x=5, dim_z=5)
-        ekf.x = np.array([pose.x, pose.y, wrap_angle(pose.theta), 0.0, 0.0])
-        ekf.P = self._noise.copy()
-        self._filter, self._t = ekf, t
+        own = pose if odometry is None else odometry
+        if not all(map(math.isfinite, (*pose, *own, t))):
+            raise ValueError(f"cannot start from {pose}, odometry {own}, at {t}")
+        sure = np.zeros((3, 3)) if covariance is None else self._spread(covariance)
+        if sure is None:
+            raise ValueError(f"cannot start with the covariance {covariance}")
+        self._odometry = OdometryFilter(self._settings, own, t)
+        self._course = CourseFilter(self._settings, pose, sure, Moment(t, own))
+
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared of the last finite odometry sample."""
+        return self._base.nis
+
+    @property
+    def pose_nis(self) -> float:
+        """The same of the last external pose that was weighed."""
+        return self._course.nis
 
     def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
-        """Take in odometry measured at ``t``: pose in the course's frame, v in m/s, ω in rad/s."""
-        outcome = self._weigh(pose, velocity, t)
+        """Take in odometry measured at ``t``: pose in its own frame, v in m/s, ω in rad/s."""
+        outcome = self._base.measure(pose, velocity, t)
         if outcome is Outcome.ACCEPTED:
             self._in_a_row = 0
+            for waited in self._course.odometry(Moment(t, self._base.pose, self._gyro.angle(t))):
+                self._count(waited)
             return outcome
         self.rejected += 1
         self._in_a_row += 1
-        if self._in_a_row >= self._settings.rejected_in_a_row and not self.fault:
-            self.fault = f"{self._in_a_row} odometry samples in a row refused, the last as {outcome.value}"
+        if self._in_a_row >= self._settings.rejected_in_a_row:
+            words = f"{self._in_a_row} odometry samples in a row refused, the last as {outcome.value}"
+            self._fail("estimator", words)
         return outcome
 
-    def _weigh(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
-        z = np.array([*pose, *velocity])
-        if not (np.isfinite(z).all() and math.isfinite(t)):
-            return Outcome.NOT_FINITE
-        if t < self._t:
-            return Outcome.OUT_OF_ORDER
-        ekf = self._filter
-        self._predict(t)
-        innovation = _residual(z, ekf.x)
-        # As a sum of squares it cannot come out negative: absurd values give infinity or NaN, refused below.
-        with np.errstate(over="ignore", invalid="ignore"):
-            white = np.linalg.solve(np.linalg.cholesky(ekf.P + self._noise), innovation)
-            self.nis = float(white @ white)
-        if not self.nis <= self._settings.gate:
-            return Outcome.OUTLIER
-        for rows in BLOCKS:
-            self._correct(z, rows)
-        return Outcome.ACCEPTED
+    def gyro(self, rate: float, t: float) -> None:
+        """Take in a gyro's rate of turn in rad/s, the mean since its last, before the odometry of ``t``."""
+        if math.isfinite(rate) and math.isfinite(t):
+            self._gyro.measure(rate, t)
 
-    def _correct(self, z: Array, rows: slice) -> None:
-        """Take some rows of a measurement of the whole state into the filter."""
+    def external(self, pose: Pose, covariance: Array, t: float) -> Outcome:
+        """Take in a pose (course frame) that was measured from outside at ``t``, however late it comes.
 
-        def residual(measured: Array, expected: Array) -> Array:
-            return _residual(measured, expected)[rows]
-
-        ekf = self._filter
-        ekf.update(z, lambda _: np.eye(5)[rows], lambda x: x, R=self._noise[rows, rows], residual=residual)
-        ekf.x[THETA] = wrap_angle(ekf.x[THETA])
-
-    def _predict(self, t: float) -> None:
-        ekf, dt = self._filter, t - self._t
-        ekf.F, ekf.Q = _jacobian(ekf.x, dt), self._process_noise(ekf.x, dt)
-        ekf.dt = dt
-        ekf.predict()
-        self._t = t
+        ``covariance`` (3, 3) is that of (x, y, θ); a variance of 0 is one that nobody knows.
+        """
+        noise = self._spread(covariance)
+        if noise is None or not all(map(math.isfinite, (*pose, t))):
+            outcome = Outcome.NOT_FINITE
+        else:
+            outcome = self._course.pose(self._course.seen(pose, noise, t))
+        self._count(outcome)
+        return outcome
 
     def at(self, t: float) -> Estimate:
-        """Return the estimate predicted to ``t``, which must not lie before the last measurement."""
-        ekf, dt = self._filter, t - self._t
-        if dt < 0:
-            raise ValueError(f"asked for {t} s, which is before the last measurement at {self._t} s")
-        x, jacobian = _moved(ekf.x, dt), _jacobian(ekf.x, dt)
-        covariance = jacobian @ ekf.P @ jacobian.T + self._process_noise(ekf.x, dt)
-        return Estimate(
-            t,
-            Pose(float(x[X]), float(x[Y]), float(x[THETA])),
-            Velocity(float(x[V]), float(x[OMEGA])),
-            covariance,
-        )
+        """Return the estimate predicted to ``t``, which must not lie before the last odometry."""
+        own, velocity, motion = self._base.at(t)
+        x, covariance = self._course.at(Moment(t, own))
+        turned = x[2] - own.theta
+        c, s = math.cos(turned), math.sin(turned)
+        to_course = np.eye(5)
+        to_course[:2, :2] = [[c, -s], [s, c]]
+        spread = to_course @ motion @ to_course.T
+        spread[:3, :3] += covariance[:3, :3]
+        v, omega = velocity
+        forward, turn = (1.0 + x[SCALE]) * v, (1.0 + x[SKID]) * omega + x[PULL] * v
+        spread[3, 3] += v * v * covariance[SCALE, SCALE]
+        spread[4, 4] += omega * omega * covariance[SKID, SKID]
+        pose = Pose(float(x[0]), float(x[1]), float(x[2]))
+        return Estimate(t, pose, Velocity(float(forward), float(turn)), spread)
 
-    def _process_noise(self, x: Array, dt: float) -> Array:
-        """Return Q of white noise in both accelerations over ``dt``, along the mean heading, plus slip."""
-        s = self._settings
-        heading = x[THETA] + 0.5 * dt * x[OMEGA]
-        along = np.array([math.cos(heading), math.sin(heading)])
-        q = np.zeros((5, 5))
-        q[:2, :2] = s.acceleration * dt**3 / 3 * np.outer(along, along) + s.slip * dt * np.eye(2)
-        q[:2, V] = q[V, :2] = s.acceleration * dt**2 / 2 * along
-        q[V, V] = s.acceleration * dt
-        q[THETA, THETA] = s.angular_acceleration * dt**3 / 3
-        q[THETA, OMEGA] = q[OMEGA, THETA] = s.angular_acceleration * dt**2 / 2
-        q[OMEGA, OMEGA] = s.angular_acceleration * dt
-        return q
+    @property
+    def _base(self) -> OdometryFilter:
+        if self._odometry is None:
+            raise RuntimeError("the estimator was not started")
+        return self._odometry
 
+    def _spread(self, covariance: Array) -> Array | None:
+        """Return a covariance with what nobody knows filled in; None if it is none."""
+        spread = np.array(covariance, dtype=np.float64)
+        if not np.isfinite(spread).all() or (np.diag(spread) < 0).any():
+            return None
+        usual = np.square([self._settings.pose_m, self._settings.pose_m, self._settings.pose_rad])
+        spread[np.diag_indices(3)] = np.where(np.diag(spread) == 0.0, usual, np.diag(spread))
+        spread = 0.5 * (spread + spread.T)
+        return spread if np.linalg.eigvalsh(spread).min() > 0.0 else None
 
-def _moved(x: Array, dt: float) -> Array:
-    """Return the state after ``dt`` seconds at constant v and ω, by the midpoint rule."""
-    heading = x[THETA] + 0.5 * dt * x[OMEGA]
-    return np.array(
-        [
-            x[X] + dt * x[V] * math.cos(heading),
-            x[Y] + dt * x[V] * math.sin(heading),
-            wrap_angle(x[THETA] + dt * x[OMEGA]),
-            x[V],
-            x[OMEGA],
-        ]
-    )
+    def _count(self, outcome: Outcome) -> None:
+        self.poses[outcome] += 1
+        if outcome is Outcome.ACCEPTED:
+            self._poses_in_a_row = 0
+        elif outcome in {Outcome.OUTLIER, Outcome.NOT_FINITE}:
+            self._poses_in_a_row += 1
+            if self._poses_in_a_row >= self._settings.poses_rejected_in_a_row:
+                count = self._poses_in_a_row
+                words = f"{count} external poses in a row refused, the last as {outcome.value}"
+                self._fail("external-pose", words)
 
-
-def _jacobian(x: Array, dt: float) -> Array:
-    """Return the derivative of `_moved` by the state."""
-    heading = x[THETA] + 0.5 * dt * x[OMEGA]
-    c, s = math.cos(heading), math.sin(heading)
-    f = np.eye(5)
-    f[X, THETA], f[X, V], f[X, OMEGA] = -dt * x[V] * s, dt * c, -0.5 * dt**2 * x[V] * s
-    f[Y, THETA], f[Y, V], f[Y, OMEGA] = dt * x[V] * c, dt * s, 0.5 * dt**2 * x[V] * c
-    f[THETA, OMEGA] = dt
-    return f
-
-
-def _residual(z: Array, expected: Array) -> Array:
-    """Return measured minus expected, the heading's difference within (−π, π]."""
-    difference = z - expected
-    difference[THETA] = wrap_angle(difference[THETA])
-    return difference
+    def _fail(self, rule: str, words: str) -> None:
+        if not self.fault:
+            self.fault, self.fault_rule = words, rule

@@ -1,16 +1,20 @@
-"""Odometry on its way in: from bytes in a mailbox to samples with the moment of their measurement."""
+"""Samples on their way in: from bytes as they came to values with the moment of their measurement."""
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from deploy.clock import NS, StampClock
-from deploy.link import Mailbox
+from deploy.link import Inbox, Mailbox
 from deploy.ticks import SampleRef
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
-from rover_ncp.core.messages import read_odometry
+from rover_ncp.core.messages import COURSE_FRAME, read_odometry, read_pose
 
-__all__ = ["Intake", "Sample", "StillWatch"]
+__all__ = ["Intake", "PoseIntake", "Sample", "SeenPose", "StillWatch", "middle"]
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,52 @@ class Intake:
         self.newest = Sample(odometry.pose, odometry.velocity, ref, arrival.arrival_ns)
         self.count += 1
         return self.newest
+
+
+@dataclass(frozen=True)
+class SeenPose:
+    """An external pose in the course's frame with its covariance (3, 3); its values may be anything."""
+
+    pose: Pose
+    covariance: NDArray[np.float64]
+    ref: SampleRef
+
+
+class PoseIntake:
+    """Takes external poses out of an inbox: they may come late, out of order, and stamped by any clock."""
+
+    def __init__(self, inbox: Inbox) -> None:
+        self._inbox = inbox
+        self._stamps = StampClock(in_order=False)
+        self.count = 0
+        self.garbled = 0
+        """Messages that were no pose, or one in another frame than the course's."""
+
+    def take(self) -> list[SeenPose]:
+        """Return what came since the last time; never waits."""
+        taken = []
+        for arrival in self._inbox.take():
+            try:
+                sample = read_pose(arrival.data)
+            except FormatError:
+                self.garbled += 1
+                continue
+            if sample.frame not in {"", COURSE_FRAME}:
+                self.garbled += 1
+                continue
+            measured_ns = self._stamps.measured_ns(sample.stamp_ns, arrival.arrival_ns)
+            ref = SampleRef.of(sample.stamp_ns, arrival.data, measured_ns, "pose")
+            taken.append(SeenPose(sample.pose, sample.covariance, ref))
+        self.count += len(taken)
+        return taken
+
+
+def middle(poses: Sequence[Pose]) -> Pose:
+    """Return the median of poses that should be the same, heading by heading around the last."""
+    x, y, theta = np.array(poses).T
+    last = float(theta[-1])
+    turned = np.median([wrap_angle(angle - last) for angle in theta.tolist()])
+    return Pose(float(np.median(x)), float(np.median(y)), wrap_angle(last + float(turned)))
 
 
 class StillWatch:

@@ -9,6 +9,7 @@ import contextlib
 import secrets
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -30,7 +31,7 @@ from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequ
 from rover_ncp.core.messages import read_text, twist_stamped
 from rover_ncp.core.recording import Recorded, header_stamp_ns
 
-__all__ = ["Arrival", "Link", "Mailbox"]
+__all__ = ["Arrival", "Inbox", "Link", "Mailbox"]
 
 QUERY_TIMEOUT_S = 2.0
 RELEASE_TIMEOUT_S = 1.0
@@ -71,6 +72,23 @@ class Mailbox:
             return newest
 
 
+class Inbox:
+    """Keeps every arrival until it is taken, but no more than so many."""
+
+    LENGTH = 1000
+
+    def __init__(self) -> None:
+        self._arrivals: deque[Arrival] = deque(maxlen=self.LENGTH)
+
+    def put(self, arrival: Arrival) -> None:
+        """Add an arrival; from any thread."""
+        self._arrivals.append(arrival)
+
+    def take(self) -> list[Arrival]:
+        """Return and remove what lies there, in the order of arrival."""
+        return [self._arrivals.popleft() for _ in range(len(self._arrivals))]
+
+
 class Link:
     """One session with one bridge.
 
@@ -92,7 +110,7 @@ class Link:
         self.driver = secrets.token_bytes(16)
         """Who we are to the gate; new in each process."""
         self.odometry = Mailbox()
-        self.pose = Mailbox()
+        self.poses = Inbox()
         """External localisation, in the course's frame."""
         self.bridge_alive = False
         self.gate = GateStatus()
@@ -126,7 +144,7 @@ class Link:
         ]
         self._subscribers += [
             self._session.declare_subscriber(self._key("odom"), _into(self.odometry)),
-            self._session.declare_subscriber(self._key("pose"), _into(self.pose)),
+            self._session.declare_subscriber(self._key("pose"), _into(self.poses)),
             self._session.declare_subscriber(self._key("rover/gate"), self._gate_spoke),
         ]
         self._token: Any = None
@@ -249,7 +267,7 @@ class Link:
         self.bridge_alive = sample.kind == zenoh.SampleKind.PUT
 
 
-def _into(mailbox: Mailbox) -> Callable[[zenoh.Sample], None]:
+def _into(mailbox: Mailbox | Inbox) -> Callable[[zenoh.Sample], None]:
     def put(sample: zenoh.Sample) -> None:
         mailbox.put(Arrival(sample.payload.to_bytes(), time.monotonic_ns(), time.time_ns()))
 

@@ -16,12 +16,12 @@ from typing import Any, Self
 import numpy as np
 from rich.live import Live
 
-from deploy.config import DriveConfig, attachments
+from deploy.config import DriveConfig, PoseUse, attachments
 from deploy.controller import ORIGIN, Controller
 from deploy.drive import Drive, Interrupted
 from deploy.link import Link
 from deploy.recorder import Recorder
-from deploy.reporter import COURSE_FRAME, Reporter
+from deploy.reporter import Reporter
 from deploy.state import State
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
@@ -29,6 +29,7 @@ from rover_ncp.core.course import TICK_S, load_course
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.messages import (
+    COURSE_FRAME,
     neurons,
     odometry,
     pose_with_covariance,
@@ -60,6 +61,7 @@ class Options:
     dry_run: bool
     namespace: str
     zenoh_config: Path | None
+    pose: PoseUse = "auto"
 
 
 class _Interrupts:
@@ -127,6 +129,7 @@ def run(options: Options, output: Output) -> int:
         course=course.name,
         dry_run=options.dry_run,
         ticks=ticks,
+        pose=options.pose,
     )
     controller = Controller(policy, course, config.estimator)
     files = attachments(policy, course, config)
@@ -201,6 +204,7 @@ def _fields(drive: Drive, options: Options, config: DriveConfig, recorder: Recor
             "unreadable": drive.intake.garbled,
             "rejected": drive.rejected,
         },
+        "pose": drive.pose_counts(),
         "policy": options.policy,
         "course": config.course,
         "dry_run": options.dry_run,

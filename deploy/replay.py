@@ -17,13 +17,13 @@ from deploy.config import attached
 from deploy.controller import Controller, Tick
 from deploy.estimator import Estimate
 from deploy.reporter import estimate_message
-from deploy.ticks import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, numbers, seconds
+from deploy.ticks import START_TOPIC, TICKS_TOPIC, SampleRef, StartRecord, TickRecord, numbers, seconds
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.lease import parse_json
-from rover_ncp.core.messages import read_neurons, read_odometry, read_text, read_twist
+from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read_text, read_twist
 from rover_ncp.core.recording import Recording, read_recording
 
 __all__ = ["Comparison", "Difference", "replay"]
@@ -31,6 +31,8 @@ __all__ = ["Comparison", "Difference", "replay"]
 ESTIMATE = ("estimate x", "estimate y", "estimate theta", "estimate v", "estimate omega")
 COMMAND = ("command v", "command omega")
 ABSENT = "absent"
+INPUTS = {"odom": "odometry", "pose": "external pose"}
+"""What a tick is made from, by topic."""
 
 
 @dataclass(frozen=True)
@@ -94,27 +96,38 @@ def _compared(
     names: tuple[str, ...],
 ) -> Iterator[tuple[TickRecord, Difference | None]]:
     """Run tick by tick; yield each record with its first difference. Ends where a cut-off file does."""
-    odometry = {zlib.crc32(m.data): m.data for m in recording.topic("odom")}
+    data = {(name, zlib.crc32(m.data)): m.data for name in INPUTS for m in recording.topic(name)}
     messages = _Messages(recording)
     for record in records:
         wanted = [start.sample, *record.samples] if record is records[0] else list(record.samples)
-        missing = [ref for ref in wanted if ref.crc not in odometry]
+        missing = [ref for ref in wanted if (ref.topic, ref.crc) not in data]
         if missing and not recording.complete:
-            return  # killed between a tick and the odometry it was made from
+            return  # killed between a tick and what it was made from
         if missing:
-            quantity = f"the odometry of stamp {missing[0].stamp_ns}"
+            quantity = f"the {INPUTS[missing[0].topic]} of stamp {missing[0].stamp_ns}"
             yield record, Difference(record.index, quantity, ABSENT, "needed")
             return
-        samples = [(ref, read_odometry(odometry[ref.crc])) for ref in wanted]
         if record is records[0]:
-            controller.start(samples.pop(0)[1].pose, 0.0, Pose(*start.pose))
-        for ref, sample in samples:
-            controller.odometry(sample.pose, sample.velocity, seconds(ref.measured_ns, start.sample))
+            first = wanted.pop(0)
+            began = read_odometry(data[first.topic, first.crc])
+            controller.start(began.pose, 0.0, Pose(*start.pose), start.sure)
+        for ref in wanted:
+            _take_in(controller, ref, data[ref.topic, ref.crc], start.sample)
         now = seconds(record.now_ns, start.sample)
         tick = controller.tick(record.index, now) if record.command is not None else None
         estimate = tick.estimate if tick else controller.look(record.index, now)
         found = _first(_differences(record, tick, estimate, names, messages))
         yield record, found
+
+
+def _take_in(controller: Controller, ref: SampleRef, data: bytes, start: SampleRef) -> None:
+    t = seconds(ref.measured_ns, start)
+    if ref.topic == "pose":
+        seen = read_pose(data)
+        controller.external(seen.pose, seen.covariance, t)
+    else:
+        sample = read_odometry(data)
+        controller.odometry(sample.pose, sample.velocity, t)
 
 
 class _Messages:

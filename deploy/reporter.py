@@ -11,12 +11,11 @@ from deploy.views import Views
 from rover_ncp.core.clock import Clock
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.lease import DriverStatus, dump_json
-from rover_ncp.core.messages import neurons, pose_with_covariance, text
+from rover_ncp.core.messages import COURSE_FRAME, neurons, pose_with_covariance, text
 from rover_ncp.core.recording import Recorded
 
-__all__ = ["COURSE_FRAME", "Reporter", "estimate_message"]
+__all__ = ["Reporter", "estimate_message"]
 
-COURSE_FRAME = "course"
 _JSON = "std_msgs/msg/String"
 
 

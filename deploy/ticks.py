@@ -1,11 +1,16 @@
 """What a recording keeps of each tick, so that `replay` can run the same arithmetic on the same numbers.
 
 JSON on two topics that exist in recordings only. Odometry itself is not repeated: a record names the samples
-that the controller took in, by stamp and checksum, with the moment of measurement it gave them.
+that the controller took in, by stamp and checksum, with the moment of measurement it gave them; so do
+external poses.
 """
 
 import zlib
 from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
 
 from deploy.estimator import Estimate
 from rover_ncp.core.config import StrictModel
@@ -17,31 +22,39 @@ TICKS_TOPIC = "deploy/ticks"
 
 
 class SampleRef(NamedTuple):
-    """An odometry sample: its stamp, the CRC-32 of its bytes, when it was measured on the driver's clock."""
+    """A sample: its stamp, the CRC-32 of its bytes, when it was measured on the driver's clock, its topic."""
 
     stamp_ns: int
     crc: int
     measured_ns: int
+    topic: str = "odom"
 
     @classmethod
-    def of(cls, stamp_ns: int, data: bytes, measured_ns: int) -> Self:
+    def of(cls, stamp_ns: int, data: bytes, measured_ns: int, topic: str = "odom") -> Self:
         """Name a sample."""
-        return cls(stamp_ns, zlib.crc32(data), measured_ns)
+        return cls(stamp_ns, zlib.crc32(data), measured_ns, topic)
 
 
 class StartRecord(StrictModel):
     """Where and when the drive began: at ``pose`` in the course's frame, at the moment of ``sample``.
 
+    ``covariance`` of that pose has nine numbers, row by row; None where the pose defines the course's frame.
     ``attachments`` are the CRC-32s of the files in the recording, by name.
     """
 
     sample: SampleRef
     pose: tuple[float, float, float]
+    covariance: tuple[float, ...] | None = Field(default=None, min_length=9, max_length=9)
     attachments: dict[str, int]
+
+    @property
+    def sure(self) -> NDArray[np.float64] | None:
+        """The covariance (3, 3)."""
+        return None if self.covariance is None else np.array(self.covariance).reshape(3, 3)
 
 
 class TickRecord(StrictModel):
-    """One tick: what it was made from, and what came out.
+    """One tick: what it was made from, in the order in which it was taken in, and what came out.
 
     ``now_ns`` is the tick's moment on the driver's monotonic clock, ``wall_ns`` the same by the wall clock
     (it stamps the messages). ``estimate`` is x, y, theta, v, omega; ``command`` is v, omega, or None for the

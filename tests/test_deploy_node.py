@@ -20,8 +20,8 @@ from deploy.replay import replay
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
 from rover_ncp.core.console import Output
-from rover_ncp.core.errors import AnotherDriver, NoBridge, NoRobot, RoverNcpError
-from rover_ncp.core.geometry import Pose, Velocity, compose, distance
+from rover_ncp.core.errors import AnotherDriver, NoBridge, NoPose, NoRobot, RoverNcpError
+from rover_ncp.core.geometry import Pose, Velocity, compose, distance, inverse
 from rover_ncp.core.keys import key
 from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
 from rover_ncp.core.messages import odometry, pose_with_covariance, read_pose, read_twist, text
@@ -339,20 +339,70 @@ def test_a_dry_run_commands_nothing_and_is_done_with_0(bridge, drive, tmp_path):
     assert replay(tmp_path / "run.mcap").difference is None
 
 
-def test_an_external_pose_places_the_rover_on_the_course(bridge, drive, tmp_path):
-    there = Pose(0.2, 0.1, 0.3)
-    covariance = [[0.0] * 3] * 3
+def localised(bridge, course_odom, frame="course"):
+    """Publish with each odometry where the one before it was on the course."""
+    late, covariance = [], [[1e-4, 0, 0], [0, 1e-4, 0], [0, 0, 3e-4]]
 
     def odom(pose, velocity, stamp):
-        bridge.publish_pose(pose_with_covariance(there, covariance, stamp, "course"))
+        late.append(pose_with_covariance(compose(course_odom, pose), covariance, stamp, frame))
+        if len(late) > 1:
+            bridge.publish_pose(late.pop(0))
         return odometry(pose, velocity, stamp)
 
-    bridge.odom = odom
-    drive(duration_s=0.3)
+    return odom
+
+
+def test_an_external_pose_places_the_rover_on_the_course(bridge, drive, tmp_path):
+    there = Pose(0.2, 0.1, 0.3)
+    bridge.odom = localised(bridge, compose(there, inverse(ODOM_AT_START)))
+    code, result = drive(duration_s=0.5, pose="required")
+    assert code == 1
+    assert result["pose"]["used"] >= 3
+    assert result["pose"]["refused"] == result["pose"]["unreadable"] == 0
     recording = read_recording(tmp_path / "run.mcap")
     first = read_pose(recording.topic("rover/estimate")[0].data).pose
     assert distance(first, there) < 1e-6
     assert first.theta == pytest.approx(0.3)
+    assert replay(tmp_path / "run.mcap").difference is None
+
+
+def test_without_anybody_who_says_where_it_stands_the_start_is_the_origin_or_none(
+    bridge, drive, tmp_path, monkeypatch
+):
+    shorter = functools.partial(DriveConfig, still_s=0.15, pose_wait_s=0.5)
+    monkeypatch.setattr(node, "DriveConfig", shorter)
+    with pytest.raises(NoPose, match="nobody says on 'pose' where the rover stands within 0.5 s") as caught:
+        drive(pose="required")
+    assert caught.value.exit_code == 3
+    assert bridge.requests == []
+    bridge.odom = localised(bridge, Pose(9.0, 9.0, 1.0))
+    drive(duration_s=0.3, pose="none")
+    first = read_pose(read_recording(tmp_path / "run.mcap").topic("rover/estimate")[0].data).pose
+    assert distance(first, Pose(0, 0, 0)) < 1e-6
+
+
+def test_poses_in_another_frame_and_garbled_ones_count_for_nothing(bridge, drive, tmp_path):
+    bridge.odom = localised(bridge, Pose(9.0, 9.0, 1.0), frame="map")
+    bridge.after_commands(1, lambda: bridge.publish_pose(b"nonsense"))
+    code, result = drive(duration_s=0.5)
+    assert code == 1
+    assert result["pose"]["unreadable"] > 3
+    assert result["pose"]["taken"] == 0
+
+
+def test_a_rover_that_was_carried_away_is_stopped(bridge, drive, tmp_path):
+    placed = localised(bridge, inverse(ODOM_AT_START))
+    elsewhere = localised(bridge, compose(Pose(0.0, 0.4, 0.0), inverse(ODOM_AT_START)))
+    bridge.odom = lambda *sample: (placed if len(bridge.commands) < 8 else elsewhere)(*sample)
+    code, result = drive()
+    assert (code, result["stopped_by"]) == (4, "external-pose")
+    assert "5 external poses in a row refused" in result["reason"]
+    assert result["ticks"] < 16
+    assert bridge.commands[-1][1] == STILL
+    estimates = [
+        read_pose(m.data).pose for m in read_recording(tmp_path / "run.mcap").topic("rover/estimate")
+    ]
+    assert max(abs(pose.y) for pose in estimates) < 0.05  # it never believed it
     assert replay(tmp_path / "run.mcap").difference is None
 
 

@@ -10,7 +10,8 @@
     │   ├── NoRobot           nothing, or nonsense, answers on the base's line
     │   ├── NoBridge          no bridge answers on Zenoh
     │   ├── NotAuthorised     the bridge is there but does not let us drive
-    │   └── AnotherDriver     somebody else holds the driver's lease
+    │   ├── AnotherDriver     somebody else holds the driver's lease
+    │   └── NoPose            nothing says where the rover stands
     ├── FormatError           bytes or text from a peer are not what their key promises
     └── SafetyStop            a safety rule, named, stopped the rover: exit code 4
 
@@ -27,6 +28,7 @@ __all__ = [
     "FormatError",
     "MissingExtra",
     "NoBridge",
+    "NoPose",
     "NoRobot",
     "NotAuthorised",
     "PortInUse",
@@ -92,6 +94,10 @@ class NotAuthorised(UnreachableError):
 
 class AnotherDriver(UnreachableError):
     """Somebody else holds the driver's lease."""
+
+
+class NoPose(UnreachableError):
+    """Nothing says from outside where the rover stands, though it was to."""
 
 
 class FormatError(RoverNcpError):

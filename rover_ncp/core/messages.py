@@ -1,7 +1,7 @@
 """The ROS messages that this project sends and reads, made from and turned into plain values.
 
-Frames as in REP-105: ``odom`` → ``base_link``; x forward, y left, angles counter-clockwise (REP-103). Stamps
-are ns since the epoch. The keys they travel on are in `rover_ncp.core.keys`, what rides with a command and
+Frames as in REP-105: ``odom`` → ``base_link``, and ``course`` for a course's own; x forward, y left, angles
+counter-clockwise (REP-103). Stamps are ns since the epoch. The keys they travel on are in `rover_ncp.core.keys`, what rides with a command and
 the JSON of the queries in `rover_ncp.core.lease`, the bytes in `rover_ncp.core.cdr`.
 """
 
@@ -17,6 +17,7 @@ from rover_ncp.core.geometry import Pose, Velocity
 
 __all__ = [
     "BASE_FRAME",
+    "COURSE_FRAME",
     "ODOM_FRAME",
     "TWIST",
     "TWIST_STAMPED",
@@ -50,6 +51,7 @@ __all__ = [
 
 ODOM_FRAME = "odom"
 BASE_FRAME = "base_link"
+COURSE_FRAME = "course"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TWIST = "geometry_msgs/msg/Twist"
 TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"

@@ -7,7 +7,8 @@ Rules of this file:
 2. Whatever came, the verdict's velocity is finite, within the limits, and what is sent, published, recorded.
 3. Zero is the rule. Anything else needs all of: a base heard of late, no stop latched, no hazard flagged,
    motors on, a lease, and a command of its holder that is fresh, new and finite.
-4. Hazards end the lease: whoever drove has to ask again. Mere lateness (silence, odometry) pauses.
+4. Hazards end the lease: whoever drove has to ask again. Mere lateness (silence, odometry) pauses, and so do
+   fence and sonars: the rover may be driven away from them.
 5. Braking is never slowed down; only growth is.
 """
 
@@ -128,6 +129,8 @@ def _pause(state: State, limits: Limits) -> Reason | None:
         reason = Reason.SILENCE
     elif limits.fence is not None and _leaves(limits.fence, base, _clamp(target.v, limits.v_max), limits):
         reason = Reason.GEOFENCE
+    elif limits.sonar_stop_m is not None and not _clear(base, target.v, limits.sonar_stop_m):
+        reason = Reason.SONAR
     return reason
 
 
@@ -142,6 +145,13 @@ def _leaves(fence: Fence, base: Heard, v: float, limits: Limits) -> bool:
     reach = v * REACT_S + v * abs(v) / (2.0 * limits.brake)
     ahead = fence.outside(base.x + reach * math.cos(base.theta), base.y + reach * math.sin(base.theta))
     return v != 0.0 and ahead > 0.0 and ahead >= fence.outside(base.x, base.y)
+
+
+def _clear(base: Heard, v: float, least_m: float) -> bool:
+    """Whether the sonars know that nothing is nearer than ``least_m`` where a speed leads."""
+    ahead = v <= 0.0 or base.clear_ahead_m >= least_m
+    behind = v >= 0.0 or base.clear_behind_m >= least_m
+    return ahead and behind
 
 
 def _hear(state: State, base: Heard, limits: Limits) -> State:

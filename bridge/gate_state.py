@@ -55,6 +55,8 @@ class Reason(StrEnum):
     SPEED = "speed"
     TURN = "turn"
     GEOFENCE = "geofence"
+    SONAR = "sonar"
+    """Something is near where the rover is told to go, or the sonars there have fallen silent."""
 
 
 EMERGENCIES = frozenset({Reason.STOPPED, Reason.STOP_BUTTON, Reason.BUMPER, Reason.STALL})
@@ -68,7 +70,10 @@ class Tick:
 
 @dataclass(frozen=True)
 class Heard:
-    """The base reported: SI units, pose in odom."""
+    """The base reported: SI units, pose in odom.
+
+    The clearances are the shortest ranges that the sonars heard of late, NaN when they cannot tell.
+    """
 
     x: float = 0.0
     y: float = 0.0
@@ -81,6 +86,8 @@ class Heard:
     stop_pressed: bool = False
     stalled: bool = False
     bumped: bool = False
+    clear_ahead_m: float = math.nan
+    clear_behind_m: float = math.nan
 
 
 @dataclass(frozen=True)

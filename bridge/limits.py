@@ -46,6 +46,12 @@ class Limits(StrictModel):
     brake: float = Field(default=0.3, gt=0, le=5.0)
     """How hard the base is sure to brake: what the fence reckons with."""
     fence: Fence | None = None
+    sonar_stop_m: float | None = Field(default=None, gt=0, le=5)
+    """What the sonars must hear nothing nearer than where the rover is told to go; None = they are not asked.
+
+    Counted from the sonars, which sit up to 7 cm (3-AT) behind the bumper. Glass, a thin leg or the edge of a
+    table they do not hear.
+    """
     silence_s: float = Field(default=0.3, gt=0, le=0.4)
     """A command counts no longer than this after it was sent. The base's own delay comes on top."""
     stale_s: float = Field(default=0.2, gt=0, le=0.3)

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from bridge import ros
+from bridge.clearance import Clearance, Room
 from bridge.events import BaudChanged, Configured, Connected, Event, Failed, Lost, Recovered, StateReceived
 from bridge.gate import step
 from bridge.gate_state import BaseLost, Command, Heard, Reason, State, Tick, Verdict
@@ -68,6 +69,7 @@ class Node:
         self._verdict = self._sent = Verdict(self.gate.out, motors=False, held=self.gate.held)
         self._base: BaseState | None = None
         self._robot: RobotParameters | None = None
+        self._clearance: Clearance | None = None
         self._hardware = ""
         self._stopping = self._commanded = False
         self._acted_s = self._status_due_s = self._slow_due_s = -math.inf
@@ -141,12 +143,13 @@ class Node:
             match event:
                 case StateReceived(state):
                     self._base = state
-                    self._judge(_heard(state), arrived_s)
+                    assert self._clearance is not None  # a base is configured before it reports
+                    self._judge(_heard(state, self._clearance.update(state.sonar, arrived_s)), arrived_s)
                     self._publish_sip(state, arrived_s)
                 case Connected(name, robot_class, subtype):
                     self._hardware = f"{robot_class} {subtype} {name}"
                 case Configured(_, robot):
-                    self._robot = robot
+                    self._robot, self._clearance = robot, Clearance(robot)
                     self.reconnects += 1
                     self._say(f"the base is there: {self._hardware}")
                     if self.reconnects == 0:
@@ -226,7 +229,7 @@ class Node:
         return self._clock.time_ns() - round((self._clock.monotonic() - monotonic_s) * 1e9)
 
 
-def _heard(state: BaseState) -> Heard:
+def _heard(state: BaseState, room: Room) -> Heard:
     return Heard(
         x=state.x,
         y=state.y,
@@ -238,6 +241,8 @@ def _heard(state: BaseState) -> Heard:
         stop_pressed=state.stop_pressed,
         stalled=any(state.stalled),
         bumped=any(state.bumpers),
+        clear_ahead_m=room.ahead_m,
+        clear_behind_m=room.behind_m,
     )
 
 

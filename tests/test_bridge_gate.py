@@ -136,6 +136,44 @@ def test_nobody_drives_out_of_the_fence_but_anybody_back(base, velocity, passes)
         assert gate.drive(0.15, ZERO).held is None  # it pauses the drive, it does not end it
 
 
+SONAR = LIMITS.model_copy(update={"sonar_stop_m": 0.4})
+NEARER = math.nextafter(0.4, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("ahead_m", "behind_m", "velocity", "passes"),
+    [
+        (0.4, NEARER, Velocity(0.1, 0.0), True),
+        (NEARER, 5.0, Velocity(0.1, 0.0), False),
+        (5.0, NEARER, Velocity(1e-9, 0.3), True),
+        (NEARER, 0.4, Velocity(-0.1, 0.0), True),
+        (5.0, NEARER, Velocity(-0.1, 0.0), False),
+        (NEARER, NEARER, Velocity(0.0, 0.3), True),
+        (math.nan, 5.0, Velocity(0.1, 0.0), False),
+        (math.nan, 5.0, Velocity(-0.1, 0.0), True),
+        (5.0, math.nan, Velocity(-0.1, 0.0), False),
+        (math.inf, math.nan, Velocity(0.1, 0.0), True),
+    ],
+)
+def test_nobody_drives_at_what_the_sonars_hear_but_anybody_away(ahead_m, behind_m, velocity, passes):
+    gate = Gate().driving()
+    gate.limits = SONAR
+    gate.at(0.1, Heard(clear_ahead_m=ahead_m, clear_behind_m=behind_m))
+    verdict = gate.drive(0.1, velocity)
+    assert verdict.held is (None if passes else Reason.SONAR)
+    if not passes:
+        assert verdict.velocity == ZERO
+        assert not verdict.emergency
+        assert gate.state.stops == {Reason.SONAR: 1}
+        assert gate.drive(0.15, Velocity(0.0, 0.2)).held is None  # it pauses the drive, it does not end it
+
+
+def test_sonars_that_nobody_asked_for_stop_nobody():
+    gate = Gate().driving()
+    gate.at(0.1, Heard(clear_ahead_m=0.01, clear_behind_m=math.nan))
+    assert gate.drive(0.1).held is None
+
+
 # Hazards
 
 

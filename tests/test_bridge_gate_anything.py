@@ -42,7 +42,10 @@ reports = st.builds(
     stop_pressed=st.sampled_from([False] * 9 + [True]),
     stalled=st.sampled_from([False] * 9 + [True]),
     bumped=st.sampled_from([False] * 9 + [True]),
+    clear_ahead_m=st.sampled_from([5.0, 5.0, 0.5, 0.4, math.nan]),
+    clear_behind_m=st.sampled_from([5.0, 0.4, math.nan]),
 )
+CLEAR = Heard(clear_ahead_m=1.0, clear_behind_m=1.0)
 good = st.just(("good", None))
 happenings = st.lists(
     st.tuples(
@@ -73,6 +76,7 @@ all_limits = st.builds(
     accel=st.sampled_from([1.0, 0.01, 5.0]),
     alpha=st.sampled_from([4.0, 0.01]),
     fence=st.none() | st.just(Fence(x_min=-1.0, x_max=1.0, y_min=-1.0, y_max=1.0)),
+    sonar_stop_m=st.none() | st.just(0.5),
 )
 
 
@@ -81,11 +85,11 @@ def events_of(kind, what, now, sequence):
     stamp = round(now * 1e9)
     match kind:
         case "good":
-            yield Heard()
+            yield CLEAR
             yield Command(SLOW, CommandTag(ME, sequence, stamp))
         case "start":
             yield Unlatch()
-            yield Heard()
+            yield CLEAR
             yield Enable(ME, "x", stamp)
         case "enable":
             yield Enable(what[0], "x", stamp + what[1])
@@ -122,7 +126,15 @@ def allowed_to_move(history, limits):
         and all(math.isfinite(getattr(report, name)) for name in ("x", "y", "theta", "v", "omega"))
         and not any(ends(event, driver) for _, event, _ in history[counted[-1] + 1 :])
         and not (latches and isinstance(latches[-1], Stop))
+        and not blocked(report, command.velocity.v, limits)
     )
+
+
+def blocked(report, v, limits):
+    """Whether the sonars are to stop a command that asks for speed ``v``."""
+    ranges = {1.0: report.clear_ahead_m, -1.0: report.clear_behind_m}
+    asked = limits.sonar_stop_m is not None and v != 0.0
+    return asked and not ranges[math.copysign(1.0, v)] >= limits.sonar_stop_m
 
 
 def ends(event, driver):
@@ -136,7 +148,7 @@ def ends(event, driver):
 def test_whatever_arrives_what_comes_out_is_finite_within_limits_and_allowed(happenings, limits, accept_ros):
     state, now, before = State(), 100.0, (100.0, ZERO)
     history = []
-    prelude = [(0.0, ("report", Heard())), (0.0, ("enable", (ME, 0)))]
+    prelude = [(0.0, ("report", CLEAR)), (0.0, ("enable", (ME, 0)))]
     for sequence, (wait, (kind, what)) in enumerate(prelude + happenings):
         now += wait
         for event in events_of(kind, what, now, sequence):

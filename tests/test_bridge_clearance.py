@@ -1,0 +1,49 @@
+"""Room before and behind: which sonars watch, how long a range counts."""
+
+import math
+
+import pytest
+
+from bridge.clearance import Clearance
+from bridge.robots import ROBOTS
+
+AHEAD, ASIDE, BEHIND = [2, 3, 4, 5], [0, 1, 6, 7, 8, 9, 14, 15], [10, 11, 12, 13]
+ROBOT = ROBOTS["p3at-sh"]
+
+
+def everything(range_m=5.0):
+    return dict.fromkeys(range(16), range_m)
+
+
+@pytest.mark.parametrize("model", ROBOTS)
+def test_four_sonars_watch_each_way_and_the_others_look_aside(model):
+    for numbers, place in ((AHEAD, 0), (BEHIND, 1)):
+        for number in numbers:
+            room = Clearance(ROBOTS[model]).update(everything() | {number: 0.3}, 10.0)
+            assert (room[place], room[1 - place]) == (0.3, 5.0)
+    for number in ASIDE:
+        assert Clearance(ROBOTS[model]).update(everything() | {number: 0.3}, 10.0) == (5.0, 5.0)
+
+
+def test_ranges_that_come_one_by_one_are_put_together():
+    clearance = Clearance(ROBOT)
+    for k, number in enumerate(AHEAD[:-1]):
+        room = clearance.update({number: 1.0 + 0.1 * k}, 10.0 + 0.04 * k)
+        assert math.isnan(room.ahead_m)  # the last of them has not spoken yet
+    assert clearance.update({AHEAD[-1]: 2.0, ASIDE[0]: 0.1}, 10.2).ahead_m == 1.0
+    assert clearance.update({AHEAD[0]: 3.0}, 10.3).ahead_m == 1.1
+
+
+def test_a_sonar_that_fell_silent_leaves_its_way_unknown_and_the_other_way_known():
+    clearance = Clearance(ROBOT)
+    clearance.update(everything(), 10.0)
+    later = {number: 5.0 for number in range(16) if number != AHEAD[1]}
+    assert clearance.update(later, 11.0) == (5.0, 5.0)
+    room = clearance.update(later, 11.001)
+    assert math.isnan(room.ahead_m)
+    assert room.behind_m == 5.0
+    assert clearance.update({AHEAD[1]: 4.0}, 11.1) == (4.0, 5.0)
+
+
+def test_a_base_without_sonars_knows_nothing():
+    assert all(map(math.isnan, Clearance(ROBOT).update({}, 10.0)))

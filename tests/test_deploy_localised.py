@@ -1,0 +1,80 @@
+"""A lab's localisation beside real processes: the rover starts somewhere, is told where, and parks there."""
+
+import threading
+
+import numpy as np
+import pytest
+from bridge_bench import client
+
+from deploy.replay import replay
+from rover_ncp.core.course import load_course
+from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
+from rover_ncp.core.keys import key
+from rover_ncp.core.messages import pose_with_covariance
+from sim.studies.processes import LiveRun
+from sim.studies.truth import read_truth
+
+COURSE = """
+name: into-place
+start_signal_s: 1.0
+horizon_s: 16.0
+checkpoints:
+- {t: 0.0, x: 0.0, y: 0.0, theta: 0.0}
+- {t: 1.0, x: 0.0, y: 0.0, theta: 0.0}
+- {t: 3.0, x: 0.15, y: 0.0, theta: 0.0}
+- {t: 5.0, x: 0.35, y: 0.03, theta: 0.2}
+- {t: 7.0, x: 0.55, y: 0.07, theta: 0.2}
+- {t: 9.0, x: 0.68, y: 0.09, theta: 0.1}
+- {t: 16.0, x: 0.68, y: 0.09, theta: 0.1}
+"""
+SIGMA = np.array([0.005, 0.005, 0.0087])
+
+
+class Localiser(threading.Thread):
+    """What a motion capture says: the true pose, a little wrong, ten times a second."""
+
+    def __init__(self, run, course_world, seed):
+        super().__init__(daemon=True)
+        self.over = threading.Event()
+        self._truth, self._course_world = run.truth, course_world
+        self._rng, self._session = np.random.default_rng(seed), client(run.robot)
+
+    def run(self):
+        while not self.over.wait(0.1):
+            states = read_truth(self._truth)
+            if states:
+                pose = np.array(compose(self._course_world, states[-1].pose)) + SIGMA * self._rng.normal(
+                    size=3
+                )
+                data = pose_with_covariance(Pose(*pose), np.diag(SIGMA**2), states[-1].wall_ns, "course")
+                self._session.put(key("", "pose"), data)
+
+    def close(self):
+        self.over.set()
+        self.join(5)
+        self._session.close()
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_a_rover_that_is_told_where_it_starts_parks_on_the_true_pose(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    start = Pose(*(rng.uniform(-1, 1, 3) * (0.1, 0.1, 0.17)))
+    path = tmp_path / "into-place.yaml"
+    path.write_text(COURSE)
+    course, recording = load_course(path), tmp_path / "run.mcap"
+    with LiveRun(tmp_path / "log") as run:
+        localiser = Localiser(run, start, seed)
+        localiser.start()
+        try:
+            options = ["--policy", "course", "--course", str(path), "--pose", "required"]
+            done = run.deploy(*options, "--record", str(recording)).wait(60)
+        finally:
+            localiser.close()
+        end = compose(start, read_truth(run.truth)[-1].pose)
+    assert done.code == 0, done
+    assert done.result["pose"]["used"] > 50
+    assert done.result["pose"]["refused"] == 0
+    assert distance(start, Pose(0, 0, 0)) > 0.05  # without being told it would be as far off at the end
+    assert distance(end, course.goal) < course.parked.position_m / 2
+    assert abs(wrap_angle(end.theta - course.goal.theta)) < course.parked.heading_rad
+    assert replay(recording).difference is None

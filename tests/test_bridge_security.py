@@ -116,6 +116,30 @@ def test_a_viewer_sees_everything_and_drives_by_no_means(rig, keys):
     )
 
 
+def test_a_localiser_says_where_the_rover_is_and_nothing_else(rig, keys):
+    with User(rig, keys / "driver.json5") as driver, User(rig, keys / "localiser.json5") as localiser:
+        poses, others = [], []
+        own = [
+            driver.session.declare_subscriber("pose", lambda sample: poses.append(sample.payload.to_bytes())),
+            driver.session.declare_subscriber("rover/status", others.append),
+        ]
+        wait_for(lambda: driver.may_drive and "rover/gate" in driver.heard)
+        wait_for(lambda: localiser.session.put("pose", b"here") or poses)
+        assert set(poses) == {b"here"}
+        before = driver.gate
+        assert localiser.enable() == []
+        localiser.command()
+        localiser.session.put("rover/status", b"forged")
+        poses.clear()
+        wait_for(lambda: localiser.session.put("pose", b"there") or b"there" in poses)
+        driver.heard.clear()
+        wait_for(lambda: "rover/gate" in driver.heard)
+        assert not others
+        assert (driver.gate.accepted, driver.gate.dropped) == (before.accepted, before.dropped)
+        for subscriber in own:
+            subscriber.undeclare()
+
+
 def test_nobody_speaks_for_the_bridge(rig, keys):
     with User(rig, keys / "driver.json5") as driver, User(rig, keys / "viewer.json5") as viewer:
         wait_for(lambda: "rover/gate" in viewer.heard and driver.may_drive)

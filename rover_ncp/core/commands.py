@@ -23,11 +23,12 @@ def keys(
     namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
     json: Json = False,
 ) -> None:
-    """Make a certificate authority, and certificates and passwords for a bridge, a driver and a viewer.
+    """Make a certificate authority, and certificates and passwords for a bridge and its peers.
 
     Writes one Zenoh configuration for each end, which holds all that end needs: bridge.json5 (with users.txt
     beside it) for 'rover-ncp bridge --zenoh-config', driver.json5 for 'rover-ncp deploy --zenoh-config',
-    viewer.json5 for whoever may look and not drive. With them both ends prove who they are, all that
+    viewer.json5 for whoever may look and not drive, localiser.json5 for what says from outside where the
+    rover is, and may say nothing else. With them both ends prove who they are, all that
     travels is encrypted, and each user may do what the table of keys says, nothing else. ca-key.pem signs:
     keep it off the robot.
     """

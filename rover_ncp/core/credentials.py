@@ -22,7 +22,7 @@ from rover_ncp.core.keys import Role
 
 __all__ = ["PEERS", "USERS_FILE", "make_credentials"]
 
-PEERS = (Role.DRIVER, Role.VIEWER)
+PEERS = (Role.DRIVER, Role.VIEWER, Role.LOCALISER)
 """Who gets a user of the bridge."""
 USERS_FILE = "users.txt"
 

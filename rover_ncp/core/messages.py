@@ -1,8 +1,9 @@
 """The ROS messages that this project sends and reads, made from and turned into plain values.
 
 Frames as in REP-105: ``odom`` → ``base_link``, and ``course`` for a course's own; x forward, y left, angles
-counter-clockwise (REP-103). Stamps are ns since the epoch. The keys they travel on are in `rover_ncp.core.keys`, what rides with a command and
-the JSON of the queries in `rover_ncp.core.lease`, the bytes in `rover_ncp.core.cdr`.
+counter-clockwise (REP-103). Stamps are ns since the epoch. The keys they travel on are in
+`rover_ncp.core.keys`, what rides with a command and the JSON of the queries in `rover_ncp.core.lease`, the
+bytes in `rover_ncp.core.cdr`.
 """
 
 import math

@@ -22,6 +22,7 @@ BRAKING_M_S2, DELAY_S = 0.31, 0.15
 SPEED = 0.12
 HANGABLE = "sim.studies.hang"
 COURSE = Path(__file__).parent / "data" / "prompt_course.yaml"
+WALL = COURSE.with_name("wall_course.yaml")
 ROWS_FILE = os.environ.get("ROVER_NCP_SAFETY_ROWS")
 
 
@@ -53,13 +54,16 @@ def wait_for(condition, timeout_s=8.0):
 
 
 class Stack:
-    """``robot`` is the bridge itself; ``spoilt`` leads there through ``proxy``."""
+    """``robot`` is the bridge itself; ``spoilt`` leads there through ``proxy``.
 
-    def __init__(self, folder: Path, *faults):
+    ``mock`` and ``bridge`` are more arguments for these.
+    """
+
+    def __init__(self, folder: Path, *faults, mock=(), bridge=()):
         folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self._deploys = folder, 0
+        self.folder, self._deploys, self._bridge_arguments = folder, 0, bridge
         truth = folder / "truth.csv"
-        mock = ["--listen", "127.0.0.1:0", "--truth", str(truth)]
+        mock = ["--listen", "127.0.0.1:0", "--truth", str(truth), *mock]
         for fault in faults:
             mock += ["--fault", fault]
         self.processes = [Process("mock", mock, folder)]
@@ -82,7 +86,7 @@ class Stack:
             raise
 
     def start_bridge(self, listen=None):
-        arguments = ["--base", f"tcp/{self._base}", "--listen", listen or self.robot]
+        arguments = ["--base", f"tcp/{self._base}", "--listen", listen or self.robot, *self._bridge_arguments]
         self.bridge = Process("bridge", arguments, self.folder, HANGABLE)
         self.processes.append(self.bridge)
         ready = dict(part.split("=", 1) for part in self.bridge.wait_for_line("ready ").split())

@@ -9,7 +9,7 @@ import signal
 import time
 
 import pytest
-from safety_stack import SPEED, STOP_S, WATCHDOG_S, Stack, record, wait_for
+from safety_stack import SPEED, STOP_S, WALL, WATCHDOG_S, Stack, record, wait_for
 
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.messages import odometry, text, twist_stamped
@@ -74,6 +74,22 @@ def test_what_the_base_itself_reports(other):
             time.sleep(max(0.0, (began_ns - time.time_ns()) * 1e-9))
             wait_for(lambda reason=reason: hand.gate.ended == reason)
             record("base", fault, other.stood(began_ns, 8.0), SPEED, bound_s)
+
+
+def test_a_wall_in_the_way(tmp_path):
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("sonar_stop_m: 0.6\n")
+    # The wall is 1 m ahead; two sonars 0.245 m before the centre look at it, 10 degrees from straight on.
+    near_m = 1.0 - 0.245 - 0.6 * math.cos(math.radians(10.0))
+    options = {"mock": ["--course", str(WALL)], "bridge": ["--limits", str(limits)]}
+    with Stack(tmp_path, **options) as stack, stack.hand() as hand:
+        stack.under_way(hand)
+        wait_for(lambda: stack.truth.read()[-1].x >= near_m)
+        near_ns = next(row.wall_ns for row in stack.truth.read() if row.x >= near_m)
+        record("base", "a wall within `sonar_stop_m`", stack.stood(near_ns), stack.at(near_ns))
+        assert (hand.gate.held, hand.gate.stops["sonar"]) == ("sonar", 1)
+        assert hand.gate.driver == hand.id.hex()
+        stack.under_way(hand, -SPEED)  # and back is free
 
 
 # The driver.

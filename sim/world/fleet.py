@@ -9,8 +9,8 @@ Measured per rover and substep (one core of an AMD EPYC): 112 ns alone in a bay,
 bays of six, 74 in bays of eight: a space's step costs 54 ns whatever is in it, and every two rovers on one
 spot 4 ns. All but 5 ns of it is Chipmunk's step; 19 ns go into the sine and cosine of the heading.
 
-Every substep of every rover is Chipmunk's step with its shape present, also where nothing stands that it could
-touch: an integrator of our own would be faster there, and be a second simulator.
+Every substep of every rover is Chipmunk's step with its shape present, also where nothing stands that it
+could touch: an integrator of our own would be faster there, and be a second simulator.
 
 One thread at a time may use a fleet.
 """

@@ -12,7 +12,7 @@ from rover_ncp.core.course import load_course
 from rover_ncp.core.reference import plan_reference
 from rover_ncp.shell import run
 from sim.learn.engine import Engine, Outcomes
-from sim.learn.robust import UnitCube, costs, robust_search, training_courses
+from sim.learn.robust import RobustSearch, UnitCube, costs, drive_trials, reflected, training_courses
 from sim.world.random_course import random_course
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
@@ -27,19 +27,13 @@ def engine():
     return Engine(START, COURSE, MODEL, trials)
 
 
+def searching(generations=12, seed=3):
+    return RobustSearch(UnitCube(START), seed=seed, generations=generations, rollouts=8, worst=8)
+
+
 def search(generations, seed=3):
-    return list(
-        robust_search(
-            engine(),
-            UnitCube(START),
-            FULL,
-            seed=seed,
-            generations=generations,
-            rollouts=8,
-            worst=8,
-            model=MODEL,
-        )
-    )
+    going, drive = searching(seed=seed), drive_trials(engine(), FULL, MODEL, seed)
+    return [going.advance(drive) for _ in range(generations)]
 
 
 def test_the_cube_and_the_parameters_are_the_same_place():
@@ -52,6 +46,11 @@ def test_the_cube_and_the_parameters_are_the_same_place():
     assert (vector <= layout.upper).all()
     assert np.array_equal(vector[~cube.active], START.parameters()[~cube.active])
     START.with_parameters(cube.vector(inside + 5.0))  # whatever is asked for stays in bounds
+
+
+def test_a_wall_is_a_mirror():
+    assert reflected(np.array([0.25, -0.25, 1.75, 2.25, -1.75])) == pytest.approx([0.25] * 5)
+    assert reflected(np.array([0.0, 1.0])).tolist() == [0.0, 1.0]
 
 
 def test_what_decides_nothing_is_left_out():
@@ -101,12 +100,33 @@ def test_the_search_improves_and_repeats_itself():
     first = search(12)
     assert [last.number for last in first] == list(range(1, 13))
     again = search(12)
-    assert all(np.array_equal(a.mean, b.mean) for a, b in zip(first, again, strict=True))
-    assert not np.array_equal(search(1, seed=4)[0].mean, first[0].mean)
+    assert all(np.array_equal(a.winner, b.winner) for a, b in zip(first, again, strict=True))
+    assert not np.array_equal(search(1, seed=4)[0].winner, first[0].winner)
     judge = engine()
     judge.change_trials(draw_trials(FULL, MODEL, 9, count=60, ticks=COURSE.ticks))
-    before, after = costs(judge.outcomes([START.parameters(), first[-1].mean])).mean(axis=1)
+    before, after = costs(judge.outcomes([START.parameters(), first[-1].winner])).mean(axis=1)
     assert after < before
+
+
+def test_the_winner_is_the_average_of_the_means_of_the_last_quarter():
+    drive, going, cube = drive_trials(engine(), FULL, MODEL, 3), searching(8), UnitCube(START)
+    means, winners = [], []
+    for _ in range(8):
+        winners.append(going.advance(drive).winner)
+        means.append(np.array(going.state()["cma"]["mean"]))
+    for number in range(7):
+        assert np.array_equal(winners[number], cube.vector(means[number]))
+    assert winners[7] == pytest.approx(cube.vector(0.5 * (means[6] + means[7])), rel=1e-12)
+
+
+def test_a_search_goes_on_where_it_was():
+    drive, going, again = drive_trials(engine(), FULL, MODEL, 3), searching(4), searching(4)
+    for _ in range(3):
+        going.advance(drive)
+    again.restore(json.loads(json.dumps(going.state())))
+    assert np.array_equal(going.advance(drive).winner, again.advance(drive).winner)
+    with pytest.raises(ValueError, match="no state of a search"):
+        going.restore({"cma": going.state()["cma"], "sum": [0.0]})
 
 
 def test_the_command_leaves_a_policy_that_says_how_it_was_made(tmp_path, monkeypatch, capsys):
@@ -130,11 +150,11 @@ def test_the_command_leaves_a_policy_that_says_how_it_was_made(tmp_path, monkeyp
     ("arguments", "expected"),
     [
         (["--rollouts", "3"], "need --randomize"),
-        (["--randomize", "full", "--agents", "3"], "goes with none of"),
+        (["--randomize", "full", "--agents", "3"], "goes with neither"),
         (["--randomize", "wild"], "none of the shipped randomizations"),
         (["--randomize", "full", "--rollouts", "3", "--worst", "4"], "the worst 4 of 3 rollouts"),
         (["--randomize", "full", "--circuit", "parking"], "no neuron 'REV'"),
-        (["--randomize", "full", "--out", "."], "is not an empty folder"),
+        (["--randomize", "full", "--out", "."], "is not empty"),
     ],
 )
 def test_what_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, arguments, expected):

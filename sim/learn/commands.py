@@ -2,12 +2,15 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from sim.learn.record import RobustSettings
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 
@@ -90,13 +93,14 @@ def train(
     With --randomize, a circuit learns to follow any course on robots nobody measured: what it senses is
     where it is relative to the course (the circuit, tracking unless told otherwise, needs the neurons FWD
     and REV), a candidate's score is the mean over many random trials, and the search is CMA-ES; iterations
-    are its generations. It takes some minutes and cannot be resumed.
+    are its generations.
 
         rover-ncp train --randomize full --out runs/robust
     """
+    from rover_ncp.core.course import load_course
     from sim.learn.folder import new_run_path, saved_settings
     from sim.learn.progress import TrainProgress
-    from sim.learn.record import TrainSettings, resolve_task
+    from sim.learn.record import RobustSettings, TrainSettings, resolve_task
     from sim.learn.train import train as run_training
     from sim.learn.workers import WorkerDied
 
@@ -116,25 +120,31 @@ def train(
         "worst": worst,
         "random_courses": random_courses,
     }
-    if randomize is not None:
-        if resume or not {agents, search, processes} <= {None}:
-            raise UsageError("--randomize goes with none of --resume, --agents, --search and --processes")
-        _train_robust(output, options | robust, out or new_run_path())
-        return
-    if any(value is not None for value in robust.values()):
-        raise UsageError("--rollouts, --worst and --random-courses need --randomize")
     if resume and out is None:
         raise UsageError("--resume needs --out, the folder of the run to go on with")
     saved = saved_settings(out) if resume and out is not None else None
     if resume and saved is None:
         output.say(f"{out} holds no run yet: starting from the beginning")
-    settings = TrainSettings(**((saved.model_dump() if saved else {}) | given))
-    task = resolve_task(settings)  # before a folder is made, so that a typo leaves none behind
+    if randomize is not None or isinstance(saved, RobustSettings):
+        if not {agents, search} <= {None}:
+            raise UsageError("--randomize goes with neither --agents nor --search")
+        before = saved.model_dump() if isinstance(saved, RobustSettings) else {}
+        asked = {name: value for name, value in (options | robust).items() if value is not None}
+        if "rollouts" in asked:
+            asked.setdefault("worst", asked["rollouts"])
+        settings = RobustSettings(**(before | asked))
+        load_course(settings.course)  # before a folder is made, so that a typo leaves none behind
+        _train_robust(output, settings, out or new_run_path(), resume, processes)
+        return
+    if any(value is not None for value in robust.values()):
+        raise UsageError("--rollouts, --worst and --random-courses need --randomize")
+    plain = TrainSettings(**((saved.model_dump() if saved else {}) | given))
+    task = resolve_task(plain)  # before a folder is made, so that a typo leaves none behind
     folder = out or new_run_path()
     try:
-        with TrainProgress(settings.iterations) as progress:
+        with TrainProgress(plain.iterations) as progress:
             result = run_training(
-                settings, folder, resume=resume, processes=processes, on_progress=progress.show
+                plain, folder, resume=resume, processes=processes, on_progress=progress.show
             )
     except (KeyboardInterrupt, WorkerDied):
         output.say(f"Go on with: rover-ncp train --out {folder} --resume")
@@ -152,8 +162,8 @@ def train(
         "error_rad": verdict.error_rad,
         "wall_s": result.wall_s,
         "iterations_per_s": result.iterations_per_s,
-        "seed": settings.seed,
-        "agents": settings.agents,
+        "seed": plain.seed,
+        "agents": plain.agents,
         "iterations": result.agents.iterations,
         "out": str(folder),
         "policy": str(result.policy_path),
@@ -161,28 +171,35 @@ def train(
     how = "parks" if verdict.parked else f"does not park: {verdict.reason}"
     output.result(
         fields,
-        f"best of {settings.agents} agents: return {result.agents.best.value:.4f}, {how} "
+        f"best of {plain.agents} agents: return {result.agents.best.value:.4f}, {how} "
         f"(median {result.agents.median_return:.4f}; {result.wall_s:.1f} s)\n{result.policy_path}",
     )
 
 
-def _train_robust(output: Output, options: dict[str, Any], out: Path) -> None:
-    """Train on random trials, and say how the result does on others."""
+def _train_robust(
+    output: Output, settings: "RobustSettings", out: Path, resume: bool, processes: int | None
+) -> None:
+    """Train on random trials."""
     from rich.console import Console
     from rich.progress import Progress
 
-    from rover_ncp.core.course import load_course
-    from sim.learn.robust_run import RobustSettings, train_robust
+    from sim.learn.robust_run import train_robust
+    from sim.learn.workers import WorkerDied
 
-    given = {name: value for name, value in options.items() if value is not None}
-    if "rollouts" in given:
-        given.setdefault("worst", given["rollouts"])
-    settings = RobustSettings(**given)
-    load_course(settings.course)  # before a folder is made, so that a typo leaves none behind
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("generations", total=settings.iterations)
-        result = train_robust(settings, out, lambda last: progress.update(task, completed=last.number))
+    try:
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+            task = progress.add_task("generations", total=settings.iterations)
+            result = train_robust(
+                settings,
+                out,
+                resume=resume,
+                processes=processes,
+                on_generation=lambda last: progress.update(task, completed=last.number),
+            )
+    except (KeyboardInterrupt, WorkerDied):
+        output.say(f"Go on with: rover-ncp train --out {out} --resume")
+        raise
     fields = settings.model_dump() | {
         "generations": result.last.number,
         "cost": result.last.best,

@@ -15,8 +15,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from pydantic import BaseModel
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import save_policy
@@ -26,10 +28,10 @@ from rover_ncp.core.files import write_atomic
 from sim.learn.agent_file import load_agent, save_agent
 from sim.learn.curve import curve_csv, curve_png
 from sim.learn.ensemble import Snapshot
-from sim.learn.record import Record, Task, TrainSettings, resolve_task
+from sim.learn.record import Record, RobustSettings, SettingsT, Task, TrainSettings, resolve_task
 from sim.learn.team import AgentState, Plan
 
-__all__ = ["RunFolder", "is_milestone", "new_run_path", "open_run", "saved_settings"]
+__all__ = ["RunFolder", "is_milestone", "new_run_path", "open_folder", "open_run", "saved_settings"]
 
 _RUNS = Path("runs")
 _RECORD = "settings.yaml"
@@ -39,6 +41,7 @@ _TEMPORARY = (
     ".policy.yaml.",
     ".curve.csv.",
     ".curve.png.",
+    ".search.json.",
     *(f".{d}" for d in "0123456789"),
 )
 
@@ -66,16 +69,24 @@ def new_run_path() -> Path:
             return path
 
 
-def saved_settings(path: Path) -> TrainSettings | None:
+class _Kind(BaseModel):
+    settings: dict[str, Any]
+
+
+def saved_settings(path: Path) -> TrainSettings | RobustSettings | None:
     """Return the settings of the run in a folder, None if it holds none. Raises FileError or ConfigError."""
     saved = path / _RECORD
-    return load_yaml(saved, Record).settings if saved.exists() else None
+    if not saved.exists():
+        return None
+    if "randomize" in load_yaml(saved, _Kind).settings:
+        return load_yaml(saved, Record[RobustSettings]).settings
+    return load_yaml(saved, Record[TrainSettings]).settings
 
 
 class RunFolder:
     """The folder of one run, open while this process holds its lock; made by ``open_run``."""
 
-    def __init__(self, path: Path, record: Record, task: Task) -> None:
+    def __init__(self, path: Path, record: Record[TrainSettings], task: Task) -> None:
         self.path = path
         self.policy_path = path / "policy.yaml"
         self._agents = path / "agents"
@@ -123,20 +134,28 @@ class RunFolder:
         """Return an agent's incumbent as a policy that tells how it was made."""
         if agent.search is None:
             raise ValueError(f"agent {agent.number} has not begun")
-        provenance = self._record.provenance(agent.number, agent.value, snapshot.iterations)
+        provenance = self._record.provenance(
+            snapshot.iterations, **{"agent": agent.number, "return": agent.value}
+        )
         policy = self.task.policy.with_parameters(np.array(agent.search["incumbent"]))
         return replace(policy, provenance=provenance)
 
 
 @contextmanager
 def open_run(path: Path, settings: TrainSettings, resume: bool) -> Iterator[RunFolder]:
+    """Begin a run, or go on with one, as ``open_folder`` does."""
+    task = resolve_task(settings)
+    with open_folder(path, Record[TrainSettings].of(settings, task), resume) as record:
+        yield RunFolder(path, record, task)
+
+
+@contextmanager
+def open_folder(path: Path, record: Record[SettingsT], resume: bool) -> Iterator[Record[SettingsT]]:
     """Begin a run in an empty or missing folder or, if ``resume``, go on with the one it holds.
 
-    Raises UsageError or ConfigError if the folder holds something else or a run of other settings. A folder
-    whose run was killed before it wrote anything counts as empty.
+    Gives the record that the run began with. Raises UsageError or ConfigError if the folder holds something
+    else or a run of other settings. A folder whose run was killed before it wrote anything counts as empty.
     """
-    task = resolve_task(settings)
-    record = Record.of(settings, task)
     saved = path / _RECORD
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -151,14 +170,14 @@ def open_run(path: Path, settings: TrainSettings, resume: bool) -> Iterator[RunF
                 raise UsageError(
                     f"{path}: holds a training run; go on with --resume, or choose another --out"
                 )
-            began = load_yaml(saved, Record)
+            began = load_yaml(saved, type(record))
             began.require_same(record, str(saved))
             record = began
         elif foreign := [name for name in os.listdir(path) if not _is_leftover(name)]:  # noqa: PTH208
             raise UsageError(f"{path}: is not empty ({min(foreign)}) and holds no training run")
         _sweep(path)
         write_atomic(saved, dump_yaml(record.model_dump()))
-        yield RunFolder(path, record, task)
+        yield record
     finally:
         os.close(handle)
 

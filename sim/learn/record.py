@@ -10,7 +10,7 @@ import subprocess
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Generic, Literal, NamedTuple, Self, TypeVar
 
 import yaml
 from pydantic import Field
@@ -22,13 +22,24 @@ from rover_ncp.core.course import Course, load_course
 from rover_ncp.core.errors import ConfigError
 from sim.world.rover import RoverModel, require_free_start
 
-__all__ = ["Record", "Task", "TrainSettings", "made_with", "resolve_task"]
+__all__ = ["Record", "RobustSettings", "Task", "TrainSettings", "made_with", "resolve_task"]
 
 _LIBRARIES = ("rover-ncp", "numpy", "numba", "pymunk")
 _GIT_TIMEOUT_S = 5.0
 
 
-class TrainSettings(StrictModel):
+class _Settings(StrictModel):
+    def command(self) -> str:
+        """Return the command line that makes the same circuits again."""
+        options = [
+            part
+            for name, value in self.model_dump().items()
+            for part in (f"--{name.replace('_', '-')}", str(value))
+        ]
+        return shlex.join(["rover-ncp", "train", *options])
+
+
+class TrainSettings(_Settings):
     """What decides a training run's result; how many processes it takes does not."""
 
     course: str = "parking"
@@ -38,10 +49,18 @@ class TrainSettings(StrictModel):
     iterations: int = Field(default=20_000, ge=1)
     search: Literal["gauss-newton", "published", "algorithm1"] = "gauss-newton"
 
-    def command(self) -> str:
-        """Return the command line that makes the same circuits again."""
-        options = [part for name, value in self.model_dump().items() for part in (f"--{name}", str(value))]
-        return shlex.join(["rover-ncp", "train", *options])
+
+class RobustSettings(_Settings):
+    """What decides the result of a training on random trials."""
+
+    course: str = "parking"
+    circuit: str = "tracking"
+    randomize: str = "full"
+    seed: int = Field(default=0, ge=0)
+    iterations: int = Field(default=1000, ge=1, description="generations")
+    rollouts: int = Field(default=64, ge=1, description="trials of a candidate")
+    worst: int = Field(default=64, ge=1, description="of which so many worst are averaged")
+    random_courses: int = Field(default=24, ge=0, description="that are driven beside the course")
 
 
 class Task(NamedTuple):
@@ -51,18 +70,21 @@ class Task(NamedTuple):
     policy: Policy
 
 
-class Record(StrictModel):
+SettingsT = TypeVar("SettingsT", TrainSettings, RobustSettings)
+
+
+class Record(StrictModel, Generic[SettingsT]):
     """The file ``settings.yaml`` of a run: everything that was asked for, resolved."""
 
     format: Literal[1] = 1
     command: str
-    settings: TrainSettings
+    settings: SettingsT
     made_with: dict[str, str]
     course: dict[str, Any]
     circuit: dict[str, Any]
 
     @classmethod
-    def of(cls, settings: TrainSettings, task: Task) -> Self:
+    def of(cls, settings: SettingsT, task: Task) -> Self:
         """Record a run that starts now."""
         return cls(
             command=settings.command(),
@@ -72,7 +94,7 @@ class Record(StrictModel):
             circuit=yaml.safe_load(circuit_to_yaml(task.policy.circuit)),
         )
 
-    def require_same(self, other: "Record", source: str) -> None:
+    def require_same(self, other: "Record[SettingsT]", source: str) -> None:
         """Raise ConfigError, naming every difference, unless ``other`` asks for the run recorded here."""
         saved, asked = self.settings.model_dump(), other.settings.model_dump()
         problems = [
@@ -88,13 +110,12 @@ class Record(StrictModel):
         if problems:
             raise ConfigError(source, problems)
 
-    def provenance(self, agent: int, value: float, iterations: int) -> dict[str, Any]:
-        """Return how the policy of ``agent`` came about, with the command that makes it again."""
+    def provenance(self, iterations: int, **found: float) -> dict[str, Any]:
+        """Return how a policy came about that was ``found`` so, with the command that makes it again."""
         settings = self.settings.model_copy(update={"iterations": iterations})
         return {
             "command": settings.command(),
-            "agent": agent,
-            "return": value,
+            **found,
             "settings": settings.model_dump(),
             "made_with": self.made_with,
         }

@@ -2,15 +2,16 @@
 
 A generation's candidates all drive the same trials (common random numbers), so that what tells them apart is
 not luck; the next generation drives others, so that none is learned by heart. Early generations drive fewer
-trials: far from the goal a rough estimate will do. The winner is the mean of the last distribution, which no
-single lucky trial made.
+trials: far from the goal a rough estimate will do. The winner is the average of the distribution's means over
+the last quarter of the search, which no single lucky trial made.
 
-Numbers are searched in the unit cube: conductances of leaks and capacitances, which span decades, by their
-logarithm, all else linearly. Those of neurons that are driven decide nothing and stay.
+Numbers are searched in the unit cube, at whose walls the search is reflected: conductances of leaks and
+capacitances, which span decades, by their logarithm, all else linearly. Those of neurons that are driven
+decide nothing and stay.
 """
 
-from collections.abc import Callable, Iterator
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +22,35 @@ from rover_ncp.core.course import Course
 from rover_ncp.core.reference import Reference
 from sim.learn.engine import Engine, Outcomes
 from sim.learn.objective import mean_of_worst
+from sim.learn.search.cma import Cma, default_population
 from sim.world.random_course import mirrored, mirrored_reference, random_course
 from sim.world.randomization import Randomization, draw_trials
 from sim.world.rover import RoverModel
 
-__all__ = ["Cube", "Generation", "UnitCube", "costs", "robust_search", "training_courses"]
+__all__ = [
+    "Cube",
+    "Drive",
+    "Generation",
+    "RobustSearch",
+    "UnitCube",
+    "costs",
+    "drive_trials",
+    "reflected",
+    "training_courses",
+]
 
 FloatArray = NDArray[np.float64]
 
+Drive = Callable[[FloatArray, int, int], FloatArray]
+"""Vectors (k, P) on so many trials from the first one on: their costs (k, trials)."""
+
 _FIRST_SPREAD = 0.04
-_ROLLOUTS_SHARE = ((0.2, 4), (0.5, 2), (1.0, 1))
+_POPULATION = 1.8
+"""Candidates, times the usual number: what is measured is noisy."""
+_ROLLOUTS_SHARE = ((0.05, 4), (0.3, 2), (1.0, 1))
 """Up to this share of the generations, that fraction of the rollouts."""
+_AVERAGED = 0.25
+"""Share of the generations whose means the winner is the average of."""
 _COURSES_APART = 10**9
 """Training courses have seeds from here on, evaluations smaller ones: no course is in both."""
 _RANDOM_BETWEEN = 3
@@ -39,10 +58,10 @@ _RANDOM_BETWEEN = 3
 
 
 class Generation(NamedTuple):
-    """Where a search stands: after how many generations, the mean (P,), the spread, the best cost in it."""
+    """Where a search stands: after how many generations, the winner (P,), the spread, the best cost in it."""
 
     number: int
-    mean: FloatArray
+    winner: FloatArray
     spread: float
     best: float
 
@@ -55,7 +74,13 @@ class Cube(Protocol):
         """(A,) where the search begins."""
 
     def vector(self, place: FloatArray) -> FloatArray:
-        """Return what the engine takes, for a place (A,), which is moved into the cube if need be."""
+        """Return what the engine takes, for a place (A,) that may lie outside."""
+
+
+def reflected(place: FloatArray) -> FloatArray:
+    """Return a place within the unit cube: mirrored at its walls, however far outside it was."""
+    folded = np.mod(place, 2.0)
+    return np.where(folded > 1.0, 2.0 - folded, folded)
 
 
 class UnitCube:
@@ -80,11 +105,10 @@ class UnitCube:
         return place[self.active]
 
     def vector(self, place: FloatArray) -> FloatArray:
-        """Return the parameter vector (P,) at a place (A,), which is moved into the cube if need be."""
+        """Return the parameter vector (P,) at a place (A,), which may lie outside."""
         low, high = self._scaled(self._lower), self._scaled(self._upper)
         scaled = self._scaled(self._start)
-        part = np.clip(place, 0.0, 1.0)
-        scaled[self.active] = low[self.active] + part * (high - low)[self.active]
+        scaled[self.active] = low[self.active] + reflected(place) * (high - low)[self.active]
         vector = np.where(self._log, np.exp(np.where(self._log, scaled, 0.0)), scaled)
         return np.where(self.active, np.clip(vector, self._lower, self._upper), self._start)
 
@@ -146,45 +170,65 @@ def training_courses(
     return [course for course, _ in pairs], [reference for _, reference in pairs]
 
 
-def robust_search(
-    engine: Engine,
-    cube: Cube,
-    ranges: Randomization,
-    *,
-    seed: int,
-    generations: int,
-    rollouts: int,
-    worst: int,
-    model: RoverModel,
-) -> Iterator[Generation]:
-    """Search from the cube's start; yields after every generation. The same seed gives the same search."""
-    from cmaes import CMA
-
+def drive_trials(engine: Engine, ranges: Randomization, model: RoverModel, seed: int) -> Drive:
+    """Return what drives the trials of a search on an engine."""
     ticks = max(course.ticks for course in engine.courses)
-    optimizer = CMA(
-        mean=cube.start,
-        sigma=_FIRST_SPREAD,
-        bounds=np.tile([0.0, 1.0], (len(cube.start), 1)),
-        seed=seed,
-        population_size=round(1.3 * (4 + 3 * np.log(len(cube.start)))),
-    )
-    fraction = _fractions(generations)
-    for number in range(generations):
-        count = max(rollouts // fraction(number), 1)
-        trials = draw_trials(
-            ranges, model, _COURSES_APART + seed, count=count, ticks=ticks, first=number * rollouts
-        )
+
+    def drive(vectors: FloatArray, first: int, count: int) -> FloatArray:
+        trials = draw_trials(ranges, model, _COURSES_APART + seed, count=count, ticks=ticks, first=first)
         engine.change_trials(trials)
-        places = [optimizer.ask() for _ in range(optimizer.population_size)]
-        found = costs(engine.outcomes([cube.vector(place) for place in places]))
-        least = max(worst // fraction(number), 1)
-        values = [-mean_of_worst((-row).tolist(), least) for row in found]
-        optimizer.tell(list(zip(places, values, strict=True)))
-        yield Generation(number + 1, cube.vector(optimizer.mean), float(optimizer._sigma), min(values))
+        return costs(engine.outcomes(vectors))
+
+    return drive
 
 
-def _fractions(generations: int) -> Callable[[int], int]:
-    def fraction(number: int) -> int:
-        return next(part for share, part in _ROLLOUTS_SHARE if number < share * generations)
+class RobustSearch:
+    """A search from the cube's start, generation by generation. The same seed gives the same search."""
 
-    return fraction
+    def __init__(self, cube: Cube, *, seed: int, generations: int, rollouts: int, worst: int) -> None:
+        self._cube = cube
+        self._generations, self._rollouts, self._worst = generations, rollouts, worst
+        start = cube.start
+        self.population = round(_POPULATION * default_population(len(start)))
+        self._cma = Cma(start, _FIRST_SPREAD, seed=seed, population=self.population)
+        self._sum = np.zeros(len(start))
+
+    @property
+    def number(self) -> int:
+        """Generations done."""
+        return self._cma.generation
+
+    def advance(self, drive: Drive) -> Generation:
+        """Do one generation, whose trials are driven by ``drive``."""
+        number = self.number
+        fraction = next(part for share, part in _ROLLOUTS_SHARE if number < share * self._generations)
+        vectors = np.array([self._cube.vector(place) for place in self._cma.ask()])
+        found = drive(vectors, number * self._rollouts, max(self._rollouts // fraction, 1))
+        least = max(self._worst // fraction, 1)
+        values = np.array([-mean_of_worst((-row).tolist(), least) for row in found])
+        self._cma.tell(values)
+        if self.number > self._averaged_from:
+            self._sum += self._cma.mean
+        return Generation(self.number, self.winner, self._cma.spread, float(values.min()))
+
+    @property
+    def winner(self) -> FloatArray:
+        """The vector (P,) that the search would end with now."""
+        averaged = self.number - self._averaged_from
+        return self._cube.vector(self._sum / averaged if averaged > 0 else self._cma.mean)
+
+    @property
+    def _averaged_from(self) -> int:
+        return round((1.0 - _AVERAGED) * self._generations)
+
+    def state(self) -> dict[str, Any]:
+        """Return, between two generations, all that follows depends on, as JSON can keep it."""
+        return {"cma": self._cma.state(), "sum": self._sum.tolist()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a ``state()``. Raises ValueError, KeyError or TypeError if it is not one of ours."""
+        total = np.array(state["sum"], np.float64)
+        if total.shape != self._sum.shape:
+            raise ValueError(f"no state of a search in {len(self._sum)} dimensions")
+        self._cma.restore(state["cma"])
+        self._sum = total

@@ -1,56 +1,42 @@
 """A robust training from settings to files: what ``rover-ncp train --randomize`` does.
 
-policy.yaml        the mean of the search, with the command that makes it again
+settings.yaml      the record, written first
+search.json        the search between two generations, and the curve so far: all that resuming needs
+policy.yaml        the winner, with the command that makes it again
 curve.csv          generation, best cost in it, spread of the search
-settings.yaml      what was asked for
 """
 
-import shlex
+import json
+import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from pydantic import Field
+import numpy as np
+from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
-from rover_ncp.core.config import StrictModel, dump_yaml
-from rover_ncp.core.course import load_course
-from rover_ncp.core.errors import UsageError
-from rover_ncp.core.files import write_atomic
+from rover_ncp.core.course import Course, load_course
+from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
+from rover_ncp.core.files import read_text, write_atomic
 from rover_ncp.core.reference import plan_reference
 from sim.learn.engine import Engine
-from sim.learn.record import made_with
-from sim.learn.robust import Generation, UnitCube, robust_search, training_courses
-from sim.world.randomization import draw_trials, load_randomization
+from sim.learn.folder import open_folder
+from sim.learn.record import Record, RobustSettings, Task
+from sim.learn.robust import Drive, Generation, RobustSearch, UnitCube, drive_trials, training_courses
+from sim.learn.workers import Processes, available_processes
+from sim.world.randomization import Randomization, draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
-__all__ = ["RobustResult", "RobustSettings", "train_robust"]
+__all__ = ["RobustResult", "train_robust"]
 
-_SAVE_EVERY = 25
+FloatArray = NDArray[np.float64]
 
-
-class RobustSettings(StrictModel):
-    """What decides a robust training's result."""
-
-    course: str = "parking"
-    circuit: str = "tracking"
-    randomize: str = "full"
-    seed: int = Field(default=0, ge=0)
-    iterations: int = Field(default=1000, ge=1, description="generations")
-    rollouts: int = Field(default=64, ge=1, description="trials of a candidate")
-    worst: int = Field(default=64, ge=1, description="of which so many worst are averaged")
-    random_courses: int = Field(default=24, ge=0, description="that are driven beside the course")
-
-    def command(self) -> str:
-        """Return the command line that makes the same circuit again."""
-        options = [
-            part
-            for name, value in self.model_dump().items()
-            for part in (f"--{name.replace('_', '-')}", str(value))
-        ]
-        return shlex.join(["rover-ncp", "train", *options])
+# Checkpoints take at most this share of the time.
+_CHECKPOINT_SHARE = 0.02
 
 
 class RobustResult(NamedTuple):
@@ -61,55 +47,125 @@ class RobustResult(NamedTuple):
     last: Generation
 
 
-def train_robust(
-    settings: RobustSettings, out: Path, on_generation: Callable[[Generation], None] = lambda _: None
-) -> RobustResult:
-    """Train a course-relative circuit and leave it in the folder ``out``, which must be empty or missing.
-
-    Interrupted, it leaves what it has. Raises UsageError, ConfigError or FileError.
-    """
-    if settings.worst > settings.rollouts:
-        raise UsageError(f"the worst {settings.worst} of {settings.rollouts} rollouts cannot be taken")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError(f"{out}: is not an empty folder")
-    model, course = RoverModel(), load_course(settings.course)
-    start = course_policy(load_circuit(settings.circuit))
-    ranges = load_randomization(settings.randomize)
+def _drive(settings: RobustSettings, start: Policy, course: Course, ranges: Randomization) -> Drive:
+    """Return what drives the trials of a training; it is made in each process."""
     courses, references = training_courses(
         course, plan_reference(course), settings.seed, settings.random_courses
     )
-    ticks = max(each.ticks for each in courses)
+    model, ticks = RoverModel(), max(each.ticks for each in courses)
     nothing_yet = draw_trials(ranges, model, settings.seed, count=1, ticks=ticks)
     engine = Engine(start, courses, model, nothing_yet, references)
-    names = (course.name, *(["random"] if settings.random_courses else []))
-    origin: dict[str, Any] = {
-        "command": settings.command(),
-        "settings": settings.model_dump(),
-        "made_with": made_with(),
-    }
-    curve = ["generation,cost,spread"]
-    path = out / "policy.yaml"
-    write_atomic(out / "settings.yaml", dump_yaml(origin))
+    return drive_trials(engine, ranges, model, settings.seed)
 
-    def save(last: Generation) -> Policy:
-        done = origin | {"generation": last.number, "cost": last.best}
-        policy = replace(start.with_parameters(last.mean), courses=names, provenance=done)
-        save_policy(path, policy)
-        write_atomic(out / "curve.csv", "\n".join([*curve, ""]))
+
+def _drive_in_processes(processes: Processes, vectors: FloatArray, first: int, count: int) -> FloatArray:
+    """Drive trials in processes, each of which takes its part of the vectors (k, P)."""
+    parts = [part for part in np.array_split(vectors, processes.count) if len(part)]
+    return np.concatenate(processes.call([(part, first, count) for part in parts]))
+
+
+def train_robust(
+    settings: RobustSettings,
+    out: Path,
+    *,
+    resume: bool = False,
+    processes: int | None = None,
+    on_generation: Callable[[Generation], None] = lambda _: None,
+) -> RobustResult:
+    """Train a course-relative circuit and leave the run in the folder ``out``.
+
+    ``processes`` defaults to one for each core; it changes the speed, never the result. A run that is
+    interrupted, however it dies, can be resumed and ends in the same files. Raises UsageError, ConfigError
+    or FileError, WorkerDied if one of its processes was killed, KeyboardInterrupt.
+    """
+    if settings.worst > settings.rollouts:
+        raise UsageError(f"the worst {settings.worst} of {settings.rollouts} rollouts cannot be taken")
+    course, ranges = load_course(settings.course), load_randomization(settings.randomize)
+    start = course_policy(load_circuit(settings.circuit))
+    record = Record[RobustSettings].of(settings, Task(course, start))
+    make = partial(_drive, settings, start, course, ranges)
+    with open_folder(out, record, resume) as began:
+        run = _Run(out, began, start)
+        if run.search.number < settings.iterations:
+            count = min(processes or available_processes(), run.search.population)
+            if count == 1:
+                run.advance(make(), on_generation)
+            else:
+                with Processes(make, count) as workers:
+                    run.advance(partial(_drive_in_processes, workers), on_generation)
+        return RobustResult(run.save(), run.policy_path, run.last)
+
+
+class _Run:
+    """A search and its folder."""
+
+    def __init__(self, path: Path, record: Record[RobustSettings], start: Policy) -> None:
+        self.policy_path = path / "policy.yaml"
+        self._saved, self._curve_path = path / "search.json", path / "curve.csv"
+        self._record, self._start, self._settings = record, start, record.settings
+        self.search = RobustSearch(
+            UnitCube(start),
+            seed=self._settings.seed,
+            generations=self._settings.iterations,
+            rollouts=self._settings.rollouts,
+            worst=self._settings.worst,
+        )
+        self._curve: list[tuple[float, float]] = []
+        if self._saved.is_file():
+            self._load()
+
+    @property
+    def last(self) -> Generation:
+        """Where the search stands."""
+        best, spread = self._curve[-1]
+        return Generation(self.search.number, self.search.winner, spread, best)
+
+    def advance(self, drive: Drive, on_generation: Callable[[Generation], None]) -> None:
+        """Search to the end; whatever ends this early, what is known is saved."""
+        saved_s = save_cost_s = 0.0
+        # What an interrupt in the middle of a generation leaves is no state to go on from.
+        state = self.search.state()
+        try:
+            while self.search.number < self._settings.iterations:
+                last = self.search.advance(drive)
+                self._curve.append((last.best, last.spread))
+                state = self.search.state()
+                on_generation(last)
+                now = time.monotonic()
+                if now - saved_s > save_cost_s / _CHECKPOINT_SHARE:
+                    self.save()
+                    saved_s = time.monotonic()
+                    save_cost_s = saved_s - now
+        except (KeyboardInterrupt, RoverNcpError):
+            self.search.restore(state)
+            del self._curve[self.search.number :]
+            if self._curve:
+                self.save()
+            raise
+
+    def save(self) -> Policy:
+        """Write what resuming needs, then the winner and the curve. Raises FileError."""
+        state = {"format": 1, "search": self.search.state(), "curve": self._curve}
+        write_atomic(self._saved, json.dumps(state, allow_nan=False) + "\n")
+        last = self.last
+        policy = replace(
+            self._start.with_parameters(last.winner),
+            courses=(self._record.course["name"], *(["random"] if self._settings.random_courses else [])),
+            provenance=self._record.provenance(
+                self._settings.iterations, generation=last.number, cost=last.best
+            ),
+        )
+        save_policy(self.policy_path, policy)
+        rows = [f"{number},{best!r},{spread!r}" for number, (best, spread) in enumerate(self._curve, 1)]
+        write_atomic(self._curve_path, "\n".join(["generation,cost,spread", *rows, ""]))
         return policy
 
-    for last in robust_search(
-        engine,
-        UnitCube(start),
-        ranges,
-        seed=settings.seed,
-        generations=settings.iterations,
-        rollouts=settings.rollouts,
-        worst=settings.worst,
-        model=model,
-    ):
-        curve.append(f"{last.number},{last.best!r},{last.spread!r}")
-        on_generation(last)
-        if last.number % _SAVE_EVERY == 0:
-            save(last)
-    return RobustResult(save(last), path, last)
+    def _load(self) -> None:
+        try:
+            data = json.loads(read_text(self._saved))
+            self.search.restore(data["search"])
+            self._curve = [(float(best), float(spread)) for best, spread in data["curve"]]
+            if data["format"] != 1 or len(self._curve) != self.search.number:
+                raise ValueError("it does not fit together")
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise FileError(f"{self._saved}: damaged; delete it to begin again") from error

@@ -1,4 +1,4 @@
-"""Teams in processes of their own.
+"""Teams, and other work, in processes of their own.
 
 Processes are spawned, never forked: numba and cffi do not survive a fork. A worker ignores Ctrl-C, which
 the terminal sends to the whole group: the parent alone decides. A worker whose parent is gone, however it
@@ -10,17 +10,18 @@ import os
 import signal
 import threading
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from typing import NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self
 
 from rover_ncp.core.errors import RoverNcpError, UsageError
 from sim.learn.team import AgentState, Plan, Team
 
-__all__ = ["Inline", "LocalProcesses", "WorkerDied", "Workers", "available_processes"]
+__all__ = ["Inline", "LocalProcesses", "Processes", "WorkerDied", "Workers", "available_processes"]
 
 _JOIN_S = 5.0
 
@@ -70,12 +71,16 @@ class Inline:
         return [agent for group in groups for agent in self._team.advance(group, iterations)]
 
 
-class LocalProcesses:
-    """Teams on the cores of this machine. A context manager: leaving it ends the processes at once."""
+class Processes:
+    """As many copies of a function, each in a process of its own on this machine.
 
-    def __init__(self, plan: Plan, count: int) -> None:
+    ``make`` builds the function there, on the first call. A context manager: leaving it ends the processes
+    at once.
+    """
+
+    def __init__(self, make: Callable[[], Callable[..., Any]], count: int) -> None:
         self.count = count
-        self._plan = plan
+        self._make = make
         self._workers: list[tuple[BaseProcess, Connection]] = []
 
     def __enter__(self) -> Self:
@@ -87,7 +92,7 @@ class LocalProcesses:
                 for number in range(self.count):
                     ours, theirs = context.Pipe()
                     process = context.Process(
-                        target=_work, args=(theirs, self._plan), name=f"train-{number}", daemon=True
+                        target=_work, args=(theirs, self._make), name=f"train-{number}", daemon=True
                     )
                     process.start()
                     theirs.close()
@@ -105,15 +110,34 @@ class LocalProcesses:
             connection.close()
         self._workers.clear()
 
-    def advance(self, groups: Sequence[Sequence[AgentState]], iterations: int) -> list[AgentState]:
-        """Return all agents after ``iterations`` candidates each. Raises WorkerDied."""
-        busy = list(zip(self._workers, groups, strict=False))
-        for (process, connection), group in busy:
+    def call(self, calls: Sequence[tuple[Any, ...]]) -> list[Any]:
+        """Call the function once in each process, with these arguments; return what comes back, in order.
+
+        Raises WorkerDied, and UsageError for what the function says the user did wrong.
+        """
+        busy = list(zip(self._workers, calls, strict=False))
+        for (process, connection), arguments in busy:
             try:
-                connection.send((list(group), iterations))
+                connection.send(arguments)
             except OSError as error:
                 raise _death(process) from error
-        return [agent for (process, connection), _ in busy for agent in _answer(process, connection)]
+        return [_answer(process, connection) for (process, connection), _ in busy]
+
+
+class LocalProcesses(Processes):
+    """Teams on the cores of this machine."""
+
+    def __init__(self, plan: Plan, count: int) -> None:
+        super().__init__(partial(_team, plan), count)
+
+    def advance(self, groups: Sequence[Sequence[AgentState]], iterations: int) -> list[AgentState]:
+        """Return all agents after ``iterations`` candidates each. Raises WorkerDied."""
+        answers = self.call([(list(group), iterations) for group in groups])
+        return [agent for answer in answers for agent in answer]
+
+
+def _team(plan: Plan) -> Callable[..., list[AgentState]]:
+    return Team(plan).advance
 
 
 @contextmanager
@@ -137,9 +161,9 @@ def _interrupts_held() -> Iterator[None]:
         handler(signal.SIGINT, None)
 
 
-def _answer(process: BaseProcess, connection: Connection) -> list[AgentState]:
+def _answer(process: BaseProcess, connection: Connection) -> Any:
     try:
-        answer: list[AgentState] | _Failure = connection.recv()
+        answer = connection.recv()
     except (EOFError, OSError) as error:
         raise _death(process) from error
     if isinstance(answer, _Failure):
@@ -156,16 +180,16 @@ def _death(process: BaseProcess) -> WorkerDied:
     return WorkerDied(f"training process {process.name} (pid {process.pid}) ended {how}")
 
 
-def _work(connection: Connection, plan: Plan) -> None:
+def _work(connection: Connection, make: Callable[[], Callable[..., Any]]) -> None:
     """Serve a parent until its end of the pipe closes."""
-    team: Team | None = None
+    function: Callable[..., Any] | None = None
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
-            group, iterations = connection.recv()
-            answer: list[AgentState] | _Failure
+            arguments = connection.recv()
+            answer: Any
             try:
-                team = team or Team(plan)
-                answer = team.advance(group, iterations)
+                function = function or make()
+                answer = function(*arguments)
             except RoverNcpError as error:
                 answer = _Failure(str(error), is_users=True)
             except Exception:

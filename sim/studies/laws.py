@@ -24,7 +24,7 @@ from rover_ncp.core.reference import Reference, plan_reference
 from rover_ncp.jit import kernel
 from sim.learn.engine import Engine
 from sim.learn.episode import IDLE, Lanes, Queue, Tasks, finish_tick, pass_commands, start_episode
-from sim.learn.robust import Generation, robust_search, training_courses
+from sim.learn.robust import Generation, RobustSearch, drive_trials, reflected, training_courses
 from sim.world.fleet import Fleet, FleetArrays, advance, read_poses, send, wrapped
 from sim.world.randomization import Randomization, Trials, draw_trials, load_randomization
 from sim.world.rover import RoverModel
@@ -176,7 +176,7 @@ class GainCube:
 
     def vector(self, place: FloatArray) -> FloatArray:
         """Return the gains (G,) at a place."""
-        gains: FloatArray = self._first * 10.0 ** (2.0 * np.clip(place, 0.0, 1.0) - 1.0)
+        gains: FloatArray = self._first * 10.0 ** (2.0 * reflected(place) - 1.0)
         return gains
 
 
@@ -187,16 +187,16 @@ def tune(
     courses, references = training_courses(course, plan_reference(course), seed, _RANDOM_COURSES)
     model, ticks = RoverModel(), max(each.ticks for each in courses)
     engine = LawEngine(law, courses, draw_trials(ranges, model, seed, count=1, ticks=ticks), references)
-    return robust_search(
-        engine,
+    search = RobustSearch(
         GainCube(LAWS[law]),
-        ranges,
         seed=seed,
         generations=generations,
         rollouts=_ROLLOUTS,
         worst=_ROLLOUTS,
-        model=model,
     )
+    drive = drive_trials(engine, ranges, model, seed)
+    while search.number < generations:
+        yield search.advance(drive)
 
 
 def main() -> None:
@@ -205,7 +205,7 @@ def main() -> None:
     course = load_course("parking")
     for last in tune(law, course, load_randomization(ranges), seed=int(seed), generations=int(generations)):
         if last.number % 25 == 0 or last.number == int(generations):
-            gains = ", ".join(f"{gain:.4g}" for gain in last.mean)
+            gains = ", ".join(f"{gain:.4g}" for gain in last.winner)
             print(f"{last.number}: {gains} (cost {last.best:.3f}, spread {last.spread:.4f})", flush=True)
 
 

@@ -1,0 +1,130 @@
+"""A robust training on disk: processes and dying anywhere change nothing."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rover_ncp.core.errors import ConfigError, FileError, UsageError
+from rover_ncp.shell import run as shell
+from sim.learn import robust_run
+from sim.learn.record import RobustSettings
+from sim.learn.robust_run import train_robust
+
+SETTINGS = RobustSettings(randomize="mild", seed=5, iterations=4, rollouts=4, worst=4, random_courses=1)
+
+
+@pytest.fixture(autouse=True)
+def _no_git(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody may commit while the tests run; without git the record names no commit."""
+    monkeypatch.setenv("PATH", "")
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that nobody disturbed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PATH", "")
+        out = tmp_path_factory.mktemp("reference") / "run"
+        train_robust(SETTINGS, out, processes=1)
+    return out
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_a_run_leaves_these_files(reference: Path) -> None:
+    assert sorted(content(reference)) == ["curve.csv", "policy.yaml", "search.json", "settings.yaml"]
+
+
+def test_processes_change_nothing(reference: Path, tmp_path: Path) -> None:
+    train_robust(SETTINGS, tmp_path / "two", processes=2)
+    assert content(tmp_path / "two") == content(reference)
+
+
+class _Died(BaseException):
+    """Stands for a kill: no handler of the code under test knows it."""
+
+
+@pytest.mark.parametrize("writes", range(8))
+def test_dying_before_any_write_changes_nothing(
+    reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int
+) -> None:
+    monkeypatch.setattr(robust_run, "_CHECKPOINT_SHARE", float("inf"))  # a checkpoint each generation
+    left, write = writes, robust_run.write_atomic
+
+    def dying_write(path: Path, data: bytes | str) -> None:
+        nonlocal left
+        if left == 0:
+            raise _Died
+        left -= 1
+        write(path, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(robust_run, "write_atomic", dying_write)
+        with pytest.raises(_Died):
+            train_robust(SETTINGS, tmp_path, processes=1)
+    train_robust(SETTINGS, tmp_path, resume=True, processes=1)
+    assert content(tmp_path) == content(reference)
+
+
+@pytest.mark.parametrize("after", [1, 3])
+def test_an_interrupt_loses_nothing_that_was_done(reference: Path, tmp_path: Path, after: int) -> None:
+    seen = []
+
+    def interrupt(last: robust_run.Generation) -> None:
+        seen.append(last.number)
+        if last.number == after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_robust(SETTINGS, tmp_path, processes=1, on_generation=interrupt)
+    assert len(json.loads((tmp_path / "search.json").read_text())["curve"]) == after
+    train_robust(
+        SETTINGS, tmp_path, resume=True, processes=1, on_generation=lambda last: seen.append(last.number)
+    )
+    assert seen == [1, 2, 3, 4]
+    assert content(tmp_path) == content(reference)
+
+
+def test_what_cannot_be_resumed_says_why(reference: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="holds a training run"):
+        train_robust(SETTINGS, reference, processes=1)
+    other = SETTINGS.model_copy(update={"rollouts": 5})
+    with pytest.raises(ConfigError, match="--rollouts was 4 when this run began, now 5"):
+        train_robust(other, reference, resume=True, processes=1)
+    train_robust(SETTINGS.model_copy(update={"iterations": 1}), tmp_path, processes=1)
+    for damage in ('{"format": 1', '{"format": 1, "search": {}, "curve": []}'):
+        (tmp_path / "search.json").write_text(damage)
+        with pytest.raises(FileError, match=r"search\.json: damaged"):
+            train_robust(SETTINGS.model_copy(update={"iterations": 1}), tmp_path, resume=True, processes=1)
+
+
+def test_resuming_needs_no_option_again(
+    reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = content(reference)
+    assert shell(["train", "--out", str(reference), "--resume", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["generations"] == 4
+    assert content(reference) == before
+
+
+def test_ctrl_c_with_processes_leaves_a_run_that_goes_on(tmp_path: Path) -> None:
+    options = ["--randomize", "mild", "--iterations", "100000", "--rollouts", "4", "--random-courses", "1"]
+    command = [sys.executable, "-m", "rover_ncp", "train", *options, "--processes", "2", "--out", "run"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
+        saved = tmp_path / "run" / "search.json"
+        while not saved.exists():
+            assert process.poll() is None
+            os.sched_yield()
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Go on with: rover-ncp train --out run --resume" in said
+    state = json.loads(saved.read_text())
+    assert len(state["curve"]) == state["search"]["cma"]["generation"] > 0

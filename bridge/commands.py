@@ -13,7 +13,10 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on std
 def bridge(
     *,
     base: Annotated[
-        str, typer.Option(help="The robot: tcp/HOST[:8101] or serial//dev/ttyUSB0[#baudrate=9600].")
+        str,
+        typer.Option(
+            help="The robot: tcp/HOST[:8101] or serial//dev/ttyUSB0, with #baudrate=... where to begin."
+        ),
     ],
     listen: Annotated[
         str | None,
@@ -26,7 +29,7 @@ def bridge(
         str, typer.Option(help="p3at, p3at-sh, p3dx, p3dx-sh, or auto: what the robot calls itself.")
     ] = "auto",
     limits: Annotated[
-        Path | None, typer.Option(help="YAML with v_max, omega_max, accel, alpha, fence ... of the gate.")
+        Path | None, typer.Option(help="YAML with v_max, omega_max, fence, sonar_stop_m ... of the gate.")
     ] = None,
     zenoh_config: Annotated[
         Path | None,

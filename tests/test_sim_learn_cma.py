@@ -75,6 +75,13 @@ def test_it_goes_on_from_its_state_to_the_last_bit() -> None:
     assert search.state() == later.state()
 
 
+def test_the_spread_stays_above_its_least() -> None:
+    search = Cma(np.ones(SIZE), 0.5, seed=1, population=10, least=0.2)
+    for _ in range(300):
+        search.tell(ellipsoid(search.ask()))
+    assert search.spread == 0.2
+
+
 def test_what_does_not_fit_is_refused() -> None:
     search = begin()
     with pytest.raises(ValueError, match="after ask"):

@@ -86,12 +86,12 @@ def test_a_cost_rises_with_each_error_and_most_where_parked_ends(field, good, ba
 def test_training_and_evaluation_share_no_course():
     given = plan_reference(COURSE)
     courses, references = training_courses(COURSE, given, 0, 24)
-    assert len(courses) == len(references) == 32
-    assert sum(course is COURSE for course in courses) == 4
+    assert len(courses) == len(references) == 36
+    assert sum(course is COURSE for course in courses) == 6
     seen = {course.checkpoints for course in courses}
     assert len(seen) == 26
-    assert courses[4].goal == (COURSE.goal.x, -COURSE.goal.y, -COURSE.goal.theta)
-    assert references[4].tick(320)[0].y == pytest.approx(courses[4].goal.y, abs=1e-3)
+    assert courses[3].goal == (COURSE.goal.x, -COURSE.goal.y, -COURSE.goal.theta)
+    assert references[3].tick(320)[0].y == pytest.approx(courses[3].goal.y, abs=1e-3)
     assert not seen & {random_course(0, number)[0].checkpoints for number in range(24)}
     assert training_courses(COURSE, given, 0, 0) == ([COURSE], [given])
 

@@ -45,6 +45,8 @@ Drive = Callable[[FloatArray, int, int], FloatArray]
 """Vectors (k, P) on so many trials from the first one on: their costs (k, trials)."""
 
 _FIRST_SPREAD = 0.04
+_LEAST_SPREAD = 0.01
+"""Noise lets a spread shrink before its time; what a wide one scatters, the average takes out."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
 _ROLLOUTS_SHARE = ((0.05, 4), (0.3, 2), (1.0, 1))
@@ -53,7 +55,7 @@ _AVERAGED = 0.25
 """Share of the generations whose means the winner is the average of."""
 _COURSES_APART = 10**9
 """Training courses have seeds from here on, evaluations smaller ones: no course is in both."""
-_RANDOM_BETWEEN = 3
+_RANDOM_BETWEEN = 2
 """So many random courses follow each turn of the given one, which goes to the left and to the right."""
 
 
@@ -190,7 +192,7 @@ class RobustSearch:
         self._generations, self._rollouts, self._worst = generations, rollouts, worst
         start = cube.start
         self.population = round(_POPULATION * default_population(len(start)))
-        self._cma = Cma(start, _FIRST_SPREAD, seed=seed, population=self.population)
+        self._cma = Cma(start, _FIRST_SPREAD, seed=seed, population=self.population, least=_LEAST_SPREAD)
         self._sum = np.zeros(len(start))
 
     @property

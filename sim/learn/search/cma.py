@@ -45,14 +45,19 @@ def default_population(dimension: int) -> int:
 
 
 class Cma:
-    """Minimises a function of a vector (n,), unbounded; ask and tell by turns."""
+    """Minimises a function of a vector (n,), unbounded; ask and tell by turns.
 
-    def __init__(self, mean: FloatArray, spread: float, *, seed: int, population: int) -> None:
+    ``spread`` never falls below ``least``.
+    """
+
+    def __init__(
+        self, mean: FloatArray, spread: float, *, seed: int, population: int, least: float = 0.0
+    ) -> None:
         self.mean: FloatArray = np.array(mean, np.float64)
         self.spread = spread
         self.generation = 0
         self.population = population
-        self._seed = seed
+        self._seed, self._least = seed, least
         size = len(self.mean)
         self._constants = _constants(size, population)
         self._covariance = np.eye(size)
@@ -85,6 +90,7 @@ class Cma:
         )
         length = math.sqrt(_square(self._spread_path))
         self.spread *= math.exp(c.c_sigma / c.d_sigma * (length / c.length - 1.0))
+        self.spread = max(self.spread, self._least)
         settled = math.sqrt(1.0 - keep ** (2 * (self.generation + 1)))
         moves = length / settled < (1.4 + 2.0 / (len(self.mean) + 1.0)) * c.length
         self._path = (1.0 - c.c_c) * self._path

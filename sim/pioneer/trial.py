@@ -10,6 +10,7 @@ from bridge.arcos import Command
 from rover_ncp.core.course import TICK_S
 from rover_ncp.core.geometry import Pose, Velocity
 from sim.world.randomization import BaseErrors, OdometryErrors, Trials, driven
+from sim.world.rover import SUBSTEP_S
 
 __all__ = ["ORIGIN", "BaseTrial"]
 
@@ -55,9 +56,9 @@ class BaseTrial:
 
     @property
     def next_age_s(self) -> float:
-        """How late the SIP is that begins the next tick."""
+        """How late the SIP is that begins the next tick, in whole substeps."""
         ages = self._trials.age[self._row]
-        return float(ages[(self.tick + 1) % len(ages)]) * TICK_S
+        return SUBSTEP_S * round(float(ages[(self.tick + 1) % len(ages)]) * TICK_S / SUBSTEP_S)
 
     @property
     def lost(self) -> bool:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from rover_ncp.core.console import Output
-from rover_ncp.core.errors import FileError
+from rover_ncp.core.errors import FileError, UsageError
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 
@@ -109,7 +109,13 @@ def evaluate(
         ),
     ],
     *,
-    course: Annotated[str, typer.Option(help="Course to drive, by name or YAML file.")] = "parking",
+    course: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Course to drive, by name or YAML file; again for more, which trials take in turn.",
+            show_default="parking",
+        ),
+    ] = None,
     trials: Annotated[
         int | None, typer.Option(min=1, help="Drive so many random trials.", show_default="1")
     ] = None,
@@ -121,6 +127,16 @@ def evaluate(
     random_courses: Annotated[
         int | None,
         typer.Option(min=1, help="Drive so many random courses in turn instead.", show_default=False),
+    ] = None,
+    stack: Annotated[
+        bool,
+        typer.Option("--stack", help="Drive through firmware, bridge and driver, on a virtual clock."),
+    ] = False,
+    processes: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="With --stack: changes the speed, never the result.", show_default="one for each core"
+        ),
     ] = None,
     json: Json = False,
 ) -> int:
@@ -138,7 +154,12 @@ def evaluate(
         rover-ncp eval course --trials 1000 --randomize full
         rover-ncp eval course --trials 1000 --randomize full --random-courses 200
 
-    There, kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws.
+    --stack drives the same trials as encoded bytes through the firmware of a mock Pioneer, the bridge with
+    its gate, and the driver with its estimator; all but sockets and waiting is what drives a robot.
+
+        rover-ncp eval course --trials 300 --randomize full --stack
+
+    Without --stack, kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws.
 
     Ends with 1 if a single trial was driven and did not park, else with 0.
     """
@@ -147,15 +168,24 @@ def evaluate(
     from sim.learn.rollout import rollout
 
     output = Output(json)
-    if not (trials is None and randomize is None and random_courses is None):
-        settings = {
-            "randomize": randomize or "none",
-            "seed": seed,
-            "random_courses": random_courses or 0,
-            "course": course,
-        }
-        return _evaluate_trials(output, policy, trials or 1, settings)
-    known = load_course(course)
+    courses = tuple(course or ["parking"])
+    if processes is not None and not stack:
+        raise UsageError("--processes needs --stack")
+    if stack or len(courses) > 1 or not (trials is None and randomize is None and random_courses is None):
+        from sim.studies.trial_runs import TrialOptions, run_trials
+
+        options = TrialOptions(
+            policy,
+            courses,
+            trials or 1,
+            seed,
+            randomize or "none",
+            random_courses or 0,
+            stack,
+            processes,
+        )
+        return run_trials(output, options)
+    known = load_course(courses[0])
     run = rollout(load_policy(policy), known)
     verdict = run.verdict
     fields = {
@@ -173,34 +203,3 @@ def evaluate(
         f"{1000 * verdict.error_rad:.0f} mrad off at the end, {1000 * run.rms_m:.0f} mm rms on the way",
     )
     return 0 if verdict.parked else 1
-
-
-def _evaluate_trials(output: Output, policy: str, trials: int, settings: dict[str, Any]) -> int:
-    """Drive random trials, on one course or on random ones, and report."""
-    from rover_ncp.circuit.policy_file import load_policy
-    from rover_ncp.core.course import load_course
-    from sim.studies.evaluate import evaluate as evaluate_policy
-    from sim.studies.evaluate import unseen_courses
-    from sim.studies.laws import LAWS
-    from sim.world.randomization import load_randomization
-
-    driver = policy if policy in LAWS else load_policy(policy)
-    ranges = load_randomization(settings["randomize"])
-    seed, count = settings["seed"], settings["random_courses"]
-    courses = unseen_courses(seed, count) if count else [load_course(settings["course"])]
-    found = evaluate_policy(driver, courses, ranges, trials=trials, seed=seed)
-    low, high = found.success_ci95
-    lines = [
-        f"{found.success_rate:.1%} of {trials} trials parked (95 % interval {low:.1%} to {high:.1%})",
-        *(
-            f"{name}: median {1000 * spread.p50:.0f}, 95 % below {1000 * spread.p95:.0f}, "
-            f"at most {1000 * spread.max:.0f} {unit}"
-            for name, spread, unit in (
-                ("distance to the goal", found.error_m, "mm"),
-                ("angle to its heading", found.error_rad, "mrad"),
-            )
-        ),
-        *(f"{count} of those that did not: {reason}" for reason, count in found.failures.items()),
-    ]
-    output.result(found.fields() | settings, "\n".join(lines))
-    return 1 if trials == 1 and found.success_rate < 1 else 0

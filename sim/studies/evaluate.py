@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
+from rover_ncp.core.course import Course, ParkedRule, Verdict
 from rover_ncp.core.errors import UsageError
 from sim.learn.engine import Engine, Outcomes
 from sim.studies.laws import LAWS, LawEngine
@@ -17,11 +17,19 @@ from sim.world.random_course import random_course
 from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import RoverModel
 
-__all__ = ["Evaluation", "Spread", "evaluate", "summarize", "unseen_courses", "wilson"]
+__all__ = ["Evaluation", "Spread", "cause", "evaluate", "summarize", "tally", "unseen_courses", "wilson"]
 
 _NORMAL_95 = 1.959963984540054
 _BATCH = 500
 """Trials at a time, so that drawn noise takes some 10 MB whatever is asked for."""
+
+
+TOUCHED, FAR, TURNED, MOVING = (
+    "touched an obstacle",
+    "too far from the goal",
+    "too far from the goal's heading",
+    "still moving",
+)
 
 
 class Spread(NamedTuple):
@@ -106,18 +114,35 @@ def summarize(found: Outcomes, limits: NDArray[np.float64]) -> Evaluation:
             ~(found.error_m[0] <= limits[:, 0]),
             ~(found.error_rad[0] <= limits[:, 1]),
         ],
-        ["", "touched an obstacle", "too far from the goal", "too far from the goal's heading"],
-        "still moving",
+        ["", TOUCHED, FAR, TURNED],
+        MOVING,
     )
-    count, successes = parked.size, int(np.count_nonzero(parked))
+    return tally(found.error_m[0], found.error_rad[0], reasons.tolist())
+
+
+def tally(error_m: NDArray[np.float64], error_rad: NDArray[np.float64], causes: Sequence[str]) -> Evaluation:
+    """Sum up trials from their errors (n,) and why each did not park, "" if it did."""
+    count, successes = len(causes), causes.count("")
+    failures = Counter(why for why in causes if why)
     return Evaluation(
         trials=count,
         success_rate=successes / count,
         success_ci95=wilson(successes, count),
-        error_m=Spread.of(found.error_m[0]),
-        error_rad=Spread.of(found.error_rad[0]),
-        failures=dict(Counter(reasons[~parked].tolist()).most_common()),
+        error_m=Spread.of(error_m),
+        error_rad=Spread.of(error_rad),
+        failures=dict(failures.most_common()),
     )
+
+
+def cause(verdict: Verdict, rule: ParkedRule) -> str:
+    """Return why a trial did not park, in the words of an evaluation; "" if it did."""
+    if verdict.parked:
+        return ""
+    if verdict.reason.startswith("touched"):
+        return TOUCHED
+    if not verdict.error_m <= rule.position_m:
+        return FAR
+    return MOVING if verdict.error_rad <= rule.heading_rad else TURNED
 
 
 def wilson(successes: int, count: int) -> tuple[float, float]:

@@ -75,6 +75,29 @@ def test_backward_where_the_course_goes_backward():
     assert reference.motion[:, 0].min() < -0.08
 
 
+@pytest.mark.parametrize(
+    "pieces",
+    [
+        [(0.12, 0.0), (-0.12, -0.15), (-0.1, 0.15)],
+        [(0.1, 0.17), (-0.1, 0.17), (0.1, 0.17)],
+        [(-0.15, 0.1), (0.15, 0.1), (-0.15, -0.17), (0.1, 0.0)],
+    ],
+)
+def test_a_drive_that_changes_direction_is_found_again(pieces):
+    rest = [(0.0, 0.0)] * 4
+    knots = np.array([*rest, *(knot for piece in pieces for knot in [*[piece] * 8, (0.0, 0.0)]), *rest])
+    ticks = np.arange(5 * (len(knots) - 1) + 1) / 5
+    v, omega = (np.interp(ticks, np.arange(len(knots)), column) for column in knots.T)
+    drive = drive_profile(Pose(0, 0, 0), v.tolist(), omega.tolist())
+    horizon = round(0.1 * drive.ticks, 1)
+    points = [(t, *drive.at(t)[0]) for t in [*np.arange(0.0, horizon, 1.0), horizon]]
+    found = plan_reference(course_of(*points, horizon_s=horizon))
+    require_drivable(found)
+    assert np.hypot(*(found.poses - drive.poses)[-1, :2]) < 0.001
+    assert np.hypot(*(found.poses - drive.poses)[:, :2].T).max() < 0.02
+    assert np.abs(found.motion[:, 0] - drive.motion[:, 0]).max() < 0.06
+
+
 def test_a_course_that_stays_has_a_reference_that_stays():
     reference = plan_reference(course_of((0, 0.3, 0.2, 0.1), (4, 0.3, 0.2, 0.1)))
     assert np.array_equal(reference.poses, np.tile([0.3, 0.2, 0.1], (201, 1)))

@@ -35,6 +35,8 @@ _POSITION_M, _HEADING_RAD = 0.01, 0.02
 _BEND_V, _BEND_OMEGA = 0.05, 0.10
 _GOAL_WEIGHT = 20.0
 _BACKWARD_M = 0.02
+_INSIDE = 0.95
+"""Of its bounds, so far a fit may begin from 0."""
 _SAME = 1e-6
 """Neighbours no farther apart than this in m and rad are the same pose: the rover rests."""
 
@@ -106,7 +108,9 @@ def plan_reference(course: Course, v_max: float = V_MAX, omega_max: float = OMEG
         count = np.count_nonzero(fit.free)
         upper = np.repeat([v_max, omega_max], count)
         lower = np.repeat([-backward, -omega_max], count)
-        begin = np.repeat([0.0 if backward else 0.1 * v_max, 0.0], count)
+        # Forward, any start finds the same drive; where a course changes direction, its chords lead there.
+        begin = fit.chords() if backward else np.repeat([0.1 * v_max, 0.0], count)
+        begin = np.clip(begin, _INSIDE * lower, _INSIDE * upper)
         found = least_squares(
             fit.residuals, begin, fit.jacobian, bounds=(lower, upper), x_scale=upper, tr_solver="lsmr"
         )
@@ -129,11 +133,14 @@ def deviations(course: Course, reference: Reference) -> list[Deviation]:
 def _goes_backward(course: Course, start: Pose) -> bool:
     """Whether a chord between neighbouring poses points against the mean of their headings."""
     poses = [start, *(point.pose for point in course.checkpoints)]
-    for a, b in pairwise(poses):
-        heading = a.theta + 0.5 * wrap_angle(b.theta - a.theta)
-        if (b.x - a.x) * math.cos(heading) + (b.y - a.y) * math.sin(heading) < -_BACKWARD_M:
-            return True
-    return False
+    return any(_chord(a, b)[0] < -_BACKWARD_M for a, b in pairwise(poses))
+
+
+def _chord(a: Pose, b: Pose) -> tuple[float, float]:
+    """Return how far ahead (m) of the mean of their headings ``b`` is from ``a``, and the turn (rad)."""
+    turn = wrap_angle(b.theta - a.theta)
+    heading = a.theta + 0.5 * turn
+    return (b.x - a.x) * math.cos(heading) + (b.y - a.y) * math.sin(heading), turn
 
 
 class _Fit:
@@ -142,6 +149,7 @@ class _Fit:
     def __init__(self, course: Course) -> None:
         points = course.checkpoints
         self.start = points[0].pose if points[0].t == 0 else Pose(0.0, 0.0, 0.0)
+        self._points = [(0.0, self.start), *((point.t, point.pose) for point in points if point.t > 0)]
         self.knots = -(-course.ticks // _KNOT_TICKS) + 1
         self.free = _moving(course, self.knots)
         headings = np.unwrap([self.start.theta, *(point.theta for point in points)])[1:]
@@ -155,6 +163,17 @@ class _Fit:
         # At the middle of each tick, as a mean of the unknowns.
         self._mean = 0.5 * (blend[1:] + blend[:-1])
         self._bend = np.diff(np.eye(self.knots), 2, axis=0)[:, self.free]
+
+    def chords(self) -> FloatArray:
+        """Return the unknowns of a drive along the chords between checkpoints."""
+        times = TICK_S * _KNOT_TICKS * np.arange(self.knots)[self.free]
+        middles, v, omega = [], [], []
+        for (t_a, a), (t_b, b) in pairwise(self._points):
+            ahead, turn = _chord(a, b)
+            middles.append(0.5 * (t_a + t_b))
+            v.append(ahead / (t_b - t_a))
+            omega.append(turn / (t_b - t_a))
+        return np.concatenate([np.interp(times, middles, v), np.interp(times, middles, omega)])
 
     def _drive(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the step lengths (T,), the headings in the middle (T,) and at the ticks (T + 1,)."""

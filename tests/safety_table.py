@@ -7,35 +7,38 @@ import sys
 import tempfile
 from pathlib import Path
 
+from sim.studies.matrix import MATRIX
+
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "safety.md"
 BEGIN, END = "<!-- measured: make safety -->\n", "<!-- end -->\n"
-REQUIREMENT = {0.5: "0.5 s", 2.0: "2 s", 2.5: "2 s + 0.5 s"}
 
 
-def table(rows):
+def table(found):
     """Return the rows as Markdown; what is measured includes the mock's own delay and braking."""
     yield "| layer | fault | stands after | allowed |"
     yield "|---|---|---:|---|"
-    for row in rows:
-        bound, braking = row["bound_s"], row["braking_s"]
+    for row in MATRIX:
+        measured = found[row.key]
+        note = f" ({measured['note']})" if measured["note"] else ""
         yield (
-            f"| {row['layer']} | {row['fault']} | {row['seconds']:.2f} s | "
-            f"{REQUIREMENT[bound]} + {braking:.2f} s braking |"
+            f"| {row.layer} | {row.fault}{note} | {measured['seconds']:.2f} s | "
+            f"{row.allowed} + {measured['braking_s']:.2f} s braking |"
         )
 
 
 def main():
     with tempfile.TemporaryDirectory() as folder:
-        found = Path(folder) / "rows.jsonl"
-        environment = {**os.environ, "ROVER_NCP_SAFETY_ROWS": str(found)}
+        rows = Path(folder) / "rows.jsonl"
+        environment = {**os.environ, "ROVER_NCP_SAFETY_ROWS": str(rows)}
         matrix = ["-m", "pytest", "-q", "tests/test_safety_matrix.py"]
         code = subprocess.run([sys.executable, *matrix], cwd=ROOT, env=environment, check=False).returncode
-        rows = [json.loads(line) for line in found.read_text().splitlines()] if found.exists() else []
+        lines = rows.read_text().splitlines() if rows.exists() else []
+    found = {line["row"]: line for line in map(json.loads, lines)}
     if code == 0:
         head, _, rest = PAGE.read_text().partition(BEGIN)
         _, _, tail = rest.partition(END)
-        PAGE.write_text(head + BEGIN + "\n" + "\n".join(table(rows)) + "\n\n" + END + tail)
+        PAGE.write_text(head + BEGIN + "\n" + "\n".join(table(found)) + "\n\n" + END + tail)
     return code
 
 

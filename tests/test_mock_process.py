@@ -26,6 +26,7 @@ def mock(*options: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
     """Start a mock on a free port; killed at the end if it still runs."""
     process = subprocess.Popen(
         [*COMMAND, "--listen", "127.0.0.1:0", "--json", *options],
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -180,3 +181,15 @@ def test_a_port_in_use_and_a_truth_that_cannot_be_written() -> None:
     code, text = refused("--listen", "127.0.0.1:0", "--truth", "/dev/null/truth.csv")
     assert (code, text.count("\n")) == (2, 1)
     assert "/dev/null/truth.csv" in text
+
+
+def test_it_can_be_told_of_faults_while_it_runs() -> None:
+    with mock("--fault", "-") as (process, _):
+        assert process.stdin is not None and process.stderr is not None
+        process.stdin.write("explode\nmute\n")
+        process.stdin.close()  # no more to tell is no end
+        assert "expected NAME" in process.stderr.readline()
+        process.stdin = None
+        process.send_signal(signal.SIGTERM)
+        out, _ = process.communicate(timeout=10)
+    assert json.loads(out)["connections"] == 0

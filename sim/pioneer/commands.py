@@ -25,7 +25,8 @@ def mock(
         typer.Option(
             help="NAME[=VALUE][@START[-END]], again for more; seconds count from when the motors are first "
             "enabled. mute, deaf, corrupt, drop, noise, freeze-odometry, jump-odometry, bumper, stall, "
-            "stop-button, low-battery, reset."
+            "stop-button, low-battery, reset. '-' reads more of them from standard input, a line each, whose "
+            "seconds count from then."
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Decides which packets random faults damage.")] = 0,

@@ -1,12 +1,13 @@
 """Faults that a mock can be told to have: ``NAME[=VALUE][@START[-END]]``, as in ``mute@12-14``.
 
-Times are seconds since the motors were first enabled; a fault without a time is there from the beginning.
+Times are seconds since the motors were first enabled, or since the mock was told of the fault while it runs;
+a fault without a time is there from the beginning.
 """
 
 import math
 import random
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rover_ncp.core.errors import UsageError
 
@@ -80,8 +81,16 @@ class Faults:
     """The faults of one base; the seed decides which packets are damaged."""
 
     def __init__(self, faults: Sequence[Fault] = (), seed: int = 0) -> None:
-        self._faults = tuple(faults)
+        self._faults = list(faults)
         self._random = random.Random(seed)
+
+    def add(self, fault: Fault, enabled_s: float | None) -> None:
+        """Have one more from now on; its times count from now, if the motors were ever enabled."""
+        began_s = enabled_s or 0.0
+        if fault.start_s is not None:
+            fault = replace(fault, start_s=fault.start_s + began_s, end_s=fault.end_s + began_s)
+        self._faults = [known for known in self._faults if not enabled_s or known.end_s > enabled_s]
+        self._faults.append(fault)
 
     def value(self, name: str, enabled_s: float | None) -> float | None:
         """Return the value of a fault that is there now, None when it is not."""

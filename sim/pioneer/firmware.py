@@ -27,7 +27,7 @@ from bridge.packets import ConfigPac, Kind, encode_names
 from bridge.robots import ROBOTS
 from rover_ncp.core.geometry import Pose
 from sim.pioneer.drive import Drive
-from sim.pioneer.faults import Faults
+from sim.pioneer.faults import Fault, Faults
 from sim.pioneer.models import BASE_CLASS, BASE_NAME, config_of
 from sim.pioneer.report import BATTERY_DV, Panel, Reporter
 from sim.pioneer.sonar import Sonars
@@ -129,10 +129,14 @@ class Firmware:
         self.decoder.drop()
         self._out.clear()
 
+    def suffer(self, fault: Fault) -> None:
+        """Have one more fault from now on; its times count from now, if the motors were ever enabled."""
+        self._faults.add(fault, self._enabled_s)
+
     # Time.
 
     def _substep(self) -> None:
-        self._suffer()
+        self._endure()
         starved = self.now - self._fed_s > self._config.watchdog / 1000
         self.drive.substep(halted=starved or self.panel.blocked)
         self._substeps += 1
@@ -188,7 +192,7 @@ class Firmware:
     def _fault(self, name: str) -> float | None:
         return self._faults.value(name, self._enabled_s)
 
-    def _suffer(self) -> None:
+    def _endure(self) -> None:
         """Let the hardware have its faults of this moment."""
         panel, reporter = self.panel, self._reporter
         pressed = self._fault("stop-button") is not None
@@ -201,8 +205,8 @@ class Firmware:
         panel.battery_dv = self._battery_test_dv or (BATTERY_DV if low is None else round(low * 10))
         reporter.odometry_frozen = self._fault("freeze-odometry") is not None
         reporter.odometry_jump_m = self._fault("jump-odometry") or 0.0
-        if self._fault("reset") is not None and not self._was_reset:
-            self._was_reset = True
+        was_reset, self._was_reset = self._was_reset, self._fault("reset") is not None
+        if self._was_reset and not was_reset:
             self._restart()
 
     # Packets.

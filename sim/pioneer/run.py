@@ -1,7 +1,9 @@
 """The ``mock`` command: reads its options, serves until a signal comes, reports."""
 
+import io
 import signal
 import socket
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +21,9 @@ from sim.world.rover import Rover
 
 __all__ = ["run_mock"]
 
+TOLD = "-"
+"""In place of a fault: more of them come on standard input."""
+
 
 def run_mock(
     *,
@@ -35,18 +40,20 @@ def run_mock(
     host, port = parse_listen(listen)
     if model not in ROBOTS:
         raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}")
-    suffering = Faults([parse_fault(text) for text in faults], seed)
+    suffering = Faults([parse_fault(text) for text in faults if text != TOLD], seed)
+    # Unbuffered, so that the server sees whatever line is left to read.
+    told = io.FileIO(sys.stdin.fileno(), closefd=False) if TOLD in faults else None
     bay = Bay(load_course(course).obstacles if course else ())
     rover = Rover(rover_model_of(ROBOTS[model]), bay)
 
     def make(start_s: float, observe: Callable[[float], None]) -> Firmware:
         return Firmware(model, rover, suffering, start_s, observe)
 
-    server = Server(host, port, make, TruthFile(truth) if truth else None)
+    server = Server(host, port, make, TruthFile(truth) if truth else None, output.say)
     try:
         with _until_signal() as wake:
             output.say(f"listening on {server.host}:{server.port}")
-            server.serve(wake)
+            server.serve(wake, told)
     finally:
         server.close()
     firmware, pose = server.firmware, rover.pose

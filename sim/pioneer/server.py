@@ -9,10 +9,12 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from io import FileIO
 from pathlib import Path
 from typing import TextIO
 
 from rover_ncp.core.errors import FileError, PortInUse, UsageError
+from sim.pioneer.faults import parse_fault
 from sim.pioneer.firmware import Firmware
 
 __all__ = ["TRUTH_COLUMNS", "Server", "TruthFile", "parse_listen"]
@@ -82,6 +84,7 @@ class Server:
         port: int,
         make: Callable[[float, Callable[[float], None]], Firmware],
         truth: TruthFile | None = None,
+        say: Callable[[str], None] = print,
     ) -> None:
         self._listener = _listen(host, port)
         name = self._listener.getsockname()
@@ -89,7 +92,7 @@ class Server:
         self.connections = self.bytes_in = self.bytes_out = 0
         self.touched = False
         """Whether the rover ever touched anything."""
-        self._truth = truth
+        self._truth, self._say = truth, say
         self._start_s = time.monotonic()
         self.firmware = make(self._start_s, self._observe)
         self._client: socket.socket | None = None
@@ -97,8 +100,8 @@ class Server:
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
-    def serve(self, wake: socket.socket) -> None:
-        """Serve until ``wake`` has something to read."""
+    def serve(self, wake: socket.socket, told: FileIO | None = None) -> None:
+        """Serve until ``wake`` has something to read; each line of ``told`` is one more fault."""
         stop = False
 
         def wake_up() -> None:
@@ -106,6 +109,8 @@ class Server:
             stop = True
 
         self._selector.register(wake, selectors.EVENT_READ, wake_up)
+        if told is not None:
+            self._selector.register(told, selectors.EVENT_READ, lambda: self._hear(told))
         while not stop:
             sleep_s = min(self.firmware.sip_due_s - time.monotonic(), PERIOD_S)
             for key, _ in self._selector.select(max(sleep_s, 0.0)):
@@ -122,6 +127,19 @@ class Server:
         self._listener.close()
         if self._truth:
             self._truth.close()
+
+    def _hear(self, told: FileIO) -> None:
+        line = told.readline()
+        if not line:
+            self._selector.unregister(told)
+            return
+        try:
+            fault = parse_fault(line.decode(errors="replace").strip())
+        except UsageError as error:
+            self._say(str(error))
+            return
+        self.firmware.advance(time.monotonic())
+        self.firmware.suffer(fault)
 
     def _observe(self, now: float) -> None:
         contact = self.firmware.drive.rover.in_contact

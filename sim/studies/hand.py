@@ -17,7 +17,7 @@ from deploy.session import client_config
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.lease import CommandTag, GateStatus, MotorsRequest, dump_json, parse_json
-from rover_ncp.core.messages import read_odometry, read_text, read_twist, twist_stamped
+from rover_ncp.core.messages import read_odometry, read_text, twist_stamped
 
 __all__ = ["Hand"]
 
@@ -39,20 +39,19 @@ class Hand:
         self.greedy = True
         """Whether it asks for the motors when it has none."""
         self.silent = False
+        self.age_s = 0.0
+        """How much older than it is each command says to be."""
         self.gate = GateStatus()
-        self.out = Velocity(0.0, 0.0)
-        """What the gate let through."""
-        self.speed = 0.0
-        """By the odometry."""
         self.last_sent_ns = 0
         """When the last command was sent, ns since the epoch."""
         self.sequence = 0
         self._asked_s = 0.0
         hear = self._session.declare_subscriber
+        self.heard_ns: list[int] = []
+        """The stamps of all odometry."""
         self._held: list[Any] = [
             hear("odom", self._odometry),
             hear("rover/gate", self._gate),
-            hear("rover/cmd_out", self._out),
         ]
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
@@ -70,6 +69,10 @@ class Hand:
             self.sequence += 1
             tag = CommandTag(self.id, self.sequence, time.monotonic_ns() - round(age_s * 1e9)).pack()
         self._session.put("cmd_vel", payload, attachment=tag)
+
+    def publish(self, name: str, payload: bytes) -> None:
+        """Send anything on any key, whoever may."""
+        self._session.put(name, payload)
 
     def close(self) -> None:
         """Fall silent and leave, without a word."""
@@ -93,7 +96,7 @@ class Hand:
                 self._ask()
             if not self.silent:
                 self.last_sent_ns = time.time_ns()
-                self.send(self.payload or twist_stamped(self.velocity, self.last_sent_ns))
+                self.send(self.payload or twist_stamped(self.velocity, self.last_sent_ns), self.age_s)
 
     def _ask(self) -> None:
         request = MotorsRequest(enable=True, driver=self.id.hex(), name="hand", sent_ns=time.monotonic_ns())
@@ -102,12 +105,8 @@ class Hand:
 
     def _odometry(self, sample: zenoh.Sample) -> None:
         with suppress(FormatError):
-            self.speed = read_odometry(sample.payload.to_bytes()).velocity.v
+            self.heard_ns.append(read_odometry(sample.payload.to_bytes()).stamp_ns)
 
     def _gate(self, sample: zenoh.Sample) -> None:
         with suppress(FormatError):
             self.gate = parse_json(GateStatus, read_text(sample.payload.to_bytes()))
-
-    def _out(self, sample: zenoh.Sample) -> None:
-        with suppress(FormatError):
-            self.out = read_twist(sample.payload.to_bytes()).velocity

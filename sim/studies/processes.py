@@ -44,11 +44,18 @@ class Finished:
 class Process:
     """A ``rover-ncp`` command as a child process. Its output goes to files, so that no pipe can fill up.
 
-    ``module`` is what Python runs to get it, when something is to be wrapped around it.
+    ``module`` is what Python runs to get it, when something is to be wrapped around it; ``told``, whether
+    it is given lines by `tell`.
     """
 
     def __init__(
-        self, command: str, arguments: Sequence[str], log_dir: Path, module: str = "rover_ncp"
+        self,
+        command: str,
+        arguments: Sequence[str],
+        log_dir: Path,
+        module: str = "rover_ncp",
+        *,
+        told: bool = False,
     ) -> None:
         self.command = command
         self._result = log_dir / f"{command}.json"
@@ -56,7 +63,7 @@ class Process:
         with self._result.open("wb") as out, self._log.open("wb") as err:
             self._child = subprocess.Popen(
                 [sys.executable, "-m", module, command, *arguments, "--json"],
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE if told else subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,
                 # A terminal's Ctrl-C must reach the parent alone: it ends the driver first, then the others.
@@ -95,6 +102,13 @@ class Process:
             raise ProcessError(self.command, 1, f"still running after {timeout_s:.0f} s") from error
         return self._finished()
 
+    def tell(self, line: str) -> None:
+        """Write a line to its standard input, if it still runs."""
+        assert self._child.stdin is not None  # or it was not started to be told anything
+        with contextlib.suppress(BrokenPipeError):
+            self._child.stdin.write(f"{line}\n".encode())
+            self._child.stdin.flush()
+
     def send_signal(self, number: int) -> None:
         """Send it a signal, if it still runs."""
         if self.running:
@@ -103,6 +117,9 @@ class Process:
     def stop(self) -> Finished:
         """End it: SIGTERM, and SIGKILL when it does not listen."""
         self.send_signal(signal.SIGTERM)
+        if self._child.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._child.stdin.close()
         try:
             self._child.wait(STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:

@@ -1,22 +1,61 @@
 """A link that can be spoilt: a TCP proxy that holds back, slows down or cuts what goes through it.
 
-One thread moves all bytes. Towards the server they may be held (nothing passes until `release`, then all of
-it does), throttled, or cut; towards the client they pass freely unless cut, as a link whose one direction is
-congested.
+A process of its own (``python -m sim.studies.proxy proxy HOST:PORT``), told what to do by lines on its
+standard input; `Proxy` starts one. It ends with that input. Towards the server bytes may be held (nothing
+passes until ``release``, then all of it does), throttled, or cut; towards the client they pass freely unless
+cut, or held both ways.
 """
 
 import selectors
 import socket
+import struct
+import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
-from types import TracebackType
-from typing import Self
+from pathlib import Path
+
+from sim.studies.processes import Process
 
 __all__ = ["Proxy"]
 
 CHUNK_BYTES = 1 << 16
 TURN_S = 0.005
+ABORT = struct.pack("ii", 1, 0)
+"""SO_LINGER: close by a reset, whatever is still on its way."""
+
+
+class Proxy(Process):
+    """A proxy to ``target``, a HOST:PORT; clients connect to ``address``."""
+
+    def __init__(self, target: str, folder: Path, name: str) -> None:
+        super().__init__(name, [target], folder, "sim.studies.proxy", told=True)
+        self.address = self.wait_for_line("listening on ")
+
+    def hold(self) -> None:
+        """Let nothing more through to the server; it is kept."""
+        self.tell("hold")
+
+    def hold_both_ways(self) -> None:
+        """Let nothing through in either direction, as if the cable were pulled."""
+        self.tell("hold_both_ways")
+
+    def throttle(self, bytes_s: int) -> None:
+        """Let so many bytes a second through to the server."""
+        self.tell(f"throttle {bytes_s}")
+
+    def cut(self) -> None:
+        """Break all connections, and refuse new ones."""
+        self.tell("cut")
+
+    def reset(self) -> None:
+        """Break all connections by a TCP reset; new ones are taken."""
+        self.tell("reset")
+
+    def release(self) -> None:
+        """Pass on all that was held, and be a good link again."""
+        self.tell("release")
 
 
 class _Pair:
@@ -33,9 +72,14 @@ class _Pair:
         self.client.close()
         self.server.close()
 
+    def abort(self) -> None:
+        for end in (self.client, self.server):
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ABORT)
+        self.close()
 
-class Proxy:
-    """Listens on ``port`` of this machine and passes on to ``target``, a HOST:PORT."""
+
+class _Server:
+    """Listens on a port of this machine and passes on to ``target``; one thread moves all bytes."""
 
     def __init__(self, target: str) -> None:
         host, _, port = target.rpartition(":")
@@ -45,57 +89,35 @@ class Proxy:
         self.port: int = self._listener.getsockname()[1]
         self._pairs: list[_Pair] = []
         self._lock = threading.Lock()
-        self._held = self._cut = False
+        self._held = self._held_back = self._cut = False
         self._bytes_s: float | None = None
         self._credit, self._credit_s = 0.0, time.monotonic()
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="proxy", daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._run, name="proxy", daemon=True).start()
 
-    def hold(self) -> None:
-        """Let nothing more through to the server; it is kept."""
+    def obey(self, line: str) -> None:
+        """Do what a line says."""
+        word, _, number = line.strip().partition(" ")
         with self._lock:
-            self._held = True
+            if word in {"hold", "hold_both_ways"}:
+                self._held, self._held_back = True, word == "hold_both_ways"
+            elif word == "throttle":
+                self._bytes_s, self._credit, self._credit_s = float(number), 0.0, time.monotonic()
+            elif word == "cut":
+                self._cut = True
+                self._drop_all(_Pair.close)
+            elif word == "reset":
+                self._drop_all(_Pair.abort)
+            elif word == "release":
+                self._held = self._held_back = self._cut = False
+                self._bytes_s = None
 
-    def throttle(self, bytes_s: float | None) -> None:
-        """Let so many bytes a second through to the server; None for all."""
-        with self._lock:
-            self._bytes_s, self._credit, self._credit_s = bytes_s, 0.0, time.monotonic()
-
-    def cut(self) -> None:
-        """Break all connections, and refuse new ones."""
-        with self._lock:
-            self._cut = True
-            self._drop_all()
-
-    def release(self) -> None:
-        """Pass on all that was held, and be a good link again."""
-        with self._lock:
-            self._held = self._cut = False
-            self._bytes_s = None
-
-    def close(self) -> None:
-        """End it, and every connection through it."""
-        self._closing.set()
-        self._thread.join()
-        self._drop_all()
-        self._listener.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def _drop_all(self) -> None:
+    def _drop_all(self, close: Callable[[_Pair], None]) -> None:
         for pair in self._pairs:
-            pair.close()
+            close(pair)
         self._pairs.clear()
 
     def _run(self) -> None:
-        while not self._closing.is_set():
+        while True:
             with self._lock:
                 waiting = [
                     self._listener,
@@ -137,7 +159,8 @@ class Proxy:
             allowance = min(allowance, int(self._credit))
         try:
             sent = _write(pair.server, pair.up, allowance)
-            _write(pair.client, pair.down, len(pair.down))
+            if not self._held_back:
+                _write(pair.client, pair.down, len(pair.down))
         except OSError:
             return False
         self._credit -= sent
@@ -167,3 +190,10 @@ def _write(end: socket.socket, buffer: bytearray, size: int) -> int:
         return 0
     del buffer[:sent]
     return sent
+
+
+if __name__ == "__main__":
+    server = _Server(sys.argv[2])
+    print(f"listening on 127.0.0.1:{server.port}", file=sys.stderr, flush=True)
+    for told in sys.stdin:
+        server.obey(told)

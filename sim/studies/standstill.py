@@ -2,6 +2,7 @@
 
 import csv
 import time
+from bisect import bisect_left
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
@@ -57,6 +58,11 @@ class TruthReader:
             self.rows.append(Motion(int(row["t_ns"]), *numbers))
         return self.rows
 
+    def since(self, wall_ns: int) -> list[Motion]:
+        """Return the rows from a moment on."""
+        rows = self.read()
+        return rows[bisect_left(rows, wall_ns, key=lambda row: row.wall_ns) :]
+
     def moving(self) -> bool:
         """Whether it moves, by the newest row."""
         rows = self.read()
@@ -69,7 +75,7 @@ class TruthReader:
         """
         deadline = time.monotonic() + timeout_s
         while True:
-            rows = [row for row in self.read() if row.wall_ns >= since_ns]
+            rows = self.since(since_ns)
             last_ns = next((row.wall_ns for row in reversed(rows) if row.moving), since_ns)
             if rows and rows[-1].wall_ns - last_ns > still_s * 1e9:
                 return (last_ns - since_ns) * 1e-9

@@ -1,0 +1,177 @@
+"""A very short soak with real processes, and its parts on made-up numbers."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.messages import odometry, twist_stamped
+from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording
+from sim.studies.completeness import check_recording
+from sim.studies.leaks import Usage, leaks, usage
+from sim.studies.matrix import row
+from sim.studies.measure import Measured
+from sim.studies.soak import Round, Soaked, soak
+from sim.studies.soak_report import fields, table, verdict
+
+SECOND_NS = 1_000_000_000
+SIP_NS = SECOND_NS // 10
+
+
+def test_a_few_faults_in_a_row_and_nothing_is_lost(tmp_path):
+    heard = []
+    rows = [row("deploy-killed"), row("truncated"), row("odometry-frozen")]
+    soaked = soak(40.0, 1, tmp_path, lambda soaked, doing: heard.append(doing), rows)
+    said = fields(soaked, 1)
+    assert verdict(soaked) == []
+    assert (said["passed"], said["still"], said["recordings"]["missing"]) == (True, True, 0)
+    reached = {each["row"] for each in said["rounds"]}
+    assert {each.key for each in rows} == reached | set(said["not_reached"])
+    assert len(said["rounds"]) >= 2
+    assert [doing for doing in heard if doing] == [f"{r.row.layer}: {r.row.fault}" for r in soaked.rounds]
+    assert len(list(table(soaked))) == 2 + len(reached)
+    for each in soaked.recordings:
+        assert each.recovered == ("killed" in each.path.name)
+        assert read_recording(each.path).complete
+        assert each.odometry > 10
+
+
+def test_interrupting_it_leaves_no_process(tmp_path):
+    child = subprocess.Popen(
+        [sys.executable, "-m", "rover_ncp", "soak", "--minutes", "5", "--out", str(tmp_path), "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    log = tmp_path / "log" / "bridge.log"
+    while "ready" not in (log.read_text() if log.exists() else ""):
+        assert child.poll() is None
+    mine = _processes_naming(str(tmp_path)) + _children_of(child.pid)
+    assert len(mine) >= 3
+    child.send_signal(signal.SIGINT)
+    out, _ = child.communicate(timeout=60)
+    assert (child.returncode, json.loads(out)["kind"]) == (130, "Interrupted")
+    assert not [pid for pid in mine if pid != child.pid and Path(f"/proc/{pid}").exists()]
+
+
+def _processes_naming(text):
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (process / "cmdline").read_bytes().decode(errors="replace")
+        except OSError:
+            continue
+        if text in words and int(process.name) != os.getpid():
+            found.append(int(process.name))
+    return found
+
+
+def _children_of(pid):
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+# What a process holds.
+
+
+def test_usage_of_this_process_follows_what_it_opens(tmp_path):
+    before = usage(os.getpid(), 0.0)
+    with (tmp_path / "file").open("w"):
+        after = usage(os.getpid(), 1.0)
+    assert after.files == before.files + 1
+    assert before.threads >= 1
+    assert 10.0 < before.memory_mb < 10_000.0
+
+
+def samples(count, **growth):
+    start = {"memory_mb": 70.0, "threads": 14, "files": 22, "sockets": 3}
+    return [
+        Usage(10.0 * n, **{name: value + n * growth.get(name, 0) for name, value in start.items()})
+        for n in range(count)
+    ]
+
+
+def test_what_does_not_grow_is_no_leak_and_what_grows_is():
+    assert leaks(samples(100), 30).leaking == ()
+    assert leaks(samples(100, memory_mb=0.02), 30).leaking == ()
+    assert leaks(samples(100, memory_mb=0.2), 30).leaking == ("memory",)
+    assert leaks(samples(100, threads=1, files=1, sockets=1), 30).leaking == ("threads", "files", "sockets")
+    # While it has not seen everything once, its memory may grow.
+    assert leaks(samples(30, memory_mb=5.0), 30).leaking == ()
+
+
+# What a recording holds.
+
+
+def record(path, stamps, sequences=(), whole=True):
+    with path.open("wb") as file:
+        writer = RecordingWriter(file)
+        for stamp in stamps:
+            data = odometry(Pose(0.0, 0.0, 0.0), Velocity(0.0, 0.0), stamp)
+            writer.write(Recorded("odom", "nav_msgs/msg/Odometry", data, stamp, stamp))
+        for sequence in sequences:
+            data = twist_stamped(Velocity(0.0, 0.0), stamps[-1])
+            message = Recorded(
+                "cmd_vel", "geometry_msgs/msg/TwistStamped", data, stamps[-1], stamps[-1], sequence
+            )
+            writer.write(message)
+        writer.flush()
+        if whole:
+            writer.close()
+    return path
+
+
+HEARD = [10 * SECOND_NS + n * SIP_NS for n in range(50)]
+BEGAN = HEARD[40] + 1
+
+
+def test_a_recording_that_holds_everything_has_lost_nothing(tmp_path):
+    found = check_recording(
+        record(tmp_path / "a.mcap", HEARD, range(5, 9)), HEARD, BEGAN, killed=False, losing=False
+    )
+    assert (found.lost, found.recovered, found.odometry) == (0, False, 50)
+
+
+@pytest.mark.parametrize(
+    ("kept", "options", "lost"),
+    [
+        (HEARD[:20] + HEARD[21:], {}, (1, 0)),  # one that others heard; a single SIP may just be late
+        (HEARD[:20] + HEARD[22:], {}, (2, 2)),
+        (HEARD[:45], {}, (0, 0)),  # the driver ended by itself
+        (HEARD[:39], {}, (2, 0)),  # but not before anything happened
+        (HEARD[:41] + HEARD[45:], {"losing": True}, (0, 0)),
+        (HEARD[:41] + HEARD[45:], {}, (4, 0)),
+        (HEARD[:36], {"killed": True}, (0, 0)),
+        (HEARD[:35], {"killed": True}, (1, 0)),
+    ],
+)
+def test_what_is_lost_is_counted_unless_the_fault_explains_it(tmp_path, kept, options, lost):
+    path = record(tmp_path / "a.mcap", kept)
+    found = check_recording(path, HEARD, BEGAN, **{"killed": False, "losing": False} | options)
+    assert (found.missing, found.gaps) == lost
+
+
+def test_a_recording_cut_off_is_made_whole_and_a_lost_command_is_noticed(tmp_path):
+    path = record(tmp_path / "a.mcap", HEARD, [1, 2, 4], whole=False)
+    found = check_recording(path, HEARD, BEGAN, killed=False, losing=False)
+    assert (found.recovered, found.skipped, found.lost) == (True, 1, 1)
+    assert read_recording(path).complete
+
+
+# What it says.
+
+
+def test_whatever_is_wrong_is_said():
+    late = Measured(row("bumper"), "hand", 0, 1.2, 0.12, 0.0, "", "bumper")
+    soaked = Soaked(rounds=[Round(5.0, late.row, "hand", late)], still=False)
+    soaked.rounds.append(Round(9.0, row("stall"), "hand", None, "waited in vain"))
+    soaked.usage["bridge"] = samples(100, sockets=1)
+    said = fields(soaked, 0)
+    words = " ".join(said["wrong"])
+    assert not said["passed"]
+    for word in ("TOO LATE", "FAILED: waited in vain", "bridge leaks sockets", "does not stand"):
+        assert word in words
+    assert "| base | stall | 1 | failed |" in "\n".join(table(soaked))

@@ -26,7 +26,7 @@ from rover_ncp.report.trace import Trace
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["activity", "trajectory"]
+__all__ = ["activity", "setting", "trajectory"]
 
 FloatArray = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def trajectory(trace: Trace, course: Course, found: Sequence[Phase]) -> Picture:
     """Draw the whole manoeuvre: checkpoints with deadlines, the path by phases, start and end."""
     drawn = figure(7.6, 6.2)
     axes = drawn.add_subplot()
-    _setting(axes, course)
+    setting(axes, course)
     for pose, dash, words in ((trace.poses[0], (0, (2, 2)), "start"), (trace.poses[-1], "solid", "end")):
         axes.plot(*placed(OUTLINE, pose).T, color=GREY, linewidth=1, linestyle=dash)
         nose = placed(np.array([[LENGTH_M / 2, 0.0]]), pose)[0]
@@ -120,7 +120,7 @@ def activity(trace: Trace, course: Course) -> Picture:
     return render(drawn)
 
 
-def _setting(axes: "Axes", course: Course) -> None:
+def setting(axes: "Axes", course: Course) -> None:
     """Draw what does not move: obstacles and the goal with its tolerance."""
     from matplotlib.patches import Circle, Polygon
 

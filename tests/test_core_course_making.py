@@ -1,0 +1,121 @@
+"""Courses made from poses and from recorded drives."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rover_ncp.core.config import parse_yaml
+from rover_ncp.core.course import Course
+from rover_ncp.core.course_making import Place, PoseList, course_yaml, make_course, read_poses
+from rover_ncp.core.drivable import Cause
+from rover_ncp.core.errors import ConfigError, FileError
+from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative
+from rover_ncp.core.messages import odometry
+from rover_ncp.core.recording import Recorded, RecordingWriter
+from rover_ncp.core.reference import drive_profile
+
+START = Pose(2.0, -1.0, 2.5)
+
+
+def places(*poses, obstacles=()):
+    return PoseList(poses=tuple(Place(x=x, y=y, theta=t) for x, y, t in poses), obstacles=obstacles)
+
+
+def test_deadlines_can_be_met_and_the_first_pose_is_the_origin():
+    there = [Pose(0, 0, 0), Pose(0.5, 0.1, 0.4), Pose(0.9, 0.5, 1.0)]
+    course, found = make_course("mine", "mine.csv", places(*(compose(START, pose) for pose in there)))
+    assert found.drivable, found.problems
+    assert course.checkpoints[0].pose == (0, 0, 0)
+    driven = [point.pose for point in course.checkpoints[1:-1]]
+    for pose, wanted in zip(driven, there, strict=True):
+        assert pose == pytest.approx(wanted, abs=1e-4)
+    assert course.checkpoints[-1].pose == course.checkpoints[-2].pose
+    assert course.start_signal_s == course.checkpoints[1].t == 3.0
+    assert parse_yaml(course_yaml(course), Course, "its own file") == course
+
+
+def test_obstacles_come_along():
+    text = (
+        "poses:\n- {x: 2, y: 1, theta: 1.5707963}\n- {x: 2, y: 2, theta: 1.5707963}\n"
+        "obstacles:\n- {x: 2, y: 2.6, theta: 1.5707963, length: 0.2, width: 0.5}\n"
+    )
+    course, found = make_course("wall", "wall.yaml", parse_yaml(text, PoseList, "wall.yaml"))
+    (wall,) = course.obstacles
+    assert (wall.x, wall.y, wall.theta) == pytest.approx((1.6, 0.0, 0.0), abs=1e-6)
+    assert found.drivable
+    assert found.clearance_m == pytest.approx(1.6 - 0.1 - 1.0 - 0.313, abs=0.003)
+
+
+def test_what_no_time_makes_drivable_is_said():
+    course, found = make_course("aside", "aside.csv", places((0, 0, 0), (0, 0.5, 0)))
+    assert {problem.cause for problem in found.problems} == {Cause.SIDEWAYS}
+    assert course.horizon_s < 60
+
+
+def recording(path, stretches, start=START, rate=10):
+    """A drive of (seconds, v, omega), from rest to rest, as odometry."""
+    v, omega = [0.0] * 20, [0.0] * 20
+    for seconds, speed, turn in stretches:
+        v += [speed] * round(seconds * rate)
+        omega += [turn] * round(seconds * rate)
+    v, omega = v + [0.0] * 20, omega + [0.0] * 20
+    poses = drive_profile(start, v, omega).poses
+    with RecordingWriter(path) as writer:
+        for k, pose in enumerate(poses):
+            ns = 10**18 + k * 10**8
+            data = odometry(Pose(*pose), Velocity(v[k], omega[k]), ns)
+            writer.write(Recorded("odom", "nav_msgs/msg/Odometry", data, ns, ns))
+    return poses
+
+
+def test_a_recorded_drive_becomes_a_course_along_the_same_way(tmp_path):
+    # Faster than the motors of the circuits, with a pause: neither is of consequence.
+    way = recording(tmp_path / "run.mcap", [(3, 0.25, 0.0), (5, 0.0, 0.0), (5, 0.12, 0.16)])
+    course, found = make_course("again", "run.mcap", read_poses(tmp_path / "run.mcap"))
+    assert found.drivable, found.problems
+    own = [relative(START, Pose(*pose)) for pose in way]
+    assert distance(course.goal, own[-1]) < 0.01
+    steps = np.array([min(distance(Pose(*pose), other) for other in own) for pose in found.reference.poses])
+    assert steps.max() < 0.03
+    assert course.horizon_s < 40
+
+
+def test_a_drive_to_and_fro_keeps_its_turning_point(tmp_path):
+    recording(tmp_path / "run.mcap", [(5, 0.12, 0.0), (1, 0, 0), (4, -0.1, 0.0)])
+    course, found = make_course("fro", "run.mcap", read_poses(tmp_path / "run.mcap"))
+    assert found.drivable, found.problems
+    assert max(point.x for point in course.checkpoints) == pytest.approx(0.6, abs=0.02)
+    assert course.goal.x == pytest.approx(0.2, abs=0.02)
+    assert found.reference.motion[:, 0].min() < -0.05
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "error", "words"),
+    [
+        ("a.csv", "x,y\n1,2\n", FileError, "names no theta"),
+        ("a.csv", "x,y,theta\n1,2,three\n", FileError, "line 2: expected three numbers"),
+        ("a.csv", "x,y,theta\n1,2\n", FileError, "line 2: expected three numbers"),
+        ("a.csv", "x,y,theta\n1,2,nan\n", FileError, "line 2: expected finite numbers"),
+        ("a.csv", "x,y,theta\n1,2,3\n", FileError, "two poses at least, got 1"),
+        ("a.yaml", "poses:\n- {x: 1, y: 2, theta: 3}\n", ConfigError, r"\$\.poses"),
+        ("a.yaml", "poses: [[1, 2, 3], [1, 2, 3]]\n", ConfigError, r"\$\.poses\[0\]"),
+        ("a.txt", "1 2 3\n", FileError, "expected poses as"),
+        ("a.mcap", "nothing", FileError, "not an MCAP recording"),
+    ],
+)
+def test_a_file_that_is_no_list_of_poses_is_named(tmp_path, name, content, error, words):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(error, match=words):
+        read_poses(tmp_path / name)
+
+
+def test_a_recording_without_motion_or_poses_makes_no_course(tmp_path):
+    recording(tmp_path / "run.mcap", [])
+    with pytest.raises(FileError, match="did not move"):
+        read_poses(tmp_path / "run.mcap")
+    with RecordingWriter(tmp_path / "empty.mcap"):
+        pass
+    with pytest.raises(FileError, match="holds neither"):
+        read_poses(tmp_path / "empty.mcap")
+    assert math.isfinite(START.x)

@@ -1,0 +1,115 @@
+"""What can be driven, what cannot, and whether the right reason is told."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rover_ncp.core.course import Checkpoint, Course, Obstacle, load_course
+from rover_ncp.core.drivable import Cause, check_course
+from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.core.reference import OMEGA_MAX, V_MAX
+from sim.world.bay import Bay
+from sim.world.rover import RoverModel, rover_body
+
+
+def course_of(*points, horizon_s=20.0, obstacles=()):
+    checkpoints = tuple(Checkpoint(t=t, x=x, y=y, theta=theta) for t, x, y, theta in points)
+    return Course(
+        name="test", start_signal_s=0.0, horizon_s=horizon_s, checkpoints=checkpoints, obstacles=obstacles
+    )
+
+
+AHEAD = ((0, 0, 0, 0), (8, 0.8, 0.0, 0.0), (14, 0.8, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("name", ["parking", "mirrored", "bay"])
+def test_shipped_courses_can_be_driven(name):
+    found = check_course(load_course(name))
+    assert found.drivable, found.problems
+    assert (found.clearance_m is None) == (name != "bay")
+
+
+def test_the_clearance_is_that_of_the_simulators_rover():
+    course = load_course("bay")
+    found = check_course(course)
+    assert 0.05 < found.clearance_m < 0.12
+    bay = Bay(course.obstacles)
+    body = rover_body(RoverModel(), bay)
+    (shape,) = body.shapes
+    for wider, touches in ((-0.001, False), (0.001, True)):
+        # The simulator's own collision detection, with every obstacle grown by the clearance.
+        margin = found.clearance_m + wider
+        touched = False
+        for x, y, theta in found.reference.poses:
+            body.position, body.angle = (x, y), theta
+            bay.space.reindex_shapes_for_body(body)
+            near = [
+                other for other in bay.space.shapes if other is not shape and _apart(shape, other) < margin
+            ]
+            touched |= bool(near)
+        assert touched == touches
+
+
+def _apart(a, b):
+    """The distance between two of pymunk's polygons, by its own query from each corner."""
+
+    def corners(shape):
+        return [shape.body.local_to_world(corner) for corner in shape.get_vertices()]
+
+    return min(
+        *(b.point_query(corner).distance for corner in corners(a)),
+        *(a.point_query(corner).distance for corner in corners(b)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("course", "checkpoint", "cause"),
+    [
+        (course_of((0, 0, 0, 0), (5, 0.0, 0.5, 0.0), (14, 0.0, 0.5, 0.0)), 2, Cause.SIDEWAYS),
+        (course_of((0, 0, 0, 0), (2, 1.0, 0.0, 0.0), (14, 1.0, 0.0, 0.0)), 2, Cause.FAST),
+        (course_of((0, 0, 0, 0), (3, 0.0, 0.0, 2.0), (14, 0.0, 0.0, 2.0)), 2, Cause.TURN),
+        (course_of((0, 0.5, 0, 0), (8, 0.8, 0.0, 0.0), (14, 0.8, 0.0, 0.0)), 1, Cause.START),
+        (course_of((0, 0, 0, 0), (20, 2.8, 0.0, 0.0)), 2, Cause.REST),
+        (course_of(*AHEAD, obstacles=(Obstacle(x=1.3, y=0.0, length=0.5, width=0.2),)), 2, Cause.OBSTACLE),
+        (course_of(*AHEAD, obstacles=(Obstacle(x=0.0, y=0.3, length=0.2, width=0.2),)), 1, Cause.OBSTACLE),
+    ],
+    ids=lambda value: value.value if isinstance(value, Cause) else "",
+)
+def test_where_and_why_a_course_cannot_be_driven(course, checkpoint, cause):
+    found = check_course(course)
+    assert not found.drivable
+    assert (checkpoint, cause) in [(problem.checkpoint, problem.cause) for problem in found.problems]
+    assert {problem.cause for problem in found.problems} == {cause}
+    assert all(f"checkpoint {p.checkpoint} ({p.t:g} s): {p.cause.value}: " in str(p) for p in found.problems)
+
+
+def test_the_words_say_how_much_too_much():
+    (first, *_) = check_course(course_of((0, 0, 0, 0), (2, 1.0, 0.0, 0.0), (14, 1.0, 0.0, 0.0))).problems
+    assert "0.50 m/s (at most 0.16 m/s)" in str(first)
+    (first, *_) = check_course(course_of((0, 0, 0, 0), (5, 0.0, -0.5, 0.0), (14, 0, -0.5, 0))).problems
+    assert "0.50 m to the right, 0.00 m along" in str(first)
+
+
+def test_an_obstacle_beside_the_way_is_no_problem():
+    beside = Obstacle(x=0.5, y=0.4, theta=math.pi / 2, length=0.2, width=0.3)
+    found = check_course(course_of(*AHEAD, obstacles=(beside,)))
+    assert found.drivable
+    assert found.clearance_m == pytest.approx(0.4 - 0.1 - 0.505 / 2, abs=0.002)
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.floats(0.2, 0.9), st.floats(-1.0, 1.0))
+def test_an_arc_within_the_motors_limits_can_be_driven(length, turn):
+    """Any arc, from rest to rest, in a time that leaves the motors room."""
+    seconds = math.ceil(2.0 + 1.5 * max(length / V_MAX, abs(turn) / OMEGA_MAX))
+    radius = length / turn if abs(turn) > 1e-6 else math.inf
+    x = radius * math.sin(turn) if math.isfinite(radius) else length
+    y = radius * (1 - math.cos(turn)) if math.isfinite(radius) else 0.0
+    course = course_of((0, 0, 0, 0), (seconds, x, y, turn), (20, x, y, turn))
+    found = check_course(course)
+    assert found.drivable, found.problems
+    end = Pose(*found.reference.poses[-1])
+    assert distance(end, course.goal) < 0.025
+    assert abs(wrap_angle(end.theta - turn)) < 0.025

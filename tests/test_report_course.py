@@ -1,0 +1,70 @@
+"""The command ``course``."""
+
+import json
+
+import pytest
+
+from rover_ncp import shell
+from rover_ncp.core.course import load_course
+
+POSES = "x,y,theta\n1.0,1.0,1.5708\n1.0,1.6,1.5708\n"
+
+
+@pytest.fixture
+def poses(tmp_path):
+    path = tmp_path / "poses.csv"
+    path.write_text(POSES)
+    return path
+
+
+def test_new_makes_a_course_that_check_finds_drivable(poses, tmp_path, capsys):
+    out = tmp_path / "My bay!.yaml"
+    assert shell.run(["course", "new", str(poses), "--out", str(out), "--json"]) == 0
+    fields = json.loads(capsys.readouterr().out)
+    assert fields["drivable"]
+    assert fields["problems"] == []
+    assert fields["out"] == str(out)
+    assert load_course(out).name == fields["course"] == "my-bay"
+    assert load_course(out).goal == pytest.approx((0.6, 0.0, 0.0), abs=1e-4)
+
+    for suffix, magic in ((".png", b"\x89PNG"), (".svg", b"<?xml")):
+        picture = tmp_path / f"course{suffix}"
+        assert shell.run(["course", "check", str(out), "--out", str(picture)]) == 0
+        assert picture.read_bytes().startswith(magic)
+    assert "my-bay: drivable" in capsys.readouterr().out
+
+
+def test_what_cannot_be_driven_is_exit_1_and_says_where_and_why(tmp_path, capsys):
+    (tmp_path / "aside.csv").write_text("x,y,theta\n0,0,0\n0,0.5,0\n")
+    out = tmp_path / "aside.yaml"
+    assert shell.run(["course", "new", str(tmp_path / "aside.csv"), "--out", str(out)]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "aside: not drivable" in said
+    assert "sideways: 0.50 m to the left" in said
+    assert shell.run(["course", "check", str(out), "--json", "--out", str(tmp_path / "aside.png")]) == 1
+    fields = json.loads(capsys.readouterr().out)
+    assert not fields["drivable"]
+    assert {problem["cause"] for problem in fields["problems"]} == {"sideways"}
+    assert fields["problems"][0]["checkpoint"] == 3
+    assert (tmp_path / "aside.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["new", "POSES"], "--out: expected the new course's file"),
+        (["new", "POSES", "--out", "course.png"], "--out: expected the new course's file"),
+        (["new", "POSES", "--out", "x.yaml", "--name", "Big Bay"], "--name Big Bay"),
+        (["new", "nowhere.csv", "--out", "x.yaml"], "nowhere.csv: no such file"),
+        (["check", "nowhere"], "nowhere: no such file, and none of the shipped"),
+        (["check", "parking", "--name", "other"], "--name is for new"),
+        (["check", "parking", "--out", "x.pdf"], "expected a picture"),
+        (["look", "parking"], "look"),
+    ],
+)
+def test_a_users_mistake_is_one_line(arguments, words, poses, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert shell.run(["course", *[str(poses) if a == "POSES" else a for a in arguments]]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1

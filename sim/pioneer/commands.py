@@ -29,7 +29,19 @@ def mock(
             "seconds count from then."
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Decides which packets random faults damage.")] = 0,
+    randomize: Annotated[
+        str, typer.Option(help="Be a robot nobody measured: ranges none, mild, full, harsh or YAML file.")
+    ] = "none",
+    trial: Annotated[
+        int, typer.Option(min=0, help="Which of them: the one of that number in 'eval --trials'.")
+    ] = 0,
+    profile: Annotated[
+        Path | None,
+        typer.Option(help="Be this robot: a rover profile, as 'identify' writes it.", show_default=False),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Of the trial, and of which packets random faults damage.")
+    ] = 0,
     json: Json = False,
 ) -> None:
     """Pretend to be a Pioneer: its firmware on a simulated rover, on TCP, in real time.
@@ -37,9 +49,21 @@ def mock(
     Whatever drives a Pioneer can drive this: rover-ncp bridge, ARIA, Player, Soar. The rover starts at the
     origin and obeys delays, acceleration limits, the watchdog and walls as a real one does. When it is ready,
     the line "listening on HOST:PORT" is printed; Ctrl-C or SIGTERM ends it.
+
+    With --randomize it has the errors of one random trial: its delays, gains, noise and start, lost commands
+    and a push, for as long as the --course lasts. They begin when the motors are first enabled.
     """
     from sim.pioneer.run import run_mock
+    from sim.world.randomization import ranges_for
 
     run_mock(
-        listen=listen, model=model, course=course, truth=truth, faults=fault or [], seed=seed, as_json=json
+        listen=listen,
+        model=model,
+        course=course,
+        truth=truth,
+        faults=fault or [],
+        seed=seed,
+        ranges=ranges_for(randomize, profile),
+        trial=trial,
+        as_json=json,
     )

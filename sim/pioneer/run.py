@@ -16,11 +16,14 @@ from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.server import Server, TruthFile, parse_listen
+from sim.pioneer.trial import BaseTrial, rover_of
 from sim.world.bay import Bay
-from sim.world.rover import Rover
+from sim.world.randomization import Randomization, draw_trials
 
 __all__ = ["run_mock"]
 
+TRIAL_TICKS = 600
+"""How long a trial lasts without a course; its noise then begins anew."""
 TOLD = "-"
 """In place of a fault: more of them come on standard input."""
 
@@ -33,6 +36,8 @@ def run_mock(
     truth: Path | None,
     faults: Sequence[str],
     seed: int,
+    ranges: Randomization,
+    trial: int,
     as_json: bool,
 ) -> None:
     """See ``commands.mock``. Raises UsageError, PortInUse or FileError before anything listens."""
@@ -43,11 +48,14 @@ def run_mock(
     suffering = Faults([parse_fault(text) for text in faults if text != TOLD], seed)
     # Unbuffered, so that the server sees whatever line is left to read.
     told = io.FileIO(sys.stdin.fileno(), closefd=False) if TOLD in faults else None
-    bay = Bay(load_course(course).obstacles if course else ())
-    rover = Rover(rover_model_of(ROBOTS[model]), bay)
+    known = load_course(course) if course else None
+    ideal = rover_model_of(ROBOTS[model])
+    ticks = known.ticks if known else TRIAL_TICKS
+    trials = draw_trials(ranges, ideal, seed, count=1, ticks=ticks, first=trial)
+    rover = rover_of(trials, ideal, Bay(known.obstacles if known else ()))
 
     def make(start_s: float, observe: Callable[[float], None]) -> Firmware:
-        return Firmware(model, rover, suffering, start_s, observe)
+        return Firmware(model, rover, suffering, start_s, observe, trial=BaseTrial(trials))
 
     server = Server(host, port, make, TruthFile(truth) if truth else None, output.say)
     try:

@@ -9,10 +9,11 @@ seen in that tick is old. Commands in whole steps are not among a trial's errors
 from bridge.arcos import Command
 from rover_ncp.core.course import TICK_S
 from rover_ncp.core.geometry import Pose, Velocity
+from sim.world.bay import Bay
 from sim.world.randomization import BaseErrors, OdometryErrors, Trials, driven
-from sim.world.rover import SUBSTEP_S
+from sim.world.rover import SUBSTEP_S, Rover, RoverModel
 
-__all__ = ["ORIGIN", "BaseTrial"]
+__all__ = ["ORIGIN", "SET_POINTS", "BaseTrial", "rover_of"]
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 SET_POINTS = frozenset({Command.VEL, Command.RVEL})
@@ -71,3 +72,10 @@ class BaseTrial:
         """Where the rover is pushed at the start of this tick."""
         when, *push = self._trials.bump[self._row].tolist()
         return Pose(*push) if self.tick == when and any(push) else None
+
+
+def rover_of(trials: Trials, model: RoverModel, bay: Bay, row: int = 0) -> Rover:
+    """Return the rover of a trial at its start, with its delays; what else is wrong is a `BaseTrial`'s."""
+    delay_v, delay_omega = (trials.delay[row] * SUBSTEP_S).tolist()
+    slow = model.model_copy(update={"delay_v_s": delay_v, "delay_omega_s": delay_omega})
+    return Rover(slow, bay, Pose(*trials.start[row].tolist()))

@@ -23,14 +23,14 @@ from rover_ncp.core.course import Course, Verdict
 from rover_ncp.core.geometry import Pose
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import rover_model_of
-from sim.pioneer.trial import BaseTrial
+from sim.pioneer.trial import BaseTrial, rover_of
 from sim.studies.evaluate import cause
 from sim.studies.virtual import Air, World
 from sim.world.bay import Bay
 from sim.world.randomization import Randomization, Trials, draw_trials
-from sim.world.rover import SUBSTEP_S, Rover, RoverModel
+from sim.world.rover import Rover, RoverModel
 
-__all__ = ["MODEL", "Driven", "Stack", "base_rover"]
+__all__ = ["MODEL", "Driven", "Stack"]
 
 MODEL = "p3at-sh"
 
@@ -86,14 +86,14 @@ class Stack:
 
     def trials(self, number: int) -> Trials:
         """Draw one trial, as row 0."""
-        ticks = max(course.ticks for course in self.courses)
+        ticks = self.course(number).ticks
         return draw_trials(self.ranges, self.model, self.seed, count=1, ticks=ticks, first=number)
 
     def drive(self, number: int) -> Driven:
         """Drive a trial from power-up to the motors' release."""
         course, trials = self.course(number), self.trials(number)
         start = Pose(*trials.start[0].tolist())
-        rover = base_rover(self.model, course, trials, 0)
+        rover = rover_of(trials, self.model, Bay(course.obstacles))
         truth = _Truth(rover, watch=bool(course.obstacles))
         world = World(Firmware(MODEL, rover, observe=truth.note, trial=BaseTrial(trials)))
         air = Air(world, start)
@@ -154,10 +154,3 @@ class _Truth:
         first, last = (bisect_right(self._times, began + t) for t in (-1e-6, course.horizon_s + 1e-6))
         times = [now - began for now in self._times[first:last]]
         return course.judge(times, self._poses[first:last], self._touched)
-
-
-def base_rover(model: RoverModel, course: Course, trials: Trials, row: int) -> Rover:
-    """Return the rover of a trial at its start; all but its delays is the base's affair (`BaseTrial`)."""
-    delay_v, delay_omega = trials.delay[row].tolist()
-    delays = {"delay_v_s": delay_v * SUBSTEP_S, "delay_omega_s": delay_omega * SUBSTEP_S}
-    return Rover(model.model_copy(update=delays), Bay(course.obstacles), Pose(*trials.start[row].tolist()))

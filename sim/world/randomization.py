@@ -17,6 +17,7 @@ from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.core.course import TICK_S
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
+from rover_ncp.core.profile import RoverProfile, load_profile
 from sim.world.rover import SUBSTEP_S, RoverModel
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "driven",
     "load_randomization",
     "nominal_trials",
+    "ranges_for",
     "reckoned",
     "stepped",
     "trial_model",
@@ -61,6 +63,7 @@ class Randomization(StrictModel):
     drift_rad_s: float = Field(default=0.0, ge=0, description="of the seen heading")
     bump_m: float = Field(default=0.0, ge=0, description="one push on the way, unseen")
     bump_rad: float = Field(default=0.0, ge=0)
+    rover: RoverProfile | None = Field(default=None, description="what is known, and so not drawn")
 
 
 class Trials(NamedTuple):
@@ -104,6 +107,12 @@ def load_randomization(name_or_path: str | Path) -> Randomization:
     return load_yaml(resolve("randomizations", name_or_path), Randomization)
 
 
+def ranges_for(name_or_path: str | Path, profile: Path | None) -> Randomization:
+    """Load ranges, and the profile of the rover that they are for, if there is one."""
+    ranges = load_randomization(name_or_path)
+    return ranges if profile is None else ranges.model_copy(update={"rover": load_profile(profile)})
+
+
 def nominal_trials(model: RoverModel, ticks: int) -> Trials:
     """Return the one trial in which everything is as the model says."""
     return draw_trials(Randomization(name="none"), model, 0, count=1, ticks=ticks)
@@ -113,6 +122,8 @@ def draw_trials(
     ranges: Randomization, model: RoverModel, seed: int, *, count: int, ticks: int, first: int = 0
 ) -> Trials:
     """Draw trials ``first``, ``first`` + 1, ... of a seed, each for ``ticks`` ticks or fewer."""
+    if ranges.rover is not None:
+        return _of_known(ranges, ranges.rover, model, seed, count=count, ticks=ticks, first=first)
     streams = [
         np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first + i,))) for i in range(count)
     ]
@@ -151,6 +162,57 @@ def draw_trials(
         lost=_lost(ranges, chance[:, :ticks, 0]),
         step=np.array([ranges.speed_step_m_s, ranges.turn_step_rad_s]),
     )
+
+
+def _of_known(
+    ranges: Randomization,
+    known: RoverProfile,
+    model: RoverModel,
+    seed: int,
+    *,
+    count: int,
+    ticks: int,
+    first: int,
+) -> Trials:
+    """Draw the same trials, but for what is known of the rover."""
+    noises = {
+        "noise_m": ranges.noise_m if known.noise_m is None else known.noise_m,
+        "noise_rad": ranges.noise_rad if known.noise_rad is None else known.noise_rad,
+    }
+    others = ranges.model_copy(update={"rover": None, **noises})
+    drawn = draw_trials(others, model, seed, count=count, ticks=ticks, first=first)
+    odometry = _columns(drawn.odometry, known.odometry_distance, known.odometry_heading)
+    imbalance = _columns(drawn.imbalance[:, None], known.imbalance_rad_m)[:, 0]
+    slip = _columns(drawn.slip[:, None], known.slip_s)[:, 0]
+    drift = _columns(drawn.drift[:, None], known.drift_rad_s)[:, 0]
+    delay_s = _columns(drawn.delay * SUBSTEP_S, known.delay_v_s, known.delay_omega_s)
+    errs = (odometry - 1.0).any() or imbalance.any() or slip.any() or drift.any()
+    return drawn._replace(
+        exact=drawn.exact and not errs,
+        acceleration=_columns(
+            drawn.acceleration, _share(known.accel, model.accel), _share(known.alpha, model.alpha)
+        ),
+        delay=np.rint(delay_s / SUBSTEP_S).astype(np.int64),
+        # A profile's gains are those that odometry sees.
+        gain=_columns(drawn.gain * odometry, known.gain_v, known.gain_omega) / odometry,
+        odometry=odometry,
+        imbalance=imbalance,
+        slip=slip,
+        drift=drift,
+    )
+
+
+def _share(value: float | None, whole: float) -> float | None:
+    return None if value is None else value / whole
+
+
+def _columns(drawn: FloatArray, *known: float | None) -> FloatArray:
+    """Return what was drawn (N, columns), but for the columns that are known."""
+    filled = drawn.copy()
+    for column, value in enumerate(known):
+        if value is not None:
+            filled[:, column] = value
+    return filled
 
 
 def _lost(ranges: Randomization, chance: FloatArray) -> NDArray[np.bool_]:

@@ -1,0 +1,55 @@
+"""What was measured of one robot: its profile, which training, evaluation, mock and driver accept.
+
+What a profile does not state, nobody knows: simulations draw it from their ranges, the driver does without.
+Gains are those that odometry sees, reported over commanded speed, for this is what can be measured with the
+robot alone. How odometry itself errs, and what slips away unseen, takes somebody who looks from outside.
+"""
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from rover_ncp.core.config import StrictModel, load_yaml
+from rover_ncp.core.errors import FileError
+
+__all__ = ["RoverProfile", "load_profile"]
+
+_Delay = Field(default=None, ge=0, le=2)
+_Factor = Field(default=None, gt=0.2, lt=5)
+
+
+class RoverProfile(StrictModel):
+    """SI units; factors are 1 for a robot as it should be, None where nothing is known."""
+
+    format: Literal[1] = 1
+    name: str = Field(min_length=1, max_length=64)
+    delay_v_s: float | None = _Delay
+    """From a command's arrival at the base until the speed begins to change."""
+    delay_omega_s: float | None = _Delay
+    accel: float | None = Field(default=None, gt=0, description="m/s², speeding up and braking")
+    alpha: float | None = Field(default=None, gt=0, description="rad/s²")
+    gain_v: float | None = _Factor
+    """Speed over commanded speed, as odometry reports it."""
+    gain_omega: float | None = _Factor
+    odometry_distance: float | None = _Factor
+    """What odometry reports over what is true."""
+    odometry_heading: float | None = _Factor
+    imbalance_rad_m: float | None = None
+    """Turn per way that no encoder sees."""
+    slip_s: float | None = Field(default=None, ge=0)
+    """Share of a turn that slips away unseen, per rad/s."""
+    drift_rad_s: float | None = None
+    """Of odometry's heading."""
+    noise_m: float | None = Field(default=None, ge=0)
+    """Standard deviation of reported positions, beyond their rounding."""
+    noise_rad: float | None = Field(default=None, ge=0)
+    measured: dict[str, Any] = Field(default_factory=dict)
+    """How it was found: by whom, from what, how well it fits."""
+
+
+def load_profile(path: str | Path) -> RoverProfile:
+    """Load a profile by path. Raises FileError or ConfigError."""
+    if not Path(path).is_file():
+        raise FileError(f"{path}: no such file")
+    return load_yaml(Path(path), RoverProfile)

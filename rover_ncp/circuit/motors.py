@@ -15,7 +15,7 @@ from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.circuit.sensing import Channel, require_distinct
 from rover_ncp.core.config import StrictModel
 
-__all__ = ["Motors", "Pull", "course_motors", "parking_motors"]
+__all__ = ["Motors", "Pull", "course_motors", "four_dof_motors", "parking_motors"]
 
 
 class Pull(NamedTuple):
@@ -30,7 +30,7 @@ class Motors(StrictModel):
     """The whole mapping: channels, and the named outputs that they are, or that a linear layer makes of them.
 
     Without a layer the channels carry the outputs' names, in the same order. A neuron may drive several
-    channels (the four-degrees-of-freedom variant, supplement 6). With a layer, outputs may be given limits:
+    channels. With a layer, outputs may be given limits:
     then the layer says which part of its limit an output is, and no output goes beyond.
     """
 
@@ -69,6 +69,17 @@ def parking_motors() -> Motors:
         outputs=("v", "omega"),
         channels=(
             Channel(name="v", positive="FWD", maximum=0.16),
+            Channel(name="omega", positive="LFT", maximum=0.18, negative="RGT", minimum=-0.18),
+        ),
+    )
+
+
+def four_dof_motors() -> Motors:
+    """Return the motors for parking with four degrees of freedom: forward and backward, left and right."""
+    return Motors(
+        outputs=("v", "omega"),
+        channels=(
+            Channel(name="v", positive="FWD", maximum=0.16, negative="REV", minimum=-0.16),
             Channel(name="omega", positive="LFT", maximum=0.18, negative="RGT", minimum=-0.18),
         ),
     )

@@ -13,11 +13,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.circuit import BOUNDS, RESTING_MV, Circuit, ParameterKind
-from rover_ncp.circuit.motors import Motors, course_motors, parking_motors
+from rover_ncp.circuit.motors import Motors, course_motors, four_dof_motors, parking_motors
 from rover_ncp.circuit.sensing import Sensing, course_sensing, parking_sensing
+from rover_ncp.core.course import Course
 from rover_ncp.core.errors import ConfigError, UsageError
 
-__all__ = ["ParameterBlock", "ParameterLayout", "Policy", "PolicyRunner", "course_policy", "parking_policy"]
+__all__ = [
+    "ParameterBlock",
+    "ParameterLayout",
+    "Policy",
+    "PolicyRunner",
+    "absolute_policy",
+    "course_policy",
+    "parking_policy",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -189,11 +198,24 @@ def _layer_problems(
 
 
 def parking_policy(circuit: Circuit, clamp: bool = True) -> Policy:
-    """Return a circuit with the paper's sensing and motors for parking.
+    """Return a circuit with the paper's mappings for parking, with four degrees of freedom if it has REV.
 
     ``clamp=False`` is for circuits trained with the published code, which does not clamp its sensors.
     """
-    return Policy(circuit, parking_sensing(clamp), parking_motors(), courses=("parking",))
+    motors = four_dof_motors() if "REV" in circuit.neurons else parking_motors()
+    return Policy(circuit, parking_sensing(clamp), motors, courses=("parking",))
+
+
+def absolute_policy(circuit: Circuit, course: Course) -> Policy:
+    """Return a circuit with parking's mappings for a course: the sensors reach to the side where it goes."""
+    poses = np.array([point.pose for point in course.checkpoints])
+    downward = [
+        name
+        for name, values in zip(("x", "y", "theta"), poses.T, strict=True)
+        if -values.min() > values.max()
+    ]
+    policy = parking_policy(circuit)
+    return replace(policy, sensing=parking_sensing(downward=downward), courses=(course.name,))
 
 
 def course_policy(circuit: Circuit) -> Policy:

@@ -7,7 +7,7 @@ trained with it), a single neuron follows its line without end, and of a pair th
 while the other stays at -70 mV.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Annotated, NamedTuple, Self
 
 import numpy as np
@@ -131,14 +131,22 @@ def require_distinct(what: str, names: Sequence[str]) -> None:
             raise ValueError(f"{what} {name!r} stands twice")
 
 
-def parking_sensing(clamp: bool = True) -> Sensing:
-    """Return the paper's sensing for parking: the estimated pose and the start signal, each on one neuron."""
-    table = (("x", "PVD", 1.0), ("y", "PLM", 1.0), ("theta", "ALM", 1.0), ("start", "AVM", 1.0))
+def parking_sensing(clamp: bool = True, downward: Collection[str] = ()) -> Sensing:
+    """Return the paper's sensing for parking: the estimated pose and the start signal, each on one neuron.
+
+    Ranges are 0 to 1, or 0 to -1 for inputs that go ``downward``, on a course to the other side.
+    """
+    table = (("x", "PVD"), ("y", "PLM"), ("theta", "ALM"), ("start", "AVM"))
     return Sensing(
         name="absolute",
-        inputs=tuple(name for name, _, _ in table),
+        inputs=tuple(name for name, _ in table),
         clamp=clamp,
-        channels=tuple(Channel(name=name, positive=neuron, maximum=end) for name, neuron, end in table),
+        channels=tuple(
+            Channel(name=name, negative=neuron, minimum=-1.0)
+            if name in downward
+            else Channel(name=name, positive=neuron, maximum=1.0)
+            for name, neuron in table
+        ),
     )
 
 

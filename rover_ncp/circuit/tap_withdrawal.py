@@ -3,7 +3,9 @@
 Wiring: Hasani et al. (ICRA 2020), figure 1 and supplement; the weights are the untuned starting values of
 the published circuits. PVD, PLM, AVM and ALM are touch sensors; AVA and AVB command neurons for backward
 and forward; AVD, PVC and DVA lie between. For the benchmarks AVB drives FWD and AVA drives REV; for parking
-these two turn the rover left and right, and a third motor neuron, fed by both, drives it forward.
+these two turn the rover left and right, and a third motor neuron, fed by both, drives it forward. With four
+degrees of freedom (supplement 6) AVB drives forward alone and AVA backward: forward and to the right at once
+then needs both of them, half awake.
 
 Nothing feeds a sensory neuron. 28 of 11 x 11 possible connections exist: a sparsity of 77 %.
 """
@@ -11,11 +13,14 @@ Nothing feeds a sensory neuron. 28 of 11 x 11 possible connections exist: a spar
 from rover_ncp.circuit.circuit import Circuit, SynapseKind, build_circuit
 
 __all__ = [
+    "FOUR_DOF_MOTORS",
+    "FOUR_DOF_NEURONS",
     "NEURONS",
     "PARKING_MOTORS",
     "PARKING_NEURONS",
     "SENSORY",
     "SYNAPSES",
+    "four_dof_circuit",
     "parking_circuit",
     "tap_withdrawal_circuit",
 ]
@@ -27,6 +32,8 @@ NEURONS = ("PVD", "PLM", "AVA", "AVD", "PVC", "AVB", "AVM", "ALM", "DVA", "FWD",
 SENSORY = ("PVD", "PLM", "AVM", "ALM")
 PARKING_NEURONS = (*NEURONS[:9], "LFT", "RGT", "FWD")
 """Parking's names: neurons 9 and 10 turn, the added neuron 11 drives forward."""
+FOUR_DOF_NEURONS = (*PARKING_NEURONS, "REV")
+"""The same with one more that drives backward."""
 
 # kind, source, destination, weight in S
 SYNAPSES: tuple[tuple[SynapseKind, int, int, float], ...] = (
@@ -72,6 +79,12 @@ PARKING_MOTORS: tuple[tuple[SynapseKind, int, int, float], ...] = (
 )
 """What parking adds: both command neurons drive the rover forward."""
 
+FOUR_DOF_MOTORS: tuple[tuple[SynapseKind, int, int, float], ...] = (
+    (EX, 5, 11, 2.0),
+    (EX, 2, 12, 2.0),
+)
+"""With four degrees of freedom: the command neuron for forward drives forward, the other backward."""
+
 
 def tap_withdrawal_circuit() -> Circuit:
     """Return the untuned circuit of the benchmarks: 11 neurons, 28 synapses."""
@@ -81,3 +94,8 @@ def tap_withdrawal_circuit() -> Circuit:
 def parking_circuit() -> Circuit:
     """Return the untuned circuit for parking: 12 neurons, 30 synapses."""
     return build_circuit("parking", PARKING_NEURONS, (*SYNAPSES, *PARKING_MOTORS))
+
+
+def four_dof_circuit() -> Circuit:
+    """Return the untuned circuit for parking with four degrees of freedom: 13 neurons, 30 synapses."""
+    return build_circuit("four_dof", FOUR_DOF_NEURONS, (*SYNAPSES, *FOUR_DOF_MOTORS))

@@ -7,7 +7,6 @@ provenance comes from it, so that a run that was killed and resumed ends in the 
 import platform
 import shlex
 import subprocess
-from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Generic, Literal, NamedTuple, Self, TypeVar
@@ -15,7 +14,7 @@ from typing import Any, Generic, Literal, NamedTuple, Self, TypeVar
 import yaml
 from pydantic import Field
 
-from rover_ncp.circuit.policy import Policy, parking_policy
+from rover_ncp.circuit.policy import Policy, absolute_policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.course import Course, load_course
@@ -128,8 +127,7 @@ def resolve_task(settings: TrainSettings) -> Task:
     """
     course = load_course(settings.course)
     require_free_start(RoverModel(), course)
-    policy = parking_policy(load_circuit(settings.circuit))
-    return Task(course, replace(policy, courses=(course.name,)))
+    return Task(course, absolute_policy(load_circuit(settings.circuit), course))
 
 
 def made_with() -> dict[str, str]:

@@ -20,6 +20,7 @@ from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.profile import RoverProfile
 from rover_ncp.core.reference import plan_reference
 from rover_ncp.core.signals import SIGNALS, needs_reference, see
 
@@ -40,9 +41,14 @@ class Tick:
 
 
 class Controller:
-    """Estimator and circuit of one drive. Times are seconds on one clock, any zero."""
+    """Estimator and circuit of one drive. Times are seconds on one clock, any zero.
 
-    def __init__(self, policy: Policy, course: Course, settings: EstimatorSettings) -> None:
+    A ``rover`` whose gains are known is asked for so much less or more that it does what the circuit wants.
+    """
+
+    def __init__(
+        self, policy: Policy, course: Course, settings: EstimatorSettings, rover: RoverProfile | None = None
+    ) -> None:
         if problems := _misfits(policy):
             raise ConfigError(f"policy {policy.circuit.name}", problems)
         self._signal_at = [SIGNALS.index(name) for name in policy.sensing.inputs]
@@ -51,6 +57,7 @@ class Controller:
         self._runner = PolicyRunner(policy)
         self._runner.warm_up([0.0] * len(self._signal_at))  # compiles, now and not when the rover waits
         self.estimator = Estimator(settings)
+        self._gains = _gains(rover)
         self._times: list[float] = []
         self._poses: list[Pose] = []
 
@@ -86,7 +93,7 @@ class Controller:
             index,
             index * TICK_S,
             estimate,
-            Velocity(float(v), float(omega)),
+            Velocity(float(v) / self._gains.v, float(omega) / self._gains.omega),
             self._runner.potentials,
         )
 
@@ -107,6 +114,16 @@ class Controller:
     def _observation(self, pose: Pose, index: int, start: float) -> NDArray[np.float64]:
         signals = see(pose, start, self._reference.tick(index) if self._reference else None)
         return np.array([signals[i] for i in self._signal_at], dtype=np.float64)
+
+
+def _gains(rover: RoverProfile | None) -> Velocity:
+    """Return what a robot makes of commands, as far as it is known: true speed over commanded speed."""
+    if rover is None:
+        return Velocity(1.0, 1.0)
+    return Velocity(
+        (rover.gain_v or 1.0) / (rover.odometry_distance or 1.0),
+        (rover.gain_omega or 1.0) / (rover.odometry_heading or 1.0),
+    )
 
 
 def _misfits(policy: Policy) -> list[str]:

@@ -40,6 +40,14 @@ def deploy(
             "or leave them alone."
         ),
     ] = "auto",
+    profile: Annotated[
+        Path | None,
+        typer.Option(
+            help="What was measured of this robot, as 'identify' writes it: its gains are made up for, its "
+            "odometry's noise is reckoned with.",
+            show_default=False,
+        ),
+    ] = None,
     namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
     zenoh_config: Annotated[
         Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates or user and password.")
@@ -58,7 +66,9 @@ def deploy(
     """
     from deploy.node import Options, run
 
-    options = Options(robot, policy, course, record, duration, dry_run, namespace, zenoh_config, pose)
+    options = Options(
+        robot, policy, course, record, duration, dry_run, namespace, zenoh_config, pose, profile
+    )
     return run(options, Output(json))
 
 

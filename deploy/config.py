@@ -6,14 +6,25 @@ from typing import Literal
 from pydantic import Field
 
 from deploy.estimator import EstimatorSettings
+from deploy.waits import Waits
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
-from rover_ncp.core.config import StrictModel, dump_yaml, parse_yaml
+from rover_ncp.core.config import dump_yaml, parse_yaml
 from rover_ncp.core.course import Course
 from rover_ncp.core.errors import FileError
+from rover_ncp.core.profile import RoverProfile
 from rover_ncp.core.recording import Recording
 
-__all__ = ["CONFIG_FILE", "COURSE_FILE", "POLICY_FILE", "DriveConfig", "PoseUse", "attached", "attachments"]
+__all__ = [
+    "CONFIG_FILE",
+    "COURSE_FILE",
+    "POLICY_FILE",
+    "DriveConfig",
+    "PoseUse",
+    "attached",
+    "attachments",
+    "settings_for",
+]
 
 POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
 
@@ -21,7 +32,7 @@ PoseUse = Literal["auto", "required", "none"]
 """Whether external poses place the rover: if they come, in any case, or never."""
 
 
-class DriveConfig(StrictModel):
+class DriveConfig(Waits):
     """The settings of one drive; times in s."""
 
     format: int = Field(default=1, ge=1, le=1)
@@ -32,18 +43,27 @@ class DriveConfig(StrictModel):
     course: str
     dry_run: bool
     ticks: int = Field(ge=1, description="how many control ticks the drive lasts at most")
-    bridge_wait_s: float = Field(default=5.0, gt=0, description="for the bridge to show itself")
-    permission_wait_s: float = Field(default=2.0, gt=0, description="for the bridge to want our commands")
-    odometry_wait_s: float = Field(default=5.0, gt=0, description="for the first odometry")
     still_wait_s: float = Field(default=10.0, gt=0, description="for the rover to stand still")
     still_s: float = Field(default=1.0, gt=0, description="so long it stands still before the start")
     still_m: float = Field(default=0.003, gt=0)
     still_rad: float = Field(default=0.005, gt=0)
-    odometry_age_s: float = Field(default=0.4, gt=0, le=0.5, description="older odometry stops the rover")
     pose: PoseUse = "auto"
     pose_wait_s: float = Field(default=10.0, gt=0, description="for the first external pose, if required")
-    lease_wait_s: float = Field(default=1.0, gt=0, description="for the gate to confirm our lease")
     estimator: EstimatorSettings = EstimatorSettings()
+    rover: RoverProfile | None = Field(default=None, description="what was measured of this robot")
+
+
+def settings_for(rover: RoverProfile | None) -> EstimatorSettings:
+    """Return the estimator's settings for a robot: its odometry may be noisier than its steps."""
+    usual = EstimatorSettings()
+    if rover is None:
+        return usual
+    return usual.model_copy(
+        update={
+            "position_m": max(usual.position_m, rover.noise_m or 0.0),
+            "heading_rad": max(usual.heading_rad, rover.noise_rad or 0.0),
+        }
+    )
 
 
 def attachments(policy: Policy, course: Course, config: DriveConfig) -> dict[str, bytes]:

@@ -18,6 +18,7 @@ from deploy.clock import NS, RateKeeper
 from deploy.config import DriveConfig
 from deploy.controller import ORIGIN, Controller
 from deploy.estimator import Outcome
+from deploy.guard import Guard, Interrupted
 from deploy.intake import Intake, PoseIntake, Sample, SeenPose, StillWatch, middle
 from deploy.link import Link
 from deploy.reporter import Reporter
@@ -26,17 +27,13 @@ from deploy.state import Event, State, next_state
 from deploy.ticks import SampleRef, StartRecord, TickRecord, numbers, seconds
 from rover_ncp.core.clock import Clock
 from rover_ncp.core.course import TICK_S, Verdict
-from rover_ncp.core.errors import AnotherDriver, NoBridge, NoPose, NoRobot, NotAuthorised, SafetyStop
+from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
 from rover_ncp.core.lease import DriverStatus
 
-__all__ = ["Drive", "Interrupted"]
+__all__ = ["Drive"]
 
 TICK_NS = round(TICK_S * NS)
 POLL_S = 0.02
-
-
-class Interrupted(Exception):
-    """Somebody asked for an end."""
 
 
 class Drive:
@@ -53,12 +50,11 @@ class Drive:
         clock: Clock = time,
     ) -> None:
         self._link, self._controller, self._reporter = link, controller, reporter
-        self._config, self._interrupted, self._clock = config, interrupted, clock
+        self._config, self._clock = config, clock
         self._pending: list[SampleRef] = []
-        self._granted_ns: int | None = None
-        self._lease_seen = False
         self._response = ResponseWatch()
         self.intake = Intake(link.odometry)
+        self._guard = Guard(link, self.intake, config, interrupted, clock)
         self.poses = PoseIntake(link.poses)
         self._standing_poses: list[SeenPose] = []
         self._placed = False
@@ -98,17 +94,7 @@ class Drive:
 
         Raises NoBridge, NotAuthorised, NoRobot or Interrupted.
         """
-        link, config = self._link, self._config
-        if not self._until(lambda: link.bridge_alive, config.bridge_wait_s):
-            where = f" in namespace {config.namespace}" if config.namespace else ""
-            raise NoBridge(
-                f"something answers at {link.robot}, but no bridge shows itself there{where} "
-                f"within {config.bridge_wait_s:g} s"
-            )
-        if not config.dry_run and not self._until(link.authorised, config.permission_wait_s):
-            raise NotAuthorised(f"not authorised: the bridge at {link.robot} does not take commands from us")
-        if not self._until(lambda: self.intake.take(0) is not None, config.odometry_wait_s):
-            raise NoRobot(f"the bridge at {link.robot} sends no odometry: is its base connected?")
+        self._guard.wait(not self._config.dry_run, self._config.namespace)
 
     def run(self, attachments: dict[str, int]) -> None:
         """Drive, after `wait`. ``attachments`` are the checksums of the recording's files.
@@ -136,9 +122,9 @@ class Drive:
     def _arm(self, attachments: dict[str, int]) -> None:
         config = self._config
         watch = StillWatch(config.still_s, config.still_m, config.still_rad)
-        if not self._until(lambda: self._stands(watch), config.still_wait_s):
+        if not self._guard.until(lambda: self._stands(watch), config.still_wait_s):
             raise SafetyStop("not-standing", f"the rover does not stand still for {config.still_s:g} s")
-        if config.pose == "required" and not self._until(
+        if config.pose == "required" and not self._guard.until(
             lambda: self._stands(watch) and bool(self._standing_poses), config.pose_wait_s
         ):
             raise NoPose(f"nobody says on 'pose' where the rover stands within {config.pose_wait_s:g} s")
@@ -162,7 +148,7 @@ class Drive:
         self._reporter.start(record, sample.pose)
         if not config.dry_run:
             self._link.request_motors(f"policy {config.policy}")
-            self._granted_ns = self._clock.monotonic_ns()
+            self._guard.granted()
         self._follow(Event.GRANTED)
 
     def _drive(self) -> None:
@@ -238,29 +224,10 @@ class Drive:
 
     def _check(self) -> None:
         """Raise SafetyStop if a rule of safety is broken, Interrupted if somebody wants an end."""
-        if self._interrupted():
-            raise Interrupted
-        if not self._link.bridge_alive:
-            raise SafetyStop("bridge-lost", "the bridge is gone")
-        assert self.intake.newest is not None
-        age_s = (self._clock.monotonic_ns() - self.intake.newest.ref.measured_ns) / NS
-        if age_s > self._config.odometry_age_s:
-            limit = self._config.odometry_age_s
-            raise SafetyStop("odometry-age", f"the newest odometry is {age_s:.2f} s old (at most {limit} s)")
+        self._guard.check()
         estimator = self._controller.estimator
         if estimator.fault:
             raise SafetyStop(estimator.fault_rule, estimator.fault)
-        if self._granted_ns is not None:
-            self._check_lease(self._granted_ns)
-
-    def _check_lease(self, granted_ns: int) -> None:
-        gate = self._link.gate
-        if gate.driver == self._link.driver.hex():
-            self._lease_seen = True
-        elif self._lease_seen:
-            raise SafetyStop(gate.ended or "lease", "the gate took the motors away")
-        elif self._clock.monotonic_ns() - granted_ns > self._config.lease_wait_s * NS:
-            raise SafetyStop("lease", "the gate does not confirm that we may drive")
 
     def _stands(self, watch: StillWatch) -> bool:
         gate = self._link.gate
@@ -283,16 +250,6 @@ class Drive:
             for seen in heard
             if seen.ref.measured_ns >= oldest and np.isfinite([*seen.pose, *seen.covariance.ravel()]).all()
         ]
-
-    def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        deadline = self._clock.monotonic() + timeout_s
-        while not condition():
-            if self._interrupted():
-                raise Interrupted
-            if self._clock.monotonic() > deadline:
-                return False
-            self._clock.sleep(POLL_S / 10)
-        return True
 
     def _follow(self, event: Event, reason: str = "") -> None:
         self.state, self.reason = next_state(self.state, event), reason

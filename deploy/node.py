@@ -1,25 +1,21 @@
 """The process that drives: puts policy, link, recorder and drive together, and says how it went."""
 
-import contextlib
 import gc
 import math
-import signal
 import sys
 import zlib
-from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-from rich.live import Live
 
-from deploy.config import DriveConfig, PoseUse, attachments
+from deploy.config import DriveConfig, PoseUse, attachments, settings_for
 from deploy.controller import ORIGIN, Controller
-from deploy.drive import Drive, Interrupted
+from deploy.drive import Drive
+from deploy.guard import Interrupted
 from deploy.link import Link
+from deploy.process import Interrupts, Tape, progress
 from deploy.recorder import Recorder
 from deploy.reporter import Reporter
 from deploy.state import State
@@ -37,14 +33,12 @@ from rover_ncp.core.messages import (
     text,
     twist_stamped,
 )
-from rover_ncp.core.recording import Recorded
+from rover_ncp.core.profile import load_profile
 
 __all__ = ["Options", "run"]
 
 SWITCH_INTERVAL_S = 0.0005
 """How long another thread may keep the interpreter from the control loop (Python's default is 5 ms)."""
-BACKLOG = 1000
-"""Messages that came before the recording was opened, such as the static transforms."""
 INTERRUPTED = 130
 STANDSTILL = Velocity(0.0, 0.0)
 
@@ -62,61 +56,13 @@ class Options:
     namespace: str
     zenoh_config: Path | None
     pose: PoseUse = "auto"
-
-
-class _Interrupts:
-    """Notes SIGINT, SIGTERM and SIGHUP instead of dying of them: the rover has to be stopped first."""
-
-    def __init__(self) -> None:
-        self.raised = False
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> Self:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
-                self._before[number] = signal.signal(number, self._note)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self.raised = True
-
-
-class _Tape:
-    """Where messages go to be recorded: kept until there is a recorder, thrown away if there never is."""
-
-    def __init__(self) -> None:
-        self._backlog: deque[Recorded] = deque(maxlen=BACKLOG)
-        self.recorder: Recorder | None = None
-
-    def put(self, message: Recorded) -> None:
-        """Take a message, from any thread."""
-        if self.recorder is None:
-            self._backlog.append(message)
-        else:
-            self.recorder.put(message)
-
-    def roll(self, path: Path, files: dict[str, bytes]) -> None:
-        """Open the recording. Raises FileError."""
-        recorder = Recorder(path, files)
-        for message in list(self._backlog):
-            recorder.put(message)
-        self.recorder = recorder
-
-    def close(self) -> None:
-        """Finish the recording, if there is one."""
-        if self.recorder is not None:
-            self.recorder.close()
+    profile: Path | None = None
 
 
 def run(options: Options, output: Output) -> int:
     """Drive once, and return the exit code. Raises RoverNcpError for what kept the drive from beginning."""
     policy, course = load_policy(options.policy), load_course(options.course)
+    rover = load_profile(options.profile) if options.profile else None
     ticks = course.ticks
     if options.duration_s is not None:
         if not TICK_S <= options.duration_s < math.inf:
@@ -130,12 +76,14 @@ def run(options: Options, output: Output) -> int:
         dry_run=options.dry_run,
         ticks=ticks,
         pose=options.pose,
+        estimator=settings_for(rover),
+        rover=rover,
     )
-    controller = Controller(policy, course, config.estimator)
+    controller = Controller(policy, course, config.estimator, rover)
     files = attachments(policy, course, config)
-    tape = _Tape()
+    tape = Tape()
     _prepare_for_real_time()
-    with _Interrupts() as interrupts:
+    with Interrupts() as interrupts:
         try:
             with Link(options.robot, options.namespace, options.zenoh_config, tape.put) as link:
                 reporter = Reporter(link, tape.put, policy.circuit.neurons)
@@ -146,7 +94,7 @@ def run(options: Options, output: Output) -> int:
                     raise KeyboardInterrupt from interruption  # nothing has moved: the shell says the rest
                 if options.record is not None:
                     tape.roll(options.record, files)
-                with _progress(drive, output):
+                with progress(lambda: drive.progress, output):
                     drive.run({name: zlib.crc32(content) for name, content in files.items()})
         finally:
             tape.close()
@@ -238,21 +186,3 @@ def _words(fields: dict[str, Any]) -> str:
     if fields["recording_failure"]:
         lines.append(f"the recording failed, the drive went on without it: {fields['recording_failure']}")
     return "\n".join(lines)
-
-
-@contextlib.contextmanager
-def _progress(drive: Drive, output: Output) -> Iterator[None]:
-    """Show how the drive stands, on a terminal only; drawn by a thread, so that no terminal delays a tick."""
-    if not output.console.is_terminal:
-        yield
-        return
-
-    with Live(
-        get_renderable=lambda: drive.progress,
-        console=output.console,
-        refresh_per_second=5,
-        transient=True,
-        redirect_stdout=False,
-        redirect_stderr=False,
-    ):
-        yield

@@ -64,7 +64,7 @@ def replay(path: Path, policy: str | None = None) -> Comparison:
     own, course, config = attached(recording)
     other = load_policy(policy) if policy is not None else own
     start, ticks = _records(recording)
-    controller = Controller(other, course, config.estimator)
+    controller = Controller(other, course, config.estimator, config.rover)
     ticks_done, difference = 0, None
     for record, difference in _compared(recording, controller, start, ticks, other.circuit.neurons):
         if difference is not None:

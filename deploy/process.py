@@ -1,0 +1,88 @@
+"""What a process that drives has around it: signals, the recording, a line for people."""
+
+import contextlib
+import signal
+from collections import deque
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from rich.live import Live
+
+from deploy.recorder import Recorder
+from rover_ncp.core.console import Output
+from rover_ncp.core.recording import Recorded
+
+__all__ = ["Interrupts", "Tape", "progress"]
+
+BACKLOG = 1000
+"""Messages that came before the recording was opened, such as the static transforms."""
+
+
+class Interrupts:
+    """Notes SIGINT, SIGTERM and SIGHUP instead of dying of them: the rover has to be stopped first."""
+
+    def __init__(self) -> None:
+        self.raised = False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+                self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.raised = True
+
+
+class Tape:
+    """Where messages go to be recorded: kept until there is a recorder, thrown away if there never is."""
+
+    def __init__(self) -> None:
+        self._backlog: deque[Recorded] = deque(maxlen=BACKLOG)
+        self.recorder: Recorder | None = None
+
+    def put(self, message: Recorded) -> None:
+        """Take a message, from any thread."""
+        if self.recorder is None:
+            self._backlog.append(message)
+        else:
+            self.recorder.put(message)
+
+    def roll(self, path: Path, files: dict[str, bytes]) -> None:
+        """Open the recording. Raises FileError."""
+        recorder = Recorder(path, files)
+        for message in list(self._backlog):
+            recorder.put(message)
+        self.recorder = recorder
+
+    def close(self) -> None:
+        """Finish the recording, if there is one."""
+        if self.recorder is not None:
+            self.recorder.close()
+
+
+@contextlib.contextmanager
+def progress(line: Callable[[], str], output: Output) -> Iterator[None]:
+    """Show a line that changes, on a terminal only; drawn by a thread, so that no terminal delays a tick."""
+    if not output.console.is_terminal:
+        yield
+        return
+
+    with Live(
+        get_renderable=line,
+        console=output.console,
+        refresh_per_second=5,
+        transient=True,
+        redirect_stdout=False,
+        redirect_stderr=False,
+    ):
+        yield

@@ -132,12 +132,30 @@ def evaluate(
         bool,
         typer.Option("--stack", help="Drive through firmware, bridge and driver, on a virtual clock."),
     ] = False,
+    live: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Drive so many of the trials as real processes, in real time.", show_default=False
+        ),
+    ] = None,
+    profile: Annotated[
+        Path | None,
+        typer.Option(
+            help="What was measured of the rover, as 'identify' writes it; the rest is drawn.",
+            show_default=False,
+        ),
+    ] = None,
     processes: Annotated[
         int | None,
         typer.Option(
-            min=1, help="With --stack: changes the speed, never the result.", show_default="one for each core"
+            min=1,
+            help="With --stack: changes the speed, never the result. With --live: so many runs at once.",
+            show_default="one for each core; 1 live",
         ),
     ] = None,
+    out: Annotated[Path, typer.Option(help="With --live: folder for recordings and logs.")] = Path(
+        "runs/live"
+    ),
     json: Json = False,
 ) -> int:
     """Drive a course in simulation with a policy, and score it.
@@ -159,6 +177,11 @@ def evaluate(
 
         rover-ncp eval course --trials 300 --randomize full --stack
 
+    --live drives them as three real processes each, over TCP and Zenoh, on mock robots whose errors nobody
+    who drives knows; with --stack too, both ways, and says how far apart they end.
+
+        rover-ncp eval course --live 4 --randomize full --course parking --course bay
+
     Without --stack, kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws.
 
     Ends with 1 if a single trial was driven and did not park, else with 0.
@@ -169,20 +192,24 @@ def evaluate(
 
     output = Output(json)
     courses = tuple(course or ["parking"])
-    if processes is not None and not stack:
-        raise UsageError("--processes needs --stack")
-    if stack or len(courses) > 1 or not (trials is None and randomize is None and random_courses is None):
+    if processes is not None and not (stack or live):
+        raise UsageError("--processes needs --stack or --live")
+    once = trials is None and randomize is None and random_courses is None and live is None
+    if stack or len(courses) > 1 or profile is not None or not once:
         from sim.studies.trial_runs import TrialOptions, run_trials
 
         options = TrialOptions(
             policy,
             courses,
-            trials or 1,
+            trials or live or 1,
             seed,
             randomize or "none",
             random_courses or 0,
+            profile,
             stack,
+            live,
             processes,
+            out,
         )
         return run_trials(output, options)
     known = load_course(courses[0])

@@ -31,7 +31,7 @@ from sim.studies.picture import trajectory_png
 from sim.studies.processes import LiveRun, ProcessError
 from sim.studies.truth import TrueState, judge_truth, read_truth, recorded_truth
 
-__all__ = ["PARK_ITERATIONS", "TRAIN_LIMIT_S", "Parked", "park", "train_until_parked"]
+__all__ = ["PARK_ITERATIONS", "TRAIN_LIMIT_S", "Parked", "estimated_path", "park", "train_until_parked"]
 
 TRAIN_LIMIT_S = 100.0
 """How long the search may take to find a circuit that parks in simulation."""
@@ -104,7 +104,7 @@ def park(policy: str, course_name: str, out: Path, say: Callable[[str], None]) -
         raise ProcessError("deploy", done.code, done.last_line)
     recorded = read_recording(recording)
     truth = read_truth(run.truth)
-    began_ns, estimates = _drive(recorded)
+    began_ns, estimates = estimated_path(recorded)
     rewrite(recorded, recording, recorded_truth(truth))
     picture = out / "trajectory.png"
     write_atomic(picture, trajectory_png(course, _true_path(truth, began_ns), estimates))
@@ -121,7 +121,7 @@ def park(policy: str, course_name: str, out: Path, say: Callable[[str], None]) -
     )
 
 
-def _drive(recording: Recording) -> tuple[int, list[Pose]]:
+def estimated_path(recording: Recording) -> tuple[int, list[Pose]]:
     """Return when the drive began (ns since the epoch) and the estimated pose of each tick."""
     ticks = recording.topic(TICKS_TOPIC)
     if not ticks:

@@ -12,15 +12,15 @@ from functools import cached_property
 from typing import NamedTuple, cast
 
 from bridge.robots import ROBOTS
-from deploy.config import DriveConfig
+from deploy.config import DriveConfig, settings_for
 from deploy.controller import Controller
 from deploy.drive import Drive
-from deploy.estimator import EstimatorSettings
 from deploy.link import Link
 from deploy.reporter import Reporter
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import Course, Verdict
 from rover_ncp.core.geometry import Pose
+from rover_ncp.core.profile import RoverProfile
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.trial import BaseTrial, rover_of
@@ -65,15 +65,13 @@ class Stack:
         return rover_model_of(ROBOTS[MODEL])
 
     @cached_property
-    def settings(self) -> EstimatorSettings:
-        """What the driver knows of its odometry: how noisy it is."""
-        known, ranges = EstimatorSettings(), self.ranges
-        return known.model_copy(
-            update={
-                "position_m": max(known.position_m, ranges.noise_m),
-                "heading_rad": max(known.heading_rad, ranges.noise_rad),
-            }
-        )
+    def known(self) -> RoverProfile:
+        """What the driver knows of the robot: how noisy its odometry is, and the profile if there is one."""
+        ranges = self.ranges
+        rover = ranges.rover or RoverProfile(name=f"a robot of {ranges.name}")
+        noises = {"noise_m": ranges.noise_m, "noise_rad": ranges.noise_rad}
+        unknown = {name: noise for name, noise in noises.items() if getattr(rover, name) is None}
+        return rover.model_copy(update=unknown)
 
     @cached_property
     def _drivers(self) -> dict[int, Controller]:
@@ -104,7 +102,8 @@ class Stack:
             course=course.name,
             dry_run=False,
             ticks=course.ticks,
-            estimator=self.settings,
+            estimator=settings_for(self.known),
+            rover=self.known,
         )
         link = cast(Link, air)
         reporter = Reporter(link, lambda message: None, self.policy.circuit.neurons, world)
@@ -129,7 +128,8 @@ class Stack:
         """Return a driver that has not started yet."""
         place = number % len(self.courses)
         if place not in self._drivers:
-            self._drivers[place] = Controller(self.policy, self.courses[place], self.settings)
+            settings = settings_for(self.known)
+            self._drivers[place] = Controller(self.policy, self.courses[place], settings, self.known)
         return copy.deepcopy(self._drivers[place])
 
 

@@ -12,7 +12,7 @@ from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import pose_stamped
 from rover_ncp.core.recording import Recorded
 
-__all__ = ["TRUTH_TOPIC", "TrueState", "judge_truth", "read_truth", "recorded_truth"]
+__all__ = ["TRUTH_TOPIC", "TrueState", "during", "judge_truth", "read_truth", "recorded_truth"]
 
 TRUTH_TOPIC = "truth/pose"
 TRUTH_FRAME = "course"
@@ -51,16 +51,22 @@ def _states(rows: Iterator[dict[str, str | None]]) -> Iterator[TrueState]:
 
 def judge_truth(course: Course, states: list[TrueState], began_ns: int) -> Verdict:
     """Judge a run by the true poses from its first tick, at ``began_ns``, to the course's horizon."""
-    until_ns = began_ns + round((course.horizon_s + TICK_S) * 1e9)
-    moments = [state.wall_ns for state in states]
-    run = states[bisect_left(moments, began_ns) : bisect_right(moments, until_ns)]
-    if not run:
-        raise FileError("the truth holds nothing of the run: was the mock's clock changed?")
+    run = during(course, states, began_ns)
     return course.judge(
         [(state.wall_ns - began_ns) * 1e-9 for state in run],
         [state.pose for state in run],
         any(state.contact for state in run),
     )
+
+
+def during(course: Course, states: list[TrueState], began_ns: int) -> list[TrueState]:
+    """Return the states from a run's first tick to the course's horizon; at least one. Raises FileError."""
+    until_ns = began_ns + round((course.horizon_s + TICK_S) * 1e9)
+    moments = [state.wall_ns for state in states]
+    run = states[bisect_left(moments, began_ns) : bisect_right(moments, until_ns)]
+    if not run:
+        raise FileError("the truth holds nothing of the run: was the mock's clock changed?")
+    return run
 
 
 def recorded_truth(states: list[TrueState]) -> Iterator[Recorded]:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable
 from typing import Any, cast
 
-import numpy as np
 from pydantic import BaseModel
 
 from bridge.inbox import Arrival as BridgeArrival
@@ -27,25 +26,18 @@ from deploy.link import Arrival, Inbox, Mailbox
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
-from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance, read_text, twist_stamped
+from rover_ncp.core.messages import read_text, twist_stamped
 from sim.pioneer.firmware import Firmware
+from sim.studies.placed import known_pose
 
-__all__ = ["Air", "World", "known_pose"]
+__all__ = ["Air", "World"]
 
 NS = 1_000_000_000
 WALL_NS = 1_700_000_000 * NS
 """The wall clock's time when the virtual clock shows 0."""
 _LATE_NS = 1000
 """A loop wakes up so much after it asked to: no rounding makes it too early."""
-KNOWN_M, KNOWN_RAD = 0.001, 0.001
 _DRIVER = bytes(range(1, 17))
-
-
-def known_pose(pose: Pose, wall_ns: int) -> bytes:
-    """Return the external pose of a rover that somebody placed to the millimetre."""
-    return pose_with_covariance(
-        pose, np.diag(np.square([KNOWN_M, KNOWN_M, KNOWN_RAD])), wall_ns, COURSE_FRAME
-    )
 
 
 class World:

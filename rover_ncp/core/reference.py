@@ -35,8 +35,8 @@ _POSITION_M, _HEADING_RAD = 0.01, 0.02
 _BEND_V, _BEND_OMEGA = 0.05, 0.10
 _GOAL_WEIGHT = 20.0
 _BACKWARD_M = 0.02
-_INSIDE = 0.95
-"""Of its bounds, so far a fit may begin from 0."""
+_MARGIN = 0.05
+"""A fit begins so far within its bounds, as a part of them."""
 _SAME = 1e-6
 """Neighbours no farther apart than this in m and rad are the same pose: the rover rests."""
 
@@ -108,11 +108,11 @@ def plan_reference(course: Course, v_max: float = V_MAX, omega_max: float = OMEG
         count = np.count_nonzero(fit.free)
         upper = np.repeat([v_max, omega_max], count)
         lower = np.repeat([-backward, -omega_max], count)
-        # Forward, any start finds the same drive; where a course changes direction, its chords lead there.
-        begin = fit.chords() if backward else np.repeat([0.1 * v_max, 0.0], count)
-        begin = np.clip(begin, _INSIDE * lower, _INSIDE * upper)
+        # Strictly within the bounds, which a forward course's chords may lie on.
+        margin = _MARGIN * upper
+        begin = np.clip(fit.chords(), lower + margin, upper - margin)
         found = least_squares(
-            fit.residuals, begin, fit.jacobian, bounds=(lower, upper), x_scale=upper, tr_solver="lsmr"
+            fit.residuals, begin, fit.jacobian, bounds=(lower, upper), x_scale=upper, tr_solver="exact"
         )
         # Rounded, so that another machine's last bits do not show.
         v[fit.free], omega[fit.free] = np.round(found.x.reshape(2, count), _DECIMALS)

@@ -1,0 +1,63 @@
+"""A terminal that hands on single keys at once, and is as it was afterwards whatever happens."""
+
+import contextlib
+import os
+import select
+import sys
+import termios
+from types import TracebackType
+from typing import Self
+
+from rover_ncp.core.errors import UsageError
+
+__all__ = ["Terminal"]
+
+READ_BYTES = 1024
+_INPUT, _LOCAL, _CHARACTERS = 0, 3, 6
+
+
+class Terminal:
+    """Standard input as a keyboard, inside a ``with`` block. Raises UsageError when it is no terminal.
+
+    Ctrl-C stays a signal. Ctrl-Z and Ctrl-S are keys: a stopped process and a stopped screen both leave a
+    rover without its driver.
+    """
+
+    def __init__(self) -> None:
+        self._fd = sys.stdin.fileno() if sys.stdin is not None else -1
+        if self._fd < 0 or not os.isatty(self._fd):
+            raise UsageError("teleop is driven by keys: its standard input has to be a terminal")
+
+    def __enter__(self) -> Self:
+        self._before = termios.tcgetattr(self._fd)
+        settings = termios.tcgetattr(self._fd)
+        settings[_INPUT] &= ~(termios.IXON | termios.IXOFF)
+        settings[_LOCAL] &= ~(termios.ICANON | termios.ECHO)
+        # Neither may wait: `read` does, with a limit.
+        settings[_CHARACTERS][termios.VMIN] = settings[_CHARACTERS][termios.VTIME] = 0
+        settings[_CHARACTERS][termios.VSUSP] = os.fpathconf(self._fd, "PC_VDISABLE").to_bytes()
+        termios.tcsetattr(self._fd, termios.TCSAFLUSH, settings)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        # A terminal that was closed cannot be set back, and need not be; one that is stuck is not waited for.
+        with contextlib.suppress(termios.error):
+            termios.tcflush(self._fd, termios.TCIFLUSH)
+            termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
+
+    def read(self, timeout_s: float) -> str | None:
+        """Return the keys that came; wait for the first at most so long. None once the terminal is gone."""
+        ready, _, _ = select.select([self._fd], [], [], timeout_s)
+        if not ready:
+            return ""
+        try:
+            data = os.read(self._fd, READ_BYTES)
+        except OSError:
+            return None
+        return data.decode(errors="replace") if data else None
+
+    def forget(self) -> None:
+        """Throw away keys that nobody has read."""
+        termios.tcflush(self._fd, termios.TCIFLUSH)

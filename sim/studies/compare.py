@@ -1,0 +1,148 @@
+"""Other controllers in the circuit's place: the same trials, search and budget, another body of numbers.
+
+    python -m sim.studies.compare AGENT SEED GENERATIONS ROLLOUTS
+
+prints one JSON object: what the search found, on trials that it did not see. Agents:
+
+circuit         the tap-withdrawal circuit with course-relative sensing, from its hand-set start
+mlp, lstm       networks of as many cells, or (lstm-small) of about as many numbers
+random-N        the circuit number N of random wiring, of as many neurons and synapses
+absolute        the paper's sensing with ranges in which a rover that starts elsewhere still moves; it knows
+                one course, so it is trained on that alone, from the policy that parks undisturbed
+paper           the same with the paper's own ranges
+"""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.policy import Policy, course_policy
+from rover_ncp.circuit.policy_file import load_circuit, load_policy
+from rover_ncp.circuit.random_wiring import random_circuit
+from rover_ncp.circuit.sensing import shifted_sensing
+from rover_ncp.core.course import Course, load_course
+from rover_ncp.core.reference import plan_reference
+from sim.learn.engine import Engine
+from sim.learn.net_engine import NetEngine
+from sim.learn.nets import Net, NetKind, net_for
+from sim.learn.robust import Cube, RobustSearch, UnitCube, drive_trials, reflected, training_courses
+from sim.studies.evaluate import unseen_courses
+from sim.world.randomization import draw_trials, load_randomization
+from sim.world.rover import RoverModel
+
+__all__ = ["Agent", "NetCube", "compare", "find_agent"]
+
+FloatArray = NDArray[np.float64]
+
+_TRAINED_ON = "harsh"
+_RANDOM_COURSES = 24
+_TRIALS, _TRIALS_SEED, _UNSEEN = 1000, 78, 200
+
+
+class Agent(NamedTuple):
+    """What is searched, how it drives, and whether it can follow any course."""
+
+    cube: Cube
+    engine: Callable[..., Engine]
+    any_course: bool
+
+
+class NetCube:
+    """A network's parameters, linear between their bounds."""
+
+    def __init__(self, net: Net, seed: int) -> None:
+        layout = net.layout()
+        self._lower, self._span = layout.lower, layout.upper - layout.lower
+        self._first = net.start(np.random.default_rng(np.random.SeedSequence(seed)))
+
+    @property
+    def start(self) -> FloatArray:
+        """(P,) an untrained network."""
+        place: FloatArray = (self._first - self._lower) / self._span
+        return place
+
+    def vector(self, place: FloatArray) -> FloatArray:
+        """Return the parameters (P,) at a place."""
+        vector: FloatArray = self._lower + reflected(place) * self._span
+        return vector
+
+
+def find_agent(name: str, seed: int) -> Agent:
+    """Return an agent by its name; networks draw their start from the seed. Raises KeyError."""
+    following = course_policy(load_circuit("tracking"))
+    if name.startswith("random-"):
+        following = course_policy(random_circuit(int(name.removeprefix("random-"))))
+    elif name != "circuit":
+        others: dict[str, Callable[[], Agent]] = {
+            "mlp": lambda: _network(net_for(following, NetKind.MLP), following, seed),
+            "lstm": lambda: _network(net_for(following, NetKind.LSTM), following, seed),
+            "lstm-small": lambda: _network(net_for(following, NetKind.LSTM, 3), following, seed),
+            "absolute": lambda: _circuit(replace(load_policy("parking"), sensing=shifted_sensing()), False),
+            "paper": lambda: _circuit(load_policy("parking"), False),
+        }
+        return others[name]()
+    return _circuit(following, True)
+
+
+def _circuit(policy: Policy, any_course: bool) -> Agent:
+    return Agent(UnitCube(policy), partial(Engine, policy), any_course)
+
+
+def _network(net: Net, policy: Policy, seed: int) -> Agent:
+    return Agent(NetCube(net, seed), partial(NetEngine, net, policy), True)
+
+
+def compare(name: str, *, seed: int, generations: int, rollouts: int) -> dict[str, Any]:
+    """Search for an agent as the shipped circuit was searched for, and say how far that came."""
+    began = time.process_time()
+    agent, model, course = find_agent(name, seed), RoverModel(), load_course("parking")
+    courses, references = training_courses(
+        course, plan_reference(course), seed, _RANDOM_COURSES if agent.any_course else 0
+    )
+    ranges = load_randomization(_TRAINED_ON)
+    nothing_yet = draw_trials(ranges, model, seed, count=1, ticks=max(each.ticks for each in courses))
+    drive = drive_trials(
+        agent.engine(courses, trials=nothing_yet, references=references), ranges, model, seed
+    )
+    search = RobustSearch(agent.cube, seed=seed, generations=generations, rollouts=rollouts, worst=rollouts)
+    while search.number < generations:
+        last = search.advance(drive)
+
+    def judged(courses: Sequence[Course], ranges: str) -> dict[str, float]:
+        ticks = max(each.ticks for each in courses)
+        trials = draw_trials(load_randomization(ranges), model, _TRIALS_SEED, count=_TRIALS, ticks=ticks)
+        found = agent.engine(courses, trials=trials).outcomes(last.winner)
+        return {
+            "success_rate": float(found.parked.mean()),
+            "error_m_p95": float(np.percentile(found.error_m, 95)),
+        }
+
+    results = {ranges: judged([course], ranges) for ranges in ("mild", "full", "harsh")}
+    if agent.any_course:
+        results["unseen"] = judged(unseen_courses(_TRIALS_SEED, _UNSEEN), "full")
+    return {
+        "agent": name,
+        "seed": seed,
+        "numbers": len(agent.cube.start),
+        "episodes": search.episodes,
+        "cpu_s": round(time.process_time() - began),
+        **results,
+    }
+
+
+def main() -> None:
+    """Compare from the command line."""
+    name, seed, generations, rollouts = sys.argv[1:]
+    found = compare(name, seed=int(seed), generations=int(generations), rollouts=int(rollouts))
+    print(json.dumps(found), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,198 @@
+"""Driving by keyboard over a pseudo-terminal: mock and bridge as real processes, and somebody's keys."""
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import termios
+import time
+
+import pytest
+from bridge_bench import MACHINE_S, Rig, braking_s, wait_for
+
+from deploy.keyboard import V_M_S
+from rover_ncp import shell
+from rover_ncp.core.course import load_course
+from rover_ncp.core.recording import read_recording
+
+REPEAT_S, DELAY_S = 0.033, 0.3
+# As in a shell: the terminal is the process's own, so that Ctrl-C is a signal.
+IN_ITS_TERMINAL = (
+    "import fcntl, runpy, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
+    "runpy.run_module('rover_ncp', run_name='__main__')"
+)
+
+
+class Person:
+    """Sits at a terminal in which teleop runs."""
+
+    def __init__(self, rig, folder, *options):
+        self.master, self.slave = pty.openpty()
+        self.before = termios.tcgetattr(self.slave)
+        self._out, self._err = folder / "teleop.json", folder / "teleop.log"
+        with self._out.open("wb") as out, self._err.open("wb") as err:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", IN_ITS_TERMINAL, "teleop", "--robot", rig.locator, "--json", *options],
+                stdin=self.slave,
+                stdout=out,
+                stderr=err,
+                start_new_session=True,
+            )
+        wait_for(lambda: "let go to stop" in self.said, 30.0)
+        wait_for(lambda: self.settings != self.before)
+
+    @property
+    def said(self):
+        return self._err.read_text()
+
+    @property
+    def settings(self):
+        return termios.tcgetattr(self.slave)
+
+    def type(self, text):
+        os.write(self.master, text.encode())
+        return time.time_ns()
+
+    def hold(self, key, seconds):
+        """Hold a key as a terminal tells it; return when it was sent last, in ns."""
+        end = time.monotonic() + seconds
+        last = self.type(key)
+        time.sleep(DELAY_S)
+        while time.monotonic() < end:
+            last = self.type(key)
+            time.sleep(REPEAT_S)
+        return last
+
+    def end(self, timeout_s=10.0):
+        code = self.process.wait(timeout_s)
+        return code, json.loads(self._out.read_text())
+
+    def close(self):
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        os.close(self.master)
+        os.close(self.slave)
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    with Rig(tmp_path_factory.mktemp("rig")) as rig:
+        yield rig
+
+
+@pytest.fixture
+def sit_down(rig, tmp_path):
+    people = []
+
+    def sit_down(*options):
+        people.append(Person(rig, tmp_path, *options))
+        return people[-1]
+
+    yield sit_down
+    for person in people:
+        person.close()
+
+
+def test_it_drives_while_a_key_repeats_and_stands_when_it_is_let_go(rig, sit_down, tmp_path):
+    record, made = tmp_path / "run.mcap", tmp_path / "driven.yaml"
+    person = sit_down("--record", str(record))
+    for key, seconds in (("i", 3.5), ("u", 3.0), ("\x1b[A", 2.0)):
+        last_ns = person.hold(key, seconds)
+        if key == "i":
+            assert rig.speed_at(last_ns) == pytest.approx(V_M_S, abs=0.002)
+        stood = rig.stood_after(last_ns)
+        assert 0.3 < stood < 0.5 + braking_s(V_M_S) + MACHINE_S
+    # A single press is a small step, and no more.
+    before = rig.truth()[-1][1]
+    last_ns = person.type("i")
+    assert rig.stood_after(last_ns) < 0.5 + braking_s(V_M_S) + MACHINE_S
+    assert 0.005 < abs(rig.truth()[-1][1] - before) < 0.06
+    # Another key stops at once.
+    person.hold("i", 1.5)
+    last_ns = person.type("k")
+    assert rig.stood_after(last_ns) < braking_s(V_M_S) + 0.1 + MACHINE_S
+
+    person.type("q")
+    code, result = person.end()
+    assert (code, result["exit_code"], result["stopped_by"]) == (0, 0, None)
+    assert person.settings == person.before
+    assert 0.8 < result["driven_m"] < 1.4
+    assert result["turned_rad"] == pytest.approx(0.14 * 2.7, abs=0.12)
+    recording = read_recording(record)
+    assert recording.complete
+    assert {"odom", "cmd_vel", "rover/cmd_out", "rover/gate"} <= {m.topic for m in recording.messages}
+
+    assert shell.run(["course", "new", str(record), "--out", str(made)]) == 0
+    assert shell.run(["course", "check", str(made), "--out", str(tmp_path / "driven.png")]) == 0
+    assert 0.8 < load_course(made).goal.x < 1.4
+    assert shell.run(["eval", "course", "--course", str(made)]) == 0
+
+
+WAYS_OUT = {
+    "Ctrl-C": (lambda person: person.type("\x03"), 130, None),
+    "Ctrl-Z": (lambda person: person.type("\x1a"), 0, None),
+    "SIGHUP": (lambda person: person.process.send_signal(signal.SIGHUP), 130, None),
+}
+
+
+@pytest.mark.parametrize("way", WAYS_OUT)
+def test_on_every_way_out_the_rover_stands_and_the_terminal_is_as_before(rig, sit_down, way):
+    action, expected, stopped_by = WAYS_OUT[way]
+    person = sit_down()
+    person.hold("i", 1.5)
+    left_ns = time.time_ns()
+    action(person)
+    code, result = person.end()
+    assert (code, result["stopped_by"]) == (expected, stopped_by)
+    assert person.settings == person.before
+    assert rig.stood_after(left_ns) < 0.2 + braking_s(V_M_S) + MACHINE_S
+
+
+def test_a_killed_driver_is_a_silent_one(rig, sit_down):
+    person = sit_down()
+    last_ns = person.hold("i", 1.5)
+    person.process.kill()
+    assert rig.stood_after(last_ns) < 0.5 + braking_s(V_M_S) + MACHINE_S
+
+
+def test_keys_that_piled_up_while_it_slept_move_nothing(rig, sit_down):
+    person = sit_down()
+    person.hold("i", 1.5)
+    person.process.send_signal(signal.SIGSTOP)
+    rig.stood_after(time.time_ns())
+    person.type("i" * 50)
+    where = rig.truth()[-1][1]
+    person.process.send_signal(signal.SIGCONT)
+    # The lease went with the silence: that ends it, with its name.
+    code, result = person.end()
+    assert code == 4
+    assert result["stopped_by"]
+    assert person.settings == person.before
+    assert rig.truth()[-1][1] == pytest.approx(where, abs=1e-4)
+
+
+def test_a_bridge_that_dies_ends_it_with_a_name(sit_down, rig):
+    person = sit_down()
+    person.hold("i", 1.0)
+    rig.bridge.send_signal(signal.SIGKILL)
+    code, result = person.end()
+    assert code == 4
+    assert result["stopped_by"] == "bridge-lost"
+    assert person.settings == person.before
+
+
+def test_without_a_terminal_it_does_not_begin(capsys):
+    done = subprocess.run(
+        [sys.executable, "-m", "rover_ncp", "teleop", "--robot", "tcp/127.0.0.1:1"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "has to be a terminal" in done.stderr
+    assert done.stderr.count("\n") == 1

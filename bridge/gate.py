@@ -54,6 +54,9 @@ STANDING = 0.01
 """Below this, in m/s and rad/s, a reported speed counts as standing."""
 REACT_S = 0.3
 """From command to first braking, at worst: what the fence reckons with besides braking."""
+FROZEN_M, FROZEN_RAD = 0.01, 0.02
+"""A base that went so far by its own speeds, ten of its steps, and reports the same pose does not know where it
+is."""
 STEP_MAX_S = 0.1
 """A loop that slept does not earn acceleration for the time it slept."""
 
@@ -67,7 +70,7 @@ def step(state: State, event: Event, now: float, limits: Limits, accept_ros: boo
         case Heard():
             state = _hear(state, event, limits)
         case BaseLost():
-            state = replace(state, base=None, low_since_s=None)
+            state = replace(state, base=None, low_since_s=None, unseen_m=0.0, unseen_rad=0.0)
         case Enable():
             state, refusal = _enable(state, event, limits)
         case Release(driver) if state.lease is not None and state.lease.driver == driver:
@@ -105,6 +108,7 @@ def _hazard(state: State, limits: Limits) -> Reason | None:
         (base.bumped, Reason.BUMPER),
         (base.stalled, Reason.STALL),
         (low is not None and state.now - low >= limits.battery_low_s, Reason.LOW_BATTERY),
+        (state.unseen_m >= FROZEN_M or state.unseen_rad >= FROZEN_RAD, Reason.FROZEN),
     ):
         if flagged:
             return reason
@@ -155,11 +159,22 @@ def _clear(base: Heard, v: float, least_m: float) -> bool:
 
 
 def _hear(state: State, base: Heard, limits: Limits) -> State:
-    """Take in a report; note since when the battery is low."""
-    low_since_s = None
+    """Take in a report; note since when the battery is low, and how far it came in the same place."""
+    before, low_since_s, unseen_m, unseen_rad = state.base, None, 0.0, 0.0
+    if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
+        elapsed = state.now - state.base_s
+        unseen_m = state.unseen_m + min(abs(before.v), abs(base.v)) * elapsed
+        unseen_rad = state.unseen_rad + min(abs(before.omega), abs(base.omega)) * elapsed
     if 0.0 < base.battery_v < limits.battery_min_v:
         low_since_s = state.now if state.low_since_s is None else state.low_since_s
-    return replace(state, base=base, base_s=state.now, low_since_s=low_since_s)
+    return replace(
+        state,
+        base=base,
+        base_s=state.now,
+        low_since_s=low_since_s,
+        unseen_m=unseen_m,
+        unseen_rad=unseen_rad,
+    )
 
 
 def _enable(state: State, request: Enable, limits: Limits) -> tuple[State, Reason | None]:

@@ -42,6 +42,8 @@ class Reason(StrEnum):
     MOTORS_OFF = "motors-off"
     ODOMETRY = "odometry"
     """The base was not heard of late, or says where it is in numbers that are none."""
+    FROZEN = "odometry-frozen"
+    """Its pose stands still while it says that it drives."""
     NO_LEASE = "no-lease"
     SILENCE = "silence"
     LEASE_LAPSED = "lease-lapsed"
@@ -164,6 +166,9 @@ class State:
     base: Heard | None = None
     base_s: float = -math.inf
     low_since_s: float | None = None
+    unseen_m: float = 0.0
+    unseen_rad: float = 0.0
+    """How far the base must have come by its own speeds since the pose it reports last changed."""
     target: Velocity | None = None
     """The command in force, until ``target_until_s``."""
     target_until_s: float = -math.inf

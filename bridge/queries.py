@@ -27,6 +27,7 @@ _WORDS = {
     Reason.STALL: "a motor is stalled",
     Reason.LOW_BATTERY: "the battery is low",
     Reason.ODOMETRY: "the base does not report where it is",
+    Reason.FROZEN: "the base reports the same place while it says that it drives",
 }
 
 

@@ -23,7 +23,7 @@ import bridge
 ROOT = Path(__file__).parent.parent
 GATE = ROOT / "bridge" / "gate.py"
 SURVIVORS = ROOT / "tests" / "data" / "gate_survivors.yaml"
-TESTS = ["test_bridge_gate.py", "test_bridge_gate_commands.py", "test_bridge_gate_anything.py"]
+TESTS = [f"test_bridge_gate{part}.py" for part in ("", "_commands", "_edges", "_anything")]
 TIMEOUT_S = 30
 
 COMPARISONS = {

@@ -201,7 +201,7 @@ def _flood(scene: Scene) -> int:
 _GOOD = twist_stamped(Velocity(0.2, 0.0), 0)
 
 MISHAPS: Mapping[str, Mishap] = {
-    "odometry-frozen": _base("freeze-odometry@0-3", drivers=(CIRCUIT,)),
+    "odometry-frozen": _base("freeze-odometry@0-3", "odometry-frozen"),
     "odometry-jumps": _base("jump-odometry@0-3", drivers=(CIRCUIT,)),
     "odometry-nan": Mishap(_strange_odometry, drivers=(CIRCUIT,)),
     "mute": _base("mute@0-2", "no-base"),

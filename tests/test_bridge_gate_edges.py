@@ -1,0 +1,220 @@
+"""The gate: where each of its bounds lies exactly, and a base whose pose stands still while it drives."""
+
+import math
+
+import pytest
+from gate_bench import LIMITS, ME, SLOW, Gate
+
+from bridge.gate import ROS_DRIVER
+from bridge.gate_state import ZERO, BaseLost, Command, Heard, Reason, Release, Tick
+from bridge.limits import Fence, Limits
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.lease import CommandTag
+
+# A pose that stands still
+
+
+@pytest.mark.parametrize("motion", [{"v": 0.05}, {"v": -0.05}, {"omega": 0.1}, {"omega": -0.1}])
+def test_a_base_that_drives_and_reports_the_same_pose_is_not_driven(motion):
+    gate = Gate().driving()
+    gate.at(0.1, Heard(x=1.0, **motion))
+    assert gate.at(0.2, Heard(x=1.0, **motion)).held is None
+    verdict = gate.at(0.31, Heard(x=1.0, **motion))
+    assert (verdict.velocity, verdict.held) == (ZERO, Reason.FROZEN)
+    assert gate.state.ended is Reason.FROZEN
+    assert gate.enable(0.35).refusal is Reason.FROZEN
+    gate.at(0.4, Heard(x=1.001))
+    assert gate.enable(0.45).refusal is None
+
+
+@pytest.mark.parametrize("steps", [{"x": 0.001}, {"y": 0.001}, {"theta": 0.0015}])
+def test_one_step_is_enough_to_be_believed(steps):
+    gate = Gate().driving()
+    for k in range(1, 40):
+        pose = {name: (k // 2) * step for name, step in steps.items()}
+        gate.at(0.1 * k, Heard(v=0.09, omega=0.19, **pose))
+        assert gate.drive(0.1 * k).held is None
+
+
+def test_only_the_slower_of_two_reports_counts():
+    gate = Gate().driving()
+    for k in range(1, 40):
+        fast = 0.3 * (k % 2)
+        gate.at(0.1 * k, Heard(v=fast, omega=fast))
+        assert gate.drive(0.1 * k).held is None
+
+
+@pytest.mark.parametrize(("motion", "frozen"), [({"v": 0.01}, True), ({"omega": 0.02}, True), ({}, False)])
+def test_so_far_and_no_farther(motion, frozen):
+    gate = Gate().driving()
+    gate.at(1.0, Heard(x=1.0, **motion))
+    assert (gate.at(2.0, Heard(x=1.0, **motion)).held is Reason.FROZEN) is frozen
+
+
+@pytest.mark.parametrize("motion", [{"v": 0.05}, {"omega": 0.1}])
+def test_a_base_that_comes_back_starts_anew(motion):
+    gate = Gate()
+    for moment in (0.0, 0.1, 0.2):
+        gate.at(moment, Heard(x=1.0, **motion))
+    assert gate.at(0.25, Heard(x=1.0, **motion)).held is Reason.FROZEN
+    gate.at(0.3, BaseLost())
+    gate.at(0.4, Heard(x=1.0, **motion))
+    assert gate.at(0.5, Heard(x=1.0, **motion)).held is Reason.NO_LEASE
+
+
+# Who may drive
+
+
+def test_plain_commands_drive_nobody_who_did_not_allow_them():
+    gate = Gate()
+    gate.at(0.0, Heard())
+    assert gate.at(0.1, Command(SLOW)).dropped is Reason.FOREIGN
+    assert gate.state.lease is None
+    assert gate.at(0.2, Heard()).velocity == ZERO
+
+
+def test_plain_commands_have_an_id_like_any_driver():
+    assert ROS_DRIVER.hex() == "0" * 32
+
+
+def test_asking_again_clears_what_was_in_force_and_why_it_was_not():
+    gate = Gate().driving()
+    verdict = gate.enable(0.1)
+    assert (verdict.velocity, verdict.held) == (ZERO, Reason.SILENCE)
+    assert gate.drive(0.15, None).held is Reason.UNREADABLE
+    assert gate.enable(0.2).held is Reason.SILENCE
+
+
+def test_who_asks_again_is_not_told_of_the_end_before():
+    gate = Gate().driving()
+    gate.at(0.1, Heard(bumped=True))
+    gate.at(0.2, Heard())
+    assert gate.state.ended is Reason.BUMPER
+    gate.enable(0.3)
+    assert gate.state.ended is None
+
+
+def test_nonsense_uses_up_its_number():
+    gate = Gate().driving()
+    gate.drive(0.1, None, sequence=50)
+    assert gate.drive(0.1, sequence=50).dropped is Reason.REPEATED
+
+
+# To the last bit
+
+
+def after(moment):
+    return math.nextafter(moment, math.inf)
+
+
+def test_a_base_counts_as_heard_for_so_long():
+    gate = Gate(Limits(silence_s=0.4)).driving()
+    assert gate.at(LIMITS.odometry_s, Tick()).held is None
+    assert gate.at(after(LIMITS.odometry_s), Tick()).held is Reason.ODOMETRY
+
+
+def test_a_lease_lasts_for_so_long():
+    gate = Gate().driving()
+    gate.at(LIMITS.lease_s, Tick())
+    assert gate.state.lease is not None
+    gate.at(after(LIMITS.lease_s), Tick())
+    assert gate.state.lease is None
+
+
+def test_a_command_may_be_so_old_and_as_old_as_the_lease():
+    gate = Gate(Limits(stale_s=0.25), ahead_s=0.0)
+    gate.at(0.0, Heard())
+    gate.enable(0.0)
+    assert gate.drive(0.25, age=0.25).dropped is None
+    assert gate.at(0.25, Command(SLOW, CommandTag(ME, 9, -1))).dropped is Reason.STALE
+
+
+@pytest.mark.parametrize("age_s", [0.3, -0.3])
+def test_a_plain_command_may_be_so_old(age_s):
+    gate = Gate(accept_ros=True)
+    gate.at(0.0, Heard())
+    assert gate.at(0.1, Command(SLOW, age_s=age_s)).dropped is None
+
+
+def test_the_stick_may_be_held_again_after_so_long():
+    gate = Gate(accept_ros=True)
+    gate.at(1.0, Heard())
+    gate.at(1.0, Command(SLOW))
+    gate.at(1.0, Heard(bumped=True))
+    gate.at(1.9, Heard())
+    assert gate.at(math.nextafter(2.0, 0.0), Command(SLOW)).dropped is Reason.NO_LEASE
+    assert gate.at(2.0, Command(SLOW)).dropped is None
+
+
+@pytest.mark.parametrize("motion", [{"v": 0.01}, {"v": -0.01}, {"omega": 0.01}])
+def test_without_a_lease_motors_stay_on_while_it_moves_and_for_so_long(motion):
+    gate = Gate().driving(1.0)
+    gate.at(1.0, Heard(**motion))
+    gate.at(1.0, Release(ME))
+    assert gate.at(math.nextafter(3.0, 0.0), Tick()).motors
+    assert not gate.at(3.0, Tick()).motors
+
+
+def test_without_a_lease_motors_go_off_once_it_is_slow_enough():
+    gate = Gate().driving(1.0)
+    slow = math.nextafter(0.01, 0.0)
+    gate.at(1.0, Heard(v=slow, omega=-slow))
+    assert not gate.at(1.0, Release(ME)).motors
+
+
+def test_half_a_volt_is_low():
+    gate = Gate().driving()
+    for k in range(21):
+        gate.at(0.1 * k, Heard(battery_v=0.5))
+    assert gate.at(2.0, Heard(battery_v=0.5)).held is Reason.LOW_BATTERY
+
+
+def test_a_base_that_comes_back_has_its_time_to_recover_its_voltage():
+    gate = Gate()
+    gate.at(0.0, Heard(battery_v=10.0))
+    gate.at(1.5, BaseLost())
+    gate.at(1.6, Heard(battery_v=10.0))
+    assert gate.at(3.0, Heard(battery_v=10.0)).held is Reason.NO_LEASE
+    assert gate.at(3.6, Heard(battery_v=10.0)).held is Reason.LOW_BATTERY
+
+
+FENCE = LIMITS.model_copy(
+    update={"fence": Fence(x_min=-1.0, x_max=2.0, y_min=-1.0, y_max=1.0), "brake": 0.25}
+)
+
+
+@pytest.mark.parametrize(
+    ("base", "passes"),
+    [
+        # 0.1 m/s reaches 0.03 m while it reacts and 0.02 m while it brakes; half of it at a slant.
+        (Heard(x=1.949), True),
+        (Heard(x=1.951), False),
+        (Heard(x=1.974, theta=math.pi / 3), True),
+        (Heard(x=1.976, theta=math.pi / 3), False),
+        (Heard(y=0.974, theta=math.pi / 6), True),
+        (Heard(y=0.976, theta=math.pi / 6), False),
+    ],
+)
+def test_the_fence_lies_where_the_rover_would_come_to_stand(base, passes):
+    gate = Gate(FENCE).driving()
+    gate.at(0.1, base)
+    assert gate.drive(0.1, Velocity(0.1, 0.0)).held is (None if passes else Reason.GEOFENCE)
+
+
+@pytest.mark.parametrize(("after_s", "dropped"), [(60.5, Reason.STALE), (61.5, None)])
+def test_the_quickest_command_is_remembered_for_whole_seconds(after_s, dropped):
+    begun = 1000.0
+    gate = Gate().driving(begun)
+    for k in range(1, round(after_s * 4)):
+        gate.at(begun + 0.25 * k, Heard())
+        gate.drive(begun + 0.25 * k, age=0.15)
+    gate.at(begun + after_s, Heard())
+    assert gate.drive(begun + after_s, age=0.3).dropped is dropped
+
+
+def test_one_moment_of_a_second_is_remembered():
+    gate = Gate().driving()
+    for k in range(100):
+        gate.at(0.05 * k, Heard())
+        gate.drive(0.05 * k)
+    assert len(gate.state.minima) <= 6

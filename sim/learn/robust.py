@@ -202,16 +202,24 @@ class RobustSearch:
 
     def advance(self, drive: Drive) -> Generation:
         """Do one generation, whose trials are driven by ``drive``."""
-        number = self.number
-        fraction = next(part for share, part in _ROLLOUTS_SHARE if number < share * self._generations)
+        fraction = self._fraction(self.number)
         vectors = np.array([self._cube.vector(place) for place in self._cma.ask()])
-        found = drive(vectors, number * self._rollouts, max(self._rollouts // fraction, 1))
+        found = drive(vectors, self.number * self._rollouts, max(self._rollouts // fraction, 1))
         least = max(self._worst // fraction, 1)
         values = np.array([-mean_of_worst((-row).tolist(), least) for row in found])
         self._cma.tell(values)
         if self.number > self._averaged_from:
             self._sum += self._cma.mean
         return Generation(self.number, self.winner, self._cma.spread, float(values.min()))
+
+    @property
+    def episodes(self) -> int:
+        """Episodes driven so far."""
+        rollouts = (max(self._rollouts // self._fraction(number), 1) for number in range(self.number))
+        return self.population * sum(rollouts)
+
+    def _fraction(self, number: int) -> int:
+        return next(part for share, part in _ROLLOUTS_SHARE if number < share * self._generations)
 
     @property
     def winner(self) -> FloatArray:

@@ -55,8 +55,7 @@ STANDING = 0.01
 REACT_S = 0.3
 """From command to first braking, at worst: what the fence reckons with besides braking."""
 FROZEN_M, FROZEN_RAD = 0.01, 0.02
-"""A base that went so far by its own speeds, ten of its steps, and reports the same pose does not know where it
-is."""
+"""A base that went so far by its own speeds and reports the same pose does not know where it is."""
 STEP_MAX_S = 0.1
 """A loop that slept does not earn acceleration for the time it slept."""
 

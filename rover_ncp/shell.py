@@ -33,6 +33,7 @@ _EXTRAS = {
     "starlette": "report",
     "uvicorn": "report",
     "cryptography": "keys",
+    "distributed": "cluster",
 }
 # The order in which a newcomer meets the commands; others follow by name.
 _ORDER = ["park", "train", "eval", "mock", "bridge", "deploy", "replay"]

@@ -74,6 +74,13 @@ def train(
         int | None,
         typer.Option(min=1, help="Changes the speed, never the result.", show_default="one for each core"),
     ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            help="Address of a Dask scheduler (tcp://HOST:8786) whose workers do the work.",
+            show_default=False,
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Train circuits in simulation until one drives a course.
@@ -89,6 +96,11 @@ def train(
 
         rover-ncp train --seed 1 --out runs/mine
         rover-ncp train --out runs/mine --resume
+
+    With --cluster, agents train on the workers of a Dask cluster, which need the same rover-ncp. The bytes
+    are those of a run on this machine; a worker that dies costs time only.
+
+        rover-ncp train --cluster tcp://192.168.1.5:8786
 
     With --randomize, a circuit learns to follow any course on robots nobody measured: what it senses is
     where it is relative to the course (the circuit, tracking unless told otherwise, needs the neurons FWD
@@ -128,6 +140,8 @@ def train(
     if randomize is not None or isinstance(saved, RobustSettings):
         if not {agents, search} <= {None}:
             raise UsageError("--randomize goes with neither --agents nor --search")
+        if cluster is not None:
+            raise UsageError("--randomize trains on this machine: it does not go with --cluster")
         before = saved.model_dump() if isinstance(saved, RobustSettings) else {}
         asked = {name: value for name, value in (options | robust).items() if value is not None}
         if "rollouts" in asked:
@@ -136,6 +150,8 @@ def train(
         load_course(settings.course)  # before a folder is made, so that a typo leaves none behind
         _train_robust(output, settings, out or new_run_path(), resume, processes)
         return
+    if processes is not None and cluster is not None:
+        raise UsageError("--processes and --cluster do not go together: a cluster has its own workers")
     if any(value is not None for value in robust.values()):
         raise UsageError("--rollouts, --worst and --random-courses need --randomize")
     plain = TrainSettings(**((saved.model_dump() if saved else {}) | given))
@@ -144,7 +160,12 @@ def train(
     try:
         with TrainProgress(plain.iterations) as progress:
             result = run_training(
-                plain, folder, resume=resume, processes=processes, on_progress=progress.show
+                plain,
+                folder,
+                resume=resume,
+                processes=processes,
+                cluster=cluster,
+                on_progress=progress.show,
             )
     except (KeyboardInterrupt, WorkerDied):
         output.say(f"Go on with: rover-ncp train --out {folder} --resume")

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.lanes import allocate_lanes, make_program, resting_potentials
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.program import Program
 from rover_ncp.core.course import TICK_S, Course
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.reference import Reference, plan_reference
@@ -167,7 +168,7 @@ class Engine:
         self, vectors: FloatArray, vector: IntArray, task: IntArray, trial: IntArray, stop: FloatArray
     ) -> Queue:
         results = np.zeros((len(vector), RESULTS))
-        misses = np.zeros((len(vector), *self._tasks.checkpoints.shape[1:]))
+        misses = np.zeros((len(vector), *self.checkpoints))
         queue = Queue(vectors, vector, task, trial, stop, results, misses)
         if len(vector):
             fleet, lanes = self._team(_width(len(vector), race=bool((stop > -np.inf).any())))
@@ -176,32 +177,46 @@ class Engine:
 
     def run_queue(self, lanes: Lanes, fleet: Fleet, queue: Queue) -> None:
         """Run the episodes of a queue."""
-        run_episodes(self._program, self._signal_at, self._tasks, self._trials, lanes, fleet.arrays, queue)
+        run_episodes(*self.setting, lanes, fleet.arrays, queue)
+
+    @property
+    def setting(self) -> tuple[Program, IntArray, Tasks, Trials]:
+        """What all episodes have in common, as kernels take it."""
+        return self._program, self._signal_at, self._tasks, self._trials
+
+    @property
+    def checkpoints(self) -> tuple[int, int]:
+        """C and 3, the shape of an episode's misses."""
+        return self._tasks.checkpoints.shape[1:]
 
     def _team(self, width: int) -> tuple[Fleet, Lanes]:
         """Return lanes and rovers of a width, built once."""
         if width not in self._teams:
-            lanes = Lanes(
-                parameters=allocate_lanes(self._program, self.policy, width),
-                potentials=resting_potentials(self.policy, width),
-                observations=np.zeros((len(self._signal_at), width)),
-                commands=np.zeros((2, width)),
-                poses=np.zeros((3, width)),
-                held=np.zeros((2, width)),
-                driven=np.zeros((2, width)),
-                odometry=np.zeros((3, width)),
-                earlier=np.zeros((3, width)),
-                episode=np.full(width, IDLE),
-                tick=np.zeros(width, np.int64),
-                total=np.zeros(width),
-                tail=np.zeros((width, int(self._tasks.still.max()) + 1, 3)),
-                tracking=np.zeros((2, width)),
-                signals=np.zeros(len(SIGNALS)),
-            )
-            delay_v, delay_omega = self._slowest
-            slowest = self.model.model_copy(update={"delay_v_s": delay_v, "delay_omega_s": delay_omega})
-            self._teams[width] = Fleet([slowest] * width, self.courses[0].obstacles), lanes
+            self._teams[width] = self.build_team(width)
         return self._teams[width]
+
+    def build_team(self, width: int) -> tuple[Fleet, Lanes]:
+        """Return lanes and rovers of a width, which nobody else uses."""
+        lanes = Lanes(
+            parameters=allocate_lanes(self._program, self.policy, width),
+            potentials=resting_potentials(self.policy, width),
+            observations=np.zeros((len(self._signal_at), width)),
+            commands=np.zeros((2, width)),
+            poses=np.zeros((3, width)),
+            held=np.zeros((2, width)),
+            driven=np.zeros((2, width)),
+            odometry=np.zeros((3, width)),
+            earlier=np.zeros((3, width)),
+            episode=np.full(width, IDLE),
+            tick=np.zeros(width, np.int64),
+            total=np.zeros(width),
+            tail=np.zeros((width, int(self._tasks.still.max()) + 1, 3)),
+            tracking=np.zeros((2, width)),
+            signals=np.zeros(len(SIGNALS)),
+        )
+        delay_v, delay_omega = self._slowest
+        slowest = self.model.model_copy(update={"delay_v_s": delay_v, "delay_omega_s": delay_omega})
+        return Fleet([slowest] * width, self.courses[0].obstacles), lanes
 
 
 def _rows(vectors: ArrayLike) -> FloatArray:

@@ -7,13 +7,16 @@ process that computes it nor on its neighbours in the batch.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.core.errors import UsageError
 from sim.learn.search.base import Vector
+
+if TYPE_CHECKING:
+    from sim.learn.flow import Flow
 
 __all__ = ["Deterministic", "Objective", "Sampled", "mean_of_worst"]
 
@@ -42,16 +45,19 @@ class Deterministic:
     """A task without chance: one rollout says it all.
 
     ``returns`` takes vectors (k, P) and the thresholds (k,) below which a rollout may stop; it gives (k,).
-    ``traces`` is what ``trace`` says, for strategies that need it.
+    ``traces`` is what ``trace`` says, for strategies that need it. ``stream``, if there is one, opens a
+    flow that does both for so many agents, each of which usually submits so many candidates at once.
     """
 
     def __init__(
         self,
         returns: Callable[[Vector, Vector], Vector],
         traces: Callable[[Vector], tuple[Vector, Vector]] | None = None,
+        stream: Callable[[int, int], "Flow"] | None = None,
     ) -> None:
         self._returns = returns
         self._traces = traces
+        self.stream = stream
 
     def estimate(self, vectors: Vector, to_beat: Vector, keys: Sequence[Key]) -> Vector:
         """Return the returns (k,) of vectors (k, P)."""

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.objective import Objective
+from sim.learn.flow import Flow, Lockstep
+from sim.learn.objective import Deterministic, Objective
 from sim.learn.search.base import SearchState, Strategy, Vector
 from sim.learn.search.strategies import STRATEGIES, start_search
 
@@ -61,48 +62,52 @@ class AgentState:
 
 
 class Team:
-    """Advances agents by lockstep: every step evaluates the candidates of all as lanes of one batch."""
+    """Advances agents side by side: the candidates of all are evaluated together."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._objective = plan.build_objective()
-        self._needs_misses = STRATEGIES[plan.strategy].needs_misses
+        self._flows: dict[int, Flow] = {}
 
     def advance(self, agents: Sequence[AgentState], iterations: int) -> list[AgentState]:
         """Return the agents after ``iterations`` candidates each; those already there stay as they are."""
         searches = [revive(self._plan, agent) for agent in agents]
         changes: list[list[tuple[int, float]]] = [[] for _ in agents]
-        while active := [i for i, s in enumerate(searches) if s.value is None or s.iterations < iterations]:
-            asked = [_ask(searches[i], iterations) for i in active]
-            keys = [
-                (agents[i].number, _ROLLOUTS, searches[i].evaluations + ahead)
-                for i, candidates in zip(active, asked, strict=True)
-                for ahead in range(len(candidates))
-            ]
-            counts = [len(candidates) for candidates in asked]
-            to_beat = np.repeat([searches[i].to_beat for i in active], counts)
-            values, misses = self._evaluate(np.concatenate(asked), to_beat, keys)
-            first = 0
-            for i, count in zip(active, counts, strict=True):
-                part = slice(first, first + count)
-                changes[i] += _tell(searches[i], values[part], None if misses is None else misses[part])
-                first += count
+        flow = self._flow(len(agents))
+
+        def submit(number: int) -> None:
+            search = searches[number]
+            if search.value is None or search.iterations < iterations:
+                vectors = _ask(search, iterations, flow.room)
+                evaluations = range(search.evaluations, search.evaluations + len(vectors))
+                keys = [(agents[number].number, _ROLLOUTS, evaluation) for evaluation in evaluations]
+                flow.submit(number, vectors, search.to_beat, keys)
+
+        for number in range(len(agents)):
+            submit(number)
+        while answers := flow.collect():
+            for number, values, misses in answers:
+                changes[number] += _tell(searches[number], values, misses)
+                submit(number)
         return [
             AgentState(agent.number, search.state(), agent.improvements + tuple(new))
             for agent, search, new in zip(agents, searches, changes, strict=True)
         ]
 
-    def _evaluate(
-        self, vectors: Vector, to_beat: Vector, keys: Sequence[tuple[int, ...]]
-    ) -> tuple[Vector, Vector | None]:
-        if self._needs_misses:
-            return self._objective.trace(vectors)
-        return self._objective.estimate(vectors, to_beat, keys), None
+    def _flow(self, agents: int) -> Flow:
+        """Return a flow for so many agents, made once."""
+        if agents not in self._flows:
+            strategy, objective = STRATEGIES[self._plan.strategy], self._objective
+            if isinstance(objective, Deterministic) and objective.stream is not None:
+                self._flows[agents] = objective.stream(agents, strategy.usual)
+            else:
+                self._flows[agents] = Lockstep(objective, strategy.needs_misses)
+        return self._flows[agents]
 
 
-def _ask(search: Strategy, iterations: int) -> Vector:
+def _ask(search: Strategy, iterations: int, room: int) -> Vector:
     left = 1 if search.value is None else iterations - search.iterations
-    return search.ask(min(left, search.most_ahead))
+    return search.ask(min(left, search.most_ahead, room))
 
 
 def _tell(search: Strategy, values: Vector, misses: Vector | None) -> list[tuple[int, float]]:

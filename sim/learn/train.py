@@ -10,6 +10,7 @@ from rover_ncp.circuit.lanes import inert_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import Course
 from rover_ncp.core.errors import RoverNcpError
+from sim.learn.cluster import DaskCluster
 from sim.learn.ensemble import Snapshot, run_ensemble
 from sim.learn.folder import RunFolder, open_run
 from sim.learn.objective import Deterministic, Objective
@@ -49,9 +50,10 @@ def training_plan(settings: TrainSettings, task: Task) -> Plan:
 
 def _objective(policy: Policy, course: Course) -> Objective:
     from sim.learn.engine import Engine
+    from sim.learn.stream import Stream
 
     engine = Engine(policy, course)
-    return Deterministic(engine.returns, engine.traces)
+    return Deterministic(engine.returns, engine.traces, partial(Stream, engine))
 
 
 def train(
@@ -60,12 +62,14 @@ def train(
     *,
     resume: bool = False,
     processes: int | None = None,
+    cluster: str | None = None,
     on_progress: Callable[[Snapshot], None] = lambda snapshot: None,
     stop_when: Callable[[Snapshot, Policy], bool] = lambda snapshot, best: False,
 ) -> TrainResult:
     """Train ``settings.agents`` agents and leave the run in the folder ``out``.
 
-    ``processes`` defaults to one for each core; it changes the speed, never the result. After every round
+    ``processes`` defaults to one for each core; ``cluster`` is the address of a Dask scheduler, whose workers
+    then do the work. Both change the speed, never the result. After every round
     ``on_progress`` sees the agents, and ``stop_when``, which also gets the best one's policy, may end the
     training there. A run that is interrupted, however it dies, can be resumed and ends in the same files.
 
@@ -77,8 +81,7 @@ def train(
         plan = training_plan(settings, folder.task)
         rounds = _Rounds(folder, folder.load_agents(plan), on_progress, stop_when)
         if not rounds.snapshot.arrived(settings.iterations):
-            count = min(processes or available_processes(), settings.agents)
-            with Inline(plan) if count == 1 else LocalProcesses(plan, count) as workers:
+            with _workers(plan, min(processes or available_processes(), settings.agents), cluster) as workers:
                 rounds.run(workers, settings.iterations)
         folder.finish(rounds.snapshot)
         return TrainResult(
@@ -88,6 +91,12 @@ def train(
             wall_s=time.monotonic() - began,
             iterations_per_s=rounds.iterations_per_s,
         )
+
+
+def _workers(plan: Plan, count: int, cluster: str | None) -> Inline | LocalProcesses | DaskCluster:
+    if cluster is not None:
+        return DaskCluster(plan, cluster)
+    return Inline(plan) if count == 1 else LocalProcesses(plan, count)
 
 
 class _Rounds:

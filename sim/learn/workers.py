@@ -38,9 +38,11 @@ class _Failure(NamedTuple):
 
 
 class Workers(Protocol):
-    """Something that advances groups of agents, as many groups at once as it has ``count`` of hands."""
+    """Something that advances groups of agents."""
 
-    count: int
+    @property
+    def count(self) -> int:
+        """How many groups at once."""
 
     def advance(self, groups: Sequence[Sequence[AgentState]], iterations: int) -> list[AgentState]:
         """Return all agents of all groups, in order, after ``iterations`` candidates each."""

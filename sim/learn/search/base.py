@@ -35,6 +35,8 @@ class Strategy(Protocol):
     """Whether returns are not enough, see ``Objective.trace``."""
     most_ahead: ClassVar[int]
     """How many candidates to ask for at once, at most."""
+    usual: ClassVar[int]
+    """How many it then usually hands out."""
     value: float | None
     """The incumbent's return; None before the first was told."""
     evaluations: int
@@ -49,8 +51,8 @@ class Strategy(Protocol):
         """Returns taken after the first one."""
 
     @property
-    def to_beat(self) -> float:
-        """What the returns of the candidates handed out must exceed to matter."""
+    def to_beat(self) -> Vector:
+        """(n,) what the returns of the candidates handed out must exceed to matter."""
 
     def ask(self, count: int = 1) -> Vector:
         """Return candidates (n, P), 1 <= n <= count."""
@@ -98,6 +100,7 @@ class Search(ABC, Generic[AdaptationT]):
 
     needs_misses: ClassVar[bool] = False
     most_ahead: ClassVar[int] = 4  # measured: more are drawn in vain, fewer leave lanes idle
+    usual: ClassVar[int] = 4
 
     def __init__(
         self, layout: ParameterLayout, start: Vector, generator: np.random.Generator, adaptation: AdaptationT
@@ -136,11 +139,10 @@ class Search(ABC, Generic[AdaptationT]):
         return max(self.evaluations - 1, 0)
 
     @property
-    def to_beat(self) -> float:
-        """What the returns of the vectors handed out must exceed; minus infinity for estimates."""
-        if self.value is None or (self._pending and self._pending[0].is_estimate):
-            return -math.inf
-        return self.value
+    def to_beat(self) -> Vector:
+        """(n,) what the returns of the vectors handed out must exceed; minus infinity for estimates."""
+        exact = self.value is None or (self._pending and self._pending[0].is_estimate)
+        return np.full(len(self._pending), -math.inf if exact else self.value)
 
     def ask(self, count: int = 1) -> Vector:
         """Return candidates (n, P), 1 <= n <= count, whose returns may be measured in any order.

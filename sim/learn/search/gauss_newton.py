@@ -156,6 +156,7 @@ class GaussNewton:
 
     needs_misses: ClassVar[bool] = True
     most_ahead: ClassVar[int] = 1000  # a batch is less
+    usual: ClassVar[int] = len(BOLDNESS) + 1
 
     def __init__(self, box: UnitBox, generator: np.random.Generator) -> None:
         self._box = box
@@ -181,9 +182,9 @@ class GaussNewton:
         return max(self.evaluations - 1, 0)
 
     @property
-    def to_beat(self) -> float:
-        """Minus infinity: every episode is wanted whole, as its last misses teach as much as its first."""
-        return -math.inf
+    def to_beat(self) -> Vector:
+        """(n,) minus infinity: every episode is wanted whole, its last misses teach, too."""
+        return np.full(self._asked, -math.inf)
 
     def ask(self, count: int = 1) -> Vector:
         """Return the next candidates (n, P), 1 <= n <= count, at most what is left of the batch."""

@@ -1,0 +1,149 @@
+"""Episodes of many agents in the lanes of one kernel, without a pause.
+
+Run batch after batch, lanes would stand idle until the last episode of a batch ends, the longer the more of
+the others lost their race. Here a lane that falls free takes the next episode that waits, whosever it is,
+and an agent gets its answer as soon as its own episodes are done, while those of the others go on. What an
+episode gives depends neither on its lane nor on its company, so this changes the speed and nothing else.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.program import Program
+from rover_ncp.circuit.solver import fill_lane, tick_lanes
+from rover_ncp.jit import kernel
+from sim.learn.engine import Engine
+from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, finish_tick, pass_commands, start_episode
+from sim.learn.flow import Answer
+from sim.learn.search.base import Vector
+from sim.world.fleet import FleetArrays, advance, read_poses, send
+from sim.world.randomization import Trials
+
+__all__ = ["Stream"]
+
+IntArray = NDArray[np.int64]
+
+LEAST_LANES, MOST_LANES = 8, 32
+"""In whole vectors: fewer leave them half empty, more gain nothing."""
+_LEAST_ROOM, _ROOM = 8, 64
+
+
+class Slots(NamedTuple):
+    """The places of a stream's queue: S in all, as many for each of A agents, agent by agent."""
+
+    waiting: IntArray
+    """(S,) ring of places whose episodes wait for a lane."""
+    ring: IntArray
+    """(2,) where the ring begins, and how many wait."""
+    left: IntArray
+    """(A,) episodes that have not ended."""
+    before: IntArray
+    """(L,) work: the lanes' episodes before a tick."""
+
+
+@kernel
+def run_until_answer(  # noqa: PLR0917  # as run_episodes
+    program: Program,
+    signal_at: IntArray,
+    tasks: Tasks,
+    trials: Trials,
+    lanes: Lanes,
+    fleet: FleetArrays,
+    queue: Queue,
+    slots: Slots,
+) -> None:
+    """Run episodes until all of some agent have ended and a lane wants work, or until none is left."""
+    waiting, ring, left, before = slots
+    episodes = lanes.episode
+    room = len(waiting) // len(left)
+    running = 0
+    for lane in range(len(episodes)):
+        running += episodes[lane] != IDLE
+    answered = 0
+    while True:
+        for lane in range(len(episodes)):
+            if episodes[lane] == IDLE and ring[1] > 0:
+                place = waiting[ring[0]]
+                ring[0] = (ring[0] + 1) % len(waiting)
+                ring[1] -= 1
+                fill_lane(program, lanes.parameters, lane, queue.vectors[queue.vector[place]])
+                episodes[lane] = place
+                start_episode(signal_at, tasks, trials, lanes, fleet, queue, lane)
+                running += 1
+        if running == 0:
+            return
+        before[:] = episodes
+        tick_lanes(program, lanes.parameters, lanes.potentials, lanes.observations, lanes.commands)
+        pass_commands(trials, lanes, queue)
+        send(fleet, lanes.driven)
+        advance(fleet)
+        read_poses(fleet, lanes.poses)
+        if finish_tick(signal_at, tasks, trials, lanes, fleet, queue) > 0:
+            for lane in range(len(episodes)):
+                if episodes[lane] != before[lane]:
+                    running -= 1
+                    agent = before[lane] // room
+                    left[agent] -= 1
+                    answered += left[agent] == 0
+        if answered > 0 and ring[1] == 0 and running < len(episodes):
+            return
+
+
+class Stream:
+    """A flow of episodes of the first trial on the first course of an engine, for so many agents.
+
+    ``usual`` is how many candidates an agent usually submits at once; ``room``, how many it may.
+    """
+
+    def __init__(self, engine: Engine, agents: int, usual: int) -> None:
+        self.room = max(_LEAST_ROOM, -(-_ROOM // agents))
+        self._engine = engine
+        width = min(max(agents * usual // 8 * 8, LEAST_LANES), MOST_LANES)
+        self._fleet, self._lanes = engine.build_team(width)
+        places = agents * self.room
+        zeros = np.zeros(places, np.int64)
+        self._queue = Queue(
+            vectors=np.zeros((places, engine.policy.layout().size)),
+            vector=np.arange(places),
+            task=zeros,
+            trial=zeros,
+            stop_below=np.zeros(places),
+            results=np.zeros((places, RESULTS)),
+            misses=np.zeros((places, *engine.checkpoints)),
+        )
+        self._slots = Slots(
+            waiting=np.zeros(places, np.int64),
+            ring=np.zeros(2, np.int64),
+            left=np.zeros(agents, np.int64),
+            before=np.full(width, IDLE),
+        )
+        self._submitted = np.zeros(agents, np.int64)
+
+    def submit(self, agent: int, vectors: Vector, to_beat: Vector, keys: Sequence[tuple[int, ...]]) -> None:
+        """Let the episodes of candidates (n, P), n <= room, wait for lanes; the agent has none that do."""
+        count, queue, slots = len(vectors), self._queue, self._slots
+        if self._submitted[agent] or not 0 < count <= self.room:
+            raise ValueError(f"agent {agent} cannot submit {count} candidates now")
+        first = agent * self.room
+        places = slice(first, first + count)
+        queue.vectors[places] = vectors
+        queue.stop_below[places] = to_beat
+        queue.misses[places] = 0.0
+        begin, waiting = slots.ring
+        slots.waiting[(begin + waiting + np.arange(count)) % len(slots.waiting)] = first + np.arange(count)
+        slots.ring[1] += count
+        slots.left[agent] = self._submitted[agent] = count
+
+    def collect(self) -> list[Answer]:
+        """Return what became of all candidates of one agent or more; nothing if nobody waits."""
+        run_until_answer(*self._engine.setting, self._lanes, self._fleet.arrays, self._queue, self._slots)
+        answers = []
+        for agent in np.flatnonzero((self._submitted > 0) & (self._slots.left == 0)).tolist():
+            places = slice(agent * self.room, agent * self.room + int(self._submitted[agent]))
+            self._submitted[agent] = 0
+            misses = self._queue.misses[places, None].copy()
+            answers.append(Answer(agent, self._queue.results[places, 0].copy(), misses))
+        return answers

@@ -1,0 +1,95 @@
+"""Lanes without a pause: the same bits as batch after batch."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rover_ncp.circuit.policy import parking_policy
+from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.core.course import load_course
+from sim.learn.engine import Engine
+from sim.learn.flow import Lockstep
+from sim.learn.objective import Deterministic
+from sim.learn.stream import Stream
+from sim.learn.team import AgentState, Plan, Team
+
+POLICY = parking_policy(load_circuit("parking"))
+LAYOUT = POLICY.layout()
+SHORT = load_course(Path(__file__).parent / "data" / "short_course.yaml")
+
+
+@pytest.fixture(scope="module")
+def engine() -> Engine:
+    return Engine(POLICY, SHORT)
+
+
+def candidates(count: int, seed: int = 1) -> np.ndarray:
+    noise = np.random.default_rng(seed).normal(size=(count, LAYOUT.size))
+    vectors = POLICY.parameters() + 0.05 * noise * (LAYOUT.upper - LAYOUT.lower)
+    return np.clip(vectors, LAYOUT.lower, LAYOUT.upper)
+
+
+def plan(engine: Engine, strategy: str, stream: Callable[[int, int], Stream] | None = None) -> Plan:
+    objective = Deterministic(engine.returns, engine.traces, stream)
+    return Plan(5, strategy, LAYOUT, POLICY.parameters(), lambda: objective)
+
+
+@pytest.mark.parametrize(("strategy", "iterations"), [("gauss-newton", 400), ("published", 200)])
+def test_a_stream_decides_as_batches_do(engine: Engine, strategy: str, iterations: int) -> None:
+    begin = [AgentState(number) for number in range(5)]
+    in_batches = Team(plan(engine, strategy)).advance(begin, iterations)
+    streamed = Team(plan(engine, strategy, partial(Stream, engine)))
+    half = streamed.advance(streamed.advance(begin, 0), iterations // 2)
+    assert streamed.advance(half, iterations) == in_batches
+
+
+def test_answers_are_those_of_the_engine_whoever_is_first(engine: Engine) -> None:
+    stream, lockstep = (
+        Stream(engine, 4, usual=3),
+        Lockstep(Deterministic(engine.returns, engine.traces), True),
+    )
+    expected = {}
+    for agent in range(4):
+        vectors = candidates(2 + agent, seed=agent)
+        nothing_to_beat = np.full(len(vectors), -np.inf)
+        for flow in (stream, lockstep):
+            flow.submit(agent, vectors, nothing_to_beat, [])
+    for answer in lockstep.collect():
+        expected[answer.agent] = answer
+    seen = []
+    while answers := stream.collect():
+        for answer in answers:
+            seen.append(answer.agent)
+            assert answer.values.tolist() == expected[answer.agent].values.tolist()
+            assert np.array_equal(answer.misses, expected[answer.agent].misses)
+    assert sorted(seen) == [0, 1, 2, 3]
+    assert lockstep.collect() == []
+
+
+def test_an_episode_that_lost_is_stopped_and_holds_up_nobody(engine: Engine) -> None:
+    stream, vectors = Stream(engine, 2, usual=4), candidates(8)
+    whole = engine.returns(vectors)
+    thresholds = np.where(np.arange(8) < 4, np.inf, whole)
+    for agent in range(2):
+        own = slice(4 * agent, 4 * agent + 4)
+        stream.submit(agent, vectors[own], thresholds[own], [])
+    first, *_ = answers = stream.collect()
+    while more := stream.collect():
+        answers += more
+    # Whoever loses at the first checkpoint is answered while the others are still driving.
+    assert first.agent == 0
+    assert np.all((first.values >= whole[:4]) & (first.values < thresholds[:4]))
+    assert answers[1].values.tolist() == whole[4:].tolist()
+
+
+def test_an_agent_that_waits_cannot_submit_again_nor_more_than_there_is_room(engine: Engine) -> None:
+    stream = Stream(engine, 2, usual=3)
+    many = np.zeros(stream.room + 1)
+    with pytest.raises(ValueError, match="agent 0 cannot submit"):
+        stream.submit(0, candidates(stream.room + 1), many, [])
+    stream.submit(0, candidates(1), np.zeros(1), [])
+    with pytest.raises(ValueError, match="agent 0 cannot submit 1"):
+        stream.submit(0, candidates(1), np.zeros(1), [])

@@ -15,7 +15,13 @@ from rover_ncp.circuit.policy import ParameterLayout, parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from sim.learn.search import gauss_newton
 from sim.learn.search.gauss_newton import FIRST_DAMPING, HOPS, PROBE, SAMPLES, WINDOW, GaussNewton
-from sim.learn.search.least_squares import correct_slopes, damped_steps, survival, survival_weights
+from sim.learn.search.least_squares import (
+    correct_slopes,
+    damped_steps,
+    lost_at,
+    survival,
+    survival_weights,
+)
 from sim.learn.search.packed import pack, unpack
 from sim.learn.search.unit_box import BY_LOGARITHM, UnitBox, reflected
 
@@ -189,6 +195,46 @@ def test_a_search_that_is_close_hops_from_its_best_point() -> None:
     assert 0.04 < share < 0.16
 
 
+def stop_early(misses: np.ndarray, to_beat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return values and misses (n, 1, C, 3) of episodes that end where they are lost."""
+    running = -np.cumsum((misses[:, 0] ** 2).sum(axis=2), axis=1)
+    values, misses = running[:, -1].copy(), misses.copy()
+    for row in np.flatnonzero((running < to_beat[:, None]).any(axis=1)):
+        at = int(np.argmax(running[row] < to_beat[row]))
+        values[row], misses[row, 0, at + 1 :] = running[row, at], 0.0
+    return values, misses
+
+
+def test_steps_that_are_stopped_where_they_are_lost_change_nothing() -> None:
+    whole, raced = begin(2), begin(2)
+    stops = 0
+    while whole.evaluations < 3000:
+        misses = valley(whole.ask(1000))
+        assert np.array_equal(valley(raced.ask(1000)), misses)
+        assert np.isneginf(raced.to_beat[-1])  # a probe is wanted whole
+        values, short = stop_early(misses, raced.to_beat)
+        stops += int((short != misses).any())
+        whole.tell(returns(misses), misses)
+        raced.tell(values, short)
+    assert stops > 20
+    assert raced.state() == whole.state()
+
+
+def test_a_climb_that_would_not_overtake_the_best_in_time_ends() -> None:
+    descent = gauss_newton._Descent(
+        gauss_newton._Outcome(np.zeros(2), -0.5, np.zeros((1, 1, 3))), False, np.zeros((2, 3)), 0.1, []
+    )
+    window = gauss_newton.OVERTAKING_WINDOW
+    for gain, goes_on in ((0.026, True), (0.024, False)):
+        descent.scores = [-0.5 - gain] + [-0.5] * window
+        assert descent.overtakes(-0.4)  # too young to tell
+        descent.scores = [-0.6, *descent.scores]
+        assert descent.overtakes(-0.4) == goes_on
+        assert descent.overtakes(-0.5)
+    descent.survives = True
+    assert descent.overtakes(-0.4)
+
+
 def test_a_return_alone_is_not_enough() -> None:
     search = begin()
     with pytest.raises(ValueError, match="0 candidates wait"):
@@ -346,6 +392,19 @@ def test_survival_counts_the_checkpoints_reached_and_its_weights_are_its_slopes(
     ratio = slopes / (weights**2 * misses)
     assert ratio == pytest.approx(np.full_like(ratio, ratio.flat[0]), rel=1e-3)
     assert ratio.flat[0] < 0
+
+
+def test_a_return_is_lost_at_the_first_checkpoint_below() -> None:
+    misses = np.sqrt(np.array([[[0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.0, 0.5]]]))
+    for to_beat, known, total in (
+        (-0.05, 1, -0.1),
+        (-0.1001, 2, -0.3),
+        (-0.7, 3, -0.8),
+        (-0.9, 3, -math.inf),
+    ):
+        found = lost_at(misses, to_beat)
+        assert found == (known, pytest.approx(total))
+    assert lost_at(misses, -math.inf) == (3, -math.inf)
 
 
 def test_arrays_keep_their_bits_and_a_damaged_one_is_refused() -> None:

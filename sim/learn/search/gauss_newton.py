@@ -9,13 +9,16 @@ taught corrects the other slopes (Broyden). Damping follows success and failure 
 Two things get it past the local optima of a course:
   * Far from the goal it does not climb the return but how far the rover gets before it goes astray
     (``survival``): misses behind a lost turn say nothing about what comes before it, and pull the wrong way.
-  * A descent that gains little over a window of steps ends. Until the best is close, the next one starts
-    from new samples, from then on from hops: the best point with some parameters moved far.
+  * A descent that gains little over a window of steps ends, and so does one that gains too slowly to overtake
+    the best. Until the best is close, the next one starts from new samples, from then on from hops: the best
+    point with some parameters moved far.
 
 Rules of this file
   * A search knows points of the unit box; neither circuit nor simulator nor clock.
   * All candidates count, those that measure slopes too. They go out in batches, a batch in any portions, and
     only a whole batch decides anything. ``state`` may be taken within a batch.
+  * A step whose return is lost may be stopped there: nothing behind that checkpoint is looked at, and all
+    decisions are those of whole episodes.
   * All arithmetic is in a fixed order: the same bits on every machine.
 
 Constants were tuned on seeds that no reported figure uses: ``docs/search.md``.
@@ -31,7 +34,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.learn.search.base import SearchState, Vector
-from sim.learn.search.least_squares import correct_slopes, damped_steps, survival, survival_weights
+from sim.learn.search.least_squares import (
+    correct_slopes,
+    damped_steps,
+    lost_at,
+    survival,
+    survival_weights,
+)
 from sim.learn.search.packed import pack, unpack
 from sim.learn.search.unit_box import UnitBox, reflected
 
@@ -59,6 +68,8 @@ FAIR_M2 = 1.0 / 22
 WINDOW = 80
 LEAST_GAIN = 0.01
 """A descent ends when so many steps took less than this share off what is left to gain."""
+OVERTAKING_WINDOW, OVERTAKING_WINDOWS = 30, 4.0
+"""And when, at the pace of so many steps, so many times as many would not bring it up to the best."""
 
 
 class _Phase(StrEnum):
@@ -76,6 +87,16 @@ class _Outcome:
     point: Vector
     value: float
     misses: Vector
+
+
+def stopped(outcome: _Outcome, to_beat: float) -> _Outcome:
+    """Return an outcome as it is when its episode is stopped as soon as it is lost."""
+    known, total = lost_at(outcome.misses, to_beat)
+    if known == outcome.misses.shape[1]:
+        return outcome
+    misses = outcome.misses.copy()
+    misses[:, known:] = 0.0
+    return _Outcome(outcome.point, total, misses)
 
 
 @dataclass
@@ -99,9 +120,25 @@ class _Descent:
         parameter = int(np.argmax(np.abs(moved)))
         self.slopes[parameter] = (probe.misses - self.at.misses).ravel() / moved[parameter]
 
+    @property
+    def to_beat(self) -> float:
+        """What a step's return must exceed, at each checkpoint; minus infinity where none is ever lost."""
+        episodes, _, _ = self.at.misses.shape
+        return -math.inf if self.survives or episodes > 1 else self.at.value
+
     def learn(self, step: _Outcome) -> None:
-        """Correct all slopes by what came of a step."""
-        correct_slopes(self.slopes, step.point - self.at.point, (step.misses - self.at.misses).ravel())
+        """Correct the slopes by what came of a step, as far as it got."""
+        known, _ = lost_at(step.misses, self.to_beat)
+        change = (step.misses - self.at.misses)[:, :known].ravel()
+        correct_slopes(self.slopes, step.point - self.at.point, change)
+
+    def overtakes(self, best: float) -> bool:
+        """Return whether a climb of the return is above ``best``, or will be there in time."""
+        gap = best - self.at.value
+        if self.survives or gap <= 0.0 or len(self.scores) <= OVERTAKING_WINDOW + 1:
+            return True
+        gain = self.scores[-1] - self.scores[-1 - OVERTAKING_WINDOW]
+        return gain * OVERTAKING_WINDOWS >= gap
 
     def targets(self) -> Vector:
         """Return where the steps of a batch lead, (n, D)."""
@@ -183,8 +220,14 @@ class GaussNewton:
 
     @property
     def to_beat(self) -> Vector:
-        """(n,) minus infinity: every episode is wanted whole, its last misses teach, too."""
-        return np.full(self._asked, -math.inf)
+        """(n,) what steps must exceed; minus infinity for what is wanted whole, to measure or compare."""
+        first = len(self._told)
+        return np.array([self._to_beat(number) for number in range(first, first + self._asked)])
+
+    def _to_beat(self, number: int) -> float:
+        """Return what a candidate of the batch must exceed."""
+        is_step = self._phase is _Phase.STEPS and number < len(BOLDNESS)
+        return self._descent.to_beat if self._descent is not None and is_step else -math.inf
 
     def ask(self, count: int = 1) -> Vector:
         """Return the next candidates (n, P), 1 <= n <= count, at most what is left of the batch."""
@@ -206,11 +249,12 @@ class GaussNewton:
         if any(map(math.isnan, numbers)):
             raise ValueError("a return is not a number")
         for value, row in zip(numbers, np.array(misses), strict=True):
-            outcome = _Outcome(self._batch[len(self._told)], value, row)
+            number = len(self._told)
+            outcome = stopped(_Outcome(self._batch[number], value, row), self._to_beat(number))
             self._told.append(outcome)
             self.evaluations += 1
-            if self.value is None or value > self.value:
-                self.value, self._best = value, outcome.point
+            if self.value is None or outcome.value > self.value:
+                self.value, self._best = outcome.value, outcome.point
         told, self._asked = self._asked, 0
         if len(self._told) == len(self._batch):
             outcomes, self._told = self._told, []
@@ -232,7 +276,8 @@ class GaussNewton:
         else:
             *steps, probe = outcomes
             self._descent.measure(probe)
-            goes_on = self._descent.take(steps)
+            assert self.value is not None
+            goes_on = self._descent.take(steps) and self._descent.overtakes(self.value)
         if goes_on:
             self._phase = _Phase.STEPS
             parameters = self._generator.integers(0, self._box.size, 1)

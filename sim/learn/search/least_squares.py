@@ -15,7 +15,7 @@ from rover_ncp.circuit.solver import exp2
 from rover_ncp.circuit.vectors import WIDTH, load, store, total
 from rover_ncp.jit import kernel
 
-__all__ = ["correct_slopes", "damped_steps", "survival", "survival_weights"]
+__all__ = ["correct_slopes", "damped_steps", "lost_at", "survival", "survival_weights"]
 
 FloatArray = NDArray[np.float64]
 
@@ -150,6 +150,20 @@ def correct_slopes(slopes: FloatArray, step: FloatArray, change: FloatArray) -> 
         factor = step[d] / length
         for i in range(len(change)):
             slopes[d, i] += factor * unexplained[i]
+
+
+@kernel
+def lost_at(misses: FloatArray, to_beat: float) -> tuple[int, float]:
+    """Return how many checkpoints it takes until the return of ``misses`` (1, C, 3) is below ``to_beat``, and
+    what it is there; C, and minus infinity, if it never is."""
+    total = 0.0
+    if to_beat > -np.inf:
+        for checkpoint in range(misses.shape[1]):
+            dx, dy, dtheta = misses[0, checkpoint, 0], misses[0, checkpoint, 1], misses[0, checkpoint, 2]
+            total -= dx * dx + dy * dy + dtheta * dtheta
+            if total < to_beat:
+                return checkpoint + 1, total
+    return misses.shape[1], -np.inf
 
 
 @kernel

@@ -13,6 +13,7 @@ __all__ = [
     "Connected",
     "Event",
     "Failed",
+    "GyroHeard",
     "Lost",
     "Recovered",
     "StateReceived",
@@ -44,6 +45,13 @@ class StateReceived:
 
 
 @dataclass(frozen=True)
+class GyroHeard:
+    """The base's gyro: its mean rate of turn since the last, rad/s, with an offset of its own."""
+
+    rate: float
+
+
+@dataclass(frozen=True)
 class Lost:
     """A ready base is no longer; set-points are zero and the motors must be asked for anew."""
 
@@ -69,4 +77,6 @@ class BaudChanged:
     baudrate: int
 
 
-Event: TypeAlias = Connected | Configured | StateReceived | Lost | Recovered | Failed | BaudChanged
+Event: TypeAlias = (
+    Connected | Configured | StateReceived | GyroHeard | Lost | Recovered | Failed | BaudChanged
+)

@@ -15,7 +15,17 @@ from collections.abc import Callable, Iterator
 
 from bridge import ros
 from bridge.clearance import Clearance, Room
-from bridge.events import BaudChanged, Configured, Connected, Event, Failed, Lost, Recovered, StateReceived
+from bridge.events import (
+    BaudChanged,
+    Configured,
+    Connected,
+    Event,
+    Failed,
+    GyroHeard,
+    Lost,
+    Recovered,
+    StateReceived,
+)
 from bridge.gate import step
 from bridge.gate_state import BaseLost, Command, Heard, Reason, State, Tick, Verdict
 from bridge.gate_state import Event as GateEvent
@@ -158,6 +168,8 @@ class Node:
                     assert self._clearance is not None  # a base is configured before it reports
                     self._judge(_heard(state, self._clearance.update(state.sonar, arrived_s)), arrived_s)
                     self._publish_sip(state, arrived_s)
+                case GyroHeard(rate):
+                    self._link.publish("imu", ros.turn(rate, self._wall_ns(arrived_s)))
                 case Connected(name, robot_class, subtype):
                     self._hardware = f"{robot_class} {subtype} {name}"
                 case Configured(_, robot):

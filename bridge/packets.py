@@ -1,4 +1,4 @@
-"""What a base sends: SIP, CONFIGpac, ENCODERpac, IOpac, SIMSTAT, both ways, in the base's own units.
+"""What a base sends: SIP, CONFIGpac, ENCODERpac, GYROpac, IOpac, SIMSTAT, both ways, in the base's own units.
 
 Each packet is a dataclass whose fields stand in the order of the wire, each with its wire format: one table
 serves decoding and encoding. Firmware versions end their packets at different fields: a field that did not
@@ -6,9 +6,11 @@ arrive keeps its default, and encoding ends at the first None.
 
 Formats: B, b, H, h, I, i as in ``struct`` (little-endian), S a string that a NUL ends.
 Sources: ARIA's ArRobot::processMotorPacket, ArRobotConfigPacketReader, AMRISim's EmulatePioneer (order of
-fields; facts only), Adept Pioneer 3 manual p. 43 (FLAGS), p. 46 (ENCODERpac), p. 50 (IOpac).
+fields; facts only), Adept Pioneer 3 manual p. 43 (FLAGS), p. 46 (ENCODERpac), p. 50 (IOpac); ARIA's
+ArAnalogGyro (GYROpac).
 """
 
+import math
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
@@ -18,11 +20,13 @@ from typing import Any, ClassVar, Self, TypeVar
 from bridge.arcos import Packet
 
 __all__ = [
+    "GYRO_RAD_S",
     "NO_ECHO_MM",
     "SIP_KINDS",
     "ConfigPac",
     "EncoderPac",
     "Flag",
+    "GyroPac",
     "IoPac",
     "Kind",
     "SimStat",
@@ -43,6 +47,7 @@ class Kind(IntEnum):
     SIP_MOVING = 0x33
     SIMSTAT = 0x62
     ENCODER = 0x90
+    GYRO = 0x98
     IO = 0xF0
     RESET_FE = 0xFE
     RESET_FF = 0xFF
@@ -306,6 +311,38 @@ class SimStat(_WirePacket):
     odometry_error_x: int = _wire("i", 0)
     odometry_error_y: int = _wire("i", 0)
     odometry_error_theta: int = _wire("i", 0)
+
+
+GYRO_REST = 512
+"""About what a gyro at rest reads, of 0..1023."""
+GYRO_RAD_S = math.radians(5 / 1023 * 300 / 2.5 * 1.626)
+"""Rate of turn per unit: 5 V over 1023 units, 300 deg/s at 2.5 V, and the GyroScaler of all Pioneers."""
+
+
+@dataclass(frozen=True)
+class GyroPac:
+    """A gyro's readings since the last cycle, each with its temperature. Below rest is to the left."""
+
+    readings: tuple[tuple[int, int], ...] = ()
+
+    @classmethod
+    def decode(cls, payload: bytes) -> "GyroPac":
+        """Read as many of the readings it promises as it holds."""
+        count = min(payload[0], (len(payload) - 1) // 3) if payload else 0
+        return cls(tuple(struct.iter_unpack("<HB", payload[1 : 1 + 3 * count])))
+
+    def encode(self) -> Packet:
+        """Return the packet."""
+        payload = b"".join(struct.pack("<HB", *reading) for reading in self.readings)
+        return Packet(Kind.GYRO, bytes([len(self.readings)]) + payload)
+
+    @property
+    def rate(self) -> float | None:
+        """The mean rate of turn in rad/s, counter-clockwise, off by its reading at rest; None of nothing."""
+        if not self.readings:
+            return None
+        mean = sum(reading for reading, _ in self.readings) / len(self.readings)
+        return (GYRO_REST - mean) * GYRO_RAD_S
 
 
 @dataclass(frozen=True)

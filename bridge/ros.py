@@ -10,19 +10,23 @@ from collections.abc import Mapping
 from bridge.arcos import Decoder
 from bridge.gate_state import Reason, State
 from bridge.odometry import BaseState
-from bridge.packets import NO_ECHO_MM
+from bridge.packets import GYRO_RAD_S, NO_ECHO_MM
 from bridge.robots import RobotParameters
 from rover_ncp.core import messages
 from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.imu import imu
 from rover_ncp.core.lease import GateStatus
 from rover_ncp.core.messages import BASE_FRAME, ODOM_FRAME, Diagnostic, Transform
 
-__all__ = ["diagnostics", "each_sip", "each_so_often", "gate_status", "sensor_frames", "velocity"]
+__all__ = ["diagnostics", "each_sip", "each_so_often", "gate_status", "sensor_frames", "turn", "velocity"]
 
 # What a single reading may be off by from its rounding (uniform: step² / 12), not what odometry drifts by:
 # positions in whole mm, headings in 1/4096 turn, wheel speeds in whole mm/s, turn rates in 0.1 deg/s.
 _POSE_VARIANCE = (0.001**2 / 12, 0.001**2 / 12, (math.tau / 4096) ** 2 / 12)
 _VELOCITY_VARIANCE = (0.001**2 / 12, math.radians(0.1) ** 2 / 12)
+
+_GYRO_VARIANCE = (GYRO_RAD_S / 4) ** 2 / 12
+"""Of the mean of four readings, from their rounding."""
 
 _CHARGING = {0: False, 1: True, 2: True, 3: True}
 """CHARGESTATE: not charging, bulk, overcharge, float; anything else is not known."""
@@ -77,6 +81,11 @@ def sensor_frames(robot: RobotParameters) -> list[Transform]:
 def velocity(command: Velocity, stamp_ns: int) -> bytes:
     """Return the command that was let through."""
     return messages.twist_stamped(command, stamp_ns)
+
+
+def turn(rate: float, stamp_ns: int) -> bytes:
+    """Return what the base's gyro says: rad/s, counter-clockwise."""
+    return imu(rate, _GYRO_VARIANCE, stamp_ns)
 
 
 def gate_status(state: State) -> GateStatus:

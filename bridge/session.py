@@ -14,11 +14,21 @@ Sources: AROS manual p. 43 (motors, watchdog); ``states.py`` for the handshake.
 
 from bridge.arcos import Command, Decoder, Packet, encode_command
 from bridge.baud import Rates
-from bridge.events import BaudChanged, Configured, Connected, Event, Failed, Lost, Recovered, StateReceived
+from bridge.events import (
+    BaudChanged,
+    Configured,
+    Connected,
+    Event,
+    Failed,
+    GyroHeard,
+    Lost,
+    Recovered,
+    StateReceived,
+)
 from bridge.helm import Helm
 from bridge.motion import MotionLimits
 from bridge.odometry import BaseState, Odometer
-from bridge.packets import SIP_KINDS, ConfigPac, Kind, Sip, decode_names
+from bridge.packets import SIP_KINDS, ConfigPac, GyroPac, Kind, Sip, decode_names
 from bridge.robots import ROBOTS, RobotParameters, parameters_for
 from bridge.states import LOSS_S, PATIENCE_S, TABLE, Input, State
 from rover_ncp.core.errors import UsageError
@@ -40,6 +50,9 @@ __all__ = [
 
 CONFIG_S, OPEN_S = 1.0, 2.0
 """How long to wait for a CONFIGpac, which is optional, and for the first SIP, which is not."""
+
+GYRO_CLIENT_SIDE = 1
+"""HASGYRO of a base that sends readings when asked; with 2 its headings have the gyro in them already."""
 
 POLITE_TRIES, SILENT_TRIES, TOTAL_TRIES = 1, 6, 40
 """Silent handshakes before CLOSE goes first; before giving up; handshakes at all, heard or not."""
@@ -191,7 +204,13 @@ class Session:
             return Input.STRANGER if self._robot() is None else Input.NAMES
         if packet.kind == Kind.CONFIG:
             self._config = ConfigPac.decode(packet.payload)
+        if packet.kind == Kind.GYRO and self.state is State.READY:
+            self._hear_gyro(GyroPac.decode(packet.payload).rate)
         return _PACKET_INPUTS.get(packet.kind)
+
+    def _hear_gyro(self, rate: float | None) -> None:
+        if rate is not None:
+            self._events.append(GyroHeard(rate))
 
     def _robot(self) -> RobotParameters | None:
         return parameters_for(self._names[2] if self._model == "auto" else self._model)
@@ -312,6 +331,8 @@ class Session:
     def _do_be_ready(self) -> None:
         self._events.append(Configured(self._config, self._odometer.robot))
         self._helm.take(self._now)
+        if self._config is not None and self._config.has_gyro == GYRO_CLIENT_SIDE:
+            self._send(Command.GYRO, 1)
 
     def _do_publish(self) -> None:
         self._base = self._odometer.update(self._sip, self._now)

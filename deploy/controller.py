@@ -80,6 +80,10 @@ class Controller:
         """Take in odometry, in its own frame, measured at time ``t``."""
         return self.estimator.odometry(pose, velocity, t)
 
+    def gyro(self, rate: float, t: float) -> None:
+        """Take in the rate of turn (rad/s) that the base's gyro measured until time ``t``."""
+        self.estimator.gyro(rate, t)
+
     def external(self, pose: Pose, covariance: NDArray[np.float64], t: float) -> Outcome:
         """Take in an external pose (course frame) with its covariance (3, 3), measured at time ``t``."""
         return self.estimator.external(pose, covariance, t)

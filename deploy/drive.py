@@ -19,7 +19,7 @@ from deploy.config import DriveConfig
 from deploy.controller import ORIGIN, Controller
 from deploy.estimator import Outcome
 from deploy.guard import Guard, Interrupted
-from deploy.intake import Intake, PoseIntake, Sample, SeenPose, StillWatch, middle
+from deploy.intake import GyroIntake, Intake, PoseIntake, Sample, SeenPose, StillWatch, middle
 from deploy.link import Link
 from deploy.reporter import Reporter
 from deploy.response import ResponseWatch
@@ -32,12 +32,14 @@ from rover_ncp.core.lease import DriverStatus
 
 __all__ = ["Drive"]
 
-TICK_NS = round(TICK_S * NS)
 POLL_S = 0.02
 
 
 class Drive:
-    """One drive over an open link. ``run`` returns when it is over; how it went stands in the attributes."""
+    """One drive over an open link. ``run`` returns when it is over; how it went stands in the attributes.
+
+    ``period_s`` is how long a tick lasts by the clock; a benchmark lets the course's time run faster.
+    """
 
     def __init__(
         self,
@@ -48,7 +50,9 @@ class Drive:
         interrupted: Callable[[], bool],
         *,
         clock: Clock = time,
+        period_s: float = TICK_S,
     ) -> None:
+        self._period_ns = round(period_s * NS)
         self._link, self._controller, self._reporter = link, controller, reporter
         self._config, self._clock = config, clock
         self._pending: list[SampleRef] = []
@@ -56,9 +60,10 @@ class Drive:
         self.intake = Intake(link.odometry)
         self._guard = Guard(link, self.intake, config, interrupted, clock)
         self.poses = PoseIntake(link.poses)
+        self._gyro = GyroIntake(link.gyro)
         self._standing_poses: list[SeenPose] = []
         self._placed = False
-        self.keeper = RateKeeper(TICK_NS, 0)
+        self.keeper = RateKeeper(self._period_ns, 0)
         self.state = State.WAITING
         self.reason = ""
         self.stop: SafetyStop | None = None
@@ -157,7 +162,7 @@ class Drive:
         while first is None:
             first = self._take(POLL_S)
             self._check()
-        self.keeper = keeper = RateKeeper(TICK_NS, first.ref.measured_ns)
+        self.keeper = keeper = RateKeeper(self._period_ns, first.ref.measured_ns)
         newest = first
         while True:
             now_ns = self._clock.monotonic_ns()
@@ -210,6 +215,9 @@ class Drive:
     def _take(self, timeout_s: float) -> Sample | None:
         """Take odometry, if it comes in time, into the estimator."""
         sample = self.intake.take(min(max(timeout_s, 0.0), POLL_S))
+        for turn in self._gyro.take():  # comes before the odometry of its cycle
+            self._controller.gyro(turn.rate, seconds(turn.ref.measured_ns, self._start))
+            self._pending.append(turn.ref)
         if sample is not None:
             self._controller.odometry(
                 sample.pose, sample.velocity, seconds(sample.ref.measured_ns, self._start)

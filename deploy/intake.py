@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +13,10 @@ from deploy.link import Inbox, Mailbox
 from deploy.ticks import SampleRef
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
+from rover_ncp.core.imu import read_imu
 from rover_ncp.core.messages import COURSE_FRAME, read_odometry, read_pose
 
-__all__ = ["Intake", "PoseIntake", "Sample", "SeenPose", "StillWatch", "middle"]
+__all__ = ["GyroIntake", "Intake", "PoseIntake", "Sample", "SeenPose", "StillWatch", "Turn", "middle"]
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,32 @@ class PoseIntake:
             ref = SampleRef.of(sample.stamp_ns, arrival.data, measured_ns, "pose")
             taken.append(SeenPose(sample.pose, sample.covariance, ref))
         self.count += len(taken)
+        return taken
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What the base's gyro said: its rate of turn in rad/s, whatever that may be."""
+
+    rate: float
+    ref: SampleRef
+
+
+class GyroIntake:
+    """Takes a gyro's readings out of an inbox; what cannot be read is as if it had not come."""
+
+    def __init__(self, inbox: Inbox) -> None:
+        self._inbox = inbox
+        self._stamps = StampClock()
+
+    def take(self) -> list[Turn]:
+        """Return what came since the last time; never waits."""
+        taken = []
+        for arrival in self._inbox.take():
+            with suppress(FormatError):
+                stamp_ns, rate = read_imu(arrival.data)
+                measured_ns = self._stamps.measured_ns(stamp_ns, arrival.arrival_ns)
+                taken.append(Turn(rate, SampleRef.of(stamp_ns, arrival.data, measured_ns, "imu")))
         return taken
 
 

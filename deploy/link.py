@@ -110,6 +110,7 @@ class Link:
         self.driver = secrets.token_bytes(16)
         """Who we are to the gate; new in each process."""
         self.odometry = Mailbox()
+        self.gyro = Inbox()
         self.poses = Inbox()
         """External localisation, in the course's frame."""
         self.bridge_alive = False
@@ -144,6 +145,7 @@ class Link:
         ]
         self._subscribers += [
             self._session.declare_subscriber(self._key("odom"), _into(self.odometry)),
+            self._session.declare_subscriber(self._key("imu"), _into(self.gyro)),
             self._session.declare_subscriber(self._key("pose"), _into(self.poses)),
             self._session.declare_subscriber(self._key("rover/gate"), self._gate_spoke),
         ]

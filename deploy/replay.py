@@ -22,6 +22,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.geometry import Pose
+from rover_ncp.core.imu import read_imu
 from rover_ncp.core.lease import parse_json
 from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read_text, read_twist
 from rover_ncp.core.recording import Recording, read_recording
@@ -31,7 +32,7 @@ __all__ = ["Comparison", "Difference", "replay"]
 ESTIMATE = ("estimate x", "estimate y", "estimate theta", "estimate v", "estimate omega")
 COMMAND = ("command v", "command omega")
 ABSENT = "absent"
-INPUTS = {"odom": "odometry", "pose": "external pose"}
+INPUTS = {"odom": "odometry", "imu": "gyro reading", "pose": "external pose"}
 """What a tick is made from, by topic."""
 
 
@@ -125,6 +126,8 @@ def _take_in(controller: Controller, ref: SampleRef, data: bytes, start: SampleR
     if ref.topic == "pose":
         seen = read_pose(data)
         controller.external(seen.pose, seen.covariance, t)
+    elif ref.topic == "imu":
+        controller.gyro(read_imu(data).rate, t)
     else:
         sample = read_odometry(data)
         controller.odometry(sample.pose, sample.velocity, t)

@@ -12,6 +12,7 @@ from bridge.packets import (
     SIP_KINDS,
     ConfigPac,
     EncoderPac,
+    GyroPac,
     IoPac,
     Kind,
     SimStat,
@@ -123,6 +124,15 @@ def test_a_configuration_cut_off_anywhere_reads_with_defaults(length: int) -> No
     config = ConfigPac.decode(whole.encode().payload[:length])
     assert config.watchdog in (0, 2000)
     assert whole.robot_type.startswith(config.robot_type)
+
+
+@given(st.lists(st.tuples(st.integers(0, 1023), st.integers(0, 255)), max_size=8), st.integers(0, 30))
+def test_a_gyropac_comes_back_and_cut_off_it_holds_its_whole_readings(readings, cut):
+    packet = GyroPac(tuple(readings)).encode()
+    assert GyroPac.decode(packet.payload) == GyroPac(tuple(readings))
+    rest = packet.payload[: max(len(packet.payload) - cut, 0)]
+    assert GyroPac.decode(rest).readings == tuple(readings)[: max(len(rest) - 1, 0) // 3]
+    assert (GyroPac(tuple(readings)).rate is None) == (not readings)
 
 
 @given(st.binary(max_size=249), st.sampled_from(SIP_KINDS))

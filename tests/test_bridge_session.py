@@ -1,14 +1,16 @@
 """The rules at the top of session.py and helm.py, and what a robot may do instead of answering."""
 
+import math
+
 import pytest
-from arcos_bench import BYTES, CONFIG, ECHO0, ECHO1, NAMES, STRANGER, Bench, Sent, sip
+from arcos_bench import BYTES, CONFIG, ECHO0, ECHO1, NAMES, STRANGER, Bench, Sent, frame, sip
 from arcos_captures import CAPTURES, Capture
 from hypothesis import given
 from hypothesis import strategies as st
 
 from bridge.arcos import Command, encode_frame
-from bridge.events import Configured, Connected, Failed, Lost, Recovered, StateReceived
-from bridge.packets import Flag, Kind
+from bridge.events import Configured, Connected, Failed, GyroHeard, Lost, Recovered, StateReceived
+from bridge.packets import ConfigPac, Flag, GyroPac, Kind
 from bridge.session import MotionLimits, Session, State
 from bridge.states import PATIENCE_S
 from rover_ncp.core.errors import UsageError
@@ -104,6 +106,23 @@ def test_open_is_repeated_until_sips_come_and_then_all_starts_over() -> None:
         opened += bench.commands().count(Command.OPEN)
     assert opened >= 5
     assert bench.session.state is State.LISTENING
+
+
+def test_a_base_with_a_gyro_for_its_client_is_asked_to_send_it() -> None:
+    readings = frame(GyroPac(((502, 30), (500, 30), (501, 30), (501, 30))).encode())
+    for has_gyro, asked in ((0, []), (1, [(Command.GYRO, 1)]), (2, [])):
+        bench = Bench()
+        bench.go_to(State.CONFIGURING)
+        bench.hear(frame(ConfigPac(has_gyro=has_gyro).encode()) + readings + sip())
+        assert bench.session.state is State.READY
+        assert [sent for sent in bench.sent() if sent[0] is Command.GYRO] == asked
+    bench.events.clear()
+    bench.hear(readings + frame(GyroPac().encode()) + sip())
+    turned, state = bench.events  # nothing before it was ready, nothing of no readings
+    assert isinstance(turned, GyroHeard)
+    # 11 below rest, to the left: 11 of 0.954 deg/s (ARIA's factors).
+    assert turned.rate == pytest.approx(math.radians(11 * 5 / 1023 * 120 * 1.626))
+    assert isinstance(state, StateReceived)
 
 
 def test_the_chosen_model_wins_over_what_the_base_says() -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from rover_ncp.core import messages
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
+from rover_ncp.core.imu import imu, read_imu
 from rover_ncp.core.keys import KEYS, Kind
 
 STAMP = 1_700_000_123_456_789_012
@@ -41,6 +42,7 @@ def samples() -> dict[str, bytes]:
         ),
         "geometry_msgs/msg/TwistStamped": messages.twist_stamped(velocity, STAMP),
         "geometry_msgs/msg/Twist": b"\0\1\0\0" + struct.pack("<6d", 0.16, 0, 0, 0, 0, -0.18),
+        "sensor_msgs/msg/Imu": imu(-0.2, 1e-4, STAMP),
         "std_msgs/msg/String": messages.text("wach"),
         "geometry_msgs/msg/PoseWithCovarianceStamped": messages.pose_with_covariance(
             pose, np.eye(3), STAMP, "course"
@@ -227,3 +229,12 @@ def test_garbage_is_a_message_or_a_format_error(ros_type, data):
 def test_longer_than_a_key_allows_is_refused_unread():
     with pytest.raises(FormatError, match="600 bytes, expected at most 512"):
         messages.read_twist(b"\0" * 600)
+
+
+def test_a_gyros_rate_of_turn_says_nothing_of_anything_else():
+    data = imu(-0.2, 1e-4, STAMP)
+    assert read_imu(data) == (STAMP, -0.2)
+    message = messages.decode("sensor_msgs/msg/Imu", data)
+    assert message.header.frame_id == "base_link"
+    assert message.orientation_covariance[0] == message.linear_acceleration_covariance[0] == -1.0
+    assert message.angular_velocity_covariance[8] == 1e-4

@@ -1,5 +1,6 @@
 """The whole driving process against a bridge that can be made to fail: real Zenoh over loopback TCP."""
 
+import dataclasses
 import functools
 import json
 import math
@@ -17,15 +18,17 @@ from deploy import node
 from deploy.config import DriveConfig
 from deploy.node import Options, run
 from deploy.replay import replay
+from deploy.ticks import TICKS_TOPIC, TickRecord
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import AnotherDriver, NoBridge, NoPose, NoRobot, RoverNcpError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, inverse
+from rover_ncp.core.imu import imu
 from rover_ncp.core.keys import key
 from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
-from rover_ncp.core.messages import odometry, pose_with_covariance, read_pose, read_twist, text
-from rover_ncp.core.recording import RecordingWriter, read_recording
+from rover_ncp.core.messages import odometry, pose_with_covariance, read_pose, read_text, read_twist, text
+from rover_ncp.core.recording import RecordingWriter, read_recording, rewrite
 
 ODOM_AT_START = Pose(3.0, -2.0, 3.1)  # nowhere near the origin, and turning left crosses π
 SIP_S = 0.1
@@ -364,6 +367,27 @@ def test_an_external_pose_places_the_rover_on_the_course(bridge, drive, tmp_path
     assert distance(first, there) < 1e-6
     assert first.theta == pytest.approx(0.3)
     assert replay(tmp_path / "run.mcap").difference is None
+
+
+def test_a_gyros_readings_count_are_recorded_and_recomputed(bridge, drive, tmp_path):
+    def odom(pose, velocity, stamp):
+        bridge.session.put(key("", "imu"), imu(velocity.omega + 0.3, 1e-6, stamp))
+        return odometry(pose, velocity, stamp)
+
+    bridge.odom = odom
+    code, result = drive()
+    assert code == 1
+    assert result["odometry"]["rejected"] == 0
+    recording = read_recording(tmp_path / "run.mcap")
+    records = [parse_json(TickRecord, read_text(m.data)) for m in recording.topic(TICKS_TOPIC)]
+    taken = [ref for record in records for ref in record.samples if ref.topic == "imu"]
+    assert len(taken) > 10
+    assert replay(tmp_path / "run.mcap").difference is None
+
+    silent = tuple(message for message in recording.messages if message.topic != "imu")
+    rewrite(dataclasses.replace(recording, messages=silent), tmp_path / "silent.mcap")
+    difference = replay(tmp_path / "silent.mcap").difference
+    assert difference.quantity.startswith("the gyro reading of stamp")
 
 
 def test_without_anybody_who_says_where_it_stands_the_start_is_the_origin_or_none(

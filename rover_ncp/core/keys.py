@@ -70,6 +70,9 @@ def _asked(name: str, model: str, about: str) -> KeySpec:
 
 KEYS: tuple[KeySpec, ...] = (
     _from_bridge("odom", "nav_msgs/msg/Odometry", 4096, "pose and velocity of the base, each SIP"),
+    _from_bridge(
+        "imu", "sensor_msgs/msg/Imu", 4096, "rate of turn of a base with a gyro of its own, each SIP"
+    ),
     _from_bridge("tf", "tf2_msgs/msg/TFMessage", 4096, "odom → base_link, each SIP"),
     _from_bridge(
         "tf_static", "tf2_msgs/msg/TFMessage", 1 << 16, "where the sensors sit on the base", latched=True

@@ -59,8 +59,11 @@ class Options:
     profile: Path | None = None
 
 
-def run(options: Options, output: Output) -> int:
-    """Drive once, and return the exit code. Raises RoverNcpError for what kept the drive from beginning."""
+def run(options: Options, output: Output, period_s: float = TICK_S) -> int:
+    """Drive once, and return the exit code; ``period_s`` is how long a tick lasts.
+
+    Raises RoverNcpError for what kept the drive from beginning.
+    """
     policy, course = load_policy(options.policy), load_course(options.course)
     rover = load_profile(options.profile) if options.profile else None
     ticks = course.ticks
@@ -87,7 +90,9 @@ def run(options: Options, output: Output) -> int:
         try:
             with Link(options.robot, options.namespace, options.zenoh_config, tape.put) as link:
                 reporter = Reporter(link, tape.put, policy.circuit.neurons)
-                drive = Drive(link, controller, reporter, config, lambda: interrupts.raised)
+                drive = Drive(
+                    link, controller, reporter, config, lambda: interrupts.raised, period_s=period_s
+                )
                 try:
                     drive.wait()
                 except Interrupted as interruption:

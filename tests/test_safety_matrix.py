@@ -31,7 +31,7 @@ def rig(tmp_path_factory):
 def test_the_rover_stands_in_time_and_stays(rig, key):
     measured = measure(rig, row(key), MISHAPS[key].drivers[0])
     record(measured.row, measured.seconds, measured.braking_s, measured.note)
-    if measured.row.fault.startswith("odometry"):
+    if key in {"odometry-jumps", "odometry-nan"}:  # which the gate lets pass
         assert measured.stopped_by == "estimator"
 
 

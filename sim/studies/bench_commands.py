@@ -16,10 +16,14 @@ class What(StrEnum):
 
     TRAIN = "train"
     SEARCH = "search"
+    DEPLOY = "deploy"
 
 
 def bench(
-    what: Annotated[What, typer.Argument(help="train: how fast it is. search: how far it gets.")],
+    what: Annotated[
+        What,
+        typer.Argument(help="train: how fast it is. search: how far it gets. deploy: how soon it answers."),
+    ],
     *,
     iterations: Annotated[
         int | None,
@@ -30,19 +34,32 @@ def bench(
     csv: Annotated[
         Path | None, typer.Option(help="search: write every agent's returns here.", show_default=False)
     ] = None,
+    seconds: Annotated[float, typer.Option(min=2.0, help="deploy: how long each rate is measured.")] = 60.0,
     json: Json = False,
 ) -> None:
-    """Measure the training: how fast it is, or how far each search gets.
+    """Measure the training, how fast it is or how far each search gets, or how soon the driver answers.
 
     train measures episodes and iterations per second, on one core and on all, against the plain environment
     of a single rover, what a substep costs alone and as a lane, and where the time goes. Speeds of one core
     are in CPU time. search trains with every strategy from the same root seed and counts the agents that pass
     a return of -0.1 (it parks), -0.05 and -0.03; with all its iterations that takes minutes.
 
+    deploy measures the time from an odometry sample to its command at 10, 50 and 100 samples a second, beside
+    a bare round trip of the same bytes, the ticks' jitter and the share of a core; what the circuit takes of
+    it, and whether all of it can run 500 times a second.
+
         rover-ncp bench train --json
+        rover-ncp bench deploy --seconds 10
         rover-ncp bench search --seed 1 --csv returns.csv
     """
     output = Output(json)
+    if what is What.DEPLOY:
+        from sim.studies.bench_deploy import bench_deploy
+
+        fields = bench_deploy(seconds, output.say)
+        slow = fields["rates"][0]["above_bare_ms"]["p99"]
+        output.result(fields, f"at 10 Hz the slowest in a hundred take {slow:.2f} ms more than the bare way")
+        return
     if what is What.TRAIN:
         from sim.studies.bench_train import bench_train
 

@@ -198,7 +198,7 @@ def test_a_search_that_is_close_hops_from_its_best_point() -> None:
 def stop_early(misses: np.ndarray, to_beat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return values and misses (n, 1, C, 3) of episodes that end where they are lost."""
     running = -np.cumsum((misses[:, 0] ** 2).sum(axis=2), axis=1)
-    values, misses = running[:, -1].copy(), misses.copy()
+    values, misses = returns(misses), misses.copy()
     for row in np.flatnonzero((running < to_beat[:, None]).any(axis=1)):
         at = int(np.argmax(running[row] < to_beat[row]))
         values[row], misses[row, 0, at + 1 :] = running[row, at], 0.0

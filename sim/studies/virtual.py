@@ -176,7 +176,7 @@ class Air:
 
     def __init__(self, world: World, start: Pose) -> None:
         self._world, self._start = world, start
-        self.odometry, self.poses = _Mailbox(world), Inbox()
+        self.odometry, self.poses, self.gyro = _Mailbox(world), Inbox(), Inbox()
         self.gate = GateStatus()
         self.first_command_ns: int | None = None
         """When the first command was sent."""

@@ -10,13 +10,19 @@ from sim.paper.episodes import IDLE, RESULTS, Queue, Room, run_episodes
 from sim.paper.plants import allocate_plants
 from sim.paper.tasks import Benchmark
 
-__all__ = ["Arena"]
+__all__ = ["Arena", "Seeds", "draw_seeds"]
 
 FloatArray = NDArray[np.float64]
 Seeds = NDArray[np.uint64]
 
 _LANES, _MUJOCO_LANES = 64, 16
 """Physics written out here costs little beside a circuit; MuJoCo's data should stay in a core's caches."""
+
+
+def draw_seeds(root: int, key: tuple[int, ...], count: int) -> Seeds:
+    """Return the seeds (count,) of a stream."""
+    sequence = np.random.SeedSequence(root, spawn_key=key)
+    return sequence.generate_state(count, np.uint64).astype(np.uint64, copy=False)
 
 
 class Arena:

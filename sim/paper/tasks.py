@@ -14,6 +14,7 @@ from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.sensing import Channel, Sensing
+from rover_ncp.circuit.tap_withdrawal import four_dof_circuit, parking_circuit, tap_withdrawal_circuit
 from rover_ncp.core.errors import UsageError
 from sim.paper.plants import CART_POLE, CHEETAH, MOUNTAIN_CAR, PENDULUM
 
@@ -50,10 +51,12 @@ class Task:
     horizon: int
     success: float
     """A run succeeds whose mean return, without bonus, is at least this."""
-    ceiling: float
-    """No return, with bonus, can be above."""
+    enough: float
+    """A search that has confirmed such a return, with bonus, may stop."""
     steps: int
-    """Steps of the environment that a run takes by default."""
+    """Steps of the environment that a run takes by default, at most."""
+    circuit: Callable[[], Circuit]
+    """The untuned tap-withdrawal circuit with the task's motor neurons."""
     policy: Callable[[Circuit], Policy]
     """Puts the task's sensing and motors around a circuit."""
 
@@ -70,6 +73,8 @@ class Benchmark(Task):
     bonus: float = 0.0
     races: bool = False
     """Whether rewards come evenly over an episode, so that a bad one shows early."""
+    starts: int = 3000
+    """Untuned agents that are tried before the search begins."""
 
 
 def two_signals(name: str, inputs: tuple[tuple[str, float], ...], end: float) -> Callable[[Circuit], Policy]:
@@ -142,8 +147,9 @@ def _pendulum(name: str, title: str, roboschool: bool, bonus: float) -> Benchmar
         settings=Settings(25_000, 20, 10),
         horizon=1000,
         success=950.0,
-        ceiling=1000.0 * (1.0 + bonus),
-        steps=3_000_000,
+        enough=999.5 + 190.0 * bonus / 0.2,
+        steps=2_500_000,
+        circuit=tap_withdrawal_circuit,
         policy=two_signals("pendulum", (("angle", 0.12), ("cart", 1.0)), 0.3),
         plant=PENDULUM,
         start=_roboschool_start if roboschool else _pendulum_start,
@@ -152,10 +158,23 @@ def _pendulum(name: str, title: str, roboschool: bool, bonus: float) -> Benchmar
         if roboschool
         else MujocoModel("inverted_pendulum.xml", 2),
         bonus=bonus,
+        starts=1500,
     )
 
 
-_PARKING = Settings(20_000, 1, 1)
+def _parking(name: str, title: str, circuit: Callable[[], Circuit]) -> Task:
+    return Task(
+        name=name,
+        title=title,
+        settings=Settings(20_000, 1, 1),
+        horizon=320,
+        success=-0.1,
+        enough=-0.03,
+        steps=320 * 20_000,
+        circuit=circuit,
+        policy=parking_policy,
+    )
+
 
 _ALL = (
     _pendulum("pendulum", "Inverted pendulum", False, 0.2),
@@ -168,8 +187,9 @@ _ALL = (
         settings=Settings(50_000, 20, 20),
         horizon=999,
         success=90.0,
-        ceiling=100.0,
-        steps=20_000_000,
+        enough=98.0,
+        steps=12_000_000,
+        circuit=tap_withdrawal_circuit,
         policy=two_signals("mountain-car", (("position", 1.0), ("velocity", 0.02)), 1.0),
         plant=MOUNTAIN_CAR,
         start=_car_start,
@@ -181,14 +201,16 @@ _ALL = (
         settings=Settings(20_000, 10, 5),
         horizon=1000,
         success=2000.0,
-        ceiling=np.inf,
-        steps=6_000_000,
+        enough=6000.0,
+        steps=20_000_000,
+        circuit=tap_withdrawal_circuit,
         policy=_cheetah_policy,
         plant=CHEETAH,
         start=_cheetah_start,
         environment="HalfCheetah-v5",
         mujoco=MujocoModel("half_cheetah.xml", 5),
         races=True,
+        starts=100,
     ),
     Benchmark(
         name="cart-pole",
@@ -196,14 +218,16 @@ _ALL = (
         settings=Settings(50_000, 20, 10),
         horizon=500,
         success=475.0,
-        ceiling=500.0,
-        steps=20_000_000,
+        enough=499.0,
+        steps=8_000_000,
+        circuit=tap_withdrawal_circuit,
         policy=two_signals("cart-pole", (("angle", 0.15), ("rate", 1.0)), 1.0),
         plant=CART_POLE,
         start=_cart_pole_start,
         environment="CartPole-v1",
     ),
-    Task("parking", "Parking", _PARKING, 320, -0.1, 0.0, 320 * 20_000, parking_policy),
+    _parking("parking", "Parking", parking_circuit),
+    _parking("four-dof", "Parking, four degrees of freedom", four_dof_circuit),
 )
 TASKS = {task.name: task for task in _ALL}
 

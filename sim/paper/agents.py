@@ -1,0 +1,72 @@
+"""Who is compared on a task: circuits of one wiring or another, and networks of their size.
+
+circuit    the tap-withdrawal circuit, untuned
+random     a random wiring of its size, another one for each seed
+mlp, lstm  networks of eleven cells, with the circuit's inputs and outputs
+ppo, a2c   a network trained by gradients (``gradients.py``)
+
+Any other name is that of a circuit file.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.circuit import Circuit
+from rover_ncp.circuit.lanes import inert_parameters
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.circuit.random_wiring import random_circuit
+from rover_ncp.core.errors import UsageError
+from sim.learn.nets import Net, NetKind, net_for
+from sim.learn.search.base import Vector
+from sim.learn.search.published import shake
+from sim.paper.tasks import Task
+
+__all__ = ["AGENTS", "GRADIENTS", "build_agent", "inert", "untuned"]
+
+GRADIENTS = ("ppo", "a2c")
+AGENTS = ("circuit", "random", "mlp", "lstm", *GRADIENTS)
+_MOST_SHAKES = 6
+
+
+def build_agent(task: Task, agent: str, seed: int, circuit: Path | None = None) -> Policy | Net:
+    """Return an untuned agent; ``circuit`` is the file of one that is not among ``AGENTS``.
+
+    Raises UsageError, FileError, or ConfigError when a circuit lacks a neuron that the task's mapping names.
+    """
+    if circuit is not None:
+        return task.policy(load_circuit(circuit))
+    own = task.circuit()
+    if agent == "circuit":
+        return task.policy(own)
+    if agent == "random":
+        return task.policy(_random_like(own, seed))
+    if agent in (NetKind.MLP, NetKind.LSTM):
+        return net_for(task.policy(own), NetKind(agent))
+    raise UsageError(f"no agent {agent!r} to search for; there are {', '.join(AGENTS)}, or --circuit FILE")
+
+
+def _random_like(own: Circuit, seed: int) -> Circuit:
+    return random_circuit(seed, own.neurons, own.synapse_count)
+
+
+def inert(agent: Policy | Net) -> NDArray[np.bool_] | None:
+    """Return which parameters (P,) have no effect, where that is known."""
+    return inert_parameters(agent) if isinstance(agent, Policy) else None
+
+
+def untuned(agent: Policy | Net, generator: np.random.Generator, count: int) -> Vector:
+    """Draw ``count`` starts (n, P): the first shaken once, the next twice, and so on to six times, again.
+
+    One shake is what the published code starts from. It leaves most circuits without effect on the world.
+    """
+    layout = agent.layout()
+    rows = []
+    for number in range(count):
+        row = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
+        for _ in range(1 + number % _MOST_SHAKES):
+            row = shake(layout, row, generator)
+        rows.append(row)
+    return np.array(rows)

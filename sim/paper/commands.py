@@ -1,0 +1,128 @@
+"""The command ``paper``; heavy libraries load only when it runs."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from rover_ncp.core.console import Output
+from rover_ncp.core.errors import UsageError
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
+
+
+class What(StrEnum):
+    """What can be asked of the paper's experiments."""
+
+    RUN = "run"
+    STATUS = "status"
+    REPLAY = "replay"
+
+
+class Budget(StrEnum):
+    """How much a run may take; listed here so that --help need not import the tasks."""
+
+    QUICK = "quick"
+    DEFAULT = "default"
+    PUBLISHED = "published"
+
+
+def paper(
+    what: Annotated[What, typer.Argument(help="run: make runs. status: which are made. replay: check them.")],
+    *,
+    task: Annotated[
+        list[str] | None, typer.Option(help="Only this task; may be repeated.", show_default="all")
+    ] = None,
+    agent: Annotated[
+        list[str] | None, typer.Option(help="Only this agent; may be repeated.", show_default="all")
+    ] = None,
+    seed: Annotated[
+        list[int] | None, typer.Option(help="Only this seed; may be repeated.", show_default="all")
+    ] = None,
+    circuit: Annotated[
+        Path | None,
+        typer.Option(help="A wiring of your own, YAML or .bnn, as one more agent.", show_default=False),
+    ] = None,
+    budget: Annotated[
+        Budget, typer.Option(help="quick: seconds a run. default: minutes. published: the paper's.")
+    ] = Budget.DEFAULT,
+    runs: Annotated[Path, typer.Option(help="Folder of your runs, before those that are shipped.")] = Path(
+        "runs/paper"
+    ),
+    again: Annotated[bool, typer.Option("--again", help="Make runs anew that are made already.")] = False,
+    processes: Annotated[
+        int | None,
+        typer.Option(min=1, help="Runs at a time; none changes.", show_default="one for each core"),
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Reproduce the paper's experiments: a grid of runs (task, agent, seed), and its tables made of them.
+
+    Each run is one small file with its settings, versions, learning curve and trained parameters. Runs that
+    are made, by you or with this package, are not made again; interrupt it whenever you like.
+
+        rover-ncp paper status
+        rover-ncp paper run --task mountain-car --agent circuit --seed 3 --again
+        rover-ncp paper replay --task mountain-car
+        rover-ncp paper run --task cart-pole --circuit mine.bnn
+    """
+    from sim.learn.workers import available_processes
+    from sim.paper.cell import Shelf
+    from sim.paper.choice import chosen
+    from sim.paper.grid import make_runs, status
+    from sim.paper.train import BudgetName
+
+    output, shelf = Output(json), Shelf(runs)
+    if what is What.STATUS:
+        rows = [
+            {"task": group.task, "agent": group.agent, "made": made, "runs": group.runs}
+            for group, made in status(shelf)
+        ]
+        lines = [f"{row['task']:17} {row['agent']:8} {row['made']} of {row['runs']} runs" for row in rows]
+        output.result({"groups": rows}, "\n".join(lines))
+        return 0
+    names = chosen(task, agent, seed, circuit)
+    if what is What.REPLAY:
+        return _replay(output, shelf, names, circuit)
+    left = [name for name in names if again or shelf.find(name) is None]
+    made: list[dict[str, Any]] = []
+
+    def tell(cell: Any) -> None:
+        made.append({"path": str(cell.name.path(runs)), **_summary(cell)})
+        output.say(
+            f"{cell.name}: {cell.mean:.4g} ± {cell.std:.3g}{'' if cell.success else ', no success'} "
+            f"({cell.cpu_s:.0f} s of a core, ended by {cell.ended})"
+        )
+
+    if left:
+        count = processes or available_processes()
+        make_runs(left, shelf, BudgetName(budget), circuit, processes=count, on_cell=tell)
+    output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
+    return 0
+
+
+def _summary(cell: Any) -> dict[str, Any]:
+    fields = ("mean", "std", "plain_mean", "success", "cpu_s", "steps", "ended", "budget")
+    return {**cell.name.model_dump(), **{field: getattr(cell, field) for field in fields}}
+
+
+def _replay(output: Output, shelf: Any, names: list[Any], circuit: Path | None) -> int:
+    """Run stored parameters again; exit 1 if a single bit of a return differs."""
+    from sim.paper.agents import GRADIENTS
+    from sim.paper.cell import load_cell
+    from sim.paper.train import replay
+
+    differ, count = [], 0
+    for name in names:
+        path = shelf.find(name)
+        if path is None or name.agent in GRADIENTS:
+            continue
+        cell, count = load_cell(path), count + 1
+        found = replay(cell, circuit)
+        if any(getattr(cell, field) != value for field, value in found.items()):
+            differ.append({**name.model_dump(), "stored": cell.mean, "replayed": found["mean"]})
+    if not count:
+        raise UsageError("there are no such runs to replay; rover-ncp paper status says which are made")
+    output.result({"replayed": count, "differ": differ}, f"{count} runs replayed, {len(differ)} differ")
+    return 1 if differ else 0

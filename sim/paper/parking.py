@@ -1,0 +1,84 @@
+"""The parking tasks: the project's own engine, and its default search, which learns from every miss.
+
+All agents of these rows are searched alike. The published search gets there, too, but takes some ten times
+as long (``rover-ncp bench search``).
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.course import load_course
+from sim.learn.engine import Engine
+from sim.learn.net_engine import NetEngine
+from sim.learn.nets import Net
+from sim.learn.search.base import Vector
+from sim.learn.search.strategies import start_search
+from sim.paper.agents import inert
+from sim.paper.search import Budget, Found
+from sim.paper.tasks import Task
+
+__all__ = ["ParkingArena", "ParkingOutcome", "search_parking"]
+
+_SEARCH = "gauss-newton"
+
+
+class ParkingOutcome(NamedTuple):
+    """How the one drive ends, which has no chance in it."""
+
+    total: float
+    parked: bool
+
+
+class ParkingArena:
+    """Scores parameter vectors of one agent by the course. One thread at a time."""
+
+    def __init__(self, task: Task, agent: Policy | Net) -> None:
+        course = load_course("parking")
+        self.task, self.steps = task, 0
+        self.engine = (
+            Engine(agent, course)
+            if isinstance(agent, Policy)
+            else NetEngine(agent, task.policy(task.circuit()), course)
+        )
+
+    def outcome(self, vector: Vector) -> ParkingOutcome:
+        """Return what parameters (P,) do."""
+        found = self.engine.outcomes(vector)
+        return ParkingOutcome(float(found.total[0, 0]), bool(found.parked[0, 0]))
+
+    def traces(self, vectors: Vector) -> tuple[Vector, Vector]:
+        """Return the returns (k,) and misses of vectors (k, P), counting steps."""
+        self.steps += len(vectors) * self.task.horizon
+        return self.engine.traces(vectors)
+
+
+def search_parking(
+    arena: ParkingArena,
+    agent: Policy | Net,
+    seed: int,
+    budget: Budget,
+    on_progress: Callable[[int, float], None] = lambda steps, value: None,
+) -> Found:
+    """Search an agent's parameters on the parking course. The same arguments give the same bits."""
+    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(0,))))
+    first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
+    search = start_search(_SEARCH, agent.layout(), first, generator, inert(agent))
+    curve: list[tuple[int, float]] = []
+    ended = "evaluations"
+    while search.evaluations < budget.evaluations:
+        if arena.steps >= budget.steps:
+            ended = "steps"
+            break
+        ahead = min(search.most_ahead, budget.evaluations - search.evaluations)
+        search.tell(*arena.traces(search.ask(ahead)))
+        assert search.value is not None
+        if not curve or curve[-1][1] != search.value:
+            curve.append((arena.steps, search.value))
+            on_progress(arena.steps, search.value)
+        if search.value >= arena.task.enough and arena.outcome(search.incumbent).parked:
+            ended = "enough"
+            break
+    return Found(search.incumbent, search.evaluations, tuple(curve), ended)

@@ -1,0 +1,60 @@
+"""Estimates of a return from several rollouts, most candidates of which are out after the first.
+
+The paper takes N rollouts and averages the worst k. Most candidates are far worse than what they must beat,
+which one rollout shows. So rollouts come in heats: who is not ahead after a heat, judged by the same share of
+worst ones, is out, and what is returned for it is what it had. A candidate that stays in all heats gets the
+paper's estimate. A search asks only whether a candidate beats its incumbent, so racing loses it some lucky
+candidates late, and no others.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim.learn.objective import mean_of_worst
+from sim.learn.search.base import Vector
+from sim.paper.arena import Arena, draw_seeds
+
+__all__ = ["Race", "heats"]
+
+Key = tuple[int, ...]
+_HOPELESS = 0.7
+"""Share of what must be beaten that an even run must have earned in proportion, at a quarter and at half."""
+
+
+def heats(rollouts: int) -> tuple[int, ...]:
+    """Return after how many rollouts a candidate is judged: 1, 3, 9 and so on, at last all."""
+    marks = [3**n for n in range(10) if 3**n < rollouts]
+    return (*marks, rollouts)
+
+
+class Race:
+    """Estimates for one agent in one arena, each from seeds of its own."""
+
+    def __init__(self, arena: Arena, root_seed: int, rollouts: int, worst: int) -> None:
+        if not 1 <= worst <= rollouts:
+            raise ValueError(f"the worst {worst} of {rollouts} rollouts cannot be taken")
+        self._arena, self._root_seed = arena, root_seed
+        self._rollouts, self._worst = rollouts, worst
+
+    def estimate(self, vectors: Vector, to_beat: Vector, keys: Sequence[Key]) -> Vector:
+        """Return the estimates (k,) for vectors (k, P), from all rollouts where minus infinity is to beat."""
+        seeds = np.array([draw_seeds(self._root_seed, key, self._rollouts) for key in keys])
+        returns = np.full((len(vectors), self._rollouts), np.nan)
+        estimates = np.full(len(vectors), -np.inf)
+        racing = np.arange(len(vectors))
+        done = 0
+        for mark in heats(self._rollouts):
+            rows = np.repeat(racing, mark - done)
+            hopeless = np.where(to_beat[rows] > 0, _HOPELESS * to_beat[rows], -np.inf)
+            limits = hopeless if self._arena.task.races else -np.inf
+            found = self._arena.run(vectors[rows], seeds[racing, done:mark].ravel(), limits)
+            returns[racing, done:mark] = found[:, :2].sum(axis=1).reshape(len(racing), -1)
+            least = max(round(self._worst * mark / self._rollouts), 1)
+            for row in racing:
+                estimates[row] = mean_of_worst(returns[row, :mark].tolist(), least)
+            racing = racing[(estimates[racing] > to_beat[racing]) | np.isneginf(to_beat[racing])]
+            done = mark
+            if not len(racing):
+                break
+        return estimates

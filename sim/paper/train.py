@@ -1,0 +1,154 @@
+"""One run of the grid, from its name to its file's content."""
+
+import shlex
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import circuit_to_yaml
+from rover_ncp.core.errors import UsageError
+from sim.learn.nets import Net
+from sim.learn.record import made_with
+from sim.learn.search.base import Vector
+from sim.learn.search.packed import pack
+from sim.paper.agents import GRADIENTS, build_agent
+from sim.paper.arena import Arena, draw_seeds
+from sim.paper.cell import Cell, Name
+from sim.paper.parking import ParkingArena, search_parking
+from sim.paper.search import Budget, Found, search_benchmark
+from sim.paper.tasks import Benchmark, Task, find_task
+
+__all__ = ["BudgetName", "budget_for", "replay", "score", "train_cell"]
+
+EPISODES = 100
+_FINAL = 99
+_CURVE_POINTS = 60
+
+
+class BudgetName(StrEnum):
+    """How much a run may take."""
+
+    QUICK = "quick"
+    DEFAULT = "default"
+    PUBLISHED = "published"
+
+
+def budget_for(task: Task, name: BudgetName) -> Budget:
+    """Return a budget: the paper's, one of some core-minutes at most, or one of seconds."""
+    settings = task.settings
+    starts = task.starts if isinstance(task, Benchmark) else 1
+    full = Budget(settings.rollouts, settings.worst, settings.iterations, task.steps, starts, patience=6000)
+    if name is BudgetName.PUBLISHED:
+        return replace(full, steps=10**12, patience=10**9)
+    if name is BudgetName.QUICK:
+        return replace(
+            full,
+            rollouts=min(full.rollouts, 3),
+            worst=min(full.worst, 3),
+            steps=task.steps // (50 if task.horizon == 1000 else 20),
+            starts=min(starts, 300 if task.horizon < 1000 else 30),
+        )
+    return full
+
+
+def train_cell(
+    name: Name,
+    budget: BudgetName = BudgetName.DEFAULT,
+    circuit: Path | None = None,
+    on_progress: Callable[[int, float], None] = lambda steps, value: None,
+) -> Cell:
+    """Make one run. The same name and budget give the same parameters and returns, to the last bit.
+
+    Raises UsageError, FileError or ConfigError for a run that cannot be.
+    """
+    began, worked = time.monotonic(), time.process_time()
+    task, limits = find_task(name.task), budget_for(find_task(name.task), budget)
+    if name.agent in GRADIENTS:
+        raise UsageError(f"{name.agent} is trained by make paper-gradients")
+    agent = build_agent(task, name.agent, name.seed, circuit)
+    arena = _arena(task, agent)
+    if isinstance(arena, Arena):
+        found = search_benchmark(arena, agent, name.seed, limits, on_progress)
+    else:
+        found = search_parking(arena, agent, name.seed, limits, on_progress)
+    steps = arena.steps
+    return Cell(
+        name=name,
+        command=_command(name, budget, circuit),
+        budget=budget,
+        settings=vars(limits),
+        made_with=made_with() | _versions(task),
+        wall_s=time.monotonic() - began,
+        cpu_s=time.process_time() - worked,
+        evaluations=found.evaluations,
+        steps=steps,
+        ended=found.ended,
+        curve=_thinned(found),
+        circuit=circuit_to_yaml(agent.circuit) if circuit and isinstance(agent, Policy) else None,
+        parameters=pack(found.vector),
+        **score(task, agent, found.vector, name.seed),
+    )
+
+
+def score(task: Task, agent: Policy | Net, vector: Vector, seed: int) -> dict[str, Any]:
+    """Return how parameters (P,) do in fresh episodes: the fields ``episodes`` to ``success`` of a run."""
+    arena = _arena(task, agent)
+    if isinstance(arena, ParkingArena):
+        outcome = arena.outcome(vector)
+        return {
+            "episodes": 1,
+            "mean": outcome.total,
+            "std": 0.0,
+            "plain_mean": outcome.total,
+            "success": outcome.parked and outcome.total >= task.success,
+        }
+    seeds = draw_seeds(seed, (_FINAL,), EPISODES)
+    found = arena.run(np.tile(vector, (EPISODES, 1)), seeds)
+    returns = found[:, :2].sum(axis=1)
+    plain = float(found[:, 0].mean())
+    return {
+        "episodes": EPISODES,
+        "mean": float(returns.mean()),
+        "std": float(returns.std()),
+        "plain_mean": plain,
+        "success": plain >= task.success,
+    }
+
+
+def replay(cell: Cell, circuit: Path | None = None) -> dict[str, Any]:
+    """Return what a stored run's parameters do now, as ``score`` does."""
+    task = find_task(cell.name.task)
+    agent = build_agent(task, cell.name.agent, cell.name.seed, circuit)
+    return score(task, agent, cell.vector, cell.name.seed)
+
+
+def _arena(task: Task, agent: Policy | Net) -> "Arena | ParkingArena":
+    return Arena(task, agent) if isinstance(task, Benchmark) else ParkingArena(task, agent)
+
+
+def _command(name: Name, budget: BudgetName, circuit: Path | None) -> str:
+    words = ["rover-ncp", "paper", "run", "--task", name.task, "--agent", name.agent]
+    words += ["--seed", str(name.seed), "--budget", str(budget)]
+    return shlex.join(words + (["--circuit", str(circuit)] if circuit else []))
+
+
+def _versions(task: Task) -> dict[str, str]:
+    from importlib import metadata
+
+    libraries = ("gymnasium", "mujoco") if isinstance(task, Benchmark) and task.mujoco else ()
+    return {library: metadata.version(library) for library in libraries}
+
+
+def _thinned(found: Found) -> tuple[tuple[int, float], ...]:
+    """Return a curve of at most some points, its ends among them."""
+    curve = found.curve
+    if len(curve) <= _CURVE_POINTS:
+        return curve
+    chosen = np.unique(np.linspace(0, len(curve) - 1, _CURVE_POINTS).round().astype(int))
+    return tuple(curve[i] for i in chosen)

@@ -63,7 +63,7 @@ def test_a_circuit_with_a_neuron_for_backward_gets_the_motors_for_it():
         ("parking", ()),
         ("longer", ()),
         ("mirrored", ("y", "theta")),
-        ("reverse", ("theta",)),
+        ("reverse", ("x", "theta")),
     ],
 )
 def test_sensors_reach_to_the_side_where_the_course_goes(name, downward):

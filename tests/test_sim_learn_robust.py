@@ -27,12 +27,12 @@ def engine():
     return Engine(START, COURSE, MODEL, trials)
 
 
-def searching(generations=12, seed=3):
-    return RobustSearch(UnitCube(START), seed=seed, generations=generations, rollouts=8, worst=8)
+def searching(seed=3):
+    return RobustSearch(UnitCube(START), seed=seed, rollouts=32, worst=32)
 
 
 def search(generations, seed=3):
-    going, drive = searching(seed=seed), drive_trials(engine(), FULL, MODEL, seed)
+    going, drive = searching(seed), drive_trials(engine(), FULL, MODEL, seed)
     return [going.advance(drive) for _ in range(generations)]
 
 
@@ -108,8 +108,9 @@ def test_the_search_improves_and_repeats_itself():
     assert after < before
 
 
-def test_the_winner_is_the_average_of_the_means_of_the_last_quarter():
-    drive, going, cube = drive_trials(engine(), FULL, MODEL, 3), searching(8), UnitCube(START)
+def test_the_winner_is_the_average_of_the_last_quarter_of_the_means():
+    drive, going, cube = drive_trials(engine(), FULL, MODEL, 3), searching(), UnitCube(START)
+    assert np.array_equal(going.winner, cube.vector(cube.start))
     means, winners = [], []
     for _ in range(8):
         winners.append(going.advance(drive).winner)
@@ -119,14 +120,42 @@ def test_the_winner_is_the_average_of_the_means_of_the_last_quarter():
     assert winners[7] == pytest.approx(cube.vector(0.5 * (means[6] + means[7])), rel=1e-12)
 
 
+def test_no_more_than_the_last_250_means_count_and_are_kept():
+    going = searching()
+    state = going.state()
+    state["cma"]["generation"] = 5000
+    state["means"] = [[0.01 * number] * len(state["cma"]["mean"]) for number in range(250)]
+    going.restore(state)
+    last = going.advance(lambda vectors, first, count: np.zeros((len(vectors), count)))
+    kept = np.array(going.state()["means"])
+    assert len(kept) == 250
+    assert kept[:249].tolist() == state["means"][1:]
+    assert last.winner == pytest.approx(UnitCube(START).vector(kept.mean(axis=0)), rel=1e-9)
+
+
+@pytest.mark.parametrize(("number", "count"), [(0, 8), (149, 8), (150, 16), (899, 16), (900, 32)])
+def test_early_generations_drive_fewer_trials(number, count):
+    seen, going = [], searching()
+    going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number}})
+
+    def drive(vectors, first, count):
+        seen.append((len(vectors), first, count))
+        return np.zeros((len(vectors), count))
+
+    before = going.episodes
+    going.advance(drive)
+    assert seen == [(31, 32 * number, count)]
+    assert going.episodes - before == 31 * count
+
+
 def test_a_search_goes_on_where_it_was():
-    drive, going, again = drive_trials(engine(), FULL, MODEL, 3), searching(4), searching(4)
+    drive, going, again = drive_trials(engine(), FULL, MODEL, 3), searching(), searching()
     for _ in range(3):
         going.advance(drive)
     again.restore(json.loads(json.dumps(going.state())))
     assert np.array_equal(going.advance(drive).winner, again.advance(drive).winner)
     with pytest.raises(ValueError, match="no state of a search"):
-        going.restore({"cma": going.state()["cma"], "sum": [0.0]})
+        going.restore({"cma": going.state()["cma"], "means": [[0.0]]})
 
 
 def test_the_command_leaves_a_policy_that_says_how_it_was_made(tmp_path, monkeypatch, capsys):

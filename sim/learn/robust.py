@@ -2,14 +2,15 @@
 
 A generation's candidates all drive the same trials (common random numbers), so that what tells them apart is
 not luck; the next generation drives others, so that none is learned by heart. Early generations drive fewer
-trials: far from the goal a rough estimate will do. The winner is the average of the distribution's means over
-the last quarter of the search, which no single lucky trial made.
+trials: far from the goal a rough estimate will do. What a generation does depends on its number, never on how
+many are to come. The winner is the average of the distribution's last means, which no single lucky trial made.
 
 Numbers are searched in the unit cube, at whose walls the search is reflected: conductances of leaks and
 capacitances, which span decades, by their logarithm, all else linearly. Those of neurons that are driven
 decide nothing and stay.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
@@ -49,10 +50,10 @@ _LEAST_SPREAD = 0.01
 """Noise lets a spread shrink before its time; what a wide one scatters, the average takes out."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
-_ROLLOUTS_SHARE = ((0.05, 4), (0.3, 2), (1.0, 1))
-"""Up to this share of the generations, that fraction of the rollouts."""
-_AVERAGED = 0.25
-"""Share of the generations whose means the winner is the average of."""
+_FEWER_ROLLOUTS = ((150, 4), (900, 2))
+"""Before this generation, that fraction of the rollouts."""
+_AVERAGED, _AVERAGED_SHARE = 250, 4
+"""The winner is the average of so many last means, yet of no more than that fraction of all."""
 _COURSES_APART = 10**9
 """Training courses have seeds from here on, evaluations smaller ones: no course is in both."""
 _RANDOM_BETWEEN = 2
@@ -187,13 +188,13 @@ def drive_trials(engine: Engine, ranges: Randomization, model: RoverModel, seed:
 class RobustSearch:
     """A search from the cube's start, generation by generation. The same seed gives the same search."""
 
-    def __init__(self, cube: Cube, *, seed: int, generations: int, rollouts: int, worst: int) -> None:
+    def __init__(self, cube: Cube, *, seed: int, rollouts: int, worst: int) -> None:
         self._cube = cube
-        self._generations, self._rollouts, self._worst = generations, rollouts, worst
+        self._rollouts, self._worst = rollouts, worst
         start = cube.start
         self.population = round(_POPULATION * default_population(len(start)))
         self._cma = Cma(start, _FIRST_SPREAD, seed=seed, population=self.population, least=_LEAST_SPREAD)
-        self._sum = np.zeros(len(start))
+        self._means: list[list[float]] = []
 
     @property
     def number(self) -> int:
@@ -208,8 +209,7 @@ class RobustSearch:
         least = max(self._worst // fraction, 1)
         values = np.array([-mean_of_worst((-row).tolist(), least) for row in found])
         self._cma.tell(values)
-        if self.number > self._averaged_from:
-            self._sum += self._cma.mean
+        self._means = [*self._means, self._cma.mean.tolist()][-_AVERAGED:]
         return Generation(self.number, self.winner, self._cma.spread, float(values.min()))
 
     @property
@@ -219,26 +219,25 @@ class RobustSearch:
         return self.population * sum(rollouts)
 
     def _fraction(self, number: int) -> int:
-        return next(part for share, part in _ROLLOUTS_SHARE if number < share * self._generations)
+        return next((part for before, part in _FEWER_ROLLOUTS if number < before), 1)
 
     @property
     def winner(self) -> FloatArray:
         """The vector (P,) that the search would end with now."""
-        averaged = self.number - self._averaged_from
-        return self._cube.vector(self._sum / averaged if averaged > 0 else self._cma.mean)
-
-    @property
-    def _averaged_from(self) -> int:
-        return round((1.0 - _AVERAGED) * self._generations)
+        count = max(min(len(self._means), self.number // _AVERAGED_SHARE), 1)
+        last = self._means[-count:] or [self._cma.mean.tolist()]
+        return self._cube.vector(
+            np.array([math.fsum(column) / len(last) for column in zip(*last, strict=True)])
+        )
 
     def state(self) -> dict[str, Any]:
         """Return, between two generations, all that follows depends on, as JSON can keep it."""
-        return {"cma": self._cma.state(), "sum": self._sum.tolist()}
+        return {"cma": self._cma.state(), "means": self._means}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a ``state()``. Raises ValueError, KeyError or TypeError if it is not one of ours."""
-        total = np.array(state["sum"], np.float64)
-        if total.shape != self._sum.shape:
-            raise ValueError(f"no state of a search in {len(self._sum)} dimensions")
+        means = [[float(part) for part in mean] for mean in state["means"]]
+        if any(len(mean) != len(self._cma.mean) for mean in means):
+            raise ValueError(f"no state of a search in {len(self._cma.mean)} dimensions")
         self._cma.restore(state["cma"])
-        self._sum = total
+        self._means = means

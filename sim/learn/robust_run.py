@@ -106,7 +106,6 @@ class _Run:
         self.search = RobustSearch(
             UnitCube(start),
             seed=self._settings.seed,
-            generations=self._settings.iterations,
             rollouts=self._settings.rollouts,
             worst=self._settings.worst,
         )
@@ -151,9 +150,7 @@ class _Run:
         policy = replace(
             self._start.with_parameters(last.winner),
             courses=(self._record.course["name"], *(["random"] if self._settings.random_courses else [])),
-            provenance=self._record.provenance(
-                self._settings.iterations, generation=last.number, cost=last.best
-            ),
+            provenance=self._record.provenance(last.number, cost=last.best),
         )
         save_policy(self.policy_path, policy)
         rows = [f"{number},{best!r},{spread!r}" for number, (best, spread) in enumerate(self._curve, 1)]

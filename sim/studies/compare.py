@@ -111,7 +111,7 @@ def compare(name: str, *, seed: int, generations: int, rollouts: int) -> dict[st
     drive = drive_trials(
         agent.engine(courses, trials=nothing_yet, references=references), ranges, model, seed
     )
-    search = RobustSearch(agent.cube, seed=seed, generations=generations, rollouts=rollouts, worst=rollouts)
+    search = RobustSearch(agent.cube, seed=seed, rollouts=rollouts, worst=rollouts)
     while search.number < generations:
         last = search.advance(drive)
 

@@ -190,7 +190,6 @@ def tune(
     search = RobustSearch(
         GainCube(LAWS[law]),
         seed=seed,
-        generations=generations,
         rollouts=_ROLLOUTS,
         worst=_ROLLOUTS,
     )

@@ -1,0 +1,88 @@
+"""Two drivers on the same trials: does one park where the other does not more often than by chance?
+
+    python -m sim.studies.paired POLICY LAW RANGES TRIALS SEED [UNSEEN]
+
+prints one JSON object; with UNSEEN, on so many courses that nobody trained on instead of the paper's.
+"""
+
+import json
+import math
+import sys
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.course import Course, load_course
+from sim.learn.engine import Engine
+from sim.studies.evaluate import unseen_courses
+from sim.studies.laws import LAWS, LawEngine
+from sim.world.randomization import Randomization, draw_trials, load_randomization
+from sim.world.rover import RoverModel
+
+__all__ = ["Paired", "exact_p", "paired", "parked"]
+
+
+class Paired(NamedTuple):
+    """How many of the same trials parked both, one alone, the other alone, and neither."""
+
+    both: int
+    first_only: int
+    second_only: int
+    neither: int
+
+    @property
+    def p(self) -> float:
+        """McNemar's exact test, two-sided: the chance of so uneven a split if both were equally good."""
+        return exact_p(self.first_only, self.second_only)
+
+
+def exact_p(first: int, second: int) -> float:
+    """Return the chance that ``first + second`` throws of a coin come out as unevenly, or more so."""
+    throws = first + second
+    tail = sum(math.comb(throws, k) for k in range(min(first, second) + 1))
+    return min(2 * tail / 2**throws, 1.0)
+
+
+def parked(
+    driver: str, courses: Sequence[Course], ranges: Randomization, *, trials: int, seed: int
+) -> NDArray[np.bool_]:
+    """Return in which trials of a seed (trials,) a law, or a policy by name or file, parked."""
+    drawn = draw_trials(
+        ranges, RoverModel(), seed, count=trials, ticks=max(course.ticks for course in courses)
+    )
+    if driver in LAWS:
+        found = LawEngine(driver, courses, drawn).outcomes(LAWS[driver].tuned)
+    else:
+        policy = load_policy(driver)
+        found = Engine(policy, courses, trials=drawn).outcomes(policy.parameters())
+    return found.parked[0]
+
+
+def paired(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Paired:
+    """Count what became of the same trials (n,) under two drivers."""
+    return Paired(
+        both=int(np.count_nonzero(first & second)),
+        first_only=int(np.count_nonzero(first & ~second)),
+        second_only=int(np.count_nonzero(second & ~first)),
+        neither=int(np.count_nonzero(~(first | second))),
+    )
+
+
+def main() -> None:
+    """Compare from the command line."""
+    first, second, ranges, trials, seed, *unseen = sys.argv[1:]
+    courses = unseen_courses(int(seed), int(unseen[0])) if unseen else [load_course("parking")]
+    runs = [
+        parked(driver, courses, load_randomization(ranges), trials=int(trials), seed=int(seed))
+        for driver in (first, second)
+    ]
+    counts = paired(*runs)
+    fields: dict[str, Any] = counts._asdict() | {"p": counts.p, "drivers": [first, second]}
+    print(json.dumps(fields))
+
+
+if __name__ == "__main__":
+    main()

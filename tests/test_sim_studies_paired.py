@@ -1,0 +1,31 @@
+"""Two drivers on the same trials."""
+
+import numpy as np
+import pytest
+
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.course import load_course
+from sim.studies.evaluate import evaluate
+from sim.studies.paired import Paired, exact_p, paired, parked
+from sim.world.randomization import load_randomization
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "p"), [(0, 0, 1.0), (3, 3, 1.0), (0, 5, 2 / 32), (5, 0, 2 / 32), (1, 9, 22 / 1024)]
+)
+def test_the_chance_of_a_split_is_that_of_a_coin(first, second, p):
+    assert exact_p(first, second) == pytest.approx(p)
+
+
+def test_trials_are_counted_pair_by_pair():
+    one = np.array([True, True, True, False, False])
+    other = np.array([True, False, False, True, False])
+    assert paired(one, other) == Paired(both=1, first_only=2, second_only=1, neither=1)
+
+
+@pytest.mark.parametrize("driver", ["course", "kanayama"])
+def test_the_trials_are_those_of_an_evaluation(driver):
+    course, ranges = load_course("parking"), load_randomization("harsh")
+    found = parked(driver, [course], ranges, trials=100, seed=9)
+    same = driver if driver == "kanayama" else load_policy(driver)
+    assert found.mean() == evaluate(same, [course], ranges, trials=100, seed=9).success_rate

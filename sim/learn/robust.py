@@ -2,8 +2,9 @@
 
 A generation's candidates all drive the same trials (common random numbers), so that what tells them apart is
 not luck; the next generation drives others, so that none is learned by heart. Early generations drive fewer
-trials: far from the goal a rough estimate will do. What a generation does depends on its number, never on how
-many are to come. The winner is the average of the distribution's last means, which no single lucky trial made.
+trials: far from the goal a rough estimate will do. What a generation does depends on its number, never on
+how many are to come. The winner is the average of the distribution's last means, which no single lucky trial
+made.
 
 Numbers are searched in the unit cube, at whose walls the search is reflected: conductances of leaks and
 capacitances, which span decades, by their logarithm, all else linearly. Those of neurons that are driven

@@ -42,8 +42,8 @@ class Paired(NamedTuple):
 def exact_p(first: int, second: int) -> float:
     """Return the chance that ``first + second`` throws of a coin come out as unevenly, or more so."""
     throws = first + second
-    tail = sum(math.comb(throws, k) for k in range(min(first, second) + 1))
-    return min(2 * tail / 2**throws, 1.0)
+    tail: int = sum(math.comb(throws, k) for k in range(min(first, second) + 1))
+    return min(2.0 * (tail / 2**throws), 1.0)
 
 
 def parked(
@@ -58,7 +58,8 @@ def parked(
     else:
         policy = load_policy(driver)
         found = Engine(policy, courses, trials=drawn).outcomes(policy.parameters())
-    return found.parked[0]
+    hits: NDArray[np.bool_] = found.parked[0]
+    return hits
 
 
 def paired(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Paired:

@@ -55,6 +55,11 @@ def test_the_searches_are_compared_by_what_training_gives(
         assert summary["passed"]["-30"] == sum(value > -30 for value in last)
         assert summary["passed"]["-8"] == sum(value > -8 for value in last)
     assert len(rows) == 3 * len(STRATEGIES)
+    alone = run("search", "--search", "published", "--iterations", "40", "--agents", "3", "--seed", "4")
+    assert (
+        alone["strategies"]["published"]["returns"]["40"] == found["strategies"]["published"]["returns"]["40"]
+    )
+    assert len(alone["strategies"]) == 1
 
 
 def test_the_speeds_and_their_shares(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import Output
+from sim.learn.commands import SearchName
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 
@@ -31,6 +32,9 @@ def bench(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Root seed of the searches.")] = 0,
     agents: Annotated[int, typer.Option(min=1, max=1000, help="Agents of a search.")] = 12,
+    search: Annotated[
+        SearchName | None, typer.Option(help="search: this one alone.", show_default="all")
+    ] = None,
     csv: Annotated[
         Path | None, typer.Option(help="search: write every agent's returns here.", show_default=False)
     ] = None,
@@ -71,7 +75,8 @@ def bench(
     from sim.studies.bench_search import bench_search, returns_table
 
     budget = iterations or 20_000
-    found, trained = bench_search(seed, agents, budget, output.say)
+    strategies = [search.value] if search is not None else list(SearchName)
+    found, trained = bench_search(seed, agents, budget, output.say, strategies)
     if csv is not None:
         write_atomic(csv, returns_table(trained, seed, budget))
     output.result(found, f"{agents} agents, {budget} iterations each")

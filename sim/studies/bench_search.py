@@ -20,12 +20,16 @@ PASSED = (-0.1, -0.05, -0.03)
 
 
 def bench_search(
-    seed: int, agents: int, iterations: int, say: Callable[[str], None]
+    seed: int,
+    agents: int,
+    iterations: int,
+    say: Callable[[str], None],
+    strategies: Sequence[str] = tuple(STRATEGIES),
 ) -> tuple[Mapping[str, Any], Mapping[str, Sequence[AgentState]]]:
-    """Train with every strategy from one root seed; return what to report, and the agents by strategy."""
+    """Train with these strategies from one root seed; return what to report, and the agents by strategy."""
     marks = [mark for mark in MARKS if mark < iterations] + [iterations]
     trained = {}
-    for strategy in STRATEGIES:
+    for strategy in strategies:
         settings = TrainSettings.model_validate(
             {"seed": seed, "agents": agents, "iterations": iterations, "search": strategy}
         )

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from rover_ncp.core.course import TICK_S
 from rover_ncp.jit import kernel
 from sim.learn.engine import Engine
 from sim.learn.ensemble import Snapshot, run_ensemble
+from sim.learn.flow import Answer, Flow
+from sim.learn.objective import Deterministic, Objective
 from sim.learn.record import Task, TrainSettings, resolve_task
 from sim.learn.rollout import rollout
 from sim.learn.search.strategies import STRATEGIES
@@ -46,14 +49,13 @@ _NS = 1e9
 
 _COMPILE_SCRIPT = """
 import time
-from rover_ncp.circuit.policy import parking_policy
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
-from rover_ncp.core.course import load_course
-from sim.learn.engine import Engine
-policy = parking_policy(parking_circuit())
-engine = Engine(policy, load_course("parking"))
+from sim.learn.record import TrainSettings, resolve_task
+from sim.learn.team import AgentState, Team
+from sim.learn.train import training_plan
+settings = TrainSettings()
+team = Team(training_plan(settings, resolve_task(settings)))
 began = time.process_time()
-engine.returns(policy.parameters())
+team.advance([AgentState(0)], 200)
 print(time.process_time() - began)
 """
 
@@ -67,8 +69,9 @@ def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
     fields: dict[str, Any] = {"cores": cores}
     fields |= _episodes(task, say)
     fields["iterations_per_s"] = {}
+    in_engine = {}
     for name, plan in plans.items():
-        one_cpu = _iterations_per_cpu_s(plan, iterations)
+        one_cpu, in_engine[name] = _iterations_per_cpu_s(plan, iterations)
         one, every = (_iterations_per_wall_s(plan, iterations, count) for count in (1, cores))
         speeds = {"one_core_cpu": one_cpu, "one_core": one, "all_cores": every, "ratio": every / one}
         fields["iterations_per_s"][name] = speeds
@@ -77,7 +80,7 @@ def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
     for row in fields["cost_by_lanes"]:
         say("{lanes} lanes: circuit {circuit_ns:.0f} ns, physics {physics_ns:.0f} ns a substep".format(**row))
     fields["substep_ns"] = _substeps(task, fields["cost_by_lanes"])
-    fields["share"] = _shares(fields)
+    fields["share"] = _shares(fields, in_engine["gauss-newton"])
     fields["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     cold, cached = _compile_times()
     fields["compile_s"] = {"cold": cold, "cached": cached}
@@ -113,12 +116,46 @@ def _cpu_s(run: Callable[[], object]) -> float:
     return statistics.median(times)
 
 
-def _iterations_per_cpu_s(plan: Plan, iterations: int) -> float:
-    team = Team(plan)
+class _Timed:
+    """A flow, and the CPU time that it takes to answer."""
+
+    def __init__(self, flow: Flow) -> None:
+        self._flow = flow
+        self.room = flow.room
+        self.cpu_s = 0.0
+        self.submit = flow.submit
+
+    def collect(self) -> list[Answer]:
+        began = time.process_time()
+        answers = self._flow.collect()
+        self.cpu_s += time.process_time() - began
+        return answers
+
+
+def _iterations_per_cpu_s(plan: Plan, iterations: int) -> tuple[float, float]:
+    """Return the speed, and the share of the time that the engine takes of it."""
+    flows: list[_Timed] = []
+
+    def timed() -> Objective:
+        objective = plan.build_objective()
+        assert isinstance(objective, Deterministic) and objective.stream is not None
+        open_stream = objective.stream
+
+        def stream(agents: int, usual: int) -> Flow:
+            flows.append(_Timed(open_stream(agents, usual)))
+            return flows[-1]
+
+        objective.stream = stream
+        return objective
+
+    team = Team(replace(plan, build_objective=timed))
     agents = team.advance([AgentState(number) for number in range(_AGENTS)], _WARM_ITERATIONS)
+    for flow in flows:
+        flow.cpu_s = 0.0
     began = time.process_time()
     team.advance(agents, _WARM_ITERATIONS + iterations)
-    return _AGENTS * iterations / (time.process_time() - began)
+    cpu_s = time.process_time() - began
+    return _AGENTS * iterations / cpu_s, sum(flow.cpu_s for flow in flows) / cpu_s
 
 
 def _iterations_per_wall_s(plan: Plan, iterations: int, processes: int) -> float:
@@ -177,14 +214,16 @@ def _substep(rover: Rover, times: int) -> None:
         rover.substep()
 
 
-def _shares(fields: dict[str, Any]) -> dict[str, float]:
-    """Return the parts of a gauss-newton iteration's time; they sum up to 1."""
-    total = 1.0 / fields["iterations_per_s"]["gauss-newton"]["one_core_cpu"]
+def _shares(fields: dict[str, Any], in_engine: float) -> dict[str, float]:
+    """Return the parts of a gauss-newton iteration's time; they sum up to 1. Within the engine, as in whole
+    episodes."""
     substeps = 32.0 / TICK_S * SUBSTEPS
-    parts = {name: fields["substep_ns"][name]["lane"] * substeps / _NS for name in ("physics", "circuit")}
-    parts["other_engine"] = 1.0 / fields["episodes_per_s"] - sum(parts.values())
-    parts["search"] = total - 1.0 / fields["episodes_per_s"]
-    return {name: part / total for name, part in parts.items()}
+    parts = {
+        name: fields["substep_ns"][name]["lane"] * substeps / _NS * fields["episodes_per_s"]
+        for name in ("physics", "circuit")
+    }
+    parts["other_engine"] = 1.0 - sum(parts.values())
+    return {name: part * in_engine for name, part in parts.items()} | {"search": 1.0 - in_engine}
 
 
 def _compile_times() -> tuple[float, float]:

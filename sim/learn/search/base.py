@@ -99,8 +99,9 @@ class Search(ABC, Generic[AdaptationT]):
     """
 
     needs_misses: ClassVar[bool] = False
-    most_ahead: ClassVar[int] = 4  # measured: more are drawn in vain, fewer leave lanes idle
-    usual: ClassVar[int] = 4
+    # A lane or two for each agent, and one candidate that waits: more would only be drawn in vain.
+    most_ahead: ClassVar[int] = 3
+    usual: ClassVar[int] = 3
 
     def __init__(
         self, layout: ParameterLayout, start: Vector, generator: np.random.Generator, adaptation: AdaptationT

@@ -5,6 +5,7 @@ same to each. Leak conductances and capacitances are factors of a time constant 
 """
 
 from decimal import Decimal
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +73,7 @@ def reflected(points: Vector) -> Vector:
     return np.minimum(folded, 2.0 - folded)
 
 
+@cache
 def _log2(value: float) -> float:
     """Return the logarithm, correctly rounded: libraries differ in the last bit."""
     return float(Decimal(value).ln() / Decimal(2).ln())

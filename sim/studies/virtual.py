@@ -25,8 +25,10 @@ from bridge.transport import Transport
 from deploy.link import Arrival, Inbox, Mailbox
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.keys import spec
 from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
 from rover_ncp.core.messages import read_text, twist_stamped
+from rover_ncp.core.recording import Recorded
 from sim.pioneer.firmware import Firmware
 from sim.studies.placed import known_pose
 
@@ -167,15 +169,18 @@ class _Mailbox(Mailbox):
 class Air:
     """What a driver has in place of `deploy.link.Link`.
 
-    Until the motors are asked for, external localisation says that the rover stands at ``start``.
+    Until the motors are asked for, external localisation says that the rover stands at ``start``. What is
+    heard goes to ``record``.
     """
 
     robot = "virtual"
     driver = _DRIVER
     bridge_alive = True
 
-    def __init__(self, world: World, start: Pose) -> None:
-        self._world, self._start = world, start
+    def __init__(
+        self, world: World, start: Pose, record: Callable[[Recorded], None] = lambda message: None
+    ) -> None:
+        self._world, self._start, self._record = world, start, record
         self.odometry, self.poses, self.gyro = _Mailbox(world), Inbox(), Inbox()
         self.gate = GateStatus()
         self.first_command_ns: int | None = None
@@ -223,10 +228,11 @@ class Air:
         return cast(MotorsReply, self._world.ask("rover/motors", dump_json(request)))
 
     def _hear(self, name: str, data: bytes) -> None:
+        wall_ns = self._world.time_ns()
+        self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
         if name == "odom":
             self.odometry.put(self._arrival(data))
             if not self._may_hold_motors:
-                wall_ns = self._world.time_ns()
                 self.poses.put(self._arrival(known_pose(self._start, wall_ns)))
         elif name == "rover/gate":
             self.gate = parse_json(GateStatus, read_text(data))

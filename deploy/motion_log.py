@@ -1,0 +1,85 @@
+"""What a drive says of its base: commands that reached it, odometry, external poses, as arrays.
+
+All come from the messages as they were published, by their stamps: both the commands that the gate let
+through (``rover/cmd_out``) and odometry bear the bridge's clock.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.core.errors import FileError, FormatError
+from rover_ncp.core.messages import COURSE_FRAME, read_odometry, read_pose, read_twist
+from rover_ncp.core.recording import Recorded
+
+__all__ = ["MotionLog", "Track", "motion_log"]
+
+FloatArray = NDArray[np.float64]
+
+_LEAST = 50
+"""Odometry samples; from fewer nothing can be said."""
+
+
+class Track(NamedTuple):
+    """Poses over time: t (n,) in s, x and y in m and theta in rad (n, 3), headings not wrapped."""
+
+    t: FloatArray
+    poses: FloatArray
+
+
+class MotionLog(NamedTuple):
+    """Times in s from the first odometry."""
+
+    sent_s: FloatArray
+    """(m,) when a command went to the base; it holds until the next."""
+    sent: FloatArray
+    """(m, 2) v in m/s, omega in rad/s."""
+    odometry: Track
+    motion: FloatArray
+    """(n, 2) v and omega as odometry reports them with each pose."""
+    external: Track
+    """Poses from outside, by the time of their arrival; may be empty."""
+
+
+def motion_log(messages: Iterable[Recorded]) -> MotionLog:
+    """Read a drive's messages. Raises FileError when they do not say enough; what is garbled is left out."""
+    sent, odometry, external = [], [], []
+    for message in messages:
+        try:
+            if message.topic == "rover/cmd_out":
+                twist = read_twist(message.data)
+                sent.append((twist.stamp_ns or message.log_ns, *twist.velocity))
+            elif message.topic == "odom":
+                sample = read_odometry(message.data)
+                odometry.append((sample.stamp_ns, *sample.pose, *sample.velocity))
+            elif message.topic == "pose":
+                seen = read_pose(message.data)
+                if seen.frame in {"", COURSE_FRAME}:
+                    external.append((message.log_ns, *seen.pose))
+        except FormatError:
+            continue
+    if len(odometry) < _LEAST or not sent:
+        raise FileError(
+            f"nothing can be identified from {len(odometry)} odometry samples and {len(sent)} commands "
+            f"(at least {_LEAST} samples, and what the gate let through on rover/cmd_out)"
+        )
+    zero_ns = odometry[0][0]
+    commands, samples = _table(sent, zero_ns, 3), _table(odometry, zero_ns, 6)
+    outside = _table(external, zero_ns, 4)
+    return MotionLog(commands[:, 0], commands[:, 1:], _track(samples[:, :4]), samples[:, 4:], _track(outside))
+
+
+def _table(rows: Sequence[tuple[float, ...]], zero_ns: int, width: int) -> FloatArray:
+    """Return finite rows by rising time, the first column in s."""
+    table = np.array([((row[0] - zero_ns) * 1e-9, *row[1:]) for row in rows]).reshape(-1, width)
+    table = table[np.isfinite(table).all(axis=1)]
+    ordered: FloatArray = table[np.argsort(table[:, 0], kind="stable")]
+    return ordered
+
+
+def _track(table: FloatArray) -> Track:
+    poses = table[:, 1:4].copy()
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Track(table[:, 0], poses)

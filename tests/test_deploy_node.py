@@ -1,136 +1,24 @@
 """The whole driving process against a bridge that can be made to fail: real Zenoh over loopback TCP."""
 
-import dataclasses
 import functools
-import json
 import math
 import os
 import signal
-import socket
 import threading
 import time
 from pathlib import Path
 
 import pytest
-import zenoh
+from deploy_bench import ODOM_AT_START, STILL, Bridge, driver, free_port
 
 from deploy import node
 from deploy.config import DriveConfig
-from deploy.node import Options, run
 from deploy.replay import replay
-from deploy.ticks import TICKS_TOPIC, TickRecord
-from rover_ncp.circuit.policy import parking_policy
-from rover_ncp.circuit.policy_file import load_circuit, save_policy
-from rover_ncp.core.console import Output
-from rover_ncp.core.errors import AnotherDriver, NoBridge, NoPose, NoRobot, RoverNcpError
-from rover_ncp.core.geometry import Pose, Velocity, compose, distance, inverse
-from rover_ncp.core.imu import imu
-from rover_ncp.core.keys import key
-from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
-from rover_ncp.core.messages import odometry, pose_with_covariance, read_pose, read_text, read_twist, text
-from rover_ncp.core.recording import RecordingWriter, read_recording, rewrite
-
-ODOM_AT_START = Pose(3.0, -2.0, 3.1)  # nowhere near the origin, and turning left crosses π
-SIP_S = 0.1
-STILL = Velocity(0.0, 0.0)
-
-
-def free_port():
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
-
-
-def router(endpoint):
-    config = zenoh.Config()
-    settings = {
-        "mode": "router",
-        "listen/endpoints": [endpoint],
-        "scouting/multicast/enabled": False,
-        "scouting/delay": 0,
-    }
-    for path, value in settings.items():
-        config.insert_json5(path, json.dumps(value))
-    return zenoh.open(config)
-
-
-class Bridge:
-    """Looks like a bridge to a driver; its rover obeys at once. ``odom`` may be replaced to spoil it."""
-
-    def __init__(self, namespace=""):
-        self.namespace = namespace
-        self.robot = f"tcp/127.0.0.1:{free_port()}"
-        self.session = router(self.robot)
-        self.pose, self.velocity = ODOM_AT_START, STILL
-        self.odom = odometry
-        self.gate = GateStatus()
-        self.refusal = ""
-        self.commands, self.requests, self.times = [], [], []
-        self.released = threading.Event()
-        self._stop = threading.Event()
-        self._token = self.session.liveliness().declare_token(self._key("rover/alive/bridge"))
-        self._commands = self.session.declare_subscriber(self._key("cmd_vel"), self._command)
-        self._motors = self.session.declare_queryable(self._key("rover/motors"), self._answer)
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _key(self, name):
-        return key(self.namespace, name)
-
-    def _run(self):
-        due = time.monotonic()
-        while not self._stop.wait(max(0.0, due - time.monotonic())):
-            due += SIP_S
-            v, omega = self.velocity
-            self.pose = compose(self.pose, Pose(SIP_S * v, 0.0, SIP_S * omega))
-            data = self.odom(self.pose, self.velocity, time.time_ns())
-            if data is not None:
-                self.times.append(time.monotonic())
-                self.session.put(self._key("odom"), data)
-            self.session.put(self._key("rover/gate"), text(dump_json(self.gate).decode()))
-
-    def _command(self, sample):
-        tag = CommandTag.unpack(sample.attachment.to_bytes())
-        velocity = read_twist(sample.payload.to_bytes()).velocity
-        if tag.driver.hex() == self.gate.driver:
-            self.velocity = velocity
-        self.commands.append((tag, velocity))
-
-    def _answer(self, query):
-        with query:
-            request = parse_json(MotorsRequest, query.payload.to_bytes())
-            self.requests.append(request)
-            granted = request.enable and not self.refusal
-            if granted:
-                self.gate = GateStatus(driver=request.driver)
-            elif self.gate.driver == request.driver:
-                self.gate, self.velocity = GateStatus(), STILL
-            reply = MotorsReply(granted=granted, reason=self.refusal, detail="it is pressed", lease_s=1.0)
-            query.reply(self._key("rover/motors"), dump_json(reply))
-            if not request.enable:
-                self.released.set()
-
-    def publish_pose(self, data):
-        self.session.put(self._key("pose"), data)
-
-    def vanish(self):
-        self._token.undeclare()
-
-    def after_commands(self, count, action):
-        """Do something, once, as soon as so many commands have come."""
-
-        def wait():
-            while len(self.commands) < count:
-                if self._stop.wait(0.005):
-                    return
-            action()
-
-        threading.Thread(target=wait, daemon=True).start()
-
-    def close(self):
-        self._stop.set()
-        self._thread.join()
-        self.session.close()
+from rover_ncp.core.errors import AnotherDriver, NoBridge, NoRobot, RoverNcpError
+from rover_ncp.core.geometry import Pose, Velocity, compose, distance
+from rover_ncp.core.lease import GateStatus
+from rover_ncp.core.messages import odometry, read_pose
+from rover_ncp.core.recording import RecordingWriter, read_recording
 
 
 @pytest.fixture
@@ -140,50 +28,15 @@ def bridge():
     bridge.close()
 
 
-@pytest.fixture(scope="module")
-def policy(tmp_path_factory):
-    path = tmp_path_factory.mktemp("policy") / "untuned.yaml"
-    save_policy(path, parking_policy(load_circuit("parking")))
-    return path
-
-
-@pytest.fixture(scope="module")
-def course(tmp_path_factory):
-    """The start signal comes at once; the goal is far from where an untuned circuit goes."""
-    path = tmp_path_factory.mktemp("course") / "short.yaml"
-    path.write_text(
-        "name: short\nstart_signal_s: 0.3\nhorizon_s: 2.0\n"
-        "checkpoints:\n- {t: 2.0, x: 5.0, y: 5.0, theta: 0.0}\n"
-    )
-    return path
+@pytest.fixture
+def drive(bridge, tmp_path, capsys, monkeypatch):
+    return driver(bridge, tmp_path, capsys, monkeypatch)
 
 
 @pytest.fixture
 def golden(request):
     """A circuit that drives straight ahead at full speed."""
     return request.config.rootpath / "tests/data/golden/parking.bnn"
-
-
-@pytest.fixture
-def drive(bridge, policy, course, tmp_path, capsys, monkeypatch):
-    """Drive once with shorter waits; returns exit code and result."""
-    monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, still_s=0.15))
-
-    def drive(**changes):
-        options = {
-            "robot": bridge.robot,
-            "policy": str(policy),
-            "course": str(course),
-            "record": tmp_path / "run.mcap",
-            "duration_s": None,
-            "dry_run": False,
-            "namespace": bridge.namespace,
-            "zenoh_config": None,
-        }
-        code = run(Options(**options | changes), Output(as_json=True))
-        return code, json.loads(capsys.readouterr().out)
-
-    return drive
 
 
 def test_a_drive_from_start_to_end(bridge, drive, tmp_path):
@@ -339,98 +192,6 @@ def test_a_dry_run_commands_nothing_and_is_done_with_0(bridge, drive, tmp_path):
     assert result["dry_run"]
     assert result["ticks"] + result["missed"] == 5
     assert bridge.commands == bridge.requests == []
-    assert replay(tmp_path / "run.mcap").difference is None
-
-
-def localised(bridge, course_odom, frame="course"):
-    """Publish with each odometry where the one before it was on the course."""
-    late, covariance = [], [[1e-4, 0, 0], [0, 1e-4, 0], [0, 0, 3e-4]]
-
-    def odom(pose, velocity, stamp):
-        late.append(pose_with_covariance(compose(course_odom, pose), covariance, stamp, frame))
-        if len(late) > 1:
-            bridge.publish_pose(late.pop(0))
-        return odometry(pose, velocity, stamp)
-
-    return odom
-
-
-def test_an_external_pose_places_the_rover_on_the_course(bridge, drive, tmp_path):
-    there = Pose(0.2, 0.1, 0.3)
-    bridge.odom = localised(bridge, compose(there, inverse(ODOM_AT_START)))
-    code, result = drive(duration_s=0.5, pose="required")
-    assert code == 1
-    assert result["pose"]["used"] >= 3
-    assert result["pose"]["refused"] == result["pose"]["unreadable"] == 0
-    recording = read_recording(tmp_path / "run.mcap")
-    first = read_pose(recording.topic("rover/estimate")[0].data).pose
-    assert distance(first, there) < 1e-6
-    assert first.theta == pytest.approx(0.3)
-    assert replay(tmp_path / "run.mcap").difference is None
-
-
-def test_a_gyros_readings_count_are_recorded_and_recomputed(bridge, drive, tmp_path):
-    def odom(pose, velocity, stamp):
-        bridge.session.put(key("", "imu"), imu(velocity.omega + 0.3, 1e-6, stamp))
-        return odometry(pose, velocity, stamp)
-
-    bridge.odom = odom
-    code, result = drive()
-    assert code == 1
-    assert result["odometry"]["rejected"] == 0
-    recording = read_recording(tmp_path / "run.mcap")
-    records = [parse_json(TickRecord, read_text(m.data)) for m in recording.topic(TICKS_TOPIC)]
-    taken = [ref for record in records for ref in record.samples if ref.topic == "imu"]
-    assert len(taken) > 10
-    assert replay(tmp_path / "run.mcap").difference is None
-
-    silent = tuple(message for message in recording.messages if message.topic != "imu")
-    rewrite(dataclasses.replace(recording, messages=silent), tmp_path / "silent.mcap")
-    difference = replay(tmp_path / "silent.mcap").difference
-    assert difference.quantity.startswith("the gyro reading of stamp")
-
-
-def test_without_anybody_who_says_where_it_stands_the_start_is_the_origin_or_none(
-    bridge, drive, tmp_path, monkeypatch
-):
-    shorter = functools.partial(DriveConfig, still_s=0.15, pose_wait_s=0.5)
-    monkeypatch.setattr(node, "DriveConfig", shorter)
-    with pytest.raises(NoPose, match="nobody says on 'pose' where the rover stands") as caught:
-        drive(pose="required")
-    assert caught.value.exit_code == 3
-    assert bridge.requests == []
-    bridge.odom = localised(bridge, Pose(9.0, 9.0, 1.0))
-    drive(duration_s=0.3, pose="none")
-    first = read_pose(read_recording(tmp_path / "run.mcap").topic("rover/estimate")[0].data).pose
-    assert distance(first, Pose(0, 0, 0)) < 1e-6
-
-
-def test_poses_in_another_frame_and_garbled_ones_count_for_nothing(bridge, drive, tmp_path):
-    bridge.odom = localised(bridge, Pose(9.0, 9.0, 1.0), frame="map")
-    bridge.after_commands(1, lambda: bridge.publish_pose(b"nonsense"))
-    code, result = drive(duration_s=0.5)
-    assert code == 1
-    assert result["pose"]["unreadable"] > 3
-    assert result["pose"]["taken"] == 0
-
-
-def test_a_rover_that_was_carried_away_is_stopped(bridge, drive, tmp_path):
-    placed = localised(bridge, inverse(ODOM_AT_START))
-    elsewhere = localised(bridge, compose(Pose(0.0, 0.4, 0.0), inverse(ODOM_AT_START)))
-
-    def odom(*sample):
-        return placed(*sample) if len(bridge.commands) < 8 else elsewhere(*sample)
-
-    bridge.odom = odom
-    code, result = drive()
-    assert (code, result["stopped_by"]) == (4, "external-pose")
-    assert "5 external poses in a row refused" in result["reason"]
-    assert result["ticks"] < 16
-    assert bridge.commands[-1][1] == STILL
-    estimates = [
-        read_pose(m.data).pose for m in read_recording(tmp_path / "run.mcap").topic("rover/estimate")
-    ]
-    assert max(abs(pose.y) for pose in estimates) < 0.05  # it never believed it
     assert replay(tmp_path / "run.mcap").difference is None
 
 

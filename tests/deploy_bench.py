@@ -1,0 +1,161 @@
+"""A bridge that can be made to fail, over real Zenoh on loopback TCP, and a driver against it."""
+
+import functools
+import json
+import socket
+import threading
+import time
+
+import zenoh
+
+from deploy import node
+from deploy.config import DriveConfig
+from deploy.node import Options, run
+from rover_ncp.circuit.policy import parking_policy
+from rover_ncp.circuit.policy_file import load_circuit, save_policy
+from rover_ncp.core.console import Output
+from rover_ncp.core.geometry import Pose, Velocity, compose
+from rover_ncp.core.keys import key
+from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
+from rover_ncp.core.messages import odometry, read_twist, text
+
+ODOM_AT_START = Pose(3.0, -2.0, 3.1)  # nowhere near the origin, and turning left crosses π
+SIP_S = 0.1
+STILL = Velocity(0.0, 0.0)
+
+
+def free_port():
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+def router(endpoint):
+    config = zenoh.Config()
+    settings = {
+        "mode": "router",
+        "listen/endpoints": [endpoint],
+        "scouting/multicast/enabled": False,
+        "scouting/delay": 0,
+    }
+    for path, value in settings.items():
+        config.insert_json5(path, json.dumps(value))
+    return zenoh.open(config)
+
+
+class Bridge:
+    """Looks like a bridge to a driver; its rover obeys at once. ``odom`` may be replaced to spoil it."""
+
+    def __init__(self, namespace=""):
+        self.namespace = namespace
+        self.robot = f"tcp/127.0.0.1:{free_port()}"
+        self.session = router(self.robot)
+        self.pose, self.velocity = ODOM_AT_START, STILL
+        self.odom = odometry
+        self.gate = GateStatus()
+        self.refusal = ""
+        self.commands, self.requests, self.times = [], [], []
+        self.released = threading.Event()
+        self._stop = threading.Event()
+        self._token = self.session.liveliness().declare_token(self._key("rover/alive/bridge"))
+        self._commands = self.session.declare_subscriber(self._key("cmd_vel"), self._command)
+        self._motors = self.session.declare_queryable(self._key("rover/motors"), self._answer)
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _key(self, name):
+        return key(self.namespace, name)
+
+    def _run(self):
+        due = time.monotonic()
+        while not self._stop.wait(max(0.0, due - time.monotonic())):
+            due += SIP_S
+            v, omega = self.velocity
+            self.pose = compose(self.pose, Pose(SIP_S * v, 0.0, SIP_S * omega))
+            data = self.odom(self.pose, self.velocity, time.time_ns())
+            if data is not None:
+                self.times.append(time.monotonic())
+                self.session.put(self._key("odom"), data)
+            self.session.put(self._key("rover/gate"), text(dump_json(self.gate).decode()))
+
+    def _command(self, sample):
+        tag = CommandTag.unpack(sample.attachment.to_bytes())
+        velocity = read_twist(sample.payload.to_bytes()).velocity
+        if tag.driver.hex() == self.gate.driver:
+            self.velocity = velocity
+        self.commands.append((tag, velocity))
+
+    def _answer(self, query):
+        with query:
+            request = parse_json(MotorsRequest, query.payload.to_bytes())
+            self.requests.append(request)
+            granted = request.enable and not self.refusal
+            if granted:
+                self.gate = GateStatus(driver=request.driver)
+            elif self.gate.driver == request.driver:
+                self.gate, self.velocity = GateStatus(), STILL
+            reply = MotorsReply(granted=granted, reason=self.refusal, detail="it is pressed", lease_s=1.0)
+            query.reply(self._key("rover/motors"), dump_json(reply))
+            if not request.enable:
+                self.released.set()
+
+    def publish_pose(self, data):
+        self.session.put(self._key("pose"), data)
+
+    def vanish(self):
+        self._token.undeclare()
+
+    def after_commands(self, count, action):
+        """Do something, once, as soon as so many commands have come."""
+
+        def wait():
+            while len(self.commands) < count:
+                if self._stop.wait(0.005):
+                    return
+            action()
+
+        threading.Thread(target=wait, daemon=True).start()
+
+    def close(self):
+        self._stop.set()
+        self._thread.join()
+        self.session.close()
+
+
+def untuned_policy(folder):
+    """Write a policy that drives slowly and nowhere in particular."""
+    path = folder / "untuned.yaml"
+    save_policy(path, parking_policy(load_circuit("parking")))
+    return path
+
+
+def short_course(folder):
+    """The start signal comes at once; the goal is far from where an untuned circuit goes."""
+    path = folder / "short.yaml"
+    path.write_text(
+        "name: short\nstart_signal_s: 0.3\nhorizon_s: 2.0\n"
+        "checkpoints:\n- {t: 2.0, x: 5.0, y: 5.0, theta: 0.0}\n"
+    )
+    return path
+
+
+def driver(bridge, folder, capsys, monkeypatch):
+    """Return what drives once with shorter waits, and returns exit code and result."""
+    monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, still_s=0.15))
+    policy, course = untuned_policy(folder), short_course(folder)
+
+    def drive(**changes):
+        options = {
+            "robot": bridge.robot,
+            "policy": str(policy),
+            "course": str(course),
+            "record": folder / "run.mcap",
+            "duration_s": None,
+            "dry_run": False,
+            "namespace": bridge.namespace,
+            "zenoh_config": None,
+        }
+        code = run(Options(**options | changes), Output(as_json=True))
+        return code, json.loads(capsys.readouterr().out)
+
+    return drive

@@ -43,7 +43,7 @@ def exact_p(first: int, second: int) -> float:
     """Return the chance that ``first + second`` throws of a coin come out as unevenly, or more so."""
     throws = first + second
     tail: int = sum(math.comb(throws, k) for k in range(min(first, second) + 1))
-    return min(2.0 * (tail / 2**throws), 1.0)
+    return min(2 * tail / (1 << throws), 1.0)
 
 
 def parked(

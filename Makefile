@@ -44,6 +44,13 @@ coverage-gate: $(STAMP)
 mutate: $(STAMP)
 	$(BIN)/python tests/mutate_gate.py
 
+# Readers of other people's bytes, fuzzed for FUZZ_S seconds, led by the code's own branches (atheris).
+fuzz: $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,fuzz]'
+	$(BIN)/python tests/fuzz_atheris.py
+
+.PHONY: coverage-gate mutate fuzz
+
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; say make PYTHON=..." % v)'
 	$(PYTHON) -m venv $(VENV)

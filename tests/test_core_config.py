@@ -62,6 +62,14 @@ def test_bad_yaml_is_one_line_naming_source_and_place(text, expected):
     assert "\n" not in str(caught.value)
 
 
+def test_yaml_that_stands_for_more_than_memory_holds_is_one_line_too():
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12)]
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml("\n".join([*lines, "wheels: *a11", "speed: *a11"]), Base, "x.yaml")
+    assert len(str(caught.value)) < 5000
+
+
 @given(st.text())
 def test_any_text_parses_or_gives_our_own_error(text):
     try:

@@ -4,6 +4,7 @@ A configuration is a frozen pydantic model with SI units in its fields. Unknown 
 typo is found; infinities and NaN are errors everywhere.
 """
 
+import reprlib
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -57,6 +58,11 @@ _Dumper.add_representer(list, _represent_list)
 _Dumper.add_representer(tuple, _represent_list)
 
 
+# A few lines of YAML can stand for more than any memory holds, by naming what names what names something.
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 100
+
+
 def parse_yaml(text: str, model: type[ModelT], source: str) -> ModelT:
     """Parse YAML text into ``model``; raises ConfigError naming ``source`` and the path of each bad value."""
     try:
@@ -97,5 +103,5 @@ def _line(item: Any) -> str:
         return f"{path}: unknown key"
     if item["type"] == "missing":
         return f"{path}: this key is missing"
-    shown = repr(item["input"])
+    shown = _SHORT.repr(item["input"])
     return f"{path}: {message}, got {shown if len(shown) <= 60 else shown[:57] + '...'}"

@@ -161,6 +161,8 @@ class _WholeReads(io.BytesIO):
     """A file in memory that never returns fewer bytes than asked for: the end of it is an error."""
 
     def read(self, size: int | None = -1) -> bytes:
+        if size is not None and size > self.getbuffer().nbytes:
+            raise EndOfFile  # also a damaged length that is no size at all
         data = super().read(size)
         if size is not None and 0 <= len(data) < size:
             raise EndOfFile

@@ -48,7 +48,7 @@ def read_drive(path: Path) -> Drive:
     if "deploy.yaml" in recording.attachments:
         try:
             settings = yaml.safe_load(_attached(recording, "deploy.yaml"))
-        except yaml.YAMLError as error:
+        except (yaml.YAMLError, RecursionError, ValueError) as error:
             raise FileError(f"{path}: its deploy.yaml is damaged") from error
     timeline = Timeline(policy, course)
     for message in recording.messages:

@@ -1,0 +1,278 @@
+"""Whatever reads what others wrote, and samples of it: each may return, or raise the package's own error.
+
+Shared by ``test_fuzz_readers.py``, which runs a little of it everywhere, and ``fuzz_atheris.py``, which goes
+on for as long as it is told to, led by the code's own branches.
+"""
+
+import functools
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from bridge.arcos import COMMANDS, Command, Decoder, Packet, decode_argument, encode_command, encode_frame
+from bridge.limits import Limits
+from bridge.packets import ConfigPac, EncoderPac, GyroPac, IoPac, SimStat, Sip, decode_names, encode_names
+from bridge.session import Session
+from deploy.config import CONFIG_FILE, COURSE_FILE, POLICY_FILE, DriveConfig
+from deploy.replay import replay
+from deploy.ticks import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
+from rover_ncp.circuit.bnn import circuit_from_bnn, circuit_to_bnn
+from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
+from rover_ncp.core import lease
+from rover_ncp.core.config import dump_yaml, parse_yaml
+from rover_ncp.core.course import Course
+from rover_ncp.core.errors import RoverNcpError
+from rover_ncp.core.files import read_bytes, resolve, shipped_names
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.keys import KEYS, Kind, spec
+from rover_ncp.core.messages import (
+    decode,
+    neurons,
+    odometry,
+    read_neurons,
+    read_odometry,
+    read_pose,
+    read_text,
+    read_twist,
+    text,
+    twist_stamped,
+)
+from rover_ncp.core.profile import RoverProfile
+from rover_ncp.core.recording import Recorded, RecordingWriter, header_stamp_ns, read_recording
+from rover_ncp.report.recorded import read_drive
+from sim.pioneer.firmware import Firmware
+from sim.world.bay import Bay
+from sim.world.randomization import Randomization
+from sim.world.rover import Rover, RoverModel
+
+__all__ = ["READERS", "Reader", "survives"]
+
+STILL = Velocity(0.0, 0.0)
+HERE = Pose(0.1, 0.2, 0.3)
+JSON_MODELS = (
+    lease.DriverStatus,
+    lease.GateStatus,
+    lease.MotorsReply,
+    lease.MotorsRequest,
+    lease.ResetReply,
+    lease.ResetRequest,
+    lease.StopReply,
+    lease.StopRequest,
+)
+YAML_MODELS = (Course, DriveConfig, Limits, Randomization, RoverProfile)
+PACKETS = (ConfigPac.decode, EncoderPac.decode, SimStat.decode, GyroPac.decode, IoPac.decode, decode_names)
+
+
+class Reader(NamedTuple):
+    """``read`` takes any bytes; ``samples`` make the samples of what it is meant for."""
+
+    read: Callable[[bytes], object]
+    samples: Callable[[], Sequence[bytes]]
+
+
+def survives(reader: Reader, data: bytes) -> None:
+    """Let a reader read; what it raises is its own error, in one line, or the test's failure."""
+    try:
+        reader.read(data)
+    except RoverNcpError as error:
+        assert str(error).strip()
+
+
+# The base's line
+
+
+def _line(data):
+    half = len(data) // 2
+    for packet in (decoder := Decoder()).feed(data[:half]) + decoder.feed(data[half:], 0.1):
+        Sip.decode(packet)
+        for command in COMMANDS.values():
+            decode_argument(command, packet.payload)
+    for read in PACKETS:
+        # A packet of whatever kind that is too short, or no text, is one of them.
+        survives(Reader(read, list), data)
+    Sip.decode(Packet(0x32, data))
+
+
+def _driver(data):
+    """The driver's side: whatever the base says, at each stage of a session."""
+    for stage in range(5):
+        session, now = Session(), 0.0
+        session.connect(now)
+        for packet in _GREETING[:stage]:
+            now += 0.1
+            session.receive(packet, now)
+            session.tick(now)
+        session.receive(data, now + 0.1)
+        session.tick(now + 0.2)
+        session.close(now + 0.3)
+
+
+def _base(data):
+    """The base's side, before and in a session."""
+    for greeting in (b"", b"".join(encode_frame(kind) for kind in (0, 1, 2, 1))):
+        firmware = Firmware("p3at-sh", Rover(RoverModel(), Bay(())))
+        firmware.receive(greeting + data, 0.1)
+        firmware.advance(0.3)
+
+
+_GREETING = [encode_frame(0), encode_frame(1), *[encode_frame(*encode_names("a", "Pioneer", "p3at-sh"))] * 2]
+
+
+def _lines():
+    commands = [
+        encode_command(Command.VEL, -120),
+        encode_command(Command.SETO, (0, 0, 0)),
+        encode_command(Command.OPEN),
+    ]
+    firmware = Firmware("p3at-sh", Rover(RoverModel(), Bay(())))
+    firmware.receive(b"".join(encode_frame(kind) for kind in (0, 1, 2, 1, 18)), 0.1)
+    firmware.advance(0.5)
+    return [*commands, b"".join(commands), firmware.data_to_send()]
+
+
+# Zenoh
+
+
+def _cdr(data):
+    for read in (read_odometry, read_twist, read_pose, read_text, read_neurons):
+        survives(Reader(read, list), data)
+    for row in KEYS:
+        if row.kind is Kind.MESSAGE:
+            survives(Reader(functools.partial(decode, row.type), list), data)
+            header_stamp_ns(row.type, data)
+
+
+def _json(data):
+    survives(Reader(lease.CommandTag.unpack, list), data)
+    for model in JSON_MODELS:
+        survives(Reader(functools.partial(lease.parse_json, model), list), data)
+
+
+def _messages():
+    return [
+        odometry(HERE, STILL, 1),
+        twist_stamped(STILL, 1),
+        twist_stamped(STILL, 1)[:52],
+        neurons([1.0, 2.0], ["AVA", "AVB"]),
+        text("{}"),
+    ]
+
+
+def _jsons():
+    request = lease.MotorsRequest(enable=True, driver="0" * 32, name="x", sent_ns=1)
+    status = lease.GateStatus(driver="0" * 32, dropped={"stale": 1})
+    return [lease.dump_json(request), lease.dump_json(status), lease.CommandTag(bytes(16), 1, 2).pack()]
+
+
+# Files
+
+
+def _yaml(data):
+    words = data.decode(errors="replace")
+    for model in YAML_MODELS:
+        survives(Reader(lambda words: parse_yaml(words, model, "x.yaml"), list), words)  # noqa: B023
+    survives(Reader(lambda words: policy_from_yaml(words, "x.yaml"), list), words)
+
+
+def _yamls():
+    kinds = ("circuits", "courses", "policies", "randomizations")
+    shipped = [read_bytes(resolve(kind, name)) for kind in kinds for name in shipped_names(kind)]
+    return [*shipped, dump_yaml(Limits().model_dump()).encode(), b"a: &a [1, *a]\n", b"when: 2001-01-01\n"]
+
+
+def _bnn(data):
+    circuit_from_bnn(data.decode(errors="replace"), "x", "x.bnn")
+
+
+def _bnns():
+    return [circuit_to_bnn(load_policy(name).circuit).encode() for name in shipped_names("policies")]
+
+
+def _recording(data):
+    """A recording's bytes, spoilt anywhere."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "x.mcap"
+        path.write_bytes(data)
+        survives(Reader(read_recording, list), path)
+
+
+def _contents(data):
+    """A sound recording of anything: its messages and files are spoilt, not its frame."""
+    place, _, content = data.partition(b"\n")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "x.mcap"
+        path.write_bytes(_drive(place.decode(errors="replace"), content))
+        survives(Reader(read_drive, list), path)
+        survives(Reader(replay, list), path)
+
+
+@functools.cache
+def _drive(place="", content=b""):
+    """A drive of one tick; what is recorded at ``place``, a topic or a file, is ``content``."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "x.mcap"
+        with RecordingWriter(path) as writer:
+            for name, own in _files().items():
+                writer.attach(name, content if name == place else own)
+            for topic, (ros_type, own) in _topics().items():
+                writer.write(Recorded(topic, ros_type, content if topic == place else own, 1, 1))
+        return path.read_bytes()
+
+
+@functools.cache
+def _files():
+    config = DriveConfig(
+        robot="tcp/127.0.0.1:7447", namespace="", policy="x", course="x", dry_run=False, ticks=1
+    )
+    return {
+        POLICY_FILE: policy_to_yaml(load_policy("parking")).encode(),
+        COURSE_FILE: read_bytes(resolve("courses", "parking")),
+        CONFIG_FILE: dump_yaml(config.model_dump(mode="json")).encode(),
+    }
+
+
+@functools.cache
+def _topics():
+    ref = (1, 2, 3)
+    start = StartRecord(sample=ref, pose=(0.0, 0.0, 0.0), attachments={})
+    tick = TickRecord(
+        index=0,
+        now_ns=3,
+        wall_ns=1,
+        samples=(ref,),
+        predicted=False,
+        estimate=(0.0, 0.0, 0.0, 0.0, 0.0),
+        command=(0.0, 0.0),
+        sequence=0,
+    )
+    own = {
+        "odom": odometry(HERE, STILL, 1),
+        "cmd_vel": twist_stamped(STILL, 1),
+        "rover/neurons": neurons([1.0], ["AVA"]),
+        "rover/status": text(lease.dump_json(lease.DriverStatus(state="driving")).decode()),
+        "rover/gate": text(lease.dump_json(lease.GateStatus()).decode()),
+    }
+    records = {START_TOPIC: start, TICKS_TOPIC: tick}
+    return {topic: (spec(topic).type, data) for topic, data in own.items()} | {
+        topic: ("std_msgs/msg/String", text(record.model_dump_json())) for topic, record in records.items()
+    }
+
+
+def _spoilable():
+    topics = {topic: data for topic, (_, data) in _topics().items()}
+    samples = [name.encode() + b"\n" + content for name, content in (_files() | topics).items()]
+    return [*samples, CONFIG_FILE.encode() + b"\nwhen: 2001-99-99"]
+
+
+READERS = {
+    "line": Reader(_line, _lines),
+    "driver": Reader(_driver, _lines),
+    "base": Reader(_base, _lines),
+    "cdr": Reader(_cdr, _messages),
+    "json": Reader(_json, _jsons),
+    "yaml": Reader(_yaml, _yamls),
+    "bnn": Reader(_bnn, _bnns),
+    "recording": Reader(_recording, lambda: [_drive(), _drive()[:9] + b"\xff" * 8 + _drive()[17:]]),
+    "contents": Reader(_contents, _spoilable),
+}

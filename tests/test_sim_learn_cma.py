@@ -1,6 +1,7 @@
 """CMA-ES: what its tutorial promises, and that it repeats itself and goes on where it was."""
 
 import json
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -75,11 +76,14 @@ def test_it_goes_on_from_its_state_to_the_last_bit() -> None:
     assert search.state() == later.state()
 
 
-def test_the_spread_stays_above_its_least() -> None:
-    search = Cma(np.ones(SIZE), 0.5, seed=1, population=10, least=0.2)
+@pytest.mark.parametrize(("values", "spread"), [(ellipsoid, 0.2), (lambda places: -places[:, 0], 0.7)])
+def test_the_spread_stays_within_its_limits(
+    values: Callable[[np.ndarray], np.ndarray], spread: float
+) -> None:
+    search = Cma(np.ones(SIZE), 0.5, seed=1, population=10, limits=(0.2, 0.7))
     for _ in range(300):
-        search.tell(ellipsoid(search.ask()))
-    assert search.spread == 0.2
+        search.tell(values(search.ask()))
+    assert search.spread == spread
 
 
 def test_what_does_not_fit_is_refused() -> None:

@@ -47,8 +47,9 @@ Drive = Callable[[FloatArray, int, int], FloatArray]
 """Vectors (k, P) on so many trials from the first one on: their costs (k, trials)."""
 
 _FIRST_SPREAD = 0.04
-_LEAST_SPREAD = 0.01
-"""Noise lets a spread shrink before its time; what a wide one scatters, the average takes out."""
+_SPREADS = (0.01, 0.1)
+"""Noise lets a spread shrink before its time, or, where all is equally good, grow beyond the cube; what a wide
+one scatters, the average takes out."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
 _FEWER_ROLLOUTS = ((150, 4), (900, 2))
@@ -194,7 +195,7 @@ class RobustSearch:
         self._rollouts, self._worst = rollouts, worst
         start = cube.start
         self.population = round(_POPULATION * default_population(len(start)))
-        self._cma = Cma(start, _FIRST_SPREAD, seed=seed, population=self.population, least=_LEAST_SPREAD)
+        self._cma = Cma(start, _FIRST_SPREAD, seed=seed, population=self.population, limits=_SPREADS)
         self._means: list[list[float]] = []
 
     @property

@@ -47,17 +47,23 @@ def default_population(dimension: int) -> int:
 class Cma:
     """Minimises a function of a vector (n,), unbounded; ask and tell by turns.
 
-    ``spread`` never falls below ``least``.
+    ``spread`` stays within ``limits``.
     """
 
     def __init__(
-        self, mean: FloatArray, spread: float, *, seed: int, population: int, least: float = 0.0
+        self,
+        mean: FloatArray,
+        spread: float,
+        *,
+        seed: int,
+        population: int,
+        limits: tuple[float, float] = (0.0, math.inf),
     ) -> None:
         self.mean: FloatArray = np.array(mean, np.float64)
         self.spread = spread
         self.generation = 0
         self.population = population
-        self._seed, self._least = seed, least
+        self._seed, self._limits = seed, limits
         size = len(self.mean)
         self._constants = _constants(size, population)
         self._covariance = np.eye(size)
@@ -90,7 +96,7 @@ class Cma:
         )
         length = math.sqrt(_square(self._spread_path))
         self.spread *= math.exp(c.c_sigma / c.d_sigma * (length / c.length - 1.0))
-        self.spread = max(self.spread, self._least)
+        self.spread = min(max(self.spread, self._limits[0]), self._limits[1])
         settled = math.sqrt(1.0 - keep ** (2 * (self.generation + 1)))
         moves = length / settled < (1.4 + 2.0 / (len(self.mean) + 1.0)) * c.length
         self._path = (1.0 - c.c_c) * self._path

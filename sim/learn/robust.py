@@ -48,8 +48,8 @@ Drive = Callable[[FloatArray, int, int], FloatArray]
 
 _FIRST_SPREAD = 0.04
 _SPREADS = (0.01, 0.1)
-"""Noise lets a spread shrink before its time, or, where all is equally good, grow beyond the cube; what a wide
-one scatters, the average takes out."""
+"""Noise lets a spread shrink before its time, or, where all is equally good, grow beyond the cube; what a
+wide one scatters, the average takes out."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
 _FEWER_ROLLOUTS = ((150, 4), (900, 2))

@@ -84,8 +84,8 @@ def make_course(name: str, source: str, places: PoseList) -> tuple[Course, Driva
             obstacles=obstacles,
         )
         found = check_course(course)
-        # In time enough a rover can turn on the spot and drive to its side, but who asks for a way to the side
-        # does not mean that.
+        # In time enough a rover can turn on the spot and drive to its side; who asks for a way to the side
+        # means something else.
         if found.drivable or any(problem.cause in NO_MATTER_OF_TIME for problem in found.problems):
             break
         stretch *= SLOWER

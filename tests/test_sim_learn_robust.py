@@ -126,25 +126,36 @@ def test_no_more_than_the_last_250_means_count_and_are_kept():
     state["cma"]["generation"] = 5000
     state["means"] = [[0.01 * number] * len(state["cma"]["mean"]) for number in range(250)]
     going.restore(state)
-    last = going.advance(lambda vectors, first, count: np.zeros((len(vectors), count)))
+    last = going.advance(lambda vectors, first, count, failure: np.zeros((len(vectors), count)))
     kept = np.array(going.state()["means"])
     assert len(kept) == 250
     assert kept[:249].tolist() == state["means"][1:]
     assert last.winner == pytest.approx(UnitCube(START).vector(kept.mean(axis=0)), rel=1e-9)
 
 
-@pytest.mark.parametrize(("number", "count"), [(0, 8), (149, 8), (150, 16), (899, 16), (900, 32)])
-def test_early_generations_drive_fewer_trials(number, count):
+@pytest.mark.parametrize(
+    ("number", "count", "weight"),
+    [
+        (0, 8, 6.0),
+        (149, 8, 6.0),
+        (150, 16, 6.0),
+        (899, 16, 6.0),
+        (900, 32, 6.0),
+        (1749, 32, 6.0),
+        (1750, 32, 20.0),
+    ],
+)
+def test_early_generations_drive_fewer_trials_and_late_ones_count_failures_more(number, count, weight):
     seen, going = [], searching()
     going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number}})
 
-    def drive(vectors, first, count):
-        seen.append((len(vectors), first, count))
+    def drive(vectors, first, count, failure):
+        seen.append((len(vectors), first, count, failure))
         return np.zeros((len(vectors), count))
 
     before = going.episodes
     going.advance(drive)
-    assert seen == [(31, 32 * number, count)]
+    assert seen == [(31, 32 * number, count, weight)]
     assert going.episodes - before == 31 * count
 
 

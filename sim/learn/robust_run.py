@@ -58,10 +58,12 @@ def _drive(settings: RobustSettings, start: Policy, course: Course, ranges: Rand
     return drive_trials(engine, ranges, model, settings.seed)
 
 
-def _drive_in_processes(processes: Processes, vectors: FloatArray, first: int, count: int) -> FloatArray:
+def _drive_in_processes(
+    processes: Processes, vectors: FloatArray, first: int, count: int, failure: float
+) -> FloatArray:
     """Drive trials in processes, each of which takes its part of the vectors (k, P)."""
     parts = [part for part in np.array_split(vectors, processes.count) if len(part)]
-    return np.concatenate(processes.call([(part, first, count) for part in parts]))
+    return np.concatenate(processes.call([(part, first, count, failure) for part in parts]))
 
 
 def train_robust(

@@ -69,7 +69,7 @@ def step(state: State, event: Event, now: float, limits: Limits, accept_ros: boo
         case Heard():
             state = _hear(state, event, limits)
         case BaseLost():
-            state = replace(state, base=None, low_since_s=None, unseen_m=0.0, unseen_rad=0.0)
+            state = replace(state, base=None, low_since_s=None)
         case Enable():
             state, refusal = _enable(state, event, limits)
         case Release(driver) if state.lease is not None and state.lease.driver == driver:

@@ -31,7 +31,8 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         rows = Path(folder) / "rows.jsonl"
         environment = {**os.environ, "ROVER_NCP_SAFETY_ROWS": str(rows)}
-        matrix = ["-m", "pytest", "-q", "tests/test_safety_matrix.py"]
+        # All but the test of what is about to be written.
+        matrix = ["-m", "pytest", "-q", "tests/test_safety_matrix.py", "-k", "not page"]
         code = subprocess.run([sys.executable, *matrix], cwd=ROOT, env=environment, check=False).returncode
         lines = rows.read_text().splitlines() if rows.exists() else []
     found = {line["row"]: line for line in map(json.loads, lines)}

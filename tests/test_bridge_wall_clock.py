@@ -1,0 +1,60 @@
+"""A wall clock that somebody sets: what the bridge's stamps do, on a virtual clock."""
+
+import pytest
+
+from rover_ncp.core.errors import FormatError
+from rover_ncp.core.lease import MotorsRequest, dump_json
+from rover_ncp.core.messages import read_odometry
+from sim.pioneer.firmware import Firmware
+from sim.studies.virtual import WALL_NS, World
+from sim.world.bay import Bay
+from sim.world.rover import Rover, RoverModel
+
+HOUR_NS = 3600 * 1_000_000_000
+SECOND_NS = 1_000_000_000
+ME = "ab" * 16
+
+
+class SetWorld(World):
+    """A world whose wall clock can be set."""
+
+    set_ns = 0
+
+    def time_ns(self):
+        return super().time_ns() + self.set_ns
+
+
+@pytest.fixture
+def world():
+    world = SetWorld(Firmware("p3at-sh", Rover(RoverModel(), Bay(()))))
+    world.stamps = []
+
+    def hear(name, data):
+        if name == "odom":
+            try:
+                world.stamps.append(read_odometry(data).stamp_ns - WALL_NS - world.now_ns)
+            except FormatError as error:
+                raise AssertionError from error
+
+    world.hear = hear
+    world.sleep(3.0)
+    assert abs(world.stamps[-1]) < SECOND_NS / 10
+    return world
+
+
+def motors(world, enable):
+    request = MotorsRequest(enable=enable, driver=ME, name="x", sent_ns=world.now_ns)
+    return world.ask("rover/motors", dump_json(request))
+
+
+@pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS])
+def test_while_somebody_drives_stamps_do_not_step_and_afterwards_they_are_right_again(world, step_ns):
+    assert motors(world, True).granted
+    world.set_ns = step_ns
+    del world.stamps[:]
+    world.sleep(0.8)
+    assert len(world.stamps) >= 7
+    assert all(abs(stamp) < SECOND_NS / 10 for stamp in world.stamps)
+    motors(world, False)
+    world.sleep(1.5)
+    assert abs(world.stamps[-1] - step_ns) < SECOND_NS / 10

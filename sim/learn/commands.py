@@ -65,6 +65,13 @@ def train(
     random_courses: Annotated[
         int | None, typer.Option(min=0, help="Courses beside the given one.", show_default="24 if random")
     ] = None,
+    profile: Annotated[
+        Path | None,
+        typer.Option(
+            help="What was measured of the rover, as 'identify' writes it; the rest is drawn.",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder of the run, missing or empty.", show_default="the next free runs/train-N"),
@@ -108,6 +115,7 @@ def train(
     are its generations.
 
         rover-ncp train --randomize full --out runs/robust
+        rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine
     """
     from rover_ncp.core.course import load_course
     from sim.learn.folder import new_run_path, saved_settings
@@ -131,6 +139,7 @@ def train(
         "rollouts": rollouts,
         "worst": worst,
         "random_courses": random_courses,
+        "profile": None if profile is None else str(profile),
     }
     if resume and out is None:
         raise UsageError("--resume needs --out, the folder of the run to go on with")
@@ -153,7 +162,7 @@ def train(
     if processes is not None and cluster is not None:
         raise UsageError("--processes and --cluster do not go together: a cluster has its own workers")
     if any(value is not None for value in robust.values()):
-        raise UsageError("--rollouts, --worst and --random-courses need --randomize")
+        raise UsageError("--rollouts, --worst, --random-courses and --profile need --randomize")
     plain = TrainSettings(**((saved.model_dump() if saved else {}) | given))
     task = resolve_task(plain)  # before a folder is made, so that a typo leaves none behind
     folder = out or new_run_path()

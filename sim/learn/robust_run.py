@@ -28,7 +28,7 @@ from sim.learn.folder import open_folder
 from sim.learn.record import Record, RobustSettings, Task
 from sim.learn.robust import Drive, Generation, RobustSearch, UnitCube, drive_trials, training_courses
 from sim.learn.workers import Processes, available_processes
-from sim.world.randomization import Randomization, draw_trials, load_randomization
+from sim.world.randomization import Randomization, draw_trials, ranges_for
 from sim.world.rover import RoverModel
 
 __all__ = ["RobustResult", "train_robust"]
@@ -82,7 +82,8 @@ def train_robust(
     """
     if settings.worst > settings.rollouts:
         raise UsageError(f"the worst {settings.worst} of {settings.rollouts} rollouts cannot be taken")
-    course, ranges = load_course(settings.course), load_randomization(settings.randomize)
+    course = load_course(settings.course)
+    ranges = ranges_for(settings.randomize, Path(settings.profile) if settings.profile else None)
     start = course_policy(load_circuit(settings.circuit))
     record = Record[RobustSettings].of(settings, Task(course, start))
     make = partial(_drive, settings, start, course, ranges)

@@ -22,7 +22,8 @@ from sim.studies.truth import during, judge_truth, read_truth, recorded_truth
 
 __all__ = ["LiveTrials"]
 
-_EXTRA_S = 60.0
+_EXTRA_S = 180.0
+"""For a driver to start, on a machine that does other things too, and to stand for a moment."""
 _DROVE = {0, 1, 4}
 """Exit codes of a driver that drove, well or not."""
 

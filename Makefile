@@ -4,8 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 BROWSER_STAMP := $(VENV)/.browser
+GRADIENTS_STAMP := $(VENV)/.gradients
 
-.PHONY: park test test-browser check lint types contracts safety clean
+.PHONY: park test test-browser check lint types contracts safety clean paper paper-quick paper-gradients
 
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park
@@ -34,6 +35,19 @@ contracts: $(STAMP)
 safety: $(STAMP)
 	$(BIN)/python tests/safety_table.py
 
+# A run of seconds for every task of the paper: the circuit, a network, and both checked by a replay.
+paper-quick: $(STAMP)
+	$(BIN)/rover-ncp paper run --budget quick --again --agent circuit --agent mlp --seed 0 --runs runs/paper-quick
+	$(BIN)/rover-ncp paper replay --agent circuit --agent mlp --seed 0 --runs runs/paper-quick
+
+# All of the paper's runs that are not made yet, but those of PPO and A2C. Hours; interrupt it, and go on.
+paper: $(STAMP)
+	$(BIN)/rover-ncp paper run
+
+# PPO and A2C: installs stable-baselines3, and with it torch.
+paper-gradients: $(GRADIENTS_STAMP)
+	$(BIN)/rover-ncp paper run --agent ppo --agent a2c
+
 # The gate has the last word: every line and branch of it is run by its own tests.
 coverage-gate: $(STAMP)
 	$(BIN)/coverage run --branch --include='bridge/gate*.py,bridge/limits.py' --data-file=.coverage-gate \
@@ -60,6 +74,10 @@ $(STAMP): pyproject.toml constraints.txt
 $(BROWSER_STAMP): $(STAMP)
 	command -v chromium >/dev/null || { apt-get -qq update && apt-get -qq install --yes --no-install-recommends chromium fonts-dejavu-core; } >/dev/null
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,browser]'
+	touch $@
+
+$(GRADIENTS_STAMP): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,paper]'
 	touch $@
 
 clean:

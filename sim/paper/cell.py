@@ -18,7 +18,7 @@ from sim.learn.search.packed import unpack
 
 __all__ = ["Cell", "Name", "Shelf", "load_cell"]
 
-SHIPPED = Path(__file__).parent / "runs"
+SHIPPED = Path(__file__).parent / "results"
 
 
 class Name(StrictModel):
@@ -64,14 +64,12 @@ class Cell(StrictModel):
     success: bool
     circuit: str | None = None
     """The wiring, where a file gave it, as the text of a circuit file."""
-    parameters: dict[str, Any] | None = None
-    """The trained vector, packed; None for one trained by gradients."""
+    parameters: dict[str, Any]
+    """The trained vector, packed."""
 
     @property
     def vector(self) -> Vector:
         """The trained parameters (P,)."""
-        if self.parameters is None:
-            raise FileError(f"{self.name}: was trained by gradients; its parameters are not kept")
         return unpack(self.parameters, (None,))
 
 

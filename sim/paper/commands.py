@@ -18,6 +18,13 @@ class What(StrEnum):
     RUN = "run"
     STATUS = "status"
     REPLAY = "replay"
+    TABLE1 = "table1"
+    TABLE2 = "table2"
+    TABLE3 = "table3"
+    PARAMETERS = "parameters"
+    TIME_CONSTANTS = "time-constants"
+    CONTRIBUTIONS = "contributions"
+    CURVES = "curves"
 
 
 class Budget(StrEnum):
@@ -29,7 +36,14 @@ class Budget(StrEnum):
 
 
 def paper(
-    what: Annotated[What, typer.Argument(help="run: make runs. status: which are made. replay: check them.")],
+    what: Annotated[
+        What,
+        typer.Argument(
+            help="run: make runs. status: which are made. replay: check them. table1: random circuits. "
+            "table2: PPO and A2C. table3: networks. parameters: of the experiments. time-constants and "
+            "contributions: of the parking circuits. curves: a picture of the learning."
+        ),
+    ],
     *,
     task: Annotated[
         list[str] | None, typer.Option(help="Only this task; may be repeated.", show_default="all")
@@ -50,6 +64,7 @@ def paper(
     runs: Annotated[Path, typer.Option(help="Folder of your runs, before those that are shipped.")] = Path(
         "runs/paper"
     ),
+    out: Annotated[Path, typer.Option(help="curves: the picture.")] = Path("runs/paper/curves.png"),
     again: Annotated[bool, typer.Option("--again", help="Make runs anew that are made already.")] = False,
     processes: Annotated[
         int | None,
@@ -66,21 +81,17 @@ def paper(
         rover-ncp paper run --task mountain-car --agent circuit --seed 3 --again
         rover-ncp paper replay --task mountain-car
         rover-ncp paper run --task cart-pole --circuit mine.bnn
+        rover-ncp paper table3 --json
     """
     from sim.learn.workers import available_processes
     from sim.paper.cell import Shelf
     from sim.paper.choice import chosen
-    from sim.paper.grid import make_runs, status
+    from sim.paper.grid import make_runs
     from sim.paper.train import BudgetName
 
     output, shelf = Output(json), Shelf(runs)
-    if what is What.STATUS:
-        rows = [
-            {"task": group.task, "agent": group.agent, "made": made, "runs": group.runs}
-            for group, made in status(shelf)
-        ]
-        lines = [f"{row['task']:17} {row['agent']:8} {row['made']} of {row['runs']} runs" for row in rows]
-        output.result({"groups": rows}, "\n".join(lines))
+    if what not in (What.RUN, What.REPLAY):
+        _show(what, output, shelf, out)
         return 0
     names = chosen(task, agent, seed, circuit)
     if what is What.REPLAY:
@@ -102,6 +113,42 @@ def paper(
     return 0
 
 
+def _show(what: What, output: Output, shelf: Any, out: Path) -> None:
+    """Print what stands in the runs that are made."""
+    from sim.paper import render, tables
+
+    if what is What.STATUS:
+        from sim.paper.grid import status
+
+        rows = [
+            {"task": group.task, "agent": group.agent, "made": made, "runs": group.runs}
+            for group, made in status(shelf)
+        ]
+        lines = [f"{row['task']:17} {row['agent']:8} {row['made']} of {row['runs']} runs" for row in rows]
+        output.result({"groups": rows}, "\n".join(lines))
+    elif what in (What.TABLE1, What.TABLE2, What.TABLE3):
+        found = tables.table(tables.Table(what), shelf)
+        output.result({"cells": [entry.fields() for entry in found]}, render.table_text(found))
+    elif what is What.PARAMETERS:
+        rows = tables.parameters()
+        output.result({"tasks": rows}, render.parameters_text(rows))
+    elif what is What.CURVES:
+        from rover_ncp.core.files import write_atomic
+        from sim.paper.curves import curves_png
+
+        write_atomic(out, curves_png(shelf))
+        output.result({"picture": str(out)}, str(out))
+    else:
+        from sim.paper.inside import parking_contributions, parking_time_constants
+
+        if what is What.TIME_CONSTANTS:
+            inside = parking_time_constants(shelf)
+            output.result(inside, render.time_constants_text(inside))
+        else:
+            inside = parking_contributions(shelf)
+            output.result(inside, render.contributions_text(inside))
+
+
 def _summary(cell: Any) -> dict[str, Any]:
     fields = ("mean", "std", "plain_mean", "success", "cpu_s", "steps", "ended", "budget")
     return {**cell.name.model_dump(), **{field: getattr(cell, field) for field in fields}}
@@ -109,14 +156,13 @@ def _summary(cell: Any) -> dict[str, Any]:
 
 def _replay(output: Output, shelf: Any, names: list[Any], circuit: Path | None) -> int:
     """Run stored parameters again; exit 1 if a single bit of a return differs."""
-    from sim.paper.agents import GRADIENTS
     from sim.paper.cell import load_cell
     from sim.paper.train import replay
 
     differ, count = [], 0
     for name in names:
         path = shelf.find(name)
-        if path is None or name.agent in GRADIENTS:
+        if path is None:
             continue
         cell, count = load_cell(path), count + 1
         found = replay(cell, circuit)

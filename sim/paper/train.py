@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from enum import StrEnum
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ __all__ = ["BudgetName", "budget_for", "replay", "score", "train_cell"]
 EPISODES = 100
 _FINAL = 99
 _CURVE_POINTS = 60
+_QUICK_STEPS = {False: 400_000, True: 60_000}
+"""Of a quick run, without and with MuJoCo: about two seconds."""
 
 
 class BudgetName(StrEnum):
@@ -51,7 +54,7 @@ def budget_for(task: Task, name: BudgetName) -> Budget:
             full,
             rollouts=min(full.rollouts, 3),
             worst=min(full.worst, 3),
-            steps=task.steps // (50 if task.horizon == 1000 else 20),
+            steps=_QUICK_STEPS[isinstance(task, Benchmark) and task.mujoco is not None],
             starts=min(starts, 300 if task.horizon < 1000 else 30),
         )
     return full
@@ -69,8 +72,8 @@ def train_cell(
     """
     began, worked = time.monotonic(), time.process_time()
     task, limits = find_task(name.task), budget_for(find_task(name.task), budget)
-    if name.agent in GRADIENTS:
-        raise UsageError(f"{name.agent} is trained by make paper-gradients")
+    if name.agent in GRADIENTS and circuit is None:
+        return _train_by_gradients(name, task, budget, (began, worked))
     agent = build_agent(task, name.agent, name.seed, circuit)
     arena = _arena(task, agent)
     if isinstance(arena, Arena):
@@ -96,8 +99,39 @@ def train_cell(
     )
 
 
-def score(task: Task, agent: Policy | Net, vector: Vector, seed: int) -> dict[str, Any]:
-    """Return how parameters (P,) do in fresh episodes: the fields ``episodes`` to ``success`` of a run."""
+def _train_by_gradients(name: Name, task: Task, budget: BudgetName, began: tuple[float, float]) -> Cell:
+    from sim.paper.gradients import CELLS, train_actor  # an extra that the other agents do without
+
+    if budget is BudgetName.PUBLISHED:
+        raise UsageError(f"the paper tells no budget of {name.agent}")
+    actor, steps = train_actor(task, name.agent, name.seed, quick=budget is BudgetName.QUICK)
+    return Cell(
+        name=name,
+        command=_command(name, budget, None),
+        budget=budget,
+        settings={"cells": CELLS, "steps": steps},
+        made_with=made_with() | _versions(task, "stable-baselines3", "torch"),
+        wall_s=time.monotonic() - began[0],
+        cpu_s=time.process_time() - began[1],
+        evaluations=0,
+        steps=steps,
+        ended="steps",
+        curve=(),
+        parameters=pack(actor.vector()),
+        **score(task, None, actor.vector(), name.seed),
+    )
+
+
+def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int) -> dict[str, Any]:
+    """Return how parameters (P,) do in fresh episodes: the fields ``episodes`` to ``success`` of a run.
+
+    Without an agent they are those of an actor (``gradients.py``).
+    """
+    seeds = draw_seeds(seed, (_FINAL,), EPISODES)
+    if agent is None:
+        from sim.paper.gradients import score_actor
+
+        return _summary(task, *score_actor(task, vector, seeds))
     arena = _arena(task, agent)
     if isinstance(arena, ParkingArena):
         outcome = arena.outcome(vector)
@@ -108,23 +142,26 @@ def score(task: Task, agent: Policy | Net, vector: Vector, seed: int) -> dict[st
             "plain_mean": outcome.total,
             "success": outcome.parked and outcome.total >= task.success,
         }
-    seeds = draw_seeds(seed, (_FINAL,), EPISODES)
     found = arena.run(np.tile(vector, (EPISODES, 1)), seeds)
-    returns = found[:, :2].sum(axis=1)
-    plain = float(found[:, 0].mean())
+    return _summary(task, found[:, :2].sum(axis=1), found[:, 0])
+
+
+def _summary(task: Task, returns: Vector, plain: Vector) -> dict[str, Any]:
+    plain_mean = float(plain.mean())
     return {
-        "episodes": EPISODES,
+        "episodes": len(returns),
         "mean": float(returns.mean()),
         "std": float(returns.std()),
-        "plain_mean": plain,
-        "success": plain >= task.success,
+        "plain_mean": plain_mean,
+        "success": plain_mean >= task.success,
     }
 
 
 def replay(cell: Cell, circuit: Path | None = None) -> dict[str, Any]:
     """Return what a stored run's parameters do now, as ``score`` does."""
     task = find_task(cell.name.task)
-    agent = build_agent(task, cell.name.agent, cell.name.seed, circuit)
+    by_gradients = cell.name.agent in GRADIENTS and circuit is None
+    agent = None if by_gradients else build_agent(task, cell.name.agent, cell.name.seed, circuit)
     return score(task, agent, cell.vector, cell.name.seed)
 
 
@@ -138,10 +175,9 @@ def _command(name: Name, budget: BudgetName, circuit: Path | None) -> str:
     return shlex.join(words + (["--circuit", str(circuit)] if circuit else []))
 
 
-def _versions(task: Task) -> dict[str, str]:
-    from importlib import metadata
-
-    libraries = ("gymnasium", "mujoco") if isinstance(task, Benchmark) and task.mujoco else ()
+def _versions(task: Task, *libraries: str) -> dict[str, str]:
+    if isinstance(task, Benchmark):
+        libraries = ("gymnasium", *libraries, *(("mujoco",) if task.mujoco else ()))
     return {library: metadata.version(library) for library in libraries}
 
 

@@ -1,0 +1,62 @@
+"""Learning curves as in the paper's figure: of every task the median of the runs and their middle half."""
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.paper.agents import AGENTS
+from sim.paper.cell import Cell, Shelf
+from sim.paper.tasks import TASKS
+
+__all__ = ["curves_png"]
+
+_POINTS = 200
+_COLORS = dict(zip(AGENTS, ("tab:blue", "tab:orange", "tab:green", "tab:red", "0.4", "0.7"), strict=True))
+
+
+def curves_png(shelf: Shelf) -> bytes:
+    """Return a picture of the runs that are made, as PNG. Raises FileError."""
+    from matplotlib.figure import Figure
+
+    columns = 3
+    rows = -(-len(TASKS) // columns)
+    figure = Figure(figsize=(4.6 * columns, 3.1 * rows), dpi=100, layout="constrained")
+    grid: Any = figure.subplots(rows, columns, squeeze=False)
+    for axes, task in zip(grid.flat, TASKS.values(), strict=False):
+        for agent in AGENTS:
+            cells = [cell for cell in shelf.cells(task.name, agent) if len(cell.curve) > 1]
+            if cells:
+                _draw(axes, cells, agent)
+        axes.axhline(task.success, color="0.6", linewidth=0.8, linestyle=":")
+        axes.set_title(task.title, fontsize=9)
+        axes.set_xscale("log")
+        axes.grid(alpha=0.3)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(fontsize=7, loc="lower right")
+    for axes in list(grid.flat)[len(TASKS) :]:
+        axes.set_visible(False)
+    figure.supxlabel("steps of the environment", fontsize=9)
+    figure.supylabel("estimated return of the best so far", fontsize=9)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _draw(axes: Any, cells: Sequence[Cell], agent: str) -> None:
+    first = min(cell.curve[0][0] for cell in cells)
+    last = max(cell.steps for cell in cells)
+    steps = np.geomspace(max(first, 1), last, _POINTS)
+    values = np.array([_values_at(cell, steps) for cell in cells])
+    low, middle, high = np.nanpercentile(values, [25, 50, 75], axis=0)
+    axes.fill_between(steps, low, high, color=_COLORS[agent], alpha=0.15, linewidth=0)
+    axes.plot(steps, middle, color=_COLORS[agent], linewidth=1.5, label=f"{agent} ({len(cells)})")
+
+
+def _values_at(cell: Cell, steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a run's estimate at so many steps; before its first, that."""
+    marks, values = np.array(cell.curve).T
+    found: NDArray[np.float64] = values[np.maximum(np.searchsorted(marks, steps, side="right") - 1, 0)]
+    return found

@@ -1,0 +1,165 @@
+"""PPO and A2C of stable-baselines3 on the paper's tasks, with a network of eleven cells.
+
+They see what Gymnasium's environment shows. Of what they learn the actor is kept: one hidden layer of tanh
+cells, and how observations are normalised. It is scored by a few lines of numpy, which need no torch, so that
+a stored run is replayed wherever MuJoCo is.
+
+Settings other than the libraries' defaults are those of its collection of tuned ones for mountain car,
+where without exploration that holds on for some steps no reward is ever seen.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.core.errors import UsageError
+from sim.learn.search.base import Vector
+from sim.paper.plants import MOUNTAIN_CAR
+from sim.paper.tasks import Benchmark, Task
+
+__all__ = ["CELLS", "Actor", "PaperEnvironment", "score_actor", "train_actor"]
+
+FloatArray = NDArray[np.float64]
+
+CELLS = 11
+_STEPS = 100_000
+_CAR_STEPS = {"ppo": 20_000, "a2c": 100_000}
+_QUICK_STEPS = 4096
+_LEAST_VARIANCE = 1e-8
+_MOST_NORMALISED = 10.0
+_CAR: dict[str, dict[str, Any]] = {
+    "ppo": {
+        "n_steps": 8,
+        "batch_size": 8,
+        "gamma": 0.9999,
+        "learning_rate": 7.77e-5,
+        "ent_coef": 0.00429,
+        "clip_range": 0.1,
+        "gae_lambda": 0.9,
+        "max_grad_norm": 5.0,
+        "vf_coef": 0.19,
+        "use_sde": True,
+        "log_std_init": -3.29,
+    },
+    "a2c": {"use_sde": True, "sde_sample_freq": 16, "log_std_init": 0.0},
+}
+
+
+class PaperEnvironment(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """A task's Gymnasium environment with its step, its start and its bonus."""
+
+    def __init__(self, task: Benchmark) -> None:
+        model = task.mujoco
+        options: dict[str, Any] = {"frame_skip": model.frames} if model else {}
+        super().__init__(gymnasium.make(task.environment, **options))
+        self.task, self._generator = task, np.random.default_rng(0)
+        if model and model.step_s is not None:
+            self.unwrapped.model.opt.timestep = model.step_s  # type: ignore[attr-defined]
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode at the task's start for a seed."""
+        seen, info = self.env.reset(seed=seed)
+        if seed is not None:
+            self._generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
+        if self.task.mujoco:
+            start = self.task.start(self._generator)
+            half = len(start) // 2
+            self.unwrapped.set_state(start[:half], start[half:])  # type: ignore[attr-defined]
+            seen = start
+        return seen, info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Step, with the bonus of a step that is rewarded."""
+        seen, reward, terminated, truncated, info = self.env.step(action)
+        if self.task.bonus and not terminated:
+            reward = float(reward) + self.task.bonus * (1.0 - abs(float(seen[0])))
+        return seen, float(reward), terminated, truncated, info
+
+
+@dataclass(frozen=True, eq=False)
+class Actor:
+    """What is kept of a training: means and variances of observations, weights of cells and of the output."""
+
+    center: FloatArray
+    variance: FloatArray
+    hidden: FloatArray
+    """(CELLS, observations + 1), the last column the biases."""
+    output: FloatArray
+    """(actions, CELLS + 1)."""
+
+    def vector(self) -> Vector:
+        """Return all numbers as one vector."""
+        parts = (self.center, self.variance, self.hidden, self.output)
+        return np.concatenate([part.ravel() for part in parts])
+
+    @classmethod
+    def of(cls, vector: Vector, observations: int, actions: int) -> "Actor":
+        """Return the actor of a vector. Raises ValueError for one of another length."""
+        shapes = ((observations,), (observations,), (CELLS, observations + 1), (actions, CELLS + 1))
+        ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
+        if len(vector) != ends[-1]:
+            raise ValueError(f"an actor here has {ends[-1]} numbers, not {len(vector)}")
+        parts = np.split(vector, ends[:-1])
+        return cls(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+
+    def act(self, seen: FloatArray) -> FloatArray:
+        """Return the action for an observation."""
+        normal = (seen - self.center) / np.sqrt(self.variance + _LEAST_VARIANCE)
+        normal = np.clip(normal, -_MOST_NORMALISED, _MOST_NORMALISED)
+        cells = np.tanh(self.hidden[:, :-1] @ normal + self.hidden[:, -1])
+        action: FloatArray = self.output[:, :-1] @ cells + self.output[:, -1]
+        return action
+
+
+def train_actor(task: Task, agent: str, seed: int, quick: bool = False) -> tuple[Actor, int]:
+    """Train by ``ppo`` or ``a2c``; returns the actor and the steps taken. Raises UsageError."""
+    import torch
+    from stable_baselines3 import A2C, PPO
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    if not isinstance(task, Benchmark):
+        raise UsageError(f"{agent} is not trained on {task.name}")
+    torch.set_num_threads(1)
+    settings = dict(_CAR[agent]) if task.plant == MOUNTAIN_CAR else {}
+    network = {"net_arch": [CELLS], "activation_fn": torch.nn.Tanh}
+    if "log_std_init" in settings:
+        network |= {"log_std_init": settings.pop("log_std_init"), "ortho_init": False}
+    world = VecNormalize(DummyVecEnv([lambda: PaperEnvironment(task)]), gamma=settings.get("gamma", 0.99))
+    algorithm = {"ppo": PPO, "a2c": A2C}[agent]
+    steps = _CAR_STEPS[agent] if task.plant == MOUNTAIN_CAR else _STEPS
+    steps = _QUICK_STEPS if quick else steps
+    model = algorithm("MlpPolicy", world, seed=seed, device="cpu", policy_kwargs=network, **settings)
+    model.learn(steps)
+    seen = world.obs_rms
+    layers = (model.policy.mlp_extractor.policy_net[0], model.policy.action_net)
+    hidden, output = (
+        np.column_stack([layer.weight.detach().numpy(), layer.bias.detach().numpy()]).astype(np.float64)
+        for layer in layers
+    )
+    return Actor(np.array(seen.mean), np.array(seen.var), hidden, output), int(model.num_timesteps)
+
+
+def score_actor(
+    task: Task, vector: Vector, seeds: NDArray[np.uint64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return an actor's returns with bonus, and Gymnasium's, (n,) each, in episodes of seeds (n,)."""
+    assert isinstance(task, Benchmark)
+    world = PaperEnvironment(task)
+    [observations], [actions] = world.observation_space.shape, world.action_space.shape  # type: ignore[misc]
+    low, high = world.action_space.low, world.action_space.high  # type: ignore[attr-defined]
+    actor = Actor.of(vector, observations, actions)
+    rewards = np.zeros((len(seeds), 2))
+    for row, seed in zip(rewards, seeds, strict=True):
+        seen, _ = world.reset(seed=int(seed))
+        over = False
+        while not over:
+            action = np.clip(actor.act(np.asarray(seen, np.float64)), low, high).astype(np.float64)
+            seen, reward, terminated, truncated, _ = world.step(action)
+            over = terminated or truncated
+            row[0] += reward
+            bonus = task.bonus * (1.0 - abs(float(seen[0]))) if not terminated else 0.0
+            row[1] += reward - bonus
+    return rewards[:, 0], rewards[:, 1]

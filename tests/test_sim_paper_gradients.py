@@ -1,0 +1,78 @@
+"""What is kept of PPO and A2C, and the environments they learn in; none of it needs torch."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+from sim.paper.arena import Arena, draw_seeds
+from sim.paper.gradients import CELLS, Actor, PaperEnvironment, score_actor
+from sim.paper.tasks import TASKS
+
+
+def random_actor(observations, actions=1, seed=0):
+    rng = np.random.default_rng(seed)
+    return Actor(
+        rng.normal(0, 0.01, observations),
+        rng.uniform(0.5, 2.0, observations),
+        rng.normal(0, 1, (CELLS, observations + 1)),
+        rng.normal(0, 0.3, (actions, CELLS + 1)),
+    )
+
+
+def test_an_actor_is_its_vector():
+    actor = random_actor(4)
+    again = Actor.of(actor.vector(), 4, 1)
+    seen = np.array([0.1, -0.2, 0.3, 20.0])
+    assert again.act(seen).tolist() == actor.act(seen).tolist()
+    normal = np.clip((seen - actor.center) / np.sqrt(actor.variance + 1e-8), -10, 10)
+    cells = np.tanh(actor.hidden @ [*normal, 1.0])
+    np.testing.assert_allclose(actor.act(seen), actor.output @ [*cells, 1.0])
+    with pytest.raises(ValueError, match="numbers"):
+        Actor.of(actor.vector()[1:], 4, 1)
+
+
+@pytest.mark.parametrize("name", ["pendulum", "roboschool", "mountain-car"])
+def test_the_environment_starts_where_the_lanes_do(name):
+    task = TASKS[name]
+    arena = Arena(task, task.policy(task.circuit()), lanes=1)
+    seeds = draw_seeds(3, (1,), 4)
+    world = PaperEnvironment(task)
+    for seed, start in zip(seeds, arena.starts(seeds), strict=True):
+        seen, _ = world.reset(seed=int(seed))
+        np.testing.assert_allclose(seen, start, rtol=1e-7)
+
+
+def test_the_bonus_is_on_every_rewarded_step():
+    world = PaperEnvironment(TASKS["roboschool"])
+    world.reset(seed=1)
+    rewards, places, over = [], [], False
+    while not over:
+        seen, reward, over, _, _ = world.step(np.array([3.0]))
+        rewards.append(reward)
+        places.append(seen[0])
+    assert rewards[-1] == 0.0
+    np.testing.assert_allclose(rewards[:-1], 1.0 + 0.2 * (1.0 - np.abs(places[:-1])))
+    assert world.unwrapped.dt == pytest.approx(0.0165)
+
+
+def test_an_actor_is_scored_with_and_without_the_bonus():
+    vector = random_actor(4).vector()
+    seeds = draw_seeds(0, (2,), 3)
+    with_bonus, plain = score_actor(TASKS["pendulum"], vector, seeds)
+    without, same = score_actor(TASKS["pendulum-plain"], vector, seeds)
+    assert plain.tolist() == pytest.approx(same.tolist())
+    assert without.tolist() == same.tolist()
+    assert np.all((with_bonus > plain) & (with_bonus <= 1.2 * plain))
+
+
+def test_the_cars_actor_is_scored_as_gymnasium_does():
+    actor = random_actor(2, seed=5)
+    [seed] = draw_seeds(0, (2,), 1)
+    env = gymnasium.make("MountainCarContinuous-v0")
+    seen, _ = env.reset(seed=int(seed))
+    total, over = 0.0, False
+    while not over:
+        seen, reward, terminated, truncated, _ = env.step(np.clip(actor.act(seen.astype(float)), -1, 1))
+        total, over = total + reward, terminated or truncated
+    returns, plain = score_actor(TASKS["mountain-car"], actor.vector(), np.array([seed]))
+    assert returns.tolist() == plain.tolist() == [pytest.approx(total)]

@@ -195,6 +195,19 @@ def test_a_search_that_is_close_hops_from_its_best_point() -> None:
     assert 0.04 < share < 0.16
 
 
+def test_samples_and_hops_take_turns_while_the_best_is_fair() -> None:
+    def fair(vectors: np.ndarray) -> np.ndarray:
+        """Nothing is better than the untuned start, which is neither close nor far."""
+        away = np.abs((vectors - DEFAULTS) / WIDTH).sum(axis=1) > 1e-9
+        return np.full((len(vectors), 1, CHECKPOINTS, 3), 0.1) * (1 + away)[:, None, None, None]
+
+    search = begin()
+    loss = -returns(fair(DEFAULTS[None]))[0] / CHECKPOINTS
+    assert gauss_newton.CLOSE_M2 < loss < gauss_newton.FAIR_M2
+    starts = [size for size in (len(batch(search, fair)) for _ in range(420)) if size in (SAMPLES, HOPS)]
+    assert starts[:5] == [HOPS, SAMPLES, HOPS, SAMPLES, HOPS]
+
+
 def stop_early(misses: np.ndarray, to_beat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return values and misses (n, 1, C, 3) of episodes that end where they are lost."""
     running = -np.cumsum((misses[:, 0] ** 2).sum(axis=2), axis=1)
@@ -222,7 +235,7 @@ def test_steps_that_are_stopped_where_they_are_lost_change_nothing() -> None:
 
 def test_a_climb_that_would_not_overtake_the_best_in_time_ends() -> None:
     descent = gauss_newton._Descent(
-        gauss_newton._Outcome(np.zeros(2), -0.5, np.zeros((1, 1, 3))), False, np.zeros((2, 3)), 0.1, []
+        gauss_newton._Outcome(np.zeros(2), -0.5, np.zeros((1, 1, 3))), False, True, np.zeros((2, 3)), 0.1, []
     )
     window = gauss_newton.OVERTAKING_WINDOW
     for gain, goes_on in ((0.026, True), (0.024, False)):

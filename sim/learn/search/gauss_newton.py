@@ -10,8 +10,8 @@ Two things get it past the local optima of a course:
   * Far from the goal it does not climb the return but how far the rover gets before it goes astray
     (``survival``): misses behind a lost turn say nothing about what comes before it, and pull the wrong way.
   * A descent that gains little over a window of steps ends, and so does one that gains too slowly to overtake
-    the best. Until the best is close, the next one starts from new samples, from then on from hops: the best
-    point with some parameters moved far.
+    the best. The next one starts from new samples, or, once the best is close, from hops: the best point with
+    some parameters moved far. In between they take turns.
 
 Rules of this file
   * A search knows points of the unit box; neither circuit nor simulator nor clock.
@@ -33,14 +33,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.learn.search import least_squares
 from sim.learn.search.base import SearchState, Vector
-from sim.learn.search.least_squares import (
-    correct_slopes,
-    damped_steps,
-    lost_at,
-    survival,
-    survival_weights,
-)
+from sim.learn.search.least_squares import correct_slopes, lost_at
 from sim.learn.search.packed import pack, unpack
 from sim.learn.search.unit_box import UnitBox, reflected
 
@@ -62,9 +57,10 @@ AFTER_FAILURE = 10.0
 LIFETIME_M2 = 5.0
 """Loss that makes a checkpoint count 1/e in ``survival``."""
 CLOSE_M2 = 0.3 / 22
-"""Loss per checkpoint below which the return itself is climbed, and hops begin."""
+"""Loss per checkpoint below which the return itself is climbed, and all starts are hops."""
 FAIR_M2 = 1.0 / 22
-"""Loss per checkpoint below which a descent that stalls goes on with the return itself."""
+"""Loss per checkpoint below which every second start is a hop, and a descent that stalls goes on with the
+return itself."""
 WINDOW = 80
 LEAST_GAIN = 0.01
 """A descent ends when so many steps took less than this share off what is left to gain."""
@@ -104,6 +100,8 @@ class _Descent:
     at: _Outcome
     survives: bool
     """Whether ``survival`` is climbed, not the return."""
+    hopped: bool
+    """Whether it began at a hop, not at a sample."""
     slopes: Vector
     """(D, R) of all misses."""
     damping: float
@@ -112,7 +110,7 @@ class _Descent:
 
     def score(self, outcome: _Outcome) -> float:
         """Return what is climbed."""
-        return float(survival(outcome.misses, LIFETIME_M2)) if self.survives else outcome.value
+        return float(least_squares.survival(outcome.misses, LIFETIME_M2)) if self.survives else outcome.value
 
     def measure(self, probe: _Outcome) -> None:
         """Take the slopes of the one parameter in which a probe differs."""
@@ -145,10 +143,10 @@ class _Descent:
         slopes, residuals = self.slopes, self.at.misses.ravel()
         if self.survives:
             weights = np.empty_like(self.at.misses)
-            survival_weights(self.at.misses, LIFETIME_M2, weights)
+            least_squares.survival_weights(self.at.misses, LIFETIME_M2, weights)
             slopes, residuals = slopes * weights.ravel(), residuals * weights.ravel()
         targets = np.empty((len(BOLDNESS), len(slopes)))
-        damped_steps(slopes, residuals, self.at.point, self.damping * BOLDNESS, targets)
+        least_squares.damped_steps(slopes, residuals, self.at.point, self.damping * BOLDNESS, targets)
         return targets
 
     def climb_return(self) -> None:
@@ -287,8 +285,10 @@ class GaussNewton:
 
     def _draw_samples(self, last: _Outcome) -> None:
         """Draw the samples from which the next descent will start."""
+        hopped = self._descent is not None and self._descent.hopped
         self._descent = None
-        if self.value is not None and -self.value / last.misses.shape[1] < CLOSE_M2:
+        assert self.value is not None
+        if -self.value / last.misses.shape[1] < (CLOSE_M2 if hopped else FAIR_M2):
             self._phase = _Phase.HOPS
             moved = self._generator.random((HOPS, self._box.size)) < HOP_SHARE
             moves = HOP_SPREAD * self._generator.standard_normal(moved.shape)
@@ -300,9 +300,9 @@ class GaussNewton:
 
     def _descend(self, samples: list[_Outcome]) -> None:
         """Begin a descent from the best sample: measure all slopes there."""
-        survives = self._phase is _Phase.SAMPLES
+        hopped = self._phase is _Phase.HOPS
         slopes = np.zeros((self._box.size, samples[0].misses.size))
-        self._descent = descent = _Descent(samples[0], survives, slopes, FIRST_DAMPING, [])
+        self._descent = descent = _Descent(samples[0], not hopped, hopped, slopes, FIRST_DAMPING, [])
         scores = [descent.score(sample) for sample in samples]
         best = max(range(len(samples)), key=scores.__getitem__)
         descent.at, descent.scores = samples[best], [scores[best]]
@@ -346,6 +346,7 @@ class GaussNewton:
                 "value": descent.at.value,
                 "misses": pack(descent.at.misses),
                 "survives": descent.survives,
+                "hopped": descent.hopped,
                 "slopes": pack(descent.slopes),
                 "damping": descent.damping,
                 "scores": list(descent.scores),
@@ -388,6 +389,7 @@ class GaussNewton:
         descent = _Descent(
             at=_Outcome(point, float(state["value"]), misses),
             survives=bool(state["survives"]),
+            hopped=bool(state["hopped"]),
             slopes=unpack(state["slopes"], (self._box.size, misses.size)),
             damping=float(state["damping"]),
             scores=[float(score) for score in state["scores"]],

@@ -87,6 +87,9 @@ class CourseFilter:
         P[POSE, POSE] = covariance
         self._resolution = np.diag([s.position_m**2, s.position_m**2, s.heading_rad**2])
         self._history = [_Entry(moment, None, x, P)]
+        self._fresh = 1
+        """So many entries know of all that was put before them; the others are applied again when needed, so
+        that many late poses at once cost hardly more than one."""
         self._waiting: list[Seen] = []
         self.nis = 0.0
         """Normalised innovation squared of the last pose that was weighed."""
@@ -98,14 +101,18 @@ class CourseFilter:
 
     def odometry(self, moment: Moment) -> list[Outcome]:
         """Move to a later moment; return what became of the poses that waited for it."""
+        self._apply_again(len(self._history))
         self._history.append(self._entered(self._history[-1], moment, None))
+        self._fresh += 1
         due = bisect_right(self._waiting, moment.t, key=lambda seen: seen.t)
         outcomes = [self._insert(seen) for seen in self._waiting[:due]]
         del self._waiting[:due]
         oldest = moment.t - self._settings.history_s
         # The last entry before the window stays: it is where a pose at the window's edge starts from.
         keep = max(bisect_right(self._history, oldest, key=lambda entry: entry.moment.t) - 1, 0)
+        self._apply_again(keep + 1)
         del self._history[:keep]
+        self._fresh -= keep
         return outcomes
 
     def pose(self, seen: Seen) -> Outcome:
@@ -121,25 +128,32 @@ class CourseFilter:
 
     def at(self, moment: Moment) -> tuple[Array, Array]:
         """Return state (9,) and covariance (9, 9) at a later moment; changes nothing."""
+        self._apply_again(len(self._history))
         last = self._history[-1]
         moved, jacobian, noise = self._step(last.x, *_way(last.moment, moment))
         return moved, jacobian @ last.P @ jacobian.T + noise
 
     def _insert(self, seen: Seen) -> Outcome:
         place = bisect_right(self._history, seen.t, key=lambda entry: entry.moment.t)
-        before, later = self._history[place - 1], self._history[place:]
-        between = _between(before.moment, later[0].moment, seen.t) if later else before.moment
+        self._apply_again(place)
+        before, newest = self._history[place - 1], place == len(self._history)
+        between = before.moment if newest else _between(before.moment, self._history[place].moment, seen.t)
         predicted = self._entered(before, between, None)
         innovation = _residual(seen.z, predicted.x[POSE])
         white = np.linalg.solve(np.linalg.cholesky(predicted.P[POSE, POSE] + seen.noise), innovation)
         self.nis = float(white @ white)
         if not self.nis <= self._settings.pose_gate:
             return Outcome.OUTLIER
-        entries = [self._entered(before, between, seen)]
-        for entry in later:
-            entries.append(self._entered(entries[-1], entry.moment, entry.seen))
-        self._history[place:] = entries
+        self._history.insert(place, self._entered(before, between, seen))
+        self._fresh = place + 1
         return Outcome.ACCEPTED
+
+    def _apply_again(self, count: int) -> None:
+        """Bring the first ``count`` entries up to date."""
+        for place in range(self._fresh, count):
+            entry = self._history[place]
+            self._history[place] = self._entered(self._history[place - 1], entry.moment, entry.seen)
+        self._fresh = max(self._fresh, count)
 
     def _entered(self, before: _Entry, moment: Moment, seen: Seen | None) -> _Entry:
         """Return the entry that follows ``before`` at ``moment``, with what was seen then."""

@@ -223,7 +223,7 @@ class Drive:
                 sample.pose, sample.velocity, seconds(sample.ref.measured_ns, self._start)
             )
             self._pending.append(sample.ref)
-        for seen in self.poses.take():
+        for seen in sorted(self.poses.take(), key=lambda seen: seen.ref.measured_ns):
             if self._placed:
                 t = seconds(seen.ref.measured_ns, self._start)
                 self._controller.external(seen.pose, seen.covariance, t)

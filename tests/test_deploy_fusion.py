@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from deploy.course_filter import CourseFilter
 from deploy.estimator import Estimator, EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, inverse, relative, wrap_angle
 from sim.world.fleet import Fleet
@@ -258,6 +259,17 @@ def test_a_pose_counts_for_the_moment_at_which_it_was_measured():
     early.odometry(Pose(_way(3.1), 0.0, 0.0), Velocity(0.1, 0.0), 3.1)
     assert early.at(3.1).pose.y == pytest.approx(0.02, abs=0.001)
     assert early.poses[Outcome.ACCEPTED] == 1
+
+
+def test_many_late_poses_at_once_cost_hardly_more_than_one(monkeypatch):
+    estimator, entered = straight(3.0), []
+    once = CourseFilter._entered
+    monkeypatch.setattr(CourseFilter, "_entered", lambda *args: (entered.append(1), once(*args))[1])
+    times = np.linspace(2.05, 2.95, 80)
+    for t in times:
+        assert estimator.external(Pose(_way(t), 0.0, 0.0), COVARIANCE, t) is Outcome.ACCEPTED
+    estimator.at(3.0)
+    assert len(entered) < 3 * len(times)  # applied again each time it would be 80 times 50
 
 
 def test_one_wrong_pose_is_refused_and_many_are_a_fault_that_stays():

@@ -1,0 +1,199 @@
+"""Random trials through the whole stack on a virtual clock, and what a base does in a trial."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.course import load_course
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.geometry import Pose, Velocity, distance
+from rover_ncp.core.profile import RoverProfile, load_profile
+from rover_ncp.shell import run
+from sim.learn.rollout import rollout
+from sim.pioneer.trial import BaseTrial
+from sim.studies.spread import drive_all
+from sim.studies.stack import Stack
+from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials, ranges_for
+from sim.world.rover import RoverModel
+
+SHORT = str(Path(__file__).parent / "data" / "short_course.yaml")
+
+
+def stack(ranges="none", seed=1, course=SHORT):
+    known = ranges if isinstance(ranges, Randomization) else load_randomization(ranges)
+    return Stack(load_policy("course"), (load_course(course),), known, seed)
+
+
+def apart(one, other):
+    """Metres between two poses."""
+    return distance(Pose(*one), Pose(*other))
+
+
+@pytest.fixture(scope="module")
+def parking():
+    """Two trials of robots nobody measured, on the paper's course."""
+    driven = stack("full", course="parking")
+    return driven, drive_all(driven, 2, 1)
+
+
+def test_trials_park_and_what_went_over_the_line_is_counted(parking):
+    _, found = parking
+    for trial in found:
+        assert trial.parked
+        assert (trial.reason, trial.ticks, trial.overruns) == ("", 320, 0)
+        # A SIP ten times a second, each some 50 bytes; set-points five times a second and more.
+        assert 33 * 10 * 40 < trial.bytes_from_base < 40 * 10 * 80
+        assert 32 * 5 * 10 < trial.bytes_to_base < 32 * 50 * 20
+
+
+def test_the_stack_drives_the_trials_of_plain_simulation(parking):
+    driven, found = parking
+    for number, trial in enumerate(found):
+        plain = rollout(driven.policy, driven.course(number), trials=driven.trials(number))
+        assert plain.verdict.parked
+        # What differs: whole mm/s and deg/s, encoder steps, and an estimate that is less noisy.
+        assert apart(plain.poses[-1], trial.pose) < 0.025
+
+
+def test_a_trial_is_the_same_whatever_the_number_of_processes():
+    alone = drive_all(stack("harsh"), 4, 1)
+    assert drive_all(stack("harsh"), 4, 2) == alone
+    assert stack("harsh").drive(3) == alone[3]
+    assert len({trial.pose for trial in alone}) == 4
+
+
+def test_without_errors_the_stack_ends_where_the_simulator_does():
+    driven = stack()
+    plain, trial = rollout(driven.policy, driven.course(0)), driven.drive(0)
+    assert apart(plain.poses[-1], trial.pose) < 0.005
+    assert plain.poses[-1][2] == pytest.approx(trial.pose.theta, abs=0.02)
+
+
+def test_a_known_start_reaches_the_driver_through_external_poses():
+    driven = stack(Randomization(name="far", start_m=0.1, start_rad=0.1745), seed=5)
+    for number in range(2):
+        trials = driven.trials(number)
+        plain = rollout(driven.policy, driven.course(number), trials=trials)
+        assert np.hypot(*trials.start[0, :2]) > 0.05
+        assert apart(plain.poses[-1], driven.drive(number).pose) < 0.01
+
+
+def test_a_driver_that_a_rule_stops_has_not_parked():
+    # Odometry that jumps by decimetres, of a robot whose driver believes that it does not.
+    driven = stack(Randomization(name="wild", noise_m=0.3))
+    driven.__dict__["known"] = RoverProfile(name="calm")
+    trial = driven.drive(0)
+    assert not trial.parked
+    assert trial.reason == "stopped by estimator"
+    assert trial.ticks < 20
+
+
+def test_a_base_lives_through_a_trial_by_counting_its_reports():
+    ranges = load_randomization("harsh")
+    trials = draw_trials(ranges, RoverModel(), 3, count=1, ticks=320)
+    base = BaseTrial(trials)
+    assert (base.noise, base.lost, base.push) == (Pose(0.0, 0.0, 0.0), False, None)
+    lost, pushes = [], []
+    for tick in range(400):
+        base.tick = tick
+        lost.append(base.lost)
+        pushes += [(tick, base.push)] if base.push else []
+        assert tick >= 320 or base.noise == pytest.approx(tuple(trials.noise[0, tick]))
+    assert lost[:320] == trials.lost[0].tolist()
+    assert not any(lost[320:])
+    assert pushes == [(int(trials.bump[0, 0]), Pose(*trials.bump[0, 1:].tolist()))]
+    ages = set()
+    for tick in range(320):
+        base.tick = tick - 1
+        ages.add(round(base.next_age_s / 0.01))
+    assert ages == {0, 1, 2, 3, 4, 5}
+
+
+def test_encoders_see_what_odometry_in_the_simulator_sees():
+    trials = draw_trials(load_randomization("harsh"), RoverModel(), 3, count=1, ticks=10)
+    base, motion = BaseTrial(trials), Velocity(0.12, -0.15)
+    seen = base.measured(motion)
+    distance_scale, heading_scale = trials.odometry[0]
+    turn = motion.omega * (1 + trials.slip[0] * abs(motion.omega)) - trials.imbalance[0] * seen.v
+    assert seen.v == pytest.approx(distance_scale * motion.v)
+    assert seen.omega == pytest.approx(heading_scale * turn + trials.drift[0])
+
+
+def test_without_a_trial_a_base_is_as_it_should_be():
+    base = BaseTrial(nominal_trials(RoverModel(), 1))
+    assert base.driven(0.123, -0.456) == (0.123, -0.456)
+    assert base.measured(Velocity(0.123, -0.456)) == (0.123, -0.456)
+    assert (base.effort_v, base.effort_omega) == (1.0, 1.0)
+
+
+def test_what_a_profile_states_is_not_drawn():
+    profile = RoverProfile(name="mine", delay_v_s=0.21, gain_v=1.1, odometry_distance=1.02, accel=0.248)
+    ranges = load_randomization("full").model_copy(update={"rover": profile})
+    model = RoverModel()
+    free = draw_trials(load_randomization("full"), model, 1, count=20, ticks=320)
+    tied = draw_trials(ranges, model, 1, count=20, ticks=320)
+    assert (tied.delay[:, 0] == 21).all()
+    assert (tied.delay[:, 1] == free.delay[:, 1]).all()
+    assert tied.acceleration[:, 0] == pytest.approx(0.8)
+    assert tied.odometry[:, 0] == pytest.approx(1.02)
+    # A gain is what odometry sees of it.
+    assert tied.gain[:, 0] * tied.odometry[:, 0] == pytest.approx(1.1)
+    for name in ("start", "noise", "lost"):
+        assert (getattr(tied, name) == getattr(free, name)).all()
+
+
+def test_a_profile_makes_exact_trials_inexact_only_where_odometry_errs():
+    model, none = RoverModel(), load_randomization("none")
+
+    def exact(**stated):
+        ranges = none.model_copy(update={"rover": RoverProfile(name="mine", **stated)})
+        return draw_trials(ranges, model, 1, count=1, ticks=10).exact
+
+    assert exact(delay_v_s=0.2, gain_omega=0.9)
+    assert not exact(odometry_distance=1.01)
+    assert not exact(noise_m=0.001)
+
+
+def test_profiles_are_read_with_clear_errors(tmp_path):
+    (tmp_path / "bad.yaml").write_text("name: x\ngain_v: 99\ndelay: 1\n")
+    with pytest.raises(ConfigError, match=r"\$\.gain_v: .*\$\.delay: unknown key"):
+        load_profile(tmp_path / "bad.yaml")
+    (tmp_path / "good.yaml").write_text("name: x\ngain_v: 1.05\n")
+    assert ranges_for("full", tmp_path / "good.yaml").rover.gain_v == 1.05
+
+
+def test_a_driver_makes_up_for_known_gains():
+    slow = RoverProfile(name="slow", gain_v=0.75, gain_omega=0.8)
+    ranges = load_randomization("none").model_copy(update={"rover": slow})
+    usual, known, unknown = stack(), stack(ranges), stack(ranges)
+    unknown.__dict__["known"] = RoverProfile(name="unmeasured")
+    # The circuit asks for more, and gets as far as on a robot as it should be.
+    there = usual.drive(0).pose
+    assert apart(known.drive(0).pose, there) < 0.01 < apart(unknown.drive(0).pose, there)
+
+
+def test_the_command_line_drives_through_the_stack(capsys):
+    assert run(["eval", "course", "--trials", "2", "--course", SHORT, "--stack", "--json"]) == 0
+    fields = json.loads(capsys.readouterr().out)
+    assert (fields["trials"], fields["course"], fields["randomize"]) == (2, SHORT, "none")
+    assert fields["bytes_to_base"] > 500
+    assert fields["bytes_from_base"] > 3000
+    assert fields["overruns"] == 0
+    assert math.isfinite(fields["times_real_time"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["kanayama", "--trials", "2", "--stack"], "plain simulation alone"),
+        (["course", "--processes", "2"], "--processes needs --stack or --live"),
+        (["course", "--trials", "2", "--live", "3"], "there are only 2 trials"),
+    ],
+)
+def test_what_cannot_be_asked_for_together_is_said(arguments, words, capsys):
+    assert run(["eval", *arguments]) == 2
+    assert words in capsys.readouterr().err

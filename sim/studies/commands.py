@@ -156,6 +156,18 @@ def evaluate(
     out: Annotated[Path, typer.Option(help="With --live: folder for recordings and logs.")] = Path(
         "runs/live"
     ),
+    task: Annotated[
+        str | None,
+        typer.Option(
+            help="Play one of the paper's benchmarks with a circuit, YAML or .bnn.", show_default=False
+        ),
+    ] = None,
+    range_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--range", help="With --task: how far a sensor reaches, as NAME=LIMIT.", show_default=False
+        ),
+    ] = None,
     json: Json = False,
 ) -> int:
     """Drive a course in simulation with a policy, and score it.
@@ -184,6 +196,10 @@ def evaluate(
 
     Without --stack, kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws.
 
+    --task plays episodes (--trials, 100) of a benchmark that the paper has beside parking; see 'paper'.
+
+        rover-ncp eval mine.bnn --task mountain-car --range position=1.0 --range velocity=0.02
+
     Ends with 1 if a single trial was driven and did not park, else with 0.
     """
     from rover_ncp.circuit.policy_file import load_policy
@@ -191,6 +207,12 @@ def evaluate(
     from sim.learn.rollout import rollout
 
     output = Output(json)
+    if task is not None:
+        if course or stack or live or profile or randomize or random_courses:
+            raise UsageError("--task goes with --range, --trials and --seed alone")
+        return _evaluate_task(output, policy, task, range_ or [], trials=trials, seed=seed)
+    if range_:
+        raise UsageError("--range needs --task")
     courses = tuple(course or ["parking"])
     if processes is not None and not (stack or live):
         raise UsageError("--processes needs --stack or --live")
@@ -230,3 +252,18 @@ def evaluate(
         f"{1000 * verdict.error_rad:.0f} mrad off at the end, {1000 * run.rms_m:.0f} mm rms on the way",
     )
     return 0 if verdict.parked else 1
+
+
+def _evaluate_task(
+    output: Output, policy: str, task: str, ranges: list[str], *, trials: int | None, seed: int
+) -> int:
+    """Play a benchmark, and report; 1 if a single episode was played and no success."""
+    from sim.paper.score_file import EPISODES, score_circuit
+
+    found = score_circuit(policy, task, ranges, trials or EPISODES, seed)
+    output.result(
+        found,
+        f"{task}: return {found['return']:.2f} ± {found['std']:.2f} in {found['episodes']} episodes, "
+        f"{found['successes']} of them a success",
+    )
+    return 1 if trials == 1 and not found["success"] else 0

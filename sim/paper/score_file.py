@@ -1,0 +1,73 @@
+"""A circuit of a file on one of the paper's benchmarks: ``rover-ncp eval FILE --task NAME``."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.core.errors import UsageError
+from sim.paper.arena import Arena, draw_seeds
+from sim.paper.tasks import Benchmark, find_task
+
+__all__ = ["score_circuit", "with_ranges"]
+
+EPISODES = 100
+
+
+def score_circuit(
+    file: str, task_name: str, ranges: Sequence[str] = (), episodes: int = EPISODES, seed: int = 0
+) -> dict[str, Any]:
+    """Return how a circuit does in episodes of a task, with other sensor ranges if such are given.
+
+    A ``.bnn`` circuit gets sensors that are not clamped, as it was trained. Raises UsageError, FileError, or
+    ConfigError when the circuit lacks a neuron that the task's mapping names.
+    """
+    task = find_task(task_name)
+    if not isinstance(task, Benchmark):
+        raise UsageError(f"{task_name} is what eval drives without --task, on --course parking")
+    policy = task.policy(load_circuit(file))
+    if policy.input_layer is not None:
+        raise UsageError(f"{task_name} has linear layers, which a circuit's file has not")
+    policy = with_ranges(policy, ranges)
+    if file.endswith(".bnn"):
+        policy = replace(policy, sensing=policy.sensing.model_copy(update={"clamp": False}))
+    found = Arena(task, policy).run(
+        np.tile(policy.parameters(), (episodes, 1)), draw_seeds(seed, (0,), episodes)
+    )
+    returns, plain = found[:, :2].sum(axis=1), found[:, 0]
+    return {
+        "task": task_name,
+        "episodes": episodes,
+        "return": float(returns.mean()),
+        "std": float(returns.std()),
+        "plain_return": float(plain.mean()),
+        "successes": int((plain >= task.success).sum()),
+        "success": bool(plain.mean() >= task.success),
+        "ranges": {channel.name: max(end for _, end in channel.sides) for channel in policy.sensing.channels},
+    }
+
+
+def with_ranges(policy: Policy, ranges: Sequence[str]) -> Policy:
+    """Return a policy whose sensors reach elsewhere: each range is ``NAME=LIMIT``. Raises UsageError."""
+    known = [channel.name for channel in policy.sensing.channels]
+    limits = {}
+    for text in ranges:
+        name, _, number = text.partition("=")
+        try:
+            limits[name] = float(number)
+        except ValueError:
+            raise UsageError(f"--range {text}: expected NAME=LIMIT, with a number") from None
+        if name not in known:
+            raise UsageError(f"--range {text}: the task senses {', '.join(known)}")
+        if not 0.0 < limits[name] < np.inf:
+            raise UsageError(f"--range {text}: a range reaches from -LIMIT to LIMIT, which must be above 0")
+    channels = tuple(
+        channel.model_copy(update={"maximum": limits[channel.name], "minimum": -limits[channel.name]})
+        if channel.name in limits
+        else channel
+        for channel in policy.sensing.channels
+    )
+    return replace(policy, sensing=policy.sensing.model_copy(update={"channels": channels}))

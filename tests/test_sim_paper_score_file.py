@@ -1,0 +1,77 @@
+"""Circuits of files on the paper's benchmarks: ``eval --task``."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from rover_ncp.circuit.bnn import circuit_to_bnn
+from rover_ncp.circuit.policy_file import circuit_to_yaml
+from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.shell import run
+from sim.paper.agents import build_agent
+from sim.paper.cell import Name, Shelf, load_cell
+from sim.paper.tasks import TASKS
+
+
+@pytest.fixture(scope="module")
+def trained():
+    """Return the shipped mountain-car run of seed 0 and its circuit."""
+    path = Shelf(Path("nowhere")).find(Name(task="mountain-car", agent="circuit", seed=0))
+    cell = load_cell(path)
+    policy = build_agent(TASKS["mountain-car"], "circuit", 0)
+    return cell, policy.with_parameters(cell.vector).circuit
+
+
+def evaluate(capsys, *arguments):
+    code = run(["eval", *arguments, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_a_published_circuit_plays_its_benchmark(trained, tmp_path, capsys):
+    cell, circuit = trained
+    bnn, yaml = tmp_path / "car.bnn", tmp_path / "car.yaml"
+    bnn.write_text(circuit_to_bnn(circuit))
+    yaml.write_text(circuit_to_yaml(circuit))
+    code, clamped = evaluate(capsys, str(yaml), "--task", "mountain-car")
+    assert code == 0
+    assert clamped["return"] == pytest.approx(cell.mean, abs=3.0)  # other episodes of the same circuit
+    assert clamped["ranges"] == {"position": 1.0, "velocity": 0.02}
+    _, unclamped = evaluate(capsys, str(bnn), "--task", "mountain-car")
+    assert unclamped["return"] != clamped["return"]  # a velocity beyond its range is seen as it is
+
+
+def test_a_sensors_range_matters_and_can_be_given(trained, tmp_path, capsys):
+    path = tmp_path / "car.bnn"
+    path.write_text(circuit_to_bnn(trained[1]))
+    _, same = evaluate(capsys, str(path), "--task", "mountain-car", "--range", "position=1.0")
+    assert same == evaluate(capsys, str(path), "--task", "mountain-car")[1]
+    far = ["--range", "position=1000", "--range", "velocity=1000"]
+    code, blind = evaluate(capsys, str(path), "--task", "mountain-car", *far, "--trials", "1")
+    assert (code, blind["success"], blind["ranges"]["velocity"]) == (1, False, 1000.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--task", "car"], "no task"),
+        (["--task", "mountain-car", "--range", "speed=1"], "senses position, velocity"),
+        (["--task", "mountain-car", "--range", "position=x"], "NAME=LIMIT"),
+        (["--task", "mountain-car", "--range", "position=-1"], "above 0"),
+        (["--task", "parking"], "without --task"),
+        (["--task", "mountain-car", "--course", "bay"], "alone"),
+        (["--range", "position=1"], "needs --task"),
+    ],
+)
+def test_a_users_mistake_is_one_line(options, told, trained, tmp_path, capsys):
+    path = tmp_path / "car.bnn"
+    path.write_text(circuit_to_bnn(trained[1]))
+    assert run(["eval", str(path), *options]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_a_circuit_without_the_tasks_neurons_is_refused(tmp_path, capsys):
+    path = tmp_path / "parking.bnn"
+    path.write_text(circuit_to_bnn(parking_circuit()))
+    assert run(["eval", str(path), "--task", "mountain-car"]) == 2
+    assert "'REV'" in capsys.readouterr().err

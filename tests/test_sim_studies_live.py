@@ -1,0 +1,35 @@
+"""A random trial as real processes, beside the same on a virtual clock."""
+
+import json
+from pathlib import Path
+
+from deploy.replay import replay
+from rover_ncp.core.profile import load_profile
+from rover_ncp.core.recording import read_recording
+from rover_ncp.shell import run
+
+SHORT = str(Path(__file__).parent / "data" / "short_course.yaml")
+
+
+def test_a_live_trial_ends_where_the_virtual_one_does(tmp_path, capsys):
+    out = tmp_path / "live"
+    asked = ["--live", "1", "--stack", "--randomize", "full", "--seed", "4", "--course", SHORT]
+    # The short course ends on the move: what counts here is where the rover is then.
+    assert run(["eval", "course", *asked, "--out", str(out), "--json"]) in {0, 1}
+    fields = json.loads(capsys.readouterr().out)
+    trial = fields["live"][0]
+    assert (fields["trials"], trial["trial"], trial["course"]) == (1, 0, "short")
+    assert not trial["reason"].startswith("stopped by")
+    # Still on the move when the time is over: how late the last look is shows, at 0.1 m/s.
+    assert fields["apart_m"]["max"] < 0.02
+    assert fields["apart_rad"]["max"] < 0.05
+    assert fields["bytes_to_base"] > 500
+    recording = read_recording(out / "000" / "run.mcap")
+    assert len(recording.topic("truth/pose")) > 400
+    # The driver knew how noisy odometry is, and where it stood; nothing else.
+    known = load_profile(out / "000" / "driver.yaml").model_dump(exclude_none=True)
+    assert set(known) == {"format", "name", "noise_m", "noise_rad", "measured"}
+    assert recording.topic("pose")
+    assert replay(out / "000" / "run.mcap").difference is None
+    assert run(["eval", "course", *asked, "--out", str(out)]) == 2
+    assert "is not an empty folder" in capsys.readouterr().err

@@ -30,7 +30,7 @@ class EstimatorSettings(StrictModel):
     wander_rad: float = Field(default=0.002, gt=0, description="random, after a metre")
     skid_rad: float = Field(default=0.003, gt=0, description="random, after a turn of 1 rad")
     gyro_bias_rad_s: float = Field(default=0.2, gt=0, description="what a gyro at rest may say")
-    gyro_rad: float = Field(default=0.0005, gt=0, description="a gyro, the turn of one step of 0.1 s")
+    gyro_rad: float = Field(default=0.0007, gt=0, description="a gyro, the turn of one step of 0.1 s")
 
     pose_m: float = Field(default=0.02, gt=0, description="external pose that does not say how sure it is")
     pose_rad: float = Field(default=0.035, gt=0)

@@ -3,7 +3,7 @@
 import math
 
 from bridge.arcos import Command, Decoder, Packet, encode_command
-from bridge.packets import SIP_KINDS, Sip
+from bridge.packets import SIP_KINDS, ConfigPac, Sip
 from bridge.robots import ROBOTS
 from rover_ncp.core.course import Obstacle
 from sim.pioneer.faults import Faults, parse_fault
@@ -19,11 +19,17 @@ class Pioneer:
     """``tell`` sends a command now, ``run`` lets time pass; what the base sent is in ``packets``."""
 
     def __init__(
-        self, model: str = "p3at-sh", *faults: str, wall_x: float | None = None, seed: int = 0
+        self,
+        model: str = "p3at-sh",
+        *faults: str,
+        wall_x: float | None = None,
+        seed: int = 0,
+        config: ConfigPac | None = None,
     ) -> None:
         walls = [Obstacle(x=wall_x, y=0.0, length=0.2, width=4.0)] if wall_x is not None else []
         self.rover = Rover(rover_model_of(ROBOTS[model]), Bay(walls))
-        self.firmware = Firmware(model, self.rover, Faults([parse_fault(text) for text in faults], seed))
+        suffering = Faults([parse_fault(text) for text in faults], seed)
+        self.firmware = Firmware(model, self.rover, suffering, config=config)
         self.now = 0.0
         self.packets: list[Packet] = []
         self._decoder = Decoder()

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -9,11 +10,12 @@ from hypothesis import strategies as st
 from pioneer_bench import Pioneer
 
 from bridge.arcos import Command, encode_command
-from bridge.events import Configured, Connected, Failed, Lost, Recovered, StateReceived
+from bridge.events import Configured, Connected, Failed, GyroHeard, Lost, Recovered, StateReceived
 from bridge.odometry import BaseState
 from bridge.robots import ROBOTS
 from bridge.session import Event, Session, State
 from sim.pioneer.firmware import Link
+from sim.pioneer.models import config_of
 
 STEP_S = 0.02
 
@@ -277,3 +279,27 @@ def test_whatever_line_is_cut_when_the_rover_stands_soon_after(
     pair.cut_up = pair.cut_down = False
     pair.run(3.0)
     assert pair.pioneer.rover.velocity == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+@pytest.mark.parametrize(("has_gyro", "sends"), [(0, False), (1, True), (2, False)])
+def test_a_gyro_for_the_client_tells_how_the_rover_truly_turns(has_gyro: int, sends: bool) -> None:
+    pair = Pair(Pioneer(config=replace(config_of("p3at-sh"), has_gyro=has_gyro))).ready()
+    pair.run(3.0)
+    rest = [event.rate for event in pair.of(GyroHeard)]
+    assert bool(rest) == sends
+    if not sends:
+        return
+    pair.driving(0.1, 0.15)
+    pair.run(1.0)
+    pair.events.clear()
+    before = pair.pioneer.rover.pose.theta
+    pair.run(4.0)
+    kinds = [type(event) for event in pair.events if isinstance(event, GyroHeard | StateReceived)]
+    assert kinds == [GyroHeard, StateReceived] * 40
+    turning = [event.rate for event in pair.of(GyroHeard)]
+    truly = (pair.pioneer.rover.pose.theta - before) / 4.0
+    assert truly == pytest.approx(0.15, abs=0.01)
+    # Its offset is for whoever listens to find out while it stands.
+    offset = sum(rest) / len(rest)
+    assert abs(offset) > 0.05
+    assert sum(turning) / len(turning) - offset == pytest.approx(truly, abs=0.004)

@@ -28,6 +28,7 @@ from bridge.robots import ROBOTS
 from rover_ncp.core.geometry import Pose
 from sim.pioneer.drive import Drive
 from sim.pioneer.faults import Fault, Faults
+from sim.pioneer.gyro import Gyro
 from sim.pioneer.models import BASE_CLASS, BASE_NAME, config_of
 from sim.pioneer.report import BATTERY_DV, Panel, Reporter
 from sim.pioneer.sonar import Sonars
@@ -82,6 +83,7 @@ class Firmware:
         self._config = config or config_of(model)
         self._sonars = Sonars(self.robot, self._config.sonar_cycle / 1000)
         self._reporter = Reporter(self.robot, self._config, self.drive, self._sonars)
+        self._gyro = Gyro(rover)
         self._faults = faults or Faults()
         self._observe = observe
         self._home = rover.pose
@@ -155,6 +157,8 @@ class Firmware:
         sip = self._reporter.sip()
         if self._streaming(Command.SIM_STAT):
             self._emit(self._reporter.simstat())
+        if self._gyro.on:
+            self._emit(self._gyro.packet(self.now))
         self._emit(sip)
         if self._streaming(Command.IOREQUEST):
             self._emit(self._reporter.io())
@@ -181,6 +185,10 @@ class Firmware:
         if self._fault("mute") is None:
             frame = encode_frame(packet.kind, packet.payload)
             self._out += self._faults.damage(frame, self._enabled_s)
+
+    def _turn_gyro(self, mode: int) -> None:
+        """Begin or end its stream, if it is one for the client."""
+        self._gyro.on = mode > 0 and self._config.has_gyro == 1
 
     # Faults.
 
@@ -275,6 +283,7 @@ class Firmware:
             Command.SONAR: self._sonars.switch,
             Command.SONARCYCLE: self._sonars.set_cycle,
             Command.ENCODER: lambda mode: self._streams.update({Command.ENCODER: mode}),
+            Command.GYRO: self._turn_gyro,
             Command.IOREQUEST: lambda mode: self._streams.update({Command.IOREQUEST: mode}),
             Command.SIM_STAT: lambda mode: self._streams.update({Command.SIM_STAT: mode}),
             Command.DIGOUT: self.panel.set_outputs,
@@ -304,6 +313,7 @@ class Firmware:
         self._expected = 0
         self.sip_due_s = self._measure_due_s = math.inf
         self._streams: dict[Command, int] = {}
+        self._gyro.on = False
         self.baudrate = RATES[self._config.host_baud]
         self.drive.enable(False)
         self.drive.restore_flash()

@@ -9,6 +9,7 @@ from outside; they are compared where the rover stood, so that no clock matters.
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -104,10 +105,14 @@ def identify_axis(log: MotionLog, axis: int) -> Axis | None:
     t, reported = log.odometry.t, log.motion[:, axis]
     scale, usual = SCALES[axis], USUAL[axis]
 
+    @lru_cache(maxsize=4)
+    def shape(step: float) -> FloatArray:
+        return _followed(asked, step)
+
     def residuals(x: FloatArray, kept: Any = slice(None)) -> FloatArray:
         delay, gain, acceleration = x[0], x[1], usual * math.exp(x[2])
-        shape = _followed(asked, GRID_S * acceleration / gain)
-        misses: FloatArray = (gain * np.interp(t - delay, grid, shape) - reported) / scale
+        followed = shape(GRID_S * acceleration / gain)
+        misses: FloatArray = (gain * np.interp(t - delay, grid, followed) - reported) / scale
         chosen: FloatArray = misses[kept]
         return chosen
 

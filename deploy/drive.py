@@ -77,9 +77,10 @@ class Drive:
         return self._controller.estimator.rejected
 
     def pose_counts(self) -> dict[str, int]:
-        """Return what became of external poses."""
+        """Return whether external poses placed the rover, and what became of them."""
         became = self._controller.estimator.poses
         return {
+            "placed": self._placed,
             "taken": self.poses.count,
             "unreadable": self.poses.garbled,
             "used": became[Outcome.ACCEPTED],

@@ -186,6 +186,9 @@ def _words(fields: dict[str, Any]) -> str:
         f"odometry to command {fields['odometry_to_command_ms']['p50']:.1f} ms (median), "
         f"{fields['odometry_to_command_ms']['p99']:.1f} ms (99 %)",
     ]
+    pose = fields["pose"]
+    if pose["taken"] and not pose["placed"]:
+        lines.append("external poses came, but none while the rover stood at the start: none was used")
     if fields["recording"]:
         lines.append(f"recording: {fields['recording']}")
     if fields["recording_failure"]:

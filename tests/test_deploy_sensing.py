@@ -4,12 +4,13 @@ import dataclasses
 import functools
 
 import pytest
-from deploy_bench import ODOM_AT_START, STILL, Bridge, driver
+from deploy_bench import ODOM_AT_START, STILL, Bridge, driver, short_course, untuned_policy
 
 from deploy import node
 from deploy.config import DriveConfig
 from deploy.replay import replay
 from deploy.ticks import TICKS_TOPIC, TickRecord
+from rover_ncp.core.console import Output
 from rover_ncp.core.errors import NoPose
 from rover_ncp.core.geometry import Pose, compose, distance, inverse
 from rover_ncp.core.imu import imu
@@ -49,6 +50,7 @@ def test_an_external_pose_places_the_rover_on_the_course(bridge, drive, tmp_path
     bridge.odom = localised(bridge, compose(there, inverse(ODOM_AT_START)))
     code, result = drive(duration_s=0.5, pose="required")
     assert code == 1
+    assert result["pose"]["placed"]
     assert result["pose"]["used"] >= 3
     assert result["pose"]["refused"] == result["pose"]["unreadable"] == 0
     recording = read_recording(tmp_path / "run.mcap")
@@ -92,6 +94,31 @@ def test_without_anybody_who_says_where_it_stands_the_start_is_the_origin_or_non
     drive(duration_s=0.3, pose="none")
     first = read_pose(read_recording(tmp_path / "run.mcap").topic("rover/estimate")[0].data).pose
     assert distance(first, Pose(0, 0, 0)) < 1e-6
+
+
+def test_poses_that_come_only_after_the_start_are_not_used_and_that_is_said(
+    bridge, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, still_s=0.15))
+    there = localised(bridge, Pose(9.0, 9.0, 1.0))
+
+    def odom(*sample):
+        return there(*sample) if bridge.commands else odometry(*sample)
+
+    bridge.odom = odom
+    options = node.Options(
+        bridge.robot,
+        str(untuned_policy(tmp_path)),
+        str(short_course(tmp_path)),
+        record=None,
+        duration_s=0.6,
+        dry_run=False,
+        namespace="",
+        zenoh_config=None,
+    )
+    assert node.run(options, Output(as_json=False)) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "external poses came, but none while the rover stood at the start: none was used" in said
 
 
 def test_poses_in_another_frame_and_garbled_ones_count_for_nothing(bridge, drive, tmp_path):

@@ -14,6 +14,8 @@ from sim.paper.tasks import TASKS
 __all__ = ["curves_png"]
 
 _POINTS = 200
+_LEAST_RETURN = -6.0
+"""Of parking: what lies below drives anywhere but to the goal."""
 _COLORS = dict(zip(AGENTS, ("tab:blue", "tab:orange", "tab:green", "tab:red", "0.4", "0.7"), strict=True))
 
 
@@ -21,28 +23,33 @@ def curves_png(shelf: Shelf) -> bytes:
     """Return a picture of the runs that are made, as PNG. Raises FileError."""
     from matplotlib.figure import Figure
 
-    columns = 3
-    rows = -(-len(TASKS) // columns)
+    tasks = [task for task in TASKS.values() if any(_cells(shelf, task.name, agent) for agent in AGENTS)]
+    columns = min(max(len(tasks), 1), 3)
+    rows = max(-(-len(tasks) // columns), 1)
     figure = Figure(figsize=(4.6 * columns, 3.1 * rows), dpi=100, layout="constrained")
     grid: Any = figure.subplots(rows, columns, squeeze=False)
-    for axes, task in zip(grid.flat, TASKS.values(), strict=False):
+    for axes, task in zip(grid.flat, tasks, strict=False):
         for agent in AGENTS:
-            cells = [cell for cell in shelf.cells(task.name, agent) if len(cell.curve) > 1]
-            if cells:
+            if cells := _cells(shelf, task.name, agent):
                 _draw(axes, cells, agent)
+        if task.success < 0:
+            axes.set_ylim(bottom=_LEAST_RETURN)
         axes.axhline(task.success, color="0.6", linewidth=0.8, linestyle=":")
         axes.set_title(task.title, fontsize=9)
         axes.set_xscale("log")
         axes.grid(alpha=0.3)
-        if axes.get_legend_handles_labels()[0]:
-            axes.legend(fontsize=7, loc="lower right")
-    for axes in list(grid.flat)[len(TASKS) :]:
+        axes.legend(fontsize=7, loc="lower right")
+    for axes in list(grid.flat)[len(tasks) :]:
         axes.set_visible(False)
     figure.supxlabel("steps of the environment", fontsize=9)
     figure.supylabel("estimated return of the best so far", fontsize=9)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
+
+
+def _cells(shelf: Shelf, task: str, agent: str) -> list[Cell]:
+    return [cell for cell in shelf.cells(task, agent) if len(cell.curve) > 1]
 
 
 def _draw(axes: Any, cells: Sequence[Cell], agent: str) -> None:

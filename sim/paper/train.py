@@ -46,7 +46,7 @@ def budget_for(task: Task, name: BudgetName) -> Budget:
     """Return a budget: the paper's, one of some core-minutes at most, or one of seconds."""
     settings = task.settings
     starts = task.starts if isinstance(task, Benchmark) else 1
-    full = Budget(settings.rollouts, settings.worst, settings.iterations, task.steps, starts, patience=6000)
+    full = Budget(settings.rollouts, settings.worst, settings.iterations, task.steps, starts, patience=15_000)
     if name is BudgetName.PUBLISHED:
         return replace(full, steps=10**12, patience=10**9)
     if name is BudgetName.QUICK:

@@ -1,6 +1,7 @@
 """Runs of the paper's grid: made once, the same bits again, replayed to their returns."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from rover_ncp.shell import run
 from sim.paper.arena import Arena, draw_seeds
 from sim.paper.cell import Cell, Name, Shelf, load_cell
 from sim.paper.choice import chosen
+from sim.paper.parking import ParkingArena, search_parking
 from sim.paper.racing import Race, heats
 from sim.paper.tasks import TASKS
 from sim.paper.train import BudgetName, budget_for, replay, train_cell
@@ -128,3 +130,27 @@ def test_command_makes_runs_once_and_replays_them(tmp_path, capsys):
 def test_a_users_mistake_is_one_line(tmp_path, capsys):
     assert run(["paper", "run", "--task", "cart", "--runs", str(tmp_path)]) == 2
     assert "no task 'cart'" in capsys.readouterr().err
+
+
+def test_the_published_budget_is_the_papers():
+    for name, iterations in (("pendulum", 25_000), ("mountain-car", 50_000), ("parking", 20_000)):
+        budget = budget_for(TASKS[name], BudgetName.PUBLISHED)
+        assert (budget.evaluations, budget.starts, budget.published) == (iterations, 1, True)
+
+
+def test_without_heats_every_candidate_takes_all_rollouts(arena):
+    vectors = np.tile(TASKS["cart-pole"].policy(tap_withdrawal_circuit()).parameters(), (2, 1))
+    keys = [(1, 0), (1, 1)]
+    plain = Race(arena, 5, 20, 10, heated=False).estimate(vectors, np.full(2, 400.0), keys)
+    full = Race(arena, 5, 20, 10).estimate(vectors, np.full(2, -np.inf), keys)
+    assert plain.tolist() == full.tolist()
+
+
+def test_the_published_search_parks_too_when_asked_for():
+    task = TASKS["parking"]
+    policy = task.policy(task.circuit())
+    budget = replace(budget_for(task, BudgetName.PUBLISHED), evaluations=60)
+    found = search_parking(ParkingArena(task, policy), policy, 1, budget)
+    assert found.ended == "evaluations"
+    assert found.evaluations == 60
+    assert found.curve[-1][1] == pytest.approx(ParkingArena(task, policy).outcome(found.vector).total)

@@ -29,13 +29,17 @@ def heats(rollouts: int) -> tuple[int, ...]:
 
 
 class Race:
-    """Estimates for one agent in one arena, each from seeds of its own."""
+    """Estimates for one agent in one arena, each from seeds of its own; all rollouts for all if not heated."""
 
-    def __init__(self, arena: Arena, root_seed: int, rollouts: int, worst: int) -> None:
+    def __init__(
+        self, arena: Arena, root_seed: int, rollouts: int, worst: int, *, heated: bool = True
+    ) -> None:
         if not 1 <= worst <= rollouts:
             raise ValueError(f"the worst {worst} of {rollouts} rollouts cannot be taken")
         self._arena, self._root_seed = arena, root_seed
         self._rollouts, self._worst = rollouts, worst
+        self._marks = heats(rollouts) if heated else (rollouts,)
+        self._gives_up = heated and arena.task.races
 
     def estimate(self, vectors: Vector, to_beat: Vector, keys: Sequence[Key]) -> Vector:
         """Return the estimates (k,) for vectors (k, P), from all rollouts where minus infinity is to beat."""
@@ -44,10 +48,10 @@ class Race:
         estimates = np.full(len(vectors), -np.inf)
         racing = np.arange(len(vectors))
         done = 0
-        for mark in heats(self._rollouts):
+        for mark in self._marks:
             rows = np.repeat(racing, mark - done)
             hopeless = np.where(to_beat[rows] > 0, _HOPELESS * to_beat[rows], -np.inf)
-            limits = hopeless if self._arena.task.races else -np.inf
+            limits = hopeless if self._gives_up else -np.inf
             found = self._arena.run(vectors[rows], seeds[racing, done:mark].ravel(), limits)
             returns[racing, done:mark] = found[:, :2].sum(axis=1).reshape(len(racing), -1)
             least = max(round(self._worst * mark / self._rollouts), 1)

@@ -27,7 +27,6 @@ from sim.paper.tasks import Benchmark, Task, find_task
 
 __all__ = ["BudgetName", "budget_for", "replay", "score", "train_cell"]
 
-EPISODES = 100
 _FINAL = 99
 _CURVE_POINTS = 60
 _QUICK_STEPS = {False: 400_000, True: 60_000}
@@ -42,13 +41,18 @@ class BudgetName(StrEnum):
     PUBLISHED = "published"
 
 
+_EPISODES = {BudgetName.QUICK: 20}
+_MOST_EPISODES = 100
+"""Fresh ones by which a run is judged."""
+
+
 def budget_for(task: Task, name: BudgetName) -> Budget:
     """Return a budget: the paper's, one of some core-minutes at most, or one of seconds."""
     settings = task.settings
     starts = task.starts if isinstance(task, Benchmark) else 1
     full = Budget(settings.rollouts, settings.worst, settings.iterations, task.steps, starts, patience=15_000)
     if name is BudgetName.PUBLISHED:
-        return replace(full, steps=10**12, patience=10**9)
+        return replace(full, steps=10**12, patience=10**9, starts=1, published=True)
     if name is BudgetName.QUICK:
         return replace(
             full,
@@ -95,7 +99,7 @@ def train_cell(
         curve=_thinned(found),
         circuit=circuit_to_yaml(agent.circuit) if circuit and isinstance(agent, Policy) else None,
         parameters=pack(found.vector),
-        **score(task, agent, found.vector, name.seed),
+        **score(task, agent, found.vector, name.seed, _EPISODES.get(budget, _MOST_EPISODES)),
     )
 
 
@@ -118,16 +122,16 @@ def _train_by_gradients(name: Name, task: Task, budget: BudgetName, began: tuple
         ended="steps",
         curve=(),
         parameters=pack(actor.vector()),
-        **score(task, None, actor.vector(), name.seed),
+        **score(task, None, actor.vector(), name.seed, _EPISODES.get(budget, _MOST_EPISODES)),
     )
 
 
-def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int) -> dict[str, Any]:
+def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, episodes: int) -> dict[str, Any]:
     """Return how parameters (P,) do in fresh episodes: the fields ``episodes`` to ``success`` of a run.
 
-    Without an agent they are those of an actor (``gradients.py``).
+    Without an agent they are those of an actor (``gradients.py``). Parking has no chance: one is all.
     """
-    seeds = draw_seeds(seed, (_FINAL,), EPISODES)
+    seeds = draw_seeds(seed, (_FINAL,), episodes)
     if agent is None:
         from sim.paper.gradients import score_actor
 
@@ -142,7 +146,7 @@ def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int) -> 
             "plain_mean": outcome.total,
             "success": outcome.parked and outcome.total >= task.success,
         }
-    found = arena.run(np.tile(vector, (EPISODES, 1)), seeds)
+    found = arena.run(np.tile(vector, (episodes, 1)), seeds)
     return _summary(task, found[:, :2].sum(axis=1), found[:, 0])
 
 
@@ -162,7 +166,7 @@ def replay(cell: Cell, circuit: Path | None = None) -> dict[str, Any]:
     task = find_task(cell.name.task)
     by_gradients = cell.name.agent in GRADIENTS and circuit is None
     agent = None if by_gradients else build_agent(task, cell.name.agent, cell.name.seed, circuit)
-    return score(task, agent, cell.vector, cell.name.seed)
+    return score(task, agent, cell.vector, cell.name.seed, cell.episodes)
 
 
 def _arena(task: Task, agent: Policy | Net) -> "Arena | ParkingArena":

@@ -56,6 +56,8 @@ REACT_S = 0.3
 """From command to first braking, at worst: what the fence reckons with besides braking."""
 FROZEN_M, FROZEN_RAD = 0.01, 0.02
 """A base that went so far by its own speeds and reports the same pose does not know where it is."""
+FROZEN_REPORTS = 2
+"""So many times it reports it again: noisy odometry hits upon the same millimetre once by chance."""
 STEP_MAX_S = 0.1
 """A loop that slept does not earn acceleration for the time it slept."""
 
@@ -107,7 +109,7 @@ def _hazard(state: State, limits: Limits) -> Reason | None:
         (base.bumped, Reason.BUMPER),
         (base.stalled, Reason.STALL),
         (low is not None and state.now - low >= limits.battery_low_s, Reason.LOW_BATTERY),
-        (state.unseen_m >= FROZEN_M or state.unseen_rad >= FROZEN_RAD, Reason.FROZEN),
+        (_frozen(state), Reason.FROZEN),
     ):
         if flagged:
             return reason
@@ -137,6 +139,12 @@ def _pause(state: State, limits: Limits) -> Reason | None:
     return reason
 
 
+def _frozen(state: State) -> bool:
+    """Whether the base reports one and the same pose while it says that it drives."""
+    went = state.unseen_m >= FROZEN_M or state.unseen_rad >= FROZEN_RAD
+    return went and state.same >= FROZEN_REPORTS
+
+
 def _deaf(state: State, base: Heard, limits: Limits) -> bool:
     """Whether the base was not heard of late, or says no numbers."""
     numbers = (base.x, base.y, base.theta, base.v, base.omega)
@@ -159,9 +167,10 @@ def _clear(base: Heard, v: float, least_m: float) -> bool:
 
 def _hear(state: State, base: Heard, limits: Limits) -> State:
     """Take in a report; note since when the battery is low, and how far it came in the same place."""
-    before, low_since_s, unseen_m, unseen_rad = state.base, None, 0.0, 0.0
+    before, low_since_s, same, unseen_m, unseen_rad = state.base, None, 0, 0.0, 0.0
     if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
         elapsed = state.now - state.base_s
+        same = state.same + 1
         unseen_m = state.unseen_m + min(abs(before.v), abs(base.v)) * elapsed
         unseen_rad = state.unseen_rad + min(abs(before.omega), abs(base.omega)) * elapsed
     if 0.0 < base.battery_v < limits.battery_min_v:
@@ -171,6 +180,7 @@ def _hear(state: State, base: Heard, limits: Limits) -> State:
         base=base,
         base_s=state.now,
         low_since_s=low_since_s,
+        same=same,
         unseen_m=unseen_m,
         unseen_rad=unseen_rad,
     )

@@ -166,6 +166,8 @@ class State:
     base: Heard | None = None
     base_s: float = -math.inf
     low_since_s: float | None = None
+    same: int = 0
+    """How often the base reported the same pose again."""
     unseen_m: float = 0.0
     unseen_rad: float = 0.0
     """How far the base must have come by its own speeds since the pose it reports last changed."""

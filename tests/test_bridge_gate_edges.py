@@ -48,7 +48,19 @@ def test_only_the_slower_of_two_reports_counts():
 def test_so_far_and_no_farther(motion, frozen):
     gate = Gate().driving()
     gate.at(1.0, Heard(x=1.0, **motion))
+    gate.at(1.5, Heard(x=1.0, **motion))
     assert (gate.at(2.0, Heard(x=1.0, **motion)).held is Reason.FROZEN) is frozen
+
+
+@pytest.mark.parametrize("motion", [{"v": 0.3}, {"omega": 0.6}])
+def test_noisy_odometry_may_hit_upon_the_same_pose_once(motion):
+    gate = Gate().driving()
+    gate.at(0.1, Heard(x=1.0, **motion))
+    assert gate.at(0.2, Heard(x=1.0, **motion)).held is None
+    # By chance again, and counted anew.
+    gate.at(0.21, Heard(x=1.01, **motion))
+    assert gate.at(0.25, Heard(x=1.01, **motion)).held is None
+    assert gate.at(0.29, Heard(x=1.01, **motion)).held is Reason.FROZEN
 
 
 @pytest.mark.parametrize("motion", [{"v": 0.05}, {"omega": 0.1}])

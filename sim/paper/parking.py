@@ -55,7 +55,7 @@ class ParkingArena:
         return self.engine.traces(vectors)
 
     def returns(self, vectors: Vector, to_beat: Vector) -> Vector:
-        """Return the returns (k,) of vectors (k, P), exact only above ``to_beat`` (k,); counts whole drives."""
+        """Return the returns (k,) of vectors (k, P), exact only above ``to_beat`` (k,)."""
         self.steps += len(vectors) * self.task.horizon
         return self.engine.returns(vectors, to_beat)
 

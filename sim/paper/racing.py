@@ -29,7 +29,7 @@ def heats(rollouts: int) -> tuple[int, ...]:
 
 
 class Race:
-    """Estimates for one agent in one arena, each from seeds of its own; all rollouts for all if not heated."""
+    """Estimates for one agent in one arena. Not ``heated``, all candidates take all rollouts."""
 
     def __init__(
         self, arena: Arena, root_seed: int, rollouts: int, worst: int, *, heated: bool = True

@@ -126,7 +126,7 @@ def test_no_more_than_the_last_250_means_count_and_are_kept():
     state["cma"]["generation"] = 5000
     state["means"] = [[0.01 * number] * len(state["cma"]["mean"]) for number in range(250)]
     going.restore(state)
-    last = going.advance(lambda vectors, first, count, failure: np.zeros((len(vectors), count)))
+    last = going.advance(lambda vectors, first, count, stakes: np.zeros((len(vectors), count)))
     kept = np.array(going.state()["means"])
     assert len(kept) == 250
     assert kept[:249].tolist() == state["means"][1:]
@@ -149,8 +149,8 @@ def test_early_generations_drive_fewer_trials_and_late_ones_count_failures_more(
     seen, going = [], searching()
     going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number}})
 
-    def drive(vectors, first, count, failure):
-        seen.append((len(vectors), first, count, failure))
+    def drive(vectors, first, count, stakes):
+        seen.append((len(vectors), first, count, stakes.failure))
         return np.zeros((len(vectors), count))
 
     before = going.episodes

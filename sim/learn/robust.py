@@ -34,6 +34,7 @@ __all__ = [
     "Drive",
     "Generation",
     "RobustSearch",
+    "Stakes",
     "UnitCube",
     "costs",
     "drive_trials",
@@ -43,8 +44,17 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-Drive = Callable[[FloatArray, int, int, float], FloatArray]
-"""Vectors (k, P), the first trial, how many, what a failure adds: the costs (k, trials)."""
+
+class Stakes(NamedTuple):
+    """What failing costs: how much, from which m and rad on, and how far that limit is blurred."""
+
+    failure: float
+    limit: float
+    blur: float
+
+
+Drive = Callable[[FloatArray, int, int, Stakes], FloatArray]
+"""Vectors (k, P), the first trial, how many, and the stakes: the costs (k, trials)."""
 
 _FIRST_SPREAD = 0.04
 _SPREADS = (0.01, 0.1)
@@ -54,8 +64,8 @@ _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
 _FEWER_ROLLOUTS = ((150, 4), (900, 2))
 """Before this generation, that fraction of the rollouts."""
-_FAILURE, _LATE_FAILURE, _LATE = 6.0, 20.0, 1750
-"""What a failure adds to a cost; how much from which generation on: first to track, then to park always."""
+_STAKES, _LATE_STAKES, _LATE = Stakes(6.0, 0.09, 0.012), Stakes(20.0, 0.095, 0.004), 1750
+"""The stakes, and those from which generation on: first to come near, then to park always."""
 _AVERAGED, _AVERAGED_SHARE = 250, 4
 """The winner is the average of so many last means, yet of no more than that fraction of all."""
 _COURSES_APART = 10**9
@@ -123,7 +133,7 @@ class UnitCube:
         return np.where(self._log, np.log(np.where(self._log, vector, 1.0)), vector)
 
 
-def costs(found: Outcomes, failure: float = _FAILURE) -> FloatArray:
+def costs(found: Outcomes, stakes: Stakes = _STAKES) -> FloatArray:
     """Return a cost (candidates, trials) of each episode: smooth, and steepest where parked ends.
 
     Errors count by the logarithm, so that a lost trial does not outweigh many good ones; what parked means
@@ -138,13 +148,13 @@ def costs(found: Outcomes, failure: float = _FAILURE) -> FloatArray:
     on_the_way = 0.2 * np.log1p(found.tracking_m2 / 0.05**2) + 0.1 * np.log1p(found.tracking_rad2 / 0.1**2)
     failed = np.maximum.reduce(
         [
-            _blurred(found.error_m, 0.09, 0.012),
-            _blurred(found.error_rad, 0.09, 0.012),
+            _blurred(found.error_m, stakes.limit, stakes.blur),
+            _blurred(found.error_rad, stakes.limit, stakes.blur),
             _blurred(found.moved_m, 0.005, 0.0005),
             _blurred(found.turned_rad, 0.005, 0.0005),
         ]
     )
-    cost: FloatArray = 0.5 * near + on_the_way + failure * failed
+    cost: FloatArray = 0.5 * near + on_the_way + stakes.failure * failed
     return cost
 
 
@@ -181,10 +191,10 @@ def drive_trials(engine: Engine, ranges: Randomization, model: RoverModel, seed:
     """Return what drives the trials of a search on an engine."""
     ticks = max(course.ticks for course in engine.courses)
 
-    def drive(vectors: FloatArray, first: int, count: int, failure: float) -> FloatArray:
+    def drive(vectors: FloatArray, first: int, count: int, stakes: Stakes) -> FloatArray:
         trials = draw_trials(ranges, model, _COURSES_APART + seed, count=count, ticks=ticks, first=first)
         engine.change_trials(trials)
-        return costs(engine.outcomes(vectors), failure)
+        return costs(engine.outcomes(vectors), stakes)
 
     return drive
 
@@ -209,8 +219,8 @@ class RobustSearch:
         """Do one generation, whose trials are driven by ``drive``."""
         fraction = self._fraction(self.number)
         vectors = np.array([self._cube.vector(place) for place in self._cma.ask()])
-        failure = _FAILURE if self.number < _LATE else _LATE_FAILURE
-        found = drive(vectors, self.number * self._rollouts, max(self._rollouts // fraction, 1), failure)
+        stakes = _STAKES if self.number < _LATE else _LATE_STAKES
+        found = drive(vectors, self.number * self._rollouts, max(self._rollouts // fraction, 1), stakes)
         least = max(self._worst // fraction, 1)
         values = np.array([-mean_of_worst((-row).tolist(), least) for row in found])
         self._cma.tell(values)

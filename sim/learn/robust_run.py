@@ -26,7 +26,15 @@ from rover_ncp.core.reference import plan_reference
 from sim.learn.engine import Engine
 from sim.learn.folder import open_folder
 from sim.learn.record import Record, RobustSettings, Task
-from sim.learn.robust import Drive, Generation, RobustSearch, UnitCube, drive_trials, training_courses
+from sim.learn.robust import (
+    Drive,
+    Generation,
+    RobustSearch,
+    Stakes,
+    UnitCube,
+    drive_trials,
+    training_courses,
+)
 from sim.learn.workers import Processes, available_processes
 from sim.world.randomization import Randomization, draw_trials, ranges_for
 from sim.world.rover import RoverModel
@@ -59,11 +67,11 @@ def _drive(settings: RobustSettings, start: Policy, course: Course, ranges: Rand
 
 
 def _drive_in_processes(
-    processes: Processes, vectors: FloatArray, first: int, count: int, failure: float
+    processes: Processes, vectors: FloatArray, first: int, count: int, stakes: Stakes
 ) -> FloatArray:
     """Drive trials in processes, each of which takes its part of the vectors (k, P)."""
     parts = [part for part in np.array_split(vectors, processes.count) if len(part)]
-    return np.concatenate(processes.call([(part, first, count, failure) for part in parts]))
+    return np.concatenate(processes.call([(part, first, count, stakes) for part in parts]))
 
 
 def train_robust(

@@ -14,7 +14,7 @@ MS = 1_000_000
 
 
 def test_it_measures_driver_and_bare_way_and_a_fast_loop(capfd, monkeypatch):
-    monkeypatch.setattr(bench_deploy, "RATES_HZ", (50.0,))
+    monkeypatch.setattr(bench_deploy, "RATES_HZ", (100.0,))
     monkeypatch.setattr(bench_deploy, "CIRCUIT_REPEATS", 2)
     assert run(["bench", "deploy", "--seconds", "3", "--json"]) == 0
     found = json.loads(capfd.readouterr().out)

@@ -9,8 +9,9 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -18,7 +19,7 @@ from typing import Any, Self
 
 from rover_ncp.core.errors import RoverNcpError
 
-__all__ = ["Finished", "LiveRun", "Process", "ProcessError"]
+__all__ = ["Finished", "LiveRun", "Process", "ProcessError", "uninterrupted"]
 
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 5.0
@@ -30,6 +31,24 @@ class ProcessError(RoverNcpError):
     def __init__(self, name: str, code: int, words: str) -> None:
         super().__init__(f"{name}: {words}" if words else f"{name} ended with exit code {code}")
         self.exit_code = code if code > 0 else 1
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Put off Ctrl-C and SIGTERM: who starts a process must get to know it before anything ends."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    noted: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda got, _: noted.append(got)) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for got in noted:
+            signal.raise_signal(got)
 
 
 @dataclass(frozen=True)
@@ -183,8 +202,8 @@ class LiveRun:
         self._stop_all()
 
     def _start(self, command: str, *arguments: str) -> Process:
-        process = Process(command, arguments, self.folder)
-        self.processes[command] = process
+        with uninterrupted():
+            process = self.processes[command] = Process(command, arguments, self.folder)
         return process
 
     def _stop_all(self) -> None:

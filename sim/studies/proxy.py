@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 
 from sim.studies.processes import Process
@@ -31,7 +32,11 @@ class Proxy(Process):
 
     def __init__(self, target: str, folder: Path, name: str) -> None:
         super().__init__(name, [target], folder, "sim.studies.proxy", told=True)
-        self.address = self.wait_for_line("listening on ")
+
+    @cached_property
+    def address(self) -> str:
+        """Where it listens, HOST:PORT, once it does. Raises ProcessError."""
+        return self.wait_for_line("listening on ")
 
     def hold(self) -> None:
         """Let nothing more through to the server; it is kept."""

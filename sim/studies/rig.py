@@ -13,7 +13,7 @@ from typing import Self, TypeVar
 
 from rover_ncp.core.errors import RoverNcpError
 from sim.studies.hand import Hand
-from sim.studies.processes import Process
+from sim.studies.processes import Process, uninterrupted
 from sim.studies.proxy import Proxy
 from sim.studies.standstill import Motion, TruthReader
 
@@ -66,10 +66,11 @@ class Rig:
         truth = folder / "truth.csv"
         try:
             arguments = ["--listen", "127.0.0.1:0", "--truth", str(truth), "--fault", "-", *mock]
-            self.mock = self._keep(Process("mock", arguments, folder, told=True))
-            self.line = self._keep(Proxy(self.mock.wait_for_line("listening on "), folder, "line"))
+            self.mock = self._start(lambda: Process("mock", arguments, folder, told=True))
+            base = self.mock.wait_for_line("listening on ")
+            self.line = self._start(lambda: Proxy(base, folder, "line"))
             self.start_bridge("tcp/127.0.0.1:0")
-            self.link = self._keep(Proxy(self.robot.removeprefix("tcp/"), folder, "link"))
+            self.link = self._start(lambda: Proxy(self.robot.removeprefix("tcp/"), folder, "link"))
             self.spoilt = f"tcp/{self.link.address}"
             self.truth = TruthReader(truth)
             self.watcher = self.hand()
@@ -79,15 +80,17 @@ class Rig:
             self.close()
             raise
 
-    def _keep(self, process: Kept) -> Kept:
-        self.processes.append(process)
+    def _start(self, start: Callable[[], Kept]) -> Kept:
+        with uninterrupted():
+            process = start()
+            self.processes.append(process)
         return process
 
     def start_bridge(self, listen: str | None = None) -> None:
         """Start the bridge, again if it is dead; then it listens where it did."""
         arguments = ["--base", f"tcp/{self.line.address}", "--listen", listen or self.robot]
         arguments += self._bridge_arguments
-        self.bridge = self._keep(Process("bridge", arguments, self.folder, HANGABLE))
+        self.bridge = self._start(lambda: Process("bridge", arguments, self.folder, HANGABLE))
         ready = dict(part.split("=", 1) for part in self.bridge.wait_for_line("ready ").split())
         self.robot = ready["zenoh"]
 
@@ -97,7 +100,7 @@ class Rig:
         folder = self.folder / f"deploy{self._deploys}"
         folder.mkdir(exist_ok=True)
         arguments = ["--robot", robot or self.robot, "--course", str(self.course), *options]
-        return self._keep(Process("deploy", arguments, folder, HANGABLE))
+        return self._start(lambda: Process("deploy", arguments, folder, HANGABLE))
 
     def hand(self, robot: str | None = None, lease_s: float = 1.0) -> Hand:
         """Start a driver of constant speed, in this process."""

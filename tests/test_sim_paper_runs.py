@@ -1,7 +1,13 @@
 """Runs of the paper's grid: made once, the same bits again, replayed to their returns."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -154,3 +160,33 @@ def test_the_published_search_parks_too_when_asked_for():
     assert found.ended == "evaluations"
     assert found.evaluations == 60
     assert found.curve[-1][1] == pytest.approx(ParkingArena(task, policy).outcome(found.vector).total)
+
+
+def test_runs_in_processes_are_those_of_one_process_and_an_interrupt_ends_them_all(tmp_path):
+    code = "from rover_ncp.shell import main; main()"
+    runs = ["--runs", str(tmp_path), "--again", "--task", "cart-pole", "--processes", "2"]
+    command = [sys.executable, "-c", code, "paper", "run", *runs, "--agent", "mlp"]
+    quick = [*command, "--seed", "0", "--seed", "1", "--budget", "quick"]
+    subprocess.run(quick, check=True, capture_output=True, timeout=110)
+    for seed in (0, 1):
+        name = Name(task="cart-pole", agent="mlp", seed=seed)
+        assert load_cell(name.path(tmp_path)).parameters == train_cell(name, QUICK).parameters
+    long = [*command, "--budget", "published"]
+    process = subprocess.Popen(
+        long, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True
+    )
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    wait_for(lambda: len(children.read_text().split()) >= 3)  # the resource tracker, and two runs
+    started = children.read_text().split()
+    os.killpg(process.pid, signal.SIGINT)
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert b"Traceback" not in told
+    wait_for(lambda: not any(Path(f"/proc/{child}").exists() for child in started))
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)

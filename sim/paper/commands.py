@@ -83,6 +83,9 @@ def paper(
         rover-ncp paper run --task cart-pole --circuit mine.bnn
         rover-ncp paper table3 --json
     """
+    from rich.console import Console
+    from rich.progress import Progress
+
     from sim.learn.workers import available_processes
     from sim.paper.cell import Shelf
     from sim.paper.choice import chosen
@@ -98,9 +101,13 @@ def paper(
         return _replay(output, shelf, names, circuit)
     left = [name for name in names if again or shelf.find(name) is None]
     made: list[dict[str, Any]] = []
+    console = Console(stderr=True)
+    progress = Progress(console=console, transient=True, disable=not console.is_terminal)
+    bar = progress.add_task("runs", total=len(left))
 
     def tell(cell: Any) -> None:
         made.append({"path": str(cell.name.path(runs)), **_summary(cell)})
+        progress.advance(bar)
         output.say(
             f"{cell.name}: {cell.mean:.4g} ± {cell.std:.3g}{'' if cell.success else ', no success'} "
             f"({cell.cpu_s:.0f} s of a core, ended by {cell.ended})"
@@ -108,7 +115,8 @@ def paper(
 
     if left:
         count = processes or available_processes()
-        make_runs(left, shelf, BudgetName(budget), circuit, processes=count, on_cell=tell)
+        with progress:
+            make_runs(left, shelf, BudgetName(budget), circuit, processes=count, on_cell=tell)
     output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
     return 0
 

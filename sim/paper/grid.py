@@ -3,15 +3,19 @@
 A run is one file, written when it is over: whatever ends the work, at most the runs in hand are lost.
 """
 
+import importlib
 import multiprocessing
+import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.paper.agents import GRADIENTS
+from sim.learn.workers import WorkerDied
+from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.cell import Cell, Name, Shelf
-from sim.paper.tasks import TASKS
+from sim.paper.tasks import TASKS, Benchmark, find_task
 from sim.paper.train import BudgetName, train_cell
 
 __all__ = ["GRID", "Group", "make_runs", "status"]
@@ -62,8 +66,10 @@ def make_runs(
 ) -> None:
     """Make runs, as many at once as there are processes; each is saved as it ends.
 
-    Raises what a run raises; those in hand are then finished and saved first.
+    Interrupted, it gives up the runs in hand. Raises UsageError, FileError or ConfigError before the first
+    run for one that cannot be, and WorkerDied.
     """
+    _require(names, circuit)
     if processes == 1:
         for name in names:
             cell = train_cell(name, budget, circuit)
@@ -72,15 +78,34 @@ def make_runs(
         return
     # Spawned, never forked: numba and MuJoCo do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(processes, len(names)), context) as pool:
-        waiting: set[Future[Cell]] = {pool.submit(train_cell, name, budget, circuit) for name in names}
+    with ProcessPoolExecutor(min(processes, len(names)), context, _leave_interrupts) as pool:
+        runs: list[Future[Cell]] = [pool.submit(train_cell, name, budget, circuit) for name in names]
         try:
-            while waiting:
-                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in done:
-                    cell = future.result()
-                    shelf.save(cell)
-                    on_cell(cell)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
+            for run in as_completed(runs):
+                cell = run.result()
+                shelf.save(cell)
+                on_cell(cell)
+        except BaseException as error:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():
+                child.kill()
+            if isinstance(error, BrokenProcessPool):
+                raise WorkerDied("the process of a run was ended; say the same again to go on") from error
             raise
+
+
+def _require(names: Sequence[Name], circuit: Path | None) -> None:
+    """Raise what runs would raise in processes of their own, where errors do not all survive the way back."""
+    for task_name, agent in dict.fromkeys((name.task, name.agent) for name in names):
+        task = find_task(task_name)
+        if circuit is not None or agent not in GRADIENTS:
+            build_agent(task, agent, 0, circuit)
+        else:
+            importlib.import_module("stable_baselines3")
+        if isinstance(task, Benchmark) and task.mujoco:
+            importlib.import_module("mujoco")
+
+
+def _leave_interrupts() -> None:
+    """Ctrl-C, which a terminal sends to all, is the parent's to answer."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from sim.studies.leaks import Leaks, leaks
+from sim.studies.matrix import MATRIX
 from sim.studies.measure import Measured
 from sim.studies.soak import Round, Soaked
 
@@ -90,9 +91,11 @@ def table(soaked: Soaked) -> Iterator[str]:
     """Yield the rows as Markdown: how often each came, and the time of that which had least to spare."""
     yield "| layer | fault | times | slowest stands after | allowed |"
     yield "|---|---|---:|---:|---|"
-    for row in dict.fromkeys(done.row for done in soaked.rounds):
+    for row in MATRIX:
         found = [done.measured for done in soaked.rounds if done.row == row and done.measured is not None]
         times = sum(done.row == row for done in soaked.rounds)
+        if not times:
+            continue
         if found:
             worst = max(found, key=_spent)
             yield (

@@ -1,8 +1,13 @@
 """What holds for all tests."""
 
+import os
 import signal
 
 from hypothesis import Phase, settings
+
+# Two processes test on two cores: threads for matrices as small as ours would only wait for each other, fifty
+# times as long as the work takes. Read by numpy and scipy when they are loaded, also by what the tests start.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # A shell that starts the tests in the background has them ignore Ctrl-C, and so would every process that they
 # start and then interrupt.

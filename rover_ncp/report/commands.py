@@ -1,6 +1,5 @@
 """The command ``course``; heavy libraries load only when it runs."""
 
-import os
 import re
 from enum import StrEnum
 from pathlib import Path
@@ -54,8 +53,6 @@ def course(
 
     Ends with 1 if the course cannot be driven; new writes its file all the same.
     """
-    # For matrices as small as the planner's, threads do nothing but wait for each other.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from rover_ncp.core.course import load_course
     from rover_ncp.core.drivable import check_course
 

@@ -109,6 +109,8 @@ def _live(output: Output, stack: Stack, options: TrialOptions) -> tuple[Evaluati
         pairs = list(zip(driven, drive_all(stack, count, options.processes), strict=True))
         apart_m = [distance(live.pose, virtual.pose) for live, virtual in pairs]
         apart_rad = [abs(wrap_angle(live.pose.theta - virtual.pose.theta)) for live, virtual in pairs]
+        for entry, there, turned in zip(fields["live"], apart_m, apart_rad, strict=True):
+            entry |= {"apart_m": there, "apart_rad": turned}
         fields["apart_m"] = Spread.of(np.array(apart_m))._asdict()
         fields["apart_rad"] = Spread.of(np.array(apart_rad))._asdict()
     return _sum_up(driven), fields

@@ -170,7 +170,7 @@ def _parking(name: str, title: str, circuit: Callable[[], Circuit]) -> Task:
         horizon=320,
         success=-0.1,
         enough=-0.03,
-        steps=320 * 20_000,
+        steps=320 * 100_000,
         circuit=circuit,
         policy=parking_policy,
     )

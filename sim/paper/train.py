@@ -29,6 +29,7 @@ __all__ = ["BudgetName", "budget_for", "replay", "score", "train_cell"]
 
 _FINAL = 99
 _CURVE_POINTS = 60
+_UNLIMITED = 10**12
 _QUICK_STEPS = {False: 400_000, True: 60_000}
 """Of a quick run, without and with MuJoCo: about two seconds."""
 
@@ -50,9 +51,16 @@ def budget_for(task: Task, name: BudgetName) -> Budget:
     """Return a budget: the paper's, one of some core-minutes at most, or one of seconds."""
     settings = task.settings
     starts = task.starts if isinstance(task, Benchmark) else 1
-    full = Budget(settings.rollouts, settings.worst, settings.iterations, task.steps, starts, patience=15_000)
+    full = Budget(settings.rollouts, settings.worst, _UNLIMITED, task.steps, starts, patience=15_000)
     if name is BudgetName.PUBLISHED:
-        return replace(full, steps=10**12, patience=10**9, starts=1, published=True)
+        return replace(
+            full,
+            evaluations=settings.iterations,
+            steps=_UNLIMITED,
+            patience=_UNLIMITED,
+            starts=1,
+            published=True,
+        )
     if name is BudgetName.QUICK:
         return replace(
             full,

@@ -31,9 +31,10 @@ class Arena:
     def __init__(self, task: Benchmark, agent: Policy | Net, lanes: int | None = None) -> None:
         self.task, self.steps = task, 0
         count = lanes or (_MUJOCO_LANES if task.mujoco else _LANES)
-        policy = agent if isinstance(agent, Policy) else None
-        inputs = len(policy.sensing.inputs) if policy else len(agent.scale)  # type: ignore[union-attr]
-        outputs = len(policy.motors.outputs) if policy else len(agent.high)  # type: ignore[union-attr]
+        if isinstance(agent, Policy):
+            inputs, outputs = len(agent.sensing.inputs), len(agent.motors.outputs)
+        else:
+            inputs, outputs = len(agent.scale), len(agent.high)
         self._brain = make_brain(agent, count)
         self._room = Room(
             np.zeros((inputs, count)),

@@ -185,7 +185,8 @@ def _of_known(
     imbalance = _columns(drawn.imbalance[:, None], known.imbalance_rad_m)[:, 0]
     slip = _columns(drawn.slip[:, None], known.slip_s)[:, 0]
     drift = _columns(drawn.drift[:, None], known.drift_rad_s)[:, 0]
-    delay_s = _columns(drawn.delay * SUBSTEP_S, known.delay_v_s, known.delay_omega_s)
+    drawn_delay_s: FloatArray = drawn.delay.astype(np.float64) * SUBSTEP_S
+    delay_s = _columns(drawn_delay_s, known.delay_v_s, known.delay_omega_s)
     errs = (odometry - 1.0).any() or imbalance.any() or slip.any() or drift.any()
     return drawn._replace(
         exact=drawn.exact and not errs,

@@ -12,10 +12,10 @@ from sim.world.randomization import load_randomization
 @pytest.mark.parametrize(
     ("course", "ranges", "least"),
     [
-        ("parking", "full", 0.96),
-        ("parking", "harsh", 0.90),
-        ("mirrored", "full", 0.92),
-        ("bay", "full", 0.95),
+        ("parking", "full", 0.98),
+        ("parking", "harsh", 0.96),
+        ("mirrored", "full", 0.97),
+        ("bay", "full", 0.97),
     ],
 )
 def test_the_course_relative_circuit_parks_robots_nobody_measured(course, ranges, least):

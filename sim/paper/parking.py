@@ -67,13 +67,16 @@ def search_parking(
     budget: Budget,
     on_progress: Callable[[int, float], None] = lambda steps, value: None,
 ) -> Found:
-    """Search an agent's parameters on the parking course. The same arguments give the same bits."""
+    """Search an agent's parameters on the parking course. The same arguments give the same bits.
+
+    A return tells little of whether the rover stands in the end: found is the best that parks, if one does.
+    """
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(0,))))
     first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
     strategy = _PUBLISHED_SEARCH if budget.published else _SEARCH
     search = start_search(strategy, agent.layout(), first, generator, inert(agent))
     curve: list[tuple[int, float]] = []
-    ended = "evaluations"
+    ended, parks = "evaluations", None
     while search.evaluations < budget.evaluations:
         if arena.steps >= budget.steps:
             ended = "steps"
@@ -85,11 +88,13 @@ def search_parking(
         else:
             search.tell(arena.returns(vectors, search.to_beat))
         assert search.value is not None
-        if not curve or curve[-1][1] != search.value:
-            curve.append((arena.steps, search.value))
-            on_progress(arena.steps, search.value)
-        good = search.value >= arena.task.enough and not budget.published
-        if good and arena.outcome(search.incumbent).parked:
-            ended = "enough"
-            break
-    return Found(search.incumbent, search.evaluations, tuple(curve), ended)
+        if curve and curve[-1][1] == search.value:
+            continue
+        curve.append((arena.steps, search.value))
+        on_progress(arena.steps, search.value)
+        if search.value >= arena.task.success and arena.outcome(search.incumbent).parked:
+            parks = search.incumbent
+            if search.value >= arena.task.enough and not budget.published:
+                ended = "enough"
+                break
+    return Found(search.incumbent if parks is None else parks, search.evaluations, tuple(curve), ended)

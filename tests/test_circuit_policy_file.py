@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+import rover_ncp
 from rover_ncp.circuit.bnn import circuit_from_bnn, circuit_to_bnn
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
@@ -25,6 +26,7 @@ from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.core.errors import ConfigError, FileError, RoverNcpError
 
 GOLDEN = Path(__file__).parent / "data" / "golden"
+CIRCUITS = Path(rover_ncp.__file__).parent / "data" / "circuits"
 PLAIN = replace(parking_policy(parking_circuit()), provenance={"seed": 3, "command": "train --seed 3"})
 LAYERED = Policy(
     replace(parking_circuit(), held={11: -33.3}),
@@ -223,7 +225,8 @@ def test_a_missing_or_empty_file(tmp_path):
             (tmp_path / name).write_text(" \n")
             with pytest.raises(FileError, match=f"{name}: the file is empty"):
                 load(tmp_path / name)
-    shipped = "parking, tap_withdrawal, tracking"
+    shipped = ", ".join(sorted(path.stem for path in CIRCUITS.iterdir()))
+    assert "parking, tap_withdrawal" in shipped
     with pytest.raises(FileError, match=f"none of the shipped circuits \\({shipped}\\)"):
         load_circuit("elsewhere")
 

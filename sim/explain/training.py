@@ -19,7 +19,7 @@ from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text
 from sim.explain.sensitivity import parameter_names
 from sim.learn.curve import curve_iterations
-from sim.learn.record import Record
+from sim.learn.record import Record, TrainSettings
 from sim.learn.rollout import Rollout, rollout
 
 __all__ = ["Agent", "Milestone", "Training", "read_training", "training_data"]
@@ -55,7 +55,7 @@ class Milestone:
 class Training:
     """A training run; agents by number, milestones in order, the last one as it stands now."""
 
-    record: Record
+    record: Record[TrainSettings]
     course: Course
     policy: Policy
     agents: tuple[Agent, ...]

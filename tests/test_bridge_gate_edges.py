@@ -230,3 +230,10 @@ def test_one_moment_of_a_second_is_remembered():
         gate.at(0.05 * k, Heard())
         gate.drive(0.05 * k)
     assert len(gate.state.minima) <= 6
+
+
+def test_a_base_that_creeps_may_stay_in_one_place_for_a_while_however_late_it_is():
+    gate = Gate().driving(1000.0)
+    for k in range(1, 20):
+        gate.at(1000.0 + 0.1 * k, Heard(x=1.0, v=0.001))
+        assert gate.drive(1000.0 + 0.1 * k).held is None

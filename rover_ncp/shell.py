@@ -27,7 +27,6 @@ _EXTRAS = {
     "filterpy": "drive",
     "scipy": "drive",
     "pymunk": "train",
-    "cmaes": "train",
     "gymnasium": "train",
     "matplotlib": "train",
     "mujoco": "paper",

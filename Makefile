@@ -13,7 +13,7 @@ park: $(STAMP)
 
 # Two workers, a file to each: many tests wait for real processes, and two cores are what CI has.
 test: $(STAMP)
-	$(BIN)/pytest --numprocesses 2 --dist loadfile
+	$(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 # The pages in Debian's chromium, which it installs where there is none, recordings in Rerun; pictures in runs/browser.
 test-browser: $(BROWSER_STAMP)

@@ -18,3 +18,11 @@ settings.register_profile("rover-ncp", deadline=None)
 settings.load_profile("rover-ncp")
 # For mutants (tests/mutate_gate.py) it is enough to die: nobody looks at the smallest example.
 settings.register_profile("mutants", deadline=None, database=None, phases=[Phase.explicit, Phase.generate])
+
+# What waits longest for real processes begins first, so that nobody waits for it alone at the end.
+LONGEST = ["test_safety_matrix.py", "test_deploy_teleop.py", "test_sim_studies_soak.py"]
+
+
+def pytest_collection_modifyitems(items):
+    """Put the longest files first; the rest keeps its order."""
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))

@@ -58,7 +58,7 @@ def test_a_running_rover_is_seen_and_stopped(browser, tmp_path):
         assert (max(moving) - pressed_ns) * 1e-9 < 0.5
         # The drive is over: it can be looked at, and its pairs are there.
         seen.to(4.0)
-        assert seen.page.is_visible("#signs")
+        seen.until("document.getElementById('signs').checkVisibility()")
         assert "fault" in seen.page.text_content("#events")
         seen.page.click("#release")
         seen.until("document.getElementById('release').hidden")

@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from bridge.conventions import Convention
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
+from rover_ncp.core.options import Json
 
 
 def bridge(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rover_ncp.core.console import Output
+from rover_ncp.core.options import Json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
 
 SHOWN = 12
 """Rows of the longer tables; the files hold them all."""
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 
 
 def explain(

@@ -8,11 +8,10 @@ import typer
 
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
+from rover_ncp.core.options import Json
 
 if TYPE_CHECKING:
     from sim.learn.record import RobustSettings
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 
 
 class SearchName(StrEnum):

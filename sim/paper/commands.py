@@ -8,8 +8,7 @@ import typer
 
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
+from rover_ncp.core.options import Json
 
 
 class What(StrEnum):

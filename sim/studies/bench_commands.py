@@ -7,9 +7,8 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import Output
+from rover_ncp.core.options import Json
 from sim.learn.commands import SearchName
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 
 
 class What(StrEnum):

@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import Output
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
+from rover_ncp.core.options import Json
 
 
 def soak(

@@ -8,7 +8,7 @@ from sim.studies.compare import compare, find_agent
 
 @pytest.mark.parametrize(
     ("name", "numbers"),
-    [("circuit", 89), ("mlp", 90), ("lstm-small", 116), ("random-0", None), ("paper", None)],
+    [("circuit", 89), ("mlp", 90), ("lstm-small", 116), ("smooth", 6), ("random-0", None), ("paper", None)],
 )
 def test_agents_start_inside_their_bounds(name, numbers):
     cube = find_agent(name, 3).cube
@@ -28,9 +28,14 @@ def test_nobody_else_is_compared():
         find_agent("oracle", 0)
 
 
-def test_a_comparison_says_how_far_the_search_came():
-    found = compare("mlp", seed=1, generations=1, rollouts=1)
-    assert found["episodes"] == 31
+@pytest.mark.parametrize("agent", ["mlp", "kanayama"])
+def test_a_comparison_says_how_far_the_search_came_and_repeats_itself(agent):
+    found, again = (compare(agent, seed=1, generations=1, rollouts=1, trained_on="harsh") for _ in range(2))
+    assert found["episodes"] == {"mlp": 31, "kanayama": 14}[agent]
     assert set(found) >= {"mild", "full", "harsh", "unseen", "numbers"}
     assert 0.0 <= found["full"]["success_rate"] <= 1.0
-    assert "unseen" not in compare("paper", seed=1, generations=1, rollouts=1)
+    assert found["found"] == again["found"]
+
+
+def test_what_knows_one_course_is_not_judged_on_others():
+    assert "unseen" not in compare("paper", seed=1, generations=1, rollouts=1, trained_on="none")

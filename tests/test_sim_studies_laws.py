@@ -8,7 +8,7 @@ import pytest
 from rover_ncp.core.course import load_course
 from rover_ncp.core.reference import plan_reference
 from sim.studies.evaluate import evaluate
-from sim.studies.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, GainCube, LawEngine, law_command, tune
+from sim.studies.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, GainCube, LawEngine, law_command
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
@@ -63,10 +63,6 @@ def test_a_law_parks_undisturbed_and_stands_still_below_its_thresholds(law):
     assert outcomes.error_m[1, 0] == pytest.approx(math.hypot(*COURSE.goal[:2]))
 
 
-def test_a_tuning_improves_and_repeats_itself():
+def test_a_tuning_begins_at_the_gains_set_by_hand():
     cube = GainCube(LAWS["kanayama"])
     assert cube.vector(cube.start) == pytest.approx(LAWS["kanayama"].start)
-    runs = [
-        list(tune("kanayama", COURSE, load_randomization("full"), seed=3, generations=2)) for _ in range(2)
-    ]
-    assert np.array_equal(runs[0][-1].winner, runs[1][-1].winner)

@@ -1,10 +1,12 @@
 """Other controllers in the circuit's place: the same trials, search and budget, another body of numbers.
 
-    python -m sim.studies.compare AGENT SEED GENERATIONS ROLLOUTS
+    python -m sim.studies.compare AGENT [--seed 1] [--generations 3000] [--rollouts 36] [--trained-on harsh]
 
-prints one JSON object: what the search found, on trials that it did not see. Agents:
+prints one JSON object: what the search found, and how that does on trials that it did not see. Agents:
 
 circuit         the tap-withdrawal circuit with course-relative sensing, from its hand-set start
+kanayama, pure-pursuit, smooth
+                a classical law (``laws.py``), from gains set by hand
 mlp, lstm       networks of as many cells, or (lstm-small) of about as many numbers
 random-N        the circuit number N of random wiring, of as many neurons and synapses
 absolute        the paper's sensing with ranges in which a rover that starts elsewhere still moves; it knows
@@ -12,6 +14,7 @@ absolute        the paper's sensing with ranges in which a rover that starts els
 paper           the same with the paper's own ranges
 """
 
+import argparse
 import json
 import sys
 import time
@@ -32,8 +35,10 @@ from rover_ncp.core.reference import plan_reference
 from sim.learn.engine import Engine
 from sim.learn.net_engine import NetEngine
 from sim.learn.nets import Net, NetKind, net_for
+from sim.learn.record import made_with
 from sim.learn.robust import Cube, RobustSearch, UnitCube, drive_trials, reflected, training_courses
 from sim.studies.evaluate import unseen_courses
+from sim.studies.laws import LAWS, GainCube, LawEngine
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
@@ -41,9 +46,9 @@ __all__ = ["Agent", "NetCube", "compare", "find_agent"]
 
 FloatArray = NDArray[np.float64]
 
-_TRAINED_ON = "harsh"
 _RANDOM_COURSES = 24
-_TRIALS, _TRIALS_SEED, _UNSEEN = 1000, 78, 200
+_TRIALS, _TRIALS_SEED, _UNSEEN = 1000, 31415, 200
+_PROGRESS_GENERATIONS = 25
 
 
 class Agent(NamedTuple):
@@ -76,6 +81,8 @@ class NetCube:
 
 def find_agent(name: str, seed: int) -> Agent:
     """Return an agent by its name; networks draw their start from the seed. Raises KeyError."""
+    if name in LAWS:
+        return Agent(GainCube(LAWS[name]), partial(LawEngine, name), True)
     following = course_policy(load_circuit("tracking"))
     if name.startswith("random-"):
         following = course_policy(random_circuit(int(name.removeprefix("random-"))))
@@ -99,14 +106,14 @@ def _network(net: Net, policy: Policy, seed: int) -> Agent:
     return Agent(NetCube(net, seed), partial(NetEngine, net, policy), True)
 
 
-def compare(name: str, *, seed: int, generations: int, rollouts: int) -> dict[str, Any]:
+def compare(name: str, *, seed: int, generations: int, rollouts: int, trained_on: str) -> dict[str, Any]:
     """Search for an agent as the shipped circuit was searched for, and say how far that came."""
     began = time.process_time()
     agent, model, course = find_agent(name, seed), RoverModel(), load_course("parking")
     courses, references = training_courses(
         course, plan_reference(course), seed, _RANDOM_COURSES if agent.any_course else 0
     )
-    ranges = load_randomization(_TRAINED_ON)
+    ranges = load_randomization(trained_on)
     nothing_yet = draw_trials(ranges, model, seed, count=1, ticks=max(each.ticks for each in courses))
     drive = drive_trials(
         agent.engine(courses, trials=nothing_yet, references=references), ranges, model, seed
@@ -114,6 +121,8 @@ def compare(name: str, *, seed: int, generations: int, rollouts: int) -> dict[st
     search = RobustSearch(agent.cube, seed=seed, rollouts=rollouts, worst=rollouts)
     while search.number < generations:
         last = search.advance(drive)
+        if last.number % _PROGRESS_GENERATIONS == 0:
+            print(f"{name}: generation {last.number}, cost {last.best:.3f}", file=sys.stderr, flush=True)
 
     def judged(courses: Sequence[Course], ranges: str) -> dict[str, float]:
         ticks = max(each.ticks for each in courses)
@@ -130,17 +139,34 @@ def compare(name: str, *, seed: int, generations: int, rollouts: int) -> dict[st
     return {
         "agent": name,
         "seed": seed,
+        "trained_on": trained_on,
+        "generations": generations,
+        "rollouts": rollouts,
         "numbers": len(agent.cube.start),
         "episodes": search.episodes,
         "cpu_s": round(time.process_time() - began),
+        "made_with": made_with(),
         **results,
+        "found": last.winner.tolist(),
     }
 
 
 def main() -> None:
     """Compare from the command line."""
-    name, seed, generations, rollouts = sys.argv[1:]
-    found = compare(name, seed=int(seed), generations=int(generations), rollouts=int(rollouts))
+    parser = argparse.ArgumentParser(prog="python -m sim.studies.compare")
+    parser.add_argument("agent")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--generations", type=int, default=3000)
+    parser.add_argument("--rollouts", type=int, default=36)
+    parser.add_argument("--trained-on", default="harsh", help="ranges of the training's trials")
+    given = parser.parse_args()
+    found = compare(
+        given.agent,
+        seed=given.seed,
+        generations=given.generations,
+        rollouts=given.rollouts,
+        trained_on=given.trained_on,
+    )
     print(json.dumps(found), flush=True)
 
 

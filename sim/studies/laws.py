@@ -2,7 +2,7 @@
 
 Each law sees what the course-relative circuit sees: where the reference is, from the rover, and how it
 moves. Each has gains, and two thresholds below which it asks for nothing, as stillness is judged and what it
-sees is noisy. Gains are tuned by the same search, on the same cost, as the circuit (``tune``).
+sees is noisy. Gains are tuned by the same search, on the same cost, as the circuit (``compare.py``).
 
 kanayama        Kanayama et al. (1990), eq. 8: feed-forward plus errors along, across and in heading
 pure-pursuit    Coulter (1992): the arc to a point ahead of the reference, on its tangent
@@ -10,8 +10,7 @@ smooth          Park and Kuipers (2011), eq. 14: the law of Nav2's docking, to a
 """
 
 import math
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,17 +18,16 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.tap_withdrawal import tap_withdrawal_circuit
-from rover_ncp.core.course import Course, load_course
-from rover_ncp.core.reference import Reference, plan_reference
+from rover_ncp.core.course import Course
+from rover_ncp.core.reference import Reference
 from rover_ncp.jit import kernel
 from sim.learn.engine import Engine
 from sim.learn.episode import IDLE, Lanes, Queue, Tasks, finish_tick, pass_commands, start_episode
-from sim.learn.robust import Generation, RobustSearch, drive_trials, reflected, training_courses
+from sim.learn.robust import reflected
 from sim.world.fleet import Fleet, FleetArrays, advance, read_poses, send, wrapped
-from sim.world.randomization import Randomization, Trials, draw_trials, load_randomization
-from sim.world.rover import RoverModel
+from sim.world.randomization import Trials
 
-__all__ = ["LAWS", "GainCube", "Law", "LawEngine", "tune"]
+__all__ = ["LAWS", "GainCube", "Law", "LawEngine"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -67,8 +65,6 @@ LAWS = {
     ),
 }
 
-_ROLLOUTS, _RANDOM_COURSES = 48, 24
-"""As the shipped circuit had."""
 _LEAST_AHEAD_M = 0.02
 """Nearer than this a carrot says nothing about the direction to it."""
 
@@ -178,35 +174,3 @@ class GainCube:
         """Return the gains (G,) at a place."""
         gains: FloatArray = self._first * 10.0 ** (2.0 * reflected(place) - 1.0)
         return gains
-
-
-def tune(
-    law: str, course: Course, ranges: Randomization, *, seed: int, generations: int
-) -> Iterator[Generation]:
-    """Tune a law as circuits are trained: on the same trials, courses and cost; yields as it goes."""
-    courses, references = training_courses(course, plan_reference(course), seed, _RANDOM_COURSES)
-    model, ticks = RoverModel(), max(each.ticks for each in courses)
-    engine = LawEngine(law, courses, draw_trials(ranges, model, seed, count=1, ticks=ticks), references)
-    search = RobustSearch(
-        GainCube(LAWS[law]),
-        seed=seed,
-        rollouts=_ROLLOUTS,
-        worst=_ROLLOUTS,
-    )
-    drive = drive_trials(engine, ranges, model, seed)
-    while search.number < generations:
-        yield search.advance(drive)
-
-
-def main() -> None:
-    """Tune a law from the command line: ``python -m sim.studies.laws LAW RANGES SEED GENERATIONS``."""
-    law, ranges, seed, generations = sys.argv[1:]
-    course = load_course("parking")
-    for last in tune(law, course, load_randomization(ranges), seed=int(seed), generations=int(generations)):
-        if last.number % 25 == 0 or last.number == int(generations):
-            gains = ", ".join(f"{gain:.4g}" for gain in last.winner)
-            print(f"{last.number}: {gains} (cost {last.best:.3f}, spread {last.spread:.4f})", flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -17,7 +17,7 @@ def deploy(
     ],
     policy: Annotated[
         str, typer.Option(help="Policy by name, or by file (YAML, or a published .bnn circuit).")
-    ] = "parking",
+    ] = "course",
     course: Annotated[
         str, typer.Option(help="Course by name or file: goal, start signal, time.")
     ] = "parking",
@@ -112,7 +112,7 @@ def watch(
     ],
     policy: Annotated[
         str, typer.Option(help="The policy that drives, by name or file: whose neurons to draw.")
-    ] = "parking",
+    ] = "course",
     course: Annotated[str, typer.Option(help="The course that is driven, by name or file.")] = "parking",
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Where this machine serves the page; 0 takes a free port.")

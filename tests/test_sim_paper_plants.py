@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from sim.paper.mujoco_plants import MujocoPool
+from sim.paper.pendulum import step_pendulum
 from sim.paper.plants import allocate_plants, observe, reset_plant, step_plant
 from sim.paper.tasks import TASKS
 
@@ -125,6 +126,55 @@ def test_roboschools_pendulum_is_the_same_plant_at_its_step_and_start():
             assert (got_reward, got_over) == (reward, over)
             if over:
                 break
+
+
+@pytest.mark.parametrize("name", ["pendulum", "roboschool"])
+def test_the_written_pendulum_is_mujocos_up_to_rounding_wherever_the_cart_may_be(name):
+    task = TASKS[name]
+    plant, step_s, frames = task.stand_in
+    written = allocate_plants(plant, 1, task.bonus, step_s=step_s, frames=frames)
+    mujoco = Plant(name, lanes=1, lane=0)
+    assert mujoco.pool.lanes.dt_s == step_s * frames
+    assert not mujoco.pool.model.geom_contype.any()
+    rng = np.random.default_rng(0)
+    compared, at_the_end, started = 0, 0, False
+    for action in push(1) + push(2):
+        if not started:
+            start = rng.uniform(-1.0, 1.0, 4) * (0.9, 0.19, 1.0, 1.0)
+            reset_plant(written, 0, start)
+            mujoco.reset(start)
+        commands = np.array([[0.3 * action]])
+        got, expected = step_plant(written, 0, commands), mujoco.step(commands[0])
+        if abs(written.state[0, 0]) > 1.0:
+            assert got == (0.0, 0.0, True)  # whatever MuJoCo's says
+            at_the_end += 1
+        else:
+            assert got == (expected[0], pytest.approx(expected[1], abs=1e-10), expected[2])
+            seen = np.zeros((2, 1))
+            observe(written, 0, seen)
+            np.testing.assert_allclose(seen[:, 0], mujoco.observe(2), rtol=0, atol=1e-10)
+            qvel = mujoco.pool.data[0].qvel
+            np.testing.assert_allclose(written.state[2:, 0], qvel, rtol=0, atol=1e-10)
+            compared += 1
+        started = not got[2]
+    assert compared > 2000
+    assert at_the_end > 5
+
+
+def test_steered_alike_the_written_pendulum_stays_mujocos_for_a_whole_episode():
+    state = np.zeros((4, 1))
+    pool = MujocoPool("inverted_pendulum.xml", 2, 1)
+    [data] = pool.data
+    data.qpos[1] = state[1] = 0.05
+    lanes = allocate_plants(TASKS["pendulum"].plant, 1, 0.0, pool.lanes)
+
+    def steer(x, angle, speed, rate, noise):
+        return float(np.clip(7.3 * angle + 1.1 * rate + x + 1.2 * speed + noise, -0.3, 0.3))
+
+    for noise in np.random.default_rng(5).normal(0.0, 0.03, 1000):
+        step_plant(lanes, 0, np.array([[steer(*data.qpos, *data.qvel, noise)]]))
+        assert not step_pendulum(state, 0, 0.02, 2, steer(*state[:, 0], noise))
+        np.testing.assert_allclose(state[:, 0], [*data.qpos, *data.qvel], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -26,11 +26,18 @@ def draw_seeds(root: int, key: tuple[int, ...], count: int) -> Seeds:
 
 
 class Arena:
-    """Scores parameter vectors of one agent. One thread at a time."""
+    """Scores parameter vectors of one agent. One thread at a time.
 
-    def __init__(self, task: Benchmark, agent: Policy | Net, lanes: int | None = None) -> None:
+    ``rough``, on the task's stand-in where it has one.
+    """
+
+    def __init__(
+        self, task: Benchmark, agent: Policy | Net, lanes: int | None = None, *, rough: bool = False
+    ) -> None:
         self.task, self.steps = task, 0
-        count = lanes or (_MUJOCO_LANES if task.mujoco else _LANES)
+        stand_in = task.stand_in if rough else None
+        mujoco = None if stand_in else task.mujoco
+        count = lanes or (_MUJOCO_LANES if mujoco else _LANES)
         if isinstance(agent, Policy):
             inputs, outputs = len(agent.sensing.inputs), len(agent.motors.outputs)
         else:
@@ -42,12 +49,15 @@ class Arena:
             np.full(count, IDLE),
             np.zeros(count, np.int64),
         )
-        if task.mujoco is None:
+        if stand_in:
+            kind, step_s, frames = stand_in
+            self._plants = allocate_plants(kind, count, task.bonus, step_s=step_s, frames=frames)
+        elif mujoco is None:
             self._plants = allocate_plants(task.plant, count, task.bonus)
         else:
             from sim.paper.mujoco_plants import MujocoPool  # an extra that the other tasks do without
 
-            self._pool = MujocoPool(task.mujoco.file, task.mujoco.frames, count, task.mujoco.step_s)
+            self._pool = MujocoPool(mujoco.file, mujoco.frames, count, mujoco.step_s)
             self._plants = allocate_plants(task.plant, count, task.bonus, self._pool.lanes)
 
     def starts(self, seeds: Seeds) -> FloatArray:

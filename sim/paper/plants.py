@@ -1,8 +1,9 @@
 """The benchmarks' environments as lanes of a kernel: each lane a plant in its own episode.
 
 Mountain car and cart-pole are written out here, operation by operation as Gymnasium has them; inverted
-pendulum and half-cheetah are MuJoCo's, whose step is called by its address (``mujoco_plants.py``). The tests
-hold each to its Gymnasium environment, step by step.
+pendulum and half-cheetah are MuJoCo's, whose step is called by its address (``mujoco_plants.py``). The
+pendulum is written out as well (``pendulum.py``). The tests hold each to its Gymnasium environment, step by
+step.
 """
 
 import math
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.jit import kernel
+from sim.paper.pendulum import TILTED_RAD, step_pendulum
 from sim.world.chipmunk import call_with_thing, load, store
 
 __all__ = [
@@ -20,6 +22,7 @@ __all__ = [
     "MOUNTAIN_CAR",
     "NO_MUJOCO",
     "PENDULUM",
+    "WRITTEN_PENDULUM",
     "MujocoLanes",
     "Plants",
     "allocate_plants",
@@ -31,7 +34,7 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-MOUNTAIN_CAR, CART_POLE, PENDULUM, CHEETAH = range(4)
+MOUNTAIN_CAR, CART_POLE, WRITTEN_PENDULUM, PENDULUM, CHEETAH = range(5)
 
 # gymnasium/envs/classic_control/continuous_mountain_car.py
 _POWER, _SLOPE = 0.0015, 0.0025
@@ -46,8 +49,7 @@ _FORCE_N = 10.0
 """The force of a full action, that of the environment's two actions."""
 _RAIL_M, _FALLEN_RAD = 2.4, 12 * 2 * math.pi / 360
 
-# gymnasium/envs/mujoco/inverted_pendulum_v5.py, half_cheetah_v5.py
-_TILTED_RAD = 0.2
+# gymnasium/envs/mujoco/half_cheetah_v5.py
 _EFFORT = 0.1
 
 
@@ -83,22 +85,33 @@ class Plants(NamedTuple):
     fresh: NDArray[np.bool_]
     """(L,) whether a plant has not moved yet."""
     mujoco: MujocoLanes
+    step_s: float
+    frames: int
+    """A written pendulum's steps of so long in one of the environment."""
 
 
 _NONE = np.zeros(0, np.int64)
 NO_MUJOCO = MujocoLanes(0, 0, 0, 0, 0, 1.0, 0, 0, 0, _NONE, _NONE, _NONE, _NONE)
 
 
-def allocate_plants(kind: int, count: int, bonus: float = 0.0, mujoco: MujocoLanes = NO_MUJOCO) -> Plants:
+def allocate_plants(
+    kind: int,
+    count: int,
+    bonus: float = 0.0,
+    mujoco: MujocoLanes = NO_MUJOCO,
+    *,
+    step_s: float = 0.0,
+    frames: int = 1,
+) -> Plants:
     """Return plants, each to be set by ``reset_plant``."""
-    return Plants(kind, bonus, np.zeros((4, count)), np.zeros(count, np.bool_), mujoco)
+    return Plants(kind, bonus, np.zeros((4, count)), np.zeros(count, np.bool_), mujoco, step_s, frames)
 
 
 @kernel
 def reset_plant(plants: Plants, lane: int, start: FloatArray) -> None:
     """Begin an episode at a state: as long as the plant's, MuJoCo's positions before its velocities."""
     plants.fresh[lane] = True
-    if plants.kind <= CART_POLE:
+    if plants.mujoco.step == 0:
         for i in range(len(start)):
             plants.state[i, lane] = start[i]
         return
@@ -121,6 +134,9 @@ def observe(plants: Plants, lane: int, observations: FloatArray) -> None:
     elif plants.kind == CART_POLE:
         observations[0, lane] = np.float32(state[2, lane])
         observations[1, lane] = np.float32(state[3, lane])
+    elif plants.kind == WRITTEN_PENDULUM:
+        observations[0, lane] = state[1, lane]
+        observations[1, lane] = state[0, lane]
     elif plants.kind == PENDULUM:
         observations[0, lane] = load(mujoco.qpos[lane] + 8)
         observations[1, lane] = load(mujoco.qpos[lane])
@@ -142,6 +158,10 @@ def step_plant(plants: Plants, lane: int, commands: FloatArray) -> tuple[float, 
         return reward, 0.0, over
     if plants.kind == CART_POLE:
         return 1.0, 0.0, step_cart_pole(plants.state, lane, _FORCE_N * commands[0, lane])
+    if plants.kind == WRITTEN_PENDULUM:
+        over = step_pendulum(plants.state, lane, plants.step_s, plants.frames, commands[0, lane])
+        reward, bonus = upright(plants.bonus, plants.state[0, lane], over)
+        return reward, bonus, over
     mujoco = plants.mujoco
     before = load(mujoco.qpos[lane])
     for i in range(mujoco.controls):
@@ -151,13 +171,21 @@ def step_plant(plants: Plants, lane: int, commands: FloatArray) -> tuple[float, 
     after = load(mujoco.qpos[lane])
     if plants.kind == PENDULUM:
         angle = load(mujoco.qpos[lane] + 8)
-        if not abs(angle) <= _TILTED_RAD or not np.isfinite(after):
-            return 0.0, 0.0, True
-        return 1.0, plants.bonus * (1.0 - abs(after)), False
+        over = not abs(angle) <= TILTED_RAD or not np.isfinite(after)
+        reward, bonus = upright(plants.bonus, after, over)
+        return reward, bonus, over
     squares = 0.0
     for i in range(mujoco.controls):
         squares += commands[i, lane] * commands[i, lane]
     return (after - before) / mujoco.dt_s - _EFFORT * squares, 0.0, False
+
+
+@kernel
+def upright(bonus: float, x: float, over: bool) -> tuple[float, float]:
+    """Return a pendulum's reward, and its bonus for a cart at x in m."""
+    if over:
+        return 0.0, 0.0
+    return 1.0, bonus * (1.0 - abs(x))
 
 
 @kernel

@@ -71,12 +71,17 @@ class Reestimating(Published):
 
 def search_benchmark(
     arena: Arena,
+    judge: Arena,
     agent: Policy | Net,
     seed: int,
     budget: Budget,
+    *,
     on_progress: Callable[[int, float], None] = lambda steps, value: None,
 ) -> Found:
-    """Search an agent's parameters on a benchmark. The same arguments give the same bits."""
+    """Search an agent's parameters on a benchmark. The same arguments give the same bits.
+
+    ``judge``, which may be the arena, confirms what is enough.
+    """
     task = arena.task
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_SEARCH,))))
     starts = untuned(agent, generator, budget.starts)
@@ -96,7 +101,7 @@ def search_benchmark(
         search.tell(race.estimate(vectors, search.to_beat, keys))
         assert search.value is not None
         if search.value >= enough:
-            search.value = _confirmed(arena, search.incumbent, seed, search.evaluations)
+            search.value = _confirmed(judge, search.incumbent, seed, search.evaluations)
         if not curve or curve[-1][1] != search.value:
             curve.append((arena.steps, search.value))
             on_progress(arena.steps, search.value)

@@ -6,6 +6,7 @@ one. A pendulum's paper return has a bonus of 0.2 (1 - |x|) on every rewarded st
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,9 @@ from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.circuit.tap_withdrawal import four_dof_circuit, parking_circuit, tap_withdrawal_circuit
 from rover_ncp.core.errors import UsageError
-from sim.paper.plants import CART_POLE, CHEETAH, MOUNTAIN_CAR, PENDULUM
+from sim.paper.plants import CART_POLE, CHEETAH, MOUNTAIN_CAR, PENDULUM, WRITTEN_PENDULUM
 
-__all__ = ["TASKS", "Benchmark", "MujocoModel", "Settings", "Task", "find_task", "two_signals"]
+__all__ = ["TASKS", "Benchmark", "MujocoModel", "Settings", "StandIn", "Task", "find_task", "two_signals"]
 
 FloatArray = NDArray[np.float64]
 
@@ -39,6 +40,14 @@ class MujocoModel:
     file: str
     frames: int
     step_s: float | None = None
+
+
+class StandIn(NamedTuple):
+    """A plant written out here that equals MuJoCo's, and steps of so long in one of the environment."""
+
+    plant: int
+    step_s: float
+    frames: int
 
 
 @dataclass(frozen=True)
@@ -70,6 +79,8 @@ class Benchmark(Task):
     """Draws the first state as the environment's reset does."""
     environment: str = ""
     mujoco: MujocoModel | None = None
+    stand_in: StandIn | None = None
+    """What candidates are tried on in place of MuJoCo; results are MuJoCo's."""
     bonus: float = 0.0
     races: bool = False
     """Whether rewards come evenly over an episode, so that a bad one shows early."""
@@ -157,6 +168,7 @@ def _pendulum(name: str, title: str, roboschool: bool, bonus: float) -> Benchmar
         mujoco=MujocoModel("inverted_pendulum.xml", 1, 0.0165)
         if roboschool
         else MujocoModel("inverted_pendulum.xml", 2),
+        stand_in=StandIn(WRITTEN_PENDULUM, 0.0165, 1) if roboschool else StandIn(WRITTEN_PENDULUM, 0.02, 2),
         bonus=bonus,
         starts=1500,
     )

@@ -89,10 +89,12 @@ def train_cell(
     agent = build_agent(task, name.agent, name.seed, circuit)
     arena = _arena(task, agent)
     if isinstance(arena, Arena):
-        found = search_benchmark(arena, agent, name.seed, limits, on_progress)
+        trials = arena if arena.task.stand_in is None else Arena(arena.task, agent, rough=True)
+        found = search_benchmark(trials, arena, agent, name.seed, limits, on_progress=on_progress)
+        steps = arena.steps + (0 if trials is arena else trials.steps)
     else:
         found = search_parking(arena, agent, name.seed, limits, on_progress)
-    steps = arena.steps
+        steps = arena.steps
     return Cell(
         name=name,
         command=_command(name, budget, circuit),

@@ -47,7 +47,7 @@ __all__ = ["Agent", "NetCube", "compare", "find_agent"]
 FloatArray = NDArray[np.float64]
 
 _RANDOM_COURSES = 24
-_TRIALS, _TRIALS_SEED, _UNSEEN = 1000, 31415, 200
+_TRIALS, _TRIALS_SEED, _UNSEEN = 1000, 31415, 50
 _PROGRESS_GENERATIONS = 25
 
 

@@ -6,8 +6,9 @@ from numpy.typing import ArrayLike, NDArray
 from rover_ncp.circuit.policy import Policy
 from sim.learn.nets import Net
 from sim.paper.brain import make_brain
+from sim.paper.cheetah_model import NO_CHEETAH, load_cheetah
 from sim.paper.episodes import IDLE, RESULTS, Queue, Room, run_episodes
-from sim.paper.plants import allocate_plants
+from sim.paper.plants import WRITTEN_CHEETAH, allocate_plants
 from sim.paper.tasks import Benchmark
 
 __all__ = ["Arena", "Seeds", "draw_seeds"]
@@ -51,7 +52,13 @@ class Arena:
         )
         if stand_in:
             kind, step_s, frames = stand_in
-            self._plants = allocate_plants(kind, count, task.bonus, step_s=step_s, frames=frames)
+            cheetah = NO_CHEETAH
+            if kind == WRITTEN_CHEETAH:
+                assert task.mujoco is not None
+                cheetah = load_cheetah(task.mujoco.file)
+            self._plants = allocate_plants(
+                kind, count, task.bonus, step_s=step_s, frames=frames, cheetah=cheetah
+            )
         elif mujoco is None:
             self._plants = allocate_plants(task.plant, count, task.bonus)
         else:

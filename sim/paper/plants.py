@@ -1,9 +1,9 @@
 """The benchmarks' environments as lanes of a kernel: each lane a plant in its own episode.
 
 Mountain car and cart-pole are written out here, operation by operation as Gymnasium has them; inverted
-pendulum and half-cheetah are MuJoCo's, whose step is called by its address (``mujoco_plants.py``). The
-pendulum is written out as well (``pendulum.py``). The tests hold each to its Gymnasium environment, step by
-step.
+pendulum and half-cheetah are MuJoCo's, whose step is called by its address (``mujoco_plants.py``). These
+two are written out as well (``pendulum.py``, ``cheetah.py``). The tests hold each to its Gymnasium
+environment, step by step.
 """
 
 import math
@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.jit import kernel
+from sim.paper.cheetah import step_cheetah
+from sim.paper.cheetah_model import COORDINATES, NO_CHEETAH, Cheetah, CheetahWork, cheetah_work
 from sim.paper.pendulum import TILTED_RAD, step_pendulum
 from sim.world.chipmunk import call_with_thing, load, store
 
@@ -22,6 +24,7 @@ __all__ = [
     "MOUNTAIN_CAR",
     "NO_MUJOCO",
     "PENDULUM",
+    "WRITTEN_CHEETAH",
     "WRITTEN_PENDULUM",
     "MujocoLanes",
     "Plants",
@@ -34,7 +37,7 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-MOUNTAIN_CAR, CART_POLE, WRITTEN_PENDULUM, PENDULUM, CHEETAH = range(5)
+MOUNTAIN_CAR, CART_POLE, WRITTEN_PENDULUM, WRITTEN_CHEETAH, PENDULUM, CHEETAH = range(6)
 
 # gymnasium/envs/classic_control/continuous_mountain_car.py
 _POWER, _SLOPE = 0.0015, 0.0025
@@ -81,13 +84,16 @@ class Plants(NamedTuple):
     bonus: float
     """Added to a pendulum's reward: bonus * (1 - |x|)."""
     state: FloatArray
-    """(4, L) of what is written out here."""
+    """(S, L) of what does without MuJoCo."""
     fresh: NDArray[np.bool_]
     """(L,) whether a plant has not moved yet."""
     mujoco: MujocoLanes
     step_s: float
     frames: int
-    """A written pendulum's steps of so long in one of the environment."""
+    """A written plant's steps of so long in one of the environment."""
+    cheetah: Cheetah
+    cheetah_work: CheetahWork
+    """One for all lanes, which are stepped one by one."""
 
 
 _NONE = np.zeros(0, np.int64)
@@ -102,9 +108,12 @@ def allocate_plants(
     *,
     step_s: float = 0.0,
     frames: int = 1,
+    cheetah: Cheetah = NO_CHEETAH,
 ) -> Plants:
     """Return plants, each to be set by ``reset_plant``."""
-    return Plants(kind, bonus, np.zeros((4, count)), np.zeros(count, np.bool_), mujoco, step_s, frames)
+    state = np.zeros((2 * COORDINATES if kind == WRITTEN_CHEETAH else 4, count))
+    fresh = np.zeros(count, np.bool_)
+    return Plants(kind, bonus, state, fresh, mujoco, step_s, frames, cheetah, cheetah_work())
 
 
 @kernel
@@ -137,6 +146,9 @@ def observe(plants: Plants, lane: int, observations: FloatArray) -> None:
     elif plants.kind == WRITTEN_PENDULUM:
         observations[0, lane] = state[1, lane]
         observations[1, lane] = state[0, lane]
+    elif plants.kind == WRITTEN_CHEETAH:
+        for i in range(1, 2 * COORDINATES):
+            observations[i - 1, lane] = state[i, lane]
     elif plants.kind == PENDULUM:
         observations[0, lane] = load(mujoco.qpos[lane] + 8)
         observations[1, lane] = load(mujoco.qpos[lane])
@@ -162,6 +174,8 @@ def step_plant(plants: Plants, lane: int, commands: FloatArray) -> tuple[float, 
         over = step_pendulum(plants.state, lane, plants.step_s, plants.frames, commands[0, lane])
         reward, bonus = upright(plants.bonus, plants.state[0, lane], over)
         return reward, bonus, over
+    if plants.kind == WRITTEN_CHEETAH:
+        return step_written_cheetah(plants, lane, commands), 0.0, False
     mujoco = plants.mujoco
     before = load(mujoco.qpos[lane])
     for i in range(mujoco.controls):
@@ -174,10 +188,32 @@ def step_plant(plants: Plants, lane: int, commands: FloatArray) -> tuple[float, 
         over = not abs(angle) <= TILTED_RAD or not np.isfinite(after)
         reward, bonus = upright(plants.bonus, after, over)
         return reward, bonus, over
+    return (after - before) / mujoco.dt_s - effort(commands, lane), 0.0, False
+
+
+@kernel
+def effort(commands: FloatArray, lane: int) -> float:
+    """Return what a half-cheetah's commands cost."""
     squares = 0.0
-    for i in range(mujoco.controls):
+    for i in range(commands.shape[0]):
         squares += commands[i, lane] * commands[i, lane]
-    return (after - before) / mujoco.dt_s - _EFFORT * squares, 0.0, False
+    return _EFFORT * squares
+
+
+@kernel
+def step_written_cheetah(plants: Plants, lane: int, commands: FloatArray) -> float:
+    """Step HalfCheetah-v5 without MuJoCo; returns the reward."""
+    state, work = plants.state, plants.cheetah_work
+    position, velocity = work.position, work.velocity
+    for i in range(COORDINATES):
+        position[i], velocity[i] = state[i, lane], state[COORDINATES + i, lane]
+    for _ in range(plants.frames):
+        step_cheetah(plants.cheetah, work, plants.step_s, commands, lane)
+    moved = position[0] - state[0, lane]
+    for i in range(COORDINATES):
+        state[i, lane], state[COORDINATES + i, lane] = position[i], velocity[i]
+    reward: float = moved / (plants.frames * plants.step_s) - effort(commands, lane)
+    return reward
 
 
 @kernel

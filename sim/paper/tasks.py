@@ -17,7 +17,14 @@ from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.circuit.tap_withdrawal import four_dof_circuit, parking_circuit, tap_withdrawal_circuit
 from rover_ncp.core.errors import UsageError
-from sim.paper.plants import CART_POLE, CHEETAH, MOUNTAIN_CAR, PENDULUM, WRITTEN_PENDULUM
+from sim.paper.plants import (
+    CART_POLE,
+    CHEETAH,
+    MOUNTAIN_CAR,
+    PENDULUM,
+    WRITTEN_CHEETAH,
+    WRITTEN_PENDULUM,
+)
 
 __all__ = ["TASKS", "Benchmark", "MujocoModel", "Settings", "StandIn", "Task", "find_task", "two_signals"]
 
@@ -221,6 +228,7 @@ _ALL = (
         start=_cheetah_start,
         environment="HalfCheetah-v5",
         mujoco=MujocoModel("half_cheetah.xml", 5),
+        stand_in=StandIn(WRITTEN_CHEETAH, 0.01, 5),
         races=True,
         starts=100,
     ),

@@ -91,6 +91,8 @@ class Benchmark(Task):
     bonus: float = 0.0
     races: bool = False
     """Whether rewards come evenly over an episode, so that a bad one shows early."""
+    evolves: bool = False
+    """Whether by default it is searched by evolution (``evolution.py``)."""
     starts: int = 3000
     """Untuned agents that are tried before the search begins."""
 
@@ -108,6 +110,10 @@ def two_signals(name: str, inputs: tuple[tuple[str, float], ...], end: float) ->
     return lambda circuit: Policy(circuit, sensing, motors)
 
 
+_CHEETAH_RANGES = (0.1, 0.3, *(0.5,) * 6, 1.5, 1.0, 1.5, *(6.0,) * 6)
+"""How large a half-cheetah's observations usually are, so that a weight means about the same to each."""
+
+
 def _cheetah_policy(circuit: Circuit) -> Policy:
     """Put the two linear layers, 17 to 2 and 2 to 6, around a circuit."""
     joints = ("back_thigh", "back_shin", "back_foot", "front_thigh", "front_shin", "front_foot")
@@ -116,6 +122,7 @@ def _cheetah_policy(circuit: Circuit) -> Policy:
     sensing = Sensing(
         name="half-cheetah",
         inputs=inputs,
+        ranges=_CHEETAH_RANGES,
         channels=(
             Channel(name="first", positive="PLM", maximum=1.0, negative="AVM", minimum=-1.0),
             Channel(name="second", positive="ALM", maximum=1.0, negative="PVD", minimum=-1.0),
@@ -221,7 +228,7 @@ _ALL = (
         horizon=1000,
         success=2000.0,
         enough=6000.0,
-        steps=20_000_000,
+        steps=6_000_000,
         circuit=tap_withdrawal_circuit,
         policy=_cheetah_policy,
         plant=CHEETAH,
@@ -230,7 +237,8 @@ _ALL = (
         mujoco=MujocoModel("half_cheetah.xml", 5),
         stand_in=StandIn(WRITTEN_CHEETAH, 0.01, 5),
         races=True,
-        starts=100,
+        evolves=True,
+        starts=400,
     ),
     Benchmark(
         name="cart-pole",

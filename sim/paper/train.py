@@ -21,6 +21,7 @@ from sim.learn.search.packed import pack
 from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.arena import Arena, draw_seeds
 from sim.paper.cell import Cell, Name
+from sim.paper.evolution import EVOLUTION, search_by_evolution
 from sim.paper.parking import ParkingArena, search_parking
 from sim.paper.search import Budget, Found, search_benchmark
 from sim.paper.tasks import Benchmark, Task, find_task
@@ -30,8 +31,8 @@ __all__ = ["BudgetName", "budget_for", "replay", "score", "train_cell"]
 _FINAL = 99
 _CURVE_POINTS = 60
 _UNLIMITED = 10**12
-_QUICK_STEPS = {False: 400_000, True: 60_000}
-"""Of a quick run, without and with MuJoCo: about two seconds."""
+_QUICK_STEPS = 400_000
+"""Of a quick run: a few seconds."""
 
 
 class BudgetName(StrEnum):
@@ -66,8 +67,8 @@ def budget_for(task: Task, name: BudgetName) -> Budget:
             full,
             rollouts=min(full.rollouts, 3),
             worst=min(full.worst, 3),
-            steps=_QUICK_STEPS[isinstance(task, Benchmark) and task.mujoco is not None],
-            starts=min(starts, 300 if task.horizon < 1000 else 30),
+            steps=_QUICK_STEPS,
+            starts=min(starts, 300 if task.horizon < 1000 else 100),
         )
     return full
 
@@ -90,7 +91,10 @@ def train_cell(
     arena = _arena(task, agent)
     if isinstance(arena, Arena):
         trials = arena if arena.task.stand_in is None else Arena(arena.task, agent, rough=True)
-        found = search_benchmark(trials, arena, agent, name.seed, limits, on_progress=on_progress)
+        if _evolves(task, limits):
+            found = search_by_evolution(trials, agent, name.seed, limits, on_progress)
+        else:
+            found = search_benchmark(trials, arena, agent, name.seed, limits, on_progress=on_progress)
         steps = arena.steps + (0 if trials is arena else trials.steps)
     else:
         found = search_parking(arena, agent, name.seed, limits, on_progress)
@@ -99,7 +103,7 @@ def train_cell(
         name=name,
         command=_command(name, budget, circuit),
         budget=budget,
-        settings=vars(limits),
+        settings=_settings(task, limits),
         made_with=made_with() | _versions(task),
         wall_s=time.monotonic() - began,
         cpu_s=time.process_time() - worked,
@@ -111,6 +115,16 @@ def train_cell(
         parameters=pack(found.vector),
         **score(task, agent, found.vector, name.seed, _EPISODES.get(budget, _MOST_EPISODES)),
     )
+
+
+def _settings(task: Task, limits: Budget) -> dict[str, Any]:
+    if _evolves(task, limits):
+        return {"steps": limits.steps, "starts": limits.starts, **EVOLUTION}
+    return vars(limits)
+
+
+def _evolves(task: Task, limits: Budget) -> bool:
+    return isinstance(task, Benchmark) and task.evolves and not limits.published
 
 
 def _train_by_gradients(name: Name, task: Task, budget: BudgetName, began: tuple[float, float]) -> Cell:

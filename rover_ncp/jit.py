@@ -16,18 +16,66 @@ from types import CodeType, ModuleType
 from typing import Any
 
 from numba import njit
+from numba.core import types
+from numba.extending import intrinsic
 
-__all__ = ["kernel"]
+__all__ = ["borrowed", "inlined_kernel", "kernel"]
+
+
+def _in_kernels(generator: Callable[..., Any]) -> Any:
+    """Make a code generator into a function for kernels, which do not pass its first argument."""
+    return intrinsic(generator)
 
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function with numba on its first call, or load what an earlier process compiled."""
+    return _compiled(function, {"error_model": "numpy"})
+
+
+def inlined_kernel(function: Callable[..., Any]) -> Any:
+    """Compile a part of other kernels into each place where it is called.
+
+    For what takes large tuples, and is called often: a call hands over every array of them by value, which
+    can take longer than the work.
+    """
+    return _compiled(function, {"error_model": "numpy", "forceinline": True})
+
+
+@_in_kernels
+def borrowed(_context: Any, value: Any) -> Any:
+    """Within a kernel: return an array, or a tuple with the arrays in it, that count no references.
+
+    numba counts up and down, by slow atomic operations, whenever an array is taken out of a tuple; in a
+    loop over ticks that takes longer than much of the work. What is lent must outlive its use, as arguments
+    from Python do.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _without_owner(context, builder, signature.args[0], arguments[0])
+
+    return value(value), generate
+
+
+def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    if isinstance(kind, types.Array):
+        array = context.make_array(kind)(context, builder, value)
+        array.meminfo = context.get_constant_null(types.voidptr)
+        return array._getvalue()
+    if isinstance(kind, types.BaseTuple):
+        parts: Any = kind
+        for i, part in enumerate(parts):
+            lent = _without_owner(context, builder, part, builder.extract_value(value, i))
+            value = builder.insert_value(value, lent, i)
+    return value
+
+
+def _compiled(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     try:
-        compiled: Any = njit(cache=True, error_model="numpy")(function)
+        compiled: Any = njit(cache=True, **options)(function)
         _stamp_when_used(compiled._cache, function)
     except (RuntimeError, AttributeError):
         # No writable folder for the cache, or a numba that keeps its stamp elsewhere: compile each time.
-        compiled = njit(error_model="numpy")(function)
+        compiled = njit(**options)(function)
     return compiled
 
 

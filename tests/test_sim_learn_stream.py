@@ -32,7 +32,7 @@ def candidates(count: int, seed: int = 1) -> np.ndarray:
     return np.clip(vectors, LAYOUT.lower, LAYOUT.upper)
 
 
-def plan(engine: Engine, strategy: str, stream: Callable[[int, int], Stream] | None = None) -> Plan:
+def plan(engine: Engine, strategy: str, stream: Callable[[int], Stream] | None = None) -> Plan:
     objective = Deterministic(engine.returns, engine.traces, stream)
     return Plan(5, strategy, LAYOUT, POLICY.parameters(), lambda: objective)
 
@@ -48,7 +48,7 @@ def test_a_stream_decides_as_batches_do(engine: Engine, strategy: str, iteration
 
 def test_answers_are_those_of_the_engine_whoever_is_first(engine: Engine) -> None:
     stream, lockstep = (
-        Stream(engine, 4, usual=3),
+        Stream(engine, 4),
         Lockstep(Deterministic(engine.returns, engine.traces), True),
     )
     expected = {}
@@ -70,7 +70,7 @@ def test_answers_are_those_of_the_engine_whoever_is_first(engine: Engine) -> Non
 
 
 def test_an_episode_that_lost_is_stopped_and_holds_up_nobody(engine: Engine) -> None:
-    stream, vectors = Stream(engine, 2, usual=4), candidates(8)
+    stream, vectors = Stream(engine, 2), candidates(8)
     whole = engine.returns(vectors)
     thresholds = np.where(np.arange(8) < 4, np.inf, whole)
     for agent in range(2):
@@ -86,7 +86,7 @@ def test_an_episode_that_lost_is_stopped_and_holds_up_nobody(engine: Engine) -> 
 
 
 def test_an_agent_that_waits_cannot_submit_again_nor_more_than_there_is_room(engine: Engine) -> None:
-    stream = Stream(engine, 2, usual=3)
+    stream = Stream(engine, 2)
     many = np.zeros(stream.room + 1)
     with pytest.raises(ValueError, match="agent 0 cannot submit"):
         stream.submit(0, candidates(stream.room + 1), many, [])

@@ -14,8 +14,18 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import MIDPOINT_MV
 from rover_ncp.circuit.program import Chemical, Gaps, LaneParameters, Program
-from rover_ncp.circuit.vectors import WIDTH, load, scale_by_power_of_two, store
-from rover_ncp.jit import kernel
+from rover_ncp.jit import inlined_kernel, kernel
+from rover_ncp.vectors import (
+    WIDTH,
+    everywhere,
+    larger,
+    load,
+    load_lanes,
+    scale_by_power_of_two,
+    smaller,
+    store,
+    store_lanes,
+)
 
 __all__ = ["exp2", "fill_lane", "tick_lanes"]
 
@@ -71,46 +81,40 @@ def tick_lanes(
     potential = lanes.potential
     neurons, count = potentials.shape
     for block in range((count + WIDTH - 1) // WIDTH):
-        start = block * WIDTH
         # Spare lanes of the last block start as its last lane does; nobody reads what becomes of them.
         for neuron in range(neurons):
-            for lane in range(WIDTH):
-                potential[0, neuron, lane] = potentials[neuron, min(start + lane, count - 1)]
+            store(potential, 0, neuron, load_lanes(potentials, neuron, block * WIDTH))
         set_sensory_neurons(program, lanes, block, observations)
         sum_settled_synapses(program, lanes, block)
         run_substeps(program, lanes, block)
         for neuron in range(neurons):
-            for lane in range(min(WIDTH, count - start)):
-                potentials[neuron, start + lane] = potential[0, neuron, lane]
+            store_lanes(potentials, neuron, block * WIDTH, load(potential, 0, neuron))
         read_motors(program, lanes, block, commands)
 
 
-@kernel
+@inlined_kernel
 def set_sensory_neurons(
     program: Program, lanes: LaneParameters, block: int, observations: FloatArray
 ) -> None:
     """Set a block's driven neurons from its observations."""
     neurons, channels, bases, gains, lowers, uppers = program.drive
     entries, potentials = lanes.input_layer, lanes.potential
-    columns, count = program.input_layer_at.shape[1], observations.shape[1]
+    columns = program.input_layer_at.shape[1]
     for s in range(len(neurons)):
-        neuron, channel, base, gain = neurons[s], channels[s], bases[s], gains[s]
-        lower, upper = lowers[s], uppers[s]
-        for lane in range(WIDTH):
-            column = min(block * WIDTH + lane, count - 1)
-            if columns == 0:
-                value = observations[channel, column]
-            else:
-                value = 0.0
-                for i in range(columns):
-                    value += entries[block, channel * columns + i, lane] * observations[i, column]
-            potential = base + gain * value
-            # In this order a NaN, which only an overflow in the layer could make, reads as the lower end.
-            potential = potential if potential > lower else lower
-            potentials[0, neuron, lane] = min(potential, upper)
+        channel = channels[s]
+        if columns == 0:
+            value = load_lanes(observations, channel, block * WIDTH)
+        else:
+            value = everywhere(0.0)
+            for i in range(columns):
+                entry = load(entries, block, channel * columns + i)
+                value = value + entry * load_lanes(observations, i, block * WIDTH)
+        # In this order a NaN, which only an overflow in the layer could make, reads as the lower end.
+        potential = larger(lowers[s], bases[s] + gains[s] * value)
+        store(potentials, 0, neurons[s], smaller(potential, uppers[s]))
 
 
-@kernel
+@inlined_kernel
 def sum_settled_synapses(program: Program, lanes: LaneParameters, block: int) -> None:
     """Sum up what is constant over a tick: leak and the synapses from driven neurons."""
     synapses, gaps = program.settled, program.settled_gaps
@@ -132,7 +136,7 @@ def sum_settled_synapses(program: Program, lanes: LaneParameters, block: int) ->
         store(totals, 0, d, total)
 
 
-@kernel
+@inlined_kernel
 def run_substeps(program: Program, lanes: LaneParameters, block: int) -> None:
     """Advance a block's stepped neurons by a tick; in a substep each from the old potentials of all."""
     # Local names: numba counts references whenever an array is taken out of a tuple.
@@ -162,7 +166,7 @@ def run_substeps(program: Program, lanes: LaneParameters, block: int) -> None:
             store(potential, 0, neurons[d], load(stepped, 0, d))
 
 
-@kernel
+@inlined_kernel
 def read_motors(program: Program, lanes: LaneParameters, block: int, commands: FloatArray) -> None:
     """Read a block's commands from its motor neurons."""
     neurons, targets, ends = program.pull
@@ -170,24 +174,21 @@ def read_motors(program: Program, lanes: LaneParameters, block: int, commands: F
     entries, potentials, channels = lanes.output_layer, lanes.potential, lanes.channel
     outputs, columns = program.output_layer_at.shape
     limits = program.output_limit
-    start = block * WIDTH
     channels[:] = 0.0
     for q in range(len(neurons)):
-        neuron, channel, end = neurons[q], targets[q], ends[q]
-        for lane in range(WIDTH):
-            fraction = (potentials[0, neuron, lane] - low) * scale
-            channels[0, channel, lane] += end * min(max(fraction, 0.0), 1.0)
+        fraction = (load(potentials, 0, neurons[q]) - low) * scale
+        pulled = ends[q] * smaller(larger(fraction, 0.0), 1.0)
+        store(channels, 0, targets[q], load(channels, 0, targets[q]) + pulled)
     for o in range(commands.shape[0]):
-        for lane in range(min(WIDTH, commands.shape[1] - start)):
-            if outputs == 0:
-                value = channels[0, o, lane]
-            else:
-                value = 0.0
-                for i in range(columns):
-                    value += entries[block, o * columns + i, lane] * channels[0, i, lane]
-                if len(limits) > 0:
-                    value = limits[o] * min(max(value, -1.0), 1.0)
-            commands[o, start + lane] = value
+        if outputs == 0:
+            value = load(channels, 0, o)
+        else:
+            value = everywhere(0.0)
+            for i in range(columns):
+                value = value + load(entries, block, o * columns + i) * load(channels, 0, i)
+            if len(limits) > 0:
+                value = limits[o] * smaller(larger(value, -1.0), 1.0)
+        store_lanes(commands, o, block * WIDTH, value)
 
 
 @kernel

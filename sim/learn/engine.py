@@ -29,7 +29,7 @@ __all__ = ["Engine", "Outcomes"]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-LEAST_LANES, MOST_LANES = 8, 36
+LEAST_LANES, MOST_LANES = 8, 24
 """Fewer leave vectors half empty; more gain nothing: all numbers should stay in a core's first cache."""
 RACERS_PER_LANE = 6
 

@@ -16,7 +16,7 @@ from rover_ncp.circuit.program import LaneParameters, Program
 from rover_ncp.circuit.solver import fill_lane, tick_lanes
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.signals import seen_from
-from rover_ncp.jit import kernel
+from rover_ncp.jit import borrowed, inlined_kernel, kernel
 from sim.world import chipmunk
 from sim.world.fleet import FleetArrays, advance, place, read_poses, send, wrapped
 from sim.world.randomization import BaseErrors, OdometryErrors, Trials, driven, reckoned, stepped
@@ -119,6 +119,8 @@ def run_episodes(
     queue: Queue,
 ) -> None:
     """Run all episodes in the queue. ``signal_at`` (inputs,) says which signal each input is."""
+    program, tasks, trials = borrowed(program), borrowed(tasks), borrowed(trials)
+    lanes, fleet, queue = borrowed(lanes), borrowed(fleet), borrowed(queue)
     waiting, running = 0, 0
     lanes.episode[:] = IDLE
     while True:
@@ -168,7 +170,7 @@ def start_episode(
     observe(signal_at, tasks, trials, lanes, task, trial, lane, 0, 0.0)
 
 
-@kernel
+@inlined_kernel
 def put_at_start(trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, lane: int) -> None:
     """Place the rover where its trial starts."""
     start = trials.start[trial]
@@ -177,7 +179,7 @@ def put_at_start(trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, l
     lanes.tail[lane, 0] = start
 
 
-@kernel
+@inlined_kernel
 def observe(
     signal_at: IntArray,
     tasks: Tasks,
@@ -207,7 +209,7 @@ def observe(
         lanes.observations[i, lane] = seen[signal_at[i]]
 
 
-@kernel
+@inlined_kernel
 def pass_commands(trials: Trials, lanes: Lanes, queue: Queue) -> None:
     """Bring the commands to the bases, but for those lost; rovers stay whose circuit warms up or is idle."""
     commands, held, episode, tick = lanes.commands, lanes.held, lanes.episode, lanes.tick
@@ -228,7 +230,7 @@ def pass_commands(trials: Trials, lanes: Lanes, queue: Queue) -> None:
         )
 
 
-@kernel
+@inlined_kernel
 def finish_tick(
     signal_at: IntArray, tasks: Tasks, trials: Trials, lanes: Lanes, fleet: FleetArrays, queue: Queue
 ) -> int:
@@ -236,7 +238,7 @@ def finish_tick(
     # Local names: numba counts references whenever an array is taken out of a tuple.
     episodes, ticks, total, poses, tail = lanes.episode, lanes.tick, lanes.total, lanes.poses, lanes.tail
     due, checkpoints, reference = tasks.due, tasks.checkpoints, tasks.reference
-    misses = queue.misses
+    odometry, misses = lanes.odometry, queue.misses
     ended = 0
     for lane in range(len(episodes)):
         episode = episodes[lane]
@@ -264,15 +266,16 @@ def finish_tick(
         lanes.tracking[0, lane] += dx * dx + dy * dy
         lanes.tracking[1, lane] += dtheta * dtheta
         length = tail.shape[1]
-        before = tail[lane, now % length]
-        if trials.exact:
-            lanes.odometry[:, lane] = poses[:, lane]
-        else:
-            reckon(trials, lanes, trial, lane, before, now + 1)
-        tail[lane, (now + 1) % length] = poses[:, lane]
+        if not trials.exact:
+            reckon(trials, lanes, trial, lane, tail[lane, now % length])
+        place = (now + 1) % length
+        for axis in range(3):
+            if trials.exact:
+                odometry[axis, lane] = poses[axis, lane]
+            tail[lane, place, axis] = poses[axis, lane]
         if now + 1 == trials.bump[trial, 0] and not trials.exact:
             bump(trials, lanes, fleet, trial, lane)
-            tail[lane, (now + 1) % length] = poses[:, lane]
+            tail[lane, place] = poses[:, lane]
         if now + 1 == tasks.ticks[task] or total[lane] < queue.stop_below[episode]:
             conclude(tasks, lanes, fleet, task, lane, queue.results[episode])
             episodes[lane] = IDLE
@@ -282,8 +285,8 @@ def finish_tick(
     return ended
 
 
-@kernel
-def reckon(trials: Trials, lanes: Lanes, trial: int, lane: int, before: FloatArray, tick: int) -> None:
+@inlined_kernel
+def reckon(trials: Trials, lanes: Lanes, trial: int, lane: int, before: FloatArray) -> None:
     """Move odometry by what a tick seemed to be."""
     poses, odometry = lanes.poses, lanes.odometry
     lanes.earlier[:, lane] = odometry[:, lane]

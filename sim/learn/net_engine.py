@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import Course
-from rover_ncp.jit import kernel
+from rover_ncp.jit import borrowed, kernel
 from sim.learn.engine import Engine
 from sim.learn.episode import IDLE, Lanes, Queue, Tasks, finish_tick, pass_commands, start_episode
 from sim.learn.nets import (
@@ -37,6 +37,9 @@ def run_nets(  # noqa: PLR0917  # as run_episodes
     queue: Queue,
 ) -> None:
     """Run all episodes in the queue, as ``run_episodes`` does with circuits."""
+    program, nets = borrowed(program), borrowed(nets)
+    tasks, trials = borrowed(tasks), borrowed(trials)
+    lanes, fleet, queue = borrowed(lanes), borrowed(fleet), borrowed(queue)
     waiting, running = 0, 0
     lanes.episode[:] = IDLE
     while True:

@@ -46,14 +46,14 @@ class Deterministic:
 
     ``returns`` takes vectors (k, P) and the thresholds (k,) below which a rollout may stop; it gives (k,).
     ``traces`` is what ``trace`` says, for strategies that need it. ``stream``, if there is one, opens a
-    flow that does both for so many agents, each of which usually submits so many candidates at once.
+    flow that does both for so many agents.
     """
 
     def __init__(
         self,
         returns: Callable[[Vector, Vector], Vector],
         traces: Callable[[Vector], tuple[Vector, Vector]] | None = None,
-        stream: Callable[[int, int], "Flow"] | None = None,
+        stream: Callable[[int], "Flow"] | None = None,
     ) -> None:
         self._returns = returns
         self._traces = traces

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.program import Program
 from rover_ncp.circuit.solver import fill_lane, tick_lanes
-from rover_ncp.jit import kernel
+from rover_ncp.jit import borrowed, kernel
 from sim.learn.engine import Engine
 from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, finish_tick, pass_commands, start_episode
 from sim.learn.flow import Answer
@@ -26,8 +26,8 @@ __all__ = ["Stream"]
 
 IntArray = NDArray[np.int64]
 
-LEAST_LANES, MOST_LANES = 8, 24
-"""In whole vectors; measured: with more, lanes stand idle while agents wait for their last episode."""
+LANES = 8
+"""One vector; with more, lanes stand idle while agents wait for their last episode."""
 _LEAST_ROOM, _ROOM = 8, 64
 
 
@@ -56,6 +56,8 @@ def run_until_answer(  # noqa: PLR0917  # as run_episodes
     slots: Slots,
 ) -> None:
     """Run episodes until all of some agent have ended and a lane wants work, or until none is left."""
+    program, tasks, trials = borrowed(program), borrowed(tasks), borrowed(trials)
+    lanes, fleet, queue = borrowed(lanes), borrowed(fleet), borrowed(queue)
     waiting, ring, left, before = slots
     episodes = lanes.episode
     room = len(waiting) // len(left)
@@ -95,14 +97,13 @@ def run_until_answer(  # noqa: PLR0917  # as run_episodes
 class Stream:
     """A flow of episodes of the first trial on the first course of an engine, for so many agents.
 
-    ``usual`` is how many candidates an agent usually submits at once; ``room``, how many it may.
+    ``room`` is how many candidates an agent may submit at once.
     """
 
-    def __init__(self, engine: Engine, agents: int, usual: int) -> None:
+    def __init__(self, engine: Engine, agents: int) -> None:
         self.room = max(_LEAST_ROOM, -(-_ROOM // agents))
         self._engine = engine
-        width = min(max(agents * usual // 8 * 8, LEAST_LANES), MOST_LANES)
-        self._fleet, self._lanes = engine.build_team(width)
+        self._fleet, self._lanes = engine.build_team(LANES)
         places = agents * self.room
         zeros = np.zeros(places, np.int64)
         self._queue = Queue(
@@ -118,7 +119,7 @@ class Stream:
             waiting=np.zeros(places, np.int64),
             ring=np.zeros(2, np.int64),
             left=np.zeros(agents, np.int64),
-            before=np.full(width, IDLE),
+            before=np.full(LANES, IDLE),
         )
         self._submitted = np.zeros(agents, np.int64)
 

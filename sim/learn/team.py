@@ -99,7 +99,7 @@ class Team:
         if agents not in self._flows:
             strategy, objective = STRATEGIES[self._plan.strategy], self._objective
             if isinstance(objective, Deterministic) and objective.stream is not None:
-                self._flows[agents] = objective.stream(agents, strategy.usual)
+                self._flows[agents] = objective.stream(agents)
             else:
                 self._flows[agents] = Lockstep(objective, strategy.needs_misses)
         return self._flows[agents]

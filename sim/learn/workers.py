@@ -5,6 +5,7 @@ the terminal sends to the whole group: the parent alone decides. A worker whose 
 went, finds its pipe closed and ends.
 """
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -190,7 +191,9 @@ def _work(connection: Connection, make: Callable[[], Callable[..., Any]]) -> Non
             arguments = connection.recv()
             answer: Any
             try:
-                function = function or make()
+                if function is None:
+                    function = make()
+                    gc.freeze()  # compilers leave a million objects, which need not be gone through again
                 answer = function(*arguments)
             except RoverNcpError as error:
                 answer = _Failure(str(error), is_users=True)

@@ -141,8 +141,8 @@ def _iterations_per_cpu_s(plan: Plan, iterations: int) -> tuple[float, float]:
         assert isinstance(objective, Deterministic) and objective.stream is not None
         open_stream = objective.stream
 
-        def stream(agents: int, usual: int) -> Flow:
-            flows.append(_Timed(open_stream(agents, usual)))
+        def stream(agents: int) -> Flow:
+            flows.append(_Timed(open_stream(agents)))
             return flows[-1]
 
         objective.stream = stream

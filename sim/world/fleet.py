@@ -27,10 +27,21 @@ from numpy.typing import NDArray
 
 from rover_ncp.core.course import Obstacle
 from rover_ncp.core.geometry import Pose
-from rover_ncp.jit import kernel
+from rover_ncp.jit import inlined_kernel, kernel
+from rover_ncp.vectors import (
+    WIDTH,
+    everywhere,
+    gather,
+    larger,
+    load_lanes,
+    scatter,
+    smaller,
+    store_lanes,
+    where_less,
+)
 from sim.world import chipmunk
 from sim.world.bay import Bay
-from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, RoverModel, own_axes, rover_body, toward
+from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, RoverModel, own_axes, rover_body
 
 __all__ = [
     "ROVERS_PER_BAY",
@@ -61,11 +72,13 @@ class FleetArrays(NamedTuple):
     bodies: IntArray
     shapes: IntArray
     """(L,) addresses each."""
+    eights: IntArray
+    """The bodies once more, the last of them until all eights are full."""
     rise: FloatArray
     fall: FloatArray
     """(2, L) the most that v and omega change in a substep, while they grow and while they shrink."""
     grip: FloatArray
-    """(L,) the most that the sideways speed changes in a substep."""
+    """(1, L) the most that the sideways speed changes in a substep."""
     top: FloatArray
     """(2, L) limits of v and omega."""
     delay: IntArray
@@ -76,7 +89,9 @@ class FleetArrays(NamedTuple):
     """(1,)."""
     old: FloatArray
     new: FloatArray
-    """(2, L) work: the targets before and after the substep of this tick at which a command falls due."""
+    late: FloatArray
+    """(2, L) work: the targets before and after the substep of this tick at which a command falls due, and
+    that substep."""
     touched: IntArray
     """(L,) 1 if a rover touched anything since it was placed."""
 
@@ -95,24 +110,28 @@ class Fleet:
         if not obstacles:
             for bay in self.bays:
                 bay.space.iterations = 1  # there will be no contact to solve
+                bay.space.collision_bias = 0.0
         limits = [_limits(model) for model in models]
         rise, fall, top, delay = (np.array(rows).T.copy() for rows in zip(*limits, strict=True))
         ticks_kept = int(delay.max()) // SUBSTEPS + 2
         lanes = len(models)
+        bodies = np.array([chipmunk.body_address(body) for body in self.bodies])
         self.arrays = FleetArrays(
             layout=chipmunk.find_layout(),
             spaces=np.array([chipmunk.space_address(bay.space) for bay in self.bays]),
-            bodies=np.array([chipmunk.body_address(body) for body in self.bodies]),
+            bodies=bodies,
             shapes=np.array([chipmunk.shape_address(next(iter(body.shapes))) for body in self.bodies]),
+            eights=np.pad(bodies, (0, -lanes % WIDTH), mode="edge"),
             rise=rise,
             fall=fall,
-            grip=np.array([model.friction * GRAVITY_M_S2 * SUBSTEP_S for model in models]),
+            grip=np.array([[model.friction * GRAVITY_M_S2 * SUBSTEP_S for model in models]]),
             top=top,
             delay=delay,
             sent=np.zeros((ticks_kept, 2, lanes)),
             clock=np.zeros(1, np.int64),
             old=np.zeros((2, lanes)),
             new=np.zeros((2, lanes)),
+            late=np.zeros((2, lanes)),
             touched=np.zeros(lanes, np.int64),
         )
 
@@ -166,61 +185,79 @@ def place(fleet: FleetArrays, lane: int, x: float, y: float, theta: float) -> No
     fleet.touched[lane] = 0
 
 
-@kernel
+@inlined_kernel
 def send(fleet: FleetArrays, commands: FloatArray) -> None:
     """Command all rovers, (2, L): forward speed in m/s and rate of turn in rad/s; begins a tick."""
     fleet.clock[0] = (fleet.clock[0] + 1) % len(fleet.sent)
-    now = fleet.sent[fleet.clock[0]]
+    now, top = fleet.sent[fleet.clock[0]], fleet.top
     for axis in range(2):
-        for lane in range(len(fleet.bodies)):
-            top = fleet.top[axis, lane]
-            now[axis, lane] = min(max(commands[axis, lane], -top), top)
+        for start in range(0, len(fleet.bodies), WIDTH):
+            limit = load_lanes(top, axis, start)
+            command = smaller(larger(load_lanes(commands, axis, start), -1.0 * limit), limit)
+            store_lanes(now, axis, start, command)
 
 
-@kernel
+@inlined_kernel
 def advance(fleet: FleetArrays) -> None:
     """Advance all rovers by the ten substeps of a tick."""
-    ticks_kept = len(fleet.sent)
-    for axis in range(2):
-        for lane in range(len(fleet.bodies)):
-            due = fleet.clock[0] - fleet.delay[axis, lane] // SUBSTEPS
-            fleet.new[axis, lane] = fleet.sent[due % ticks_kept, axis, lane]
-            fleet.old[axis, lane] = fleet.sent[(due - 1) % ticks_kept, axis, lane]
+    find_targets(fleet)
     # Local names: numba counts references whenever an array is taken out of a tuple.
-    layout, bodies, spaces, touched = fleet.layout, fleet.bodies, fleet.spaces, fleet.touched
-    old, new, delay, rise, fall, grip = fleet.old, fleet.new, fleet.delay, fleet.rise, fleet.fall, fleet.grip
-    for bay in range(len(spaces)):
-        lanes = range(bay * ROVERS_PER_BAY, (bay + 1) * ROVERS_PER_BAY)
+    layout, bodies, eights, spaces = fleet.layout, fleet.bodies, fleet.eights, fleet.spaces
+    old, new, late, rise, fall, grip = fleet.old, fleet.new, fleet.late, fleet.rise, fleet.fall, fleet.grip
+    touched = fleet.touched
+    for start in range(0, len(bodies), WIDTH):
+        end = min(start + WIDTH, len(bodies))
         for substep in range(SUBSTEPS):
-            for lane in lanes:
-                late_v = substep < delay[0, lane] % SUBSTEPS
-                late_omega = substep < delay[1, lane] % SUBSTEPS
-                body = bodies[lane]
-                cos = chipmunk.load(body + layout.rotation)
-                sin = chipmunk.load(body + layout.rotation + 8)
-                vx = chipmunk.load(body + layout.velocity)
-                vy = chipmunk.load(body + layout.velocity + 8)
-                omega = chipmunk.load(body + layout.angular_velocity)
-                target = old[0, lane] if late_v else new[0, lane]
-                forward, sideways = _own_axes(cos, sin, vx, vy, omega)
-                forward = _toward(forward, target, rise[0, lane], fall[0, lane])
-                sideways = _toward(sideways, 0.0, grip[lane], grip[lane])
-                target = old[1, lane] if late_omega else new[1, lane]
-                omega = _toward(omega, target, rise[1, lane], fall[1, lane])
-                chipmunk.store(body + layout.velocity, cos * forward - sin * sideways)
-                chipmunk.store(body + layout.velocity + 8, sin * forward + cos * sideways)
-                chipmunk.store(body + layout.angular_velocity, omega)
-            chipmunk.call_with_number(layout.step, spaces[bay], SUBSTEP_S)
-            for lane in lanes:
+            now = float(substep)
+            cos, sin = gather(eights, start, layout.rotation), gather(eights, start, layout.rotation + 8)
+            vx, vy = gather(eights, start, layout.velocity), gather(eights, start, layout.velocity + 8)
+            omega = gather(eights, start, layout.angular_velocity)
+            forward, sideways = _own_axes(cos, sin, vx, vy, omega)
+            target = where_less(
+                now, load_lanes(late, 0, start), load_lanes(old, 0, start), load_lanes(new, 0, start)
+            )
+            forward = toward(forward, target, load_lanes(rise, 0, start), load_lanes(fall, 0, start))
+            friction = load_lanes(grip, 0, start)
+            sideways = toward(sideways, everywhere(0.0), friction, friction)
+            target = where_less(
+                now, load_lanes(late, 1, start), load_lanes(old, 1, start), load_lanes(new, 1, start)
+            )
+            omega = toward(omega, target, load_lanes(rise, 1, start), load_lanes(fall, 1, start))
+            scatter(eights, start, layout.velocity, cos * forward - sin * sideways)
+            scatter(eights, start, layout.velocity + 8, sin * forward + cos * sideways)
+            scatter(eights, start, layout.angular_velocity, omega)
+            for bay in range(start // ROVERS_PER_BAY, end // ROVERS_PER_BAY):
+                chipmunk.call_with_number(layout.step, spaces[bay], SUBSTEP_S)
+            for lane in range(start, end):
                 if chipmunk.load_word(bodies[lane] + layout.contacts) != 0:
                     touched[lane] = 1
 
 
+@inlined_kernel
+def find_targets(fleet: FleetArrays) -> None:
+    """Find which commands fall due in this tick, and when."""
+    sent, delay, late, old, new = fleet.sent, fleet.delay, fleet.late, fleet.old, fleet.new
+    clock, ticks_kept = fleet.clock[0], len(sent)
+    for axis in range(2):
+        for lane in range(len(fleet.bodies)):
+            ticks = delay[axis, lane] // SUBSTEPS
+            due = clock - ticks if clock >= ticks else clock - ticks + ticks_kept
+            new[axis, lane] = sent[due, axis, lane]
+            old[axis, lane] = sent[due - 1 if due > 0 else ticks_kept - 1, axis, lane]
+            late[axis, lane] = delay[axis, lane] - ticks * SUBSTEPS
+
+
 _own_axes = kernel(own_axes)
-_toward = kernel(toward)
 
 
 @kernel
+def toward(speed, target, rise, fall):  # type: ignore[no-untyped-def]  # vectors, which have no type here
+    """Return ``rover.toward``, place by place."""
+    step = where_less(speed * (target - speed), 0.0, fall, rise)
+    return smaller(larger(target, speed - step), speed + step)
+
+
+@inlined_kernel
 def read_poses(fleet: FleetArrays, poses: FloatArray) -> None:
     """Write the true poses (3, L): x and y in m, heading in rad within (−π, π]."""
     for lane in range(len(fleet.bodies)):

@@ -35,8 +35,6 @@ class Strategy(Protocol):
     """Whether returns are not enough, see ``Objective.trace``."""
     most_ahead: ClassVar[int]
     """How many candidates to ask for at once, at most."""
-    usual: ClassVar[int]
-    """How many it then usually hands out."""
     value: float | None
     """The incumbent's return; None before the first was told."""
     evaluations: int
@@ -101,7 +99,6 @@ class Search(ABC, Generic[AdaptationT]):
     needs_misses: ClassVar[bool] = False
     # A lane or two for each agent, and one candidate that waits: more would only be drawn in vain.
     most_ahead: ClassVar[int] = 3
-    usual: ClassVar[int] = 3
 
     def __init__(
         self, layout: ParameterLayout, start: Vector, generator: np.random.Generator, adaptation: AdaptationT

@@ -191,7 +191,6 @@ class GaussNewton:
 
     needs_misses: ClassVar[bool] = True
     most_ahead: ClassVar[int] = 1000  # a batch is less
-    usual: ClassVar[int] = len(BOLDNESS) + 1
 
     def __init__(self, box: UnitBox, generator: np.random.Generator) -> None:
         self._box = box

@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.jit import kernel
+from rover_ncp.jit import inlined_kernel, kernel
 from sim.paper.cheetah_constraints import find_constraints, rotated, satisfy, solve
 from sim.paper.cheetah_model import COORDINATES, LINKS, Cheetah, CheetahWork
 
@@ -55,7 +55,7 @@ def step_cheetah(cheetah: Cheetah, work: CheetahWork, step_s: float, commands: F
         position[i] += step_s * velocity[i]
 
 
-@kernel
+@inlined_kernel
 def place_links(cheetah: Cheetah, work: CheetahWork) -> None:
     """Find where links are, and how they would accelerate if no rate changed."""
     turn, rate, hinge, pull = work.turn, work.rate, work.hinge, work.pull
@@ -75,7 +75,7 @@ def place_links(cheetah: Cheetah, work: CheetahWork) -> None:
         turn[link, 0], turn[link, 1] = math.sin(angle), math.cos(angle)
 
 
-@kernel
+@inlined_kernel
 def sum_up(cheetah: Cheetah, work: CheetahWork) -> None:
     """Sum up the masses of each link and all below, and the forces that would keep their rates."""
     turn, rate, hinge, pull, sums, below = (
@@ -105,7 +105,7 @@ def sum_up(cheetah: Cheetah, work: CheetahWork) -> None:
             sums[parent, i] += sums[link, i]
 
 
-@kernel
+@inlined_kernel
 def move_freely(cheetah: Cheetah, work: CheetahWork, commands: FloatArray, lane: int) -> None:
     """Find the inertia, and the forces of all but constraints."""
     inertia, force, hinge, sums, below = work.inertia, work.force, work.hinge, work.sums, work.below

@@ -8,7 +8,7 @@ constraint asks for, weighted by its stiffness, is least. A constraint that woul
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.jit import kernel
+from rover_ncp.jit import inlined_kernel
 from sim.paper.cheetah_model import COORDINATES, LEG, LINKS, TRUNK, Cheetah, CheetahWork, Softness
 
 __all__ = ["find_constraints", "rotated", "satisfy", "solve"]
@@ -19,7 +19,7 @@ _MOST_SETS = 20
 """Active sets that are tried; the second or third is right."""
 
 
-@kernel
+@inlined_kernel
 def find_constraints(cheetah: Cheetah, work: CheetahWork) -> int:
     """Write the rows of constraints that are violated, and return how many."""
     position, row, lowest, hinge, turn = work.position, work.row, work.lowest, work.hinge, work.turn
@@ -75,14 +75,14 @@ def find_constraints(cheetah: Cheetah, work: CheetahWork) -> int:
     return rows
 
 
-@kernel
+@inlined_kernel
 def rotated(turn: FloatArray, link: int, x: float, z: float) -> tuple[float, float]:
     """Return a vector of a link's frame in the world's axes."""
     sine, cosine = turn[link, 0], turn[link, 1]
     return cosine * x + sine * z, cosine * z - sine * x
 
 
-@kernel
+@inlined_kernel
 def soften(work: CheetahWork, at: int, softness: Softness, distance: float, mobility: float) -> None:
     """Set what acceleration a row asks for and how much it weighs, for a distance in m or rad."""
     part = min(-distance / softness.width, 1.0)
@@ -96,8 +96,8 @@ def soften(work: CheetahWork, at: int, softness: Softness, distance: float, mobi
     work.weight[at] = impedance / ((1.0 - impedance) * mobility)
 
 
-@kernel
-def satisfy(work: CheetahWork, rows: int) -> None:  # noqa: PLR0912  # calls would cost a quarter more
+@inlined_kernel
+def satisfy(work: CheetahWork, rows: int) -> None:  # noqa: PLR0912  # parts of one loop
     """Find the acceleration at which each violated constraint either pushes or is left by itself."""
     acceleration, force, active, aim = work.acceleration, work.force, work.active, work.aim
     matrix, inertia, row, lowest, weight = work.matrix, work.inertia, work.row, work.lowest, work.weight
@@ -139,13 +139,13 @@ def satisfy(work: CheetahWork, rows: int) -> None:  # noqa: PLR0912  # calls wou
             return
 
 
-@kernel
+@inlined_kernel
 def leg(coordinate: int) -> int:
     """Return where the leg of a coordinate begins, for one of the trunk the next after it."""
     return TRUNK + (coordinate - TRUNK) // LEG * LEG if coordinate >= TRUNK else TRUNK
 
 
-@kernel
+@inlined_kernel
 def solve(matrix: FloatArray, right: FloatArray) -> None:
     """Solve for a right side (9,), in place; of the matrix, a lower triangle, D L of L' D L is left.
 

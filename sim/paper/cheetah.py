@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.jit import inlined_kernel, kernel
+from rover_ncp.jit import inlined_kernel
 from sim.paper.cheetah_constraints import find_constraints, rotated, satisfy, solve
 from sim.paper.cheetah_model import COORDINATES, LINKS, Cheetah, CheetahWork
 
@@ -24,7 +24,7 @@ __all__ = ["step_cheetah"]
 FloatArray = NDArray[np.float64]
 
 
-@kernel
+@inlined_kernel
 def step_cheetah(cheetah: Cheetah, work: CheetahWork, step_s: float, commands: FloatArray, lane: int) -> None:
     """Advance ``work.position`` and ``work.velocity`` (9,) by a step under commands (6, L), within ±1."""
     place_links(cheetah, work)

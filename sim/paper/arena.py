@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.vectors import WIDTH
 from sim.learn.nets import Net
 from sim.paper.brain import make_brain
 from sim.paper.cheetah_model import NO_CHEETAH, load_cheetah
@@ -16,8 +17,8 @@ __all__ = ["Arena", "Seeds", "draw_seeds"]
 FloatArray = NDArray[np.float64]
 Seeds = NDArray[np.uint64]
 
-_LANES, _MUJOCO_LANES = 64, 16
-"""Physics written out here costs little beside a circuit; MuJoCo's data should stay in a core's caches."""
+_LANES, _MUJOCO_LANES = WIDTH, 16
+"""All lanes are computed as long as one of them is at work: few stand idle where they are few."""
 
 
 def draw_seeds(root: int, key: tuple[int, ...], count: int) -> Seeds:

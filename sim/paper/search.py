@@ -21,7 +21,7 @@ from sim.paper.agents import untuned
 from sim.paper.arena import Arena, draw_seeds
 from sim.paper.racing import Race
 
-__all__ = ["Budget", "Found", "Reestimating", "search_benchmark"]
+__all__ = ["Budget", "Found", "Reestimating", "best_starts", "confirmed", "search_benchmark"]
 
 # What a stream of random numbers is for.
 _SEARCH, _ROLLOUTS, _STARTS, _CONFIRM = range(4)
@@ -85,11 +85,11 @@ def search_benchmark(
     task = arena.task
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_SEARCH,))))
     starts = untuned(agent, generator, budget.starts)
-    search = Reestimating(agent.layout(), _best_start(arena, starts, seed), generator)
+    search = Reestimating(agent.layout(), best_starts(arena, starts, seed)[0], generator)
     race = Race(arena, seed, budget.rollouts, budget.worst, heated=not budget.published)
     enough = np.inf if budget.published else task.enough
     curve: list[tuple[int, float]] = []
-    gained_at, gained = 0, -np.inf
+    gained_at, gained = 0, 0.0
     ended = "evaluations"
     while search.evaluations < budget.evaluations:
         if arena.steps >= budget.steps:
@@ -101,14 +101,14 @@ def search_benchmark(
         search.tell(race.estimate(vectors, search.to_beat, keys))
         assert search.value is not None
         if search.value >= enough:
-            search.value = _confirmed(judge, search.incumbent, seed, search.evaluations)
+            search.value = confirmed(judge, search.incumbent, seed, search.evaluations)
         if not curve or curve[-1][1] != search.value:
             curve.append((arena.steps, search.value))
             on_progress(arena.steps, search.value)
         if search.value >= enough:
             ended = "enough"
             break
-        if search.value > gained + 0.01 * abs(gained):
+        if len(curve) == 1 or search.value > gained + 0.01 * abs(gained):
             gained_at, gained = search.evaluations, search.value
         elif search.evaluations - gained_at > budget.patience:
             ended = "plateau"
@@ -116,22 +116,23 @@ def search_benchmark(
     return Found(search.incumbent, search.evaluations, tuple(curve), ended)
 
 
-def _best_start(arena: Arena, starts: Vector, seed: int) -> Vector:
-    """Return the best of many starts: in each round a quarter goes on to as many rollouts more."""
+def best_starts(arena: Arena, starts: Vector, seed: int) -> Vector:
+    """Return the last few of many starts, the best first: a quarter of each round goes on to the next."""
     left, total = np.arange(len(starts)), np.zeros(len(starts))
     for number, rollouts in enumerate(_START_ROUNDS):
+        if number:
+            left = left[: -(-len(left) // _START_SHARE)]
         if len(left) == 1:
             break
         seeds = draw_seeds(seed, (_STARTS, number), rollouts)
         found = arena.run(np.repeat(starts[left], rollouts, axis=0), np.tile(seeds, len(left)))
         total[left] += found[:, :2].sum(axis=1).reshape(len(left), rollouts).sum(axis=1)
-        order = np.argsort(-total[left], kind="stable")
-        left = left[order[: -(-len(left) // _START_SHARE)]]
-    best: Vector = starts[left[0]]
+        left = left[np.argsort(-total[left], kind="stable")]
+    best: Vector = starts[left]
     return best
 
 
-def _confirmed(arena: Arena, vector: Vector, seed: int, evaluation: int) -> float:
+def confirmed(arena: Arena, vector: Vector, seed: int, evaluation: int) -> float:
     """Return the mean return of many fresh rollouts."""
     seeds = draw_seeds(seed, (_CONFIRM, evaluation), _CONFIRMATIONS)
     found = arena.run(np.tile(vector, (len(seeds), 1)), seeds)

@@ -21,10 +21,11 @@ from sim.learn.search.packed import pack
 from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.arena import Arena, draw_seeds
 from sim.paper.cell import Cell, Name
+from sim.paper.cma_search import CMA, search_by_cma
 from sim.paper.evolution import EVOLUTION, search_by_evolution
 from sim.paper.parking import ParkingArena, search_parking
 from sim.paper.search import Budget, Found, search_benchmark
-from sim.paper.tasks import Benchmark, Task, find_task
+from sim.paper.tasks import Benchmark, SearchName, Task, find_task
 
 __all__ = ["BudgetName", "budget_for", "replay", "score", "train_cell"]
 
@@ -91,10 +92,12 @@ def train_cell(
     arena = _arena(task, agent)
     if isinstance(arena, Arena):
         trials = arena if arena.task.stand_in is None else Arena(arena.task, agent, rough=True)
-        if _evolves(task, limits):
+        how = _search_name(arena.task, limits)
+        if how is SearchName.EVOLUTION:
             found = search_by_evolution(trials, agent, name.seed, limits, on_progress)
         else:
-            found = search_benchmark(trials, arena, agent, name.seed, limits, on_progress=on_progress)
+            search = search_by_cma if how is SearchName.CMA else search_benchmark
+            found = search(trials, arena, agent, name.seed, limits, on_progress=on_progress)
         steps = arena.steps + (0 if trials is arena else trials.steps)
     else:
         found = search_parking(arena, agent, name.seed, limits, on_progress)
@@ -118,13 +121,14 @@ def train_cell(
 
 
 def _settings(task: Task, limits: Budget) -> dict[str, Any]:
-    if _evolves(task, limits):
-        return {"steps": limits.steps, "starts": limits.starts, **EVOLUTION}
-    return vars(limits)
+    told: dict[str, Any] | None = {SearchName.CMA: CMA, SearchName.EVOLUTION: EVOLUTION}.get(
+        _search_name(task, limits)
+    )
+    return vars(limits) if told is None else {"steps": limits.steps, "starts": limits.starts, **told}
 
 
-def _evolves(task: Task, limits: Budget) -> bool:
-    return isinstance(task, Benchmark) and task.evolves and not limits.published
+def _search_name(task: Task, limits: Budget) -> SearchName:
+    return task.search if isinstance(task, Benchmark) and not limits.published else SearchName.PUBLISHED
 
 
 def _train_by_gradients(name: Name, task: Task, budget: BudgetName, began: tuple[float, float]) -> Cell:

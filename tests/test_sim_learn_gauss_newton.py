@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from rover_ncp.circuit.lanes import inert_parameters
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from sim.learn.search import descent as descents
 from sim.learn.search import gauss_newton
-from sim.learn.search.gauss_newton import FIRST_DAMPING, HOPS, PROBE, SAMPLES, WINDOW, GaussNewton
+from sim.learn.search.descent import FIRST_DAMPING, WINDOW, Descent, Outcome
+from sim.learn.search.gauss_newton import HOPS, PATIENCE, PROBE, SAMPLES, GaussNewton
 from sim.learn.search.packed import pack
 from sim.learn.search.unit_box import BY_LOGARITHM, UnitBox
 
@@ -163,9 +165,74 @@ def hopeless(vectors: np.ndarray) -> np.ndarray:
 
 def test_a_descent_that_gains_nothing_makes_room_for_new_samples() -> None:
     search = begin()
-    sizes = [len(batch(search, hopeless)) for _ in range(2 * (WINDOW + 3) + 1)]
+    sizes = [len(batch(search, hopeless)) for _ in range(WINDOW + 6)]
     free = LAYOUT.size - int(INERT.sum())
-    assert sizes[: WINDOW + 5] == [1, SAMPLES, free, *[3] * WINDOW, SAMPLES, free]
+    far = sizes.pop(WINDOW + 3)  # nothing has an effect, near or far
+    assert sizes == [1, SAMPLES, free, *[3] * WINDOW, SAMPLES, free]
+    assert descents.MOST_SILENT * len(descents.FAR) <= far <= 2 * descents.MOST_SILENT * len(descents.FAR)
+
+
+def stalled(survives: bool = True) -> Descent:
+    """A descent at a point of four parameters, of which the second and the last have no slope."""
+    slopes = np.full((4, 6), 0.5)
+    slopes[[1, 3]] = 0.0
+    at = Outcome(np.array([0.5, 0.5, 0.5, 0.98]), -0.6, np.full((1, 2, 3), math.sqrt(0.1)))
+    descent = Descent(at, survives, False, slopes, 1e3, [])
+    descent.scores = [descent.score(at)]
+    return descent
+
+
+def test_only_what_is_silent_is_moved_far_and_stays_in_the_box() -> None:
+    descent = stalled()
+    assert descent.silent.tolist() == [1, 3]
+    moves = descent.far_probes() - descent.at.point
+    assert not moves[:, [0, 2]].any()
+    assert sorted(moves[moves[:, 1] != 0, 1]) == pytest.approx(
+        sorted([*descents.FAR, *np.negative(descents.FAR)])
+    )
+    assert sorted(-moves[moves[:, 3] != 0, 3]) == pytest.approx(descents.FAR)
+    assert ((moves != 0).sum(axis=1) == 1).all()
+
+
+def test_a_descent_goes_on_from_the_largest_effect_at_a_fair_price() -> None:
+    descent = stalled()
+
+    def probe(miss: float) -> Outcome:
+        """An outcome whose last miss, of 0.32, is that much greater."""
+        misses = descent.at.misses.copy()
+        misses[0, 1, 2] += miss
+        return Outcome(np.full(4, miss), -float((misses**2).sum()), misses)
+
+    price = descents.FAIR_PRICE * (2 - descent.scores[-1])
+    dear, fair, slight, none = probe(3.0), probe(0.02), probe(-0.011), probe(descents.SILENT / 2)
+    assert descent.scores[-1] - descent.score(dear) > price > descent.scores[-1] - descent.score(fair) > 0
+    assert not descent.wake([dear, none])
+    assert descent.scores[-1] == descent.score(descent.at)
+    assert descent.wake([slight, dear, fair, none])
+    assert descent.at is fair
+    assert descent.scores == [descent.score(fair)]
+    assert (descent.damping, descent.woken) == (FIRST_DAMPING, 2)
+
+
+def test_a_motor_that_fell_silent_is_woken() -> None:
+    free = np.flatnonzero(~INERT)
+
+    def motor(vectors: np.ndarray) -> np.ndarray:
+        """Misses that eight parameters could end, each from 3.5 deviations of the samples on."""
+        unit = (vectors - LAYOUT.lower) / WIDTH
+        start = (DEFAULTS - LAYOUT.lower) / WIDTH
+        acts = np.maximum((unit - start)[:, free[:8]] - 0.35, 0.0).sum(axis=1)
+        misses = np.zeros((len(vectors), CHECKPOINTS, 3))
+        misses[:, :4, 0] = (1.0 - 3.0 * acts)[:, None]
+        misses[:, :, 1] = (unit - start)[:, free[20:21]] - 0.01
+        return misses[:, None]
+
+    search = begin()
+    sizes = []
+    while search.value is None or search.value < -1.0:
+        sizes.append(len(batch(search, motor)))
+        assert search.evaluations < 3000
+    assert max(sizes.count(SAMPLES), sizes.count(HOPS)) == 1
 
 
 def test_a_search_that_is_close_hops_from_its_best_point() -> None:
@@ -195,9 +262,33 @@ def test_samples_and_hops_take_turns_while_the_best_is_fair() -> None:
 
     search = begin()
     loss = -returns(fair(DEFAULTS[None]))[0] / CHECKPOINTS
-    assert gauss_newton.CLOSE_M2 < loss < gauss_newton.FAIR_M2
+    assert descents.CLOSE_M2 < loss < gauss_newton.FAIR_M2
     starts = [size for size in (len(batch(search, fair)) for _ in range(420)) if size in (SAMPLES, HOPS)]
     assert starts[:5] == [HOPS, SAMPLES, HOPS, SAMPLES, HOPS]
+
+
+def hollow(depths: dict[int, float]) -> Toy:
+    """Losses by how far a point is from the start, in hundredths of a range; the largest for all others."""
+
+    def toy(vectors: np.ndarray) -> np.ndarray:
+        place = np.floor(100 * np.abs((vectors - DEFAULTS) / WIDTH).sum(axis=1)).astype(int)
+        depth = np.array([depths.get(int(at), max(depths.values())) for at in place])
+        return np.ones((len(vectors), 1, CHECKPOINTS, 3)) * np.sqrt(depth / 3)[:, None, None, None]
+
+    return toy
+
+
+def test_fruitless_hops_make_room_for_new_samples_until_the_best_is_good() -> None:
+    def starts(loss: float) -> list[int]:
+        """Sizes of the first starts if nothing is better than the untuned start, which loses so much."""
+        search, toy = begin(), hollow({0: loss / CHECKPOINTS, 1: 1.05 * loss / CHECKPOINTS})
+        sizes = (len(batch(search, toy)) for _ in range(1000))
+        return [size for size in sizes if size in (SAMPLES, HOPS)][: 2 * PATIENCE + 3]
+
+    near, good = descents.CLOSE_M2 * CHECKPOINTS, gauss_newton.GOOD_M2 * CHECKPOINTS
+    turn = [HOPS] * PATIENCE + [SAMPLES]
+    assert starts(0.9 * near)[: 2 * len(turn)] == turn * 2
+    assert starts(0.9 * good) == [HOPS] * (2 * PATIENCE + 3)
 
 
 def stop_early(misses: np.ndarray, to_beat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -226,10 +317,9 @@ def test_steps_that_are_stopped_where_they_are_lost_change_nothing() -> None:
 
 
 def test_a_climb_that_would_not_overtake_the_best_in_time_ends() -> None:
-    descent = gauss_newton._Descent(
-        gauss_newton._Outcome(np.zeros(2), -0.5, np.zeros((1, 1, 3))), False, True, np.zeros((2, 3)), 0.1, []
-    )
-    window = gauss_newton.OVERTAKING_WINDOW
+    at = Outcome(np.zeros(2), -0.5, np.zeros((1, 1, 3)))
+    descent = Descent(at, False, True, np.zeros((2, 3)), 0.1, [])
+    window = descents.OVERTAKING_WINDOW
     for gain, goes_on in ((0.026, True), (0.024, False)):
         descent.scores = [-0.5 - gain] + [-0.5] * window
         assert descent.overtakes(-0.4)  # too young to tell
@@ -292,6 +382,6 @@ def test_a_damaged_state_is_refused(done: int, key: str, value: object) -> None:
 
 
 def test_the_constants_fit_each_other() -> None:
-    assert 0 < gauss_newton.LEAST_DAMPING < FIRST_DAMPING < gauss_newton.MOST_DAMPING
-    assert gauss_newton.CLOSE_M2 < gauss_newton.FAIR_M2
+    assert 0 < descents.LEAST_DAMPING < FIRST_DAMPING < descents.MOST_DAMPING
+    assert gauss_newton.GOOD_M2 < descents.CLOSE_M2 < gauss_newton.FAIR_M2 < descents.STALLED_M2
     assert 0 < PROBE < 0.1

@@ -39,7 +39,7 @@ def plan(engine: Engine, strategy: str, stream: Callable[[int], Stream] | None =
 
 @pytest.mark.parametrize(("strategy", "iterations"), [("gauss-newton", 400), ("published", 200)])
 def test_a_stream_decides_as_batches_do(engine: Engine, strategy: str, iterations: int) -> None:
-    begin = [AgentState(number) for number in range(5)]
+    begin = [AgentState(number) for number in range(7)]  # too many to draw three candidates ahead
     in_batches = Team(plan(engine, strategy)).advance(begin, iterations)
     streamed = Team(plan(engine, strategy, partial(Stream, engine)))
     half = streamed.advance(streamed.advance(begin, 0), iterations // 2)

@@ -65,7 +65,7 @@ def conductance(weight: float, slope: float, potential: float) -> float:
     return opened
 
 
-@kernel
+@inlined_kernel
 def tick_lanes(
     program: Program,
     lanes: LaneParameters,

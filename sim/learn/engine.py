@@ -233,6 +233,7 @@ def _tasks(courses: Sequence[Course], references: Sequence[Reference] | None, mo
         due=np.full((len(courses), most), -1, np.int64),
         checkpoints=np.zeros((len(courses), points, 3)),
         goal=np.array([course.goal for course in courses]),
+        has_reference=references is not None,
         reference=np.zeros((len(courses), most + 1, 5)),
         limits=np.array([model.accel, model.decel, model.alpha, model.alpha_decel]),
     )

@@ -50,6 +50,7 @@ class Tasks(NamedTuple):
     """(C, checkpoints, 3) poses, the last one the goal."""
     goal: FloatArray
     """(C, 3)."""
+    has_reference: bool
     reference: FloatArray
     """(C, T + 1, 5): x, y, theta, v, omega at the start of each tick; 0 where no policy asks for it."""
     limits: FloatArray
@@ -201,10 +202,11 @@ def observe(
     if not trials.exact:
         seen[2] = wrapped(seen[2])
     seen[3] = signal
-    seen[4], seen[5], seen[6] = _seen_from(
-        Pose(seen[0], seen[1], seen[2]), Pose(reference[0], reference[1], reference[2])
-    )
-    seen[7], seen[8] = reference[3], reference[4]
+    if tasks.has_reference:
+        seen[4], seen[5], seen[6] = _seen_from(
+            Pose(seen[0], seen[1], seen[2]), Pose(reference[0], reference[1], reference[2])
+        )
+        seen[7], seen[8] = reference[3], reference[4]
     for i in range(len(signal_at)):
         lanes.observations[i, lane] = seen[signal_at[i]]
 

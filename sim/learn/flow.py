@@ -26,6 +26,8 @@ class Flow(Protocol):
 
     room: int
     """The most candidates that an agent may submit at once."""
+    enough: int
+    """So many of each agent keep everything busy."""
 
     def submit(self, agent: int, vectors: Vector, to_beat: Vector, keys: Sequence[tuple[int, ...]]) -> None:
         """Take candidates (n, P) of an agent that waits for no answer; the rest as in ``Objective``."""
@@ -38,6 +40,7 @@ class Lockstep:
     """Evaluates what all agents have submitted as one batch."""
 
     room = 1000
+    enough = 3
 
     def __init__(self, objective: Objective, needs_misses: bool) -> None:
         self._objective = objective

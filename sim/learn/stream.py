@@ -28,6 +28,8 @@ IntArray = NDArray[np.int64]
 
 LANES = 8
 """One vector; with more, lanes stand idle while agents wait for their last episode."""
+_IN_FLIGHT = 12
+"""Some wait, so that a lane that falls free need not."""
 _LEAST_ROOM, _ROOM = 8, 64
 
 
@@ -97,11 +99,12 @@ def run_until_answer(  # noqa: PLR0917  # as run_episodes
 class Stream:
     """A flow of episodes of the first trial on the first course of an engine, for so many agents.
 
-    ``room`` is how many candidates an agent may submit at once.
+    ``room`` is how many candidates an agent may submit at once, ``enough`` how many keep all lanes busy.
     """
 
     def __init__(self, engine: Engine, agents: int) -> None:
         self.room = max(_LEAST_ROOM, -(-_ROOM // agents))
+        self.enough = -(-_IN_FLIGHT // agents)
         self._engine = engine
         self._fleet, self._lanes = engine.build_team(LANES)
         places = agents * self.room

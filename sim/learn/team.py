@@ -78,7 +78,7 @@ class Team:
         def submit(number: int) -> None:
             search = searches[number]
             if search.value is None or search.iterations < iterations:
-                vectors = _ask(search, iterations, flow.room)
+                vectors = _ask(search, iterations, flow)
                 evaluations = range(search.evaluations, search.evaluations + len(vectors))
                 keys = [(agents[number].number, _ROLLOUTS, evaluation) for evaluation in evaluations]
                 flow.submit(number, vectors, search.to_beat, keys)
@@ -105,8 +105,9 @@ class Team:
         return self._flows[agents]
 
 
-def _ask(search: Strategy, iterations: int, room: int) -> Vector:
+def _ask(search: Strategy, iterations: int, flow: Flow) -> Vector:
     left = 1 if search.value is None else iterations - search.iterations
+    room = flow.enough if search.speculates else flow.room
     return search.ask(min(left, search.most_ahead, room))
 
 

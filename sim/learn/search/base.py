@@ -35,6 +35,8 @@ class Strategy(Protocol):
     """Whether returns are not enough, see ``Objective.trace``."""
     most_ahead: ClassVar[int]
     """How many candidates to ask for at once, at most."""
+    speculates: ClassVar[bool]
+    """Whether, of several asked for at once, those after the first success are in vain."""
     value: float | None
     """The incumbent's return; None before the first was told."""
     evaluations: int
@@ -99,6 +101,7 @@ class Search(ABC, Generic[AdaptationT]):
     needs_misses: ClassVar[bool] = False
     # A lane or two for each agent, and one candidate that waits: more would only be drawn in vain.
     most_ahead: ClassVar[int] = 3
+    speculates: ClassVar[bool] = True
 
     def __init__(
         self, layout: ParameterLayout, start: Vector, generator: np.random.Generator, adaptation: AdaptationT

@@ -67,8 +67,8 @@ _FEWER_ROLLOUTS = ((150, 4), (900, 2))
 _STAKES, _LATE_STAKES, _LATE = Stakes(6.0, 0.09, 0.012), Stakes(20.0, 0.095, 0.004), 1750
 """The stakes, and those from which generation on: first to come near, then to park always."""
 _STILL = (0.003, 0.0006)
-"""From which m and rad on who should stand still has failed, and how far that is blurred: well within the 5 mm
-and 5 mrad of parked, as large twitches are rare, and small ones, which tell of them, are not."""
+"""From which m and rad on who should stand still has failed, and how far that is blurred: well within the
+5 mm and 5 mrad of parked, as large twitches are rare, and small ones, which tell of them, are not."""
 _AVERAGED, _AVERAGED_SHARE = 250, 4
 """The winner is the average of so many last means, yet of no more than that fraction of all."""
 _COURSES_APART = 10**9

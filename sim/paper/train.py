@@ -132,16 +132,19 @@ def _search_name(task: Task, limits: Budget) -> SearchName:
 
 
 def _train_by_gradients(name: Name, task: Task, budget: BudgetName, began: tuple[float, float]) -> Cell:
-    from sim.paper.gradients import CELLS, train_actor  # an extra that the other agents do without
+    # An extra that the other agents do without.
+    from sim.paper.gradients import CELLS, train_actor, training_of
 
     if budget is BudgetName.PUBLISHED:
         raise UsageError(f"the paper tells no budget of {name.agent}")
     actor, steps = train_actor(task, name.agent, name.seed, quick=budget is BudgetName.QUICK)
+    assert isinstance(task, Benchmark)
+    training = training_of(task, name.agent)
     return Cell(
         name=name,
         command=_command(name, budget, None),
         budget=budget,
-        settings={"cells": CELLS, "steps": steps},
+        settings={"cells": CELLS, "environments": training.environments, **training.options},
         made_with=made_with() | _versions(task, "stable-baselines3", "torch"),
         wall_s=time.monotonic() - began[0],
         cpu_s=time.process_time() - began[1],

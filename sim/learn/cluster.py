@@ -10,7 +10,8 @@ Anyone who reaches a Dask scheduler can run code on its workers: it belongs on a
 import logging
 import pickle
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, Self
 
 from rover_ncp.core.errors import UsageError
@@ -18,7 +19,7 @@ from sim.learn.record import made_with
 from sim.learn.team import AgentState, Plan, Team
 from sim.learn.workers import WorkerDied
 
-__all__ = ["ClusterLost", "DaskCluster"]
+__all__ = ["RETRIES", "ClusterLost", "DaskCluster", "connect", "require_versions", "told_plainly", "versions"]
 
 CONNECT_S = 10.0
 """How long a scheduler has to answer, and then a first worker to be there."""
@@ -34,6 +35,54 @@ class ClusterLost(WorkerDied):
     """The scheduler of a cluster went away."""
 
 
+def connect(address: str) -> Any:
+    """Return a client of a scheduler that has a worker. Raises UsageError."""
+    from distributed import Client
+
+    client: Any = Client
+
+    # Its own complaints about a connection that ends come as tracebacks; ours are one line.
+    for name in ("distributed", "distributed.core", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        found = client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise UsageError(f"no Dask scheduler answers at {address}") from error
+    try:
+        found.wait_for_workers(1, timeout=CONNECT_S)
+    except TimeoutError as error:
+        found.close()
+        raise UsageError(f"the Dask scheduler at {address} has no workers") from error
+    return found
+
+
+@contextmanager
+def told_plainly(address: str) -> Iterator[None]:
+    """Raise UsageError for workers that lack this project, ClusterLost for a scheduler that went away."""
+    from concurrent.futures import CancelledError
+
+    from distributed import KilledWorker
+    from distributed.comm.core import CommClosedError
+
+    try:
+        yield
+    except (ModuleNotFoundError, pickle.PickleError) as error:
+        raise UsageError(f"the workers at {address} lack rover-ncp: {error}") from error
+    except (CancelledError, CommClosedError, KilledWorker, OSError) as error:
+        raise ClusterLost(f"the Dask cluster at {address} is gone: {error}") from error
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that must be the same everywhere; a commit shows only where there is git."""
+    return {name: version for name, version in made_with().items() if name != "commit"}
+
+
+def require_versions(wanted: Mapping[str, str]) -> None:
+    """On a worker, raise UsageError if its versions are not those wanted."""
+    if versions() != wanted:
+        raise UsageError(f"a worker has {versions()}, this machine {dict(wanted)}: results would differ")
+
+
 class DaskCluster:
     """Teams on a cluster's workers. A context manager: leaving it takes back what still runs there."""
 
@@ -43,22 +92,7 @@ class DaskCluster:
         self._client: Any = None
 
     def __enter__(self) -> Self:
-        from distributed import Client
-
-        connect: Any = Client
-
-        # Its own complaints about a connection that ends come as tracebacks; ours are one line.
-        for name in ("distributed", "distributed.core", "distributed.client"):
-            logging.getLogger(name).setLevel(logging.CRITICAL)
-        try:
-            self._client = connect(self.address, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
-            raise UsageError(f"no Dask scheduler answers at {self.address}") from error
-        try:
-            self._client.wait_for_workers(1, timeout=CONNECT_S)
-        except TimeoutError as error:
-            self.__exit__()
-            raise UsageError(f"the Dask scheduler at {self.address} has no workers") from error
+        self._client = connect(self.address)
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -74,38 +108,23 @@ class DaskCluster:
 
         Raises UsageError for workers that cannot give the same results, and ClusterLost.
         """
-        from concurrent.futures import CancelledError
-
-        from distributed import KilledWorker
-        from distributed.comm.core import CommClosedError
-
-        versions = _versions()
-        try:
+        wanted = versions()
+        with told_plainly(self.address):
             tasks = [
                 self._client.submit(
-                    _advance, self._plan, list(group), iterations, versions, pure=False, retries=RETRIES
+                    _advance, self._plan, list(group), iterations, wanted, pure=False, retries=RETRIES
                 )
                 for group in groups
             ]
             answers = self._client.gather(tasks)
-        except (ModuleNotFoundError, pickle.PickleError) as error:
-            raise UsageError(f"the workers at {self.address} lack rover-ncp: {error}") from error
-        except (CancelledError, CommClosedError, KilledWorker, OSError) as error:
-            raise ClusterLost(f"the Dask cluster at {self.address} is gone: {error}") from error
         return [agent for answer in answers for agent in answer]
 
 
-def _versions() -> dict[str, str]:
-    """Return the versions that must be the same everywhere; a commit shows only where there is git."""
-    return {name: version for name, version in made_with().items() if name != "commit"}
-
-
 def _advance(
-    plan: bytes, group: Sequence[AgentState], iterations: int, versions: Mapping[str, str]
+    plan: bytes, group: Sequence[AgentState], iterations: int, wanted: Mapping[str, str]
 ) -> list[AgentState]:
     """Advance a group, on a worker."""
-    if _versions() != versions:
-        raise UsageError(f"a worker has {_versions()}, this machine {versions}: results would differ")
+    require_versions(wanted)
     with _one_team:
         if plan not in _teams:
             _teams.clear()

@@ -69,6 +69,13 @@ def paper(
         int | None,
         typer.Option(min=1, help="Runs at a time; none changes.", show_default="one for each core"),
     ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            help="Address of a Dask scheduler (tcp://HOST:8786) whose workers make the runs.",
+            show_default=False,
+        ),
+    ] = None,
     json: Json = False,
 ) -> int:
     """Reproduce the paper's experiments: a grid of runs (task, agent, seed), and its tables made of them.
@@ -80,6 +87,7 @@ def paper(
         rover-ncp paper run --task mountain-car --agent circuit --seed 3 --again
         rover-ncp paper replay --task mountain-car
         rover-ncp paper run --task cart-pole --circuit mine.bnn
+        rover-ncp paper run --cluster tcp://192.168.1.5:8786
         rover-ncp paper table3 --json
     """
     from rich.console import Console
@@ -95,6 +103,8 @@ def paper(
     if what not in (What.RUN, What.REPLAY):
         _show(what, output, shelf, out)
         return 0
+    if cluster is not None and (processes is not None or circuit is not None):
+        raise UsageError("--cluster goes with neither --processes nor --circuit, a file of this machine")
     names = chosen(task, agent, seed, circuit)
     if what is What.REPLAY:
         return _replay(output, shelf, names, circuit)
@@ -115,7 +125,9 @@ def paper(
     if left:
         count = processes or available_processes()
         with progress:
-            make_runs(left, shelf, BudgetName(budget), circuit, processes=count, on_cell=tell)
+            make_runs(
+                left, shelf, BudgetName(budget), circuit, processes=count, cluster=cluster, on_cell=tell
+            )
     output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
     return 0
 

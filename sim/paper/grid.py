@@ -62,19 +62,28 @@ def make_runs(
     circuit: Path | None,
     *,
     processes: int,
+    cluster: str | None = None,
     on_cell: Callable[[Cell], None],
 ) -> None:
-    """Make runs, as many at once as there are processes; each is saved as it ends.
+    """Make runs, as many at once as there are processes, or on a cluster; each is saved as it ends.
 
     Interrupted, it gives up the runs in hand. Raises UsageError, FileError or ConfigError before the first
     run for one that cannot be, and WorkerDied.
     """
     _require(names, circuit)
+
+    def keep(cell: Cell) -> None:
+        shelf.save(cell)
+        on_cell(cell)
+
+    if cluster is not None:
+        from sim.paper.cluster import make_on_cluster  # an extra that one machine does without
+
+        make_on_cluster(names, budget, cluster, keep)
+        return
     if processes == 1:
         for name in names:
-            cell = train_cell(name, budget, circuit)
-            shelf.save(cell)
-            on_cell(cell)
+            keep(train_cell(name, budget, circuit))
         return
     # Spawned, never forked: numba and MuJoCo do not survive a fork.
     context = multiprocessing.get_context("spawn")
@@ -82,9 +91,7 @@ def make_runs(
         runs: list[Future[Cell]] = [pool.submit(train_cell, name, budget, circuit) for name in names]
         try:
             for run in as_completed(runs):
-                cell = run.result()
-                shelf.save(cell)
-                on_cell(cell)
+                keep(run.result())
         except BaseException as error:
             pool.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():

@@ -3,15 +3,17 @@
 A return is one number; the misses it is made of are three for each checkpoint, and tell a search which way
 each of them goes. So: draw samples around the untuned start, take the best, measure how every parameter moves
 the misses (finite differences), and descend by damped Gauss-Newton steps. From then on every batch is two
-steps, a bold and a careful one, and the finite difference of one parameter, drawn at random; what a step
+steps, a bold and a careful one, and the finite difference of one parameter, each in its turn; what a step
 taught corrects the other slopes (Broyden). Damping follows success and failure (Levenberg, Marquardt).
 
-Two things get it past the local optima of a course:
+Three things get it past the local optima of a course:
   * Far from the goal it does not climb the return but how far the rover gets before it goes astray
     (``survival``): misses behind a lost turn say nothing about what comes before it, and pull the wrong way.
+  * A descent that stalls there looks for motors that have fallen silent, and wakes them (``descent``).
   * A descent that gains little over a window of steps ends, and so does one that gains too slowly to overtake
-    the best. The next one starts from new samples, or, once the best is close, from hops: the best point with
-    some parameters moved far. In between they take turns.
+    the best. Then come hops: the point reached, with some parameters moved far. Where hops are fruitless, the
+    next descent starts from new samples, and hops go from its end if that is nearly as good as the best. So
+    no agent spends its candidates on one place that leads nowhere, unless that is good.
 
 Rules of this file
   * A search knows points of the unit box; neither circuit nor simulator nor clock.
@@ -26,16 +28,25 @@ Constants were tuned on seeds that no reported figure uses: ``docs/search.md``.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.learn.search import least_squares
 from sim.learn.search.base import SearchState, Vector
-from sim.learn.search.least_squares import correct_slopes, lost_at
+from sim.learn.search.descent import (
+    BOLDNESS,
+    CLOSE_M2,
+    FIRST_DAMPING,
+    MOST_DAMPING,
+    MOST_WOKEN,
+    WINDOW,
+    Descent,
+    Outcome,
+    stopped,
+)
 from sim.learn.search.packed import pack, unpack
 from sim.learn.search.unit_box import UnitBox, reflected
 
@@ -50,22 +61,16 @@ HOP_SPREAD = 0.2
 """Samples of a hop, the share of parameters that one moves, and how far."""
 PROBE = 3e-3
 """Step of a finite difference."""
-BOLDNESS = np.array([0.2, 10.0])
-"""Dampings of a batch's steps, in terms of the damping that worked last."""
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 0.1, 1e-7, 1e4
-AFTER_FAILURE = 10.0
-LIFETIME_M2 = 5.0
-"""Loss that makes a checkpoint count 1/e in ``survival``."""
-CLOSE_M2 = 0.3 / 22
-"""Loss per checkpoint below which the return itself is climbed, and all starts are hops."""
+GOOD_M2 = 0.07 / 22
+"""Loss per checkpoint of the best below which all starts are hops from it."""
 FAIR_M2 = 1.0 / 22
-"""Loss per checkpoint below which every second start is a hop, and a descent that stalls goes on with the
-return itself."""
-WINDOW = 80
-LEAST_GAIN = 0.01
-"""A descent ends when so many steps took less than this share off what is left to gain."""
-OVERTAKING_WINDOW, OVERTAKING_WINDOWS = 30, 4.0
-"""And when, at the pace of so many steps, so many times as many would not bring it up to the best."""
+"""And above which none is."""
+PATIENCE = 4
+"""Fruitless hops after which new samples are drawn, where the return is climbed; elsewhere after one."""
+FRUITFUL = 0.1
+"""Share of the loss that a hop must take off to count."""
+NEAR_BEST = 3.0
+"""Loss in terms of the best's up to which hops go from where a descent from samples ended."""
 
 
 class _Phase(StrEnum):
@@ -74,113 +79,17 @@ class _Phase(StrEnum):
     HOPS = "hops"
     SLOPES = "slopes"
     STEPS = "steps"
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    """A point (D,), its return, and its misses (E, C, 3)."""
-
-    point: Vector
-    value: float
-    misses: Vector
-
-
-def stopped(outcome: _Outcome, to_beat: float) -> _Outcome:
-    """Return an outcome as it is when its episode is stopped as soon as it is lost."""
-    known, total = lost_at(outcome.misses, to_beat)
-    if known == outcome.misses.shape[1]:
-        return outcome
-    misses = outcome.misses.copy()
-    misses[:, known:] = 0.0
-    return _Outcome(outcome.point, total, misses)
+    FAR = "far"
 
 
 @dataclass
-class _Descent:
-    at: _Outcome
-    survives: bool
-    """Whether ``survival`` is climbed, not the return."""
-    hopped: bool
-    """Whether it began at a hop, not at a sample."""
-    slopes: Vector
-    """(D, R) of all misses."""
-    damping: float
-    scores: list[float]
-    """After the last steps, WINDOW + 1 at most."""
+class _Base:
+    """Where hops go from."""
 
-    def score(self, outcome: _Outcome) -> float:
-        """Return what is climbed."""
-        return float(least_squares.survival(outcome.misses, LIFETIME_M2)) if self.survives else outcome.value
-
-    def measure(self, probe: _Outcome) -> None:
-        """Take the slopes of the one parameter in which a probe differs."""
-        moved = probe.point - self.at.point
-        parameter = int(np.argmax(np.abs(moved)))
-        self.slopes[parameter] = (probe.misses - self.at.misses).ravel() / moved[parameter]
-
-    @property
-    def to_beat(self) -> float:
-        """What a step's return must exceed, at each checkpoint; minus infinity where none is ever lost."""
-        episodes, _, _ = self.at.misses.shape
-        return -math.inf if self.survives or episodes > 1 else self.at.value
-
-    def learn(self, step: _Outcome) -> None:
-        """Correct the slopes by what came of a step, as far as it got."""
-        known, _ = lost_at(step.misses, self.to_beat)
-        change = (step.misses - self.at.misses)[:, :known].ravel()
-        correct_slopes(self.slopes, step.point - self.at.point, change)
-
-    def overtakes(self, best: float) -> bool:
-        """Return whether a climb of the return is above ``best``, or will be there in time."""
-        gap = best - self.at.value
-        if self.survives or gap <= 0.0 or len(self.scores) <= OVERTAKING_WINDOW + 1:
-            return True
-        gain = self.scores[-1] - self.scores[-1 - OVERTAKING_WINDOW]
-        return gain * OVERTAKING_WINDOWS >= gap
-
-    def targets(self) -> Vector:
-        """Return where the steps of a batch lead, (n, D)."""
-        slopes, residuals = self.slopes, self.at.misses.ravel()
-        if self.survives:
-            weights = np.empty_like(self.at.misses)
-            least_squares.survival_weights(self.at.misses, LIFETIME_M2, weights)
-            slopes, residuals = slopes * weights.ravel(), residuals * weights.ravel()
-        targets = np.empty((len(BOLDNESS), len(slopes)))
-        least_squares.damped_steps(slopes, residuals, self.at.point, self.damping * BOLDNESS, targets)
-        return targets
-
-    def climb_return(self) -> None:
-        """Climb the return from now on."""
-        self.survives = False
-        self.scores = [self.at.value]
-
-    def take(self, steps: Sequence[_Outcome]) -> bool:
-        """Go where the best step leads if that is higher; return whether the descent goes on."""
-        scores = [self.score(step) for step in steps]
-        best = max(range(len(steps)), key=scores.__getitem__)
-        if scores[best] > self.scores[-1]:
-            self.learn(steps[best])
-            self.at = steps[best]
-            self.damping = min(max(self.damping * float(BOLDNESS[best]), LEAST_DAMPING), MOST_DAMPING)
-            self.scores.append(scores[best])
-        else:
-            self.learn(steps[-1])  # the careful one: where slopes are most nearly right
-            self.damping = min(self.damping * AFTER_FAILURE, MOST_DAMPING)
-            self.scores.append(self.scores[-1])
-        del self.scores[: -WINDOW - 1]
-        _, checkpoints, _ = self.at.misses.shape
-        loss = -self.at.value / checkpoints
-        if self.survives and loss < CLOSE_M2:
-            self.climb_return()
-        if len(self.scores) <= WINDOW:
-            return True
-        left = checkpoints - self.scores[-1] if self.survives else -self.scores[-1]
-        if self.scores[-1] - self.scores[0] >= LEAST_GAIN * left:
-            return True
-        if self.survives and loss < FAIR_M2:
-            self.climb_return()
-            return True
-        return False
+    point: Vector
+    value: float
+    fruitless: int = 0
+    """Hops since the last that was worth it."""
 
 
 class GaussNewton:
@@ -201,9 +110,10 @@ class GaussNewton:
         self._best = box.start
         self._phase = _Phase.START
         self._batch = self._best[None].copy()
-        self._told: list[_Outcome] = []
+        self._told: list[Outcome] = []
         self._asked = 0
-        self._descent: _Descent | None = None
+        self._descent: Descent | None = None
+        self._base = _Base(self._best, -math.inf)
 
     @property
     def incumbent(self) -> Vector:
@@ -248,7 +158,7 @@ class GaussNewton:
             raise ValueError("a return is not a number")
         for value, row in zip(numbers, np.array(misses), strict=True):
             number = len(self._told)
-            outcome = stopped(_Outcome(self._batch[number], value, row), self._to_beat(number))
+            outcome = stopped(Outcome(self._batch[number], value, row), self._to_beat(number))
             self._told.append(outcome)
             self.evaluations += 1
             if self.value is None or outcome.value > self.value:
@@ -259,7 +169,7 @@ class GaussNewton:
             self._decide(outcomes)
         return told
 
-    def _decide(self, outcomes: list[_Outcome]) -> None:
+    def _decide(self, outcomes: list[Outcome]) -> None:
         """Take in a batch and draw the next one."""
         if self._descent is None:
             if self._phase is _Phase.START:
@@ -267,45 +177,77 @@ class GaussNewton:
             else:
                 self._descend(outcomes)
             return
-        if self._phase is _Phase.SLOPES:
-            goes_on = True
+        if self._phase is _Phase.FAR:
+            if self._descent.wake(outcomes):
+                self._measure_slopes()
+            else:
+                self._draw_samples(self._descent.at)
+        elif self._phase is _Phase.SLOPES:
             for probe in outcomes:
                 self._descent.measure(probe)
+            self._step()
         else:
             *steps, probe = outcomes
             self._descent.measure(probe)
             assert self.value is not None
-            goes_on = self._descent.take(steps) and self._descent.overtakes(self.value)
-        if goes_on:
-            self._phase = _Phase.STEPS
-            parameters = self._generator.integers(0, self._box.size, 1)
-            self._batch = np.concatenate([self._descent.targets(), self._probes(parameters)])
-        else:
-            self._draw_samples(self._descent.at)
+            to_overtake = self._base.value if self._descent.hopped else self.value
+            if self._descent.take(steps) and self._descent.overtakes(to_overtake):
+                self._step()
+            elif self._descent.survives and self._descent.woken < MOST_WOKEN and self._descent.silent.size:
+                self._phase, self._batch = _Phase.FAR, self._descent.far_probes()
+            else:
+                self._draw_samples(self._descent.at)
 
-    def _draw_samples(self, last: _Outcome) -> None:
-        """Draw the samples from which the next descent will start."""
+    def _step(self) -> None:
+        assert self._descent is not None
+        self._phase = _Phase.STEPS
+        turn = self.evaluations // (len(BOLDNESS) + 1) % self._box.size
+        self._batch = np.concatenate([self._descent.targets(), self._probes(np.array([turn]))])
+
+    def _draw_samples(self, last: Outcome) -> None:
+        """Draw the samples from which the next descent will start, ``last`` being where one ended."""
         hopped = self._descent is not None and self._descent.hopped
         self._descent = None
-        assert self.value is not None
-        if -self.value / last.misses.shape[1] < (CLOSE_M2 if hopped else FAIR_M2):
+        if self._hops_after(last, hopped):
             self._phase = _Phase.HOPS
             moved = self._generator.random((HOPS, self._box.size)) < HOP_SHARE
             moves = HOP_SPREAD * self._generator.standard_normal(moved.shape)
-            self._batch = reflected(self._best + np.where(moved, moves, 0.0))
+            self._batch = reflected(self._base.point + np.where(moved, moves, 0.0))
         else:
             self._phase = _Phase.SAMPLES
             moves = SPREAD * self._generator.standard_normal((SAMPLES, self._box.size))
             self._batch = reflected(self._box.start + moves)
 
-    def _descend(self, samples: list[_Outcome]) -> None:
+    def _hops_after(self, last: Outcome, hopped: bool) -> bool:
+        """Choose where hops go from, and return whether one comes next."""
+        assert self.value is not None
+        _, checkpoints, _ = last.misses.shape
+        best = _Base(self._best, self.value)
+        if not hopped:
+            self._base = best if last.value < NEAR_BEST * self.value else _Base(last.point, last.value)
+        elif last.value > (1.0 - FRUITFUL) * self._base.value:
+            self._base = _Base(last.point, last.value)
+        else:
+            self._base.fruitless += 1
+            if last.value > self._base.value:
+                self._base.point, self._base.value = last.point, last.value
+        if -self.value < GOOD_M2 * checkpoints:
+            self._base = best
+            return True
+        patience = PATIENCE if -self._base.value < CLOSE_M2 * checkpoints else 1
+        return -self.value < FAIR_M2 * checkpoints and self._base.fruitless < patience
+
+    def _descend(self, samples: list[Outcome]) -> None:
         """Begin a descent from the best sample: measure all slopes there."""
         hopped = self._phase is _Phase.HOPS
         slopes = np.zeros((self._box.size, samples[0].misses.size))
-        self._descent = descent = _Descent(samples[0], not hopped, hopped, slopes, FIRST_DAMPING, [])
+        self._descent = descent = Descent(samples[0], not hopped, hopped, slopes, FIRST_DAMPING, [])
         scores = [descent.score(sample) for sample in samples]
         best = max(range(len(samples)), key=scores.__getitem__)
         descent.at, descent.scores = samples[best], [scores[best]]
+        self._measure_slopes()
+
+    def _measure_slopes(self) -> None:
         self._phase = _Phase.SLOPES
         self._batch = self._probes(np.arange(self._box.size))
 
@@ -340,6 +282,7 @@ class GaussNewton:
             "batch": pack(self._batch),
             "values": [outcome.value for outcome in self._told],
             "misses": pack(np.array([outcome.misses for outcome in self._told])),
+            "base": None if self.value is None else {**asdict(self._base), "point": pack(self._base.point)},
             "descent": descent
             and {
                 "point": pack(descent.at.point),
@@ -350,6 +293,7 @@ class GaussNewton:
                 "slopes": pack(descent.slopes),
                 "damping": descent.damping,
                 "scores": list(descent.scores),
+                "woken": descent.woken,
             },
         }
 
@@ -368,6 +312,7 @@ class GaussNewton:
             _Phase.HOPS: HOPS,
             _Phase.SLOPES: self._box.size,
             _Phase.STEPS: len(BOLDNESS) + 1,
+            _Phase.FAR: None,
         }
         batch = unpack(state["batch"], (sizes[phase], self._box.size))
         values = [float(told) for told in state["values"]]
@@ -375,24 +320,39 @@ class GaussNewton:
         if len(misses) != len(values) or len(values) >= len(batch):
             raise ValueError(f"{len(values)} of a batch of {len(batch)} cannot have been told")
         descent = self._restored_descent(state["descent"])
-        if (descent is None) == (phase in (_Phase.SLOPES, _Phase.STEPS)):
+        if (descent is None) == (phase in (_Phase.SLOPES, _Phase.STEPS, _Phase.FAR)):
             raise ValueError(f"a descent does not go with the phase {phase}")
+        base = self._restored_base(state["base"])
+        if (base is None) != (value is None):
+            raise ValueError("a base does not go with no return")
         self._generator.bit_generator.state = state["generator"]
         self.value, self.evaluations, self._best = value, evaluations, best
         self._phase, self._batch, self._descent, self._asked = phase, batch, descent, 0
-        self._told = [_Outcome(*told) for told in zip(batch, values, misses, strict=False)]
+        self._base = base or _Base(best, -math.inf)
+        self._told = [Outcome(*told) for told in zip(batch, values, misses, strict=False)]
 
-    def _restored_descent(self, state: Mapping[str, Any] | None) -> _Descent | None:
+    def _restored_base(self, state: Mapping[str, Any] | None) -> _Base | None:
+        if state is None:
+            return None
+        base = _Base(
+            unpack(state["point"], (self._box.size,)), float(state["value"]), int(state["fruitless"])
+        )
+        if not math.isfinite(base.value) or base.fruitless < 0:
+            raise ValueError("a base of such a return cannot be")
+        return base
+
+    def _restored_descent(self, state: Mapping[str, Any] | None) -> Descent | None:
         if state is None:
             return None
         point, misses = unpack(state["point"], (self._box.size,)), unpack(state["misses"], (None, None, 3))
-        descent = _Descent(
-            at=_Outcome(point, float(state["value"]), misses),
+        descent = Descent(
+            at=Outcome(point, float(state["value"]), misses),
             survives=bool(state["survives"]),
             hopped=bool(state["hopped"]),
             slopes=unpack(state["slopes"], (self._box.size, misses.size)),
             damping=float(state["damping"]),
             scores=[float(score) for score in state["scores"]],
+            woken=int(state["woken"]),
         )
         if not 1 <= len(descent.scores) <= WINDOW + 1 or not 0.0 < descent.damping <= MOST_DAMPING:
             raise ValueError("a descent of such scores or damping cannot be")

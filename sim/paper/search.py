@@ -1,6 +1,7 @@
 """The search of a benchmark's run: the published one, from the best of many starts, on racing estimates.
 
-Deviations from the published search, each on the side of less time for the same end:
+By default that of mountain car and cart-pole; with the published budget, that of all benchmarks. Deviations
+from the published search, each on the side of less time for the same end:
   * Not one untuned agent is the start but the best of many: some tasks reward nothing before the goal.
   * Estimates race (``racing.py``).
   * After 51 failures the incumbent is estimated again, as Algorithm 1 does: it may have been lucky.

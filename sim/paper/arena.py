@@ -73,25 +73,15 @@ class Arena:
         generators = (np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(s)))) for s in seeds)
         return np.array([self.task.start(generator) for generator in generators])
 
-    def run(
-        self,
-        vectors: ArrayLike,
-        seeds: Seeds,
-        hopeless: ArrayLike = -np.inf,
-        *,
-        horizon: int | None = None,
-    ) -> FloatArray:
+    def run(self, vectors: ArrayLike, seeds: Seeds, *, horizon: int | None = None) -> FloatArray:
         """Run one episode for each vector (n, P) and seed (n,); returns (n, 3), see ``RESULTS``.
 
-        An episode is given up when a quarter or half of it went worse than ``hopeless`` (n,) asks for.
         ``steps`` counts what the environments have done. The horizon is the task's unless told.
         """
         rows = np.ascontiguousarray(vectors, np.float64)
         results = np.zeros((len(rows), RESULTS))
-        limits = np.array(np.broadcast_to(np.asarray(hopeless, np.float64), len(rows)))
-        queue = Queue(
-            rows, np.arange(len(rows)), self.starts(seeds), horizon or self.task.horizon, limits, results
-        )
+        ticks = horizon or self.task.horizon
+        queue = Queue(rows, np.arange(len(rows)), self.starts(seeds), ticks, results)
         run_episodes(self._brain, self._plants, self._room, queue)
         self.steps += int(results[:, 2].sum())
         return results

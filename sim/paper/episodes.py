@@ -32,8 +32,6 @@ class Queue(NamedTuple):
     starts: FloatArray
     """(E, S)."""
     horizon: int
-    hopeless: FloatArray
-    """(E,) an episode is given up when its share of this return is missed at a quarter or at half time."""
     results: FloatArray
     """(E, RESULTS)."""
 
@@ -81,9 +79,6 @@ def run_episodes(brain: Brain, plants: Plants, room: Room, queue: Queue) -> None
             results[episode, 0] += reward
             results[episode, 1] += bonus
             results[episode, 2] = now
-            share = queue.hopeless[episode] * now
-            if (now * 4 == horizon or now * 2 == horizon) and results[episode, 0] * horizon < share:
-                over = True
             if over or now == horizon:
                 episodes[lane] = IDLE
                 running -= 1

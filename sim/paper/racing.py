@@ -18,8 +18,6 @@ from sim.paper.arena import Arena, draw_seeds
 __all__ = ["Race", "heats"]
 
 Key = tuple[int, ...]
-_HOPELESS = 0.7
-"""Share of what must be beaten that an even run must have earned in proportion, at a quarter and at half."""
 
 
 def heats(rollouts: int) -> tuple[int, ...]:
@@ -39,7 +37,6 @@ class Race:
         self._arena, self._root_seed = arena, root_seed
         self._rollouts, self._worst = rollouts, worst
         self._marks = heats(rollouts) if heated else (rollouts,)
-        self._gives_up = heated and arena.task.races
 
     def estimate(self, vectors: Vector, to_beat: Vector, keys: Sequence[Key]) -> Vector:
         """Return the estimates (k,) for vectors (k, P), from all rollouts where minus infinity is to beat."""
@@ -50,9 +47,7 @@ class Race:
         done = 0
         for mark in self._marks:
             rows = np.repeat(racing, mark - done)
-            hopeless = np.where(to_beat[rows] > 0, _HOPELESS * to_beat[rows], -np.inf)
-            limits = hopeless if self._gives_up else -np.inf
-            found = self._arena.run(vectors[rows], seeds[racing, done:mark].ravel(), limits)
+            found = self._arena.run(vectors[rows], seeds[racing, done:mark].ravel())
             returns[racing, done:mark] = found[:, :2].sum(axis=1).reshape(len(racing), -1)
             least = max(round(self._worst * mark / self._rollouts), 1)
             for row in racing:

@@ -112,8 +112,6 @@ class Benchmark(Task):
     """What candidates are tried on in place of MuJoCo; results are MuJoCo's."""
     search: SearchName = SearchName.PUBLISHED
     bonus: float = 0.0
-    races: bool = False
-    """Whether rewards come evenly over an episode, so that a bad one shows early."""
     starts: int = 3000
     """Untuned agents that are tried before the search begins."""
 
@@ -258,7 +256,6 @@ _ALL = (
         environment="HalfCheetah-v5",
         mujoco=MujocoModel("half_cheetah.xml", 5),
         stand_in=StandIn(WRITTEN_CHEETAH, 0.01, 5),
-        races=True,
         search=SearchName.EVOLUTION,
         starts=400,
     ),

@@ -139,7 +139,7 @@ def test_the_untuned_start_comes_first_and_is_no_iteration() -> None:
     assert search.value == returns(sphere(first))[0]
 
 
-def test_samples_then_a_probe_of_every_parameter_then_two_steps_and_one_probe() -> None:
+def test_samples_then_all_slopes_then_a_step_and_a_probe_and_two_steps_where_it_is_close() -> None:
     search = begin()
     batch(search)
     assert len(batch(search)) == SAMPLES
@@ -147,8 +147,11 @@ def test_samples_then_a_probe_of_every_parameter_then_two_steps_and_one_probe() 
     moved = probes != np.median(probes, axis=0)
     assert moved[:, ~INERT].sum(axis=0).tolist() == [1] * len(probes)
     assert not moved[:, INERT].any()
-    assert [len(batch(search)) for _ in range(5)] == [3] * 5
-    assert search.evaluations == 1 + SAMPLES + len(probes) + 15
+    sizes = [len(batch(search)) for _ in range(10)]
+    assert search.evaluations == 1 + SAMPLES + len(probes) + sum(sizes)
+    far = sizes.count(2)
+    assert 0 < far < 10
+    assert sizes == [2] * far + [3] * (10 - far)
 
 
 def test_every_candidate_lies_in_bounds_and_inert_parameters_are_left_alone() -> None:
@@ -168,7 +171,7 @@ def test_a_descent_that_gains_nothing_makes_room_for_new_samples() -> None:
     sizes = [len(batch(search, hopeless)) for _ in range(WINDOW + 6)]
     free = LAYOUT.size - int(INERT.sum())
     far = sizes.pop(WINDOW + 3)  # nothing has an effect, near or far
-    assert sizes == [1, SAMPLES, free, *[3] * WINDOW, SAMPLES, free]
+    assert sizes == [1, SAMPLES, free, *[2] * WINDOW, SAMPLES, free]
     assert descents.MOST_SILENT * len(descents.FAR) <= far <= 2 * descents.MOST_SILENT * len(descents.FAR)
 
 

@@ -25,7 +25,7 @@ from sim.learn.search.least_squares import correct_slopes, lost_at
 __all__ = ["Descent", "Outcome", "stopped"]
 
 BOLDNESS = np.array([0.2, 10.0])
-"""Dampings of a batch's steps, in terms of the damping that worked last."""
+"""Dampings of a batch's steps, in terms of the damping that worked last; only the first far from the goal."""
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 0.1, 1e-7, 1e4
 AFTER_FAILURE = 10.0
 LIFETIME_M2 = 5.0
@@ -87,6 +87,11 @@ class Descent:
     woken: int = 0
     """How often it has looked for what had fallen silent."""
 
+    @property
+    def boldness(self) -> Vector:
+        """Dampings of a batch's steps, in terms of the damping that worked last."""
+        return BOLDNESS[:1] if self.survives else BOLDNESS
+
     def score(self, outcome: Outcome) -> float:
         """Return what is climbed."""
         return float(least_squares.survival(outcome.misses, LIFETIME_M2)) if self.survives else outcome.value
@@ -124,8 +129,8 @@ class Descent:
             weights = np.empty_like(self.at.misses)
             least_squares.survival_weights(self.at.misses, LIFETIME_M2, weights)
             slopes, residuals = slopes * weights.ravel(), residuals * weights.ravel()
-        targets = np.empty((len(BOLDNESS), len(slopes)))
-        least_squares.damped_steps(slopes, residuals, self.at.point, self.damping * BOLDNESS, targets)
+        targets = np.empty((len(self.boldness), len(slopes)))
+        least_squares.damped_steps(slopes, residuals, self.at.point, self.damping * self.boldness, targets)
         return targets
 
     def climb_return(self) -> None:

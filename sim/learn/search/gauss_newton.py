@@ -2,9 +2,10 @@
 
 A return is one number; the misses it is made of are three for each checkpoint, and tell a search which way
 each of them goes. So: draw samples around the untuned start, take the best, measure how every parameter moves
-the misses (finite differences), and descend by damped Gauss-Newton steps. From then on every batch is two
-steps, a bold and a careful one, and the finite difference of one parameter, each in its turn; what a step
-taught corrects the other slopes (Broyden). Damping follows success and failure (Levenberg, Marquardt).
+the misses (finite differences), and descend by damped Gauss-Newton steps. From then on every batch is a
+bold step, close to the goal also a careful one, and the finite difference of one parameter, each in its turn;
+what a step taught corrects the other slopes (Broyden). Damping follows success and failure (Levenberg,
+Marquardt).
 
 Three things get it past the local optima of a course:
   * Far from the goal it does not climb the return but how far the rover gets before it goes astray
@@ -37,7 +38,6 @@ from numpy.typing import NDArray
 
 from sim.learn.search.base import SearchState, Vector
 from sim.learn.search.descent import (
-    BOLDNESS,
     CLOSE_M2,
     FIRST_DAMPING,
     MOST_DAMPING,
@@ -100,7 +100,6 @@ class GaussNewton:
 
     needs_misses: ClassVar[bool] = True
     most_ahead: ClassVar[int] = 1000  # a batch is less
-    speculates: ClassVar[bool] = False
 
     def __init__(self, box: UnitBox, generator: np.random.Generator) -> None:
         self._box = box
@@ -134,7 +133,7 @@ class GaussNewton:
 
     def _to_beat(self, number: int) -> float:
         """Return what a candidate of the batch must exceed."""
-        is_step = self._phase is _Phase.STEPS and number < len(BOLDNESS)
+        is_step = self._phase is _Phase.STEPS and number < len(self._batch) - 1
         return self._descent.to_beat if self._descent is not None and is_step else -math.inf
 
     def ask(self, count: int = 1) -> Vector:
@@ -201,8 +200,9 @@ class GaussNewton:
     def _step(self) -> None:
         assert self._descent is not None
         self._phase = _Phase.STEPS
-        turn = self.evaluations // (len(BOLDNESS) + 1) % self._box.size
-        self._batch = np.concatenate([self._descent.targets(), self._probes(np.array([turn]))])
+        targets = self._descent.targets()
+        turn = self.evaluations // (len(targets) + 1) % self._box.size
+        self._batch = np.concatenate([targets, self._probes(np.array([turn]))])
 
     def _draw_samples(self, last: Outcome) -> None:
         """Draw the samples from which the next descent will start, ``last`` being where one ended."""
@@ -311,7 +311,7 @@ class GaussNewton:
             _Phase.SAMPLES: SAMPLES,
             _Phase.HOPS: HOPS,
             _Phase.SLOPES: self._box.size,
-            _Phase.STEPS: len(BOLDNESS) + 1,
+            _Phase.STEPS: None,
             _Phase.FAR: None,
         }
         batch = unpack(state["batch"], (sizes[phase], self._box.size))
@@ -322,6 +322,8 @@ class GaussNewton:
         descent = self._restored_descent(state["descent"])
         if (descent is None) == (phase in (_Phase.SLOPES, _Phase.STEPS, _Phase.FAR)):
             raise ValueError(f"a descent does not go with the phase {phase}")
+        if descent is not None and phase is _Phase.STEPS and len(batch) != len(descent.boldness) + 1:
+            raise ValueError(f"a batch of {len(batch)} cannot be")
         base = self._restored_base(state["base"])
         if (base is None) != (value is None):
             raise ValueError("a base does not go with no return")

@@ -71,11 +71,11 @@ def outcome(**changes):
     [
         ("error_m", 0.05, 0.12),
         ("error_rad", 0.05, 0.12),
-        ("moved_m", 0.003, 0.006),
-        ("turned_rad", 0.003, 0.006),
+        ("moved_m", 0.002, 0.005),
+        ("turned_rad", 0.002, 0.005),
     ],
 )
-def test_a_cost_rises_with_each_error_and_most_where_parked_ends(field, good, bad):
+def test_a_cost_rises_with_each_error_and_most_before_parked_ends(field, good, bad):
     perfect = costs(outcome())[0, 0]
     near, far, farthest = (costs(outcome(**{field: value}))[0, 0] for value in (good, bad, 20 * bad))
     assert perfect < near < far < farthest

@@ -100,6 +100,7 @@ class GaussNewton:
 
     needs_misses: ClassVar[bool] = True
     most_ahead: ClassVar[int] = 1000  # a batch is less
+    speculates: ClassVar[bool] = False
 
     def __init__(self, box: UnitBox, generator: np.random.Generator) -> None:
         self._box = box

@@ -162,6 +162,23 @@ def test_the_published_search_parks_too_when_asked_for():
     assert found.curve[-1][1] == pytest.approx(ParkingArena(task, policy).outcome(found.vector).total)
 
 
+def test_creeping_counts_as_a_miss_of_those_who_can_drive_backward_and_in_no_return():
+    for name, counts in (("parking", False), ("four-dof", True)):
+        task = TASKS[name]
+        policy = task.policy(task.circuit())
+        arena = ParkingArena(task, policy)
+        untuned = policy.parameters()[None]
+        plain, misses = arena.traces(untuned)
+        values, counted, climbed = arena.traces_standing(untuned)
+        assert values.tolist() == plain.tolist()
+        assert climbed[:, :, : misses.shape[2]].tolist() == misses.tolist()
+        assert counted == pytest.approx(-np.sum(climbed**2, axis=(1, 2, 3)))
+        assert (counted < values).all() == counts
+        budget = replace(budget_for(task, BudgetName.DEFAULT), evaluations=300)
+        found = search_parking(arena, policy, 1, budget)
+        assert found.curve[-1][1] == ParkingArena(task, policy).outcome(found.vector).total
+
+
 def test_runs_in_processes_are_those_of_one_process_and_an_interrupt_ends_them_all(tmp_path):
     code = "from rover_ncp.shell import main; main()"
     runs = ["--runs", str(tmp_path), "--again", "--task", "cart-pole", "--processes", "2"]

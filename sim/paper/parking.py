@@ -2,8 +2,13 @@
 
 All agents of these rows are searched alike. The published search gets there, too, but takes some ten times
 as long (``rover-ncp bench search``).
+
+The paper's return does not ask for standing still. A rover that can drive backward comes to stand only where
+forward and backward cancel, so with four degrees of freedom the search also counts how far it still moves
+between the last two checkpoints. That is ours, and no part of the returns that are reported.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -23,6 +28,8 @@ from sim.paper.tasks import Task
 __all__ = ["ParkingArena", "ParkingOutcome", "search_parking"]
 
 _SEARCH, _PUBLISHED_SEARCH = "gauss-newton", "published"
+_CREEP = 5.0
+"""Weight of creeping for 9 s in terms of a miss: 5 mm in 2 s, which is not parked any more, cost 0.013."""
 
 
 class ParkingOutcome(NamedTuple):
@@ -38,6 +45,7 @@ class ParkingArena:
     def __init__(self, task: Task, agent: Policy | Net) -> None:
         course = load_course("parking")
         self.task, self.steps = task, 0
+        self.drives_backward = "REV" in task.circuit().neurons
         self.engine = (
             Engine(agent, course)
             if isinstance(agent, Policy)
@@ -53,6 +61,18 @@ class ParkingArena:
         """Return the returns (k,) and misses of vectors (k, P), counting steps."""
         self.steps += len(vectors) * self.task.horizon
         return self.engine.traces(vectors)
+
+    def traces_standing(self, vectors: Vector) -> tuple[Vector, Vector, Vector]:
+        """Return the returns (k,), and what the search is to climb: a return (k,) and its misses.
+
+        Where an agent can drive backward, creeping counts as one more miss.
+        """
+        values, misses = self.traces(vectors)
+        if not self.drives_backward:
+            return values, values, misses
+        creep = _CREEP * (misses[:, :, -1:] - misses[:, :, -2:-1])
+        counted = values - np.sum(creep**2, axis=(1, 2, 3))
+        return values, counted, np.concatenate([misses, creep], axis=2)
 
     def returns(self, vectors: Vector, to_beat: Vector) -> Vector:
         """Return the returns (k,) of vectors (k, P), exact only above ``to_beat`` (k,)."""
@@ -76,25 +96,27 @@ def search_parking(
     strategy = _PUBLISHED_SEARCH if budget.published else _SEARCH
     search = start_search(strategy, agent.layout(), first, generator, inert(agent))
     curve: list[tuple[int, float]] = []
-    ended, parks = "evaluations", None
+    ended, parks, best = "evaluations", None, -math.inf
     while search.evaluations < budget.evaluations:
         if arena.steps >= budget.steps:
             ended = "steps"
             break
         ahead = min(search.most_ahead, budget.evaluations - search.evaluations)
-        vectors = search.ask(ahead)
+        vectors, before = search.ask(ahead), search.value
         if search.needs_misses:
-            search.tell(*arena.traces(vectors))
+            values, counted, misses = arena.traces_standing(vectors)
+            search.tell(counted, misses)
         else:
-            search.tell(arena.returns(vectors, search.to_beat))
-        assert search.value is not None
-        if curve and curve[-1][1] == search.value:
+            values = counted = arena.returns(vectors, search.to_beat)
+            search.tell(counted)
+        if search.value == before:
             continue
-        curve.append((arena.steps, search.value))
-        on_progress(arena.steps, search.value)
-        if search.value >= arena.task.success and arena.outcome(search.incumbent).parked:
+        best = float(values[int(np.argmax(counted))])
+        curve.append((arena.steps, best))
+        on_progress(arena.steps, best)
+        if best >= arena.task.success and arena.outcome(search.incumbent).parked:
             parks = search.incumbent
-            if search.value >= arena.task.enough and not budget.published:
+            if best >= arena.task.enough and not budget.published:
                 ended = "enough"
                 break
     return Found(search.incumbent if parks is None else parks, search.evaluations, tuple(curve), ended)

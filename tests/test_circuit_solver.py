@@ -2,6 +2,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,17 +86,33 @@ def test_exp2_is_exact_to_two_units_in_the_last_place():
     assert np.max(np.abs(results - expected) / np.spacing(expected)) <= 2
 
 
-@settings(max_examples=1000, deadline=None)
-@given(wirings(), st.data())
-def test_kernel_is_the_reference(policy, data):
-    runner = PolicyRunner(policy)
-    potentials = runner.potentials
+def draw_observations(data, policy, most):
     elements = st.lists(NEAR_INPUT, min_size=len(policy.sensing.inputs), max_size=len(policy.sensing.inputs))
-    for observation in data.draw(st.lists(elements, min_size=1, max_size=6)):
+    return data.draw(st.lists(elements, min_size=1, max_size=most))
+
+
+@settings(max_examples=500, deadline=None)
+@given(wirings(), st.data())
+def test_a_step_of_the_kernel_is_the_references(policy, data):
+    # From the same potentials each: in ten steps, steep synapses multiply what rounding leaves by a million.
+    policy = replace(policy, substeps=1)
+    runner = PolicyRunner(policy)
+    for observation in draw_observations(data, policy, 16):
+        before = runner.potentials
         command = runner.tick(observation)
-        potentials, outputs = reference.tick(policy, potentials, np.array(observation))
-        np.testing.assert_allclose(runner.potentials, potentials, atol=1e-9, rtol=0)
-        np.testing.assert_allclose(command, outputs, atol=1e-9, rtol=0)
+        potentials, outputs = reference.tick(policy, before, np.array(observation))
+        np.testing.assert_allclose(runner.potentials, potentials, atol=1e-11, rtol=0)
+        np.testing.assert_allclose(command, outputs, atol=1e-11, rtol=0)
+
+
+@settings(max_examples=300, deadline=None)
+@given(wirings(), st.integers(2, 12), st.data())
+def test_a_tick_is_so_many_steps(policy, substeps, data):
+    whole, stepped = (PolicyRunner(replace(policy, substeps=count)) for count in (substeps, 1))
+    for observation in draw_observations(data, policy, 4):
+        commands = [stepped.tick(observation) for _ in range(substeps)]
+        assert whole.tick(observation) == commands[-1]
+        assert np.array_equal(whole.potentials, stepped.potentials)
 
 
 @settings(max_examples=200, deadline=None)

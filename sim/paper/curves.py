@@ -22,6 +22,7 @@ _COLORS = dict(zip(AGENTS, ("tab:blue", "tab:orange", "tab:green", "tab:red", "0
 def curves_png(shelf: Shelf) -> bytes:
     """Return a picture of the runs that are made, as PNG. Raises FileError."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
     tasks = [task for task in TASKS.values() if any(_cells(shelf, task.name, agent) for agent in AGENTS)]
     columns = min(max(len(tasks), 1), 3)
@@ -37,6 +38,9 @@ def curves_png(shelf: Shelf) -> bytes:
         axes.axhline(task.success, color="0.6", linewidth=0.8, linestyle=":")
         axes.set_title(task.title, fontsize=9)
         axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        axes.xaxis.set_major_formatter(LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf)))
+        axes.xaxis.set_minor_formatter(NullFormatter())
         axes.grid(alpha=0.3)
         axes.legend(fontsize=7, loc="lower right")
     for axes in list(grid.flat)[len(tasks) :]:

@@ -14,6 +14,8 @@ from sim.paper.tasks import TASKS
 __all__ = ["curves_png"]
 
 _POINTS = 200
+_WIDE = 100.0
+"""An axis that spans this needs no labels between the powers of ten."""
 _LEAST_RETURN = -6.0
 """Of parking: what lies below drives anywhere but to the goal."""
 _COLORS = dict(zip(AGENTS, ("tab:blue", "tab:orange", "tab:green", "tab:red", "0.4", "0.7"), strict=True))
@@ -38,7 +40,8 @@ def curves_png(shelf: Shelf) -> bytes:
         axes.axhline(task.success, color="0.6", linewidth=0.8, linestyle=":")
         axes.set_title(task.title, fontsize=9)
         axes.set_xscale("log")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        low, high = axes.get_xlim()
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if high < _WIDE * low else (1.0,)))
         axes.xaxis.set_major_formatter(LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf)))
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.grid(alpha=0.3)

@@ -142,7 +142,7 @@ class Fleet:
     def tick(self, commands: FloatArray) -> FloatArray:
         """Send commands (2, L), advance by 0.1 s and return the poses (3, L), headings wrapped."""
         poses = np.empty((3, len(self.bodies)))
-        send(self.arrays, commands)
+        send(self.arrays, np.ascontiguousarray(commands))
         advance(self.arrays)
         read_poses(self.arrays, poses)
         return poses

@@ -3,9 +3,9 @@
 All agents of these rows are searched alike. The published search gets there, too, but takes some ten times
 as long (``rover-ncp bench search``).
 
-The paper's return does not ask for standing still. A rover that can drive backward comes to stand only where
-forward and backward cancel, so with four degrees of freedom the search also counts how far it still moves
-between the last two checkpoints. That is ours, and no part of the returns that are reported.
+The paper's return does not ask for standing still, so the search also counts how far a rover still moves
+between the last two checkpoints; one that can drive backward comes to stand only where forward and backward
+cancel. That is ours, and no part of the returns that are reported.
 """
 
 import math
@@ -45,7 +45,6 @@ class ParkingArena:
     def __init__(self, task: Task, agent: Policy | Net) -> None:
         course = load_course("parking")
         self.task, self.steps = task, 0
-        self.drives_backward = "REV" in task.circuit().neurons
         self.engine = (
             Engine(agent, course)
             if isinstance(agent, Policy)
@@ -65,11 +64,9 @@ class ParkingArena:
     def traces_standing(self, vectors: Vector) -> tuple[Vector, Vector, Vector]:
         """Return the returns (k,), and what the search is to climb: a return (k,) and its misses.
 
-        Where an agent can drive backward, creeping counts as one more miss.
+        Creeping counts as one more miss.
         """
         values, misses = self.traces(vectors)
-        if not self.drives_backward:
-            return values, values, misses
         creep = _CREEP * (misses[:, :, -1:] - misses[:, :, -2:-1])
         counted = values - np.sum(creep**2, axis=(1, 2, 3))
         return values, counted, np.concatenate([misses, creep], axis=2)

@@ -19,10 +19,10 @@ from numba import njit
 from numba.core import types
 from numba.extending import intrinsic
 
-__all__ = ["borrowed", "inlined_kernel", "kernel"]
+__all__ = ["borrowed", "in_kernels", "inlined_kernel", "kernel"]
 
 
-def _in_kernels(generator: Callable[..., Any]) -> Any:
+def in_kernels(generator: Callable[..., Any]) -> Any:
     """Make a code generator into a function for kernels, which do not pass its first argument."""
     return intrinsic(generator)
 
@@ -41,7 +41,7 @@ def inlined_kernel(function: Callable[..., Any]) -> Any:
     return _compiled(function, {"error_model": "numpy", "forceinline": True})
 
 
-@_in_kernels
+@in_kernels
 def borrowed(_context: Any, value: Any) -> Any:
     """Within a kernel: return an array, or a tuple with the arrays in it, that count no references.
 

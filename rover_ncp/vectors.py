@@ -14,7 +14,9 @@ from typing import Any
 
 from llvmlite import ir
 from numba.core import types
-from numba.extending import intrinsic, models, overload, register_model
+from numba.extending import models, overload, register_model
+
+from rover_ncp.jit import in_kernels
 
 __all__ = [
     "WIDTH",
@@ -37,11 +39,6 @@ WIDTH = 8
 
 _DOUBLES = ir.VectorType(ir.DoubleType(), WIDTH)
 _EXPONENT_SHIFT = 52  # where the exponent stands in a float64
-
-
-def _in_kernels(generator: Callable[..., Any]) -> Any:
-    """Make a code generator into a function for kernels, which do not pass its first argument."""
-    return intrinsic(generator)
 
 
 class VectorType(types.Type):
@@ -73,7 +70,7 @@ def _spread(context: Any, builder: Any, value: Any, kind: Any) -> Any:
 
 
 def _define(python_operator: Callable[[Any, Any], Any], instruction: str) -> None:
-    @_in_kernels
+    @in_kernels
     def apply(typing_context: Any, a: Any, b: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             pairs = zip(arguments, signature.args, strict=True)
@@ -106,7 +103,7 @@ def _pointer(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     return builder.bitcast(first, _DOUBLES.as_pointer())
 
 
-@_in_kernels
+@in_kernels
 def load(typing_context: Any, array: Any, block: Any, row: Any) -> Any:
     """Return a row of a C-contiguous (blocks, rows, WIDTH) array as a vector; nothing checks the indices."""
 
@@ -118,7 +115,7 @@ def load(typing_context: Any, array: Any, block: Any, row: Any) -> Any:
     return _vector(array, types.intp, types.intp), generate
 
 
-@_in_kernels
+@in_kernels
 def store(typing_context: Any, array: Any, block: Any, row: Any, value: Any) -> Any:
     """Write a vector to a row of a C-contiguous (blocks, rows, WIDTH) array; nothing checks the indices."""
 
@@ -143,7 +140,7 @@ def _integer(value: int) -> Any:
     return ir.Constant(ir.IntType(64), value)
 
 
-@_in_kernels
+@in_kernels
 def load_lanes(typing_context: Any, array: Any, row: Any, start: Any) -> Any:
     """Return eight lanes of a row of a C-contiguous (rows, L) array as a vector; beyond the last lane, that
     one again. Nothing checks the indices."""
@@ -174,7 +171,7 @@ def load_lanes(typing_context: Any, array: Any, row: Any, start: Any) -> Any:
     return _vector(array, types.intp, types.intp), generate
 
 
-@_in_kernels
+@in_kernels
 def store_lanes(typing_context: Any, array: Any, row: Any, start: Any, value: Any) -> Any:
     """Write a vector to eight lanes of a row of a C-contiguous (rows, L) array, as far as there are so many.
     Nothing checks the indices."""
@@ -198,7 +195,7 @@ def store_lanes(typing_context: Any, array: Any, row: Any, start: Any, value: An
     return types.void(array, types.intp, types.intp, value), generate
 
 
-@_in_kernels
+@in_kernels
 def everywhere(typing_context: Any, number: Any) -> Any:
     """Return a vector of one number in all eight places."""
 
@@ -220,19 +217,19 @@ def _chosen(a: Any, b: Any, comparison: str) -> Any:
     return _vector(a, b), generate
 
 
-@_in_kernels
+@in_kernels
 def larger(typing_context: Any, a: Any, b: Any) -> Any:
     """Return max(a, b), place by place, as Python has it: ``a`` unless ``b`` is greater."""
     return _chosen(a, b, ">")
 
 
-@_in_kernels
+@in_kernels
 def smaller(typing_context: Any, a: Any, b: Any) -> Any:
     """Return min(a, b), place by place, as Python has it: ``a`` unless ``b`` is less."""
     return _chosen(a, b, "<")
 
 
-@_in_kernels
+@in_kernels
 def where_less(typing_context: Any, a: Any, b: Any, then: Any, otherwise: Any) -> Any:
     """Return ``then`` where ``a`` is less than ``b``, ``otherwise`` elsewhere, place by place."""
 
@@ -255,7 +252,7 @@ def _places(context: Any, builder: Any, signature: Any, arguments: Any) -> list[
     return [builder.inttoptr(builder.add(address, arguments[2]), pointer) for address in addresses]
 
 
-@_in_kernels
+@in_kernels
 def gather(typing_context: Any, addresses: Any, start: Any, offset: Any) -> Any:
     """Return the doubles ``offset`` bytes behind eight addresses, those of a contiguous array from ``start``
     on, as a vector; nothing checks any of it."""
@@ -269,7 +266,7 @@ def gather(typing_context: Any, addresses: Any, start: Any, offset: Any) -> Any:
     return _vector(addresses, types.intp, types.intp), generate
 
 
-@_in_kernels
+@in_kernels
 def scatter(typing_context: Any, addresses: Any, start: Any, offset: Any, value: Any) -> Any:
     """Write a vector to the doubles ``offset`` bytes behind eight addresses, those of a contiguous array from
     ``start`` on, the first one first; nothing checks any of it."""
@@ -282,7 +279,7 @@ def scatter(typing_context: Any, addresses: Any, start: Any, offset: Any, value:
     return types.void(addresses, types.intp, types.intp, value), generate
 
 
-@_in_kernels
+@in_kernels
 def total(typing_context: Any, vector: Any) -> Any:
     """Return the sum of a vector's eight numbers, added from the first to the last."""
 
@@ -298,7 +295,7 @@ def total(typing_context: Any, vector: Any) -> Any:
     return types.float64(_vector), generate
 
 
-@_in_kernels
+@in_kernels
 def scale_by_power_of_two(typing_context: Any, value: Any, shifted: Any) -> Any:
     """Return value * 2**n, where n is the integer in the lowest bits of ``shifted`` (see ``solver.exp2``).
 

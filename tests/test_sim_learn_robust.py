@@ -12,7 +12,8 @@ from rover_ncp.core.course import load_course
 from rover_ncp.core.reference import plan_reference
 from rover_ncp.shell import run
 from sim.learn.engine import Engine, Outcomes
-from sim.learn.robust import RobustSearch, UnitCube, costs, drive_trials, reflected, training_courses
+from sim.learn.robust import RobustSearch, UnitCube, costs, drive_trials, training_courses
+from sim.learn.search.unit_box import reflected
 from sim.world.random_course import random_course
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel

@@ -25,6 +25,7 @@ from rover_ncp.core.reference import Reference
 from sim.learn.engine import Engine, Outcomes
 from sim.learn.objective import mean_of_worst
 from sim.learn.search.cma import Cma, default_population
+from sim.learn.search.unit_box import reflected
 from sim.world.random_course import mirrored, mirrored_reference, random_course
 from sim.world.randomization import Randomization, draw_trials
 from sim.world.rover import RoverModel
@@ -38,7 +39,6 @@ __all__ = [
     "UnitCube",
     "costs",
     "drive_trials",
-    "reflected",
     "training_courses",
 ]
 
@@ -95,12 +95,6 @@ class Cube(Protocol):
 
     def vector(self, place: FloatArray) -> FloatArray:
         """Return what the engine takes, for a place (A,) that may lie outside."""
-
-
-def reflected(place: FloatArray) -> FloatArray:
-    """Return a place within the unit cube: mirrored at its walls, however far outside it was."""
-    folded = np.mod(place, 2.0)
-    return np.where(folded > 1.0, 2.0 - folded, folded)
 
 
 class UnitCube:

@@ -36,7 +36,8 @@ from sim.learn.engine import Engine
 from sim.learn.net_engine import NetEngine
 from sim.learn.nets import Net, NetKind, net_for
 from sim.learn.record import made_with
-from sim.learn.robust import Cube, RobustSearch, UnitCube, drive_trials, reflected, training_courses
+from sim.learn.robust import Cube, RobustSearch, UnitCube, drive_trials, training_courses
+from sim.learn.search.unit_box import reflected
 from sim.studies.evaluate import unseen_courses
 from sim.studies.laws import LAWS, GainCube, LawEngine
 from sim.world.randomization import draw_trials, load_randomization

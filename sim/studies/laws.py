@@ -23,7 +23,7 @@ from rover_ncp.core.reference import Reference
 from rover_ncp.jit import kernel
 from sim.learn.engine import Engine
 from sim.learn.episode import IDLE, Lanes, Queue, Tasks, finish_tick, pass_commands, start_episode
-from sim.learn.robust import reflected
+from sim.learn.search.unit_box import reflected
 from sim.world.fleet import Fleet, FleetArrays, advance, read_poses, send, wrapped
 from sim.world.randomization import Trials
 

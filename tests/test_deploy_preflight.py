@@ -3,8 +3,9 @@
 import json
 
 import pytest
-from bridge_bench import Rig
+from bridge_bench import BRAKING_M_S2, Rig
 
+from deploy.preflight import STANDING
 from rover_ncp import shell
 
 
@@ -27,7 +28,8 @@ def test_a_robot_that_is_well(tmp_path, check):
     assert [finding["name"] for finding in said["findings"]] == [
         *("odometry", "battery", "stop", "motors", "forward", "left", "silence")
     ]
-    assert stopped == 0.0
+    # What it calls standing may still creep, for as long as braking from that takes.
+    assert stopped <= STANDING / BRAKING_M_S2
     assert gate["stops"] == {"silence": 1}  # the rehearsal, and no other
 
 

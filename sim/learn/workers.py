@@ -1,8 +1,7 @@
 """Teams, and other work, in processes of their own.
 
-Processes are spawned, never forked: numba and cffi do not survive a fork. A worker ignores Ctrl-C, which
-the terminal sends to the whole group: the parent alone decides. A worker whose parent is gone, however it
-went, finds its pipe closed and ends.
+Processes are spawned, never forked: numba and cffi do not survive a fork. A worker whose parent is gone,
+however it went, finds its pipe closed and ends.
 """
 
 import gc
@@ -22,7 +21,15 @@ from typing import Any, NamedTuple, Protocol, Self
 from rover_ncp.core.errors import RoverNcpError, UsageError
 from sim.learn.team import AgentState, Plan, Team
 
-__all__ = ["Inline", "LocalProcesses", "Processes", "WorkerDied", "Workers", "available_processes"]
+__all__ = [
+    "Inline",
+    "LocalProcesses",
+    "Processes",
+    "WorkerDied",
+    "Workers",
+    "available_processes",
+    "starting_processes",
+]
 
 _JOIN_S = 5.0
 
@@ -88,10 +95,8 @@ class Processes:
 
     def __enter__(self) -> Self:
         context = multiprocessing.get_context("spawn")
-        # The tracker unblocks SIGINT while it starts, so it has to start before we block it.
-        resource_tracker.ensure_running()
         try:
-            with _interrupts_held():
+            with starting_processes():
                 for number in range(self.count):
                     ours, theirs = context.Pipe()
                     process = context.Process(
@@ -144,12 +149,15 @@ def _team(plan: Plan) -> Callable[..., list[AgentState]]:
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Let a Ctrl-C wait until the end of the block, and keep it from processes started within for good.
+def starting_processes() -> Iterator[None]:
+    """Let a Ctrl-C wait until the end of the block, and keep it from processes spawned within for good.
 
-    They inherit the blocked signal, so it cannot hit them even while their interpreter starts. Blocking it
-    here does not hold it back: any thread of a library takes it instead, so it is also noted and passed on.
+    A terminal sends it to the whole group, and the parent alone decides. They inherit the blocked signal, so
+    it cannot hit them even while their interpreter starts. Blocking it here does not hold it back: any
+    thread of a library takes it instead, so it is also noted and passed on.
     """
+    # The tracker unblocks SIGINT while it starts, so it has to start before we block it.
+    resource_tracker.ensure_running()
     held: list[int] = []
     is_main = threading.current_thread() is threading.main_thread()
     handler = signal.signal(signal.SIGINT, lambda number, _: held.append(number)) if is_main else None

@@ -5,14 +5,13 @@ A run is one file, written when it is over: whatever ends the work, at most the 
 
 import importlib
 import multiprocessing
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.learn.workers import WorkerDied
+from sim.learn.workers import WorkerDied, starting_processes
 from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.cell import Cell, Name, Shelf
 from sim.paper.tasks import TASKS, Benchmark, find_task
@@ -87,9 +86,10 @@ def make_runs(
         return
     # Spawned, never forked: numba and MuJoCo do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(processes, len(names)), context, _leave_interrupts) as pool:
-        runs: list[Future[Cell]] = [pool.submit(train_cell, name, budget, circuit) for name in names]
+    with ProcessPoolExecutor(min(processes, len(names)), context) as pool:
         try:
+            with starting_processes():  # the pool starts them as work is handed in
+                runs: list[Future[Cell]] = [pool.submit(train_cell, name, budget, circuit) for name in names]
             for run in as_completed(runs):
                 keep(run.result())
         except BaseException as error:
@@ -111,8 +111,3 @@ def _require(names: Sequence[Name], circuit: Path | None) -> None:
             importlib.import_module("stable_baselines3")
         if isinstance(task, Benchmark) and task.mujoco:
             importlib.import_module("mujoco")
-
-
-def _leave_interrupts() -> None:
-    """Ctrl-C, which a terminal sends to all, is the parent's to answer."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)

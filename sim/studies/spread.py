@@ -2,12 +2,12 @@
 
 import multiprocessing
 import os
-import signal
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 
 from rover_ncp.core.errors import RoverNcpError
+from sim.learn.workers import starting_processes
 from sim.studies.stack import Driven, Stack
 
 __all__ = ["drive_all"]
@@ -39,8 +39,9 @@ def drive_all(
     # Spawned, never forked: numba and cffi do not survive a fork.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(hands, context, _take_on, (stack,)) as pool:
-        waiting = {pool.submit(_drive, number): number for number in range(count)}
         try:
+            with starting_processes():  # the pool starts them as work is handed in
+                waiting = {pool.submit(_drive, number): number for number in range(count)}
             for done in as_completed(waiting):
                 found[waiting[done]] = done.result()
                 on_done()
@@ -55,7 +56,6 @@ def drive_all(
 def _take_on(stack: Stack) -> None:
     global _stack  # noqa: PLW0603  # a pool hands on what all its tasks share in no other way
     _stack = stack
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent alone decides
 
 
 def _drive(number: int) -> Driven:

@@ -18,6 +18,7 @@ from rover_ncp.core.course import Course, load_course
 from rover_ncp.core.errors import UsageError
 from sim.learn.engine import Engine
 from sim.learn.ensemble import Snapshot, run_ensemble
+from sim.learn.flow import Answer, Flow
 from sim.learn.objective import Deterministic, Objective, Sampled
 from sim.learn.record import Task, TrainSettings
 from sim.learn.team import AgentState, Plan, Team
@@ -48,6 +49,33 @@ def parking_plan(course: Course = SHORT) -> Plan:
 
 def begin(agents: int) -> Snapshot:
     return Snapshot(tuple(AgentState(number) for number in range(agents)))
+
+
+class Shuffled:
+    """A flow that answers in an order of its own, one agent at a time."""
+
+    room, enough = 5, 2
+
+    def __init__(self, chance: np.random.Generator) -> None:
+        self.chance = chance
+        self.waiting: dict[int, np.ndarray] = {}
+
+    def __call__(self, agents: int) -> Flow:
+        # Agents of equal chances would stay together.
+        self.weights = self.chance.random(agents) ** 3
+        return self
+
+    def submit(self, agent: int, vectors: np.ndarray, to_beat: np.ndarray, keys: object) -> None:
+        assert agent not in self.waiting
+        self.waiting[agent] = vectors
+
+    def collect(self) -> list[Answer]:
+        if not self.waiting:
+            return []
+        agents = sorted(self.waiting)
+        weights = self.weights[agents] / self.weights[agents].sum()
+        agent = int(self.chance.choice(agents, p=weights))
+        return [Answer(agent, sphere(self.waiting.pop(agent), np.zeros(0)), None)]
 
 
 TOYS = {
@@ -134,6 +162,27 @@ def test_rounds_are_seen_in_order_and_can_end_the_run() -> None:
         assert seen == [0, 100, 200]
         ended = run_ensemble(workers, stopped, 250, lambda _: False)
         assert ended.iterations == 250
+
+
+def test_processes_that_are_told_to_stop_ahead_of_time_can_go_on() -> None:
+    plan = parking_plan()
+    with Inline(plan) as workers:
+        whole = run_ensemble(workers, begin(3), 700, lambda _: False)
+    with LocalProcesses(plan, 2) as workers:
+        stopped = run_ensemble(workers, begin(3), 20_000, lambda snapshot: snapshot.iterations >= 200)
+        assert stopped.iterations == 200
+        assert run_ensemble(workers, stopped, 700, lambda _: False) == whole
+
+
+@given(seed=st.integers(0, 1000))
+@settings(max_examples=15, deadline=None)
+def test_however_far_some_agents_are_ahead_rounds_are_the_same(seed: int) -> None:
+    plan, chance = TOYS["published"], np.random.default_rng(seed)
+    apart = Team(replace(plan, build_objective=lambda: Deterministic(sphere, stream=Shuffled(chance))))
+    targets, agents = [0, *range(10, 200, 10)], list(begin(5).agents)
+    for target, seen in zip(targets, apart.rounds(agents, targets), strict=True):
+        agents = Team(plan).advance(agents, target)
+        assert seen == agents
 
 
 def test_those_ahead_wait_for_the_others() -> None:

@@ -16,8 +16,8 @@ from typing import Any, Self
 
 from rover_ncp.core.errors import UsageError
 from sim.learn.record import made_with
-from sim.learn.team import AgentState, Plan, Team
-from sim.learn.workers import WorkerDied
+from sim.learn.team import AgentState, Plan, Rounds, Team
+from sim.learn.workers import WorkerDied, split
 
 __all__ = ["RETRIES", "ClusterLost", "DaskCluster", "connect", "require_versions", "told_plainly", "versions"]
 
@@ -103,11 +103,16 @@ class DaskCluster:
         """How many workers there are now, at least 1: those that died may come back."""
         return max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
 
-    def advance(self, groups: Sequence[Sequence[AgentState]], iterations: int) -> list[AgentState]:
-        """Return all agents after ``iterations`` candidates each.
+    def rounds(self, agents: Sequence[AgentState], targets: Sequence[int]) -> Rounds:
+        """Give all agents after each of these numbers of candidates.
 
         Raises UsageError for workers that cannot give the same results, and ClusterLost.
         """
+        for target in targets:
+            agents = self._advance(split(agents, self.count), target)
+            yield list(agents)
+
+    def _advance(self, groups: Sequence[Sequence[AgentState]], iterations: int) -> list[AgentState]:
         wanted = versions()
         with told_plainly(self.address):
             tasks = [

@@ -1,13 +1,13 @@
 """Independent agents that search at the same time, round by round, spread over workers.
 
-All agents do the same number of iterations a round. At a round's end everyone stands at the same iteration,
-so whoever looks then (progress, checkpoint, the question whether to stop) sees the same picture for a seed,
-however many processes there are and however fast they run.
+All agents do the same number of iterations a round. Whoever looks at a round's end (progress, checkpoint, the
+question whether to stop) sees everyone at the same iteration, so the same picture for a seed, however many
+processes there are and however fast they run; the agents themselves need not wait for each other.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
-from itertools import pairwise
 from statistics import median
 
 from sim.learn.team import AgentState
@@ -64,19 +64,14 @@ def run_ensemble(
     and nobody called if all have arrived.
     """
     snapshot = start
-    while not snapshot.arrived(iterations):
-        # First the starts alone: a first picture, and early news of an objective that fails.
-        rounds = snapshot.iterations // ROUND_ITERATIONS + 1 if snapshot.arrived(0) else 0
-        target = rounds * ROUND_ITERATIONS
-        groups = _split(snapshot.agents, workers.count)
-        snapshot = Snapshot(tuple(workers.advance(groups, min(target, iterations))))
-        if after_round(snapshot):
-            break
+    if snapshot.arrived(iterations):
+        return snapshot
+    # First the starts alone: a first picture, and early news of an objective that fails.
+    first = snapshot.iterations // ROUND_ITERATIONS + 1 if snapshot.arrived(0) else 0
+    targets = [*range(first * ROUND_ITERATIONS, iterations, ROUND_ITERATIONS), iterations]
+    with closing(workers.rounds(snapshot.agents, targets)) as rounds:
+        for agents in rounds:
+            snapshot = Snapshot(tuple(agents))
+            if after_round(snapshot):
+                break
     return snapshot
-
-
-def _split(agents: Sequence[AgentState], count: int) -> list[list[AgentState]]:
-    """Return up to ``count`` groups of neighbours whose sizes differ by at most one."""
-    count = min(count, len(agents))
-    bounds = [len(agents) * i // count for i in range(count + 1)]
-    return [list(agents[a:b]) for a, b in pairwise(bounds)]

@@ -5,7 +5,8 @@ process, and how many iterations are done at a time, changes nothing: the tests 
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +18,10 @@ from sim.learn.objective import Deterministic, Objective
 from sim.learn.search.base import SearchState, Strategy, Vector
 from sim.learn.search.strategies import STRATEGIES, start_search
 
-__all__ = ["AgentState", "Plan", "Team", "revive"]
+__all__ = ["AgentState", "Plan", "Rounds", "Team", "revive"]
+
+_MOST_AHEAD = 4
+"""Rounds that an agent may be ahead of the slowest; who waits leaves lanes idle."""
 
 # Second element of an agent's spawn keys: what the stream is for.
 _SEARCH, _ROLLOUTS = 0, 1
@@ -61,6 +65,32 @@ class AgentState:
         return self.improvements[known - 1][1] if known else float("-inf")
 
 
+Rounds = Generator[list[AgentState], None, None]
+"""All agents, as they stand at the end of each round."""
+
+
+@dataclass
+class _Runner:
+    """An agent on its way through rounds."""
+
+    number: int
+    search: Strategy
+    improvements: list[tuple[int, float]]
+    arrived: deque[AgentState] = field(default_factory=deque)
+    """As it stood at the ends of rounds that others have yet to end."""
+    ended: int = 0
+    """Rounds."""
+
+    def take_stock(self, targets: Sequence[int]) -> None:
+        """Note how it stands wherever a round ends here."""
+        while self.ended < len(targets) and self.search.value is not None:
+            if self.search.iterations < targets[self.ended]:
+                break
+            state = AgentState(self.number, self.search.state(), tuple(self.improvements))
+            self.arrived.append(state)
+            self.ended += 1
+
+
 class Team:
     """Advances agents side by side: the candidates of all are evaluated together."""
 
@@ -71,38 +101,56 @@ class Team:
 
     def advance(self, agents: Sequence[AgentState], iterations: int) -> list[AgentState]:
         """Return the agents after ``iterations`` candidates each; those already there stay as they are."""
-        searches = [revive(self._plan, agent) for agent in agents]
-        changes: list[list[tuple[int, float]]] = [[] for _ in agents]
-        flow = self._flow(len(agents))
+        return next(self.rounds(agents, [iterations]))
 
-        def submit(number: int) -> None:
-            search = searches[number]
-            if search.value is None or search.iterations < iterations:
-                vectors = _ask(search, iterations, flow)
-                evaluations = range(search.evaluations, search.evaluations + len(vectors))
-                keys = [(agents[number].number, _ROLLOUTS, evaluation) for evaluation in evaluations]
-                flow.submit(number, vectors, search.to_beat, keys)
+    def rounds(self, agents: Sequence[AgentState], targets: Sequence[int]) -> Rounds:
+        """Give the agents after each of these numbers of candidates, which rise.
 
-        for number in range(len(agents)):
-            submit(number)
-        while answers := flow.collect():
-            for number, values, misses in answers:
-                changes[number] += _tell(searches[number], values, misses)
-                submit(number)
-        return [
-            AgentState(agent.number, search.state(), agent.improvements + tuple(new))
-            for agent, search, new in zip(agents, searches, changes, strict=True)
+        Meanwhile who is quicker goes on to the next rounds, so that no lane waits for the slowest; nothing
+        shows of that.
+        """
+        runners = [
+            _Runner(agent.number, revive(self._plan, agent), list(agent.improvements)) for agent in agents
         ]
+        # Who stops listening leaves candidates behind, which no other run must meet.
+        flow = self._flows.pop(len(agents), None) or self._new_flow(len(agents))
+        paused = list(range(len(agents)))
+        for given in range(len(targets)):
+            going, paused = paused, []
+            while True:
+                for index in going:
+                    runner = runners[index]
+                    runner.take_stock(targets)
+                    if runner.ended == len(targets):
+                        continue
+                    if runner.ended > given + _MOST_AHEAD:
+                        paused.append(index)
+                        continue
+                    _submit(flow, index, runner, targets[runner.ended])
+                if all(runner.arrived for runner in runners):
+                    break
+                going = []
+                for index, values, misses in flow.collect():
+                    runners[index].improvements += _tell(runners[index].search, values, misses)
+                    going.append(index)
+            if given == len(targets) - 1:
+                self._flows[len(agents)] = flow
+            yield [runner.arrived.popleft() for runner in runners]
 
-    def _flow(self, agents: int) -> Flow:
-        """Return a flow for so many agents, made once."""
-        if agents not in self._flows:
-            strategy, objective = STRATEGIES[self._plan.strategy], self._objective
-            if isinstance(objective, Deterministic) and objective.stream is not None:
-                self._flows[agents] = objective.stream(agents)
-            else:
-                self._flows[agents] = Lockstep(objective, strategy.needs_misses)
-        return self._flows[agents]
+    def _new_flow(self, agents: int) -> Flow:
+        strategy, objective = STRATEGIES[self._plan.strategy], self._objective
+        if isinstance(objective, Deterministic) and objective.stream is not None:
+            return objective.stream(agents)
+        return Lockstep(objective, strategy.needs_misses)
+
+
+def _submit(flow: Flow, index: int, runner: _Runner, target: int) -> None:
+    """Ask an agent for candidates, up to a number in all, and let them be evaluated."""
+    search = runner.search
+    vectors = _ask(search, target, flow)
+    evaluations = range(search.evaluations, search.evaluations + len(vectors))
+    keys = [(runner.number, _ROLLOUTS, evaluation) for evaluation in evaluations]
+    flow.submit(index, vectors, search.to_beat, keys)
 
 
 def _ask(search: Strategy, iterations: int, flow: Flow) -> Vector:

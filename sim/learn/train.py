@@ -21,7 +21,7 @@ from sim.learn.workers import Inline, LocalProcesses, Workers, available_process
 __all__ = ["TrainResult", "train", "training_plan"]
 
 # Checkpoints take at most this share of the time, so a short run saves often and a slow disk seldom.
-_CHECKPOINT_SHARE = 0.05
+_CHECKPOINT_SHARE = 0.02
 
 
 class TrainResult(NamedTuple):

@@ -10,16 +10,18 @@ import os
 import signal
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from functools import partial
+from itertools import pairwise
 from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, NamedTuple, Protocol, Self
 
 from rover_ncp.core.errors import RoverNcpError, UsageError
-from sim.learn.team import AgentState, Plan, Team
+from sim.learn.team import AgentState, Plan, Rounds, Team
 
 __all__ = [
     "Inline",
@@ -28,10 +30,13 @@ __all__ = [
     "WorkerDied",
     "Workers",
     "available_processes",
+    "split",
     "starting_processes",
 ]
 
 _JOIN_S = 5.0
+_MOST_AHEAD = 4
+"""Answers of a process that may wait for those of slower ones."""
 
 
 class WorkerDied(RoverNcpError):
@@ -45,15 +50,25 @@ class _Failure(NamedTuple):
     is_users: bool
 
 
+class _End:
+    """What a worker sends after the last of several answers."""
+
+
 class Workers(Protocol):
-    """Something that advances groups of agents."""
+    """Something that advances agents."""
 
-    @property
-    def count(self) -> int:
-        """How many groups at once."""
+    def rounds(self, agents: Sequence[AgentState], targets: Sequence[int]) -> Rounds:
+        """Give all agents, in order, after each of these numbers of candidates, which rise.
 
-    def advance(self, groups: Sequence[Sequence[AgentState]], iterations: int) -> list[AgentState]:
-        """Return all agents of all groups, in order, after ``iterations`` candidates each."""
+        Work for later rounds may have begun; closing the iterator ends it.
+        """
+
+
+def split(agents: Sequence[AgentState], count: int) -> list[list[AgentState]]:
+    """Return up to ``count`` groups of neighbours whose sizes differ by at most one."""
+    count = min(count, len(agents))
+    bounds = [len(agents) * i // count for i in range(count + 1)]
+    return [list(agents[a:b]) for a, b in pairwise(bounds)]
 
 
 def available_processes() -> int:
@@ -65,8 +80,6 @@ def available_processes() -> int:
 class Inline:
     """One team in this very process."""
 
-    count = 1
-
     def __init__(self, plan: Plan) -> None:
         self._team = Team(plan)
 
@@ -76,9 +89,9 @@ class Inline:
     def __exit__(self, *error: object) -> None:
         pass
 
-    def advance(self, groups: Sequence[Sequence[AgentState]], iterations: int) -> list[AgentState]:
-        """Return all agents after ``iterations`` candidates each."""
-        return [agent for group in groups for agent in self._team.advance(group, iterations)]
+    def rounds(self, agents: Sequence[AgentState], targets: Sequence[int]) -> Rounds:
+        """Give all agents after each of these numbers of candidates."""
+        return self._team.rounds(agents, targets)
 
 
 class Processes:
@@ -125,11 +138,38 @@ class Processes:
         """
         busy = list(zip(self._workers, calls, strict=False))
         for (process, connection), arguments in busy:
-            try:
-                connection.send(arguments)
-            except OSError as error:
-                raise _death(process) from error
+            _send(process, connection, arguments)
         return [_answer(process, connection) for (process, connection), _ in busy]
+
+    def stream(self, calls: Sequence[tuple[Any, ...]]) -> Generator[list[Any], None, None]:
+        """Call the function, which gives an iterator, once in each process; give what comes back together.
+
+        The processes do not wait for each other, nor for whoever listens, until they are some answers
+        ahead. Whoever stops listening closes the iterator and can then call again. Raises as ``call`` does.
+        """
+        processes = {ours: process for (process, ours), _ in zip(self._workers, calls, strict=False)}
+        for (connection, process), arguments in zip(processes.items(), calls, strict=True):
+            _send(process, connection, arguments)
+        answers: dict[Connection, deque[Any]] = {connection: deque() for connection in processes}
+        going = set(processes)
+        try:
+            while going:
+                ready = wait([each for each in going if len(answers[each]) < _MOST_AHEAD])
+                for connection in going.intersection(ready):
+                    answer = _answer(processes[connection], connection)
+                    if isinstance(answer, _End):
+                        going.remove(connection)
+                    else:
+                        answers[connection].append(answer)
+                while all(answers.values()):
+                    yield [waiting.popleft() for waiting in answers.values()]
+        except GeneratorExit:
+            for connection in going:
+                _send(processes[connection], connection, None)
+            for connection in going:
+                while not isinstance(_answer(processes[connection], connection), _End):
+                    pass
+            raise
 
 
 class LocalProcesses(Processes):
@@ -138,14 +178,15 @@ class LocalProcesses(Processes):
     def __init__(self, plan: Plan, count: int) -> None:
         super().__init__(partial(_team, plan), count)
 
-    def advance(self, groups: Sequence[Sequence[AgentState]], iterations: int) -> list[AgentState]:
-        """Return all agents after ``iterations`` candidates each. Raises WorkerDied."""
-        answers = self.call([(list(group), iterations) for group in groups])
-        return [agent for answer in answers for agent in answer]
+    def rounds(self, agents: Sequence[AgentState], targets: Sequence[int]) -> Rounds:
+        """Give all agents after each of these numbers of candidates. Raises WorkerDied."""
+        with closing(self.stream([(group, targets) for group in split(agents, self.count)])) as answers:
+            for parts in answers:
+                yield [agent for part in parts for agent in part]
 
 
-def _team(plan: Plan) -> Callable[..., list[AgentState]]:
-    return Team(plan).advance
+def _team(plan: Plan) -> Callable[..., Rounds]:
+    return Team(plan).rounds
 
 
 @contextmanager
@@ -170,6 +211,13 @@ def starting_processes() -> Iterator[None]:
             signal.signal(signal.SIGINT, handler)
     if held and callable(handler):
         handler(signal.SIGINT, None)
+
+
+def _send(process: BaseProcess, connection: Connection, message: Any) -> None:
+    try:
+        connection.send(message)
+    except OSError as error:
+        raise _death(process) from error
 
 
 def _answer(process: BaseProcess, connection: Connection) -> Any:
@@ -197,14 +245,29 @@ def _work(connection: Connection, make: Callable[[], Callable[..., Any]]) -> Non
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             arguments = connection.recv()
+            if arguments is None:  # it wanted to hear no more when all had been said
+                continue
             answer: Any
             try:
                 if function is None:
                     function = make()
                     gc.freeze()  # compilers leave a million objects, which need not be gone through again
                 answer = function(*arguments)
+                if isinstance(answer, Generator):
+                    answer = _stream(connection, answer)
             except RoverNcpError as error:
                 answer = _Failure(str(error), is_users=True)
             except Exception:
                 answer = _Failure(traceback.format_exc(), is_users=False)
             connection.send(answer)
+
+
+def _stream(connection: Connection, answers: Generator[Any, None, None]) -> _End:
+    """Send all answers, unless the parent wants to hear no more."""
+    with closing(answers):
+        for answer in answers:
+            connection.send(answer)
+            if connection.poll():
+                connection.recv()
+                break
+    return _End()

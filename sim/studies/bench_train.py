@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -31,9 +31,9 @@ from sim.learn.objective import Deterministic, Objective
 from sim.learn.record import Task, TrainSettings, resolve_task
 from sim.learn.rollout import rollout
 from sim.learn.search.strategies import STRATEGIES
-from sim.learn.team import AgentState, Plan, Team
+from sim.learn.team import AgentState, Plan, Rounds, Team
 from sim.learn.train import training_plan
-from sim.learn.workers import Processes, available_processes
+from sim.learn.workers import Processes, available_processes, split
 from sim.world.bay import Bay
 from sim.world.fleet import ROVERS_PER_BAY, SUBSTEPS, Fleet, advance, send
 from sim.world.rover import Rover, RoverModel
@@ -165,27 +165,30 @@ def _iterations_per_cpu_s(plan: Plan, iterations: int) -> tuple[float, float]:
 
 
 class _TimedProcesses(Processes):
-    """Teams in processes, and the CPU time of the slowest of them in each round."""
+    """Teams in processes, and the CPU time of the slowest of them."""
 
     def __init__(self, plan: Plan, count: int) -> None:
         super().__init__(partial(_timed_team, plan), count)
         self.cpu_s = 0.0
 
-    def advance(self, groups: Sequence[Sequence[AgentState]], iterations: int) -> list[AgentState]:
-        """Return all agents after ``iterations`` candidates each."""
-        answers = self.call([(list(group), iterations) for group in groups])
-        self.cpu_s += max(cpu_s for _, cpu_s in answers)
-        return [agent for agents, _ in answers for agent in agents]
+    def rounds(self, agents: Sequence[AgentState], targets: Sequence[int]) -> Rounds:
+        """Give all agents after each of these numbers of candidates."""
+        for parts in self.stream([(group, targets) for group in split(agents, self.count)]):
+            self.cpu_s = max(cpu_s for _, cpu_s in parts)
+            yield [agent for part, _ in parts for agent in part]
 
 
-def _timed_team(plan: Plan) -> Callable[..., tuple[list[AgentState], float]]:
+def _timed_team(plan: Plan) -> Callable[..., Iterator[tuple[list[AgentState], float]]]:
     team = Team(plan)
 
-    def advance(agents: Sequence[AgentState], iterations: int) -> tuple[list[AgentState], float]:
+    def rounds(
+        agents: Sequence[AgentState], targets: Sequence[int]
+    ) -> Iterator[tuple[list[AgentState], float]]:
         began = time.process_time()
-        return team.advance(agents, iterations), time.process_time() - began
+        for advanced in team.rounds(agents, targets):
+            yield advanced, time.process_time() - began
 
-    return advance
+    return rounds
 
 
 def _iterations_on_all_cores(plan: Plan, iterations: int, cores: int) -> tuple[float, float]:
@@ -193,7 +196,6 @@ def _iterations_on_all_cores(plan: Plan, iterations: int, cores: int) -> tuple[f
     start = Snapshot(tuple(AgentState(number) for number in range(_AGENTS)))
     with _TimedProcesses(plan, cores) as workers:
         warm = run_ensemble(workers, start, _WARM_ITERATIONS, lambda _: False)
-        workers.cpu_s = 0.0
         began = time.monotonic()
         run_ensemble(workers, warm, _WARM_ITERATIONS + iterations, lambda _: False)
         wall_s = time.monotonic() - began

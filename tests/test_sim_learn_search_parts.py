@@ -16,6 +16,7 @@ from sim.learn.search.least_squares import (
     correct_slopes,
     damped_steps,
     lost_at,
+    measure_slope,
     survival,
     survival_weights,
 )
@@ -87,7 +88,9 @@ def test_steps_are_those_of_a_linear_algebra_library(
     slopes, misses = rng.standard_normal((parameters, residuals)), rng.standard_normal(residuals)
     point = np.where(rng.random(parameters) < 0.3, np.round(rng.random(parameters)), rng.random(parameters))
     dampings, targets = np.array([damping, 10 * damping]), np.empty((2, parameters))
-    damped_steps(slopes, misses, point, dampings, targets)
+    weights = np.where(rng.random(residuals) < 0.5, 1.0, rng.random(residuals))
+    damped_steps(slopes, misses, weights, point, dampings, targets)
+    slopes, misses = slopes * weights, misses * weights
     gradient = slopes @ misses
     held = ((point == 0) & (gradient > 0)) | ((point == 1) & (gradient < 0))
     free = np.where(held[:, None], 0.0, slopes)
@@ -99,21 +102,35 @@ def test_steps_are_those_of_a_linear_algebra_library(
 def test_without_damping_worth_the_name_a_singular_system_still_gives_a_step() -> None:
     slopes = np.full((5, 66), 1e4)
     targets = np.empty((1, 5))
-    damped_steps(slopes, np.ones(66), np.full(5, 0.5), np.array([1e-9]), targets)
+    damped_steps(slopes, np.ones(66), np.ones(66), np.full(5, 0.5), np.array([1e-9]), targets)
     assert np.isfinite(targets).all()
 
 
 def test_a_correction_explains_the_step_and_touches_nothing_across_it() -> None:
     rng = np.random.default_rng(0)
-    slopes, step, change = rng.normal(size=(7, 5)), rng.normal(size=7), rng.normal(size=5)
+    slopes, origin, step = rng.normal(size=(7, 12)), rng.random(7), rng.normal(size=7)
+    there, change = rng.normal(size=(1, 4, 3)), rng.normal(size=(1, 4, 3))
     before = slopes.copy()
-    correct_slopes(slopes, step, change)
-    assert step @ slopes == pytest.approx(change)
+    # Of a step that was stopped the first two checkpoints are known.
+    correct_slopes(slopes, origin, there, origin + step, there + change, 2)
+    assert step @ slopes[:, :6] == pytest.approx(change.ravel()[:6])
+    assert slopes[:, 6:].tolist() == before[:, 6:].tolist()
     across = rng.normal(size=7)
     across -= step * (across @ step) / (step @ step)
     assert across @ slopes == pytest.approx(across @ before)
-    correct_slopes(slopes, np.zeros(7), change)  # no step teaches nothing
-    assert step @ slopes == pytest.approx(change)
+    once = slopes.copy()
+    correct_slopes(slopes, origin, there, origin, there + change, 4)  # no step teaches nothing
+    assert slopes.tolist() == once.tolist()
+
+
+def test_a_probe_teaches_the_slopes_of_its_parameter() -> None:
+    rng = np.random.default_rng(0)
+    slopes, origin, there = rng.normal(size=(7, 24)), rng.random(7), rng.normal(size=(2, 4, 3))
+    point, misses, expected = origin.copy(), rng.normal(size=(2, 4, 3)), slopes.copy()
+    point[4] -= 3e-3
+    expected[4] = (misses - there).ravel() / (point[4] - origin[4])
+    measure_slope(slopes, origin, there, point, misses)
+    assert slopes.tolist() == expected.tolist()
 
 
 def test_survival_counts_the_checkpoints_reached_and_its_weights_are_its_slopes() -> None:

@@ -47,6 +47,29 @@ class Slots(NamedTuple):
 
 
 @kernel
+def enqueue(  # noqa: PLR0917  # a whole queue would take longer to hand over than to fill
+    vectors: Vector,
+    stop_below: Vector,
+    misses: Vector,
+    slots: Slots,
+    agent: int,
+    added: Vector,
+    to_beat: Vector,
+) -> None:
+    """Let an agent's candidates (n, P) wait."""
+    waiting, ring, left, _ = slots
+    first = agent * (len(waiting) // len(left))
+    for i in range(len(added)):
+        place = first + i
+        vectors[place] = added[i]
+        stop_below[place] = to_beat[i]
+        misses[place] = 0.0
+        waiting[(ring[0] + ring[1]) % len(waiting)] = place
+        ring[1] += 1
+    left[agent] = len(added)
+
+
+@kernel
 def run_until_answer(  # noqa: PLR0917  # as run_episodes
     program: Program,
     signal_at: IntArray,
@@ -124,29 +147,25 @@ class Stream:
             left=np.zeros(agents, np.int64),
             before=np.full(LANES, IDLE),
         )
-        self._submitted = np.zeros(agents, np.int64)
+        self._submitted = [0] * agents
 
     def submit(self, agent: int, vectors: Vector, to_beat: Vector, keys: Sequence[tuple[int, ...]]) -> None:
         """Let the episodes of candidates (n, P), n <= room, wait for lanes; the agent has none that do."""
         count, queue, slots = len(vectors), self._queue, self._slots
         if self._submitted[agent] or not 0 < count <= self.room:
             raise ValueError(f"agent {agent} cannot submit {count} candidates now")
-        first = agent * self.room
-        places = slice(first, first + count)
-        queue.vectors[places] = vectors
-        queue.stop_below[places] = to_beat
-        queue.misses[places] = 0.0
-        begin, waiting = slots.ring
-        slots.waiting[(begin + waiting + np.arange(count)) % len(slots.waiting)] = first + np.arange(count)
-        slots.ring[1] += count
-        slots.left[agent] = self._submitted[agent] = count
+        enqueue(queue.vectors, queue.stop_below, queue.misses, slots, agent, vectors, to_beat)
+        self._submitted[agent] = count
 
     def collect(self) -> list[Answer]:
         """Return what became of all candidates of one agent or more; nothing if nobody waits."""
         run_until_answer(*self._engine.setting, self._lanes, self._fleet.arrays, self._queue, self._slots)
         answers = []
-        for agent in np.flatnonzero((self._submitted > 0) & (self._slots.left == 0)).tolist():
-            places = slice(agent * self.room, agent * self.room + int(self._submitted[agent]))
+        for agent, left in enumerate(self._slots.left.tolist()):
+            count = self._submitted[agent]
+            if left or not count:
+                continue
+            places = slice(agent * self.room, agent * self.room + count)
             self._submitted[agent] = 0
             misses = self._queue.misses[places, None].copy()
             answers.append(Answer(agent, self._queue.results[places, 0].copy(), misses))

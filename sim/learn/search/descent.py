@@ -14,13 +14,13 @@ Values in, values out: what is evaluated is up to ``gauss_newton``.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.learn.search import least_squares
 from sim.learn.search.base import Vector
-from sim.learn.search.least_squares import correct_slopes, lost_at
 
 __all__ = ["Descent", "Outcome", "stopped"]
 
@@ -51,8 +51,7 @@ MOST_WOKEN = 2
 """How often a descent looks for silent parameters."""
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """A point (D,), its return, and its misses (E, C, 3)."""
 
     point: Vector
@@ -62,7 +61,9 @@ class Outcome:
 
 def stopped(outcome: Outcome, to_beat: float) -> Outcome:
     """Return an outcome as it is when its episode is stopped as soon as it is lost."""
-    known, total = lost_at(outcome.misses, to_beat)
+    if to_beat == -math.inf:
+        return outcome
+    known, total = least_squares.lost_at(outcome.misses, to_beat)
     if known == outcome.misses.shape[1]:
         return outcome
     misses = outcome.misses.copy()
@@ -98,9 +99,8 @@ class Descent:
 
     def measure(self, probe: Outcome) -> None:
         """Take the slopes of the one parameter in which a probe differs."""
-        moved = probe.point - self.at.point
-        parameter = int(np.argmax(np.abs(moved)))
-        self.slopes[parameter] = (probe.misses - self.at.misses).ravel() / moved[parameter]
+        at = self.at
+        least_squares.measure_slope(self.slopes, at.point, at.misses, probe.point, probe.misses)
 
     @property
     def to_beat(self) -> float:
@@ -110,9 +110,10 @@ class Descent:
 
     def learn(self, step: Outcome) -> None:
         """Correct the slopes by what came of a step, as far as it got."""
-        known, _ = lost_at(step.misses, self.to_beat)
-        change = (step.misses - self.at.misses)[:, :known].ravel()
-        correct_slopes(self.slopes, step.point - self.at.point, change)
+        at, to_beat, known = self.at, self.to_beat, step.misses.shape[1]
+        if to_beat > -math.inf:
+            known, _ = least_squares.lost_at(step.misses, to_beat)
+        least_squares.correct_slopes(self.slopes, at.point, at.misses, step.point, step.misses, known)
 
     def overtakes(self, best: float) -> bool:
         """Return whether a climb of the return is above ``best``, or will be there in time."""
@@ -122,16 +123,15 @@ class Descent:
         gain = self.scores[-1] - self.scores[-1 - OVERTAKING_WINDOW]
         return gain * OVERTAKING_WINDOWS >= gap
 
-    def targets(self) -> Vector:
-        """Return where the steps of a batch lead, (n, D)."""
-        slopes, residuals = self.slopes, self.at.misses.ravel()
+    def write_targets(self, targets: Vector) -> None:
+        """Write where the steps of a batch lead, (n, D)."""
+        at, weights = self.at, np.ones_like(self.at.misses)
         if self.survives:
-            weights = np.empty_like(self.at.misses)
-            least_squares.survival_weights(self.at.misses, LIFETIME_M2, weights)
-            slopes, residuals = slopes * weights.ravel(), residuals * weights.ravel()
-        targets = np.empty((len(self.boldness), len(slopes)))
-        least_squares.damped_steps(slopes, residuals, self.at.point, self.damping * self.boldness, targets)
-        return targets
+            least_squares.survival_weights(at.misses, LIFETIME_M2, weights)
+        dampings = self.damping * self.boldness
+        least_squares.damped_steps(
+            self.slopes, at.misses.ravel(), weights.ravel(), at.point, dampings, targets
+        )
 
     def climb_return(self) -> None:
         """Climb the return from now on."""

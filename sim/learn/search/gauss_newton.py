@@ -34,7 +34,6 @@ from enum import StrEnum
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.learn.search.base import SearchState, Vector
 from sim.learn.search.descent import (
@@ -129,13 +128,16 @@ class GaussNewton:
     @property
     def to_beat(self) -> Vector:
         """(n,) what steps must exceed; minus infinity for what is wanted whole, to measure or compare."""
-        first = len(self._told)
-        return np.array([self._to_beat(number) for number in range(first, first + self._asked)])
+        return np.array(self._to_beat())
 
-    def _to_beat(self, number: int) -> float:
-        """Return what a candidate of the batch must exceed."""
-        is_step = self._phase is _Phase.STEPS and number < len(self._batch) - 1
-        return self._descent.to_beat if self._descent is not None and is_step else -math.inf
+    def _to_beat(self) -> list[float]:
+        """Return what each candidate that was handed out must exceed."""
+        told = len(self._told)
+        if self._phase is not _Phase.STEPS or self._descent is None:
+            return [-math.inf] * self._asked
+        steps = len(self._batch) - 1
+        to_beat = self._descent.to_beat
+        return [to_beat if number < steps else -math.inf for number in range(told, told + self._asked)]
 
     def ask(self, count: int = 1) -> Vector:
         """Return the next candidates (n, P), 1 <= n <= count, at most what is left of the batch."""
@@ -153,12 +155,12 @@ class GaussNewton:
             raise ValueError("this search needs the misses")
         if not len(values) == len(misses) == self._asked:
             raise ValueError(f"{self._asked} candidates wait for their returns, got {len(values)}")
-        numbers = [float(value) for value in values]
+        numbers = np.asarray(values, np.float64).tolist()
         if any(map(math.isnan, numbers)):
             raise ValueError("a return is not a number")
-        for value, row in zip(numbers, np.array(misses), strict=True):
-            number = len(self._told)
-            outcome = stopped(Outcome(self._batch[number], value, row), self._to_beat(number))
+        to_beat, points = self._to_beat(), self._batch[len(self._told) :]
+        for point, value, row, least in zip(points, numbers, np.array(misses), to_beat, strict=False):
+            outcome = stopped(Outcome(point, value, row), least)
             self._told.append(outcome)
             self.evaluations += 1
             if self.value is None or outcome.value > self.value:
@@ -201,9 +203,10 @@ class GaussNewton:
     def _step(self) -> None:
         assert self._descent is not None
         self._phase = _Phase.STEPS
-        targets = self._descent.targets()
-        turn = self.evaluations // (len(targets) + 1) % self._box.size
-        self._batch = np.concatenate([targets, self._probes(np.array([turn]))])
+        steps = len(self._descent.boldness)
+        self._batch = np.empty((steps + 1, self._box.size))
+        self._descent.write_targets(self._batch[:steps])
+        self._write_probes(self._batch[steps:], [self.evaluations // (steps + 1) % self._box.size])
 
     def _draw_samples(self, last: Outcome) -> None:
         """Draw the samples from which the next descent will start, ``last`` being where one ended."""
@@ -250,23 +253,23 @@ class GaussNewton:
 
     def _measure_slopes(self) -> None:
         self._phase = _Phase.SLOPES
-        self._batch = self._probes(np.arange(self._box.size))
+        self._batch = np.empty((self._box.size, self._box.size))
+        self._write_probes(self._batch, range(self._box.size))
 
-    def _probes(self, parameters: NDArray[np.int64]) -> Vector:
-        """Return the descent's point with one parameter moved, up or down, within the box: (n, D)."""
+    def _write_probes(self, probes: Vector, parameters: Sequence[int]) -> None:
+        """Write the descent's point with one parameter moved, up or down, within the box: (n, D)."""
         assert self._descent is not None
         point = self._descent.at.point
-        probes = np.empty((len(parameters), len(point)))
         probes[:] = point
-        ways = self._generator.random(len(parameters)) < 0.5
-        for probe, parameter, up in zip(probes, parameters.tolist(), ways.tolist(), strict=True):
-            there = probe[parameter] + (PROBE if up else -PROBE)
+        draws = self._generator.random(len(parameters)).tolist()
+        for probe, parameter, draw in zip(probes, parameters, draws, strict=True):
+            here = float(point[parameter])
+            there = here + (PROBE if draw < 0.5 else -PROBE)
             if there > 1.0:
-                there = probe[parameter] - PROBE
+                there = here - PROBE
             elif there < 0.0:
-                there = probe[parameter] + PROBE
+                there = here + PROBE
             probe[parameter] = there
-        return probes
 
     def state(self) -> SearchState:
         """Return all that the next ``ask`` depends on; only between ``tell`` and ``ask``."""

@@ -15,7 +15,7 @@ from rover_ncp.circuit.solver import exp2
 from rover_ncp.jit import kernel
 from rover_ncp.vectors import WIDTH, load, store, total
 
-__all__ = ["correct_slopes", "damped_steps", "lost_at", "survival", "survival_weights"]
+__all__ = ["correct_slopes", "damped_steps", "lost_at", "measure_slope", "survival", "survival_weights"]
 
 FloatArray = NDArray[np.float64]
 
@@ -26,30 +26,38 @@ _LEAST_EXPONENT = -1000.0
 
 
 @kernel
-def damped_steps(
-    slopes: FloatArray, residuals: FloatArray, point: FloatArray, dampings: FloatArray, targets: FloatArray
+def damped_steps(  # noqa: PLR0917  # as a kernel's caller has them
+    slopes: FloatArray,
+    residuals: FloatArray,
+    weights: FloatArray,
+    point: FloatArray,
+    dampings: FloatArray,
+    targets: FloatArray,
 ) -> None:
     """Write where damped Gauss-Newton steps from ``point`` (D,) lead: ``targets`` (n, D), in the unit box.
 
-    A step d minimises |r + J d|² + damping |d|² (Levenberg 1944, Marquardt 1963). Parameters that would
-    leave the box are held first, the others are clipped.
+    A step d minimises |W (r + J d)|² + damping |d|² (Levenberg 1944, Marquardt 1963), W being diagonal with
+    ``weights`` (R,). Parameters that would leave the box are held first, the others are clipped.
 
-    With S the slopes, d = -S (SᵀS + damping)⁻¹ r: R equations, which are fewer than D as long as there are
-    fewer residuals than parameters.
+    With S the slopes, weighted, d = -S (SᵀS + damping)⁻¹ W r: R equations, which are fewer than D as long as
+    there are fewer residuals than parameters.
     """
     parameters, count = slopes.shape
     # Whole vectors: residuals are padded with some that are 0 and that no parameter moves.
     blocks = (count + WIDTH - 1) // WIDTH
-    rows = np.zeros((parameters, blocks, WIDTH))
+    rows = np.empty((parameters, blocks, WIDTH))
     right = np.zeros((1, blocks, WIDTH))
+    flat_rows, flat_right = rows.reshape(parameters, blocks * WIDTH), right.reshape(blocks * WIDTH)
     for i in range(count):
-        right[0, i // WIDTH, i % WIDTH] = residuals[i]
+        flat_right[i] = residuals[i] * weights[i]
     for d in range(parameters):
         for i in range(count):
-            rows[d, i // WIDTH, i % WIDTH] = slopes[d, i]
-        gradient = dot(rows, d, right, 0, 0)
-        if (point[d] <= 0.0 and gradient > 0.0) or (point[d] >= 1.0 and gradient < 0.0):
-            rows[d] = 0.0
+            flat_rows[d, i] = slopes[d, i] * weights[i]
+        flat_rows[d, count:] = 0.0
+        if point[d] <= 0.0 or point[d] >= 1.0:
+            gradient = dot(rows, d, right, 0, 0)
+            if (point[d] <= 0.0 and gradient > 0.0) or (point[d] >= 1.0 and gradient < 0.0):
+                rows[d] = 0.0
     products = np.empty((blocks * WIDTH, blocks, WIDTH))
     multiply(rows, products)
     upper, solution = np.empty_like(products), np.empty_like(right)
@@ -57,12 +65,8 @@ def damped_steps(
     for i in range(count):
         largest = max(largest, products[i, i // WIDTH, i % WIDTH])
     for n in range(len(dampings)):
-        upper[:] = products
         # With less than that, rounding could make the matrix negative.
-        damping = max(dampings[n], _LEAST_SHARE * largest)
-        for i in range(len(upper)):
-            upper[i, i // WIDTH, i % WIDTH] += damping
-        factorise(upper)
+        factorise(products, max(dampings[n], _LEAST_SHARE * largest), upper)
         solution[:] = right
         solve(upper, solution)
         for d in range(parameters):
@@ -102,17 +106,35 @@ def multiply(rows: FloatArray, products: FloatArray) -> None:
 
 
 @kernel
-def factorise(matrix: FloatArray) -> None:
-    """Replace the upper triangle of a symmetric positive matrix by Cholesky's U, where UᵀU is the matrix."""
+def factorise(matrix: FloatArray, damping: float, upper: FloatArray) -> None:
+    """Write Cholesky's U, where UᵀU is a symmetric positive matrix with ``damping`` on its diagonal."""
     count, blocks, _ = matrix.shape
-    for k in range(count):
-        inverse = 1.0 / math.sqrt(matrix[k, k // WIDTH, k % WIDTH])
-        for block in range(k // WIDTH, blocks):
-            store(matrix, k, block, load(matrix, k, block) * inverse)
-        for i in range(k + 1, count):
-            factor = matrix[k, i // WIDTH, i % WIDTH]
-            for block in range(i // WIDTH, blocks):
-                store(matrix, i, block, load(matrix, i, block) - factor * load(matrix, k, block))
+    for i in range(count):
+        place, lane = i // WIDTH, i % WIDTH
+        upper[i, place:] = matrix[i, place:]
+        upper[i, place, lane] += damping
+        block = place
+        # Three blocks at a time stay in registers while all earlier rows are taken off.
+        while block + 3 <= blocks:
+            a, b, c = load(upper, i, block), load(upper, i, block + 1), load(upper, i, block + 2)
+            for k in range(i):
+                factor = upper[k, place, lane]
+                a = a - factor * load(upper, k, block)
+                b = b - factor * load(upper, k, block + 1)
+                c = c - factor * load(upper, k, block + 2)
+            store(upper, i, block, a)
+            store(upper, i, block + 1, b)
+            store(upper, i, block + 2, c)
+            block += 3
+        while block < blocks:
+            a = load(upper, i, block)
+            for k in range(i):
+                a = a - upper[k, place, lane] * load(upper, k, block)
+            store(upper, i, block, a)
+            block += 1
+        inverse = 1.0 / math.sqrt(upper[i, place, lane])
+        for block in range(place, blocks):
+            store(upper, i, block, load(upper, i, block) * inverse)
 
 
 @kernel
@@ -135,20 +157,50 @@ def solve(upper: FloatArray, vector: FloatArray) -> None:
 
 
 @kernel
-def correct_slopes(slopes: FloatArray, step: FloatArray, change: FloatArray) -> None:
-    """Correct the slopes by the least that makes ``step`` (D,) explain ``change`` (R,) (Broyden 1965)."""
+def measure_slope(
+    slopes: FloatArray, origin: FloatArray, there: FloatArray, point: FloatArray, misses: FloatArray
+) -> None:
+    """Write the slopes of the one parameter in which ``point`` (D,) differs from ``origin``, from the misses
+    (E, C, 3) at both: ``there`` those at the origin."""
+    parameter, most = 0, 0.0
+    for d in range(len(point)):
+        if abs(point[d] - origin[d]) > most:
+            parameter, most = d, abs(point[d] - origin[d])
+    moved = point[parameter] - origin[parameter]
+    measured, before = misses.reshape(misses.size), there.reshape(there.size)
+    for i in range(len(measured)):
+        slopes[parameter, i] = (measured[i] - before[i]) / moved
+
+
+@kernel
+def correct_slopes(  # noqa: PLR0917  # as above
+    slopes: FloatArray,
+    origin: FloatArray,
+    there: FloatArray,
+    point: FloatArray,
+    misses: FloatArray,
+    known: int,
+) -> None:
+    """Correct the slopes by the least that makes the step from ``origin`` (D,) to ``point`` explain how the
+    misses (E, C, 3) of the first ``known`` checkpoints changed (Broyden 1965): ``there`` those at the origin.
+
+    With some of the checkpoints, E must be 1.
+    """
+    step = point - origin
     length = 0.0
     for d in range(len(step)):
         length += step[d] * step[d]
     if length == 0.0:
         return
-    unexplained = change.copy()
+    episodes, _, axes = misses.shape
+    count = episodes * known * axes
+    unexplained = (misses.reshape(misses.size) - there.reshape(there.size))[:count]
     for d in range(len(step)):
-        for i in range(len(change)):
+        for i in range(count):
             unexplained[i] -= step[d] * slopes[d, i]
     for d in range(len(step)):
         factor = step[d] / length
-        for i in range(len(change)):
+        for i in range(count):
             slopes[d, i] += factor * unexplained[i]
 
 

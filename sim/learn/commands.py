@@ -39,7 +39,8 @@ def train(
         typer.Option(min=1, max=1000, help="Independent searches; the best one wins.", show_default="12"),
     ] = None,
     iterations: Annotated[
-        int | None, typer.Option(min=1, help="Candidates that each agent tries.", show_default="20000")
+        int | None,
+        typer.Option(min=1, help="Candidates that each agent tries.", show_default="20000, 2400 if random"),
     ] = None,
     search: Annotated[
         SearchName | None,
@@ -56,7 +57,7 @@ def train(
         ),
     ] = None,
     rollouts: Annotated[
-        int | None, typer.Option(min=1, help="Trials of a candidate.", show_default="64 if random")
+        int | None, typer.Option(min=1, help="Trials of a candidate.", show_default="144 if random")
     ] = None,
     worst: Annotated[
         int | None, typer.Option(min=1, help="Average so many worst ones.", show_default="all rollouts")
@@ -111,7 +112,7 @@ def train(
     With --randomize, a circuit learns to follow any course on robots nobody measured: what it senses is
     where it is relative to the course (the circuit, tracking unless told otherwise, needs the neurons FWD
     and REV), a candidate's score is the mean over many random trials, and the search is CMA-ES; iterations
-    are its generations.
+    are its generations, of which early ones drive a part of the rollouts.
 
         rover-ncp train --randomize full --out runs/robust
         rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine

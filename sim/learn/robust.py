@@ -2,9 +2,9 @@
 
 A generation's candidates all drive the same trials (common random numbers), so that what tells them apart is
 not luck; the next generation drives others, so that none is learned by heart. Early generations drive fewer
-trials: far from the goal a rough estimate will do. What a generation does depends on its number, never on
-how many are to come. The winner is the average of the distribution's last means, which no single lucky trial
-made.
+trials: far from the goal a rough estimate will do, and close to it only a good one shows the way. What a
+generation does depends on its number, never on how many are to come. The winner is the average of the
+distribution's last means, which no single lucky trial made.
 
 Numbers are searched in the unit cube, at whose walls the search is reflected: conductances of leaks and
 capacitances, which span decades, by their logarithm, all else linearly. Those of neurons that are driven
@@ -56,13 +56,16 @@ class Stakes(NamedTuple):
 Drive = Callable[[FloatArray, int, int, Stakes], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stakes: the costs (k, trials)."""
 
+_FINE = 2000
+"""From this generation on candidates drive all rollouts, and the spread may shrink further: what is left to
+gain is in the few trials of a hundred that fail."""
 _FIRST_SPREAD = 0.04
-_SPREADS = (0.01, 0.1)
+_SPREADS, _FINE_SPREADS = (0.01, 0.1), (0.004, 0.1)
 """Noise lets a spread shrink before its time, or, where all is equally good, grow beyond the cube; what a
 wide one scatters, the average takes out."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
-_FEWER_ROLLOUTS = ((150, 4), (900, 2))
+_FEWER_ROLLOUTS = ((150, 16), (900, 8), (_FINE, 4))
 """Before this generation, that fraction of the rollouts."""
 _STAKES, _LATE_STAKES, _LATE = Stakes(6.0, 0.09, 0.012), Stakes(20.0, 0.095, 0.004), 1750
 """The stakes, and those from which generation on: first to come near, then to park always."""
@@ -204,7 +207,7 @@ class RobustSearch:
         self._rollouts, self._worst = rollouts, worst
         start = cube.start
         self.population = round(_POPULATION * default_population(len(start)))
-        self._cma = Cma(start, _FIRST_SPREAD, seed=seed, population=self.population, limits=_SPREADS)
+        self._cma = Cma(start, _FIRST_SPREAD, seed=seed, population=self.population)
         self._means: list[list[float]] = []
 
     @property
@@ -215,6 +218,7 @@ class RobustSearch:
     def advance(self, drive: Drive) -> Generation:
         """Do one generation, whose trials are driven by ``drive``."""
         fraction = self._fraction(self.number)
+        self._cma.limits = _SPREADS if self.number < _FINE else _FINE_SPREADS
         vectors = np.array([self._cube.vector(place) for place in self._cma.ask()])
         stakes = _STAKES if self.number < _LATE else _LATE_STAKES
         found = drive(vectors, self.number * self._rollouts, max(self._rollouts // fraction, 1), stakes)

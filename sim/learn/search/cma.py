@@ -47,7 +47,7 @@ def default_population(dimension: int) -> int:
 class Cma:
     """Minimises a function of a vector (n,), unbounded; ask and tell by turns.
 
-    ``spread`` stays within ``limits``.
+    ``spread`` stays within ``limits``, which may be changed between two generations.
     """
 
     def __init__(
@@ -63,7 +63,8 @@ class Cma:
         self.spread = spread
         self.generation = 0
         self.population = population
-        self._seed, self._limits = seed, limits
+        self.limits = limits
+        self._seed = seed
         size = len(self.mean)
         self._constants = _constants(size, population)
         self._covariance = np.eye(size)
@@ -96,7 +97,7 @@ class Cma:
         )
         length = math.sqrt(_square(self._spread_path))
         self.spread *= math.exp(c.c_sigma / c.d_sigma * (length / c.length - 1.0))
-        self.spread = min(max(self.spread, self._limits[0]), self._limits[1])
+        self.spread = min(max(self.spread, self.limits[0]), self.limits[1])
         settled = math.sqrt(1.0 - keep ** (2 * (self.generation + 1)))
         moves = length / settled < (1.4 + 2.0 / (len(self.mean) + 1.0)) * c.length
         self._path = (1.0 - c.c_c) * self._path

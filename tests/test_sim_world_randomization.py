@@ -62,6 +62,12 @@ def test_harder_ranges_stretch_the_same_draws():
     assert np.array_equal(full.noise, harsh.noise)
 
 
+def test_unrounded_is_harsh_but_for_whole_steps():
+    harsh, unrounded = load_randomization("harsh"), load_randomization("unrounded")
+    steps = {"name": "harsh", "speed_step_m_s": 0.001, "turn_step_rad_s": 0.0174533}
+    assert unrounded.model_copy(update=steps) == harsh
+
+
 def test_a_trial_is_the_same_in_any_company():
     together = drawn("harsh", 6)
     alone = drawn("harsh", 2, first=3)

@@ -53,7 +53,9 @@ def train(
     randomize: Annotated[
         str | None,
         typer.Option(
-            help="Train on random trials: mild, full, harsh or a YAML file of ranges.", show_default=False
+            help="Train on random trials: mild, full, harsh, unrounded (harsh, but for rounded commands) "
+            "or a YAML file of ranges.",
+            show_default=False,
         ),
     ] = None,
     rollouts: Annotated[

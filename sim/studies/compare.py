@@ -1,6 +1,7 @@
 """Other controllers in the circuit's place: the same trials, search and budget, another body of numbers.
 
-    python -m sim.studies.compare AGENT [--seed 1] [--generations 2400] [--rollouts 144] [--trained-on harsh]
+    python -m sim.studies.compare AGENT [--seed 1] [--generations 2400] [--rollouts 144]
+        [--trained-on unrounded]
 
 prints one JSON object: what the search found, and how that does on trials that it did not see. Agents:
 
@@ -159,7 +160,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--generations", type=int, default=2400)
     parser.add_argument("--rollouts", type=int, default=144)
-    parser.add_argument("--trained-on", default="harsh", help="ranges of the training's trials")
+    parser.add_argument("--trained-on", default="unrounded", help="ranges of the training's trials")
     given = parser.parse_args()
     found = compare(
         given.agent,

@@ -8,18 +8,22 @@ whatever the machine has: one AVX-512 register, two of AVX2, four of SSE2 or NEO
 Only kernels can use these functions; called from Python they raise NotImplementedError.
 """
 
+import math
 import operator
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba.core import types
 from numba.extending import models, overload, register_model
+from numpy.typing import NDArray
 
 from rover_ncp.jit import in_kernels
 
 __all__ = [
     "WIDTH",
+    "aligned_zeros",
     "everywhere",
     "gather",
     "larger",
@@ -36,6 +40,15 @@ __all__ = [
 
 WIDTH = 8
 """Lanes in a vector."""
+
+
+def aligned_zeros(*shape: int) -> NDArray[np.float64]:
+    """Return zeros that begin where a cache line may: vectors across two of them take longer to load."""
+    size = math.prod(shape)
+    room = np.zeros(size + WIDTH)
+    first = -(room.ctypes.data // room.itemsize) % WIDTH
+    return room[first : first + size].reshape(shape)
+
 
 _DOUBLES = ir.VectorType(ir.DoubleType(), WIDTH)
 _EXPONENT_SHIFT = 52  # where the exponent stands in a float64

@@ -58,9 +58,11 @@ def drive_alone(model, obstacles, start, commands):
     return np.array(poses), touched
 
 
-@pytest.mark.parametrize(("obstacles", "touching"), [((), 0), (BOX[:1], 3), (BOX, 15)])
-def test_each_rover_of_a_fleet_goes_as_it_would_alone(obstacles, touching):
-    lanes, start = 16, Pose(0.0, 0.01, 0.2)
+@pytest.mark.parametrize(
+    ("lanes", "obstacles", "touching"), [(12, (), 0), (16, (), 0), (16, BOX[:1], 3), (16, BOX, 15)]
+)
+def test_each_rover_of_a_fleet_goes_as_it_would_alone(lanes, obstacles, touching):
+    start = Pose(0.0, 0.01, 0.2)
     commands = random_commands(3, 150, lanes, 0.5, 2.0)
     fleet = Fleet(models(lanes), obstacles)
     for lane in range(lanes):
@@ -72,6 +74,16 @@ def test_each_rover_of_a_fleet_goes_as_it_would_alone(obstacles, touching):
         assert fleet.touched[lane] == touched
     assert fleet.touched.sum() >= touching
     assert obstacles or not fleet.touched.any()
+
+
+def test_a_mirror_image_shows_in_no_bit_not_even_where_there_is_nothing_to_see():
+    fleet, commands = Fleet([RoverModel()] * 8), np.zeros((8, 20, 2))
+    commands[2:, :, 0] = 0.3
+    commands[4:, 10:, 1] = np.linspace(-0.4, 0.4, 4)[:, None]
+    poses = np.array([fleet.tick(np.ascontiguousarray(command.T)) for command in np.swapaxes(commands, 0, 1)])
+    for lane in range(8):
+        alone, _ = drive_alone(RoverModel(), (), Pose(0.0, 0.0, 0.0), commands[lane])
+        assert np.ascontiguousarray(poses[:, :, lane]).tobytes() == alone.tobytes()
 
 
 def test_a_rover_placed_again_is_as_good_as_new():

@@ -20,7 +20,7 @@ from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.circuit.program import Chemical, Gaps, LaneParameters, Program, Stepped
 from rover_ncp.circuit.sensing import Drive
 from rover_ncp.circuit.solver import fill_lane
-from rover_ncp.vectors import WIDTH
+from rover_ncp.vectors import WIDTH, aligned_zeros
 
 __all__ = ["allocate_lanes", "inert_parameters", "lane_parameters", "make_program", "resting_potentials"]
 
@@ -91,7 +91,7 @@ def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParamete
     blocks, slots = -(-count // WIDTH), len(program.stepped.neuron)
 
     def rows(number: int, blocks: int = blocks) -> NDArray[np.float64]:
-        return np.zeros((blocks, number, WIDTH))
+        return aligned_zeros(blocks, number, WIDTH)
 
     lanes = LaneParameters(
         settled_weight=rows(len(program.settled.source)),
@@ -129,7 +129,9 @@ def lane_parameters(policy: Policy, vectors: ArrayLike) -> LaneParameters:
 
 def resting_potentials(policy: Policy, count: int) -> NDArray[np.float64]:
     """Return the potentials (n, count) in mV at the start of a run."""
-    return np.full((policy.circuit.size, count), RESTING_MV)
+    potentials = aligned_zeros(policy.circuit.size, count)
+    potentials[:] = RESTING_MV
+    return potentials
 
 
 def _with_held(drive: Drive, circuit: Circuit) -> Drive:

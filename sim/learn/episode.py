@@ -17,8 +17,7 @@ from rover_ncp.circuit.solver import fill_lane, tick_lanes
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.signals import seen_from
 from rover_ncp.jit import borrowed, inlined_kernel, kernel
-from sim.world import chipmunk
-from sim.world.fleet import FleetArrays, advance, place, read_poses, send, wrapped
+from sim.world.fleet import FleetArrays, advance, place, push, read_pose, read_poses, send, wrapped
 from sim.world.randomization import BaseErrors, OdometryErrors, Trials, driven, reckoned, stepped
 from sim.world.rover import SUBSTEP_S
 
@@ -309,14 +308,9 @@ def reckon(trials: Trials, lanes: Lanes, trial: int, lane: int, before: FloatArr
 @kernel
 def bump(trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, lane: int) -> None:
     """Push the rover, unseen by its odometry."""
-    body, layout, push = fleet.bodies[lane], fleet.layout, trials.bump[trial]
-    chipmunk.store(body + layout.position, chipmunk.load(body + layout.position) + push[1])
-    chipmunk.store(body + layout.position + 8, chipmunk.load(body + layout.position + 8) + push[2])
-    angle = chipmunk.load(body + layout.angle) + push[3]
-    chipmunk.call_with_number(layout.set_angle, body, angle)
-    lanes.poses[0, lane] = chipmunk.load(body + layout.position)
-    lanes.poses[1, lane] = chipmunk.load(body + layout.position + 8)
-    lanes.poses[2, lane] = wrapped(angle)
+    _, x, y, theta = trials.bump[trial]
+    push(fleet, lane, x, y, theta)
+    read_pose(fleet, lanes.poses, lane)
 
 
 @kernel

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import pymunk
 from llvmlite import ir
-from numba import cfunc, types
+from numba import types
 from numba.extending import intrinsic
 from pymunk._chipmunk_cffi import ffi, lib
 
@@ -166,18 +166,15 @@ def _contacts_offset(space: pymunk.Space, body: pymunk.Body) -> int:
     return found[0]
 
 
-@cfunc(types.void())
-def _nothing() -> None:
-    """Take whatever arguments the caller passes, and leave everything as it is."""
-
-
 def leave_velocities(space: pymunk.Space, body: pymunk.Body) -> None:
     """Let Chipmunk's steps change a velocity by contacts alone, as they do without gravity and damping.
 
     The bits are the same and a step is quicker: damping of 0, which nobody reads any more, spares it a
     power function.
     """
-    lib.cpBodySetVelocityUpdateFunc(body._body, ffi.cast("cpBodyVelocityFunc", _nothing.address))
+    # It takes a body first, as an update does, and changes nothing.
+    getter = ffi.addressof(lib, "cpBodyGetUserData")
+    lib.cpBodySetVelocityUpdateFunc(body._body, ffi.cast("cpBodyVelocityFunc", getter))
     space.damping = 0.0
 
 

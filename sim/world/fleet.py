@@ -1,16 +1,19 @@
 """Many rovers stepped together from inside a kernel, each to the last bit as ``rover.Rover`` would go.
 
-The rules are those of ``rover.py``; here they stand a second time, on arrays. Rovers share bays of four,
-all on the same spot of it: they do not collide with each other, and Chipmunk works relative to the bay's
-origin, so a rover's path does not depend on which of the four it is, nor on what the others do. (Spread out
-in one bay they would be a little quicker, but rounding would make each place's path its own.)
+The rules are those of ``rover.py``; here they stand a second time, on arrays. Rovers share bays, all on the
+same spot of it: they do not collide with each other, and Chipmunk works relative to the bay's origin, so a
+rover's path does not depend on its place in the bay, nor on what the others do. (Spread out in one bay they
+would be quicker, but rounding would make each place's path its own.) Where nothing stands, every other rover
+drives in the mirror image, its left being its right: that changes signs and no other bit, and halves the
+pairs whose rectangles overlap.
 
-Measured per rover and substep (one core of an AMD EPYC): 112 ns alone in a bay, 67 ns in bays of four, 70 in
-bays of six, 74 in bays of eight: a space's step costs 54 ns whatever is in it, and every two rovers on one
-spot 4 ns. All but 5 ns of it is Chipmunk's step; 19 ns go into the sine and cosine of the heading. Since then
-what it does in vain is spared, to the same bits: damping (7 % of the whole, on a busy machine), and, where
-nothing stands, nine of ten rounds of its contact solver (4 %) and a power function for them (3 ns). A spatial
-hash instead of the tree costs a fifth more.
+Measured per rover and substep (one core of an AMD EPYC), all on one spot: 112 ns alone in a bay, 67 ns in
+bays of four, 70 in bays of six, 74 in bays of eight: a space's step costs 54 ns whatever is in it, and every
+two rovers on one spot 4 ns. So bays hold four, or eight of which four are mirrored: 62 ns where 65 were, on
+paths that start together and fan out. All but 5 ns of it is Chipmunk's step; 10 to 19 ns go into the sine and
+cosine of the heading. Since then what it does in vain is spared, to the same bits: damping (7 % of the whole,
+on a busy machine), and, where nothing stands, nine of ten rounds of its contact solver (4 %) and a power
+function for them (3 ns). A spatial hash instead of the tree costs a fifth more.
 
 Every substep of every rover is Chipmunk's step with its shape present, also where nothing stands that it
 could touch: an integrator of our own would be faster there, and be a second simulator.
@@ -59,6 +62,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 ROVERS_PER_BAY = 4
+"""Twice as many where nothing stands."""
 SUBSTEPS = 10
 """Physics steps in a control tick."""
 
@@ -68,7 +72,10 @@ class FleetArrays(NamedTuple):
 
     layout: chipmunk.Layout
     spaces: IntArray
-    """(L / ROVERS_PER_BAY,) addresses."""
+    """(L / rovers_per_bay, rounded up) addresses."""
+    rovers_per_bay: int
+    side: FloatArray
+    """(L,) -1 for rovers that drive in the mirror image, else 1."""
     bodies: IntArray
     shapes: IntArray
     """(L,) addresses each."""
@@ -102,11 +109,12 @@ class Fleet:
     def __init__(self, models: Sequence[RoverModel], obstacles: Sequence[Obstacle] = ()) -> None:
         if not models or len(models) % ROVERS_PER_BAY:
             raise ValueError(f"a fleet is a multiple of {ROVERS_PER_BAY} rovers, got {len(models)}")
+        per_bay = ROVERS_PER_BAY if obstacles else 2 * ROVERS_PER_BAY
         # Kept for their memory, whose addresses the kernels have.
-        self.bays = [Bay(obstacles) for _ in range(len(models) // ROVERS_PER_BAY)]
-        self.bodies = [rover_body(model, self.bays[i // ROVERS_PER_BAY]) for i, model in enumerate(models)]
+        self.bays = [Bay(obstacles) for _ in range(-(-len(models) // per_bay))]
+        self.bodies = [rover_body(model, self.bays[i // per_bay]) for i, model in enumerate(models)]
         for i, body in enumerate(self.bodies):
-            chipmunk.leave_velocities(self.bays[i // ROVERS_PER_BAY].space, body)
+            chipmunk.leave_velocities(self.bays[i // per_bay].space, body)
         if not obstacles:
             for bay in self.bays:
                 bay.space.iterations = 1  # there will be no contact to solve
@@ -119,6 +127,8 @@ class Fleet:
         self.arrays = FleetArrays(
             layout=chipmunk.find_layout(),
             spaces=np.array([chipmunk.space_address(bay.space) for bay in self.bays]),
+            rovers_per_bay=per_bay,
+            side=np.where((np.arange(lanes) % 2 == 1) & (not obstacles), -1.0, 1.0),
             bodies=bodies,
             shapes=np.array([chipmunk.shape_address(next(iter(body.shapes))) for body in self.bodies]),
             eights=np.pad(bodies, (0, -lanes % WIDTH), mode="edge"),
@@ -170,13 +180,13 @@ def place(fleet: FleetArrays, lane: int, x: float, y: float, theta: float) -> No
     something is placed for good only when it is placed again after a step in the open.
     """
     body, layout = fleet.bodies[lane], fleet.layout
-    space, shape = fleet.spaces[lane // ROVERS_PER_BAY], fleet.shapes[lane]
+    space, shape, side = fleet.spaces[lane // fleet.rovers_per_bay], fleet.shapes[lane], fleet.side[lane]
     # A shape taken out and put in again has left its contacts behind, and the hints that collision detection
     # keeps for its next search; with them the last bits of a path would depend on the rover's past.
     chipmunk.call_with_thing(layout.remove_shape, space, shape)
     chipmunk.store(body + layout.position, x)
-    chipmunk.store(body + layout.position + 8, y)
-    chipmunk.call_with_number(layout.set_angle, body, theta)
+    chipmunk.store(body + layout.position + 8, side * y)
+    chipmunk.call_with_number(layout.set_angle, body, side * theta)
     chipmunk.store(body + layout.velocity, 0.0)
     chipmunk.store(body + layout.velocity + 8, 0.0)
     chipmunk.store(body + layout.angular_velocity, 0.0)
@@ -204,7 +214,7 @@ def advance(fleet: FleetArrays) -> None:
     # Local names: numba counts references whenever an array is taken out of a tuple.
     layout, bodies, eights, spaces = fleet.layout, fleet.bodies, fleet.eights, fleet.spaces
     old, new, late, rise, fall, grip = fleet.old, fleet.new, fleet.late, fleet.rise, fleet.fall, fleet.grip
-    touched = fleet.touched
+    touched, per_bay = fleet.touched, fleet.rovers_per_bay
     for start in range(0, len(bodies), WIDTH):
         end = min(start + WIDTH, len(bodies))
         for substep in range(SUBSTEPS):
@@ -226,7 +236,7 @@ def advance(fleet: FleetArrays) -> None:
             scatter(eights, start, layout.velocity, cos * forward - sin * sideways)
             scatter(eights, start, layout.velocity + 8, sin * forward + cos * sideways)
             scatter(eights, start, layout.angular_velocity, omega)
-            for bay in range(start // ROVERS_PER_BAY, end // ROVERS_PER_BAY):
+            for bay in range(start // per_bay, (end + per_bay - 1) // per_bay):
                 chipmunk.call_with_number(layout.step, spaces[bay], SUBSTEP_S)
             for lane in range(start, end):
                 if chipmunk.load_word(bodies[lane] + layout.contacts) != 0:
@@ -237,7 +247,7 @@ def advance(fleet: FleetArrays) -> None:
 def find_targets(fleet: FleetArrays) -> None:
     """Find which commands fall due in this tick, and when."""
     sent, delay, late, old, new = fleet.sent, fleet.delay, fleet.late, fleet.old, fleet.new
-    clock, ticks_kept = fleet.clock[0], len(sent)
+    side, clock, ticks_kept = fleet.side, fleet.clock[0], len(sent)
     for axis in range(2):
         for lane in range(len(fleet.bodies)):
             ticks = delay[axis, lane] // SUBSTEPS
@@ -245,6 +255,9 @@ def find_targets(fleet: FleetArrays) -> None:
             new[axis, lane] = sent[due, axis, lane]
             old[axis, lane] = sent[due - 1 if due > 0 else ticks_kept - 1, axis, lane]
             late[axis, lane] = delay[axis, lane] - ticks * SUBSTEPS
+    for lane in range(len(fleet.bodies)):
+        old[1, lane] *= side[lane]
+        new[1, lane] *= side[lane]
 
 
 _own_axes = kernel(own_axes)
@@ -261,10 +274,25 @@ def toward(speed, target, rise, fall):  # type: ignore[no-untyped-def]  # vector
 def read_poses(fleet: FleetArrays, poses: FloatArray) -> None:
     """Write the true poses (3, L): x and y in m, heading in rad within (−π, π]."""
     for lane in range(len(fleet.bodies)):
-        body = fleet.bodies[lane]
-        poses[0, lane] = chipmunk.load(body + fleet.layout.position)
-        poses[1, lane] = chipmunk.load(body + fleet.layout.position + 8)
-        poses[2, lane] = wrapped(chipmunk.load(body + fleet.layout.angle))
+        read_pose(fleet, poses, lane)
+
+
+@inlined_kernel
+def read_pose(fleet: FleetArrays, poses: FloatArray, lane: int) -> None:
+    """Write one rover's pose. Nothing is ever at -0.0, so the mirror image of 0.0 must not be."""
+    body, layout, side = fleet.bodies[lane], fleet.layout, fleet.side[lane]
+    poses[0, lane] = chipmunk.load(body + layout.position)
+    poses[1, lane] = side * chipmunk.load(body + layout.position + 8) + 0.0
+    poses[2, lane] = wrapped(side * chipmunk.load(body + layout.angle) + 0.0)
+
+
+@kernel
+def push(fleet: FleetArrays, lane: int, x: float, y: float, theta: float) -> None:
+    """Shift a rover at once; it keeps its velocity."""
+    body, layout, side = fleet.bodies[lane], fleet.layout, fleet.side[lane]
+    chipmunk.store(body + layout.position, chipmunk.load(body + layout.position) + x)
+    chipmunk.store(body + layout.position + 8, chipmunk.load(body + layout.position + 8) + side * y)
+    chipmunk.call_with_number(layout.set_angle, body, chipmunk.load(body + layout.angle) + side * theta)
 
 
 @kernel

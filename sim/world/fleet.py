@@ -1,19 +1,19 @@
 """Many rovers stepped together from inside a kernel, each to the last bit as ``rover.Rover`` would go.
 
-The rules are those of ``rover.py``; here they stand a second time, on arrays. Rovers share bays, all on the
-same spot of it: they do not collide with each other, and Chipmunk works relative to the bay's origin, so a
-rover's path does not depend on its place in the bay, nor on what the others do. (Spread out in one bay they
-would be quicker, but rounding would make each place's path its own.) Where nothing stands, every other rover
-drives in the mirror image, its left being its right: that changes signs and no other bit, and halves the
-pairs whose rectangles overlap.
+The rules are those of ``rover.py``; here they stand a second time, on arrays. Rovers share bays of four, all
+on the same spot of it: they do not collide with each other, and Chipmunk works relative to the bay's origin,
+so a rover's path does not depend on which of the four it is, nor on what the others do. (Spread out in one
+bay they would be quicker, but rounding would make each place's path its own.) Where nothing stands, every
+other rover drives in the mirror image, its left being its right: that changes signs and no other bit, and
+spares pairs of rectangles that overlap.
 
 Measured per rover and substep (one core of an AMD EPYC), all on one spot: 112 ns alone in a bay, 67 ns in
 bays of four, 70 in bays of six, 74 in bays of eight: a space's step costs 54 ns whatever is in it, and every
-two rovers on one spot 4 ns. So bays hold four, or eight of which four are mirrored: 62 ns where 65 were, on
-paths that start together and fan out. All but 5 ns of it is Chipmunk's step; 10 to 19 ns go into the sine and
-cosine of the heading. Since then what it does in vain is spared, to the same bits: damping (7 % of the whole,
-on a busy machine), and, where nothing stands, nine of ten rounds of its contact solver (4 %) and a power
-function for them (3 ns). A spatial hash instead of the tree costs a fifth more.
+two rovers on one spot 4 ns. All but 5 ns of it is Chipmunk's step; 10 to 19 ns go into the sine and cosine of
+the heading. Since then what it does in vain is spared, to the same bits: damping (7 % of the whole, on a busy
+machine), and, where nothing stands, nine of ten rounds of its contact solver (4 %), a power function for them
+(3 ns), and pairs (3 ns; bays of eight, of which four are mirrored, cost more again). A spatial hash instead
+of the tree costs a fifth more.
 
 Every substep of every rover is Chipmunk's step with its shape present, also where nothing stands that it
 could touch: an integrator of our own would be faster there, and be a second simulator.
@@ -62,7 +62,6 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 ROVERS_PER_BAY = 4
-"""Twice as many where nothing stands."""
 SUBSTEPS = 10
 """Physics steps in a control tick."""
 
@@ -72,8 +71,7 @@ class FleetArrays(NamedTuple):
 
     layout: chipmunk.Layout
     spaces: IntArray
-    """(L / rovers_per_bay, rounded up) addresses."""
-    rovers_per_bay: int
+    """(L / ROVERS_PER_BAY,) addresses."""
     side: FloatArray
     """(L,) -1 for rovers that drive in the mirror image, else 1."""
     bodies: IntArray
@@ -109,12 +107,11 @@ class Fleet:
     def __init__(self, models: Sequence[RoverModel], obstacles: Sequence[Obstacle] = ()) -> None:
         if not models or len(models) % ROVERS_PER_BAY:
             raise ValueError(f"a fleet is a multiple of {ROVERS_PER_BAY} rovers, got {len(models)}")
-        per_bay = ROVERS_PER_BAY if obstacles else 2 * ROVERS_PER_BAY
         # Kept for their memory, whose addresses the kernels have.
-        self.bays = [Bay(obstacles) for _ in range(-(-len(models) // per_bay))]
-        self.bodies = [rover_body(model, self.bays[i // per_bay]) for i, model in enumerate(models)]
+        self.bays = [Bay(obstacles) for _ in range(len(models) // ROVERS_PER_BAY)]
+        self.bodies = [rover_body(model, self.bays[i // ROVERS_PER_BAY]) for i, model in enumerate(models)]
         for i, body in enumerate(self.bodies):
-            chipmunk.leave_velocities(self.bays[i // per_bay].space, body)
+            chipmunk.leave_velocities(self.bays[i // ROVERS_PER_BAY].space, body)
         if not obstacles:
             for bay in self.bays:
                 bay.space.iterations = 1  # there will be no contact to solve
@@ -127,7 +124,6 @@ class Fleet:
         self.arrays = FleetArrays(
             layout=chipmunk.find_layout(),
             spaces=np.array([chipmunk.space_address(bay.space) for bay in self.bays]),
-            rovers_per_bay=per_bay,
             side=np.where((np.arange(lanes) % 2 == 1) & (not obstacles), -1.0, 1.0),
             bodies=bodies,
             shapes=np.array([chipmunk.shape_address(next(iter(body.shapes))) for body in self.bodies]),
@@ -180,7 +176,7 @@ def place(fleet: FleetArrays, lane: int, x: float, y: float, theta: float) -> No
     something is placed for good only when it is placed again after a step in the open.
     """
     body, layout = fleet.bodies[lane], fleet.layout
-    space, shape, side = fleet.spaces[lane // fleet.rovers_per_bay], fleet.shapes[lane], fleet.side[lane]
+    space, shape, side = fleet.spaces[lane // ROVERS_PER_BAY], fleet.shapes[lane], fleet.side[lane]
     # A shape taken out and put in again has left its contacts behind, and the hints that collision detection
     # keeps for its next search; with them the last bits of a path would depend on the rover's past.
     chipmunk.call_with_thing(layout.remove_shape, space, shape)
@@ -214,7 +210,7 @@ def advance(fleet: FleetArrays) -> None:
     # Local names: numba counts references whenever an array is taken out of a tuple.
     layout, bodies, eights, spaces = fleet.layout, fleet.bodies, fleet.eights, fleet.spaces
     old, new, late, rise, fall, grip = fleet.old, fleet.new, fleet.late, fleet.rise, fleet.fall, fleet.grip
-    touched, per_bay = fleet.touched, fleet.rovers_per_bay
+    touched = fleet.touched
     for start in range(0, len(bodies), WIDTH):
         end = min(start + WIDTH, len(bodies))
         for substep in range(SUBSTEPS):
@@ -236,7 +232,7 @@ def advance(fleet: FleetArrays) -> None:
             scatter(eights, start, layout.velocity, cos * forward - sin * sideways)
             scatter(eights, start, layout.velocity + 8, sin * forward + cos * sideways)
             scatter(eights, start, layout.angular_velocity, omega)
-            for bay in range(start // per_bay, (end + per_bay - 1) // per_bay):
+            for bay in range(start // ROVERS_PER_BAY, end // ROVERS_PER_BAY):
                 chipmunk.call_with_number(layout.step, spaces[bay], SUBSTEP_S)
             for lane in range(start, end):
                 if chipmunk.load_word(bodies[lane] + layout.contacts) != 0:

@@ -12,7 +12,8 @@ __all__ = ["Answer", "Flow", "Lockstep"]
 
 
 class Answer(NamedTuple):
-    """What became of the n candidates that an agent had submitted."""
+    """What became of the n candidates that an agent had submitted; its arrays may change when it submits
+    again."""
 
     agent: int
     values: Vector

@@ -167,6 +167,5 @@ class Stream:
                 continue
             places = slice(agent * self.room, agent * self.room + count)
             self._submitted[agent] = 0
-            misses = self._queue.misses[places, None].copy()
-            answers.append(Answer(agent, self._queue.results[places, 0].copy(), misses))
+            answers.append(Answer(agent, self._queue.results[places, 0], self._queue.misses[places, None]))
         return answers

@@ -88,6 +88,10 @@ class Descent:
     woken: int = 0
     """How often it has looked for what had fallen silent."""
 
+    def __post_init__(self) -> None:
+        """Make room for the weights (E, C, 3) of the misses."""
+        self._weights = np.empty_like(self.at.misses)
+
     @property
     def boldness(self) -> Vector:
         """Dampings of a batch's steps, in terms of the damping that worked last."""
@@ -125,10 +129,11 @@ class Descent:
 
     def write_targets(self, targets: Vector) -> None:
         """Write where the steps of a batch lead, (n, D)."""
-        at, weights = self.at, np.ones_like(self.at.misses)
+        at, weights, dampings = self.at, self._weights, self.damping * self.boldness
         if self.survives:
             least_squares.survival_weights(at.misses, LIFETIME_M2, weights)
-        dampings = self.damping * self.boldness
+        else:
+            weights.fill(1.0)
         least_squares.damped_steps(
             self.slopes, at.misses.ravel(), weights.ravel(), at.point, dampings, targets
         )

@@ -62,8 +62,7 @@ class UnitBox:
     def vectors(self, points: Vector) -> Vector:
         """Return the parameter vectors (n, P) of points (n, D)."""
         vectors = np.empty((len(points), len(self.defaults)))
-        vectors[:] = self.defaults
-        _write_values(points, self._scales, self.free, vectors)
+        _write_values(points, self._scales, self.free, self.defaults, vectors)
         return vectors
 
 
@@ -80,7 +79,11 @@ def _log2(value: float) -> float:
 
 
 @kernel
-def _write_values(points: Vector, scales: Vector, free: NDArray[np.int64], vectors: Vector) -> None:
+def _write_values(
+    points: Vector, scales: Vector, free: NDArray[np.int64], defaults: Vector, vectors: Vector
+) -> None:
+    for row in range(len(vectors)):
+        vectors[row] = defaults
     for d in range(len(free)):
         lower, upper, doublings = scales[0, d], scales[1, d], scales[2, d]
         for row in range(len(points)):

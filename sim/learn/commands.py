@@ -40,7 +40,7 @@ def train(
     ] = None,
     iterations: Annotated[
         int | None,
-        typer.Option(min=1, help="Candidates that each agent tries.", show_default="20000, 2400 if random"),
+        typer.Option(min=1, help="Candidates that each agent tries.", show_default="20000, 2600 if random"),
     ] = None,
     search: Annotated[
         SearchName | None,
@@ -53,8 +53,8 @@ def train(
     randomize: Annotated[
         str | None,
         typer.Option(
-            help="Train on random trials: mild, full, harsh, unrounded (harsh, but for rounded commands) "
-            "or a YAML file of ranges.",
+            help="Train on random trials: mild, full, harsh, training (harsh, with rounded commands in "
+            "only half of the trials) or a YAML file of ranges.",
             show_default=False,
         ),
     ] = None,

@@ -56,7 +56,7 @@ class RobustSettings(_Settings):
     circuit: str = "tracking"
     randomize: str = "full"
     seed: int = Field(default=0, ge=0)
-    iterations: int = Field(default=2400, ge=1, description="generations")
+    iterations: int = Field(default=2600, ge=1, description="generations")
     rollouts: int = Field(default=144, ge=1, description="trials of a candidate")
     worst: int = Field(default=144, ge=1, description="of which so many worst are averaged")
     random_courses: int = Field(default=24, ge=0, description="that are driven beside the course")

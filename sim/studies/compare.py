@@ -1,7 +1,7 @@
 """Other controllers in the circuit's place: the same trials, search and budget, another body of numbers.
 
-    python -m sim.studies.compare AGENT [--seed 1] [--generations 2400] [--rollouts 144]
-        [--trained-on unrounded]
+    python -m sim.studies.compare AGENT [--seed 1] [--generations 2600] [--rollouts 144]
+        [--trained-on training]
 
 prints one JSON object: what the search found, and how that does on trials that it did not see. Agents:
 
@@ -158,9 +158,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m sim.studies.compare")
     parser.add_argument("agent")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--generations", type=int, default=2400)
+    parser.add_argument("--generations", type=int, default=2600)
     parser.add_argument("--rollouts", type=int, default=144)
-    parser.add_argument("--trained-on", default="unrounded", help="ranges of the training's trials")
+    parser.add_argument("--trained-on", default="training", help="ranges of the training's trials")
     given = parser.parse_args()
     found = compare(
         given.agent,

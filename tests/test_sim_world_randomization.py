@@ -62,16 +62,6 @@ def test_harder_ranges_stretch_the_same_draws():
     assert np.array_equal(full.noise, harsh.noise)
 
 
-def test_training_is_harsh_but_only_half_of_its_trials_have_whole_steps():
-    harsh, training = (load_randomization(name) for name in ("harsh", "training"))
-    assert training.model_copy(update={"name": "harsh", "stepping": 1.0}) == harsh
-    steps = drawn("training", 400).step
-    whole = [harsh.speed_step_m_s, harsh.turn_step_rad_s]
-    assert {tuple(row) for row in steps} == {(0.0, 0.0), tuple(whole)}
-    assert (steps[:, 0] > 0).mean() == pytest.approx(0.5, abs=0.1)
-    assert (drawn("harsh", 400).step == whole).all()
-
-
 def test_a_trial_is_the_same_in_any_company():
     together = drawn("harsh", 6)
     alone = drawn("harsh", 2, first=3)

@@ -220,8 +220,8 @@ def pass_commands(trials: Trials, lanes: Lanes, queue: Queue) -> None:
             continue
         trial = queue.trial[episode[lane]]
         if not trials.lost[trial, tick[lane]]:
-            held[0, lane] = _stepped(commands[0, lane], trials.step[trial, 0])
-            held[1, lane] = _stepped(commands[1, lane], trials.step[trial, 1])
+            held[0, lane] = _stepped(commands[0, lane], trials.step[0])
+            held[1, lane] = _stepped(commands[1, lane], trials.step[1])
         lanes.driven[0, lane], lanes.driven[1, lane] = _driven(
             held[0, lane],
             held[1, lane],

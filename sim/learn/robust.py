@@ -56,16 +56,16 @@ class Stakes(NamedTuple):
 Drive = Callable[[FloatArray, int, int, Stakes], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stakes: the costs (k, trials)."""
 
-_FINE = 2000
-"""From this generation on candidates drive all rollouts, and the spread may shrink further: what is left to
-gain is in the few trials of a hundred that fail."""
+_FINE, _MORE_ROLLOUTS = 3000, 4
+"""From this generation on candidates drive so many times the rollouts, and the spread may shrink further: what
+is left to gain is in the few trials of a hundred that fail."""
 _FIRST_SPREAD = 0.04
 _SPREADS, _FINE_SPREADS = (0.01, 0.1), (0.004, 0.1)
 """Noise lets a spread shrink before its time, or, where all is equally good, grow beyond the cube; what a
 wide one scatters, the average takes out."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
-_FEWER_ROLLOUTS = ((150, 16), (900, 8), (_FINE, 4))
+_FEWER_ROLLOUTS = ((150, 4), (900, 2))
 """Before this generation, that fraction of the rollouts."""
 _STAKES, _LATE_STAKES, _LATE = Stakes(6.0, 0.09, 0.012), Stakes(20.0, 0.095, 0.004), 1750
 """The stakes, and those from which generation on: first to come near, then to park always."""
@@ -217,12 +217,13 @@ class RobustSearch:
 
     def advance(self, drive: Drive) -> Generation:
         """Do one generation, whose trials are driven by ``drive``."""
-        fraction = self._fraction(self.number)
-        self._cma.limits = _SPREADS if self.number < _FINE else _FINE_SPREADS
+        fraction, times = self._fraction(self.number), self._times(self.number)
+        self._cma.limits = _SPREADS if times == 1 else _FINE_SPREADS
         vectors = np.array([self._cube.vector(place) for place in self._cma.ask()])
         stakes = _STAKES if self.number < _LATE else _LATE_STAKES
-        found = drive(vectors, self.number * self._rollouts, max(self._rollouts // fraction, 1), stakes)
-        least = max(self._worst // fraction, 1)
+        rollouts, worst = times * self._rollouts, times * self._worst
+        found = drive(vectors, self.number * rollouts, max(rollouts // fraction, 1), stakes)
+        least = max(worst // fraction, 1)
         values = np.array([-mean_of_worst((-row).tolist(), least) for row in found])
         self._cma.tell(values)
         self._means = [*self._means, self._cma.mean.tolist()][-_AVERAGED:]
@@ -231,11 +232,17 @@ class RobustSearch:
     @property
     def episodes(self) -> int:
         """Episodes driven so far."""
-        rollouts = (max(self._rollouts // self._fraction(number), 1) for number in range(self.number))
+        rollouts = (
+            max(self._times(number) * self._rollouts // self._fraction(number), 1)
+            for number in range(self.number)
+        )
         return self.population * sum(rollouts)
 
     def _fraction(self, number: int) -> int:
         return next((part for before, part in _FEWER_ROLLOUTS if number < before), 1)
+
+    def _times(self, number: int) -> int:
+        return 1 if number < _FINE else _MORE_ROLLOUTS
 
     @property
     def winner(self) -> FloatArray:

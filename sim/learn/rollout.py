@@ -149,7 +149,7 @@ def rollout(
         seen.append(odometry.seen(tick))
         v, omega = runner.tick(observation(tick, course.start_signal(TICK_S * tick)))
         if not trials.lost[row, tick]:
-            held = stepped(v, float(trials.step[row, 0])), stepped(omega, float(trials.step[row, 1]))
+            held = stepped(v, float(trials.step[0])), stepped(omega, float(trials.step[1]))
         rover.command(*driven(*held, base))
         for _ in range(SUBSTEPS):
             rover.substep()

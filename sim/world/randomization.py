@@ -59,7 +59,6 @@ class Randomization(StrictModel):
     slip_s: float = Field(default=0.0, ge=0, description="0..: lost share of a turn per rad/s, unseen")
     speed_step_m_s: float = Field(default=0.0, ge=0, description="commands come in whole steps")
     turn_step_rad_s: float = Field(default=0.0, ge=0)
-    stepping: float = Field(default=1.0, ge=0, le=1, description="share of trials that have these steps")
     jitter_s: float = Field(default=0.0, ge=0, le=TICK_S, description="0..: age of a seen pose")
     drift_rad_s: float = Field(default=0.0, ge=0, description="of the seen heading")
     bump_m: float = Field(default=0.0, ge=0, description="one push on the way, unseen")
@@ -95,7 +94,7 @@ class Trials(NamedTuple):
     lost: NDArray[np.bool_]
     """(N, T) whether the command of a tick is lost."""
     step: FloatArray
-    """(N, 2) of v and omega; 0 for none."""
+    """(2,) of v and omega; 0 for none."""
 
     @property
     def size(self) -> int:
@@ -104,7 +103,7 @@ class Trials(NamedTuple):
 
 
 def load_randomization(name_or_path: str | Path) -> Randomization:
-    """Load shipped ranges by name (none, mild, full, harsh, training) or a file by path."""
+    """Load shipped ranges by name (none, mild, full, harsh) or a file by path."""
     return load_yaml(resolve("randomizations", name_or_path), Randomization)
 
 
@@ -128,11 +127,10 @@ def draw_trials(
     streams = [
         np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first + i,))) for i in range(count)
     ]
-    # What is new is drawn after all else, so that the others stay.
+    # (N, 17) in −1..1; new parameters go to the end, so that the others stay.
     u = np.array([stream.uniform(-1.0, 1.0, 17) for stream in streams])
     noise = np.array([stream.normal(size=(ticks + 1, 3)) for stream in streams])
     chance = np.array([stream.random((ticks + 1, 2)) for stream in streams])
-    steps = np.array([stream.random() for stream in streams]) < ranges.stepping
     nominal = (model.delay_v_s, model.delay_v_s), (model.delay_omega_s, model.delay_omega_s)
     least, most = np.array([ranges.delay_v_s or nominal[0], ranges.delay_omega_s or nominal[1]]).T
     delay_s = least + (most - least) * 0.5 * (1.0 + u[:, 3:5])
@@ -162,7 +160,7 @@ def draw_trials(
         noise=sigma * noise,
         age=ranges.jitter_s / TICK_S * chance[:, :, 1],
         lost=_lost(ranges, chance[:, :ticks, 0]),
-        step=np.outer(steps, [ranges.speed_step_m_s, ranges.turn_step_rad_s]),
+        step=np.array([ranges.speed_step_m_s, ranges.turn_step_rad_s]),
     )
 
 

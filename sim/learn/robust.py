@@ -57,8 +57,8 @@ Drive = Callable[[FloatArray, int, int, Stakes], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stakes: the costs (k, trials)."""
 
 _FINE, _MORE_ROLLOUTS = 3000, 4
-"""From this generation on candidates drive so many times the rollouts, and the spread may shrink further: what
-is left to gain is in the few trials of a hundred that fail."""
+"""From this generation on candidates drive so many times the rollouts, and the spread may shrink further:
+what is left to gain is in the few trials of a hundred that fail."""
 _FIRST_SPREAD = 0.04
 _SPREADS, _FINE_SPREADS = (0.01, 0.1), (0.004, 0.1)
 """Noise lets a spread shrink before its time, or, where all is equally good, grow beyond the cube; what a

@@ -29,7 +29,7 @@ def engine():
 
 
 def searching(seed=3):
-    return RobustSearch(UnitCube(START), seed=seed, rollouts=32, worst=32)
+    return RobustSearch(UnitCube(START), seed=seed, rollouts=128, worst=128)
 
 
 def search(generations, seed=3):
@@ -121,53 +121,74 @@ def test_the_winner_is_the_average_of_the_last_quarter_of_the_means():
     assert winners[7] == pytest.approx(cube.vector(0.5 * (means[6] + means[7])), rel=1e-12)
 
 
-def test_no_more_than_the_last_250_means_count_and_are_kept():
+def test_no_more_than_the_last_100_means_count_and_are_kept():
     going = searching()
     state = going.state()
     state["cma"]["generation"] = 5000
-    state["means"] = [[0.01 * number] * len(state["cma"]["mean"]) for number in range(250)]
+    state["means"] = [[0.01 * number] * len(state["cma"]["mean"]) for number in range(100)]
     going.restore(state)
-    last = going.advance(lambda vectors, first, count, stakes: np.zeros((len(vectors), count)))
+    last = going.advance(lambda vectors, first, count, stage: np.zeros((len(vectors), count)))
     kept = np.array(going.state()["means"])
-    assert len(kept) == 250
-    assert kept[:249].tolist() == state["means"][1:]
+    assert len(kept) == 100
+    assert kept[:99].tolist() == state["means"][1:]
     assert last.winner == pytest.approx(UnitCube(START).vector(kept.mean(axis=0)), rel=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("number", "count", "weight"),
+    ("number", "count", "weight", "rounded"),
     [
-        (0, 8, 6.0),
-        (149, 8, 6.0),
-        (150, 16, 6.0),
-        (899, 16, 6.0),
-        (900, 32, 6.0),
-        (1749, 32, 6.0),
-        (1750, 32, 20.0),
-        (2999, 32, 20.0),
-        (3000, 128, 20.0),
+        (0, 8, 6.0, False),
+        (149, 8, 6.0, False),
+        (150, 16, 6.0, False),
+        (899, 16, 6.0, False),
+        (900, 32, 6.0, False),
+        (1749, 32, 6.0, False),
+        (1750, 32, 20.0, False),
+        (1999, 32, 20.0, False),
+        (2000, 128, 20.0, False),
+        (2399, 128, 20.0, False),
+        (2400, 128, 20.0, True),
     ],
 )
-def test_early_generations_drive_fewer_trials_and_late_ones_count_failures_more(number, count, weight):
+def test_later_generations_drive_more_trials_count_failures_more_and_round(number, count, weight, rounded):
     seen, going = [], searching()
     going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number}})
 
-    def drive(vectors, first, count, stakes):
-        seen.append((len(vectors), first, count, stakes.failure))
+    def drive(vectors, first, count, stage):
+        seen.append((len(vectors), first, count, stage.failure, stage.rounded))
         return np.zeros((len(vectors), count))
 
     before = going.episodes
     going.advance(drive)
-    assert seen == [(31, max(32, count) * number, count, weight)]
+    assert seen == [(31, 128 * number, count, weight, rounded)]
     assert going.episodes - before == 31 * count
 
 
-@pytest.mark.parametrize(("number", "least"), [(2999, 0.01), (3000, 0.004)])
+@pytest.mark.parametrize(("number", "least"), [(1999, 0.01), (2000, 0.004)])
 def test_with_more_rollouts_the_spread_may_shrink_further(number, least):
     going = searching()
     going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number, "spread": 1e-4}})
-    last = going.advance(lambda vectors, first, count, stakes: np.zeros((len(vectors), count)))
+    last = going.advance(lambda vectors, first, count, stage: np.zeros((len(vectors), count)))
     assert last.spread == least
+
+
+def test_commands_are_rounded_only_from_their_stage_on():
+    judge, harsh, seen = engine(), load_randomization("harsh"), []
+    judge.change_trials = seen.append
+    drive = drive_trials(judge, harsh, MODEL, 3)
+    judge.outcomes = lambda vectors: outcome()
+    going = searching()
+
+    def one_for_all(vectors, first, count, stage):
+        return np.repeat(drive(vectors[:1], 0, 2, stage), len(vectors), axis=0)
+
+    for number in (2399, 2400):
+        going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number}})
+        going.advance(one_for_all)
+    free, rounded = seen
+    assert free.step.tolist() == [0.0, 0.0]
+    assert rounded.step.tolist() == [harsh.speed_step_m_s, harsh.turn_step_rad_s]
+    assert all(np.array_equal(a, b) for a, b in zip(free[:-1], rounded[:-1], strict=True))
 
 
 def test_a_search_goes_on_where_it_was():

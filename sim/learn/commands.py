@@ -40,7 +40,7 @@ def train(
     ] = None,
     iterations: Annotated[
         int | None,
-        typer.Option(min=1, help="Candidates that each agent tries.", show_default="20000, 3300 if random"),
+        typer.Option(min=1, help="Candidates that each agent tries.", show_default="20000, 2600 if random"),
     ] = None,
     search: Annotated[
         SearchName | None,
@@ -57,7 +57,7 @@ def train(
         ),
     ] = None,
     rollouts: Annotated[
-        int | None, typer.Option(min=1, help="Trials of a candidate.", show_default="36 if random")
+        int | None, typer.Option(min=1, help="Trials of a candidate.", show_default="144 if random")
     ] = None,
     worst: Annotated[
         int | None, typer.Option(min=1, help="Average so many worst ones.", show_default="all rollouts")
@@ -112,8 +112,7 @@ def train(
     With --randomize, a circuit learns to follow any course on robots nobody measured: what it senses is
     where it is relative to the course (the circuit, tracking unless told otherwise, needs the neurons FWD
     and REV), a candidate's score is the mean over many random trials, and the search is CMA-ES; iterations
-    are its generations, of which early ones drive a part of the rollouts, those from
-    3000 on four times as many.
+    are its generations, of which those before 2000 drive a part of the rollouts.
 
         rover-ncp train --randomize full --out runs/robust
         rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine

@@ -35,7 +35,7 @@ __all__ = [
     "Drive",
     "Generation",
     "RobustSearch",
-    "Stakes",
+    "Stage",
     "UnitCube",
     "costs",
     "drive_trials",
@@ -45,34 +45,45 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 
-class Stakes(NamedTuple):
-    """What failing costs: how much, from which m and rad on, and how far that limit is blurred."""
+class Stage(NamedTuple):
+    """How the generations from number ``since`` on are driven and judged."""
 
+    since: int
+    divisor: int
+    """Candidates drive the rollouts divided by this."""
+    least_spread: float
+    """Noise lets a spread shrink before its time."""
     failure: float
     limit: float
     blur: float
+    """What failing costs, from which m and rad on, and how far that limit is blurred."""
+    rounded: bool
+    """Whether commands come in whole steps, in trials that have them."""
 
 
-Drive = Callable[[FloatArray, int, int, Stakes], FloatArray]
-"""Vectors (k, P), the first trial, how many, and the stakes: the costs (k, trials)."""
+_STAGES = (
+    Stage(0, 16, 0.01, 6.0, 0.09, 0.012, False),
+    Stage(150, 8, 0.01, 6.0, 0.09, 0.012, False),
+    Stage(900, 4, 0.01, 6.0, 0.09, 0.012, False),
+    Stage(1750, 4, 0.01, 20.0, 0.095, 0.004, False),
+    Stage(2000, 1, 0.004, 20.0, 0.095, 0.004, False),
+    Stage(2400, 1, 0.004, 20.0, 0.095, 0.004, True),
+)
+"""First to come near, then to park always, then to park the last few of a hundred, which takes many trials to
+see and small steps. Whole steps come last: they swallow the small twitches of a motor neuron that should be
+silent, so that who trains with them from the beginning twitches on bases that have none."""
 
-_FINE, _MORE_ROLLOUTS = 3000, 4
-"""From this generation on candidates drive so many times the rollouts, and the spread may shrink further:
-what is left to gain is in the few trials of a hundred that fail."""
-_FIRST_SPREAD = 0.04
-_SPREADS, _FINE_SPREADS = (0.01, 0.1), (0.004, 0.1)
-"""Noise lets a spread shrink before its time, or, where all is equally good, grow beyond the cube; what a
-wide one scatters, the average takes out."""
+Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
+"""Vectors (k, P), the first trial, how many, and the stage: the costs (k, trials)."""
+
+_FIRST_SPREAD, _MOST_SPREAD = 0.04, 0.1
+"""Where all is equally good, noise lets a spread grow beyond the cube."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
-_FEWER_ROLLOUTS = ((150, 4), (900, 2))
-"""Before this generation, that fraction of the rollouts."""
-_STAKES, _LATE_STAKES, _LATE = Stakes(6.0, 0.09, 0.012), Stakes(20.0, 0.095, 0.004), 1750
-"""The stakes, and those from which generation on: first to come near, then to park always."""
 _STILL = (0.003, 0.0006)
 """From which m and rad on who should stand still has failed, and how far that is blurred: well within the
 5 mm and 5 mrad of parked, as large twitches are rare, and small ones, which tell of them, are not."""
-_AVERAGED, _AVERAGED_SHARE = 250, 4
+_AVERAGED, _AVERAGED_SHARE = 100, 4
 """The winner is the average of so many last means, yet of no more than that fraction of all."""
 _COURSES_APART = 10**9
 """Training courses have seeds from here on, evaluations smaller ones: no course is in both."""
@@ -133,7 +144,7 @@ class UnitCube:
         return np.where(self._log, np.log(np.where(self._log, vector, 1.0)), vector)
 
 
-def costs(found: Outcomes, stakes: Stakes = _STAKES) -> FloatArray:
+def costs(found: Outcomes, stage: Stage = _STAGES[0]) -> FloatArray:
     """Return a cost (candidates, trials) of each episode: smooth, and steepest where parked ends.
 
     Errors count by the logarithm, so that a lost trial does not outweigh many good ones; what parked means
@@ -148,13 +159,13 @@ def costs(found: Outcomes, stakes: Stakes = _STAKES) -> FloatArray:
     on_the_way = 0.2 * np.log1p(found.tracking_m2 / 0.05**2) + 0.1 * np.log1p(found.tracking_rad2 / 0.1**2)
     failed = np.maximum.reduce(
         [
-            _blurred(found.error_m, stakes.limit, stakes.blur),
-            _blurred(found.error_rad, stakes.limit, stakes.blur),
+            _blurred(found.error_m, stage.limit, stage.blur),
+            _blurred(found.error_rad, stage.limit, stage.blur),
             _blurred(found.moved_m, *_STILL),
             _blurred(found.turned_rad, *_STILL),
         ]
     )
-    cost: FloatArray = 0.5 * near + on_the_way + stakes.failure * failed
+    cost: FloatArray = 0.5 * near + on_the_way + stage.failure * failed
     return cost
 
 
@@ -190,13 +201,19 @@ def training_courses(
 def drive_trials(engine: Engine, ranges: Randomization, model: RoverModel, seed: int) -> Drive:
     """Return what drives the trials of a search on an engine."""
     ticks = max(course.ticks for course in engine.courses)
+    unrounded = ranges.model_copy(update={"speed_step_m_s": 0.0, "turn_step_rad_s": 0.0})
 
-    def drive(vectors: FloatArray, first: int, count: int, stakes: Stakes) -> FloatArray:
-        trials = draw_trials(ranges, model, _COURSES_APART + seed, count=count, ticks=ticks, first=first)
+    def drive(vectors: FloatArray, first: int, count: int, stage: Stage) -> FloatArray:
+        now = ranges if stage.rounded else unrounded
+        trials = draw_trials(now, model, _COURSES_APART + seed, count=count, ticks=ticks, first=first)
         engine.change_trials(trials)
-        return costs(engine.outcomes(vectors), stakes)
+        return costs(engine.outcomes(vectors), stage)
 
     return drive
+
+
+def _stage(number: int) -> Stage:
+    return [stage for stage in _STAGES if stage.since <= number][-1]
 
 
 class RobustSearch:
@@ -217,14 +234,12 @@ class RobustSearch:
 
     def advance(self, drive: Drive) -> Generation:
         """Do one generation, whose trials are driven by ``drive``."""
-        fraction, times = self._fraction(self.number), self._times(self.number)
-        self._cma.limits = _SPREADS if times == 1 else _FINE_SPREADS
+        stage = _stage(self.number)
+        self._cma.limits = stage.least_spread, _MOST_SPREAD
         vectors = np.array([self._cube.vector(place) for place in self._cma.ask()])
-        stakes = _STAKES if self.number < _LATE else _LATE_STAKES
-        rollouts, worst = times * self._rollouts, times * self._worst
-        found = drive(vectors, self.number * rollouts, max(rollouts // fraction, 1), stakes)
-        least = max(worst // fraction, 1)
-        values = np.array([-mean_of_worst((-row).tolist(), least) for row in found])
+        count, worst = self._rollouts // stage.divisor, self._worst // stage.divisor
+        found = drive(vectors, self.number * self._rollouts, max(count, 1), stage)
+        values = np.array([-mean_of_worst((-row).tolist(), max(worst, 1)) for row in found])
         self._cma.tell(values)
         self._means = [*self._means, self._cma.mean.tolist()][-_AVERAGED:]
         return Generation(self.number, self.winner, self._cma.spread, float(values.min()))
@@ -232,17 +247,8 @@ class RobustSearch:
     @property
     def episodes(self) -> int:
         """Episodes driven so far."""
-        rollouts = (
-            max(self._times(number) * self._rollouts // self._fraction(number), 1)
-            for number in range(self.number)
-        )
+        rollouts = (max(self._rollouts // _stage(number).divisor, 1) for number in range(self.number))
         return self.population * sum(rollouts)
-
-    def _fraction(self, number: int) -> int:
-        return next((part for before, part in _FEWER_ROLLOUTS if number < before), 1)
-
-    def _times(self, number: int) -> int:
-        return 1 if number < _FINE else _MORE_ROLLOUTS
 
     @property
     def winner(self) -> FloatArray:

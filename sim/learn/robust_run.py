@@ -30,7 +30,7 @@ from sim.learn.robust import (
     Drive,
     Generation,
     RobustSearch,
-    Stakes,
+    Stage,
     UnitCube,
     drive_trials,
     training_courses,
@@ -67,11 +67,11 @@ def _drive(settings: RobustSettings, start: Policy, course: Course, ranges: Rand
 
 
 def _drive_in_processes(
-    processes: Processes, vectors: FloatArray, first: int, count: int, stakes: Stakes
+    processes: Processes, vectors: FloatArray, first: int, count: int, stage: Stage
 ) -> FloatArray:
     """Drive trials in processes, each of which takes its part of the vectors (k, P)."""
     parts = [part for part in np.array_split(vectors, processes.count) if len(part)]
-    return np.concatenate(processes.call([(part, first, count, stakes) for part in parts]))
+    return np.concatenate(processes.call([(part, first, count, stage) for part in parts]))
 
 
 def train_robust(

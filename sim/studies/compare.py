@@ -1,6 +1,6 @@
 """Other controllers in the circuit's place: the same trials, search and budget, another body of numbers.
 
-    python -m sim.studies.compare AGENT [--seed 1] [--generations 3300] [--rollouts 36] [--trained-on harsh]
+    python -m sim.studies.compare AGENT [--seed 1] [--generations 2600] [--rollouts 144] [--trained-on harsh]
 
 prints one JSON object: what the search found, and how that does on trials that it did not see. Agents:
 
@@ -157,8 +157,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m sim.studies.compare")
     parser.add_argument("agent")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--generations", type=int, default=3300)
-    parser.add_argument("--rollouts", type=int, default=36)
+    parser.add_argument("--generations", type=int, default=2600)
+    parser.add_argument("--rollouts", type=int, default=144)
     parser.add_argument("--trained-on", default="harsh", help="ranges of the training's trials")
     given = parser.parse_args()
     found = compare(

@@ -174,7 +174,7 @@ def test_with_more_rollouts_the_spread_may_shrink_further(number, least):
 
 def test_commands_are_rounded_only_from_their_stage_on():
     judge, harsh, seen = engine(), load_randomization("harsh"), []
-    judge.change_trials = seen.append
+    judge.change_trials = lambda trials, first_course: seen.append(trials)
     drive = drive_trials(judge, harsh, MODEL, 3)
     judge.outcomes = lambda vectors: outcome()
     going = searching()
@@ -189,6 +189,22 @@ def test_commands_are_rounded_only_from_their_stage_on():
     assert free.step.tolist() == [0.0, 0.0]
     assert rounded.step.tolist() == [harsh.speed_step_m_s, harsh.turn_step_rad_s]
     assert all(np.array_equal(a, b) for a, b in zip(free[:-1], rounded[:-1], strict=True))
+
+
+def test_all_courses_take_their_turn_whatever_the_number_of_rollouts():
+    mine = [COURSE.model_copy(update={"name": str(i)}) for i in range(11)]
+    judge = Engine(START, mine, MODEL, draw_trials(FULL, MODEL, 3, count=1, ticks=COURSE.ticks))
+    drive, going, driven = drive_trials(judge, FULL, MODEL, 3), searching(), []
+    run = judge._run
+
+    def spied(vectors, candidate, tasks, trials, stop):
+        driven.append(tasks.tolist())
+        return run(vectors, candidate, tasks, trials, stop)
+
+    judge._run = spied
+    for _ in range(3):
+        going.advance(lambda vectors, *rest: np.repeat(drive(vectors[:1], *rest), len(vectors), axis=0))
+    assert sum(driven, []) == [i % 11 for i in range(3 * 8)]
 
 
 def test_a_search_goes_on_where_it_was():

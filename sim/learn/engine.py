@@ -88,11 +88,11 @@ class Engine:
         self.change_trials(trials or nominal_trials(self.model, ticks))
         self._teams: dict[int, tuple[Fleet, Lanes]] = {}
 
-    def change_trials(self, trials: Trials) -> None:
-        """Drive other trials from now on."""
+    def change_trials(self, trials: Trials, first_course: int = 0) -> None:
+        """Drive other trials from now on, the first of them on another course than the first."""
         if trials.noise.shape[1] <= int(self._tasks.ticks.max()):
             raise ValueError(f"trials of {trials.noise.shape[1] - 1} ticks are too short for the courses")
-        self._trials = trials
+        self._trials, self._first_course = trials, first_course
         delays = tuple(SUBSTEP_S * float(trials.delay[:, axis].max()) for axis in range(2))
         self._slowest = getattr(self, "_slowest", (0.0, 0.0))
         if any(a > b for a, b in zip(delays, self._slowest, strict=True)):
@@ -131,7 +131,7 @@ class Engine:
             trials = np.zeros(len(self.courses), np.int64)
         else:
             trials = np.arange(self._trials.size)
-            tasks = trials % len(self.courses)
+            tasks = (self._first_course + trials) % len(self.courses)
         count = len(vectors)
         queue = self._run(
             vectors,

@@ -206,7 +206,8 @@ def drive_trials(engine: Engine, ranges: Randomization, model: RoverModel, seed:
     def drive(vectors: FloatArray, first: int, count: int, stage: Stage) -> FloatArray:
         now = ranges if stage.rounded else unrounded
         trials = draw_trials(now, model, _COURSES_APART + seed, count=count, ticks=ticks, first=first)
-        engine.change_trials(trials)
+        # Who drives few trials begins where the generation before left off: all courses take their turn.
+        engine.change_trials(trials, first // stage.divisor)
         return costs(engine.outcomes(vectors), stage)
 
     return drive

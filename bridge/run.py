@@ -1,8 +1,7 @@
 """The ``bridge`` command: reads its options, runs the loop until a signal comes, reports."""
 
-import contextlib
 import signal
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from pathlib import Path
 
 from bridge import ros as ros_messages
@@ -16,6 +15,7 @@ from bridge.node import Node
 from bridge.session import Session
 from rover_ncp.core.config import load_yaml
 from rover_ncp.core.console import Output
+from rover_ncp.core.interrupts import Interrupts
 
 __all__ = ["run_bridge"]
 
@@ -41,7 +41,7 @@ def run_bridge(
     session = Session(model, MotionLimits(v=allowed.v_max, omega=allowed.omega_max))
     inbox = Inbox()
     with (
-        _signals() as received,
+        Interrupts() as interrupts,
         Link(listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros) as link,
     ):
         line = Line(base, inbox)
@@ -60,7 +60,7 @@ def run_bridge(
             say=output.say,
             ready=ready,
         )
-        node.run(lambda: bool(received))
+        node.run(lambda: interrupts.raised)
     status = ros_messages.gate_status(node.gate)
     output.result(
         {
@@ -78,17 +78,4 @@ def run_bridge(
         f"{status.accepted} commands passed, {sum(status.dropped.values())} dropped, "
         f"{sum(status.stops.values())} stops; {line.bytes_out} bytes to the base, {line.bytes_in} from it",
     )
-    return INTERRUPTED if signal.SIGINT in received else 0
-
-
-@contextlib.contextmanager
-def _signals() -> Iterator[list[int]]:
-    """Collect SIGINT, SIGTERM and SIGHUP (a closed terminal) instead of being ended by them."""
-    received: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, lambda got, _: received.append(got)) for number in numbers}
-    try:
-        yield received
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    return INTERRUPTED if signal.SIGINT in interrupts.received else 0

@@ -11,12 +11,13 @@ from deploy.identification import identify
 from deploy.intake import Intake
 from deploy.link import Link
 from deploy.motion_log import motion_log
-from deploy.process import Interrupts, Tape
+from deploy.process import Tape
 from deploy.waits import Waits
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.files import write_atomic
+from rover_ncp.core.interrupts import Interrupts
 from rover_ncp.core.profile import RoverProfile
 from rover_ncp.core.recording import Recorded, read_recording
 

@@ -15,7 +15,7 @@ from deploy.controller import ORIGIN, Controller
 from deploy.drive import Drive
 from deploy.guard import Interrupted
 from deploy.link import Link
-from deploy.process import Interrupts, Tape, progress
+from deploy.process import Tape, progress
 from deploy.recorder import Recorder
 from deploy.reporter import Reporter
 from deploy.state import State
@@ -24,6 +24,7 @@ from rover_ncp.core.console import Output
 from rover_ncp.core.course import TICK_S, load_course
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.interrupts import Interrupts
 from rover_ncp.core.messages import (
     COURSE_FRAME,
     neurons,

@@ -1,12 +1,9 @@
-"""What a process that drives has around it: signals, the recording, a line for people."""
+"""What a process that drives has around it: the recording, a line for people."""
 
 import contextlib
-import signal
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any, Self
 
 from rich.live import Live
 
@@ -14,33 +11,10 @@ from deploy.recorder import Recorder
 from rover_ncp.core.console import Output
 from rover_ncp.core.recording import Recorded
 
-__all__ = ["Interrupts", "Tape", "progress"]
+__all__ = ["Tape", "progress"]
 
 BACKLOG = 1000
 """Messages that came before the recording was opened, such as the static transforms."""
-
-
-class Interrupts:
-    """Notes SIGINT, SIGTERM and SIGHUP instead of dying of them: the rover has to be stopped first."""
-
-    def __init__(self) -> None:
-        self.raised = False
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> Self:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
-                self._before[number] = signal.signal(number, self._note)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self.raised = True
 
 
 class Tape:

@@ -20,13 +20,14 @@ from deploy.guard import Guard, Interrupted
 from deploy.intake import Intake
 from deploy.keyboard import HELP, Keyboard, Press, presses
 from deploy.link import Link
-from deploy.process import Interrupts, Tape, progress
+from deploy.process import Tape, progress
 from deploy.terminal import Terminal
 from deploy.waits import Waits
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
+from rover_ncp.core.interrupts import Interrupts
 
 __all__ = ["Options", "Teleop", "run"]
 

@@ -7,6 +7,7 @@ returns its exit code, or None for 0.
 
 import json
 import os
+import signal
 import sys
 from importlib.metadata import entry_points
 from typing import Any
@@ -100,4 +101,6 @@ def main() -> None:
     # Read by numpy and scipy when they are loaded. For matrices as small as ours BLAS's threads only wait for
     # each other: on a busy machine planning a course took fifty times as long with two.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # What ends on Ctrl-C in order, its children and files too, ends so when it is told to end.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(run(sys.argv[1:]))

@@ -9,9 +9,11 @@ from hypothesis import Phase, settings
 # times as long as the work takes. Read by numpy and scipy when they are loaded, also by what the tests start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# A shell that starts the tests in the background has them ignore Ctrl-C, and so would every process that they
-# start and then interrupt.
+# A shell that starts the tests in the background has them ignore Ctrl-C, nohup a hang-up, and so would every
+# process that they start and then interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, lambda *_: None)
 
 # How long an example takes says more about the machine's other work than about the code.
 settings.register_profile("rover-ncp", deadline=None)

@@ -18,10 +18,9 @@ from rover_ncp.core.course import load_course
 from rover_ncp.core.recording import read_recording
 
 REPEAT_S, DELAY_S = 0.033, 0.3
-# As in a shell: the terminal is the process's own, so that Ctrl-C is a signal, and its closing is not
-# ignored, as it is by all that nohup started.
+# As in a shell: the terminal is the process's own, so that Ctrl-C is a signal.
 IN_ITS_TERMINAL = (
-    "import fcntl, runpy, signal, termios; signal.signal(signal.SIGHUP, signal.SIG_DFL); "
+    "import fcntl, runpy, termios; "
     "fcntl.ioctl(0, termios.TIOCSCTTY, 0); runpy.run_module('rover_ncp', run_name='__main__')"
 )
 

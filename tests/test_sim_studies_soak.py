@@ -41,18 +41,25 @@ def test_a_few_faults_in_a_row_and_nothing_is_lost(tmp_path):
         assert each.odometry > 10
 
 
-def test_interrupting_it_leaves_no_process(tmp_path):
+@pytest.mark.parametrize(
+    ("number", "command"),
+    [
+        (signal.SIGINT, ("soak", "--minutes", "5")),
+        (signal.SIGTERM, ("eval", "course", "--live", "1", "--randomize", "none")),
+    ],
+)
+def test_whoever_is_ended_ends_what_he_started(tmp_path, number, command):
     child = subprocess.Popen(
-        [sys.executable, "-m", "rover_ncp", "soak", "--minutes", "5", "--out", str(tmp_path), "--json"],
+        [sys.executable, "-m", "rover_ncp", *command, "--out", str(tmp_path / "out"), "--json"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    log = tmp_path / "log" / "bridge.log"
+    log = tmp_path / "out" / ("log" if command[0] == "soak" else "000/log") / "bridge.log"
     while "ready" not in (log.read_text() if log.exists() else ""):
         assert child.poll() is None
     mine = _processes_naming(str(tmp_path)) + _children_of(child.pid)
     assert len(mine) >= 3
-    child.send_signal(signal.SIGINT)
+    child.send_signal(number)
     out, _ = child.communicate(timeout=60)
     assert (child.returncode, json.loads(out)["kind"]) == (130, "Interrupted")
     assert not [pid for pid in mine if pid != child.pid and Path(f"/proc/{pid}").exists()]

@@ -1,0 +1,38 @@
+"""Being told to end, for processes that have a rover to stop first."""
+
+import signal
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+__all__ = ["Interrupts"]
+
+
+class Interrupts:
+    """Notes SIGINT, SIGTERM and SIGHUP instead of dying of them: the rover has to be stopped first.
+
+    What was ignored before stays so, such as SIGHUP (a closed terminal) under ``nohup``.
+    """
+
+    def __init__(self) -> None:
+        self.received: list[int] = []
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    @property
+    def raised(self) -> bool:
+        """Whether any of them came."""
+        return bool(self.received)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.received.append(number)

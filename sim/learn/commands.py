@@ -63,7 +63,7 @@ def train(
         int | None, typer.Option(min=1, help="Average so many worst ones.", show_default="all rollouts")
     ] = None,
     random_courses: Annotated[
-        int | None, typer.Option(min=0, help="Courses beside the given one.", show_default="24 if random")
+        int | None, typer.Option(min=0, help="Courses beside the given one.", show_default="400 if random")
     ] = None,
     profile: Annotated[
         Path | None,

@@ -59,7 +59,7 @@ class RobustSettings(_Settings):
     iterations: int = Field(default=2600, ge=1, description="generations")
     rollouts: int = Field(default=144, ge=1, description="trials of a candidate")
     worst: int = Field(default=144, ge=1, description="of which so many worst are averaged")
-    random_courses: int = Field(default=24, ge=0, description="that are driven beside the course")
+    random_courses: int = Field(default=400, ge=0, description="that are driven beside the course")
     profile: str | None = Field(
         default=None, exclude_if=lambda path: path is None, description="what is known of the rover"
     )

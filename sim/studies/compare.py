@@ -35,7 +35,7 @@ from rover_ncp.core.reference import plan_reference
 from sim.learn.engine import Engine
 from sim.learn.net_engine import NetEngine
 from sim.learn.nets import Net, NetKind, net_for
-from sim.learn.record import made_with
+from sim.learn.record import RobustSettings, made_with
 from sim.learn.robust import Cube, RobustSearch, UnitCube, drive_trials, training_courses
 from sim.learn.search.unit_box import reflected
 from sim.studies.evaluate import unseen_courses
@@ -47,8 +47,8 @@ __all__ = ["Agent", "NetCube", "compare", "find_agent"]
 
 FloatArray = NDArray[np.float64]
 
-_RANDOM_COURSES = 24
-_TRIALS, _TRIALS_SEED, _UNSEEN = 1000, 31415, 50
+_RANDOM_COURSES = RobustSettings().random_courses
+_TRIALS, _TRIALS_SEED, _UNSEEN = 1000, 31415, 200
 _PROGRESS_GENERATIONS = 25
 
 

@@ -21,7 +21,7 @@ from sim.world.fleet import FleetArrays, advance, place, push, read_pose, read_p
 from sim.world.randomization import BaseErrors, OdometryErrors, Trials, driven, reckoned, stepped
 from sim.world.rover import SUBSTEP_S
 
-__all__ = ["IDLE", "RESULTS", "Lanes", "Queue", "Tasks", "run_episodes"]
+__all__ = ["IDLE", "RESULTS", "Lanes", "Queue", "Tasks", "drive_tick", "run_episodes", "start_episode"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -134,11 +134,19 @@ def run_episodes(
         if running == 0:
             return
         tick_lanes(program, lanes.parameters, lanes.potentials, lanes.observations, lanes.commands)
-        pass_commands(trials, lanes, queue)
-        send(fleet, lanes.driven)
-        advance(fleet)
-        read_poses(fleet, lanes.poses)
-        running -= finish_tick(signal_at, tasks, trials, lanes, fleet, queue)
+        running -= drive_tick(signal_at, tasks, trials, lanes, fleet, queue)
+
+
+@inlined_kernel
+def drive_tick(
+    signal_at: IntArray, tasks: Tasks, trials: Trials, lanes: Lanes, fleet: FleetArrays, queue: Queue
+) -> int:
+    """Drive all rovers for a tick by the lanes' commands; return how many episodes ended."""
+    pass_commands(trials, lanes, queue)
+    send(fleet, lanes.driven)
+    advance(fleet)
+    read_poses(fleet, lanes.poses)
+    return finish_tick(signal_at, tasks, trials, lanes, fleet, queue)
 
 
 @kernel

@@ -10,7 +10,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import Course
 from rover_ncp.jit import borrowed, kernel
 from sim.learn.engine import Engine
-from sim.learn.episode import IDLE, Lanes, Queue, Tasks, finish_tick, pass_commands, start_episode
+from sim.learn.episode import IDLE, Lanes, Queue, Tasks, drive_tick, start_episode
 from sim.learn.nets import (
     Net,
     NetLanes,
@@ -19,7 +19,7 @@ from sim.learn.nets import (
     fill_net_lane,
     tick_net_lanes,
 )
-from sim.world.fleet import Fleet, FleetArrays, advance, read_poses, send
+from sim.world.fleet import Fleet, FleetArrays
 from sim.world.randomization import Trials
 
 __all__ = ["NetEngine"]
@@ -53,11 +53,7 @@ def run_nets(  # noqa: PLR0917  # as run_episodes
         if running == 0:
             return
         tick_net_lanes(program, nets, lanes.observations, lanes.commands)
-        pass_commands(trials, lanes, queue)
-        send(fleet, lanes.driven)
-        advance(fleet)
-        read_poses(fleet, lanes.poses)
-        running -= finish_tick(signal_at, tasks, trials, lanes, fleet, queue)
+        running -= drive_tick(signal_at, tasks, trials, lanes, fleet, queue)
 
 
 class NetEngine(Engine):

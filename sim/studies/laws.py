@@ -22,9 +22,9 @@ from rover_ncp.core.course import Course
 from rover_ncp.core.reference import Reference
 from rover_ncp.jit import kernel
 from sim.learn.engine import Engine
-from sim.learn.episode import IDLE, Lanes, Queue, Tasks, finish_tick, pass_commands, start_episode
+from sim.learn.episode import IDLE, Lanes, Queue, Tasks, drive_tick, start_episode
 from sim.learn.search.unit_box import reflected
-from sim.world.fleet import Fleet, FleetArrays, advance, read_poses, send, wrapped
+from sim.world.fleet import Fleet, FleetArrays, wrapped
 from sim.world.randomization import Trials
 
 __all__ = ["LAWS", "GainCube", "Law", "LawEngine"]
@@ -131,11 +131,7 @@ def run_law(  # noqa: PLR0917  # as run_episodes
         if running == 0:
             return
         law_lanes(law, limits, lanes, queue)
-        pass_commands(trials, lanes, queue)
-        send(fleet, lanes.driven)
-        advance(fleet)
-        read_poses(fleet, lanes.poses)
-        running -= finish_tick(signal_at, tasks, trials, lanes, fleet, queue)
+        running -= drive_tick(signal_at, tasks, trials, lanes, fleet, queue)
 
 
 class LawEngine(Engine):

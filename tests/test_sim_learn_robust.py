@@ -147,7 +147,8 @@ def test_no_more_than_the_last_100_means_count_and_are_kept():
         (1999, 32, 20.0, False),
         (2000, 128, 20.0, False),
         (2399, 128, 20.0, False),
-        (2400, 128, 20.0, True),
+        (2400, 128, 20.0, False),
+        (2401, 128, 20.0, True),
     ],
 )
 def test_later_generations_drive_more_trials_count_failures_more_and_round(number, count, weight, rounded):
@@ -172,7 +173,12 @@ def test_with_more_rollouts_the_spread_may_shrink_further(number, least):
     assert last.spread == least
 
 
-def test_commands_are_rounded_only_from_their_stage_on():
+def at_generation(going, number):
+    going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number}})
+    return going
+
+
+def test_commands_are_rounded_from_their_stage_on_every_other_generation():
     judge, harsh, seen = engine(), load_randomization("harsh"), []
     judge.change_trials = lambda trials, first_course: seen.append(trials)
     drive = drive_trials(judge, harsh, MODEL, 3)
@@ -182,29 +188,34 @@ def test_commands_are_rounded_only_from_their_stage_on():
     def one_for_all(vectors, first, count, stage):
         return np.repeat(drive(vectors[:1], 0, 2, stage), len(vectors), axis=0)
 
-    for number in (2399, 2400):
-        going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number}})
-        going.advance(one_for_all)
-    free, rounded = seen
-    assert free.step.tolist() == [0.0, 0.0]
+    for number in (1801, 2399, 2400, 2401):
+        at_generation(going, number).advance(one_for_all)
+    *free, rounded = seen
+    assert [trials.step.tolist() for trials in free] == [[0.0, 0.0]] * 3
     assert rounded.step.tolist() == [harsh.speed_step_m_s, harsh.turn_step_rad_s]
-    assert all(np.array_equal(a, b) for a, b in zip(free[:-1], rounded[:-1], strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(free[0][:-1], rounded[:-1], strict=True))
 
 
-def test_all_courses_take_their_turn_whatever_the_number_of_rollouts():
-    mine = [COURSE.model_copy(update={"name": str(i)}) for i in range(11)]
+@pytest.mark.parametrize(
+    ("number", "count", "turning"), [(0, 8, False), (1900, 32, False), (2000, 128, True)]
+)
+def test_all_courses_take_their_turn_once_all_rollouts_are_driven(number, count, turning):
+    mine = [COURSE.model_copy(update={"name": str(i)}) for i in range(150)]
     judge = Engine(START, mine, MODEL, draw_trials(FULL, MODEL, 3, count=1, ticks=COURSE.ticks))
     drive, going, driven = drive_trials(judge, FULL, MODEL, 3), searching(), []
     run = judge._run
 
     def spied(vectors, candidate, tasks, trials, stop):
-        driven.extend(tasks.tolist())
+        driven.append(tasks.tolist())
         return run(vectors, candidate, tasks, trials, stop)
 
     judge._run = spied
-    for _ in range(3):
-        going.advance(lambda vectors, *rest: np.repeat(drive(vectors[:1], *rest), len(vectors), axis=0))
-    assert driven == [i % 11 for i in range(3 * 8)]
+    for generation in (number, number + 1):
+        at_generation(going, generation).advance(
+            lambda vectors, *rest: np.repeat(drive(vectors[:1], *rest), len(vectors), axis=0)
+        )
+    begins = [(number + i) * 128 if turning else 0 for i in range(len(driven))]
+    assert driven == [[(begin + i) % 150 for i in range(count)] for begin in begins]
 
 
 def test_a_search_goes_on_where_it_was():

@@ -58,7 +58,7 @@ class Stage(NamedTuple):
     blur: float
     """What failing costs, from which m and rad on, and how far that limit is blurred."""
     rounded: bool
-    """Whether commands come in whole steps, in trials that have them."""
+    """Whether commands come in whole steps, in trials that have them, every other generation."""
 
 
 _STAGES = (
@@ -70,8 +70,8 @@ _STAGES = (
     Stage(2400, 1, 0.004, 20.0, 0.095, 0.004, True),
 )
 """First to come near, then to park always, then to park the last few of a hundred, which takes many trials to
-see and small steps. Whole steps come last: they swallow the small twitches of a motor neuron that should be
-silent, so that who trains with them from the beginning twitches on bases that have none."""
+see and small steps. Whole steps come last, and not always: they swallow the small twitches of a motor neuron
+that should be silent, so that who trains with nothing else twitches on bases that have none."""
 
 Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stage: the costs (k, trials)."""
@@ -206,15 +206,16 @@ def drive_trials(engine: Engine, ranges: Randomization, model: RoverModel, seed:
     def drive(vectors: FloatArray, first: int, count: int, stage: Stage) -> FloatArray:
         now = ranges if stage.rounded else unrounded
         trials = draw_trials(now, model, _COURSES_APART + seed, count=count, ticks=ticks, first=first)
-        # Who drives few trials begins where the generation before left off: all courses take their turn.
-        engine.change_trials(trials, first // stage.divisor)
+        # The first few courses will do until all rollouts are driven; then all courses take their turn.
+        engine.change_trials(trials, first if stage.divisor == 1 else 0)
         return costs(engine.outcomes(vectors), stage)
 
     return drive
 
 
 def _stage(number: int) -> Stage:
-    return [stage for stage in _STAGES if stage.since <= number][-1]
+    stage = [stage for stage in _STAGES if stage.since <= number][-1]
+    return stage._replace(rounded=stage.rounded and number % 2 == 1)
 
 
 class RobustSearch:

@@ -146,7 +146,8 @@ def drive_tick(
     send(fleet, lanes.driven)
     advance(fleet)
     read_poses(fleet, lanes.poses)
-    return finish_tick(signal_at, tasks, trials, lanes, fleet, queue)
+    ended: int = finish_tick(signal_at, tasks, trials, lanes, fleet, queue)
+    return ended
 
 
 @kernel

@@ -176,7 +176,7 @@ def truth(folder):
 
 def test_the_stop_button_stops_a_running_rover(live):
     page, _, folder = live
-    driving = page.news(lambda news: news.get("ticks", {}).get("t") and news["ticks"]["t"][-1] > 4.5)
+    driving = page.news(lambda news: news.get("ticks", {}).get("t") and news["ticks"]["t"][-1] > 5.5)
     assert driving["bridge"]
     assert driving["mayStop"]
     assert driving["status"]["state"] == "driving"

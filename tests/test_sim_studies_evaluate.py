@@ -17,6 +17,7 @@ from rover_ncp.core.course import load_course
 from rover_ncp.core.reference import plan_reference
 from rover_ncp.shell import run
 from sim.learn.rollout import rollout
+from sim.studies import evaluate
 from sim.studies.evaluate import unseen_courses, wilson
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
@@ -164,6 +165,17 @@ def test_random_courses_are_driven_in_turn(files, capsys):
     shares = [3 * verdicts[0].parked, 2 * verdicts[1].parked]
     assert fields["success_rate"] == sum(shares) / 5
     assert fields["error_m"]["max"] == pytest.approx(max(verdict.error_m for verdict in verdicts))
+
+
+def test_which_trial_is_driven_on_which_course_does_not_depend_on_how_many_are_driven_at_a_time(monkeypatch):
+    policy, courses = course_policy(load_circuit("tracking")), unseen_courses(3, 3)
+
+    def found():
+        return evaluate.evaluate(policy, courses, load_randomization("full"), trials=8, seed=5)
+
+    whole = found()
+    monkeypatch.setattr(evaluate, "_BATCH", 4)  # so that the second part begins on the second course
+    assert found() == whole
 
 
 @pytest.mark.parametrize(

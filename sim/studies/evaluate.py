@@ -80,16 +80,15 @@ def evaluate(
     if trials < 1:
         raise UsageError(f"at least one trial must be driven, got {trials}")
     model = model or RoverModel()
-    batch = -(-_BATCH // len(courses)) * len(courses)
     ticks = max(course.ticks for course in courses)
     engine, found = None, []
-    for first in range(0, trials, batch):
-        count = min(batch, trials - first)
+    for first in range(0, trials, _BATCH):
+        count = min(_BATCH, trials - first)
         drawn = draw_trials(ranges, model, seed, count=count, ticks=ticks, first=first)
         if engine is None:
             engine = _engine(driver, courses, model, drawn)
         else:
-            engine.change_trials(drawn)
+            engine.change_trials(drawn, first)
         found.append(engine.outcomes(LAWS[driver].tuned if isinstance(driver, str) else driver.parameters()))
     rules = [courses[i % len(courses)].parked for i in range(trials)]
     limits = np.array([[rule.position_m, rule.heading_rad] for rule in rules])

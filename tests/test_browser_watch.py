@@ -4,7 +4,7 @@ import csv
 import time
 
 import pytest
-from bridge_bench import Rig, braking_s
+from bridge_bench import Rig
 from browser import Watched, chromium
 
 from rover_ncp import shell
@@ -44,8 +44,7 @@ def test_a_running_rover_is_seen_and_stopped(browser, tmp_path):
         plotted = "Math.max(...document.getElementById('commands').data.flatMap(trace => trace.x))"
         assert seen.page.evaluate(plotted) > 4.5  # plots follow, not only what moves with the slider
         seen.photograph("watch_1280")
-        speed = truth(tmp_path)[-1][1]
-        assert speed > 0.03
+        assert truth(tmp_path)[-1][1] > 0.03
 
         pressed_ns = time.time_ns()
         seen.page.click("#stop")
@@ -56,7 +55,7 @@ def test_a_running_rover_is_seen_and_stopped(browser, tmp_path):
             assert time.monotonic() < deadline
             time.sleep(0.05)
         moving = [t for t, v in truth(tmp_path) if t >= pressed_ns and abs(v) > 0.002]
-        assert (max(moving) - pressed_ns) * 1e-9 < 0.5 + braking_s(speed)
+        assert (max(moving) - pressed_ns) * 1e-9 < 0.5
         # The drive is over: it can be looked at, and its pairs are there.
         seen.to(4.0)
         seen.until("document.getElementById('signs').checkVisibility()")

@@ -9,7 +9,6 @@ import urllib.request
 from itertools import pairwise
 
 import pytest
-from bridge_bench import braking_s
 from recorded_drives import drive_messages
 
 from rover_ncp.circuit.policy_file import load_policy
@@ -192,8 +191,7 @@ def test_the_stop_button_stops_a_running_rover(live):
     line.request("GET", "/", headers={"Host": "evil.example"})
     assert line.getresponse().status == 400
     line.close()
-    speed = truth(folder)[-1][1]
-    assert speed > 0.03  # so it still drives
+    assert truth(folder)[-1][1] > 0.03  # so it still drives
 
     pressed_ns = time.time_ns()
     code, said = page.post("stop", page.address.rstrip("/"))
@@ -203,7 +201,7 @@ def test_the_stop_button_stops_a_running_rover(live):
         assert time.monotonic() < deadline
         time.sleep(0.05)
     moving = [t for t, v in truth(folder) if t >= pressed_ns and abs(v) > 0.002]
-    assert (max(moving) - pressed_ns) * 1e-9 < 0.5 + braking_s(speed)
+    assert (max(moving) - pressed_ns) * 1e-9 < 0.5
     ended = page.news(lambda news: news["status"]["state"] == "fault")
     assert ended["gate"]["held"] == "stopped"
     assert "the Stop button of a viewer" in ended["gate"]["stop_reason"]

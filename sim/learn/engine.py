@@ -89,7 +89,7 @@ class Engine:
         self._teams: dict[int, tuple[Fleet, Lanes]] = {}
 
     def change_trials(self, trials: Trials, first_course: int = 0) -> None:
-        """Drive other trials from now on, the first of them on another course than the first."""
+        """Drive other trials from now on, trial i on course ``first_course`` + i modulo their number."""
         if trials.noise.shape[1] <= int(self._tasks.ticks.max()):
             raise ValueError(f"trials of {trials.noise.shape[1] - 1} ticks are too short for the courses")
         self._trials, self._first_course = trials, first_course

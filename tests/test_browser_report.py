@@ -78,10 +78,13 @@ def test_play_runs_and_pause_holds(opened):
     held = opened.clock()
     opened.page.wait_for_timeout(300)
     assert opened.clock() == held
-    opened.to(31.5)
+    # How long the drive takes is the shipped policy's affair.
+    end = float(opened.page.get_attribute("#time", "max"))
+    assert end > 20
+    opened.to(round(end - 0.5, 1))
     opened.page.click("#play")
     opened.until("document.getElementById('play').textContent === 'Play'")
-    assert opened.clock() == pytest.approx(31.9, abs=0.2)
+    assert opened.clock() == pytest.approx(end, abs=0.051)
 
 
 def test_everything_can_be_done_with_the_keyboard(opened):

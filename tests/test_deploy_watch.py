@@ -87,6 +87,18 @@ def test_phases_are_told_on_the_way_at_most_once_a_second(short):
     assert set(found[0][1]) == {"phases", "rings"}
 
 
+def test_the_whole_is_told_at_the_end_though_no_tick_came_since_the_last_phases(short):
+    policy, course, told, _ = short
+    place, feed = Place(), Feed(policy, course)
+    on_the_way = [message for message in told if message.topic != "rover/status"]
+    for message in [status("running", told[0].log_ns), *on_the_way]:
+        feed.take(message)
+    assert set(feed.news(place)["findings"]) == {"phases", "rings"}
+    feed.take(status("fault", told[-1].log_ns))
+    assert len(feed.news(place)["findings"]["contributions"]) == 132
+    assert "findings" not in feed.news(place)
+
+
 def test_a_new_drive_begins_anew(short):
     policy, course, told, _ = short
     feed, place = Feed(policy, course), Place()

@@ -26,6 +26,10 @@ BEFORE = 50
 EXPLAIN_EVERY_S = 1.0
 
 
+Told = tuple[int, bool]
+"""What an explanation covers: so many ticks, and whether it is that of the drive's end."""
+
+
 @dataclass
 class Place:
     """How far a viewer has been told; nothing at first."""
@@ -35,7 +39,7 @@ class Place:
     odometry: int = 0
     asked: int = 0
     let_through: int = 0
-    explained: int = 0
+    explained: Told = (0, False)
 
 
 class Feed:
@@ -48,7 +52,7 @@ class Feed:
         self._timeline = Timeline(policy, course)
         self._over = False
         self._explained: dict[str, Any] = {}
-        self._explained_ticks = 0
+        self._explained_of: Told = (0, False)
         self._explained_at = -EXPLAIN_EVERY_S
 
     def take(self, message: Recorded) -> None:
@@ -81,7 +85,7 @@ class Feed:
         self._generation += 1
         self._timeline = Timeline(self._policy, self._course)
         self._timeline.take(message)
-        self._explained, self._explained_ticks = {}, 0
+        self._explained, self._explained_of = {}, (0, False)
 
     def _state(self) -> dict[str, Any]:
         status, gate = self._timeline.status, self._timeline.gate
@@ -111,19 +115,19 @@ class Feed:
         place.ticks, place.odometry = len(timeline.ticks), len(timeline.odometry)
         place.asked, place.let_through = len(timeline.asked), len(timeline.let_through)
         self._explain()
-        if self._explained_ticks > place.explained:
+        if self._explained_of > place.explained:
             columns["findings"] = self._explained
-            place.explained = self._explained_ticks
+            place.explained = self._explained_of
         return columns
 
     def _explain(self) -> None:
         """Explain the drive so far, once a second and at its end."""
         count, now = len(self._timeline.ticks), self._clock()
-        if count == self._explained_ticks or count < 2:
+        if (count, self._over) == self._explained_of or count < 2:
             return
         if not self._over and now - self._explained_at < EXPLAIN_EVERY_S:
             return
         told = findings(analyse(self._timeline.trace()))
         if not self._over:
             told = {name: told[name] for name in ("phases", "rings")}
-        self._explained, self._explained_ticks, self._explained_at = told, count, now
+        self._explained, self._explained_of, self._explained_at = told, (count, self._over), now

@@ -192,14 +192,8 @@ class GaussNewton:
     def _decide(self, outcomes: list[Outcome]) -> None:
         """Take in a batch and draw the next one."""
         if self._descent is None:
-            if self._phase is _Phase.START:
-                self._draw_samples(outcomes[0])
-            elif self._phase is _Phase.HOPS:
-                self._race(max(outcomes, key=lambda outcome: outcome.value))
-            else:
-                self._descend(outcomes)
-            return
-        if self._phase is _Phase.FAR:
+            self._start(outcomes)
+        elif self._phase is _Phase.FAR:
             if self._descent.wake(outcomes):
                 self._measure_slopes()
             else:
@@ -219,6 +213,15 @@ class GaussNewton:
                 self._phase, self._batch = _Phase.FAR, self._descent.far_probes()
             else:
                 self._draw_samples(self._descent.at)
+
+    def _start(self, outcomes: list[Outcome]) -> None:
+        """Take in what a descent may start from."""
+        if self._phase is _Phase.START:
+            self._draw_samples(outcomes[0])
+        elif self._phase is _Phase.HOPS:
+            self._race(max(outcomes, key=lambda outcome: outcome.value))
+        else:
+            self._descend(outcomes)
 
     def _step(self) -> None:
         assert self._descent is not None
@@ -265,7 +268,8 @@ class GaussNewton:
         """Return whether the best is good, as for so many checkpoints as an outcome has."""
         assert self.value is not None
         _, checkpoints, _ = outcome.misses.shape
-        return -self.value < GOOD_M2 * checkpoints
+        good: bool = -self.value < GOOD_M2 * checkpoints
+        return good
 
     def _hops_after(self, last: Outcome, hopped: bool) -> bool:
         """Choose where hops go from, and return whether one comes next."""

@@ -185,6 +185,21 @@ def stalled(survives: bool = True) -> Descent:
     return descent
 
 
+@pytest.mark.parametrize(
+    ("value", "gain", "goes_on"),
+    [(-0.5, 0.024, False), (-0.5, 0.026, True), (-0.09, 0.0008, False), (-0.09, 0.001, True)],
+)
+def test_a_crawl_ends_sooner_far_from_the_goal_than_close_to_it(
+    value: float, gain: float, goes_on: bool
+) -> None:
+    misses = np.zeros((1, 22, 3))
+    misses[0, 0, 0] = math.sqrt(-value)
+    descent = Descent(Outcome(np.zeros(4), value, misses), False, False, np.zeros((4, 66)), 0.1, [])
+    descent.scores = [value - gain] + [value] * (WINDOW - 1)
+    worse = Outcome(np.full(4, 0.01), value - 1.0, misses * 2.0)
+    assert descent.take([worse]) == goes_on
+
+
 def test_only_what_is_silent_is_moved_far_and_stays_in_the_box() -> None:
     descent = stalled()
     assert descent.silent.tolist() == [1, 3]

@@ -35,8 +35,11 @@ CLOSE_M2 = 0.3 / 22
 STALLED_M2 = 2.0 / 22
 """Loss per checkpoint below which a descent that stalls goes on with the return itself."""
 WINDOW = 80
-LEAST_GAIN = 0.01
-"""A descent ends when so many steps took less than this share off what is left to gain."""
+LEAST_GAIN, LEAST_GAIN_OF_RETURN = 0.01, 0.05
+"""A descent ends when so many steps took less than this share off what is left to gain; the second where a
+return is climbed that is not yet near: at the first one's pace half an agent's candidates go into one crawl."""
+NEAR_M2 = 0.1 / 22
+"""Loss per checkpoint below which any gain will do."""
 OVERTAKING_WINDOW, OVERTAKING_WINDOWS = 30, 4.0
 """And when, at the pace of so many steps, so many times as many would not bring it up to the best."""
 SILENT = 0.01
@@ -157,6 +160,10 @@ class Descent:
             self.damping = min(self.damping * AFTER_FAILURE, MOST_DAMPING)
             self.scores.append(self.scores[-1])
         del self.scores[: -WINDOW - 1]
+        return self._goes_on()
+
+    def _goes_on(self) -> bool:
+        """Return whether it gained enough of late; a climb of the survival may become one of the return."""
         _, checkpoints, _ = self.at.misses.shape
         loss = -self.at.value / checkpoints
         if self.survives and loss < CLOSE_M2:
@@ -164,7 +171,8 @@ class Descent:
         if len(self.scores) <= WINDOW:
             return True
         left = checkpoints - self.scores[-1] if self.survives else -self.scores[-1]
-        if self.scores[-1] - self.scores[0] >= LEAST_GAIN * left:
+        least = LEAST_GAIN if self.survives or loss < NEAR_M2 else LEAST_GAIN_OF_RETURN
+        if self.scores[-1] - self.scores[0] >= least * left:
             return True
         if self.survives and loss < STALLED_M2:
             self.climb_return()

@@ -47,6 +47,7 @@ _EPISODES = 72
 _AGENTS = 12
 _WARM_ITERATIONS = 100
 _TICKS = 40
+_LANE_TICKS = 65_536
 _NS = 1e9
 
 _COMPILE_SCRIPT = """
@@ -69,7 +70,13 @@ def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
     plans = {name: training_plan(each, task) for name, each in settings.items()}
     cores = available_processes()
     fields: dict[str, Any] = {"cores": cores}
-    fields |= _episodes(task, say)
+    fields |= _parts(task)
+    say(
+        "{episodes_per_s:.0f} episodes/s; the plain environment {plain_episodes_per_s:.1f}: "
+        "{ratio_to_plain:.0f} times as fast".format(**fields)
+    )
+    for row in fields["cost_by_lanes"]:
+        say("{lanes} lanes: circuit {circuit_ns:.0f} ns, physics {physics_ns:.0f} ns a substep".format(**row))
     fields["iterations_per_s"] = {}
     in_engine = {}
     for name, plan in plans.items():
@@ -82,10 +89,6 @@ def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
             "all_cores_wall": wall,
         }
         say(f"{name}: {one:.0f} iterations/s and core, {every / one:.2f} times that on {cores} cores")
-    fields["cost_by_lanes"] = [_cost(task, lanes) for lanes in LANES]
-    for row in fields["cost_by_lanes"]:
-        say("{lanes} lanes: circuit {circuit_ns:.0f} ns, physics {physics_ns:.0f} ns a substep".format(**row))
-    fields["substep_ns"] = _substeps(task, fields["cost_by_lanes"])
     fields["share"] = _shares(fields, in_engine["gauss-newton"])
     fields["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     cold, cached = _compile_times()
@@ -94,14 +97,44 @@ def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
     return fields
 
 
-def _episodes(task: Task, say: Callable[[str], None]) -> dict[str, Any]:
-    """Episodes per second of CPU time: engine, and the plain single rover on the same circuits."""
+def _parts(task: Task) -> dict[str, Any]:
+    """Measure whole episodes and their parts, so that they can be compared: all in turn, again and again."""
     engine, vectors = Engine(task.policy, task.course), _candidates(task.policy, _EPISODES)
-    lanes = _EPISODES / _cpu_s(lambda: engine.returns(vectors))
     alone = [task.policy.with_parameters(vector) for vector in vectors[:2]]
-    plain = len(alone) / _cpu_s(lambda: [rollout(policy, task.course) for policy in alone])
-    say(f"{lanes:.0f} episodes/s; the plain environment {plain:.1f}: {lanes / plain:.0f} times as fast")
-    return {"episodes_per_s": lanes, "plain_episodes_per_s": plain, "ratio_to_plain": lanes / plain}
+    runner, rover = PolicyRunner(task.policy), Rover(RoverModel(), Bay(()), task.course.checkpoints[0].pose)
+    rover.command(0.1, 0.1)
+    calls: dict[str, Callable[[], object]] = {
+        "episodes": lambda: engine.returns(vectors),
+        "plain": lambda: [rollout(policy, task.course) for policy in alone],
+        "circuit": lambda: [runner.tick([0.3, 0.3, 0.3, 1.0]) for _ in range(_TICKS)],
+        "physics": lambda: _substep(rover, _TICKS * SUBSTEPS),
+    }
+    fleets = [_fleet(lanes) for lanes in LANES]  # kept: their arrays hold but addresses
+    for lanes, fleet in zip(LANES, fleets, strict=True):
+        commands = np.full((2, len(fleet.bodies)), 0.1)
+        calls[f"circuit {lanes}"] = partial(_tick_circuits, *_circuits(task, lanes), _ticks(lanes))
+        calls[f"physics {lanes}"] = partial(_tick_rovers, fleet.arrays, commands, _ticks(lanes))
+    cpu_s = _cpu_s(calls)
+    by_lanes = [
+        {"lanes": lanes}
+        | {
+            f"{name}_ns": cpu_s[f"{name} {lanes}"] * _NS / (lanes * _ticks(lanes) * SUBSTEPS)
+            for name in ("circuit", "physics")
+        }
+        for lanes in LANES
+    ]
+    lane = next(row for row in by_lanes if row["lanes"] == stream.LANES)
+    in_lanes, plain = len(vectors) / cpu_s["episodes"], len(alone) / cpu_s["plain"]
+    return {
+        "episodes_per_s": in_lanes,
+        "plain_episodes_per_s": plain,
+        "ratio_to_plain": in_lanes / plain,
+        "cost_by_lanes": by_lanes,
+        "substep_ns": {
+            name: {"scalar": cpu_s[name] * _NS / (_TICKS * SUBSTEPS), "lane": lane[f"{name}_ns"]}
+            for name in ("circuit", "physics")
+        },
+    }
 
 
 def _candidates(policy: Policy, count: int) -> np.ndarray:
@@ -111,15 +144,16 @@ def _candidates(policy: Policy, count: int) -> np.ndarray:
     return np.clip(vectors, layout.lower, layout.upper)
 
 
-def _cpu_s(run: Callable[[], object]) -> float:
-    """Return the median CPU time of a call that ran once before."""
-    run()
-    times = []
-    for _ in range(_REPEATS):
-        began = time.process_time()
-        run()
-        times.append(time.process_time() - began)
-    return statistics.median(times)
+def _cpu_s(calls: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """Return the median CPU time of each call, after one in vain; in turn, as machines have slow moments."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for repeat in range(_REPEATS + 1):
+        for name, run in calls.items():
+            began = time.process_time()
+            run()
+            if repeat:
+                times[name].append(time.process_time() - began)
+    return {name: statistics.median(each) for name, each in times.items()}
 
 
 class _Timed:
@@ -202,20 +236,22 @@ def _iterations_on_all_cores(plan: Plan, iterations: int, cores: int) -> tuple[f
         return _AGENTS * iterations / workers.cpu_s, _AGENTS * iterations / wall_s
 
 
-def _cost(task: Task, lanes: int) -> dict[str, Any]:
-    """Return what a substep costs a lane among so many, in ns; the physics in whole bays."""
-    ticks = max(_TICKS // max(lanes // 64, 1), 1)
+def _ticks(lanes: int) -> int:
+    """Return how many ticks take long enough to be timed."""
+    return _LANE_TICKS // lanes
+
+
+def _circuits(task: Task, lanes: int) -> tuple[Any, ...]:
     program = make_program(task.policy)
     parameters = allocate_lanes(program, task.policy, lanes)
     potentials = resting_potentials(task.policy, lanes)
     observations = np.full((len(task.policy.sensing.inputs), lanes), 0.3)
-    commands = np.zeros((2, lanes))
-    circuit = _cpu_s(lambda: _tick_circuits(program, parameters, potentials, observations, commands, ticks))
-    rovers = -(-lanes // ROVERS_PER_BAY) * ROVERS_PER_BAY
-    fleet, driven = Fleet([RoverModel()] * rovers), np.full((2, rovers), 0.1)
-    physics = _cpu_s(lambda: _tick_rovers(fleet.arrays, driven, ticks))
-    substeps = lanes * ticks * SUBSTEPS
-    return {"lanes": lanes, "circuit_ns": circuit * _NS / substeps, "physics_ns": physics * _NS / substeps}
+    return program, parameters, potentials, observations, np.zeros((2, lanes))
+
+
+def _fleet(lanes: int) -> Fleet:
+    """Return rovers in whole bays."""
+    return Fleet([RoverModel()] * (-(-lanes // ROVERS_PER_BAY) * ROVERS_PER_BAY))
 
 
 @kernel
@@ -229,19 +265,6 @@ def _tick_rovers(fleet, commands, ticks):  # type: ignore[no-untyped-def]  # num
     for _ in range(ticks):
         send(fleet, commands)
         advance(fleet)
-
-
-def _substeps(task: Task, by_lanes: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
-    """Return ns per substep: alone from Python, and as a lane of the width the engine likes."""
-    runner, rover = PolicyRunner(task.policy), Rover(RoverModel(), Bay(()), task.course.checkpoints[0].pose)
-    rover.command(0.1, 0.1)
-    circuit = _cpu_s(lambda: [runner.tick([0.3, 0.3, 0.3, 1.0]) for _ in range(_TICKS)])
-    physics = _cpu_s(lambda: _substep(rover, _TICKS * SUBSTEPS))
-    lane = next(row for row in by_lanes if row["lanes"] == stream.LANES)
-    return {
-        "circuit": {"scalar": circuit * _NS / (_TICKS * SUBSTEPS), "lane": lane["circuit_ns"]},
-        "physics": {"scalar": physics * _NS / (_TICKS * SUBSTEPS), "lane": lane["physics_ns"]},
-    }
 
 
 def _substep(rover: Rover, times: int) -> None:

@@ -37,7 +37,7 @@ STALLED_M2 = 2.0 / 22
 WINDOW = 80
 LEAST_GAIN, LEAST_GAIN_OF_RETURN = 0.01, 0.05
 """A descent ends when so many steps took less than this share off what is left to gain; the second where a
-return is climbed that is not yet near: at the first one's pace half an agent's candidates go into one crawl."""
+return is climbed that is not yet near: at the first one's pace a crawl takes half an agent's candidates."""
 NEAR_M2 = 0.1 / 22
 """Loss per checkpoint below which any gain will do."""
 OVERTAKING_WINDOW, OVERTAKING_WINDOWS = 30, 4.0

@@ -16,14 +16,14 @@ Three things get it past the local optima of a course:
     next descent starts from new samples, and hops go from its end if that is nearly as good as the best. So
     no agent spends its candidates on one place that leads nowhere, unless that is good. There hops are wider
     and many: all but the first few race against the best of them, which costs less than half as much as
-    whole episodes do, and finds starts farther away that are as good.
+    whole episodes do.
 
 Rules of this file
   * A search knows points of the unit box; neither circuit nor simulator nor clock.
   * All candidates count, those that measure slopes too. They go out in batches, a batch in any portions, and
     only a whole batch decides anything. ``state`` may be taken within a batch.
-  * A step whose return is lost may be stopped there: nothing behind that checkpoint is looked at, and all
-    decisions are those of whole episodes.
+  * A step or hop whose return is lost may be stopped there: nothing behind that checkpoint is looked at, and
+    all decisions are those of whole episodes.
   * All arithmetic is in a fixed order: the same bits on every machine.
 
 Constants were tuned on seeds that no reported figure uses: ``docs/search.md``.
@@ -142,7 +142,7 @@ class GaussNewton:
 
     @property
     def to_beat(self) -> Vector:
-        """(n,) what steps must exceed; minus infinity for what is wanted whole, to measure or compare."""
+        """(n,) what steps and hops must exceed; minus infinity for what is wanted whole."""
         return np.array(self._to_beat())
 
     def _to_beat(self) -> list[float]:

@@ -335,19 +335,11 @@ class GaussNewton:
             "batch": pack(self._batch),
             "values": [outcome.value for outcome in self._told],
             "misses": pack(np.array([outcome.misses for outcome in self._told])),
-            "hops": self._hops
-            and {
-                "point": pack(self._hops.best.point),
-                "value": self._hops.best.value,
-                "misses": pack(self._hops.best.misses),
-                "races": self._hops.races,
-            },
+            "hops": self._hops and {**_packed(self._hops.best), "races": self._hops.races},
             "base": None if self.value is None else {**asdict(self._base), "point": pack(self._base.point)},
             "descent": descent
             and {
-                "point": pack(descent.at.point),
-                "value": descent.at.value,
-                "misses": pack(descent.at.misses),
+                **_packed(descent.at),
                 "survives": descent.survives,
                 "hopped": descent.hopped,
                 "slopes": pack(descent.slopes),
@@ -396,11 +388,14 @@ class GaussNewton:
         self._base, self._hops = base or _Base(best, -math.inf), hops
         self._told = [Outcome(*told) for told in zip(batch, values, misses, strict=False)]
 
+    def _restored_outcome(self, state: Mapping[str, Any]) -> Outcome:
+        point, misses = unpack(state["point"], (self._box.size,)), unpack(state["misses"], (None, None, 3))
+        return Outcome(point, float(state["value"]), misses)
+
     def _restored_hops(self, state: Mapping[str, Any] | None) -> _Hops | None:
         if state is None:
             return None
-        point, misses = unpack(state["point"], (self._box.size,)), unpack(state["misses"], (None, None, 3))
-        hops = _Hops(Outcome(point, float(state["value"]), misses), int(state["races"]))
+        hops = _Hops(self._restored_outcome(state), int(state["races"]))
         if not math.isfinite(hops.best.value) or not 0 <= hops.races < HOP_RACES:
             raise ValueError("hops of such a return cannot be")
         return hops
@@ -418,12 +413,12 @@ class GaussNewton:
     def _restored_descent(self, state: Mapping[str, Any] | None) -> Descent | None:
         if state is None:
             return None
-        point, misses = unpack(state["point"], (self._box.size,)), unpack(state["misses"], (None, None, 3))
+        at = self._restored_outcome(state)
         descent = Descent(
-            at=Outcome(point, float(state["value"]), misses),
+            at=at,
             survives=bool(state["survives"]),
             hopped=bool(state["hopped"]),
-            slopes=unpack(state["slopes"], (self._box.size, misses.size)),
+            slopes=unpack(state["slopes"], (self._box.size, at.misses.size)),
             damping=float(state["damping"]),
             scores=[float(score) for score in state["scores"]],
             woken=int(state["woken"]),
@@ -431,3 +426,11 @@ class GaussNewton:
         if not 1 <= len(descent.scores) <= WINDOW + 1 or not 0.0 < descent.damping <= MOST_DAMPING:
             raise ValueError("a descent of such scores or damping cannot be")
         return descent
+
+
+def _packed(outcome: Outcome) -> dict[str, Any]:
+    return {
+        "point": pack(outcome.point),
+        "value": outcome.value,
+        "misses": pack(outcome.misses),
+    }

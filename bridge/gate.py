@@ -5,11 +5,13 @@ Rules of this file:
 1. `step` is all there is: state and event in, state and verdict out. No I/O and no clock; ``now`` is the
    bridge's monotonic clock in seconds.
 2. Whatever came, the verdict's velocity is finite, within the limits, and what is sent, published, recorded.
-3. Zero is the rule. Anything else needs all of: a base heard of late, no stop latched, no hazard flagged,
-   motors on, a lease, and a command of its holder that is fresh, new and finite.
+3. The output is zero unless all of these hold: the base reports in time, no stop is latched, no hazard is
+   flagged, the motors are on, there is a lease, and its holder sent a command that is fresh, new and finite.
 4. Hazards end the lease: whoever drove has to ask again. Mere lateness (silence, odometry) pauses, and so do
    fence and sonars: the rover may be driven away from them.
 5. Braking is never slowed down; only growth is.
+6. A message that is not signed with the key of the present lease changes nothing of it but a counter. Digests
+   are verified, and keys are made, by the caller: `step` draws no random numbers.
 """
 
 import math
@@ -36,10 +38,8 @@ from bridge.limits import Fence, Limits
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.lease import CommandTag
 
-__all__ = ["ROS_DRIVER", "step"]
+__all__ = ["step"]
 
-ROS_DRIVER = bytes(16)
-"""The id under which commands without a tag drive, where that is allowed."""
 MINIMUM_KEPT_S = 60
 """How long the smallest (arrival − stamp) is remembered: clocks that drift 100 ppm differ by 6 ms in it."""
 ROS_AGE_S = 0.3
@@ -74,7 +74,7 @@ def step(state: State, event: Event, now: float, limits: Limits, accept_ros: boo
             state = replace(state, base=None, low_since_s=None)
         case Enable():
             state, refusal = _enable(state, event, limits)
-        case Release(driver) if state.lease is not None and state.lease.driver == driver:
+        case Release(sequence) if state.lease is not None and sequence > state.lease.last_sequence:
             state = _end_lease(state, None)
         case Stop(reason):
             state = replace(state, latched=reason)
@@ -82,7 +82,7 @@ def step(state: State, event: Event, now: float, limits: Limits, accept_ros: boo
             state = replace(state, latched=None)
         case Command():
             state, dropped = _command(state, event, limits, accept_ros)
-        case _:  # time alone, or a release by somebody who holds nothing
+        case _:  # time alone, or a release that was repeated or came after the lease ended
             pass
     hazard = _hazard(state, limits)
     if hazard is not None and state.lease is not None:
@@ -94,7 +94,7 @@ def step(state: State, event: Event, now: float, limits: Limits, accept_ros: boo
     if held is None and state.target is not None:
         velocity = _within(state.target, state.out, limits, elapsed)
     state = _switch_motors(replace(state, held=held, out=velocity))
-    return state, Verdict(velocity, state.motors, held, refusal, dropped)
+    return state, Verdict(velocity, state.motors, held, refusal, dropped, state.lease)
 
 
 def _hazard(state: State, limits: Limits) -> Reason | None:
@@ -187,26 +187,31 @@ def _hear(state: State, base: Heard, limits: Limits) -> State:
 
 
 def _enable(state: State, request: Enable, limits: Limits) -> tuple[State, Reason | None]:
-    """Grant the lease, or say why not. Granting it again forgets what was known of the driver's clock."""
+    """Grant or renew the lease, or say why not. A renewal forgets what was known of the driver's clock."""
     base, lease = state.base, state.lease
-    if lease is not None and lease.driver != request.driver:
+    sequence = -1 if lease is None else request.sequence
+    if sequence is None:
         return state, Reason.ANOTHER_DRIVER
+    if lease is not None and sequence <= lease.last_sequence:
+        return state, Reason.REPEATED
     hazard = _hazard(state, limits)
     if hazard is not None or base is None:
         return state, hazard
     if _deaf(state, base, limits):
         return state, Reason.ODOMETRY
     granted = Lease(
-        request.driver,
-        request.name,
-        request.sent_ns,
+        number=state.leases + 1 if lease is None else lease.number,
+        secret=request.secret if lease is None else lease.secret,
+        name=request.name,
+        sent_ns=request.sent_ns,
         granted_s=state.now,
         expires_s=state.now + limits.lease_s,
-        last_sequence=-1 if lease is None else lease.last_sequence,
+        last_sequence=sequence,
     )
     return replace(
         state,
         lease=granted,
+        leases=granted.number,
         ended=None,
         target=None,
         idle=Reason.SILENCE,
@@ -256,14 +261,14 @@ def _command(state: State, command: Command, limits: Limits, accept_ros: bool) -
     velocity = command.velocity
     admitted: _Admitted | Reason = Reason.FOREIGN
     if command.tag is not None:
-        admitted = _tagged(state, command.tag, limits)
+        admitted = _tagged(state, command.tag, command.signed, limits)
     elif accept_ros:
         admitted = _untagged(state, command, limits)
     if isinstance(admitted, Reason):
         return replace(state, dropped=_count(state.dropped, admitted)), admitted
     state = admitted.state
     if velocity is None or not all(map(math.isfinite, velocity)):
-        # A holder of the lease who sends this has lost its mind: its last word is not to be acted on further.
+        # The driver that holds the lease is faulty: the command before this one is not carried out further.
         flaw = Reason.UNREADABLE if velocity is None else Reason.NOT_FINITE
         return replace(state, target=None, idle=flaw, dropped=_count(state.dropped, flaw)), flaw
     limited = state.limited
@@ -281,8 +286,8 @@ def _command(state: State, command: Command, limits: Limits, accept_ros: bool) -
     ), None
 
 
-def _tagged(state: State, tag: CommandTag, limits: Limits) -> _Admitted | Reason:
-    """Judge by driver, sequence number and age.
+def _tagged(state: State, tag: CommandTag, signed: bool, limits: Limits) -> _Admitted | Reason:
+    """Judge by signature, sequence number and age.
 
     The two clocks agree in nothing, but (arrival − stamp) of the quickest command of the last minute is as
     near to their difference as can be known: what exceeds it is this command's age.
@@ -290,7 +295,7 @@ def _tagged(state: State, tag: CommandTag, limits: Limits) -> _Admitted | Reason
     lease = state.lease
     if lease is None:
         return _hazard(state, limits) or Reason.NO_LEASE
-    if tag.driver != lease.driver:
+    if not signed:
         return Reason.FOREIGN
     if tag.sequence <= lease.last_sequence:
         return Reason.REPEATED
@@ -316,11 +321,11 @@ def _untagged(state: State, command: Command, limits: Limits) -> _Admitted | Rea
         if refusal is None and state.now < state.untagged_until_s and command.velocity != ZERO:
             refusal = Reason.NO_LEASE
         if refusal is None:
-            state, refusal = _enable(state, Enable(ROS_DRIVER, "ros"), limits)
+            state, refusal = _enable(state, Enable("ros"), limits)
         if refusal is not None:
             return refusal
     lease = state.lease
-    if lease is None or lease.driver != ROS_DRIVER:
+    if lease is None or lease.secret is not None:
         return Reason.FOREIGN
     return _Admitted(state, lease, state.now - max(age, 0.0))
 

@@ -49,7 +49,7 @@ class Reason(StrEnum):
     LEASE_LAPSED = "lease-lapsed"
     ANOTHER_DRIVER = "another-driver"
     FOREIGN = "foreign"
-    """Without a tag, or with another driver's."""
+    """Not signed by the holder of the lease."""
     REPEATED = "repeated"
     STALE = "stale"
     UNREADABLE = "unreadable"
@@ -99,30 +99,37 @@ class BaseLost:
 
 @dataclass(frozen=True)
 class Command:
-    """Somebody asks for a velocity; None = the bytes were no velocity.
+    """A command for a velocity; None = the bytes were no velocity, or were not read.
 
-    ``age_s`` is only for a command without a tag: how long ago it says it was sent, None if it does not say.
+    ``signed`` is whether the tag's digest is valid under the key of the lease that is held. ``age_s`` is only
+    for a command without a tag: how long ago it says it was sent, None if it does not say.
     """
 
     velocity: Velocity | None
     tag: CommandTag | None = None
     age_s: float | None = None
+    signed: bool = False
 
 
 @dataclass(frozen=True)
 class Enable:
-    """A driver asks for the motors; ``sent_ns`` is its own monotonic clock."""
+    """A driver asks for the motors; ``sent_ns`` is its own monotonic clock.
 
-    driver: bytes
+    ``secret`` is the key of the lease if it is a new one, None for plain ROS commands. ``sequence`` is the
+    request's number if it is a renewal, signed with the key of the lease that is held; else None.
+    """
+
     name: str = ""
     sent_ns: int = 0
+    secret: bytes | None = field(default=None, repr=False)
+    sequence: int | None = None
 
 
 @dataclass(frozen=True)
 class Release:
-    """A driver gives the motors back."""
+    """The holder of the lease gives the motors back, in a signed request with this number."""
 
-    driver: bytes
+    sequence: int
 
 
 @dataclass(frozen=True)
@@ -144,7 +151,10 @@ Event: TypeAlias = Tick | Heard | BaseLost | Command | Enable | Release | Stop |
 class Lease:
     """Who may drive, and until when unless a command comes."""
 
-    driver: bytes
+    number: int
+    """From 1, in the order of the grants."""
+    secret: bytes | None = field(repr=False)
+    """The key that signs; None where plain ROS commands drive, which are not signed."""
     name: str
     sent_ns: int
     """The driver's clock when it asked: a command sent before that is not of this lease."""
@@ -159,6 +169,8 @@ class State:
 
     now: float = -math.inf
     lease: Lease | None = None
+    leases: int = 0
+    """How many were granted."""
     ended: Reason | None = None
     """What ended the last lease; None if it was given back."""
     latched: str | None = None
@@ -205,6 +217,8 @@ class Verdict:
     """Why an `Enable` was not granted."""
     dropped: Reason | None = None
     """Why a `Command` did not count."""
+    lease: Lease | None = None
+    """The lease that is held now."""
 
     @property
     def emergency(self) -> bool:

@@ -52,11 +52,12 @@ class Sampled:
 
 @dataclass(frozen=True)
 class Asked:
-    """A query on one of our keys."""
+    """A query on one of our keys, with the attachment it came with, if any."""
 
     name: str
     query: zenoh.Query
     payload: bytes
+    attachment: bytes | None
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ class Link:
         self._namespace = namespace
         self._ros = ros
         self._rmw: RmwNode | None = None
-        self._key("odom")  # a bad namespace is said before anything is opened
+        self.key("odom")  # a bad namespace is said before anything is opened
         settings, endpoints = configured(listen, config, insecure)
         if Convention.RMW_ZENOH in ros:
             # ROS nodes find each other through the router they are connected to, which we are then.
@@ -79,13 +79,13 @@ class Link:
                 self._held += [tokens.declare_token(key) for key in self._ros2dds_tokens()]
             if self._rmw is not None:
                 self._rmw.announce()
-            self._token = tokens.declare_token(self._key("rover/alive/bridge"))
+            self._token = tokens.declare_token(self.key("rover/alive/bridge"))
 
     def _ros2dds_tokens(self) -> list[str]:
         zid = str(self._session.info.zid())
         rows = [row for row in KEYS if row.name in self._publishers or row.name == "cmd_vel"]
         topics = [
-            topic_token(zid, self._key(row.name), row.type, row.name in self._publishers, row.latched)
+            topic_token(zid, self.key(row.name), row.type, row.name in self._publishers, row.latched)
             for row in rows
         ]
         return [bridge_token(zid), *topics]
@@ -99,7 +99,7 @@ class Link:
     def answer(self, asked: Asked, reply: BaseModel) -> None:
         """Answer a query; an asker who is gone does not matter."""
         with asked.query as query:
-            query.reply(self._key(asked.name), dump_json(reply), encoding=zenoh.Encoding.APPLICATION_JSON)
+            query.reply(self.key(asked.name), dump_json(reply), encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def refuse(self, asked: Asked, reason: str) -> None:
         """Answer a query that cannot be read."""
@@ -110,26 +110,27 @@ class Link:
         """End the session; the token goes with it."""
         self._session.close()  # type: ignore[no-untyped-call]
 
-    def _key(self, name: str) -> str:
+    def key(self, name: str) -> str:
+        """Return the key expression of a row of the table, with the namespace."""
         return key(self._namespace, name)
 
     def _declare(self) -> None:
         ours = [row for row in KEYS if row.senders == {Role.BRIDGE} and row.kind is Kind.MESSAGE]
         self._publishers = {row.name: self._publisher(row) for row in ours}
-        self._held.append(self._session.declare_subscriber(self._key("cmd_vel"), self._guard(self._sampled)))
+        self._held.append(self._session.declare_subscriber(self.key("cmd_vel"), self._guard(self._sampled)))
         for row in KEYS:
             if row.kind is Kind.QUERYABLE:
                 asked = self._guard(self._asking(row.name, row.max_bytes))
-                self._held.append(self._session.declare_queryable(self._key(row.name), asked))
+                self._held.append(self._session.declare_queryable(self.key(row.name), asked))
         if Convention.RMW_ZENOH in self._ros:
             commanded = self._guard(lambda sample: self._inbox.put(sampled(sample)))
             self._rmw = RmwNode(self._session, domain_id(os.environ), self._namespace, ours, commanded)
 
     def _publisher(self, row: KeySpec) -> Any:
         if row.latched:
-            return latching_publisher(self._session, self._key(row.name))
+            return latching_publisher(self._session, self.key(row.name))
         return self._session.declare_publisher(
-            self._key(row.name),
+            self.key(row.name),
             encoding=zenoh.Encoding.APPLICATION_CDR,
             congestion_control=zenoh.CongestionControl.DROP,
         )
@@ -146,11 +147,11 @@ class Link:
         return guarded
 
     def _sampled(self, sample: zenoh.Sample) -> None:
-        attachment, stamp = sample.attachment, sample.timestamp
+        stamp = sample.timestamp
         self._inbox.put(
             Sampled(
                 sample.payload.to_bytes(),
-                attachment.to_bytes() if attachment is not None else None,
+                _bytes(sample.attachment),
                 round(stamp.get_time().timestamp() * 1e9) if stamp is not None else None,
             )
         )
@@ -160,7 +161,7 @@ class Link:
             payload = query.payload
             # One byte too many is enough for the reader to refuse it.
             data = b"{}" if payload is None else payload.to_bytes()[: max_bytes + 1]
-            self._inbox.put(Asked(name, query, data))
+            self._inbox.put(Asked(name, query, data, _bytes(query.attachment)))
 
         return asked
 
@@ -172,6 +173,10 @@ class Link:
             if reply.ok is not None:
                 return str(json.loads(reply.ok.payload.to_string())["locators"][0])
         raise UsageError(f"--listen {endpoints[0]}: the port that was taken is not known; say one")
+
+
+def _bytes(attachment: zenoh.ZBytes | None) -> bytes | None:
+    return None if attachment is None else attachment.to_bytes()
 
 
 def _open(settings: zenoh.Config, endpoints: list[str]) -> zenoh.Session:

@@ -8,7 +8,6 @@ Rules of this file:
 3. Every way out stops the rover, switches its motors off and closes the session.
 """
 
-import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -37,9 +36,10 @@ from bridge.odometry import BaseState
 from bridge.queries import Answers
 from bridge.robots import RobotParameters
 from bridge.session import Session
+from bridge.signatures import is_signed, read_tag
 from rover_ncp.core.clock import Clock
 from rover_ncp.core.errors import FormatError, NoRobot
-from rover_ncp.core.lease import CommandTag, dump_json
+from rover_ncp.core.lease import Signed, dump_json
 from rover_ncp.core.messages import read_twist, text
 
 __all__ = ["Node"]
@@ -141,25 +141,22 @@ class Node:
                 raise error
 
     def _command(self, sample: Sampled) -> Command:
-        """Read a command; what cannot be read is a command all the same, for the gate to judge."""
-        tag = None
-        with contextlib.suppress(FormatError):
-            tag = CommandTag.unpack(sample.attachment) if sample.attachment is not None else None
-        if not self._worth_reading(tag):
+        """Read a command; what cannot be read is a command all the same, for the gate to judge.
+
+        Nothing of a stranger's command is parsed but its tag.
+        """
+        tag = read_tag(sample.attachment)
+        key = self._link.key("cmd_vel")
+        signed = is_signed(tag, self.gate.lease, Signed.COMMAND, key, sample.payload)
+        if not (signed or (tag is None and self._accept_ros)):
             return Command(None, tag)
         try:
             velocity, stamp_ns = read_twist(sample.payload)
         except FormatError:
-            return Command(None, tag)
+            return Command(None, tag, signed=signed)
         sent_ns = stamp_ns if stamp_ns is not None else sample.sent_ns
         age_s = (self._clock.time_ns() - sent_ns) * 1e-9 if sent_ns is not None and tag is None else None
-        return Command(velocity, tag, age_s)
-
-    def _worth_reading(self, tag: CommandTag | None) -> bool:
-        """Whether what a command says can matter: that of a stranger is not read, lest a flood cost time."""
-        if tag is None:
-            return self._accept_ros
-        return self.gate.lease is not None and tag.driver == self.gate.lease.driver
+        return Command(velocity, tag, age_s, signed)
 
     def _handle(self, events: list[Event], arrived_s: float) -> None:
         for event in events:
@@ -282,16 +279,16 @@ def _heard(state: BaseState, room: Room) -> Heard:
 
 def _public(gate: State) -> tuple[object, ...]:
     """Return what everybody is to know at once."""
-    return gate.lease.driver if gate.lease else None, gate.held, gate.ended, gate.latched
+    return gate.lease.number if gate.lease else None, gate.held, gate.ended, gate.latched
 
 
 def _news(before: State, after: State) -> Iterator[str]:
     """Tell people who drives and what stops the rover."""
     old, new = before.lease, after.lease
-    if new is not None and (old is None or old.driver != new.driver):
-        yield f"{new.name or new.driver.hex()} has the motors"
+    if new is not None and (old is None or old.number != new.number):
+        yield f"{new.name or 'a driver without a name'} has the motors"
     if old is not None and new is None:
-        yield f"{old.name or old.driver.hex()} has the motors no more" + (
+        yield f"{old.name or 'a driver without a name'} has the motors no more" + (
             f": {after.ended}" if after.ended else ""
         )
     if before.held is None and after.held not in {None, Reason.NO_LEASE}:

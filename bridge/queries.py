@@ -1,21 +1,34 @@
-"""The bridge's answers to queries: motors, stop, odometry reset."""
+"""The bridge's answers to queries: motors, stop, odometry reset.
 
+While a lease is held, a request for the motors counts only with a valid digest under that lease's key. The
+digest is verified before the request is parsed. The key is in the answer to a new driver, and nowhere else.
+"""
+
+import secrets
 from collections.abc import Callable
 
-from bridge.gate_state import Enable, Event, Reason, Release, State, Stop, Unlatch, Verdict
+from bridge.gate_state import Enable, Event, Lease, Reason, Release, State, Stop, Unlatch, Verdict
 from bridge.inbox import Asked
 from bridge.limits import Limits
 from bridge.link import Link
 from bridge.session import Session
+from bridge.signatures import is_signed, read_tag
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.lease import (
+    KEY_BYTES,
+    PROTOCOL,
+    VERSION_REASON,
+    MotorsRefusal,
     MotorsReply,
     MotorsRequest,
     ResetReply,
     ResetRequest,
+    Signed,
     StopReply,
     StopRequest,
+    other_version,
     parse_json,
+    requested_version,
 )
 
 __all__ = ["Answers"]
@@ -28,6 +41,7 @@ _WORDS = {
     Reason.LOW_BATTERY: "the battery is low",
     Reason.ODOMETRY: "the base does not report where it is",
     Reason.FROZEN: "the base reports the same place while it says that it drives",
+    Reason.REPEATED: "this renewal of the lease, or a later message, has arrived already",
 }
 
 
@@ -44,8 +58,7 @@ class Answers:
         try:
             match asked.name:
                 case "rover/motors":
-                    request = parse_json(MotorsRequest, asked.payload)
-                    self._link.answer(asked, self._motors(request, now, gate))
+                    self._link.answer(asked, self._motors(asked, now, gate))
                 case "rover/stop":
                     self._link.answer(asked, self._stop(parse_json(StopRequest, asked.payload), now))
                 case _:
@@ -54,16 +67,33 @@ class Answers:
         except FormatError as error:
             self._link.refuse(asked, str(error))
 
-    def _motors(self, request: MotorsRequest, now: float, gate: State) -> MotorsReply:
-        driver, limits = bytes.fromhex(request.driver), self._limits
+    def _motors(self, asked: Asked, now: float, gate: State) -> MotorsRefusal:
+        """Answer a request for the motors. Raises FormatError for one that cannot be read."""
+        tag = read_tag(asked.attachment)
+        signed = is_signed(tag, gate.lease, Signed.MOTORS, self._link.key(asked.name), asked.payload)
+        if gate.lease is not None and not signed:
+            return _refusal(Reason.ANOTHER_DRIVER, gate)
+        if (version := requested_version(asked.payload)) != PROTOCOL:
+            return MotorsRefusal(reason=VERSION_REASON, detail=other_version(PROTOCOL, version))
+        request = parse_json(MotorsRequest, asked.payload)
+        sequence = tag.sequence if tag is not None and signed else None
         if not request.enable:
-            self._judge(Release(driver), now)
-            return MotorsReply(granted=False)
-        refusal = self._judge(Enable(driver, request.name, request.sent_ns), now).refusal
-        if refusal is not None:
-            return MotorsReply(granted=False, reason=str(refusal), detail=_detail(refusal, gate))
+            if sequence is not None:
+                self._judge(Release(sequence), now)
+            return MotorsRefusal()
+        secret = secrets.token_bytes(KEY_BYTES)
+        verdict = self._judge(Enable(request.name, request.sent_ns, secret, sequence), now)
+        if verdict.refusal is not None:
+            return _refusal(verdict.refusal, gate)
+        assert verdict.lease is not None  # it was granted
+        return self._grant(verdict.lease, new=verdict.lease.secret == secret, now=now)
+
+    def _grant(self, lease: Lease, new: bool, now: float) -> MotorsReply:
+        limits = self._limits
         return MotorsReply(
             granted=True,
+            lease=lease.number,
+            key=lease.secret.hex() if new and lease.secret is not None else "",
             lease_s=limits.lease_s,
             received_ns=round(now * 1e9),
             limits={
@@ -87,9 +117,10 @@ class Answers:
         return ResetReply(ok=True)
 
 
-def _detail(refusal: Reason, gate: State) -> str:
+def _refusal(refusal: Reason, gate: State) -> MotorsRefusal:
+    detail = _WORDS.get(refusal, "")
     if refusal is Reason.ANOTHER_DRIVER and gate.lease is not None:
-        return f"{gate.lease.name or gate.lease.driver.hex()} has the motors"
-    if refusal is Reason.STOPPED:
-        return f"stopped until released: {gate.latched or 'no reason given'}"
-    return _WORDS.get(refusal, "")
+        detail = f"{gate.lease.name or 'a driver without a name'} has the motors"
+    elif refusal is Reason.STOPPED:
+        detail = f"stopped until released: {gate.latched or 'no reason given'}"
+    return MotorsRefusal(reason=str(refusal), detail=detail)

@@ -93,8 +93,9 @@ def gate_status(state: State) -> GateStatus:
     lease = state.lease
     held = state.held
     return GateStatus(
-        driver=lease.driver.hex() if lease else "",
+        lease=lease.number if lease else 0,
         driver_name=lease.name if lease else "",
+        sequence=lease.last_sequence if lease else -1,
         held="" if held in {None, Reason.NO_LEASE} else str(held),
         ended=str(state.ended or ""),
         stop_reason=state.latched or "",
@@ -155,8 +156,8 @@ def _base(base: BaseState | None) -> Diagnostic:
 
 def _gate(gate: State) -> Diagnostic:
     status = gate_status(gate)
-    values = {"driver": status.driver_name or status.driver, "accepted": str(status.accepted)}
+    values = {"driver": status.driver_name, "lease": str(status.lease), "accepted": str(status.accepted)}
     for name in ("dropped", "limited", "stops"):
         values |= {f"{name}_{reason}": str(count) for reason, count in getattr(status, name).items()}
-    held = status.held or ("" if status.driver else status.ended)
+    held = status.held or ("" if status.lease else status.ended)
     return Diagnostic("bridge: gate", WARNING if held else OK, held or "open", values)

@@ -240,9 +240,9 @@ class Drive:
 
     def _stands(self, watch: StillWatch) -> bool:
         gate = self._link.gate
-        if gate.driver and not self._config.dry_run:
+        if gate.lease and not self._config.dry_run:
             # To wait for a rover that somebody else drives would be to wait for them to let go.
-            who = gate.driver_name or gate.driver
+            who = gate.driver_name or "a driver without a name"
             raise AnotherDriver(f"the bridge at {self._link.robot} refuses the motors: {who} has them")
         self._hear_poses()
         sample = self.intake.take(0)

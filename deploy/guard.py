@@ -67,12 +67,13 @@ class Guard:
 
     def _check_lease(self, granted_ns: int) -> None:
         gate = self._link.gate
-        if gate.driver == self._link.driver.hex():
+        if gate.lease == self._link.lease.number:
             self._lease_seen = True
         elif self._lease_seen:
             raise SafetyStop(gate.ended or "lease", "the gate took the motors away")
         elif self._clock.monotonic_ns() - granted_ns > self._waits.lease_wait_s * NS:
             raise SafetyStop("lease", "the gate does not confirm that we may drive")
+        self._link.lease.check(gate, self._clock.monotonic_ns())
 
     def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for a condition; False if it did not come in time. Raises Interrupted."""

@@ -6,7 +6,6 @@ into the recorder's queue. Nothing here blocks the control loop but the queries,
 """
 
 import contextlib
-import secrets
 import threading
 import time
 from collections import deque
@@ -17,17 +16,29 @@ from typing import Any, NamedTuple, Self
 
 import zenoh
 
+from deploy.lease import DriverLease
 from deploy.session import client_config, refused
 from rover_ncp.core.errors import (
     AnotherDriver,
     FormatError,
     NoBridge,
     NotAuthorised,
+    OtherVersion,
     SafetyStop,
 )
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.keys import KEYS, Kind, Role, key, spec
-from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
+from rover_ncp.core.lease import (
+    PROTOCOL,
+    VERSION_REASON,
+    GateStatus,
+    MotorsReply,
+    MotorsRequest,
+    Signed,
+    dump_json,
+    other_version,
+    parse_json,
+)
 from rover_ncp.core.messages import read_text, twist_stamped
 from rover_ncp.core.recording import Recorded, header_stamp_ns
 
@@ -107,8 +118,7 @@ class Link:
         self._key("odom")  # a bad namespace is said before anything is opened
         config, locator = client_config(robot, zenoh_config)
         self.robot = locator
-        self.driver = secrets.token_bytes(16)
-        """Who we are to the gate; new in each process."""
+        self.lease = DriverLease()
         self.odometry = Mailbox()
         self.gyro = Inbox()
         self.poses = Inbox()
@@ -116,8 +126,6 @@ class Link:
         self.bridge_alive = False
         self.gate = GateStatus()
         """The newest word of the gate."""
-        self._sequence = 0
-        self._may_hold_motors = False
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -169,18 +177,22 @@ class Link:
         return bool(status.matching)
 
     def request_motors(self, name: str) -> MotorsReply:
-        """Ask for the motors and with them the lease.
+        """Ask for the motors and with them the lease, or renew the one we have.
 
-        Raises AnotherDriver, NotAuthorised, NoBridge (no answer), or SafetyStop when the gate has a reason or
-        the link is too slow.
+        Where the answer takes too long it asks again, then with a signed renewal. After an answer that was
+        lost, the gate refuses every driver, this one too, until that lease lapses.
+
+        Raises AnotherDriver, NotAuthorised, NoBridge (no answer), OtherVersion, or SafetyStop when the gate
+        has a reason or the link is too slow.
         """
         if self._token is None:
             self._token = self._session.liveliness().declare_token(self._key("rover/alive/driver"))
-        self._may_hold_motors = True  # from now on, whatever becomes of the answer
         for _ in range(ASK_TRIES):
             asked_s = time.monotonic()
             reply = self._motors(enable=True, name=name, timeout_s=QUERY_TIMEOUT_S)
             round_trip_s = time.monotonic() - asked_s
+            if reply is not None and reply.granted:
+                self.lease.grant(reply)
             if round_trip_s <= ROUND_TRIP_S:
                 break
         if reply is None:
@@ -189,9 +201,13 @@ class Link:
             )
         if not reply.granted:
             words = f"the bridge at {self.robot} refuses the motors: {reply.detail or reply.reason}"
+            if reply.reason == VERSION_REASON:
+                raise OtherVersion(words)
             if reply.reason == ANOTHER_DRIVER:
                 raise AnotherDriver(words)
             raise SafetyStop(reply.reason or "gate", words)
+        if not self.lease.number:
+            raise NoBridge(f"the bridge at {self.robot} grants the motors without a key")
         if round_trip_s > ROUND_TRIP_S:
             raise SafetyStop(
                 "slow-link",
@@ -200,11 +216,17 @@ class Link:
         return reply
 
     def _motors(self, enable: bool, name: str, timeout_s: float) -> MotorsReply | None:
-        request = MotorsRequest(
-            enable=enable, driver=self.driver.hex(), name=name, sent_ns=time.monotonic_ns()
-        )
-        replies = self._session.get(self._key("rover/motors"), payload=dump_json(request), timeout=timeout_s)
-        for reply in replies:
+        now_ns = time.monotonic_ns()
+        payload = dump_json(MotorsRequest(enable=enable, name=name, sent_ns=now_ns))
+        where, tag = self._key("rover/motors"), None
+        if self.lease.number:
+            tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
+        for reply in self._session.get(where, payload=payload, attachment=tag, timeout=timeout_s):
+            # A bridge of version 1 cannot read the request, and says so; later ones answer with a refusal.
+            if reply.err is not None and reply.err.payload.to_bytes().startswith(b"MotorsRequest: "):
+                raise OtherVersion(
+                    f"the bridge at {self.robot} refuses the motors: {other_version(1, PROTOCOL)}"
+                )
             if reply.ok is None:
                 raise NoBridge(f"the bridge at {self.robot} does not answer within {timeout_s:g} s")
             try:
@@ -214,26 +236,25 @@ class Link:
         return None
 
     def release(self) -> None:
-        """Stop and give the motors back, if we may have them.
+        """Stop and give the motors back, if we have them.
 
-        Never raises: where the bridge does not hear us any more, its own watch stops the rover.
+        Never raises: where the bridge does not receive it, its own watch stops the rover.
         """
-        if not self._may_hold_motors:
+        if not self.lease.number:
             return
-        self._may_hold_motors = False
         with contextlib.suppress(zenoh.ZError):
             self.command(Velocity(0.0, 0.0))
-        with contextlib.suppress(zenoh.ZError, NoBridge):
+        with contextlib.suppress(zenoh.ZError, NoBridge, OtherVersion):
             self._motors(enable=False, name="", timeout_s=RELEASE_TIMEOUT_S)
+        self.lease.end()
 
     def command(self, velocity: Velocity) -> int:
         """Send a command, v in m/s and omega in rad/s, and return its sequence number."""
         wall_ns = time.time_ns()
         data = twist_stamped(velocity, wall_ns)
-        tag = CommandTag(self.driver, self._sequence, time.monotonic_ns())
+        tag = self.lease.sign(Signed.COMMAND, self._key("cmd_vel"), data, time.monotonic_ns())
         self._publishers["cmd_vel"].put(data, attachment=tag.pack())
         self._record(Recorded("cmd_vel", spec("cmd_vel").type, data, wall_ns, wall_ns, tag.sequence))
-        self._sequence += 1
         return tag.sequence
 
     def publish(self, name: str, data: bytes, wall_ns: int) -> None:

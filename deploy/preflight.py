@@ -95,7 +95,7 @@ class Preflight:
 
     def _free(self) -> Finding:
         gate = self._link.gate
-        holder = gate.driver_name or gate.driver or gate.held
+        holder = gate.driver_name or ("a driver without a name" if gate.lease else gate.held)
         return Finding("stop", not holder, f"held by {holder}" if holder else "nothing holds the rover")
 
     def _motors(self) -> Finding:
@@ -146,6 +146,7 @@ class Preflight:
         end = due + MOVE_S
         while time.monotonic() < end:
             self._link.command(velocity)
+            self._link.lease.check(self._link.gate, time.monotonic_ns())
             due += PERIOD_S
             last, newest = newest, self._newest(max(0.0, due - time.monotonic()))
             way += newest.velocity.v * (newest.ref.measured_ns - last.ref.measured_ns) * 1e-9

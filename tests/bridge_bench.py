@@ -2,20 +2,20 @@
 
 import csv
 import json
-import os
 import sys
 import time
 from pathlib import Path
 
 import zenoh
 
+from deploy.lease import DriverLease
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.keys import key
 from rover_ncp.core.lease import (
-    CommandTag,
     GateStatus,
     MotorsReply,
     MotorsRequest,
+    Signed,
     StopReply,
     StopRequest,
     dump_json,
@@ -59,7 +59,7 @@ class Driver:
 
     def __init__(self, locator, namespace=""):
         self.session, self.namespace = client(locator), namespace
-        self.id, self.sequence = os.urandom(16), 0
+        self.lease, self.sent = DriverLease(), 0
         self.seen = {}
         self.gate, self.odom, self.out = GateStatus(), None, None
         self._subscriber = self.session.declare_subscriber(key(namespace, "odom")[:-4] + "**", self._heard)
@@ -78,28 +78,35 @@ class Driver:
         elif name == "rover/cmd_out":
             self.out = read_twist(data).velocity
 
-    def ask(self, name, payload):
+    def ask(self, name, payload, attachment=None):
         """Ask a query and return the bytes of the one answer, or the error's text."""
-        replies = list(self.session.get(key(self.namespace, name), payload=payload, timeout=3.0))
+        where = key(self.namespace, name)
+        replies = list(self.session.get(where, payload=payload, attachment=attachment, timeout=3.0))
         assert len(replies) == 1
         return replies[0].ok.payload.to_bytes() if replies[0].ok else replies[0].err.payload.to_string()
 
     def motors(self, enable=True):
-        request = MotorsRequest(enable=enable, driver=self.id.hex(), name="test", sent_ns=time.monotonic_ns())
-        return parse_json(MotorsReply, self.ask("rover/motors", dump_json(request)))
+        now_ns = time.monotonic_ns()
+        payload = dump_json(MotorsRequest(enable=enable, name="test", sent_ns=now_ns))
+        tag = self.lease.sign(Signed.MOTORS, key(self.namespace, "rover/motors"), payload, now_ns)
+        reply = parse_json(MotorsReply, self.ask("rover/motors", payload, tag.pack()))
+        self.lease.grant(reply)
+        return reply
 
     def stop(self, release=False):
         request = StopRequest(release=release, reason="" if release else "test")
         return parse_json(StopReply, self.ask("rover/stop", dump_json(request)))
 
-    def tag(self, age_s=0.0):
-        self.sequence += 1
-        return CommandTag(self.id, self.sequence, time.monotonic_ns() - round(age_s * 1e9)).pack()
+    def tag(self, payload, age_s=0.0):
+        self.sent += 1
+        stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
+        return self.lease.sign(Signed.COMMAND, key(self.namespace, "cmd_vel"), payload, stamp_ns).pack()
 
     def send(self, v=0.15, omega=0.0, age_s=0.0):
         """Send one command; return the wall clock's ns."""
         sent_ns = time.time_ns()
-        self._commands.put(twist_stamped(Velocity(v, omega), sent_ns), attachment=self.tag(age_s))
+        payload = twist_stamped(Velocity(v, omega), sent_ns)
+        self._commands.put(payload, attachment=self.tag(payload, age_s))
         return sent_ns
 
     def put(self, payload, attachment=None):

@@ -16,12 +16,21 @@ from rover_ncp.circuit.policy_file import load_circuit, save_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.geometry import Pose, Velocity, compose
 from rover_ncp.core.keys import key
-from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
+from rover_ncp.core.lease import (
+    CommandTag,
+    GateStatus,
+    MotorsReply,
+    MotorsRequest,
+    Signed,
+    dump_json,
+    parse_json,
+)
 from rover_ncp.core.messages import odometry, read_twist, text
 
 ODOM_AT_START = Pose(3.0, -2.0, 3.1)  # nowhere near the origin, and turning left crosses π
 SIP_S = 0.1
 STILL = Velocity(0.0, 0.0)
+LEASE = 5
 
 
 def free_port():
@@ -54,6 +63,9 @@ class Bridge:
         self.odom = odometry
         self.gate = GateStatus()
         self.refusal = ""
+        self.secret = bytes(range(32))
+        self.accepts = True
+        """Whether commands count that are signed as they should be."""
         self.commands, self.requests, self.times = [], [], []
         self.released = threading.Event()
         self._stop = threading.Event()
@@ -81,8 +93,11 @@ class Bridge:
     def _command(self, sample):
         tag = CommandTag.unpack(sample.attachment.to_bytes())
         velocity = read_twist(sample.payload.to_bytes()).velocity
-        if tag.driver.hex() == self.gate.driver:
-            self.velocity = velocity
+        if tag.lease == self.gate.lease:
+            assert tag.verify(self.secret, Signed.COMMAND, self._key("cmd_vel"), sample.payload.to_bytes())
+            if self.accepts:
+                self.velocity = velocity
+                self.gate = self.gate.model_copy(update={"sequence": tag.sequence})
         self.commands.append((tag, velocity))
 
     def _answer(self, query):
@@ -90,11 +105,15 @@ class Bridge:
             request = parse_json(MotorsRequest, query.payload.to_bytes())
             self.requests.append(request)
             granted = request.enable and not self.refusal
-            if granted:
-                self.gate = GateStatus(driver=request.driver)
-            elif self.gate.driver == request.driver:
-                self.gate, self.velocity = GateStatus(), STILL
             reply = MotorsReply(granted=granted, reason=self.refusal, detail="it is pressed", lease_s=1.0)
+            if granted:
+                self.gate = GateStatus(lease=LEASE)
+                reply = reply.model_copy(update={"lease": LEASE, "key": self.secret.hex()})
+            elif query.attachment is not None:
+                tag = CommandTag.unpack(query.attachment.to_bytes())
+                where, payload = self._key("rover/motors"), query.payload.to_bytes()
+                assert tag.verify(self.secret, Signed.MOTORS, where, payload)
+                self.gate, self.velocity = GateStatus(), STILL
             query.reply(self._key("rover/motors"), dump_json(reply))
             if not request.enable:
                 self.released.set()

@@ -160,9 +160,9 @@ def _messages():
 
 
 def _jsons():
-    request = lease.MotorsRequest(enable=True, driver="0" * 32, name="x", sent_ns=1)
-    status = lease.GateStatus(driver="0" * 32, dropped={"stale": 1})
-    return [lease.dump_json(request), lease.dump_json(status), lease.CommandTag(bytes(16), 1, 2).pack()]
+    request = lease.MotorsRequest(enable=True, name="x", sent_ns=1)
+    status = lease.GateStatus(lease=1, dropped={"stale": 1})
+    return [lease.dump_json(request), lease.dump_json(status), lease.CommandTag(1, 2, 3).pack()]
 
 
 # Files

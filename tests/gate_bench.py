@@ -1,12 +1,15 @@
-"""A gate with its state, and a driver's clock that differs from the bridge's."""
+"""A gate with its state, and a driver's clock that differs from the bridge's.
+
+Digests are verified before the gate: here a command or a request says whether it is signed by the holder.
+"""
 
 from bridge.gate import step
-from bridge.gate_state import Command, Enable, Heard, State
+from bridge.gate_state import Command, Enable, Heard, Release, State
 from bridge.limits import Limits
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.lease import CommandTag
 
-ME, OTHER = b"me".ljust(16), b"other".ljust(16)
+SECRET = bytes(range(32))
 SLOW = Velocity(0.1, -0.1)
 LIMITS = Limits()
 
@@ -25,15 +28,31 @@ class Gate:
     def stamp(self, now):
         return round((now + self.ahead_s) * 1e9)
 
-    def drive(self, now, velocity=SLOW, driver=ME, age=0.0, sequence=None):
+    def drive(self, now, velocity=SLOW, signed=True, age=0.0, sequence=None):
         """A command that was sent ``age`` seconds before it arrives at ``now``."""
         if sequence is None:
             self.sequence += 1
             sequence = self.sequence
-        return self.at(now, Command(velocity, CommandTag(driver, sequence, self.stamp(now - age))))
+        tag = CommandTag(1, sequence, self.stamp(now - age))
+        return self.at(now, Command(velocity, tag, signed=signed))
 
-    def enable(self, now, driver=ME, age=0.0):
-        return self.at(now, Enable(driver, "deploy", self.stamp(now - age)))
+    def enable(self, now, secret=SECRET, age=0.0):
+        """A request for the motors by a new driver."""
+        return self.at(now, Enable("deploy", self.stamp(now - age), secret))
+
+    def renew(self, now, sequence=None, secret=SECRET):
+        """A signed request of the driver that holds the lease."""
+        if sequence is None:
+            self.sequence += 1
+            sequence = self.sequence
+        return self.at(now, Enable("deploy", self.stamp(now), secret, sequence))
+
+    def release(self, now, sequence=None):
+        """A signed release."""
+        if sequence is None:
+            self.sequence += 1
+            sequence = self.sequence
+        return self.at(now, Release(sequence))
 
     def driving(self, now=0.0):
         """Bring the gate to where a command is in force since ``now``, at full size."""

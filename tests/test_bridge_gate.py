@@ -4,14 +4,13 @@ import math
 from dataclasses import replace
 
 import pytest
-from gate_bench import LIMITS, ME, SLOW, Gate
+from gate_bench import LIMITS, SLOW, Gate
 
 from bridge.gate_state import (
     ZERO,
     BaseLost,
     Heard,
     Reason,
-    Release,
     Stop,
     Tick,
     Unlatch,
@@ -216,7 +215,7 @@ def test_only_what_may_have_hurt_brakes_harder_than_usual(reason, emergency):
     events = {value: event for event, value in HAZARDS} | {Reason.STOPPED: Stop("now")}
     verdict = gate.at(0.35, Heard())
     if reason is Reason.NO_LEASE:
-        verdict = gate.at(0.35, Release(ME))
+        verdict = gate.release(0.35)
     elif reason in events:
         verdict = gate.at(0.35, events[reason])
     assert verdict.held is reason
@@ -237,7 +236,7 @@ def test_a_stop_is_latched_until_released_and_the_driver_asks_again():
 
 def test_a_hazard_ends_no_lease_that_was_given_back_before():
     gate = Gate().driving()
-    gate.at(0.05, Release(ME))
+    gate.release(0.05)
     assert gate.at(0.1, Heard(bumped=True)).held is Reason.BUMPER
     assert gate.state.ended is None
     assert gate.state.stops == {}
@@ -289,7 +288,7 @@ def test_motors_that_never_come_on_end_the_lease():
 def test_motors_stay_on_until_the_rover_stands():
     gate = Gate().driving()
     gate.at(0.05, Heard(v=0.2))
-    assert gate.at(0.1, Release(ME)).motors
+    assert gate.release(0.1).motors
     assert gate.at(0.2, Heard(omega=-0.05)).motors
     assert not gate.at(0.3, Heard(v=0.005)).motors
     assert not gate.at(0.4, Heard(v=0.2)).motors
@@ -298,6 +297,6 @@ def test_motors_stay_on_until_the_rover_stands():
 def test_motors_do_not_wait_for_ever():
     gate = Gate().driving()
     gate.at(0.0, Heard(v=0.2))
-    gate.at(0.0, Release(ME))
+    gate.release(0.0)
     assert gate.at(1.9, Heard(v=0.2)).motors
     assert not gate.at(2.1, Heard(v=0.2)).motors

@@ -1,11 +1,12 @@
 """Whatever arrives at the gate, in whatever order: what comes out is finite, within limits, and allowed."""
 
 import math
+from dataclasses import replace
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.gate import ROS_DRIVER, step
+from bridge.gate import step
 from bridge.gate_state import (
     ZERO,
     BaseLost,
@@ -22,12 +23,13 @@ from bridge.limits import Fence, Limits
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.lease import CommandTag
 
-ME, OTHER = b"me".ljust(16), b"other".ljust(16)
+SECRET = bytes(range(32))
 SLOW = Velocity(0.1, -0.1)
 
 speeds = st.floats(-0.7, 0.7) | st.sampled_from([0.0, -0.0, 0.3, -0.3, 1e308, math.nan, math.inf, -math.inf])
 velocities = st.builds(Velocity, speeds, speeds) | st.none()
-drivers = st.sampled_from([ME, ME, ME, OTHER, ROS_DRIVER])
+signatures = st.sampled_from([True, True, True, False])
+sequences = st.integers(0, 40) | st.integers(0, 2**64 - 1)
 stamp_errors = st.sampled_from([0, 0, 0, 10_000_000, -10_000_000, 10**9, -(10**9), 2**62, -(2**62)])
 numbers = st.floats(-5, 5) | st.sampled_from([0.0, math.nan, math.inf, 1e308])
 reports = st.builds(
@@ -55,11 +57,11 @@ happenings = st.lists(
             st.just(("start", None)),
             st.tuples(st.just("report"), reports),
             st.tuples(st.just("event"), st.sampled_from([Tick(), BaseLost(), Stop("x"), Unlatch()])),
-            st.tuples(st.just("enable"), st.tuples(drivers, stamp_errors)),
-            st.tuples(st.just("release"), drivers),
+            st.tuples(st.just("enable"), st.tuples(st.none() | sequences, stamp_errors)),
+            st.tuples(st.just("release"), sequences),
             st.tuples(
                 st.just("tagged"),
-                st.tuples(velocities, drivers, st.integers(0, 40) | st.integers(0, 2**64 - 1), stamp_errors),
+                st.tuples(velocities, signatures, sequences, stamp_errors),
             ),
             st.tuples(
                 st.just("plain"), st.tuples(velocities, st.none() | st.floats() | st.floats(-0.4, 0.4))
@@ -86,18 +88,18 @@ def events_of(kind, what, now, sequence):
     match kind:
         case "good":
             yield CLEAR
-            yield Command(SLOW, CommandTag(ME, sequence, stamp))
+            yield Command(SLOW, CommandTag(1, sequence, stamp), signed=True)
         case "start":
             yield Unlatch()
             yield CLEAR
-            yield Enable(ME, "x", stamp)
+            yield Enable("x", stamp, SECRET)
         case "enable":
-            yield Enable(what[0], "x", stamp + what[1])
+            yield Enable("x", stamp + what[1], SECRET, what[0])
         case "release":
             yield Release(what)
         case "tagged":
-            velocity, driver, number, error = what
-            yield Command(velocity, CommandTag(driver, number, stamp + error))
+            velocity, signed, number, error = what
+            yield Command(velocity, CommandTag(1, number, stamp + error), signed=signed)
         case "plain":
             yield Command(what[0], None, what[1])
         case _:
@@ -118,13 +120,13 @@ def allowed_to_move(history, limits):
     if not counted or now - reported_s > limits.odometry_s:
         return False
     commanded_s, command, _ = history[counted[-1]]
-    driver = ROS_DRIVER if command.tag is None else command.tag.driver
+    last = -1 if command.tag is None else command.tag.sequence
     latches = [event for _, event, _ in history if isinstance(event, Stop | Unlatch)]
     return (
         now - commanded_s <= limits.silence_s
         and report.motors_on
         and all(math.isfinite(getattr(report, name)) for name in ("x", "y", "theta", "v", "omega"))
-        and not any(ends(event, driver) for _, event, _ in history[counted[-1] + 1 :])
+        and not any(ends(event, last) for _, event, _ in history[counted[-1] + 1 :])
         and not (latches and isinstance(latches[-1], Stop))
         and not blocked(report, command.velocity.v, limits)
     )
@@ -137,10 +139,18 @@ def blocked(report, v, limits):
     return asked and not ranges[math.copysign(1.0, v)] >= limits.sonar_stop_m
 
 
-def ends(event, driver):
+def ends(event, last):
     if isinstance(event, Heard):
         return event.stop_pressed or event.stalled or event.bumped
-    return isinstance(event, Stop | BaseLost) or event == Release(driver)
+    return isinstance(event, Stop | BaseLost) or (isinstance(event, Release) and event.sequence > last)
+
+
+def forged(event, state):
+    """Whether an event is of a driver that does not have the key of the lease that is held."""
+    if state.lease is None or state.lease.secret is None:
+        return False
+    command = isinstance(event, Command) and not event.signed
+    return command or (isinstance(event, Enable) and event.sequence is None)
 
 
 @settings(max_examples=300)
@@ -148,11 +158,15 @@ def ends(event, driver):
 def test_whatever_arrives_what_comes_out_is_finite_within_limits_and_allowed(happenings, limits, accept_ros):
     state, now, before = State(), 100.0, (100.0, ZERO)
     history = []
-    prelude = [(0.0, ("report", CLEAR)), (0.0, ("enable", (ME, 0)))]
+    prelude = [(0.0, ("report", CLEAR)), (0.0, ("enable", (None, 0)))]
     for sequence, (wait, (kind, what)) in enumerate(prelude + happenings):
         now += wait
         for event in events_of(kind, what, now, sequence):
+            idle, _ = step(state, Tick(), now, limits, accept_ros)
+            strange = forged(event, idle)
             state, verdict = step(state, event, now, limits, accept_ros)
+            if strange:
+                assert replace(state, dropped={}) == replace(idle, dropped={})
             v, omega = verdict.velocity
             history.append((max(now, before[0]), event, verdict))
             assert math.isfinite(v)

@@ -3,15 +3,14 @@
 import math
 
 import pytest
-from gate_bench import LIMITS, ME, OTHER, SLOW, Gate
+from gate_bench import LIMITS, SECRET, SLOW, Gate
 
-from bridge.gate import ROS_DRIVER
 from bridge.gate_state import (
     ZERO,
     Command,
+    Enable,
     Heard,
     Reason,
-    Release,
     Tick,
 )
 from rover_ncp.core.geometry import Velocity
@@ -46,7 +45,7 @@ def test_the_lease_lapses_without_commands():
     assert gate.state.lease is not None
     assert gate.at(1.01, Heard()).held is Reason.NO_LEASE
     assert gate.state.ended is Reason.LEASE_LAPSED
-    assert gate.enable(1.05, OTHER).refusal is None
+    assert gate.enable(1.05).refusal is None
 
 
 def test_odometry_that_stops_stops_the_rover_and_goes_on_when_it_comes_back():
@@ -82,7 +81,7 @@ def test_commands_older_than_the_lease_do_not_count_however_young_they_look():
     gate.at(0.0, Heard())
     gate.enable(0.0)
     stamp = gate.stamp(0.0) - 1
-    assert gate.at(0.0, Command(SLOW, CommandTag(ME, 1, stamp))).dropped is Reason.STALE
+    assert gate.at(0.0, Command(SLOW, CommandTag(1, 1, stamp), signed=True)).dropped is Reason.STALE
 
 
 def test_a_link_that_is_slow_from_the_first_command_on_is_found_out():
@@ -101,7 +100,7 @@ def test_asking_again_forgets_what_was_known_of_the_clock():
     gate.ahead_s -= 3600.0
     assert gate.drive(0.2).dropped is Reason.STALE
     gate.at(0.3, Heard())
-    assert gate.enable(0.3).refusal is None
+    assert gate.renew(0.3).refusal is None
     assert gate.drive(0.4).dropped is None
 
 
@@ -141,7 +140,7 @@ def test_clocks_that_drift_apart_for_three_hours_do_not_matter(drift):
 
 def test_the_commands_of_others_do_not_count():
     gate = Gate().driving()
-    assert gate.drive(0.01, Velocity(-0.3, 0.6), OTHER).velocity == SLOW
+    assert gate.drive(0.01, Velocity(-0.3, 0.6), signed=False).velocity == SLOW
     assert gate.at(0.02, Command(Velocity(-0.3, 0.6))).velocity == SLOW
     assert gate.state.dropped == {Reason.FOREIGN: 2}
 
@@ -155,19 +154,72 @@ def test_repeated_and_overtaken_commands_do_not_count(sequence):
 
 def test_asking_again_does_not_make_old_commands_new():
     gate = Gate().driving()
-    gate.enable(0.1)
+    assert gate.renew(0.1).refusal is None
     assert gate.drive(0.11, sequence=3).dropped is Reason.REPEATED
 
 
-def test_a_second_driver_is_refused_while_the_first_one_drives():
+def test_a_request_without_the_key_is_refused_while_a_lease_is_held():
     gate = Gate().driving()
-    verdict = gate.enable(0.1, OTHER)
+    before = gate.state
+    verdict = gate.enable(0.1, secret=bytes(32))
     assert (verdict.refusal, verdict.velocity) == (Reason.ANOTHER_DRIVER, SLOW)
-    gate.at(0.1, Release(OTHER))
-    assert gate.state.lease is not None
-    gate.at(0.1, Release(ME))
+    assert gate.state.lease == before.lease
+    assert gate.state.target_until_s == before.target_until_s
+    assert gate.drive(0.15).dropped is None
+    assert gate.release(0.2).lease is None
     assert gate.state.ended is None
-    assert gate.enable(0.2, OTHER).refusal is None
+    assert gate.enable(0.25).refusal is None
+
+
+def test_a_renewal_keeps_number_and_key_and_lengthens_the_lease():
+    gate = Gate().driving()
+    gate.at(0.9, Heard())
+    verdict = gate.renew(0.9, secret=bytes(32))
+    assert verdict.refusal is None
+    assert (verdict.lease.number, verdict.lease.secret) == (1, SECRET)
+    gate.at(1.85, Heard())
+    assert gate.drive(1.85).dropped is None
+
+
+def test_a_new_lease_has_a_new_number_and_the_new_key():
+    gate = Gate().driving()
+    gate.release(0.1)
+    verdict = gate.enable(0.2, secret=bytes(32))
+    assert (verdict.lease.number, verdict.lease.secret) == (2, bytes(32))
+
+
+def test_a_renewal_that_comes_after_its_lease_is_a_first_request():
+    gate = Gate().driving()
+    gate.at(1.2, Heard())
+    verdict = gate.renew(1.2, sequence=0, secret=bytes(32))
+    assert (verdict.refusal, verdict.lease.number, verdict.lease.secret) == (None, 2, bytes(32))
+    assert gate.drive(1.25, sequence=0).dropped is None
+
+
+@pytest.mark.parametrize("sequence", [3, 2, 0])
+def test_a_renewal_counts_once(sequence):
+    gate = Gate().driving()
+    verdict = gate.renew(0.1, sequence)
+    assert (verdict.refusal, verdict.velocity) == (Reason.REPEATED, SLOW)
+    assert gate.renew(0.1, 4).refusal is None
+    assert gate.renew(0.1, 4).refusal is Reason.REPEATED
+    assert gate.drive(0.1, sequence=4).dropped is Reason.REPEATED
+
+
+@pytest.mark.parametrize("sequence", [3, 2, 0])
+def test_a_release_that_was_repeated_releases_nothing(sequence):
+    gate = Gate().driving()
+    assert gate.release(0.1, sequence).velocity == SLOW
+    assert gate.state.lease is not None
+    assert gate.release(0.1, 4).velocity == ZERO
+    assert gate.state.lease is None
+    assert gate.release(0.1, 5).held is Reason.NO_LEASE
+
+
+def test_the_key_is_in_no_text_about_the_gate():
+    gate = Gate().driving()
+    for words in (repr(gate.state), repr(gate.at(0.1, Heard())), repr(Enable("x", 0, SECRET))):
+        assert repr(SECRET) not in words
 
 
 @pytest.mark.parametrize(
@@ -188,7 +240,7 @@ def test_nonsense_from_the_driver_stops_the_rover_until_it_makes_sense(velocity,
 
 def test_nonsense_from_others_changes_nothing():
     gate = Gate().driving()
-    assert gate.drive(0.1, None, OTHER).velocity == SLOW
+    assert gate.drive(0.1, None, signed=False).velocity == SLOW
     assert gate.at(0.1, Command(None)).velocity == SLOW
 
 
@@ -200,7 +252,7 @@ def test_plain_commands_drive_where_they_are_accepted():
     gate.at(0.0, Heard(motors_on=False))
     verdict = gate.at(0.1, Command(SLOW))
     assert (verdict.dropped, verdict.motors) == (None, True)
-    assert gate.state.lease.driver == ROS_DRIVER
+    assert (gate.state.lease.name, gate.state.lease.secret) == ("ros", None)
     gate.at(0.2, Heard())
     assert gate.at(0.25, Command(SLOW, age_s=0.05)).velocity != ZERO
     assert gate.enable(0.3).refusal is Reason.ANOTHER_DRIVER
@@ -227,6 +279,14 @@ def test_an_old_plain_command_counts_for_less_long():
     gate.at(0.0, Heard())
     assert gate.at(0.1, Command(SLOW, age_s=0.2)).held is None
     assert gate.at(0.21, Heard()).held is Reason.SILENCE
+
+
+def test_a_plain_lease_is_nobody_elses():
+    gate = Gate(accept_ros=True)
+    gate.at(0.0, Heard())
+    gate.at(0.1, Command(SLOW))
+    assert gate.drive(0.15, signed=False).dropped is Reason.FOREIGN
+    assert gate.at(0.2, Command(SLOW)).dropped is None
 
 
 def test_a_driver_with_a_lease_has_the_rover_to_itself():

@@ -53,7 +53,7 @@ def test_the_driver_drives_and_the_odometry_tells(rig, driver):
     driver.start(v=0.1)
     before = driver.odom
     driver.drive(0.5, v=0.1)
-    assert driver.gate.driver == driver.id.hex()
+    assert driver.gate.lease == driver.lease.number
     assert driver.gate.held == ""
     assert driver.out == Velocity(0.1, 0.0)
     moved = driver.odom.pose.x - before.pose.x
@@ -100,7 +100,7 @@ def test_silence_stops_the_rover(rig, driver):
     assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
     wait_for(lambda: driver.gate.stops.get("silence", 0) > stops)
     # The lease lapses and the motors go off without anybody asking.
-    wait_for(lambda: driver.gate.driver == "" and driver.gate.ended == "lease-lapsed")
+    wait_for(lambda: driver.gate.lease == 0 and driver.gate.ended == "lease-lapsed")
 
 
 def test_a_killed_driver_stops_the_rover(rig, driver):
@@ -142,7 +142,8 @@ GARBAGE = {
 def test_garbage_from_others_changes_nothing(rig, driver):
     driver.start()
     foreign = driver.gate.dropped.get("foreign", 0)
-    wrong_tags = [None, b"", b"x" * 31, b"x" * 33, CommandTag(b"o" * 16, 2**64 - 1, 2**63 - 1).pack()]
+    guessed = CommandTag(driver.lease.number, 2**64 - 1, 2**63 - 1, b"o" * 16).pack()
+    wrong_tags = [None, b"", b"x" * 39, b"x" * 41, guessed]
     puts = [(data, tag) for data in GARBAGE.values() for tag in wrong_tags]
     with Driver(rig.locator) as other:
         for k, (data, tag) in enumerate(puts):
@@ -164,7 +165,7 @@ def test_garbage_from_the_driver_stops_the_rover(rig, driver):
         before = driver.gate.dropped.get(reason, 0)
         sent_ns = driver.drive(0.05)
         for _ in range(3):
-            driver.put(data, driver.tag())
+            driver.put(data, driver.tag(data))
         wait_for(lambda: driver.gate.dropped.get(reason, 0) == before + 3)  # noqa: B023
         assert driver.gate.held == reason
         assert driver.out == Velocity(0.0, 0.0)
@@ -185,7 +186,7 @@ def test_odometry_is_reset_when_nobody_drives(rig, driver):
     ("name", "payload", "expected"),
     [
         ("rover/motors", b"", "MotorsRequest"),
-        ("rover/motors", b'{"enable": true}', "driver"),
+        ("rover/motors", b'{"version": 2}', "enable"),
         ("rover/stop", b'{"release": 1e999}', "StopRequest"),
         ("rover/stop", b" " * 100_000, "expected at most 4096"),
         ("rover/reset_odometry", b"[]", "ResetRequest"),

@@ -53,7 +53,7 @@ def test_ctrl_c_stops_the_rover_and_says_what_went_over_the_line(tmp_path):
     result = json.loads((tmp_path / "bridge.json").read_text())
     assert result["bytes_to_base"] == mock["bytes_in"] > 0
     assert result["bytes_from_base"] == mock["bytes_out"] > 0
-    assert result["accepted"] == driver.sequence
+    assert result["accepted"] == driver.sent
     assert (result["dropped"], result["stops"], result["reconnects"]) == ({}, {}, 0)
 
 
@@ -69,7 +69,7 @@ def test_a_base_that_restarts_is_found_again_and_stands_until_somebody_asks(tmp_
         rig.mock.wait_for_line("listening on ")
         began_ns = time.time_ns()
         wait_for(lambda: driver.drive(PERIOD_S) and driver.gate.held != "no-base", 8.0)
-        assert driver.gate.driver == ""
+        assert driver.gate.lease == 0
         driver.drive(0.3)
         assert rig.stood_after(began_ns) == 0.0
         sent_ns = driver.start().drive(0.1)

@@ -95,19 +95,19 @@ def test_charging_is_told_as_far_as_it_is_known(charge_state, status):
 
 
 def test_the_gates_state_tells_who_drives_and_what_holds():
-    lease = Lease(b"\x01" * 16, "deploy", 0, 0.0, 1.0)
+    lease = Lease(7, bytes(32), "deploy", 0, 0.0, 1.0, 41)
     status = ros.gate_status(State(lease=lease, held=None, accepted=3, dropped={Reason.STALE: 2}))
-    assert (status.driver, status.driver_name, status.held) == ("01" * 16, "deploy", "")
+    assert (status.lease, status.driver_name, status.sequence, status.held) == (7, "deploy", 41, "")
     assert (status.accepted, status.dropped) == (3, {"stale": 2})
     status = ros.gate_status(State(held=Reason.NO_LEASE, ended=Reason.BUMPER))
-    assert (status.driver, status.held, status.ended) == ("", "", "bumper")
+    assert (status.lease, status.held, status.ended) == (0, "", "bumper")
     assert ros.gate_status(State(latched="smoke", held=Reason.STOPPED)).stop_reason == "smoke"
 
 
 def test_the_longest_state_of_the_gate_fits_its_key():
     counts = dict.fromkeys(Reason, 2**40)
     state = State(
-        lease=Lease(b"\xff" * 16, "ü" * 200, 0, 0.0, 1.0),
+        lease=Lease(2**64 - 1, bytes(32), "ü" * 200, 0, 0.0, 1.0, 2**64 - 1),
         latched="ü" * 200,
         dropped=counts,
         limited=counts,

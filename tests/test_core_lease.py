@@ -1,64 +1,158 @@
 """Command tags and the JSON of the queries: exact bytes, and garbage refused."""
 
 import json
-import struct
+from hashlib import blake2b
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rover_ncp.core.errors import FormatError
+from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.lease import (
+    KEY_BYTES,
+    PROTOCOL,
+    VERSION_REASON,
     CommandTag,
     DriverStatus,
     GateStatus,
+    MotorsRefusal,
     MotorsReply,
     MotorsRequest,
     ResetRequest,
+    Signed,
     StopRequest,
     dump_json,
+    other_version,
     parse_json,
+    requested_version,
 )
+from rover_ncp.core.messages import twist_stamped
 
-DRIVER = bytes(range(16))
+DIGEST = bytes(range(16))
+SECRET = bytes(range(32))
 MODELS = [MotorsRequest, MotorsReply, StopRequest, ResetRequest, GateStatus, DriverStatus]
 
 
-def test_a_tag_is_32_little_endian_bytes():
-    tag = CommandTag(DRIVER, 258, -2)
-    assert tag.pack() == DRIVER + bytes([2, 1, 0, 0, 0, 0, 0, 0]) + b"\xfe" + b"\xff" * 7
+def test_a_tag_is_40_little_endian_bytes():
+    tag = CommandTag(3, 258, -2, DIGEST)
+    numbers = bytes([3, 0, 0, 0, 0, 0, 0, 0, 2, 1, 0, 0, 0, 0, 0, 0]) + b"\xfe" + b"\xff" * 7
+    assert tag.pack() == numbers + DIGEST
 
 
 @given(
-    driver=st.binary(min_size=16, max_size=16),
+    lease=st.integers(0, 2**64 - 1),
     sequence=st.integers(0, 2**64 - 1),
     stamp_ns=st.integers(-(2**63), 2**63 - 1),
+    digest=st.binary(min_size=16, max_size=16),
 )
-def test_a_tag_comes_back(driver, sequence, stamp_ns):
-    tag = CommandTag(driver, sequence, stamp_ns)
+def test_a_tag_comes_back(lease, sequence, stamp_ns, digest):
+    tag = CommandTag(lease, sequence, stamp_ns, digest)
     assert CommandTag.unpack(tag.pack()) == tag
 
 
-@given(data=st.binary(max_size=80).filter(lambda data: len(data) != 32))
+@given(data=st.binary(max_size=80).filter(lambda data: len(data) != 40))
 def test_a_tag_of_another_length_is_refused(data):
-    with pytest.raises(FormatError, match="32 bytes"):
+    with pytest.raises(FormatError, match="40 bytes"):
         CommandTag.unpack(data)
 
 
 @pytest.mark.parametrize(
-    "tag", [CommandTag(b"short", 1, 1), CommandTag(DRIVER, -1, 1), CommandTag(DRIVER, 1, 2**63)]
+    "tag",
+    [CommandTag(1, 1, 1, b"short"), CommandTag(-1, 1, 1), CommandTag(1, -1, 1), CommandTag(1, 1, 2**63)],
 )
 def test_a_tag_that_does_not_fit_is_refused(tag):
     with pytest.raises(FormatError):
         tag.pack()
 
 
+def test_numbers_that_do_not_fit_are_not_signed():
+    with pytest.raises(FormatError):
+        CommandTag(1, 2**64, 1).sign(SECRET, Signed.COMMAND, "cmd_vel", b"")
+
+
+def test_a_digest_covers_the_bytes_that_the_documentation_lists():
+    signed = bytes.fromhex("0201" + "0b00" + "0300000000000000" + "0400000000000000" + "feffffffffffffff")
+    expected = blake2b(
+        signed + b"lab/cmd_vel" + b"payload", digest_size=16, key=SECRET, person=b"rover-ncp lease"
+    )
+    tag = CommandTag(3, 4, -2).sign(SECRET, Signed.COMMAND, "lab/cmd_vel", b"payload")
+    assert tag.digest == expected.digest()
+    assert tag.verify(SECRET, Signed.COMMAND, "lab/cmd_vel", b"payload")
+
+
+@pytest.mark.parametrize(
+    ("changes", "secret", "kind", "key_expr", "payload"),
+    [
+        ({"lease": 4}, SECRET, Signed.COMMAND, "bot1/cmd_vel", b"payload"),
+        ({"sequence": 5}, SECRET, Signed.COMMAND, "bot1/cmd_vel", b"payload"),
+        ({"stamp_ns": -3}, SECRET, Signed.COMMAND, "bot1/cmd_vel", b"payload"),
+        ({"digest": bytes(16)}, SECRET, Signed.COMMAND, "bot1/cmd_vel", b"payload"),
+        ({}, bytes(32), Signed.COMMAND, "bot1/cmd_vel", b"payload"),
+        ({}, SECRET, Signed.MOTORS, "bot1/cmd_vel", b"payload"),
+        ({}, SECRET, Signed.COMMAND, "cmd_vel", b"payload"),
+        ({}, SECRET, Signed.COMMAND, "bot1/cmd_velp", b"ayload"),
+        ({}, SECRET, Signed.COMMAND, "bot1/cmd_vel", b"payloae"),
+        ({}, SECRET, Signed.COMMAND, "bot1/cmd_vel", b"payload\0"),
+    ],
+)
+def test_a_digest_is_for_one_message_alone(changes, secret, kind, key_expr, payload):
+    tag = CommandTag(3, 4, -2).sign(SECRET, Signed.COMMAND, "bot1/cmd_vel", b"payload")
+    assert not tag._replace(**changes).verify(secret, kind, key_expr, payload)
+
+
+@given(data=st.binary(min_size=40, max_size=40), payload=st.binary(max_size=90))
+def test_no_guessed_tag_is_valid(data, payload):
+    assert not CommandTag.unpack(data).verify(SECRET, Signed.COMMAND, "cmd_vel", payload)
+
+
+def test_signing_and_verifying_a_command_takes_at_most_20_us(benchmark):
+    payload = twist_stamped(Velocity(0.1, -0.2), 10**18)
+
+    def sign_and_verify():
+        attachment = CommandTag(3, 4, 5).sign(SECRET, Signed.COMMAND, "bot1/cmd_vel", payload).pack()
+        return CommandTag.unpack(attachment).verify(SECRET, Signed.COMMAND, "bot1/cmd_vel", payload)
+
+    assert benchmark(sign_and_verify)
+    assert benchmark.stats.stats.median < 20e-6
+
+
+def test_the_key_is_in_no_text_about_an_answer():
+    reply = MotorsReply(granted=True, lease=1, key="ab" * KEY_BYTES)
+    assert "abab" not in repr(reply)
+    assert "abab" not in str(reply)
+    with pytest.raises(FormatError) as error:
+        parse_json(MotorsReply, b'{"granted": true, "key": "%s"}' % (b"ab" * 5))
+    assert "abab" not in str(error.value)
+
+
+def test_the_gate_of_an_older_version_is_read_and_its_drivers_id_is_not_written():
+    status = parse_json(
+        GateStatus, b'{"driver": "%s", "driver_name": "deploy", "accepted": 3}' % (b"ab" * 16)
+    )
+    assert (status.driver_name, status.accepted, status.lease) == ("deploy", 3, 0)
+    assert b"abab" not in dump_json(status)
+
+
+@pytest.mark.parametrize(
+    ("payload", "version"),
+    [(b'{"enable": true, "driver": "x"}', 1), (b'{"version": 3, "news": []}', 3), (b"{}", 1), (b"[", 2)],
+)
+def test_the_version_of_any_request_is_read(payload, version):
+    assert requested_version(payload) == version
+
+
+def test_a_refusal_keeps_the_fields_that_every_version_reads():
+    refusal = MotorsRefusal(reason=VERSION_REASON, detail=other_version(PROTOCOL, 1))
+    assert set(json.loads(dump_json(refusal))) == {"granted", "reason", "detail"}
+    assert "version 2, the driver version 1" in refusal.detail
+
+
 def test_a_request_reads_as_documented():
-    data = {"enable": True, "driver": DRIVER.hex(), "name": "deploy", "sent_ns": 12345}
+    data = {"version": 2, "enable": True, "name": "deploy", "sent_ns": 12345}
     request = parse_json(MotorsRequest, json.dumps(data))
     assert json.loads(dump_json(request)) == data
     assert request.enable
-    assert bytes.fromhex(request.driver) == DRIVER
 
 
 @pytest.mark.parametrize(
@@ -66,12 +160,13 @@ def test_a_request_reads_as_documented():
     [
         (MotorsRequest, b"", "JSON"),
         (MotorsRequest, b"[1]", "JSON"),
-        (MotorsRequest, b'{"enable": true}', "driver"),
+        (MotorsRequest, b"{}", "enable"),
         (MotorsRequest, b'{"enable": true, "driver": "xyz"}', "driver"),
-        (MotorsRequest, b'{"enable": true, "driver": "' + b"0" * 33 + b'"}', "driver"),
-        (MotorsRequest, b'{"enable": "perhaps", "driver": "' + b"0" * 32 + b'"}', "enable"),
-        (MotorsRequest, b'{"enable": true, "driver": "%s", "sent_ns": 1e30}' % (b"0" * 32), "sent_ns"),
-        (MotorsRequest, b'{"enable": true, "driver": "%s", "speed": 9}' % (b"0" * 32), "speed"),
+        (MotorsRequest, b'{"enable": "perhaps"}', "enable"),
+        (MotorsRequest, b'{"enable": true, "sent_ns": 1e30}', "sent_ns"),
+        (MotorsRequest, b'{"enable": true, "speed": 9}', "speed"),
+        (MotorsReply, b'{"granted": true, "key": "00"}', "key"),
+        (MotorsReply, b'{"granted": true, "lease": -1}', "lease"),
         (StopRequest, b'{"reason": "%s"}' % (b"x" * 201), "reason"),
         (ResetRequest, b'{"x": 1}', "x"),
         (ResetRequest, b"[" * 4_000, "JSON"),
@@ -91,7 +186,3 @@ def test_garbage_is_a_request_or_a_format_error(model, data):
         parse_json(model, data)
     except FormatError as error:
         assert "\n" not in str(error)
-
-
-def test_the_tag_is_as_long_as_the_note_says():
-    assert struct.calcsize("<16sQq") == len(CommandTag(DRIVER, 0, 0).pack()) == 32

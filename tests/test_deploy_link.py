@@ -8,11 +8,13 @@ import zenoh
 
 from deploy.link import ASK_TRIES, ROUND_TRIP_S, Link
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.lease import MotorsReply, MotorsRequest, dump_json, parse_json
+from rover_ncp.core.lease import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
+
+SECRET = bytes(range(32))
 
 
 class SlowBridge:
-    """Grants the motors after ``delays``, one for each request."""
+    """Grants the motors after ``delays``, one for each request: the first with a key, later ones signed."""
 
     def __init__(self, *delays):
         self._delays, self.requests = list(delays), []
@@ -34,9 +36,15 @@ class SlowBridge:
         with query:
             request = parse_json(MotorsRequest, query.payload.to_bytes())
             self.requests.append(request)
+            if query.attachment is None:
+                reply = MotorsReply(granted=True, lease=3, key=SECRET.hex())
+            else:
+                tag, payload = CommandTag.unpack(query.attachment.to_bytes()), query.payload.to_bytes()
+                signed = tag.lease == 3 and tag.verify(SECRET, Signed.MOTORS, "rover/motors", payload)
+                reply = MotorsReply(granted=signed and request.enable, lease=3)
             if request.enable:
                 time.sleep(self._delays.pop(0))
-            query.reply("rover/motors", dump_json(MotorsReply(granted=request.enable)))
+            query.reply("rover/motors", dump_json(reply))
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from deploy_bench import ODOM_AT_START, STILL, Bridge, driver, free_port
+from deploy_bench import LEASE, ODOM_AT_START, STILL, Bridge, driver, free_port
 
 from deploy import node
 from deploy.config import DriveConfig
@@ -51,7 +51,7 @@ def test_a_drive_from_start_to_end(bridge, drive, tmp_path):
     # One driver, rising numbers, the last word is zero, and then the motors are given back.
     tags = [tag for tag, _ in bridge.commands]
     assert [request.enable for request in bridge.requests] == [True, False]
-    assert {tag.driver.hex() for tag in tags} == {request.driver for request in bridge.requests}
+    assert {tag.lease for tag in tags} == {LEASE}
     assert [tag.sequence for tag in tags] == list(range(len(tags)))
     assert bridge.commands[-1][1] == STILL
     assert max(velocity.v for _, velocity in bridge.commands) > 0.01
@@ -152,7 +152,7 @@ def test_a_lost_sample_is_bridged_by_prediction_and_counted(bridge, drive, tmp_p
     [
         (lambda bridge: bridge.vanish(), "bridge-lost"),
         (lambda bridge: setattr(bridge, "gate", GateStatus(ended="bumper")), "bumper"),
-        (lambda bridge: setattr(bridge, "gate", GateStatus(driver="ab" * 16)), "lease"),
+        (lambda bridge: setattr(bridge, "gate", GateStatus(lease=LEASE + 1)), "lease"),
     ],
 )
 def test_losing_the_bridge_or_the_lease_ends_the_drive_with_a_name(bridge, drive, harm, rule):
@@ -179,7 +179,7 @@ def test_a_refusal_names_its_reason_and_moves_nothing(bridge, drive):
 
 
 def test_a_second_driver_is_told_so(bridge, drive):
-    bridge.gate = GateStatus(driver="ab" * 16)
+    bridge.gate = GateStatus(lease=LEASE + 1)
     bridge.refusal = "another-driver"
     with pytest.raises(AnotherDriver, match="refuses the motors"):
         drive()

@@ -59,7 +59,7 @@ def test_a_wall_in_the_way(tmp_path):
         near = next(motion for motion in rig.truth.read() if motion.x >= near_m)
         record(row("wall"), rig.stood(near.wall_ns), braking_s(near.v))
         assert (hand.gate.held, hand.gate.stops["sonar"]) == ("sonar", 1)
-        assert hand.gate.driver == hand.id.hex()
+        assert hand.driving
         rig.under_way(hand, -SPEED_M_S)  # and back is free
 
 

@@ -9,6 +9,7 @@
     ├── UnreachableError      the peer cannot be used: exit code 3
     │   ├── NoRobot           nothing, or nonsense, answers on the base's line
     │   ├── NoBridge          no bridge answers on Zenoh
+    │   ├── OtherVersion      the bridge uses another version of the protocol
     │   ├── NotAuthorised     the bridge is there but does not let us drive
     │   ├── AnotherDriver     somebody else holds the driver's lease
     │   └── NoPose            nothing says where the rover stands
@@ -31,6 +32,7 @@ __all__ = [
     "NoPose",
     "NoRobot",
     "NotAuthorised",
+    "OtherVersion",
     "PortInUse",
     "RoverNcpError",
     "SafetyStop",
@@ -86,6 +88,10 @@ class NoRobot(UnreachableError):
 
 class NoBridge(UnreachableError):
     """No bridge answers on Zenoh."""
+
+
+class OtherVersion(UnreachableError):
+    """The bridge and this program use different versions of their protocol."""
 
 
 class NotAuthorised(UnreachableError):

@@ -1,55 +1,102 @@
-"""What driver and bridge tell each other about the right to drive: command tags and JSON of the queries.
+"""The protocol between driver and bridge about the right to drive: command tags and JSON of the queries.
 
-The driver asks ``rover/motors`` with its clock's time; the bridge answers with its own. From then on each
-command carries the driver's id, a sequence number and the driver's time of sending, and the bridge can tell
+The driver asks ``rover/motors`` with its clock's time. The bridge answers with its own time, a lease number
+and a fresh key. From then on the driver signs each command, renewal and release with that key, and gives it a
+sequence number and the time of sending. The bridge can thus tell the holder of the lease from all others, and
 an old command from a fresh one although the two clocks agree in nothing.
 """
 
+import hmac
 import struct
+from enum import IntEnum
+from hashlib import blake2b
 from typing import Annotated, NamedTuple, Self, TypeVar
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FormatError
 
 __all__ = [
+    "KEY_BYTES",
+    "PROTOCOL",
+    "VERSION_REASON",
     "CommandTag",
     "DriverStatus",
     "GateStatus",
+    "MotorsRefusal",
     "MotorsReply",
     "MotorsRequest",
     "ResetReply",
     "ResetRequest",
+    "Signed",
     "StopReply",
     "StopRequest",
     "dump_json",
+    "other_version",
     "parse_json",
+    "requested_version",
 ]
 
-_TAG = struct.Struct("<16sQq")
+PROTOCOL = 2
+"""Version of this protocol. Version 1 had no key: a tag was the driver's public id, and no digest."""
+VERSION_REASON = "version"
+"""The reason of a refusal because driver and bridge use different versions."""
+KEY_BYTES = 32
+"""Length of a lease's key."""
+
+_TAG = struct.Struct("<QQq16s")
+_SIGNED = struct.Struct("<BBHQQq")
+_PERSON = b"rover-ncp lease"
 _JSON_MAX_BYTES = 4096
 
-DriverId = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
+LeaseKey = Annotated[str, Field(pattern=rf"^([0-9a-f]{{{2 * KEY_BYTES}}})?$")]
 ShortText = Annotated[str, Field(max_length=200)]
 Nanoseconds = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 
 
-class CommandTag(NamedTuple):
-    """What rides in the attachment of each ``cmd_vel``: 32 bytes, little-endian.
+class Signed(IntEnum):
+    """The kinds of message that a driver signs."""
 
-    ``driver`` is 16 random bytes of one driving process; ``sequence`` rises with each command; ``stamp_ns``
-    is the driver's monotonic clock when it was sent.
+    COMMAND = 1
+    MOTORS = 2
+    """A renewal or a release: the signed payload says which."""
+
+
+class CommandTag(NamedTuple):
+    """The attachment of each command, renewal and release: 40 bytes, little-endian.
+
+    ``lease`` is the lease's number, ``sequence`` rises with each message under it, and ``stamp_ns`` is the
+    driver's monotonic clock at the time of sending. ``digest`` is BLAKE2b with the lease's key over the
+    protocol's version, the kind of message, the namespaced key expression, these numbers and the payload.
     """
 
-    driver: bytes
+    lease: int
     sequence: int
     stamp_ns: int
+    digest: bytes = bytes(16)
+
+    def sign(self, secret: bytes, kind: Signed, key_expr: str, payload: bytes) -> Self:
+        """Return the tag with its digest. Raises FormatError for numbers that do not fit."""
+        return self._replace(digest=self._digest(secret, kind, key_expr, payload))
+
+    def verify(self, secret: bytes, kind: Signed, key_expr: str, payload: bytes) -> bool:
+        """Return whether the digest was made with this key for this very message."""
+        return hmac.compare_digest(self.digest, self._digest(secret, kind, key_expr, payload))
+
+    def _digest(self, secret: bytes, kind: Signed, key_expr: str, payload: bytes) -> bytes:
+        name = key_expr.encode()
+        try:
+            head = _SIGNED.pack(PROTOCOL, kind, len(name), self.lease, self.sequence, self.stamp_ns)
+        except struct.error as error:
+            raise FormatError(f"command tag: {error}") from error
+        # The lengths of all parts but the last are known, so no two messages have the same bytes.
+        return blake2b(head + name + payload, digest_size=16, key=secret, person=_PERSON).digest()
 
     def pack(self) -> bytes:
-        """Return the 32 bytes. Raises FormatError for values that do not fit."""
-        if len(self.driver) != 16:
-            raise FormatError(f"a driver's id has 16 bytes, not {len(self.driver)}")
+        """Return the 40 bytes. Raises FormatError for values that do not fit."""
+        if len(self.digest) != 16:
+            raise FormatError(f"a command tag's digest has 16 bytes, not {len(self.digest)}")
         try:
             return _TAG.pack(*self)
         except struct.error as error:
@@ -57,33 +104,72 @@ class CommandTag(NamedTuple):
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Read an attachment. Raises FormatError unless it has 32 bytes."""
+        """Read an attachment. Raises FormatError unless it has 40 bytes."""
         if len(data) != _TAG.size:
             raise FormatError(f"a command tag has {_TAG.size} bytes, not {len(data)}")
         return cls(*_TAG.unpack(data))
 
 
-class MotorsRequest(StrictModel):
-    """Ask for the motors and the lease, or give them back; ``sent_ns`` is the driver's monotonic clock."""
+class _Version(BaseModel):
+    """The one field of a request that every version of the bridge reads."""
 
+    model_config = ConfigDict(extra="ignore")
+
+    version: int = 1
+
+
+class MotorsRequest(StrictModel):
+    """Request or renewal of the lease, or its release; ``sent_ns`` is the driver's monotonic clock.
+
+    A renewal and a release carry a `CommandTag`; a first request does not.
+    """
+
+    version: int = PROTOCOL
     enable: bool
-    driver: DriverId
     name: ShortText = ""
     sent_ns: Nanoseconds = 0
 
 
-class MotorsReply(StrictModel):
-    """``reason`` is the gate's name for why not, ``detail`` its words; ``received_ns`` the bridge's clock.
+class MotorsRefusal(StrictModel):
+    """Refusal or end of a lease. Every version of the driver reads it, so it keeps these fields.
 
-    ``limits`` are the gate's: v in m/s, omega in rad/s, accel in m/s², alpha in rad/s².
+    ``reason`` is the gate's name of the reason, ``detail`` its words.
     """
 
-    granted: bool
+    granted: bool = False
     reason: str = ""
     detail: str = ""
+
+
+class MotorsReply(MotorsRefusal):
+    """Grant or renewal of a lease; ``received_ns`` is the bridge's clock.
+
+    ``key`` is the key of a new lease in hexadecimal. It is empty in the answer to a renewal: a peer that got
+    hold of a signed renewal and delivered it first would learn the key from that answer. ``limits`` are the
+    gate's: v in m/s, omega in rad/s, accel in m/s², alpha in rad/s².
+    """
+
+    lease: int = Field(default=0, ge=0, lt=2**64)
+    key: LeaseKey = Field(default="", repr=False)
     lease_s: float = 0.0
     received_ns: Nanoseconds = 0
     limits: dict[str, float] = Field(default_factory=dict)
+
+
+def requested_version(payload: bytes) -> int:
+    """Return the protocol version of a request for the motors; ours where it cannot be read."""
+    try:
+        return parse_json(_Version, payload).version
+    except FormatError:
+        return PROTOCOL
+
+
+def other_version(bridge: int, driver: int) -> str:
+    """Return the words for a driver and a bridge of different versions."""
+    return (
+        f"the bridge uses protocol version {bridge}, the driver version {driver}: "
+        "install the same version of rover-ncp on both"
+    )
 
 
 class StopRequest(StrictModel):
@@ -114,14 +200,18 @@ class ResetReply(StrictModel):
 class GateStatus(StrictModel):
     """The gate's state, on ``rover/gate`` at each change and ten times a second.
 
-    ``driver`` holds the lease ("" = nobody). ``held`` names what holds the rover at zero now ("" = nothing, a
-    command is in force). ``ended`` names what took the last lease away ("" = it is held, or was given back).
-    Counters are since the bridge's start, by name of the gate's reason: commands ``dropped``, commands
-    ``limited``, and ``stops``, how often a command in force was cut off.
+    ``lease`` is the number of the lease that is held (0 = none), ``driver_name`` its holder, ``sequence`` the
+    newest number that the gate accepted under it (-1 = none). ``held`` names what holds the rover at zero now
+    ("" = nothing, a command is in force). ``ended`` names what took the last lease away ("" = it is held, or
+    was given back). Counters are since the bridge's start, by name of the gate's reason: commands
+    ``dropped``, commands ``limited``, and ``stops``, how often a command in force was cut off.
     """
 
-    driver: str = ""
+    driver: str = Field(default="", exclude=True, repr=False)
+    """The driver's id in recordings of protocol version 1; read and not used."""
+    lease: int = 0
     driver_name: str = ""
+    sequence: int = -1
     held: str = ""
     ended: str = ""
     stop_reason: str = ""

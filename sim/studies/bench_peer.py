@@ -5,6 +5,7 @@ those of the system's monotonic clock, which all processes of a machine share.
 """
 
 import math
+import secrets
 import threading
 import time
 from types import TracebackType
@@ -15,7 +16,15 @@ import zenoh
 from bridge.listening import configured
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
+from rover_ncp.core.lease import (
+    KEY_BYTES,
+    CommandTag,
+    GateStatus,
+    MotorsReply,
+    MotorsRequest,
+    dump_json,
+    parse_json,
+)
 from rover_ncp.core.messages import odometry, read_twist, text
 from sim.studies.bench_echo import PING, PONG
 
@@ -43,7 +52,9 @@ class BenchPeer:
         settings, _ = configured(self.robot, None, False)
         self._session = zenoh.open(settings)
         self.moments = Moments()
-        self._driver = ""
+        self._leases = 0
+        self._driven = False
+        self._sequence = -1
         self._velocity, self._pose = STILL, Pose(0.0, 0.0, 0.0)
         declare: Any = self._session.declare_subscriber
         self._held = [
@@ -101,12 +112,15 @@ class BenchPeer:
         return odometry(self._pose, self._velocity, time.time_ns())
 
     def _tell_status(self) -> None:
-        status = GateStatus(driver=self._driver, driver_name="bench" if self._driver else "")
+        lease = self._leases if self._driven else 0
+        status = GateStatus(lease=lease, driver_name="bench" if lease else "", sequence=self._sequence)
         self._session.put("rover/gate", text(dump_json(status).decode()))
 
     def _commanded(self, sample: zenoh.Sample) -> None:
         if sample.attachment is not None:
-            self.moments.commands.append(CommandTag.unpack(sample.attachment.to_bytes()).stamp_ns)
+            tag = CommandTag.unpack(sample.attachment.to_bytes())
+            self.moments.commands.append(tag.stamp_ns)
+            self._sequence = tag.sequence
             self._velocity = read_twist(sample.payload.to_bytes()).velocity
 
     def _asked(self, query: zenoh.Query) -> None:
@@ -117,9 +131,10 @@ class BenchPeer:
             except FormatError as error:
                 query.reply_err(str(error))
                 return
-            self._driver = request.driver if request.enable else ""
-            self._velocity = STILL
-            query.reply("rover/motors", dump_json(MotorsReply(granted=True)))
+            self._driven, self._velocity, self._sequence = request.enable, STILL, -1
+            self._leases += request.enable
+            grant = MotorsReply(granted=True, lease=self._leases, key=secrets.token_hex(KEY_BYTES))
+            query.reply("rover/motors", dump_json(grant))
         self._tell_status()
 
 

@@ -4,7 +4,6 @@ It speaks as ``rover-ncp deploy`` does, in a few lines, and never gives up: when
 for them again, and it drives on whatever the gate says. So what stops the rover is the gate, never the hand.
 """
 
-import os
 import threading
 import time
 from contextlib import suppress
@@ -13,10 +12,11 @@ from typing import Any, Self
 
 import zenoh
 
+from deploy.lease import DriverLease
 from deploy.session import client_config
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.lease import CommandTag, GateStatus, MotorsRequest, dump_json, parse_json
+from rover_ncp.core.lease import GateStatus, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
 from rover_ncp.core.messages import read_odometry, read_text, twist_stamped
 
 __all__ = ["Hand"]
@@ -32,7 +32,7 @@ class Hand:
         config, _ = client_config(robot, None)
         config.insert_json5("transport/link/tx/lease", str(round(lease_s * 1000)))
         self._session = zenoh.open(config)
-        self.id = os.urandom(16)
+        self.lease = DriverLease()
         self.velocity = Velocity(0.0, 0.0)
         self.payload: bytes | None = None
         """Sent instead of the velocity, if there is one."""
@@ -44,7 +44,6 @@ class Hand:
         self.gate = GateStatus()
         self.last_sent_ns = 0
         """When the last command was sent, ns since the epoch."""
-        self.sequence = 0
         self._asked_s = 0.0
         hear = self._session.declare_subscriber
         self.heard_ns: list[int] = []
@@ -60,14 +59,14 @@ class Hand:
     @property
     def driving(self) -> bool:
         """Whether the gate gave us the motors."""
-        return self.gate.driver == self.id.hex()
+        return 0 < self.lease.number == self.gate.lease
 
     def send(self, payload: bytes, age_s: float = 0.0, tagged: bool = True) -> None:
         """Send one command of our own making."""
         tag = None
         if tagged:
-            self.sequence += 1
-            tag = CommandTag(self.id, self.sequence, time.monotonic_ns() - round(age_s * 1e9)).pack()
+            stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
+            tag = self.lease.sign(Signed.COMMAND, "cmd_vel", payload, stamp_ns).pack()
         self._session.put("cmd_vel", payload, attachment=tag)
 
     def publish(self, name: str, payload: bytes) -> None:
@@ -99,9 +98,13 @@ class Hand:
                 self.send(self.payload or twist_stamped(self.velocity, self.last_sent_ns), self.age_s)
 
     def _ask(self) -> None:
-        request = MotorsRequest(enable=True, driver=self.id.hex(), name="hand", sent_ns=time.monotonic_ns())
-        # What the gate grants, its status tells.
-        list(self._session.get("rover/motors", payload=dump_json(request), timeout=0.5))
+        now_ns = time.monotonic_ns()
+        payload = dump_json(MotorsRequest(enable=True, name="hand", sent_ns=now_ns))
+        # Without a lease the bridge takes the signature of the last one for none.
+        tag = self.lease.sign(Signed.MOTORS, "rover/motors", payload, now_ns).pack()
+        for reply in self._session.get("rover/motors", payload=payload, attachment=tag, timeout=0.5):
+            if reply.ok is not None:
+                self.lease.grant(parse_json(MotorsReply, reply.ok.payload.to_bytes()))
 
     def _odometry(self, sample: zenoh.Sample) -> None:
         with suppress(FormatError):

@@ -111,7 +111,7 @@ def _bridge_wakes(scene: Scene) -> None:
 
 def _release_without_lease(scene: Scene) -> None:
     """A link that is good again within the lease is a mere pause."""
-    wait_for(lambda: not scene.rig.watcher.gate.driver, "the lease to lapse")
+    wait_for(lambda: not scene.rig.watcher.gate.lease, "the lease to lapse")
     scene.rig.link.release()
 
 
@@ -151,7 +151,7 @@ def _held_before_the_first(scene: Scene) -> int:
 def _back_from_slow(scene: Scene) -> None:
     hand = scene.hand
     wait_for(lambda: hand.gate.dropped.get("stale", 0) > 0, "a stale command")
-    wait_for(lambda: not hand.gate.driver, "the lease to lapse")
+    wait_for(lambda: not hand.gate.lease, "the lease to lapse")
     hand.silent = True
     scene.rig.link.release()
 

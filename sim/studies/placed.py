@@ -56,5 +56,5 @@ class Placed:
             self._publisher.put(known_pose(self._pose, time.time_ns()))
 
     def _gate_spoke(self, sample: zenoh.Sample) -> None:
-        if parse_json(GateStatus, read_text(sample.payload.to_bytes())).driver:
+        if parse_json(GateStatus, read_text(sample.payload.to_bytes())).lease:
             self._over.set()

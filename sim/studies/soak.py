@@ -170,5 +170,7 @@ def _settle(rig: Rig) -> None:
     if not rig.bridge.running:
         rig.start_bridge()
     with suppress(RoverNcpError):
-        wait_for(lambda: rig.watcher.gate.held == rig.watcher.gate.driver == "", "the gate to be ready again")
+        wait_for(
+            lambda: not rig.watcher.gate.held and not rig.watcher.gate.lease, "the gate to be ready again"
+        )
     time.sleep(QUIET_S)

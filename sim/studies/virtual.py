@@ -22,11 +22,20 @@ from bridge.motion import MotionLimits
 from bridge.node import Node
 from bridge.session import Session
 from bridge.transport import Transport
+from deploy.lease import DriverLease
 from deploy.link import Arrival, Inbox, Mailbox
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.keys import spec
-from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
+from rover_ncp.core.lease import (
+    GateStatus,
+    MotorsRefusal,
+    MotorsReply,
+    MotorsRequest,
+    Signed,
+    dump_json,
+    parse_json,
+)
 from rover_ncp.core.messages import read_text, twist_stamped
 from rover_ncp.core.recording import Recorded
 from sim.pioneer.firmware import Firmware
@@ -39,7 +48,6 @@ WALL_NS = 1_700_000_000 * NS
 """The wall clock's time when the virtual clock shows 0."""
 _LATE_NS = 1000
 """A loop wakes up so much after it asked to: no rounding makes it too early."""
-_DRIVER = bytes(range(1, 17))
 
 
 class World:
@@ -111,9 +119,9 @@ class World:
         """Bring a command to the bridge, which takes it in before any more time passes."""
         self._inbox.append(Sampled(data, attachment, None))
 
-    def ask(self, name: str, payload: bytes) -> BaseModel:
+    def ask(self, name: str, payload: bytes, attachment: bytes | None = None) -> BaseModel:
         """Ask the bridge, and return its answer. Raises RuntimeError when it cannot read the question."""
-        self._inbox.append(Asked(name, cast(Any, None), payload))
+        self._inbox.append(Asked(name, cast(Any, None), payload, attachment))
         self._reply = None
         self._turn()
         if self._reply is None:
@@ -138,6 +146,10 @@ class World:
         self.bytes_to_base += len(data)
         self.firmware.receive(data, self.monotonic())
         self._collect()
+
+    def key(self, name: str) -> str:
+        """Return the key expression of a message; there is no namespace."""
+        return name
 
     def publish(self, name: str, data: bytes) -> None:
         """Let the driver hear a message."""
@@ -174,7 +186,6 @@ class Air:
     """
 
     robot = "virtual"
-    driver = _DRIVER
     bridge_alive = True
 
     def __init__(
@@ -185,8 +196,8 @@ class Air:
         self.gate = GateStatus()
         self.first_command_ns: int | None = None
         """When the first command was sent."""
-        self._sequence = 0
-        self._may_hold_motors = False
+        self.lease = DriverLease()
+        self._asked = False
         world.hear = self._hear
 
     def authorised(self) -> bool:
@@ -195,44 +206,46 @@ class Air:
 
     def request_motors(self, name: str) -> MotorsReply:
         """Ask for the motors. Raises SafetyStop when they are refused."""
-        self._may_hold_motors = True
+        self._asked = True
         reply = self._motors(enable=True, name=name)
-        if not reply.granted:
+        if not isinstance(reply, MotorsReply):
             raise SafetyStop(reply.reason or "gate", reply.detail)
+        self.lease.grant(reply)
         return reply
 
     def release(self) -> None:
-        """Stop, and give the motors back if we may have them."""
-        if self._may_hold_motors:
-            self._may_hold_motors = False
+        """Stop, and give the motors back if we have them."""
+        if self.lease.number:
             self.command(Velocity(0.0, 0.0))
             self._motors(enable=False, name="")
+            self.lease.end()
 
     def command(self, velocity: Velocity) -> int:
         """Send a command and return its sequence number."""
         world = self._world
         if self.first_command_ns is None:
             self.first_command_ns = world.now_ns
-        tag = CommandTag(self.driver, self._sequence, world.now_ns)
-        world.command(twist_stamped(velocity, world.time_ns()), tag.pack())
-        self._sequence += 1
+        data = twist_stamped(velocity, world.time_ns())
+        tag = self.lease.sign(Signed.COMMAND, "cmd_vel", data, world.now_ns)
+        world.command(data, tag.pack())
         return tag.sequence
 
     def publish(self, name: str, data: bytes, wall_ns: int) -> None:
         """Nobody listens to what the driver says of itself."""
 
-    def _motors(self, enable: bool, name: str) -> MotorsReply:
-        request = MotorsRequest(
-            enable=enable, driver=self.driver.hex(), name=name, sent_ns=self._world.now_ns
-        )
-        return cast(MotorsReply, self._world.ask("rover/motors", dump_json(request)))
+    def _motors(self, enable: bool, name: str) -> MotorsRefusal:
+        payload = dump_json(MotorsRequest(enable=enable, name=name, sent_ns=self._world.now_ns))
+        tag = None
+        if self.lease.number:
+            tag = self.lease.sign(Signed.MOTORS, "rover/motors", payload, self._world.now_ns).pack()
+        return cast(MotorsRefusal, self._world.ask("rover/motors", payload, tag))
 
     def _hear(self, name: str, data: bytes) -> None:
         wall_ns = self._world.time_ns()
         self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
         if name == "odom":
             self.odometry.put(self._arrival(data))
-            if not self._may_hold_motors:
+            if not self._asked:
                 self.poses.put(self._arrival(known_pose(self._start, wall_ns)))
         elif name == "rover/gate":
             self.gate = parse_json(GateStatus, read_text(data))

@@ -74,8 +74,8 @@ class Live {
     const state = !news.bridge ? "no bridge" : status ? status.state : "waiting";
     const good = state === "parked" ? true : state === "fault" || state === "no bridge" ? false : null;
     if (status) notes.push(`policy ${status.policy} on course ${status.course}`);
-    if (gate) notes.push(gate.driver ? `${gate.driver_name || "somebody"} has the motors` : "nobody has the motors");
-    if (gate && gate.held && gate.driver) notes.push(`the gate holds the rover still: ${gate.held}`);
+    if (gate) notes.push(gate.lease ? `${gate.driver_name || "somebody"} has the motors` : "nobody has the motors");
+    if (gate && gate.held && gate.lease) notes.push(`the gate holds the rover still: ${gate.held}`);
     if (news.foreign) notes.push("the driver's neurons are not those of this page's policy: start watch with --policy");
     headline(`${state}: ${[status && status.reason, news.verdict].filter(Boolean).join(", ")}`, good, notes.join("; "));
     definitions($("summary"), this.facts(news));

@@ -221,12 +221,28 @@ class Link:
         where, tag = self._key("rover/motors"), None
         if self.lease.number:
             tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
-        for reply in self._session.get(where, payload=payload, attachment=tag, timeout=timeout_s):
+        # Every peer that would answer is asked, and every answer is seen: a peer that relayed the request to
+        # the bridge and passed the answer on would know the key.
+        replies = list(
+            self._session.get(
+                where,
+                payload=payload,
+                attachment=tag,
+                timeout=timeout_s,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+        )
+        if len(replies) > 1:
+            raise NoBridge(
+                f"{len(replies)} answers on {where} at {self.robot}, expected one: a peer beside the bridge "
+                "answers requests for the motors; keep it out with 'rover-ncp keys'"
+            )
+        for reply in replies:
             # A bridge of version 1 cannot read the request, and says so; later ones answer with a refusal.
             if reply.err is not None and reply.err.payload.to_bytes().startswith(b"MotorsRequest: "):
-                raise OtherVersion(
-                    f"the bridge at {self.robot} refuses the motors: {other_version(1, PROTOCOL)}"
-                )
+                words = other_version(1, PROTOCOL)
+                raise OtherVersion(f"the bridge at {self.robot} refuses the motors: {words}")
             if reply.ok is None:
                 raise NoBridge(f"the bridge at {self.robot} does not answer within {timeout_s:g} s")
             try:

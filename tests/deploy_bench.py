@@ -64,8 +64,10 @@ class Bridge:
         self.gate = GateStatus()
         self.refusal = ""
         self.secret = bytes(range(32))
-        self.accepts = True
-        """Whether commands count that are signed as they should be."""
+        self.drops = None
+        """The reason to drop all commands, "" for one that it does not tell."""
+        self.accepted = -1
+        """The number of the last command that counted."""
         self.commands, self.requests, self.times = [], [], []
         self.released = threading.Event()
         self._stop = threading.Event()
@@ -88,16 +90,21 @@ class Bridge:
             if data is not None:
                 self.times.append(time.monotonic())
                 self.session.put(self._key("odom"), data)
-            self.session.put(self._key("rover/gate"), text(dump_json(self.gate).decode()))
+            if self.gate is not None:
+                self.session.put(self._key("rover/gate"), text(dump_json(self.gate).decode()))
 
     def _command(self, sample):
         tag = CommandTag.unpack(sample.attachment.to_bytes())
         velocity = read_twist(sample.payload.to_bytes()).velocity
-        if tag.lease == self.gate.lease:
+        if self.gate is not None and tag.lease == self.gate.lease:
             assert tag.verify(self.secret, Signed.COMMAND, self._key("cmd_vel"), sample.payload.to_bytes())
-            if self.accepts:
+            if self.drops is None:
                 self.velocity = velocity
                 self.gate = self.gate.model_copy(update={"sequence": tag.sequence})
+                self.accepted = tag.sequence
+            elif self.drops:
+                dropped = {self.drops: self.gate.dropped.get(self.drops, 0) + 1}
+                self.gate = self.gate.model_copy(update={"dropped": dropped})
         self.commands.append((tag, velocity))
 
     def _answer(self, query):

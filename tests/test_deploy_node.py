@@ -163,6 +163,23 @@ def test_losing_the_bridge_or_the_lease_ends_the_drive_with_a_name(bridge, drive
     assert bridge.released.is_set()
 
 
+@pytest.mark.parametrize("reason", ["stale", "foreign", ""])
+def test_a_driver_whose_commands_are_not_accepted_stops_within_half_a_second(bridge, drive, reason):
+    bridge.after_commands(5, lambda: setattr(bridge, "drops", reason))
+    code, result = drive()
+    assert (code, result["stopped_by"]) == (4, "not-accepted")
+    assert (f"dropped since then: {reason} " if reason else "no dropped command") in result["reason"]
+    refused = [tag.stamp_ns for tag, _ in bridge.commands if tag.sequence > bridge.accepted]
+    assert bridge.commands[-1][1] == STILL
+    assert (refused[-1] - refused[0]) * 1e-9 < 0.5
+
+
+def test_a_gate_that_falls_silent_stops_the_driver(bridge, drive):
+    bridge.after_commands(5, lambda: setattr(bridge, "gate", None))
+    code, result = drive()
+    assert (code, result["stopped_by"]) == (4, "not-accepted")
+
+
 def test_a_rover_that_does_not_follow_is_not_commanded_for_long(bridge, drive, golden):
     bridge.odom = lambda pose, velocity, stamp: odometry(ODOM_AT_START, STILL, stamp)
     code, result = drive(policy=str(golden), course="parking")

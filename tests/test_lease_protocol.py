@@ -1,0 +1,128 @@
+"""The bridge's answers to requests for the motors, with mock and bridge as real processes."""
+
+import json
+import struct
+import threading
+import time
+
+import pytest
+from bridge_bench import Driver, Rig, client, wait_for
+
+from deploy.link import Link
+from rover_ncp.core.errors import NoBridge
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.lease import CommandTag, MotorsRequest, Signed, dump_json
+from rover_ncp.core.messages import twist_stamped
+
+OLD_REQUEST = {"enable": True, "driver": "ab" * 16, "name": "old", "sent_ns": 1}
+BOTH = (
+    "the bridge uses protocol version 2, the driver version 1: install the same version of rover-ncp on both"
+)
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    with Rig(tmp_path_factory.mktemp("rig"), bridge=["--accept-ros"]) as rig:
+        yield rig
+
+
+@pytest.fixture
+def driver(rig):
+    with Driver(rig.locator) as driver:
+        wait_for(lambda: driver.odom is not None)
+        yield driver
+        driver.motors(enable=False)
+        wait_for(lambda: driver.gate.lease == 0)
+        time.sleep(1.0)  # after which plain commands may drive again
+
+
+def test_a_lost_answer_locks_everybody_out_until_the_lease_lapses(rig, driver):
+    """The lease is granted, and its key with it, to a driver that never gets to know it."""
+    first = wait_for(lambda: (reply := driver.motors()).granted and reply)
+    driver.lease.end()
+    assert driver.motors().reason == "another-driver"
+    again = wait_for(lambda: (reply := driver.motors()).granted and reply)
+    assert (again.lease, again.key != first.key) == (first.lease + 1, True)
+
+
+def test_a_renewal_is_granted_without_the_key_and_only_once(rig, driver):
+    first = wait_for(lambda: (reply := driver.motors()).granted and reply)
+    payload = dump_json(MotorsRequest(enable=True, name="test", sent_ns=time.monotonic_ns()))
+    tag = driver.lease.sign(Signed.MOTORS, "rover/motors", payload, time.monotonic_ns()).pack()
+    renewed, repeated = (json.loads(driver.ask("rover/motors", payload, tag)) for _ in range(2))
+    assert (renewed["granted"], renewed["lease"], renewed["key"]) == (True, first.lease, "")
+    assert (repeated["granted"], repeated["reason"]) == (False, "repeated")
+
+
+def test_a_signature_is_for_one_kind_and_one_key_expression(rig, driver):
+    wait_for(lambda: driver.motors().granted)
+    release = dump_json(MotorsRequest(enable=False))
+    others = [(Signed.COMMAND, "rover/motors"), (Signed.MOTORS, "cmd_vel"), (Signed.MOTORS, "x/rover/motors")]
+    for kind, where in others:
+        tag = driver.lease.sign(kind, where, release, time.monotonic_ns()).pack()
+        assert json.loads(driver.ask("rover/motors", release, tag))["reason"] == "another-driver"
+    foreign = driver.gate.dropped.get("foreign", 0)
+    command = twist_stamped(Velocity(0.1, 0.0), 1)
+    driver.put(command, driver.lease.sign(Signed.MOTORS, "cmd_vel", command, time.monotonic_ns()).pack())
+    wait_for(lambda: driver.gate.dropped.get("foreign", 0) == foreign + 1)
+    driver.motors(enable=False)
+    wait_for(lambda: driver.gate.lease == 0)
+
+
+def test_an_older_driver_is_told_both_versions(rig, driver):
+    reply = json.loads(driver.ask("rover/motors", json.dumps(OLD_REQUEST).encode()))
+    assert reply == {"granted": False, "reason": "version", "detail": BOTH}
+    later = json.loads(driver.ask("rover/motors", b'{"version": 3, "anything": []}'))
+    assert "the bridge uses protocol version 2, the driver version 3" in later["detail"]
+
+
+OLD_ZEROS = struct.pack("<16sQq", bytes(16), 2**63, 2**62)
+"""A tag of protocol version 1 with the id under which plain ROS commands drove."""
+
+
+@pytest.mark.parametrize("tag", [OLD_ZEROS, bytes(40), CommandTag(0, 2**63, 2**62).pack(), b""])
+def test_a_tag_of_zeros_neither_drives_nor_releases_under_accept_ros(rig, driver, tag):
+    def plain():
+        driver.put(twist_stamped(Velocity(0.0, 0.0), time.time_ns()))
+        return driver.gate.driver_name == "ros"
+
+    wait_for(plain)
+    before = driver.gate.dropped.get("foreign", 0)
+    for _ in range(5):
+        plain()
+        driver.put(twist_stamped(Velocity(0.2, 0.0), time.time_ns()), tag)
+        for request in (OLD_REQUEST | {"driver": "0" * 32, "enable": False}, {"version": 2, "enable": False}):
+            answer = json.loads(driver.ask("rover/motors", json.dumps(request).encode(), tag))
+            assert (answer["granted"], answer["reason"]) == (False, "another-driver")
+    wait_for(lambda: driver.gate.dropped.get("foreign", 0) == before + 5)
+    assert driver.gate.driver_name == "ros"
+    assert driver.out == Velocity(0.0, 0.0)
+
+
+def test_a_peer_that_relays_the_request_does_not_get_to_share_the_key(rig):
+    """It asks the bridge in the driver's place, and hands the answer on: then two have answered."""
+    peer = client(rig.locator)
+
+    def relay(query):
+        request = query.payload.to_bytes()
+
+        def ask(query=query):
+            with query:
+                for reply in other.session.get("rover/motors", payload=request, timeout=0.5):
+                    if reply.ok is not None:
+                        query.reply("rover/motors", reply.ok.payload.to_bytes())
+                        return
+
+        threading.Thread(target=ask, daemon=True).start()
+
+    with Driver(rig.locator) as other, Link(rig.locator, "", None, lambda _: None) as link:
+        wait_for(lambda: other.odom is not None)
+        held = peer.declare_queryable("rover/motors", relay, complete=True)
+        time.sleep(0.3)
+        with pytest.raises(NoBridge, match="expected one: a peer beside the bridge answers") as error:
+            link.request_motors("test")
+        assert error.value.exit_code == 3
+        assert link.lease.number == 0
+        held.undeclare()
+        wait_for(lambda: other.gate.lease == 0)
+    peer.close()

@@ -122,16 +122,13 @@ class Session:
         """Take over bytes from the base and return what they mean."""
         self._now = now
         self._bytes_heard += len(data)
-        for packet in self.decoder.feed(data, now):
-            what = self._classify(packet)
-            if what is not None:
-                self._silent_tries = 0
-                self._dispatch(what)
+        self._decode(data)
         return self._drain()
 
     def tick(self, now: float) -> list[Event]:
         """Let time pass: clocks, set-points, keep-alives. Call it from the gate's loop, 20 times a second."""
         self._now = now
+        self._decode(b"")
         if now >= self._deadline:
             self._dispatch(Input.EXPIRED)
         if self.state is State.READY:
@@ -175,6 +172,13 @@ class Session:
             self._odometer.expect_reset()
 
     # The machine.
+
+    def _decode(self, data: bytes) -> None:
+        for packet in self.decoder.feed(data, self._now):
+            what = self._classify(packet)
+            if what is not None:
+                self._silent_tries = 0
+                self._dispatch(what)
 
     def _dispatch(self, what: Input) -> None:
         entry = TABLE[self.state].get(what)

@@ -38,7 +38,7 @@ POSITIVE, NEGATIVE, STRING = 0x3B, 0x1B, 0x2B
 """Type bytes of arguments."""
 
 PAUSE_S = 0.05
-"""Frames arrive in one go. One that pauses longer than this may have a damaged COUNT (see Decoder)."""
+"""A sender writes each frame at once. One that pauses for longer may have a damaged COUNT (see Decoder)."""
 
 
 class Packet(NamedTuple):
@@ -247,9 +247,15 @@ def pair(word: int) -> tuple[int, int]:
 class Decoder:
     """Bytes in, packets out. Feed it anything, in any pieces.
 
-    What fails its checksum is scanned again from the byte after its ``FA``, so that damage loses only the
-    packets it touched. A damaged COUNT could still make a frame swallow the next ones until it is full: when
-    a frame pauses for more than 50 ms and a whole valid frame follows inside it, it is given up at once.
+    1. Each ``FA`` is a candidate for the start of a frame. Candidates are examined in the order of arrival.
+    2. A whole frame with a valid checksum is given out. A candidate that fails is skipped, and the next one
+       is sought from the byte after its ``FA``. Damage therefore loses only the packets it touched.
+    3. A candidate that is not whole yet withholds all bytes after it, because they may be its payload.
+    4. A pause of more than 50 ms ends rule 3 for every candidate that began before it: its COUNT may be
+       damaged. Such a candidate can still become whole, but it withholds nothing.
+
+    So a whole valid frame is given out at the latest with the first call after a pause of 50 ms, or when 255
+    more bytes have arrived, unless it overlaps a packet already given out.
     """
 
     def __init__(self) -> None:
@@ -261,56 +267,58 @@ class Decoder:
         """Bytes so far that belong to no valid packet."""
         self._buffer = bytearray()
         self._last_s = 0.0
-        self._paused = False
+        self._before_pause = 0
+        """How many bytes of the buffer arrived before the latest pause."""
 
     def drop(self) -> None:
         """Forget the beginning of a frame: what comes next is another connection's."""
         self.skipped_bytes += len(self._buffer)
         self._buffer.clear()
-        self._paused = False
+        self._before_pause = 0
 
     def feed(self, data: bytes, now: float = 0.0) -> list[Packet]:
-        """Return the packets that ``data``, received at ``now`` seconds, completes."""
-        if not data:
+        """Return the packets that are given out at ``now`` seconds, when ``data`` arrives.
+
+        Without data, time passes: the caller's timer makes that call at least every 50 ms.
+        """
+        buffer = self._buffer
+        paused = bool(buffer) and now - self._last_s > PAUSE_S
+        if paused:
+            self._before_pause = len(buffer)
+        if data:
+            self._last_s = now
+            buffer += data
+        elif not paused:
             return []
-        if self._buffer and now - self._last_s > PAUSE_S:
-            self._paused = True
-        self._last_s = now
-        self._buffer += data
         packets = []
-        start = 0
-        while True:
-            found = self._find(start)
-            size = self._size_at(found)
-            if size == 0 and self._paused:
-                later = found + 1
-                while later < len(self._buffer) and self._size_at(later) <= 0:
-                    later += 1
-                if later < len(self._buffer):
-                    found, size = later, self._size_at(later)
-            self.skipped_bytes += found - start
-            if found > start or size > 0:
-                self._paused = False
-            start = found
-            if size <= 0:
-                break
-            packets.append(Packet(self._buffer[start + 3], bytes(self._buffer[start + 4 : start + size - 2])))
-            start += size
-        del self._buffer[:start]
+        start = at = failed = 0
+        held = -1  # the first candidate from start on that may still become whole
+        while (at := buffer.find(HEADER[0], at)) >= 0:
+            size = self._size_at(at)
+            if size > 0:
+                packets.append(Packet(buffer[at + 3], bytes(buffer[at + 4 : at + size - 2])))
+                self.skipped_bytes += at - start
+                self.bad_checksums += failed
+                start = at = at + size
+                held, failed = -1, 0
+                continue
+            if size == 0:
+                held = at if held < 0 else held
+                if at >= self._before_pause:
+                    break
+            # A failure behind a held candidate is examined again, and counts when its bytes leave the buffer.
+            elif size == _WRONG_SUM:
+                if held < 0:
+                    self.bad_checksums += 1
+                else:
+                    failed += 1
+            at += 1
+        kept = held if held >= 0 else len(buffer)
+        self.skipped_bytes += kept - start
+        del buffer[:kept]
+        self._before_pause = max(self._before_pause - kept, 0)
         self.packets += len(packets)
         return packets
-
-    def _find(self, start: int) -> int:
-        """Return where the next frame starts that is whole or may become so, or the buffer's end."""
-        while True:
-            start = self._buffer.find(HEADER[0], start)
-            if start < 0:
-                return len(self._buffer)
-            size = self._size_at(start)
-            if size >= 0:
-                return start
-            self.bad_checksums += size == _WRONG_SUM
-            start += 1
 
     def _size_at(self, start: int) -> int:
         """Return the size of the valid frame at ``start``, 0 for the beginning of one, or why it is none."""

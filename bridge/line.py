@@ -1,7 +1,8 @@
-"""The line to the base, read by a thread of its own that also opens it again when it broke.
+"""The line to the base, read by a thread of its own that also opens another when it broke or fell silent.
 
-Reading and opening block, so they are the thread's; writing and closing are the loop's. What the thread
-meets, errors included, goes to the inbox.
+Opening, reading and closing block, so the thread does them; the loop only writes. What the thread meets,
+errors included, goes to the inbox. A line is closed before the next is opened, because a base takes one
+client at a time, and after the loop has dropped it, because the loop may be writing.
 """
 
 import threading
@@ -13,8 +14,8 @@ from rover_ncp.core.errors import NoRobot
 __all__ = ["Line"]
 
 READ_S = 0.1
-RETRY_S = 1.0
-"""Between two attempts to open a line."""
+RETRY_S, MAX_RETRY_S = 0.1, 0.5
+"""Wait before a line is opened again. It doubles with each line on which nothing arrives, up to the second."""
 
 
 class Line:
@@ -25,9 +26,11 @@ class Line:
         self._inbox = inbox
         self._current: Transport | None = None
         self._all: list[Transport] = []
-        self._failed: NoRobot | None = None
-        """Why writing failed; the reader looks here, for it may hear nothing of it."""
-        self._closing = threading.Event()
+        self._bytes_in = self._bytes_out = 0
+        """Of the lines that are closed."""
+        self._broken: NoRobot | None = None
+        """Why the thread must give up the line although reading does not fail."""
+        self._closing, self._dropped = threading.Event(), threading.Event()
         first = self._open()
         self._thread = threading.Thread(target=self._run, args=(first,), name="base-line", daemon=True)
         self._thread.start()
@@ -35,47 +38,46 @@ class Line:
     @property
     def bytes_in(self) -> int:
         """Bytes from the base, over all lines so far."""
-        return sum(transport.bytes_in for transport in self._all)
+        return self._bytes_in + sum(transport.bytes_in for transport in self._all)
 
     @property
     def bytes_out(self) -> int:
         """Bytes to the base, over all lines so far."""
-        return sum(transport.bytes_out for transport in self._all)
+        return self._bytes_out + sum(transport.bytes_out for transport in self._all)
 
     def use(self, transport: Transport) -> None:
         """Write to this line from now on; the loop says so when it knows of it."""
         self._current = transport
 
     def drop(self) -> None:
-        """Let go of a broken line."""
-        if self._current is not None:
-            self._current.close()
-            self._current = None
+        """Answer `Broken`: write no more to that line. The thread then closes it and opens another."""
+        self._current = None
+        self._dropped.set()
+
+    def reopen(self, reason: str) -> None:
+        """Give up a line on which the base does not answer; `Broken` and `Opened` follow."""
+        self._broken = NoRobot(f"{self.endpoint}: {reason}")
 
     def write(self, data: bytes) -> None:
         """Send bytes to the base; without a line they are lost. A failure arrives as `Broken`."""
-        if self._current is not None and self._failed is None and data:
+        if self._current is not None and data:
             try:
                 self._current.write(data)
             except NoRobot as error:
-                self._failed = error
-
-    @property
-    def baudrate(self) -> int | None:
-        """The rate the line runs at; None without a line, or on one that has no rate."""
-        return None if self._current is None else self._current.baudrate
+                self._current, self._broken = None, error
 
     def set_baudrate(self, baudrate: int) -> None:
         """Let the line run at another rate. A failure arrives as `Broken`."""
-        if self._current is not None and self._failed is None:
+        if self._current is not None:
             try:
                 self._current.set_baudrate(baudrate)
             except NoRobot as error:
-                self._failed = error
+                self._current, self._broken = None, error
 
     def close(self) -> None:
         """End the thread, then all lines, once what was written has gone out."""
         self._closing.set()
+        self._dropped.set()
         self._thread.join(2 * READ_S)
         for transport in self._all:  # also one that the loop never got to know of
             transport.close()
@@ -88,22 +90,37 @@ class Line:
 
     def _run(self, first: Transport) -> None:
         transport: Transport | None = first
+        wait_s = RETRY_S
         try:
             while not self._closing.is_set():
                 try:
                     if transport is None:
-                        self._failed = None
                         transport = self._open()
                     data = transport.read(READ_S)
-                    if self._failed is not None:
-                        raise self._failed
+                    if self._broken is not None:
+                        raise self._broken
                 except NoRobot as error:
-                    if not self._closing.is_set():
-                        self._inbox.put(Broken(error))
+                    self._give_up(transport, error)
                     transport = None
-                    self._closing.wait(RETRY_S)
+                    self._closing.wait(wait_s)
+                    wait_s = min(2 * wait_s, MAX_RETRY_S)
                 else:
                     if data:
                         self._inbox.put(Received(data))
+                        wait_s = RETRY_S
         except BaseException as error:
             self._inbox.put(Crashed(error))
+
+    def _give_up(self, transport: Transport | None, error: NoRobot) -> None:
+        """Report a line that failed, or could not be opened, and close it once the loop has dropped it."""
+        if self._closing.is_set():
+            return
+        self._inbox.put(Broken(error))
+        self._dropped.wait()
+        self._dropped.clear()
+        self._broken = None
+        if transport is not None and not self._closing.is_set():
+            transport.close()
+            self._all.remove(transport)
+            self._bytes_in += transport.bytes_in
+            self._bytes_out += transport.bytes_out

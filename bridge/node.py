@@ -81,7 +81,7 @@ class Node:
         self._robot: RobotParameters | None = None
         self._clearance: Clearance | None = None
         self._hardware = ""
-        self._stopping = self._commanded = False
+        self._stopping = self._commanded = self._reopening = False
         self._look_at_the_wall_clock()
         self._acted_s = self._status_due_s = self._slow_due_s = -math.inf
 
@@ -172,6 +172,7 @@ class Node:
                     self._hardware = f"{robot_class} {subtype} {name}"
                 case Configured(_, robot):
                     self._robot, self._clearance = robot, Clearance(robot)
+                    self._reopening = False
                     self.reconnects += 1
                     self._say(f"the base is there: {self._hardware}")
                     if self.reconnects == 0:
@@ -187,7 +188,13 @@ class Node:
                 case Failed(reason):
                     if self.reconnects < 0:
                         raise NoRobot(f"{self._line.endpoint}: {reason}")
-                    self._session.connect(self._clock.monotonic(), self._line.baudrate)
+                    if not self._reopening:
+                        self._say(
+                            f"{self._line.endpoint}: {reason}; the bridge closes and reopens the line until "
+                            "the base answers: check its power, its cable or its network"
+                        )
+                    self._reopening = True
+                    self._line.reopen(reason)
 
     def _judge(self, event: GateEvent, now: float) -> Verdict:
         """Pass an event through the gate."""

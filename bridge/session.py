@@ -54,8 +54,14 @@ CONFIG_S, OPEN_S = 1.0, 2.0
 GYRO_CLIENT_SIDE = 1
 """HASGYRO of a base that sends readings when asked; with 2 its headings have the gyro in them already."""
 
-POLITE_TRIES, SILENT_TRIES, TOTAL_TRIES = 1, 6, 40
-"""Silent handshakes before CLOSE goes first; before giving up; handshakes at all, heard or not."""
+POLITE_TRIES, SILENT_TRIES = 1, 6
+"""Silent handshakes before CLOSE goes first; before giving up."""
+
+TRIES_WHEN_LOST, TRIES_AGAIN = 1, 3
+"""Silent handshakes before giving up the line of a base that was ready; the same on each line after that."""
+
+CONNECT_S = 15.0
+"""A base that answers but is not ready after this time is given up: the search of all rates takes 11 s."""
 
 _PACKET_INPUTS: dict[int, Input] = {
     Kind.SYNC0: Input.ECHO0,
@@ -90,7 +96,9 @@ class Session:
         self._events: list[Event] = []
         self._reason = ""
         self._now = self._deadline = self._opened_s = 0.0
+        self._began_s = 0.0
         self._tries = self._silent_tries = 0
+        self._silent_limit = SILENT_TRIES
         self._bytes_heard = self._packets_before = 0
         self._rates = Rates()
 
@@ -122,16 +130,15 @@ class Session:
         """Take over bytes from the base and return what they mean."""
         self._now = now
         self._bytes_heard += len(data)
-        for packet in self.decoder.feed(data, now):
-            what = self._classify(packet)
-            if what is not None:
-                self._silent_tries = 0
-                self._dispatch(what)
+        self._decode(data)
         return self._drain()
 
     def tick(self, now: float) -> list[Event]:
         """Let time pass: clocks, set-points, keep-alives. Call it from the gate's loop, 20 times a second."""
         self._now = now
+        self._decode(b"")
+        if now - self._began_s >= CONNECT_S:
+            self._dispatch(Input.GAVE_UP)
         if now >= self._deadline:
             self._dispatch(Input.EXPIRED)
         if self.state is State.READY:
@@ -175,6 +182,13 @@ class Session:
             self._odometer.expect_reset()
 
     # The machine.
+
+    def _decode(self, data: bytes) -> None:
+        for packet in self.decoder.feed(data, self._now):
+            what = self._classify(packet)
+            if what is not None:
+                self._silent_tries = 0
+                self._dispatch(what)
 
     def _dispatch(self, what: Input) -> None:
         entry = TABLE[self.state].get(what)
@@ -224,15 +238,13 @@ class Session:
         self._helm.let_go()
         self._out.clear()
         self.decoder.drop()
+        self._began_s = self._now
         self._tries = self._silent_tries = 0
         self._bytes_heard, self._packets_before = 0, self.decoder.packets
 
     def _do_sync0(self) -> None:
         self._tries += 1
-        if self._tries > TOTAL_TRIES:
-            self._dispatch(Input.GAVE_UP)
-        else:
-            self._send(Command.PULSE)
+        self._send(Command.PULSE)
 
     def _do_sync1(self) -> None:
         self._send(Command.OPEN)
@@ -242,7 +254,7 @@ class Session:
 
     def _do_try_again(self) -> None:
         self._silent_tries += 1
-        if self._silent_tries >= SILENT_TRIES + self._rates.tries:
+        if self._silent_tries >= self._silent_limit + self._rates.tries:
             self._dispatch(Input.GAVE_UP)
         elif self._silent_tries > POLITE_TRIES:
             self._change_baud(self._rates.look(self._silent_tries - POLITE_TRIES - 1))
@@ -250,16 +262,19 @@ class Session:
             self._send(Command.CLOSE)
 
     def _do_give_up(self) -> None:
+        self._silent_limit = TRIES_AGAIN
         valid = self.decoder.packets - self._packets_before
         if valid:
-            reason = f"the base answers, but no handshake came about in {self._tries} tries"
+            reason = (
+                f"the base answers, but no handshake was completed within {self._now - self._began_s:.0f} s"
+            )
         elif self._bytes_heard:
             reason = (
                 f"what answers is no ARCOS base, or the baud rate is wrong: "
                 f"{self._bytes_heard} bytes, not one valid packet"
             )
         else:
-            reason = f"no answer to {self._tries} handshakes"
+            reason = f"no answer to {self._tries} handshake{'s' if self._tries > 1 else ''}"
         self._events.append(Failed(reason))
 
     def _do_hang_up(self) -> None:
@@ -329,6 +344,7 @@ class Session:
             self._events.append(BaudChanged(baudrate))
 
     def _do_be_ready(self) -> None:
+        self._silent_limit = TRIES_WHEN_LOST
         self._events.append(Configured(self._config, self._odometer.robot))
         self._helm.take(self._now)
         if self._config is not None and self._config.has_gyro == GYRO_CLIENT_SIDE:

@@ -39,7 +39,7 @@ class Input(Enum):
     CLOSE = "close was called"
     LINK_DOWN = "the line under us is gone"
     EXPIRED = "the state's clock ran out"
-    GAVE_UP = "tried often enough"
+    GAVE_UP = "tried often or long enough"
     ECHO0 = "echo of SYNC0"
     ECHO1 = "echo of SYNC1"
     NAMES = "echo of SYNC2 from a base we know"
@@ -63,7 +63,7 @@ PATIENCE_S = {
     State.HANGING_UP: 0.4,  # as long as Player's p2os waits after CLOSE
     State.CONFIGURING: 0.2,  # ARIA's rhythm of asking for the CONFIGpac
     State.READY: LOSS_S,
-    State.LOST: 3.0,
+    State.LOST: 2.1,  # the base's watchdog waits 2.0: a base that does not hear us stands by then
     State.ASKING_FASTER: 0.05,  # ARIA waits 10 ms; HOSTBAUD's 9 bytes take that long at 9600 alone
     State.FASTER: 0.9,  # as long as ARIA waits for a packet
 }
@@ -79,6 +79,7 @@ _SYNCING: dict[Input, Entry] = _ENDING | {
     Input.SIP: (State.HANGING_UP, "hang_up"),
     Input.RESET: (State.LISTENING, "nothing"),
     Input.EXPIRED: (State.LISTENING, "try_again"),
+    Input.GAVE_UP: (State.IDLE, "give_up"),
 }
 _OPEN: dict[Input, Entry] = {
     Input.RESET: (State.LISTENING, "nothing"),
@@ -105,7 +106,6 @@ TABLE: dict[State, dict[Input, Entry]] = {
     },
     State.SYNC0: _SYNCING
     | {
-        Input.GAVE_UP: (State.IDLE, "give_up"),
         Input.ECHO0: (State.SYNC1, "sync1"),
         Input.ECHO1: _WRONG,
         Input.NAMES: _WRONG,
@@ -127,6 +127,7 @@ TABLE: dict[State, dict[Input, Entry]] = {
     | {
         Input.RESET: (State.LISTENING, "nothing"),
         Input.EXPIRED: (State.SYNC0, "sync0"),
+        Input.GAVE_UP: (State.IDLE, "give_up"),
     },
     State.CONFIGURING: _OPEN
     | {

@@ -1,7 +1,8 @@
 """The codec, on bytes of third parties first: recorded clients, recorded robots, examples in manuals."""
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from itertools import combinations, product
 
 import pytest
 from arcos_captures import CAPTURES, VECTORS, Capture
@@ -228,3 +229,109 @@ def test_a_frame_inside_a_payload_is_not_taken_out_however_slowly_it_comes() -> 
     for i in range(len(frame)):
         received += decoder.feed(frame[i : i + 1], i * 0.04)
     assert [packet.kind for packet in received] == [0xB0]
+
+
+PAUSE_S, MORE_BYTES = 0.05, 255
+"""A whole valid frame is given out at the latest after this pause or so many more bytes."""
+
+
+def valid_frames(stream: bytes) -> Iterator[tuple[int, int]]:
+    """Yield start and end of every valid frame in a stream, overlapping ones included."""
+    for start in range(len(stream) - 5):
+        end = start + stream[start + 2] + 3
+        if stream[start : start + 2] == b"\xfa\xfb" and stream[start + 2] >= 3 and end <= len(stream):
+            body, told = stream[start + 3 : end - 2], stream[end - 2 : end]
+            if checksum(body).to_bytes(2, "big") == told:
+                yield start, end
+
+
+def feed_and_check(calls: Sequence[tuple[float, bytes]]) -> list[Packet]:
+    """Feed (pause in s, bytes) one after the other; after each call, require every frame that is due."""
+    stream = b"".join(data for _, data in calls)
+    frames = list(valid_frames(stream))
+    decoder, packets = Decoder(), []
+    given: list[tuple[int, int]] = []
+    now = last_s = 0.0
+    fed = paused_at = 0
+    for pause_s, data in calls:
+        now += pause_s
+        if now - last_s > PAUSE_S:
+            paused_at = fed
+        last_s = now if data else last_s
+        fed += len(data)
+        for packet in decoder.feed(data, now):
+            packets.append(packet)
+            frame = encode_frame(*packet)
+            start = stream.index(frame, given[-1][1] if given else 0)
+            assert start + len(frame) <= fed
+            given.append((start, start + len(frame)))
+        for start, end in frames:
+            due = end <= paused_at or end + MORE_BYTES <= fed
+            assert not due or any(start < other_end and other < end for other, other_end in given), (
+                f"the frame at {start} to {end} is withheld; {fed} bytes came, {paused_at} before a pause"
+            )
+    return packets
+
+
+SIP_FRAME = encode_frame(0x32, bytes(38))
+PIECES = st.one_of(
+    st.binary(max_size=20),
+    st.sampled_from([b"\xfa", b"\xfa\xfb", b"\xfa\xfb\x06", b"\xfa\xfb\xfc", SIP_FRAME, SIP_FRAME[:-3]]),
+    st.builds(encode_frame, st.integers(0, 255), st.binary(max_size=249)),
+    st.builds(lambda inner: encode_frame(0xB0, encode_frame(1, inner)), st.binary(max_size=30)),
+)
+PAUSES = st.sampled_from([0.0, 0.01, 0.04, 0.06, 1.0])
+
+
+@given(st.lists(PIECES, max_size=12), st.data())
+def test_no_frame_is_withheld_beyond_a_pause_or_255_bytes_however_the_bytes_are_split(
+    pieces: list[bytes], data: st.DataObject
+) -> None:
+    stream = b"".join(pieces)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=20)))
+    bounds = zip([0, *cuts], [*cuts, len(stream)], strict=True)  # an empty piece is a call of the timer
+    feed_and_check([*((data.draw(PAUSES), stream[start:end]) for start, end in bounds), (0.06, b"")])
+
+
+def test_no_frame_is_withheld_in_short_streams_with_every_split_and_every_place_of_a_pause() -> None:
+    for before, after in product([b"", b"\xfa", b"\xfa\xfb"], repeat=2):
+        stream = before + encode_frame(0) + after
+        inner = range(1, len(stream))
+        for cuts in (cuts for size in range(len(stream)) for cuts in combinations(inner, size)):
+            bounds = list(zip([0, *cuts], [*cuts, len(stream)], strict=True))
+            for paused in range(len(bounds)):
+                calls = [(0.06 * (k == paused), stream[a:b]) for k, (a, b) in enumerate(bounds)]
+                assert feed_and_check([*calls, (0.06, b"")]) == [Packet(0)]
+
+
+def test_a_pause_frees_the_frames_behind_every_dangling_header_before_it() -> None:
+    """A dangling header, a frame and another dangling header before a pause, then frames at 100 Hz."""
+    decoder = Decoder()
+    assert decoder.feed(b"\xfa\xfb" + encode_frame(0x32, b"first") + b"\xfa\xfb", 0.0) == []
+    packets = [decoder.feed(SIP_FRAME, 0.1 + k * 0.01) for k in range(5)]
+    sip = Packet(0x32, bytes(38))
+    assert packets == [[Packet(0x32, b"first"), sip], [sip], [sip], [sip], [sip]]
+
+
+def test_a_frame_behind_a_dangling_header_is_given_out_when_silence_follows() -> None:
+    decoder = Decoder()
+    assert decoder.feed(b"\xfa\xfb" + SIP_FRAME, 0.0) == []
+    assert decoder.feed(b"", 0.04) == []
+    assert decoder.feed(b"", 0.06) == [Packet(0x32, bytes(38))]
+
+
+def test_the_bytes_of_one_frame_may_come_with_pauses() -> None:
+    decoder = Decoder()
+    packets = [decoder.feed(SIP_FRAME[k : k + 1], k * 0.1) for k in range(len(SIP_FRAME))]
+    assert packets == [[]] * (len(SIP_FRAME) - 1) + [[Packet(0x32, bytes(38))]]
+    assert decoder.skipped_bytes == 0
+
+
+def test_a_damaged_frame_is_counted_once_although_a_held_one_precedes_it() -> None:
+    damaged = SIP_FRAME[:-1] + b"\x01"
+    decoder = Decoder()
+    decoder.feed(b"\xfa\xfb" + damaged, 0.0)
+    for k in range(10):
+        decoder.feed(b"", 0.1 + k * 0.1)
+    decoder.feed(SIP_FRAME, 2.0)
+    assert (decoder.packets, decoder.bad_checksums, decoder.skipped_bytes) == (1, 1, 2 + len(damaged))

@@ -2,6 +2,7 @@
 
 import socket
 import time
+from itertools import pairwise
 
 import pytest
 
@@ -105,6 +106,49 @@ def test_a_write_that_fails_breaks_the_line(server, open_line, monkeypatch):
         peer.settimeout(0.2)
         with pytest.raises(TimeoutError):
             peer.recv(10)
+
+
+def test_a_line_that_is_reopened_is_closed_by_the_thread_and_the_loop_never_waits(server, open_line):
+    line, inbox = open_line()
+    first, _ = server.accept()
+    with first:
+        line.use(next_of(inbox, Opened).transport)
+        line.reopen("no answer")
+        line.write(b"last words")
+        assert str(next_of(inbox, Broken).error) == f"{line.endpoint}: no answer"
+        began = time.monotonic()
+        line.drop()
+        assert time.monotonic() - began < 0.1  # less than closing waits for a peer that does not hang up
+        first.settimeout(2.0)
+        assert first.recv(100) == b"last words"
+        assert first.recv(100) == b""
+        second, _ = server.accept()
+        with second:
+            line.use(next_of(inbox, Opened).transport)
+            line.write(b"again")
+            assert second.recv(100) == b"again"
+    assert line.bytes_out == len(b"last words" + b"again")
+
+
+def test_lines_on_which_nothing_arrives_are_opened_again_less_and_less_often(server, open_line, monkeypatch):
+    monkeypatch.setattr(line_module, "MAX_RETRY_S", 0.4)
+    line, inbox = open_line()
+
+    def hang_up_on_the_next_line(words=b""):
+        peer, _ = server.accept()
+        peer.sendall(words)
+        peer.close()
+        next_of(inbox, Broken)
+        line.drop()
+        return time.monotonic()
+
+    closed = [hang_up_on_the_next_line() for _ in range(5)]
+    waits = [after - before for before, after in pairwise(closed)]
+    assert waits == sorted(waits)
+    assert 0.05 <= waits[0] < 0.2
+    assert 0.4 <= waits[-1] < 0.8
+    restarted = [hang_up_on_the_next_line(b"hello"), hang_up_on_the_next_line()]
+    assert restarted[1] - restarted[0] < 0.2
 
 
 def test_an_error_nobody_thought_of_reaches_the_loop(server, open_line, monkeypatch):

@@ -12,6 +12,7 @@ from bridge_bench import Driver, wait_for
 from serial_base import SerialBase
 
 from bridge.arcos import Command
+from sim.pioneer.faults import parse_fault
 from sim.pioneer.firmware import Link
 from sim.studies.processes import Process
 
@@ -82,3 +83,21 @@ def test_a_wrong_rate_is_found_out(bridge_on) -> None:
         bridge_on(base, 9600)[0].stop()
     assert base.rates == [19200, 38400]
     assert len(base.heard(Command.HOSTBAUD)) == 1
+
+
+def test_a_silent_serial_line_is_opened_again_and_the_base_found_at_its_rate(bridge_on, tmp_path) -> None:
+    with SerialBase(strict=True) as base:
+        _, zenoh = bridge_on(base, 9600)
+        with Driver(zenoh) as driver:
+            driver.start()
+            for fault in ("mute@0-10", "deaf@0-10"):
+                base.firmware.suffer(parse_fault(fault))
+            wait_for(lambda: driver.gate.held == "no-base")
+            assert base.client_rate == 38400
+            log = tmp_path / "bridge.log"
+            wait_for(lambda: "reopens the line" in log.read_text(), 15.0)
+            # The session is still open at the faster rate when the base answers again.
+            wait_for(lambda: driver.gate.held != "no-base", 25.0)
+            assert log.read_text().count("reopens the line") == 1
+            driver.start()
+            assert base.client_rate == base.firmware.baudrate == 38400

@@ -191,6 +191,14 @@ def driving() -> Bench:
     return bench
 
 
+def test_a_report_behind_a_false_header_is_read_when_silence_follows() -> None:
+    bench = Bench()
+    bench.go_to(State.READY)
+    bench.hear(b"\xfa\xfb" + sip())
+    bench.wait(0.06)
+    assert [type(event) for event in bench.events] == [StateReceived]
+
+
 def test_no_tick_no_keep_alive() -> None:
     bench = driving()
     for _ in range(100):

@@ -14,6 +14,13 @@ from sim.pioneer.firmware import Link
 SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 
 
+def test_a_command_behind_a_false_header_is_obeyed_when_silence_follows() -> None:
+    base = Pioneer().open()
+    base.say(b"\xfa\xfb" + encode_command(Command.VEL, 200))
+    base.run(0.5, fed=False)
+    assert base.speed > 0.05
+
+
 @pytest.mark.parametrize("model", list(ROBOTS))
 def test_each_model_tells_its_own_name(model: str) -> None:
     pioneer = Pioneer(model)

@@ -117,8 +117,7 @@ class Firmware:
         self.advance(now)
         if self._fault("deaf") is not None:
             return
-        for packet in self.decoder.feed(self._faults.damage(data, self._enabled_s), now):
-            self._take(packet)
+        self._decode(self._faults.damage(data, self._enabled_s), now)
 
     def data_to_send(self) -> bytes:
         """Return the bytes for the client and forget them."""
@@ -142,6 +141,7 @@ class Firmware:
         starved = self.now - self._fed_s > self._config.watchdog / 1000
         self.drive.substep(halted=starved or self.panel.blocked)
         self._substeps += 1
+        self._decode(b"", self.now)
         self._sonars.listen(self.drive.rover, self.now)
         if self._observe:
             self._observe(self.now)
@@ -218,6 +218,10 @@ class Firmware:
             self._restart()
 
     # Packets.
+
+    def _decode(self, data: bytes, now: float) -> None:
+        for packet in self.decoder.feed(data, now):
+            self._take(packet)
 
     def _take(self, packet: Packet) -> None:
         self._fed_s = self.now

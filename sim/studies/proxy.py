@@ -46,6 +46,10 @@ class Proxy(Process):
         """Let nothing through in either direction, as if the cable were pulled."""
         self.tell("hold_both_ways")
 
+    def silence(self) -> None:
+        """Leave the clients there are connected to nothing; new connections pass."""
+        self.tell("silence")
+
     def throttle(self, bytes_s: int) -> None:
         """Let so many bytes a second through to the server."""
         self.tell(f"throttle {bytes_s}")
@@ -93,6 +97,7 @@ class _Server:
         self._listener.setblocking(False)
         self.port: int = self._listener.getsockname()[1]
         self._pairs: list[_Pair] = []
+        self._silenced: list[socket.socket] = []
         self._lock = threading.Lock()
         self._held = self._held_back = self._cut = False
         self._bytes_s: float | None = None
@@ -105,6 +110,9 @@ class _Server:
         with self._lock:
             if word in {"hold", "hold_both_ways"}:
                 self._held, self._held_back = True, word == "hold_both_ways"
+            elif word == "silence":
+                self._silenced += [pair.client for pair in self._pairs]
+                self._drop_all(lambda pair: pair.server.close())
             elif word == "throttle":
                 self._bytes_s, self._credit, self._credit_s = float(number), 0.0, time.monotonic()
             elif word == "cut":

@@ -131,7 +131,6 @@ class World:
     # What the bridge's loop calls: its inbox, its line to the base, its Zenoh session.
 
     endpoint = "virtual"
-    baudrate = None
 
     def take(self, timeout_s: float) -> list[tuple[float, BridgeArrival]]:
         """Return what arrived; time passes elsewhere."""
@@ -140,6 +139,10 @@ class World:
 
     def use(self, transport: Transport) -> None:
         """There is but one line."""
+
+    def reopen(self, reason: str) -> None:
+        """Begin a new connection on the one line."""
+        self._inbox.append(Opened(cast(Transport, _Wire())))
 
     def write(self, data: bytes) -> None:
         """Bring bytes to the base."""

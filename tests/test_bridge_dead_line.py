@@ -1,0 +1,104 @@
+"""Lines to the base that fall silent but stay open, with bridge, relay and mock as real processes."""
+
+import signal
+import socket
+import threading
+import time
+from itertools import cycle
+
+import pytest
+from bridge_bench import Driver, Rig, wait_for
+
+from bridge.arcos import encode_frame
+from rover_ncp import shell
+from sim.studies.proxy import Proxy
+
+RECOVERY_S = 5.0
+"""The base is there again at the latest so long after it answers again."""
+
+
+class RelayedRig(Rig):
+    """The bridge reaches the mock through ``relay``."""
+
+    relay = None
+
+    def start_bridge(self):
+        self.relay = Proxy(self.base, self.folder, "line")
+        self.base = self.relay.address
+        super().start_bridge()
+
+    def close(self):
+        super().close()
+        if self.relay is not None:
+            self.relay.stop()
+
+
+def reopenings(rig):
+    """Return the bridge's log lines about a line that does not answer."""
+    return [line for line in (rig.folder / "bridge.log").read_text().splitlines() if "reopens" in line]
+
+
+def test_a_connection_that_falls_silent_is_replaced_and_the_log_says_so_once(tmp_path):
+    with RelayedRig(tmp_path) as rig, Driver(rig.locator) as driver:
+        driver.start()
+        rig.relay.silence()
+        began_s = time.monotonic()
+        wait_for(lambda: driver.gate.held == "no-base")
+        wait_for(lambda: driver.gate.held != "no-base", 15.0)
+        assert time.monotonic() - began_s < RECOVERY_S
+        (line,) = reopenings(rig)
+        assert line.startswith(f"tcp/{rig.base}: no answer to 1 handshake; ")
+        driver.start()
+        done = rig.bridge.stop()
+    assert (done.code, done.result["reconnects"]) == (0, 1)
+
+
+@pytest.mark.parametrize("stopped_s", [2.0, 4.0, 10.0])
+def test_a_base_that_stops_for_a_while_is_there_again_soon_after(tmp_path, stopped_s):
+    with Rig(tmp_path) as rig, Driver(rig.locator) as driver:
+        driver.start()
+        rig.mock.send_signal(signal.SIGSTOP)
+        try:
+            wait_for(lambda: driver.gate.held == "no-base")
+            time.sleep(stopped_s - 0.5)
+            assert driver.motors().reason == "no-base"  # the loop goes on while its thread opens lines
+        finally:
+            rig.mock.send_signal(signal.SIGCONT)
+        back_s = time.monotonic()
+        wait_for(lambda: driver.gate.held != "no-base", 15.0)
+        assert time.monotonic() - back_s < RECOVERY_S
+        assert len(reopenings(rig)) == (stopped_s > 2.0)
+        driver.start()
+
+
+@pytest.mark.parametrize(
+    ("stream", "period_s"),
+    [
+        (encode_frame(0), 0.5),  # each byte of the right answer, too slowly
+        (encode_frame(0xFF), 0.02),  # a base that is always being reset
+    ],
+    ids=["slow", "resetting"],
+)
+def test_a_base_that_answers_without_end_but_never_connects_is_exit_3(capsys, stream, period_s):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def drip():
+            peer, _ = server.accept()
+            with peer:
+                for byte in cycle(stream):
+                    try:
+                        peer.sendall(bytes([byte]))
+                    except OSError:
+                        return
+                    time.sleep(period_s)
+
+        thread = threading.Thread(target=drip, daemon=True)
+        thread.start()
+        address = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        began_s = time.monotonic()
+        code = shell.run(["bridge", "--base", address, "--listen", "tcp/127.0.0.1:0"])
+        assert time.monotonic() - began_s < 20.0
+        thread.join(5.0)
+    assert code == 3
+    expected = f"rover-ncp: {address}: the base answers, but no handshake was completed within 15 s\n"
+    assert capsys.readouterr().err == expected

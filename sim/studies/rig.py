@@ -130,8 +130,15 @@ class Rig:
             raise deploy.failure()
 
     def stood(self, since_ns: int, timeout_s: float = 6.0) -> float:
-        """Wait until the rover stands; return how long after ``since_ns`` it came to. Raises NotStill."""
+        """Wait until the rover stands; return how long after ``since_ns`` it came to, in s. Raises NotStill.
+
+        ``since_ns`` is of the machine's monotonic clock, at which the mock keeps its simulation.
+        """
         return self.truth.stood_after(since_ns, timeout_s)
+
+    def late_s(self) -> float:
+        """Return how late line and mock ran, at worst, since they were last given a line."""
+        return (self.line.tell("").late_ns + self.mock.tell("").late_ns) * 1e-9
 
     def leave(self, hand: Hand) -> None:
         """Let a hand fall silent and go."""

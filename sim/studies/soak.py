@@ -118,9 +118,8 @@ def soak(
         for row in last:
             one(row, CIRCUIT)
         rig.leave(rig.under_way(rig.hand()))
-        stopped_ns = time.time_ns()
-        rig.stood(stopped_ns)
-        stands_ns = time.time_ns()
+        rig.stood(time.monotonic_ns())
+        stands_ns = time.monotonic_ns()
         time.sleep(STILL_S)
         soaked.still = not any(row.moving for row in rig.truth.since(stands_ns))
     soaked.wall_s = time.monotonic() - began_s

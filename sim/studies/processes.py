@@ -5,6 +5,7 @@ Each is the very command a user would type, started from this interpreter. Whate
 """
 
 import contextlib
+import functools
 import json
 import signal
 import subprocess
@@ -19,7 +20,7 @@ from typing import Any, NamedTuple, Self
 
 from rover_ncp.core.errors import RoverNcpError
 
-__all__ = ["Applied", "Finished", "LiveRun", "Process", "ProcessError", "uninterrupted"]
+__all__ = ["Applied", "Finished", "LiveRun", "Process", "ProcessError", "compile_driver", "uninterrupted"]
 
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 5.0
@@ -34,6 +35,20 @@ class ProcessError(RoverNcpError):
     def __init__(self, name: str, code: int, words: str) -> None:
         super().__init__(f"{name}: {words}" if words else f"{name} ended with exit code {code}")
         self.exit_code = code if code > 0 else 1
+
+
+@functools.cache
+def compile_driver() -> None:
+    """Compile the driver's kernels if they are not on disk yet, before anything waits for a driver.
+
+    After an installation that takes 8 s of CPU time, and on a busy machine longer than any timeout here.
+    """
+    from deploy.controller import Controller
+    from deploy.estimator import EstimatorSettings
+    from rover_ncp.circuit.policy_file import load_policy
+    from rover_ncp.core.course import load_course
+
+    Controller(load_policy("parking"), load_course("parking"), EstimatorSettings())
 
 
 @contextlib.contextmanager
@@ -228,6 +243,7 @@ class LiveRun:
 
     def deploy(self, *arguments: str) -> Process:
         """Start the driver."""
+        compile_driver()
         return self._start("deploy", "--robot", self.robot, *arguments)
 
     def __exit__(

@@ -13,7 +13,7 @@ from typing import Self, TypeVar
 
 from rover_ncp.core.errors import RoverNcpError
 from sim.studies.hand import Hand
-from sim.studies.processes import Process, uninterrupted
+from sim.studies.processes import Process, compile_driver, uninterrupted
 from sim.studies.proxy import Proxy
 from sim.studies.standstill import Motion, TruthReader
 
@@ -96,6 +96,7 @@ class Rig:
 
     def deploy(self, *options: str, robot: str | None = None) -> Process:
         """Start a driver: a circuit."""
+        compile_driver()
         self._deploys += 1
         folder = self.folder / f"deploy{self._deploys}"
         folder.mkdir(exist_ok=True)

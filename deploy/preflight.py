@@ -15,6 +15,7 @@ from rover_ncp.core.cdr import decode
 from rover_ncp.core.errors import FormatError, NoBridge, RoverNcpError
 from rover_ncp.core.geometry import Velocity, wrap_angle
 from rover_ncp.core.keys import spec
+from rover_ncp.core.lease import GateStatus
 from rover_ncp.core.recording import Recorded
 
 __all__ = ["Finding", "Preflight"]
@@ -107,26 +108,25 @@ class Preflight:
         return Finding("motors", True, f"granted within {time.monotonic() - began:.3f} s")
 
     def _forward(self) -> Finding:
+        gate = self._link.gate
         before, after, way = self._move(Velocity(V_M_S, 0.0))
         ahead = (after.pose.x - before.pose.x) * math.cos(before.pose.theta) + (
             after.pose.y - before.pose.y
         ) * math.sin(before.pose.theta)
         if after.velocity.v <= 0.5 * V_M_S or ahead <= 0.0:
-            return Finding(
-                "forward", False, f"told {V_M_S} m/s, it reports {after.velocity.v:.2f} m/s and {ahead:.2f} m"
-            )
+            moved = f"commanded {V_M_S} m/s, the base reports {after.velocity.v:.2f} m/s and {ahead:.2f} m"
+            return Finding("forward", False, f"{moved}: {self._gate_since(gate)}")
         right = abs(ahead - way) <= SCALE * way
         return Finding("forward", right, f"{ahead:.3f} m by its pose, {way:.3f} m by its speed")
 
     def _left(self) -> Finding:
+        gate = self._link.gate
         before, after, _ = self._move(Velocity(0.0, OMEGA_RAD_S))
         turned = wrap_angle(after.pose.theta - before.pose.theta)
         right = after.velocity.omega > 0.5 * OMEGA_RAD_S and turned > 0.0
-        return Finding(
-            "left",
-            right,
-            f"told {OMEGA_RAD_S} rad/s, it turned {turned:.2f} rad at {after.velocity.omega:.2f}",
-        )
+        reported = f"{after.velocity.omega:.2f} rad/s and {turned:.2f} rad"
+        moved = f"commanded {OMEGA_RAD_S} rad/s, the base reports {reported}"
+        return Finding("left", right, moved if right else f"{moved}: {self._gate_since(gate)}")
 
     def _stop(self) -> Finding:
         """Rehearse the stop that matters most: nobody says anything any more."""
@@ -138,6 +138,21 @@ class Preflight:
         ok = stands and took <= allowed
         words = f"stands {took:.2f} s after the last command" if stands else "does not stop"
         return Finding("silence", ok, f"{words} (at most {allowed:.2f} s)")
+
+    def _gate_since(self, before: GateStatus) -> str:
+        """Return in words what the gate did to commands since ``before``, by the gate's names for reasons."""
+        gate = self._link.gate
+        words = []
+        if reason := gate.held or gate.ended:
+            words.append(f"the gate stopped the robot: {reason}")
+        for verb, old, new in (
+            ("dropped", before.dropped, gate.dropped),
+            ("limited", before.limited, gate.limited),
+        ):
+            grown = [name for name, count in new.items() if count > old.get(name, 0)]
+            if grown:
+                words.append(f"the gate {verb} commands: {', '.join(grown)}")
+        return "; ".join(words) or "the gate passed all commands on, look at the base's motors and encoders"
 
     def _move(self, velocity: Velocity) -> tuple[Sample, Sample, float]:
         """Command a velocity for a while; return first and last report, and the way by the reported speed."""

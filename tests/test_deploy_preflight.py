@@ -38,7 +38,9 @@ def test_a_robot_that_is_well(tmp_path, check):
     [
         (["low-battery=11.2"], "battery", "11.2 V"),
         (["stop-button"], "stop", "held by stop-button"),
-        (["freeze-odometry@0"], "forward", "it reports 0.00 m/s"),
+        (["freeze-odometry@0"], "forward", "reports 0.00 m/s and 0.00 m: the gate passed all commands on"),
+        (["bumper@0.5"], "forward", "the gate stopped the robot: bumper"),
+        (["bumper@2.3"], "left", "the gate stopped the robot: bumper"),
     ],
 )
 def test_a_robot_that_is_not(tmp_path, check, faults, name, words):
@@ -49,6 +51,15 @@ def test_a_robot_that_is_not(tmp_path, check, faults, name, words):
     assert said["findings"][-1]["name"] == name
     assert words in said["findings"][-1]["detail"]
     assert f"no: {name}: " in err or not err
+
+
+def test_a_limit_that_slows_the_robot_is_named(tmp_path, check):
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("v_max: 0.03\n")
+    with Rig(tmp_path, bridge=["--limits", str(limits)]) as rig:
+        code, said, _ = check(rig.locator)
+    assert (code, said["findings"][-1]["name"]) == (1, "forward")
+    assert said["findings"][-1]["detail"].endswith("the gate limited commands: speed")
 
 
 def test_without_blocks_nothing_turns(capsys):

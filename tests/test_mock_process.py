@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bridge.events import StateReceived
@@ -123,6 +124,8 @@ def test_drive_over_tcp_and_leave(tmp_path: Path) -> None:
     assert lines[-1]["x"] > 0.15
     assert lines[-1]["v"] == 0.0
     assert [round(line["t_s"] * 100) for line in lines] == list(range(1, len(lines) + 1))
+    steps_ns = np.diff([line["clock_ns"] for line in lines])
+    assert np.abs(steps_ns - 10_000_000).max() <= 1
     wall_s = (lines[-1]["t_ns"] - lines[0]["t_ns"]) * 1e-9
     assert wall_s == pytest.approx(lines[-1]["t_s"] - lines[0]["t_s"], abs=0.05)
     assert abs(lines[-1]["t_ns"] * 1e-9 - time.time()) < 10
@@ -183,13 +186,21 @@ def test_a_port_in_use_and_a_truth_that_cannot_be_written() -> None:
     assert "/dev/null/truth.csv" in text
 
 
-def test_it_can_be_told_of_faults_while_it_runs() -> None:
-    with mock("--fault", "-") as (process, _):
+def test_it_can_be_told_of_faults_while_it_runs_and_answers_when_they_began(tmp_path: Path) -> None:
+    truth = tmp_path / "truth.csv"
+    with mock("--fault", "-", "--truth", str(truth)) as (process, _):
         assert process.stdin is not None and process.stderr is not None
+        began_ns = time.monotonic_ns()
         process.stdin.write("explode\nmute\n")
         process.stdin.close()  # no more to tell is no end
-        assert "expected NAME" in process.stderr.readline()
         process.stdin = None
+        assert "expected NAME" in process.stderr.readline()
+        word, moment, _, fault = process.stderr.readline().split()
+        ended_ns = time.monotonic_ns()
+        assert (word, fault) == ("applied", "mute")
+        # A step's beginning, on the machine's monotonic clock.
+        assert began_ns - 10_000_000 <= (moment_ns := int(moment.removeprefix("t_ns="))) <= ended_ns
         process.send_signal(signal.SIGTERM)
         out, _ = process.communicate(timeout=10)
     assert json.loads(out)["connections"] == 0
+    assert moment_ns in {int(line["clock_ns"]) for line in truth_of(truth)}

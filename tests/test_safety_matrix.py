@@ -1,11 +1,13 @@
 """The safety matrix: every fault at every layer, with real processes, and the measured time to standstill.
 
 The bounds are the requirement itself: 0.5 s plus braking, and the base's watchdog (2 s) plus braking where
-the bridge is dead or hung, or cut off from its base. What the machine adds has to fit in.
+the bridge is dead or hung, or cut off from its base. What the machine adds to bridge and driver has to fit
+in; what it adds to the mock and the line to it is the measurement's (`sim.studies.measure`).
 """
 
 import math
 import signal
+import threading
 import time
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from safety_stack import COURSE, WALL, record
 
 from sim.studies.matrix import MATRIX, braking_s, row
 from sim.studies.measure import measure
-from sim.studies.mishaps import MISHAPS
+from sim.studies.mishaps import HAND, MISHAPS
 from sim.studies.rig import SPEED_M_S, Rig, wait_for
 
 PAGE = Path(__file__).parent.parent / "docs" / "safety.md"
@@ -30,9 +32,31 @@ def rig(tmp_path_factory):
 @pytest.mark.parametrize("key", [each.key for each in MATRIX if each.outside])
 def test_the_rover_stands_in_time_and_stays(rig, key):
     measured = measure(rig, row(key), MISHAPS[key].drivers[0])
-    record(measured.row, measured.seconds, measured.braking_s, measured.note)
+    record(measured.row, measured.seconds, measured.braking_s, measured.late_s, measured.note)
     if key in {"odometry-jumps", "odometry-nan"}:  # which the gate lets pass
         assert measured.stopped_by == "estimator"
+
+
+@pytest.mark.parametrize(
+    ("key", "late"),
+    [("bumper", "mock"), ("line-reset", "line"), ("bridge-hung", "bridge")],
+)
+def test_fault_is_timed_when_it_begins_and_not_when_it_is_asked_for(rig, monkeypatch, key, late):
+    """The process that brings the fault about runs 0.2 s later than asked; that is not the rover's time."""
+    fault = MISHAPS[key]
+    asked_ns = 0
+
+    def act(scene):
+        nonlocal asked_ns
+        process = getattr(rig, late)
+        process.send_signal(signal.SIGSTOP)
+        asked_ns = time.time_ns()
+        threading.Timer(0.2, process.send_signal, [signal.SIGCONT]).start()
+        return fault.act(scene)
+
+    monkeypatch.setitem(MISHAPS, key, fault._replace(act=act))
+    measured = measure(rig, row(key), HAND)
+    assert measured.began_ns - asked_ns > 0.19e9
 
 
 def test_two_deploys_at_once_of_which_the_second_is_refused(rig):
@@ -44,7 +68,7 @@ def test_two_deploys_at_once_of_which_the_second_is_refused(rig):
     rig.driven(first)
     first.send_signal(signal.SIGTERM)
     assert first.wait(15.0).code == 130
-    rig.stood(time.time_ns())
+    rig.stood(time.monotonic_ns())
 
 
 def test_a_wall_in_the_way(tmp_path):
@@ -57,7 +81,8 @@ def test_a_wall_in_the_way(tmp_path):
         hand = rig.under_way(rig.hand())
         wait_for(lambda: rig.truth.read()[-1].x >= near_m, "the rover to come near")
         near = next(motion for motion in rig.truth.read() if motion.x >= near_m)
-        record(row("wall"), rig.stood(near.wall_ns), braking_s(near.v))
+        stood_s = rig.stood(near.clock_ns)
+        record(row("wall"), stood_s, braking_s(near.v), rig.late_s())
         assert (hand.gate.held, hand.gate.stops["sonar"]) == ("sonar", 1)
         assert hand.driving
         rig.under_way(hand, -SPEED_M_S)  # and back is free

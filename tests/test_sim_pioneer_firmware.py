@@ -153,6 +153,22 @@ def test_the_watchdog_halts_and_any_packet_lets_the_set_points_go_on() -> None:
     assert pioneer.speed == pytest.approx(0.2)
 
 
+def test_watchdog_halts_two_seconds_after_the_last_packet_at_whatever_step_that_came() -> None:
+    pioneer = Pioneer().open()
+    steps_to_braking = set()
+    for _ in range(12):
+        pioneer.tell(Command.VEL, 200)
+        pioneer.run(1.01)
+        assert pioneer.speed == pytest.approx(0.2)
+        steps = 0
+        while pioneer.speed > 0.199:
+            pioneer.run(0.01, fed=False)
+            steps += 1
+        steps_to_braking.add(steps)
+    # 2 s to the halt, 0.15 s of the base's delay, and the first step of braking.
+    assert steps_to_braking == {200 + 15 + 1}
+
+
 def test_a_broken_packet_does_not_feed_the_watchdog() -> None:
     pioneer = Pioneer().open()
     pioneer.tell(Command.VEL, 200)

@@ -172,7 +172,7 @@ def test_a_recording_cut_off_is_made_whole_and_a_lost_command_is_noticed(tmp_pat
 
 
 def test_whatever_is_wrong_is_said():
-    late = Measured(row("bumper"), "hand", 0, 1.2, 0.12, 0.0, "", "bumper")
+    late = Measured(row("bumper"), "hand", 0, 1.2, 0.0, 0.12, 0.0, "", "bumper")
     soaked = Soaked(rounds=[Round(5.0, late.row, "hand", late)], still=False)
     soaked.rounds.append(Round(9.0, row("stall"), "hand", None, "waited in vain"))
     soaked.usage["bridge"] = samples(100, sockets=1)

@@ -138,7 +138,7 @@ class Firmware:
 
     def _substep(self) -> None:
         self._endure()
-        starved = self.now - self._fed_s > self._config.watchdog / 1000
+        starved = self.now - self._fed_s >= self._config.watchdog / 1000 - 1e-9
         self.drive.substep(halted=starved or self.panel.blocked)
         self._substeps += 1
         self._decode(b"", self.now)

@@ -16,19 +16,26 @@ from typing import TextIO
 from rover_ncp.core.errors import FileError, PortInUse, UsageError
 from sim.pioneer.faults import parse_fault
 from sim.pioneer.firmware import Firmware
+from sim.world.rover import SUBSTEP_S
 
 __all__ = ["TRUTH_COLUMNS", "Server", "TruthFile", "parse_listen"]
 
-PERIOD_S = 0.1
-"""How long the mock sleeps at most: the true pose reaches its file that late."""
+PERIOD_S = SUBSTEP_S
+"""The mock sleeps no longer than a step, so a turn that ends later shows how long it had no CPU."""
 
 CHUNK_BYTES = 4096
 
 BACKLOG_BYTES = 1 << 16
 """A client that does not read loses what is beyond this, as on a serial line."""
 
-TRUTH_COLUMNS = ("t_ns", "t_s", "x", "y", "theta", "v", "omega", "contact")
-"""Wall clock in ns, time since the start in s, true pose in m and rad, speeds in m/s and rad/s, 0 or 1."""
+TRUTH_COLUMNS = ("t_ns", "t_s", "x", "y", "theta", "v", "omega", "contact", "clock_ns")
+"""Wall clock in ns, time since the start in s, true pose in m and rad, speeds in m/s and rad/s, 0 or 1,
+simulation clock in ns: the end of the step on the machine's monotonic clock, whenever it was computed."""
+
+
+def clock_ns(now: float) -> int:
+    """Return a moment of the simulation clock in ns."""
+    return round(now * 1e9)
 
 
 def parse_listen(text: str) -> tuple[str, int]:
@@ -52,11 +59,12 @@ class TruthFile:
         self.flush()
 
     def add(self, firmware: Firmware, t_ns: int, t_s: float) -> None:
-        """Note where the rover is now."""
+        """Note where the rover is at the end of a step."""
         rover = firmware.drive.rover
         (x, y, theta), (v, omega) = rover.pose, rover.velocity
         self._lines.append(
-            f"{t_ns},{t_s:.2f},{x:.6f},{y:.6f},{theta:.6f},{v:.5f},{omega:.5f},{int(rover.in_contact)}"
+            f"{t_ns},{t_s:.2f},{x:.6f},{y:.6f},{theta:.6f},{v:.5f},{omega:.5f},{int(rover.in_contact)},"
+            f"{clock_ns(firmware.now)}"
         )
 
     def flush(self) -> None:
@@ -93,6 +101,7 @@ class Server:
         self.touched = False
         """Whether the rover ever touched anything."""
         self._truth, self._say = truth, say
+        self._late_s = 0.0
         self._start_s = time.monotonic()
         self.firmware = make(self._start_s, self._observe)
         self._client: socket.socket | None = None
@@ -101,7 +110,11 @@ class Server:
         self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
     def serve(self, wake: socket.socket, told: FileIO | None = None) -> None:
-        """Serve until ``wake`` has something to read; each line of ``told`` is one more fault."""
+        """Serve until ``wake`` has something to read; each line of ``told`` is one more fault.
+
+        Each line is answered by ``applied t_ns=… late_ns=…``: the simulation clock when the fault began, and
+        how late the loop ended a turn at worst since the line before. An empty line asks only for the answer.
+        """
         stop = False
 
         def wake_up() -> None:
@@ -112,13 +125,15 @@ class Server:
         if told is not None:
             self._selector.register(told, selectors.EVENT_READ, lambda: self._hear(told))
         while not stop:
-            sleep_s = min(self.firmware.sip_due_s - time.monotonic(), PERIOD_S)
-            for key, _ in self._selector.select(max(sleep_s, 0.0)):
+            began_s = time.monotonic()
+            sleep_s = max(min(self.firmware.sip_due_s - began_s, PERIOD_S), 0.0)
+            for key, _ in self._selector.select(sleep_s):
                 key.data()
             self.firmware.advance(time.monotonic())
             self._send()
             if self._truth:
                 self._truth.flush()
+            self._late_s = max(self._late_s, time.monotonic() - began_s - sleep_s)
 
     def close(self) -> None:
         """Hang up and close everything."""
@@ -133,13 +148,19 @@ class Server:
         if not line:
             self._selector.unregister(told)
             return
+        text = line.decode(errors="replace").strip()
         try:
-            fault = parse_fault(line.decode(errors="replace").strip())
+            fault = parse_fault(text) if text else None
         except UsageError as error:
             self._say(str(error))
             return
         self.firmware.advance(time.monotonic())
-        self.firmware.suffer(fault)
+        if fault is not None:
+            self.firmware.suffer(fault)
+        self._say(
+            f"applied t_ns={clock_ns(self.firmware.now)} late_ns={clock_ns(self._late_s)} {text}".rstrip()
+        )
+        self._late_s = 0.0
 
     def _observe(self, now: float) -> None:
         contact = self.firmware.drive.rover.in_contact

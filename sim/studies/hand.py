@@ -43,7 +43,7 @@ class Hand:
         """How much older than it is each command says to be."""
         self.gate = GateStatus()
         self.last_sent_ns = 0
-        """When the last command was sent, ns since the epoch."""
+        """When the last command was sent, in ns of the monotonic clock."""
         self._asked_s = 0.0
         hear = self._session.declare_subscriber
         self.heard_ns: list[int] = []
@@ -94,8 +94,8 @@ class Hand:
                 self._asked_s = now
                 self._ask()
             if not self.silent:
-                self.last_sent_ns = time.time_ns()
-                self.send(self.payload or twist_stamped(self.velocity, self.last_sent_ns), self.age_s)
+                self.last_sent_ns = time.monotonic_ns()
+                self.send(self.payload or twist_stamped(self.velocity, time.time_ns()), self.age_s)
 
     def _ask(self) -> None:
         now_ns = time.monotonic_ns()

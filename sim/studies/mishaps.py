@@ -16,6 +16,7 @@ from rover_ncp.core.messages import odometry, text, twist_stamped
 from sim.studies.hand import Hand
 from sim.studies.hang import HANG_S
 from sim.studies.processes import Process
+from sim.studies.proxy import Proxy
 from sim.studies.rig import SPEED_M_S, Rig, Unsafe, wait_for
 
 __all__ = ["BOTH", "CIRCUIT", "HAND", "MISHAPS", "Mishap", "Scene"]
@@ -57,7 +58,7 @@ def _nothing(scene: Scene) -> None:
 
 
 class Mishap(NamedTuple):
-    """``act`` returns the moment (ns since the epoch) from which on to count, None for when it was called."""
+    """``act`` returns from which moment on to count, in ns of the monotonic clock; None for its call."""
 
     act: Callable[[Scene], int | None]
     mend: Callable[[Scene], None] = _nothing
@@ -76,7 +77,7 @@ class Mishap(NamedTuple):
 
 
 def _base(fault: str, ended: str = "", drivers: tuple[str, ...] = BOTH, *, greedy: bool = True) -> Mishap:
-    return Mishap(lambda scene: scene.rig.mock.tell(fault), ended=ended, drivers=drivers, greedy=greedy)
+    return Mishap(lambda scene: scene.rig.mock.tell(fault).t_ns, ended=ended, drivers=drivers, greedy=greedy)
 
 
 def _strange_odometry(scene: Scene) -> None:
@@ -96,6 +97,10 @@ def _bridge_signalled(number: int) -> Callable[[Scene], None]:
     return lambda scene: scene.rig.bridge.send_signal(number)
 
 
+def _hung(process: Process) -> int:
+    return process.answer_to(lambda: process.send_signal(signal.SIGUSR1)).t_ns
+
+
 def _bridge_resumes(scene: Scene) -> None:
     """It finds many old commands."""
     if isinstance(scene.driver, Hand):
@@ -109,16 +114,21 @@ def _bridge_wakes(scene: Scene) -> None:
     time.sleep(HANG_S)
 
 
+def _release(link: Proxy) -> None:
+    link.release()
+
+
 def _release_without_lease(scene: Scene) -> None:
     """A link that is good again within the lease is a mere pause."""
     wait_for(lambda: not scene.rig.watcher.gate.lease, "the lease to lapse")
     scene.rig.link.release()
 
 
-def _deliver_late(scene: Scene) -> None:
+def _deliver_late(scene: Scene) -> int:
     """Hold commands back, and nothing but commands."""
-    scene.rig.link.hold()
+    held = scene.rig.link.hold()
     scene.hand.greedy = False
+    return held.t_ns
 
 
 def _all_arrive(scene: Scene) -> None:
@@ -134,8 +144,7 @@ def _held_before_the_first(scene: Scene) -> int:
     rig, hand = scene.rig, scene.hand
     wait_for(lambda: hand.driving, "the motors")
     hand.greedy = False
-    rig.link.hold()
-    held_ns = time.time_ns()
+    held_ns = rig.link.hold().t_ns
     hand.velocity, hand.silent = Velocity(SPEED_M_S, 0.0), False
     time.sleep(0.8)  # the lease is still there when they arrive
     dropped = sum(hand.gate.dropped.values())
@@ -172,12 +181,12 @@ def _foreign_goes_on(scene: Scene) -> int:
     rig = scene.rig
     stranger = rig.hand()
     stranger.greedy, stranger.velocity = False, Velocity(-0.3, 0.6)
-    began_ns = time.time_ns()
+    began_ns = time.monotonic_ns()
     time.sleep(0.5)
     if any(row.omega != 0.0 or abs(row.v - SPEED_M_S) > 0.02 for row in rig.truth.since(began_ns)):
         raise Unsafe("a foreign publisher moved the rover")
+    silent_ns = time.monotonic_ns()
     scene.hand.silent = True
-    silent_ns = time.time_ns()
     time.sleep(1.0)
     rig.leave(stranger)
     return silent_ns
@@ -187,7 +196,7 @@ def _flood(scene: Scene) -> int:
     stranger = scene.rig.hand()
     stranger.greedy, stranger.silent = False, True
     payload, sent, began = twist_stamped(Velocity(0.3, 0.0), 0), 0, time.monotonic()
-    silent_ns = time.time_ns()
+    silent_ns = time.monotonic_ns()
     scene.hand.silent = True
     while (elapsed := time.monotonic() - began) < FLOOD_S:
         if sent < elapsed * FLOOD_PER_S:
@@ -210,19 +219,21 @@ MISHAPS: Mapping[str, Mishap] = {
     "stop-button": _base("stop-button@0-1.5", "stop-button"),
     "low-battery": _base("low-battery=10@0-4", "low-battery"),
     "restart": _base("reset@0-0.05", "no-base", greedy=False),
-    "line-reset": Mishap(lambda scene: scene.rig.line.reset(), ended="no-base", greedy=False),
+    "line-reset": Mishap(lambda scene: scene.rig.line.reset().t_ns, ended="no-base", greedy=False),
     "line-pulled": Mishap(
-        lambda scene: scene.rig.line.hold_both_ways(), lambda scene: scene.rig.line.release(), ended="no-base"
+        lambda scene: scene.rig.line.hold_both_ways().t_ns,
+        lambda scene: _release(scene.rig.line),
+        ended="no-base",
     ),
     "deploy-killed": Mishap(_signalled(signal.SIGKILL), drivers=(CIRCUIT,)),
     "deploy-stopped": Mishap(
         _signalled(signal.SIGSTOP), _signalled(signal.SIGCONT), drivers=(CIRCUIT,), losing=True
     ),
     "deploy-hung": Mishap(
-        _signalled(signal.SIGUSR1), _signalled(signal.SIGKILL), drivers=(CIRCUIT,), losing=True
+        lambda scene: _hung(scene.process), _signalled(signal.SIGKILL), drivers=(CIRCUIT,), losing=True
     ),
     "deploy-held": Mishap(
-        lambda scene: scene.rig.link.hold(),
+        lambda scene: scene.rig.link.hold().t_ns,
         _release_without_lease,
         drivers=(CIRCUIT,),
         spoilt=True,
@@ -232,14 +243,14 @@ MISHAPS: Mapping[str, Mishap] = {
         _deliver_late, _all_arrive, drivers=(HAND,), spoilt=True, lease_s=LONG_LEASE_S, ended="lease-lapsed"
     ),
     "link-cut": Mishap(
-        lambda scene: scene.rig.link.cut(),
-        lambda scene: scene.rig.link.release(),
+        lambda scene: scene.rig.link.cut().t_ns,
+        lambda scene: _release(scene.rig.link),
         spoilt=True,
         losing=True,
     ),
     "link-slow": Mishap(
         # It sends nothing but commands: a request for the motors that comes late makes late ones look fresh.
-        lambda scene: scene.rig.link.throttle(1000),
+        lambda scene: scene.rig.link.throttle(1000).t_ns,
         _back_from_slow,
         drivers=(HAND,),
         spoilt=True,
@@ -258,7 +269,7 @@ MISHAPS: Mapping[str, Mishap] = {
     "foreign": Mishap(_foreign_goes_on, drivers=(HAND,)),
     "flood": Mishap(_flood, drivers=(HAND,)),
     "bridge-stopped": Mishap(_bridge_signalled(signal.SIGSTOP), _bridge_resumes, losing=True),
-    "bridge-hung": Mishap(_bridge_signalled(signal.SIGUSR1), _bridge_wakes, losing=True),
+    "bridge-hung": Mishap(lambda scene: _hung(scene.rig.bridge), _bridge_wakes, losing=True),
     "bridge-killed": Mishap(
         _bridge_signalled(signal.SIGKILL), lambda scene: scene.rig.start_bridge(), losing=True
     ),

@@ -5,24 +5,28 @@ Each is the very command a user would type, started from this interpreter. Whate
 """
 
 import contextlib
+import functools
 import json
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from rover_ncp.core.errors import RoverNcpError
 
-__all__ = ["Finished", "LiveRun", "Process", "ProcessError", "uninterrupted"]
+__all__ = ["Applied", "Finished", "LiveRun", "Process", "ProcessError", "compile_driver", "uninterrupted"]
 
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 5.0
+APPLIED = "applied "
+"""How the line begins in which a child answers what it was given."""
+APPLIED_TIMEOUT_S = 5.0
 
 
 class ProcessError(RoverNcpError):
@@ -31,6 +35,20 @@ class ProcessError(RoverNcpError):
     def __init__(self, name: str, code: int, words: str) -> None:
         super().__init__(f"{name}: {words}" if words else f"{name} ended with exit code {code}")
         self.exit_code = code if code > 0 else 1
+
+
+@functools.cache
+def compile_driver() -> None:
+    """Compile the driver's kernels if they are not on disk yet, before anything waits for a driver.
+
+    After an installation that takes 8 s of CPU time, and on a busy machine longer than any timeout here.
+    """
+    from deploy.controller import Controller
+    from deploy.estimator import EstimatorSettings
+    from rover_ncp.circuit.policy_file import load_policy
+    from rover_ncp.core.course import load_course
+
+    Controller(load_policy("parking"), load_course("parking"), EstimatorSettings())
 
 
 @contextlib.contextmanager
@@ -58,6 +76,14 @@ class Finished:
     code: int
     result: dict[str, Any]
     last_line: str
+
+
+class Applied(NamedTuple):
+    """A child's answer, in ns: when it applied what it was given, on the machine's monotonic clock, and how
+    late its loop ended a turn at worst since the answer before."""
+
+    t_ns: int
+    late_ns: int
 
 
 class Process:
@@ -121,12 +147,30 @@ class Process:
             raise ProcessError(self.command, 1, f"still running after {timeout_s:.0f} s") from error
         return self._finished()
 
-    def tell(self, line: str) -> None:
-        """Write a line to its standard input, if it still runs."""
-        assert self._child.stdin is not None  # or it was not started to be told anything
-        with contextlib.suppress(BrokenPipeError):
-            self._child.stdin.write(f"{line}\n".encode())
-            self._child.stdin.flush()
+    def tell(self, line: str) -> Applied:
+        """Write a line to its standard input, and wait for its answer. Raises ProcessError without one."""
+        stdin = self._child.stdin
+        assert stdin is not None  # or it was not started to be told anything
+
+        def write() -> None:
+            with contextlib.suppress(BrokenPipeError):
+                stdin.write(f"{line}\n".encode())
+                stdin.flush()
+
+        return self.answer_to(write)
+
+    def answer_to(self, action: Callable[[], None]) -> Applied:
+        """Wait until it says when it applied an action. Raises ProcessError when it does not."""
+        known = len(self._answers())
+        action()
+        deadline = time.monotonic() + APPLIED_TIMEOUT_S
+        while len(answers := self._answers()) == known:
+            if not self.running:
+                raise self.failure()
+            if time.monotonic() > deadline:
+                raise ProcessError(self.command, 1, f"no answer after {APPLIED_TIMEOUT_S:.0f} s")
+            time.sleep(0.005)
+        return answers[known]
 
     def send_signal(self, number: int) -> None:
         """Send it a signal, if it still runs."""
@@ -157,6 +201,11 @@ class Process:
             result = json.loads(self._result.read_text(errors="replace"))
         lines = self._lines()
         return Finished(self._child.wait(), result, lines[-1].removeprefix("rover-ncp: ") if lines else "")
+
+    def _answers(self) -> list[Applied]:
+        answers = [line.split() for line in self._lines() if line.startswith(APPLIED)]
+        fields = [dict(word.split("=", 1) for word in words[1:3]) for words in answers]
+        return [Applied(int(each["t_ns"]), int(each["late_ns"])) for each in fields]
 
     def _lines(self) -> list[str]:
         # Only whole lines: what is being written at this moment is not yet said.
@@ -194,6 +243,7 @@ class LiveRun:
 
     def deploy(self, *arguments: str) -> Process:
         """Start the driver."""
+        compile_driver()
         return self._start("deploy", "--robot", self.robot, *arguments)
 
     def __exit__(

@@ -3,7 +3,8 @@
 A process of its own (``python -m sim.studies.proxy proxy HOST:PORT``), told what to do by lines on its
 standard input; `Proxy` starts one. It ends with that input. Towards the server bytes may be held (nothing
 passes until ``release``, then all of it does), throttled, or cut; towards the client they pass freely unless
-cut, or held both ways.
+cut, or held both ways. It answers each line by ``applied t_ns=… late_ns=…``, as the mock does; an empty line
+asks for the answer alone.
 """
 
 import selectors
@@ -17,7 +18,7 @@ from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 
-from sim.studies.processes import Process
+from sim.studies.processes import Applied, Process
 
 __all__ = ["Proxy"]
 
@@ -38,33 +39,33 @@ class Proxy(Process):
         """Where it listens, HOST:PORT, once it does. Raises ProcessError."""
         return self.wait_for_line("listening on ")
 
-    def hold(self) -> None:
+    def hold(self) -> Applied:
         """Let nothing more through to the server; it is kept."""
-        self.tell("hold")
+        return self.tell("hold")
 
-    def hold_both_ways(self) -> None:
+    def hold_both_ways(self) -> Applied:
         """Let nothing through in either direction, as if the cable were pulled."""
-        self.tell("hold_both_ways")
+        return self.tell("hold_both_ways")
 
-    def silence(self) -> None:
+    def silence(self) -> Applied:
         """Leave the clients there are connected to nothing; new connections pass."""
-        self.tell("silence")
+        return self.tell("silence")
 
-    def throttle(self, bytes_s: int) -> None:
+    def throttle(self, bytes_s: int) -> Applied:
         """Let so many bytes a second through to the server."""
-        self.tell(f"throttle {bytes_s}")
+        return self.tell(f"throttle {bytes_s}")
 
-    def cut(self) -> None:
+    def cut(self) -> Applied:
         """Break all connections, and refuse new ones."""
-        self.tell("cut")
+        return self.tell("cut")
 
-    def reset(self) -> None:
+    def reset(self) -> Applied:
         """Break all connections by a TCP reset; new ones are taken."""
-        self.tell("reset")
+        return self.tell("reset")
 
-    def release(self) -> None:
+    def release(self) -> Applied:
         """Pass on all that was held, and be a good link again."""
-        self.tell("release")
+        return self.tell("release")
 
 
 class _Pair:
@@ -102,12 +103,15 @@ class _Server:
         self._held = self._held_back = self._cut = False
         self._bytes_s: float | None = None
         self._credit, self._credit_s = 0.0, time.monotonic()
+        self._late_s = 0.0
         threading.Thread(target=self._run, name="proxy", daemon=True).start()
 
-    def obey(self, line: str) -> None:
-        """Do what a line says."""
+    def obey(self, line: str) -> Applied:
+        """Do what a line says. The moment returned lies before it has an effect: no fault looks younger."""
         word, _, number = line.strip().partition(" ")
         with self._lock:
+            applied = Applied(time.monotonic_ns(), round(self._late_s * 1e9))
+            self._late_s = 0.0
             if word in {"hold", "hold_both_ways"}:
                 self._held, self._held_back = True, word == "hold_both_ways"
             elif word == "silence":
@@ -123,6 +127,7 @@ class _Server:
             elif word == "release":
                 self._held = self._held_back = self._cut = False
                 self._bytes_s = None
+        return applied
 
     def _drop_all(self, close: Callable[[_Pair], None]) -> None:
         for pair in self._pairs:
@@ -140,6 +145,7 @@ class _Server:
                 for end in waiting:
                     with suppress(ValueError, OSError):  # closed meanwhile
                         selector.register(end, selectors.EVENT_READ)
+                began_s = time.monotonic()
                 selector.select(TURN_S)
             with self._lock:
                 self._accept()
@@ -147,6 +153,7 @@ class _Server:
                     if not self._turn(pair):
                         pair.close()
                         self._pairs.remove(pair)
+                self._late_s = max(self._late_s, time.monotonic() - began_s - TURN_S)
 
     def _accept(self) -> None:
         with suppress(BlockingIOError):
@@ -209,4 +216,9 @@ if __name__ == "__main__":
     server = _Server(sys.argv[2])
     print(f"listening on 127.0.0.1:{server.port}", file=sys.stderr, flush=True)
     for told in sys.stdin:
-        server.obey(told)
+        applied = server.obey(told)
+        print(
+            f"applied t_ns={applied.t_ns} late_ns={applied.late_ns} {told.rstrip()}",
+            file=sys.stderr,
+            flush=True,
+        )

@@ -13,7 +13,7 @@ from typing import Self, TypeVar
 
 from rover_ncp.core.errors import RoverNcpError
 from sim.studies.hand import Hand
-from sim.studies.processes import Process, uninterrupted
+from sim.studies.processes import Process, compile_driver, uninterrupted
 from sim.studies.proxy import Proxy
 from sim.studies.standstill import Motion, TruthReader
 
@@ -96,6 +96,7 @@ class Rig:
 
     def deploy(self, *options: str, robot: str | None = None) -> Process:
         """Start a driver: a circuit."""
+        compile_driver()
         self._deploys += 1
         folder = self.folder / f"deploy{self._deploys}"
         folder.mkdir(exist_ok=True)
@@ -130,8 +131,15 @@ class Rig:
             raise deploy.failure()
 
     def stood(self, since_ns: int, timeout_s: float = 6.0) -> float:
-        """Wait until the rover stands; return how long after ``since_ns`` it came to. Raises NotStill."""
+        """Wait until the rover stands; return how long after ``since_ns`` it came to, in s. Raises NotStill.
+
+        ``since_ns`` is of the machine's monotonic clock, at which the mock keeps its simulation.
+        """
         return self.truth.stood_after(since_ns, timeout_s)
+
+    def late_s(self) -> float:
+        """Return how late line and mock ran, at worst, since they were last given a line."""
+        return (self.line.tell("").late_ns + self.mock.tell("").late_ns) * 1e-9
 
     def leave(self, hand: Hand) -> None:
         """Let a hand fall silent and go."""

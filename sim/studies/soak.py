@@ -17,9 +17,6 @@ from pathlib import Path
 import numpy as np
 import zenoh
 
-from deploy.controller import Controller
-from deploy.estimator import EstimatorSettings
-from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import RoverNcpError
@@ -29,6 +26,7 @@ from sim.studies.leaks import Usage, usage
 from sim.studies.matrix import MATRIX, Row
 from sim.studies.measure import Measured, measure
 from sim.studies.mishaps import CIRCUIT, MISHAPS
+from sim.studies.processes import compile_driver
 from sim.studies.rig import Rig, wait_for
 
 __all__ = ["LAST", "Round", "Soaked", "soak"]
@@ -87,8 +85,7 @@ def soak(
     start or the rover cannot be driven at the end.
     """
     course = _prompt_course(folder)
-    # Compiles what every driver needs, now and not while the first of them is waited for.
-    Controller(load_policy("parking"), load_course("parking"), EstimatorSettings())
+    compile_driver()  # else the first round, and no other, would take that long
     order, moments = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     soaked, began_s = Soaked(), time.monotonic()
     rows = [row for row in rows if row.outside]
@@ -118,9 +115,8 @@ def soak(
         for row in last:
             one(row, CIRCUIT)
         rig.leave(rig.under_way(rig.hand()))
-        stopped_ns = time.time_ns()
-        rig.stood(stopped_ns)
-        stands_ns = time.time_ns()
+        rig.stood(time.monotonic_ns())
+        stands_ns = time.monotonic_ns()
         time.sleep(STILL_S)
         soaked.still = not any(row.moving for row in rig.truth.since(stands_ns))
     soaked.wall_s = time.monotonic() - began_s

@@ -80,6 +80,7 @@ def _round_fields(done: Round) -> dict[str, Any]:
         "passed": done.passed,
         "failure": done.failure,
         "stands_after_s": found.seconds if found else None,
+        "late_s": found.late_s if found else None,
         "bound_s": done.row.bound_s,
         "braking_s": found.braking_s if found else None,
         "stopped_by": found.stopped_by if found else "",

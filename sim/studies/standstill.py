@@ -8,10 +8,14 @@ from typing import NamedTuple, TextIO
 
 from rover_ncp.core.errors import RoverNcpError
 
-__all__ = ["STILL_M_S", "STILL_RAD_S", "Motion", "NotStill", "TruthReader"]
+__all__ = ["SAMPLE_S", "STILL_M_S", "STILL_RAD_S", "Motion", "NotStill", "TruthReader"]
 
 STILL_M_S, STILL_RAD_S = 1e-3, 1e-3
 """Below these a rover counts as standing."""
+
+
+SAMPLE_S = 0.01
+"""Between two lines of a truth file; also the mock's step."""
 
 
 class NotStill(RoverNcpError):
@@ -21,8 +25,10 @@ class NotStill(RoverNcpError):
 
 
 class Motion(NamedTuple):
-    """One line of a truth file: when (ns since the epoch), place in m, speeds in m/s and rad/s."""
+    """One line of a truth file: when (simulation clock and since the epoch, in ns), place in m, speeds in m/s
+    and rad/s."""
 
+    clock_ns: int
     wall_ns: int
     x: float
     y: float
@@ -55,13 +61,13 @@ class TruthReader:
                 continue
             row = dict(zip(self._columns, values, strict=True))
             numbers = (float(row[name]) for name in ("x", "y", "v", "omega"))
-            self.rows.append(Motion(int(row["t_ns"]), *numbers))
+            self.rows.append(Motion(int(row["clock_ns"]), int(row["t_ns"]), *numbers))
         return self.rows
 
-    def since(self, wall_ns: int) -> list[Motion]:
-        """Return the rows from a moment on."""
+    def since(self, clock_ns: int) -> list[Motion]:
+        """Return the rows from a moment of the simulation clock on."""
         rows = self.read()
-        return rows[bisect_left(rows, wall_ns, key=lambda row: row.wall_ns) :]
+        return rows[bisect_left(rows, clock_ns, key=lambda row: row.clock_ns) :]
 
     def moving(self) -> bool:
         """Whether it moves, by the newest row."""
@@ -71,14 +77,16 @@ class TruthReader:
     def stood_after(self, since_ns: int, timeout_s: float, still_s: float = 0.3) -> float:
         """Wait until it has stood for ``still_s``; return how long after ``since_ns`` it came to stand.
 
-        Raises NotStill after ``timeout_s``.
+        Both moments are of the simulation clock, which the mock keeps at the machine's monotonic clock. The
+        rover stands from the first sample on in which it does not move: at most `SAMPLE_S` too late. Zero
+        when it never moved. Raises NotStill after ``timeout_s``.
         """
         deadline = time.monotonic() + timeout_s
         while True:
             rows = self.since(since_ns)
-            last_ns = next((row.wall_ns for row in reversed(rows) if row.moving), since_ns)
-            if rows and rows[-1].wall_ns - last_ns > still_s * 1e9:
-                return (last_ns - since_ns) * 1e-9
+            last_ns = next((row.clock_ns for row in reversed(rows) if row.moving), None)
+            if rows and rows[-1].clock_ns - (last_ns or since_ns) > still_s * 1e9:
+                return 0.0 if last_ns is None else (last_ns - since_ns) * 1e-9 + SAMPLE_S
             if time.monotonic() > deadline:
                 raise NotStill(f"the rover still moves {timeout_s:g} s after it should have stopped")
             time.sleep(0.02)

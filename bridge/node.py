@@ -82,6 +82,8 @@ class Node:
         self._clearance: Clearance | None = None
         self._hardware = ""
         self._stopping = self._commanded = self._reopening = False
+        self._unsaid: list[str] = []
+        """News of the gate that people get once the base has got its commands."""
         self._look_at_the_wall_clock()
         self._acted_s = self._status_due_s = self._slow_due_s = -math.inf
 
@@ -94,6 +96,7 @@ class Node:
             self._session.close(self._clock.monotonic())
             self._line.write(self._session.data_to_send())
             self._line.close()
+            self._say_news()
 
     @property
     def due_s(self) -> float:
@@ -114,6 +117,7 @@ class Node:
         if self._stopping or waited >= TICK_S or (self._commanded and waited >= APART_S):
             self._act(now)
         self._line.write(self._session.data_to_send())
+        self._say_news()
         if now >= self._status_due_s:
             self._publish_gate(now)
         if now >= self._slow_due_s:
@@ -205,9 +209,13 @@ class Node:
         self._commanded |= self.gate.accepted > before.accepted
         if _public(self.gate) != _public(before):
             self._status_due_s = -math.inf
-            for line in _news(before, self.gate):
-                self._say(line)
+            self._unsaid += _news(before, self.gate)
         return self._verdict
+
+    def _say_news(self) -> None:
+        for line in self._unsaid:
+            self._say(line)
+        self._unsaid.clear()
 
     # What follows from it.
 

@@ -36,7 +36,7 @@ def run_bridge(
     as_json: bool,
 ) -> int:
     """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
-    output = Output(as_json)
+    output = Output(as_json, controls=True)
     allowed = Limits() if limits is None else load_yaml(limits, Limits)
     session = Session(model, MotionLimits(v=allowed.v_max, omega=allowed.omega_max))
     inbox = Inbox()
@@ -48,7 +48,7 @@ def run_bridge(
 
         def ready() -> None:
             link.announce()
-            output.say(f"ready zenoh={link.locator} base={base}")
+            output.announce(f"ready zenoh={link.locator} base={base}")
 
         node = Node(
             line,

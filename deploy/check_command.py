@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import Output
+from rover_ncp.core.console import Output, printable
 from rover_ncp.core.errors import UsageError
 
 
@@ -39,7 +39,7 @@ def check(
     from deploy.link import Link
     from deploy.preflight import Preflight
 
-    output = Output(json)
+    output = Output(json, controls=True)
     preflight = Preflight()
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -52,6 +52,6 @@ def check(
     verdict = "yes: it may drive" if ready else f"no: {findings[-1].name}: {findings[-1].detail}"
     output.result(
         {"ready": ready, "findings": [vars(finding) for finding in findings], "robot": link.robot},
-        "\n".join([*lines, verdict]),
+        "\n".join(map(printable, [*lines, verdict])),
     )
     return 0 if ready else 1

@@ -68,7 +68,7 @@ def deploy(
     options = Options(
         robot, policy, course, record, duration, dry_run, namespace, zenoh_config, pose, profile
     )
-    return run(options, Output(json))
+    return run(options, Output(json, controls=True))
 
 
 def replay(
@@ -132,4 +132,5 @@ def watch(
     """
     from deploy.watch import Options, run
 
-    return run(Options(robot, policy, course, port, namespace, zenoh_config), Output(json))
+    options = Options(robot, policy, course, port, namespace, zenoh_config)
+    return run(options, Output(json, controls=True))

@@ -55,4 +55,4 @@ def identify(
     from deploy.identify_run import Options, run
 
     options = Options(recording, robot, out, fence, record, namespace, zenoh_config)
-    return run(options, Output(json))
+    return run(options, Output(json, controls=True))

@@ -20,7 +20,7 @@ from deploy.recorder import Recorder
 from deploy.reporter import Reporter
 from deploy.state import State
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.console import Output
+from rover_ncp.core.console import Output, printable
 from rover_ncp.core.course import TICK_S, load_course
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Velocity
@@ -172,7 +172,7 @@ def _fields(drive: Drive, options: Options, config: DriveConfig, recorder: Recor
 def _words(fields: dict[str, Any]) -> str:
     """Return the result for people."""
     if fields["stopped_by"]:
-        first = fields["reason"]
+        first = printable(fields["reason"])
     elif fields["estimate_error_m"] is None:
         first = "interrupted; the rover was stopped"
     else:

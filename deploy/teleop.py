@@ -24,7 +24,7 @@ from deploy.process import Tape, progress
 from deploy.terminal import Terminal
 from deploy.waits import Waits
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.console import Output
+from rover_ncp.core.console import Output, printable
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
 from rover_ncp.core.interrupts import Interrupts
@@ -87,7 +87,7 @@ class Teleop:
         held = f"  held by {self._link.gate.held}" if self._link.gate.held else ""
         newest = self._intake.newest
         where = "  x {:.2f} m  y {:.2f} m  θ {:.2f} rad".format(*newest.pose) if newest else ""
-        return f"{v:+.2f} m/s  {omega:+.2f} rad/s{where}{held}"
+        return printable(f"{v:+.2f} m/s  {omega:+.2f} rad/s{where}{held}")
 
     def wait(self) -> None:
         """Wait for bridge, permission and odometry. Raises as `Guard.wait`."""
@@ -153,7 +153,8 @@ def run(options: Options, output: Output) -> int:
                 if options.record is not None:
                     about = {"version": version("rover-ncp"), "robot": options.robot}
                     tape.roll(options.record, {TELEOP_FILE: dump_yaml(about).encode()})
-                output.say(HELP)
+                for line in HELP.splitlines():
+                    output.say(line)
                 try:
                     with progress(lambda: teleop.progress, output):
                         teleop.run()
@@ -180,7 +181,7 @@ def run(options: Options, output: Output) -> int:
     ending = str(stop) if stop else "interrupted; the rover was stopped" if interrupted else "ended"
     if output.as_json and fields["exit_code"]:
         output.say(ending)
-    lines = [f"{ending}; {words}"]
+    lines = [f"{printable(ending)}; {words}"]
     if fields["recording"]:
         lines.append(f"recording: {fields['recording']}")
     if fields["recording_failure"]:

@@ -37,4 +37,4 @@ def teleop(
     """
     from deploy.teleop import Options, run
 
-    return run(Options(robot, record, namespace, zenoh_config), Output(json))
+    return run(Options(robot, record, namespace, zenoh_config), Output(json, controls=True))

@@ -36,7 +36,9 @@ class Terminal:
         # Neither may wait: `read` does, with a limit.
         settings[_CHARACTERS][termios.VMIN] = settings[_CHARACTERS][termios.VTIME] = 0
         settings[_CHARACTERS][termios.VSUSP] = os.fpathconf(self._fd, "PC_VDISABLE").to_bytes()
-        termios.tcsetattr(self._fd, termios.TCSAFLUSH, settings)
+        # TCSAFLUSH would wait until the terminal has taken all output, which a stopped one never does.
+        self.forget()
+        termios.tcsetattr(self._fd, termios.TCSANOW, settings)
         return self
 
     def __exit__(

@@ -70,7 +70,7 @@ def run(options: Options, output: Output) -> int:
         config = uvicorn.Config(
             served, log_level="warning", access_log=False, lifespan="off", timeout_graceful_shutdown=1
         )
-        output.say(f"watching at {address}")
+        output.announce(f"watching at {address}")
         with contextlib.suppress(KeyboardInterrupt):
             uvicorn.Server(config).run(sockets=[listener])
     output.result({"address": address, "robot": viewer.robot}, "no longer watching")

@@ -9,12 +9,13 @@ import json
 import os
 import signal
 import sys
+import traceback
 from importlib.metadata import entry_points
 from typing import Any
 
 import typer
 
-from rover_ncp.core.console import Output
+from rover_ncp.core.console import BLOCKED_S, Output, Writer, install, keep, printable
 from rover_ncp.core.errors import MissingExtra, RoverNcpError
 
 __all__ = ["main", "run"]
@@ -62,11 +63,11 @@ def _app() -> typer.Typer:
 
 
 def _fail(message: str, kind: str, code: int, as_json: bool) -> int:
-    line = " ".join(message.split())
-    sys.stderr.write(f"rover-ncp: {line}\n")
+    line = printable(" ".join(message.split()))
+    keep(sys.stderr, f"rover-ncp: {line}\n")
     if as_json:
         fields: dict[str, Any] = {"error": line, "kind": kind, "exit_code": code}
-        sys.stdout.write(json.dumps(fields) + "\n")
+        keep(sys.stdout, json.dumps(fields) + "\n")
     return code
 
 
@@ -103,4 +104,25 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # What ends on Ctrl-C in order, its children and files too, ends so when it is told to end.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    sys.exit(run(sys.argv[1:]))
+    stdout, stderr = install()
+    try:
+        code = run(sys.argv[1:])
+    except Exception:
+        # Here and not by the interpreter, which would end before it is written.
+        traceback.print_exc()
+        code = 1
+    sys.exit(_written(code, stdout, stderr))
+
+
+def _written(code: int, stdout: Writer, stderr: Writer) -> int:
+    """Wait until all output is written, and return the exit code: 2 for a result that could not be."""
+    # After an interruption nobody is to wait any more.
+    blocked_s = BLOCKED_S if code == INTERRUPTED else Output.blocked_s
+    try:
+        if not stdout.drained(blocked_s) and code in {0, 1}:
+            why = stdout.failure.strerror if stdout.failure else "nobody reads it"
+            code = _fail(f"standard output cannot be written: {why}", "FileError", 2, as_json=False)
+        stderr.drained(blocked_s)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    return code

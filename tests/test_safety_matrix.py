@@ -5,14 +5,16 @@ the bridge is dead or hung, or cut off from its base. What the machine adds to b
 in; what it adds to the mock and the line to it is the measurement's (`sim.studies.measure`).
 """
 
+import functools
 import math
 import signal
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from safety_stack import COURSE, WALL, record
+from safety_stack import COURSE, ROWS_FILE, WALL, record
 
 from sim.studies.matrix import MATRIX, braking_s, row
 from sim.studies.measure import measure
@@ -28,8 +30,17 @@ def rig(tmp_path_factory):
         yield rig
 
 
+@pytest.fixture(scope="module")
+def rig_with(tmp_path_factory):
+    """Return mock and bridge whose output goes to an outlet of a kind: one rig for each kind."""
+    with ExitStack() as rigs:
+        yield functools.cache(
+            lambda outlet: rigs.enter_context(Rig(tmp_path_factory.mktemp("rig"), COURSE, outlet=outlet))
+        )
+
+
 # A hand never stops by itself, so where one can drive, what stops the rover is the gate.
-@pytest.mark.parametrize("key", [each.key for each in MATRIX if each.outside])
+@pytest.mark.parametrize("key", [each.key for each in MATRIX if each.outside and not each.outlet])
 def test_the_rover_stands_in_time_and_stays(rig, key):
     measured = measure(rig, row(key), MISHAPS[key].drivers[0])
     record(measured.row, measured.seconds, measured.braking_s, measured.late_s, measured.note)
@@ -57,6 +68,17 @@ def test_fault_is_timed_when_it_begins_and_not_when_it_is_asked_for(rig, monkeyp
     monkeypatch.setitem(MISHAPS, key, fault._replace(act=act))
     measured = measure(rig, row(key), HAND)
     assert measured.began_ns - asked_ns > 0.19e9
+
+
+# Here every outlet and every fault occurs; `make safety` measures all combinations.
+SAMPLE = {"terminal-bumper", "terminal-stop-query", "pipe-stall", "pipe-silence", "gone-stop-button"}
+
+
+@pytest.mark.parametrize(
+    "key", [each.key for each in MATRIX if each.outlet and (ROWS_FILE or each.key in SAMPLE)]
+)
+def test_blocked_output_delays_no_stop(rig_with, key):
+    test_the_rover_stands_in_time_and_stays(rig_with(row(key).outlet), key)
 
 
 def test_two_deploys_at_once_of_which_the_second_is_refused(rig):

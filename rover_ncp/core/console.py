@@ -1,41 +1,194 @@
-"""What commands say: one JSON object on stdout with ``--json``, otherwise text for people.
+"""The output of commands: one JSON object on stdout with ``--json``, otherwise text for people.
 
-Everything meant for people goes to stderr under ``--json``, so that stdout stays machine-readable.
+Under ``--json`` all text for people goes to stderr, which leaves stdout machine-readable.
+
+No output delays the process that writes it. `install` replaces ``sys.stdout`` and ``sys.stderr`` of a command
+by streams that end in a `Writer`. That covers all Python code: rich, logging, warnings and tracebacks too.
 """
 
+import io
 import json
 import math
+import os
+import select
 import sys
+import threading
+from collections import deque
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TextIO
 
 from rich.console import Console
 
-__all__ = ["Output"]
+__all__ = ["BLOCKED_S", "Output", "Writer", "install", "keep", "printable"]
+
+ROOM_BYTES = 1 << 16
+"""A `Writer` drops text beyond this."""
+CHUNK_BYTES = 1024
+"""The most that one system call writes: a pipe takes it as a whole, a slow terminal within a second."""
+BLOCKED_S = 0.4
+"""How long the end of a process waits for a reader that takes nothing: for stdout and again for stderr."""
+
+
+class Writer(io.RawIOBase):
+    """Write to a copy of a file descriptor from a separate thread; no caller ever waits or gets an error.
+
+    Text that does not fit into the queue, or that the system rejects, is dropped. The number of drops is
+    written as soon as there is room again.
+    """
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+        try:
+            self._own = os.dup(fd)
+        except OSError:
+            self._own = -1  # closed before the process started: every write fails
+        self._changed = threading.Condition()
+        self._waiting: deque[bytes] = deque()
+        self._bytes = self._dropped = self._chunks = 0
+        self.failure: OSError | None = None
+        """Why the last write failed, if it did."""
+        threading.Thread(target=self._run, name=f"output-{fd}", daemon=True).start()
+
+    def put(self, data: bytes, keep: bool = False) -> None:
+        """Queue data; ``keep`` queues it even when there is no room."""
+        with self._changed:
+            if self._bytes >= ROOM_BYTES and not keep:
+                self._dropped += 1
+                return
+            if self._dropped:
+                self._append(f"rover-ncp: {self._dropped} lines of output were dropped here\n".encode())
+                self._dropped = 0
+            self._append(data)
+            self._changed.notify_all()
+
+    def drained(self, blocked_s: float | None) -> bool:
+        """Wait for the reader while it takes data; return whether everything has been written.
+
+        Gives up when the reader takes nothing for ``blocked_s``; None waits without a limit.
+        """
+        with self._changed:
+            while self._waiting:
+                before = self._chunks
+                if not self._changed.wait(blocked_s) and self._chunks == before:
+                    return False
+            return self.failure is None
+
+    def write(self, data: Any) -> int:
+        """Queue data, as a file."""
+        self.put(bytes(data))
+        return len(data)
+
+    def writable(self) -> bool:
+        """Return True."""
+        return True
+
+    def isatty(self) -> bool:
+        """Return whether this is a terminal."""
+        return self._own >= 0 and os.isatty(self._own)
+
+    def fileno(self) -> int:
+        """Return the original descriptor, for child processes."""
+        return self._fd
+
+    def _append(self, data: bytes) -> None:
+        self._waiting.append(data)
+        self._bytes += len(data)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting)
+                data = self._waiting[0]
+            try:
+                self._write_out(data)
+                failure = None
+            except OSError as error:
+                failure = error
+            with self._changed:
+                self.failure = failure
+                self._dropped += failure is not None
+                self._waiting.popleft()
+                self._bytes -= len(data)
+                self._changed.notify_all()
+
+    def _write_out(self, data: bytes) -> None:
+        left = memoryview(data)
+        while left:
+            try:
+                left = left[os.write(self._own, left[:CHUNK_BYTES]) :]
+                self._chunks += 1
+            except BlockingIOError:  # whoever shares the descriptor has made it non-blocking
+                select.select([], [self._own], [])
+
+
+def install() -> tuple[Writer, Writer]:
+    """Replace ``sys.stdout`` and ``sys.stderr`` by streams that never block; return their writers.
+
+    A character that the locale's encoding lacks is written as its escape sequence.
+    """
+    writers = Writer(1), Writer(2)
+    sys.stdout, sys.stderr = (
+        io.TextIOWrapper(
+            writer,  # type: ignore[type-var]  # Python's own unbuffered stdout has a raw layer here, too
+            encoding=getattr(stream, "encoding", "utf-8"),
+            errors="backslashreplace",
+            write_through=True,
+        )
+        for writer, stream in zip(writers, (sys.stdout, sys.stderr), strict=True)
+    )
+    return writers
+
+
+def keep(stream: TextIO, text: str) -> None:
+    """Write text that must not be dropped while the reader takes data."""
+    writer = getattr(stream, "buffer", None)
+    if isinstance(writer, Writer):
+        writer.put(text.encode(stream.encoding, stream.errors or "strict"), keep=True)
+    else:
+        stream.write(text)
+        stream.flush()
+
+
+def printable(text: str) -> str:
+    """Return text with control characters, line ends included, as escape sequences.
+
+    Text from the network could otherwise clear a terminal or forge a line of ours.
+    """
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 
 class Output:
-    """The two channels of a command."""
+    """The two channels of a command. ``controls`` says that a rover depends on this process."""
 
     ended = False
     """Whether a command of this process has given its result: then nobody else is to give one for it."""
+    blocked_s: float | None = None
+    """How long the end of this process waits for a reader that takes nothing; None is for ever."""
 
-    def __init__(self, as_json: bool) -> None:
+    def __init__(self, as_json: bool, *, controls: bool = False) -> None:
         self.as_json = as_json
         self.console = Console(stderr=as_json, highlight=False, soft_wrap=True)
+        if controls:
+            Output.blocked_s = BLOCKED_S
 
     def say(self, text: str) -> None:
-        """Print a line for people."""
-        self.console.print(text, markup=False)
+        """Print a line for people; it is dropped when they read too slowly."""
+        self.console.print(printable(text), markup=False, emoji=False)
+
+    def announce(self, text: str) -> None:
+        """Print a line that programs wait for; it is never dropped while they read."""
+        keep(sys.stderr if self.as_json else sys.stdout, printable(text) + "\n")
 
     def result(self, fields: Mapping[str, Any], text: str) -> None:
         """End a command: the fields as JSON, or the text, whichever was asked for."""
         Output.ended = True
         if self.as_json:
-            sys.stdout.write(json.dumps(_plain(fields), allow_nan=False) + "\n")
-            sys.stdout.flush()
+            keep(sys.stdout, json.dumps(_plain(fields), allow_nan=False) + "\n")
         else:
-            self.say(text)
+            for line in text.split("\n"):
+                self.announce(line)
 
 
 def _plain(value: Any) -> Any:

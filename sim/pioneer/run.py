@@ -41,7 +41,7 @@ def run_mock(
     as_json: bool,
 ) -> None:
     """See ``commands.mock``. Raises UsageError, PortInUse or FileError before anything listens."""
-    output = Output(as_json)
+    output = Output(as_json, controls=True)
     host, port = parse_listen(listen)
     if model not in ROBOTS:
         raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}")
@@ -60,7 +60,7 @@ def run_mock(
     server = Server(host, port, make, TruthFile(truth) if truth else None, output.say)
     try:
         with _until_signal() as wake:
-            output.say(f"listening on {server.host}:{server.port}")
+            output.announce(f"listening on {server.host}:{server.port}")
             server.serve(wake, told)
     finally:
         server.close()

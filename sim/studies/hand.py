@@ -16,13 +16,22 @@ from deploy.lease import DriverLease
 from deploy.session import client_config
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.lease import GateStatus, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
+from rover_ncp.core.lease import (
+    GateStatus,
+    MotorsReply,
+    MotorsRequest,
+    Signed,
+    StopRequest,
+    dump_json,
+    parse_json,
+)
 from rover_ncp.core.messages import read_odometry, read_text, twist_stamped
 
 __all__ = ["Hand"]
 
 PERIOD_S = 0.05
 ASK_S = 0.25
+STOP_TIMEOUT_S = 2.0
 
 
 class Hand:
@@ -72,6 +81,12 @@ class Hand:
     def publish(self, name: str, payload: bytes) -> None:
         """Send anything on any key, whoever may."""
         self._session.put(name, payload)
+
+    def stop(self, release: bool = False) -> bool:
+        """Ask for a stop, or for its release; return whether the bridge answers."""
+        request = StopRequest(release=release, reason="" if release else "hand")
+        replies = self._session.get("rover/stop", payload=dump_json(request), timeout=STOP_TIMEOUT_S)
+        return any(reply.ok is not None for reply in replies)
 
     def close(self) -> None:
         """Fall silent and leave, without a word."""

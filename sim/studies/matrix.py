@@ -6,6 +6,8 @@ here and missing in one of them fails a test.
 
 from typing import NamedTuple
 
+from sim.studies.outlet import GONE, PIPE, TERMINAL
+
 __all__ = ["ALPHA_RAD_S2", "BRAKING_M_S2", "DELAY_S", "MATRIX", "Row", "braking_s", "row"]
 
 STOP_S, WATCHDOG_S = 0.5, 2.0
@@ -25,12 +27,27 @@ class Row(NamedTuple):
     bound_s: float = STOP_S
     outside: bool = True
     """Whether it can be injected into running processes, and so belongs into a soak."""
+    outlet: str = ""
+    """The kind of `Outlet` that takes the bridge's output, which stops just before the fault."""
 
     @property
     def allowed(self) -> str:
         """The bound in words."""
         return f"{WATCHDOG_S:g} s + {STOP_S:g} s" if self.bound_s > WATCHDOG_S else f"{self.bound_s:g} s"
 
+
+_OUTLETS = {
+    TERMINAL: "the bridge's terminal stopped (Ctrl-S)",
+    PIPE: "the bridge's pipe full",
+    GONE: "the bridge's reader gone",
+}
+_WITH_OUTLET = {
+    "bumper": "bumper",
+    "stall": "stall",
+    "stop-button": "stop button",
+    "stop-query": "`rover/stop`",
+    "silence": "no more commands",
+}
 
 MATRIX: tuple[Row, ...] = (
     Row("odometry-frozen", "base", "odometry frozen, SIPs go on"),
@@ -65,6 +82,11 @@ MATRIX: tuple[Row, ...] = (
     Row("bridge-stopped", "bridge", "stopped (SIGSTOP)", WATCHDOG_S),
     Row("bridge-hung", "bridge", "hung, the interpreter's lock held", WATCHDOG_S),
     Row("bridge-killed", "bridge", "killed (SIGKILL)", WATCHDOG_S),
+    *(
+        Row(f"{outlet}-{fault}", "output", f"{state}, then {words}", outlet=outlet)
+        for outlet, state in _OUTLETS.items()
+        for fault, words in _WITH_OUTLET.items()
+    ),
 )
 
 _BY_KEY = {row.key: row for row in MATRIX}

@@ -15,6 +15,7 @@ from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.messages import odometry, text, twist_stamped
 from sim.studies.hand import Hand
 from sim.studies.hang import HANG_S
+from sim.studies.outlet import OUTLETS
 from sim.studies.processes import Process
 from sim.studies.proxy import Proxy
 from sim.studies.rig import SPEED_M_S, Rig, Unsafe, wait_for
@@ -207,9 +208,33 @@ def _flood(scene: Scene) -> int:
     return silent_ns
 
 
+def _stop_asked(scene: Scene) -> None:
+    if not scene.rig.watcher.stop():
+        raise Unsafe("the bridge does not answer rover/stop")
+
+
+def _stop_released(scene: Scene) -> None:
+    scene.rig.watcher.stop(release=True)
+
+
+def _silent(scene: Scene) -> None:
+    scene.hand.silent = True
+
+
+def _with_outlet_blocked(mishap: Mishap) -> Mishap:
+    """Return a fault of which the bridge would like to say something and cannot."""
+
+    def act(scene: Scene) -> int | None:
+        assert scene.rig.bridge.outlet is not None  # or the row names none
+        scene.rig.bridge.outlet.block()
+        return mishap.act(scene)
+
+    return mishap._replace(act=act, drivers=(HAND,))
+
+
 _GOOD = twist_stamped(Velocity(0.2, 0.0), 0)
 
-MISHAPS: Mapping[str, Mishap] = {
+_WITHOUT_OUTLET: Mapping[str, Mishap] = {
     "odometry-frozen": _base("freeze-odometry@0-3", "odometry-frozen"),
     "odometry-jumps": _base("jump-odometry@0-3", drivers=(CIRCUIT,)),
     "odometry-nan": Mishap(_strange_odometry, drivers=(CIRCUIT,)),
@@ -273,5 +298,19 @@ MISHAPS: Mapping[str, Mishap] = {
     "bridge-killed": Mishap(
         _bridge_signalled(signal.SIGKILL), lambda scene: scene.rig.start_bridge(), losing=True
     ),
+}
+_WITH_OUTLET: Mapping[str, Mishap] = {
+    **{key: _WITHOUT_OUTLET[key] for key in ("bumper", "stall", "stop-button")},
+    "stop-query": Mishap(_stop_asked, _stop_released, ended="stopped"),
+    "silence": Mishap(_silent, ended="lease-lapsed", greedy=False),
+}
+
+MISHAPS: Mapping[str, Mishap] = {
+    **_WITHOUT_OUTLET,
+    **{
+        f"{outlet}-{key}": _with_outlet_blocked(mishap)
+        for outlet in OUTLETS
+        for key, mishap in _WITH_OUTLET.items()
+    },
 }
 """By the key of the matrix's row."""

@@ -19,6 +19,7 @@ from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 from rover_ncp.core.errors import RoverNcpError
+from sim.studies.outlet import Outlet
 
 __all__ = ["Applied", "Finished", "LiveRun", "Process", "ProcessError", "compile_driver", "uninterrupted"]
 
@@ -90,7 +91,7 @@ class Process:
     """A ``rover-ncp`` command as a child process. Its output goes to files, so that no pipe can fill up.
 
     ``module`` is what Python runs to get it, when something is to be wrapped around it; ``told``, whether
-    it is given lines by `tell`.
+    it is given lines by `tell`; ``outlet`` is the kind of `Outlet` that takes its output.
     """
 
     def __init__(
@@ -101,16 +102,18 @@ class Process:
         module: str = "rover_ncp",
         *,
         told: bool = False,
+        outlet: str = "",
     ) -> None:
         self.command = command
         self._result = log_dir / f"{command}.json"
         self._log = log_dir / f"{command}.log"
+        self.outlet = Outlet(outlet, self._log) if outlet else None
         with self._result.open("wb") as out, self._log.open("wb") as err:
             self._child = subprocess.Popen(
                 [sys.executable, "-m", module, command, *arguments, "--json"],
                 stdin=subprocess.PIPE if told else subprocess.DEVNULL,
-                stdout=out,
-                stderr=err,
+                stdout=self.outlet.fd if self.outlet else out,
+                stderr=self.outlet.fd if self.outlet else err,
                 # A terminal's Ctrl-C must reach the parent alone: it ends the driver first, then the others.
                 start_new_session=True,
             )
@@ -188,6 +191,8 @@ class Process:
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()
+        if self.outlet is not None:
+            self.outlet.close()
         return self._finished()
 
     def failure(self) -> ProcessError:

@@ -52,17 +52,24 @@ def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = 8.0) -
 class Rig:
     """``robot`` is the bridge; ``spoilt`` leads there through ``link``; ``line`` from there to the base.
 
-    ``course`` is what circuits drive; ``mock`` and ``bridge`` are more arguments for these.
+    ``course`` is what circuits drive; ``mock`` and ``bridge`` are more arguments for these; ``outlet`` is the
+    kind of `Outlet` that takes the bridge's output.
     """
 
     def __init__(
-        self, folder: Path, course: Path, *, mock: Sequence[str] = (), bridge: Sequence[str] = ()
+        self,
+        folder: Path,
+        course: Path,
+        *,
+        mock: Sequence[str] = (),
+        bridge: Sequence[str] = (),
+        outlet: str = "",
     ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.course, self.robot = folder, course, ""
         self.processes: list[Process] = []
         self._hands: list[Hand] = []
-        self._deploys, self._bridge_arguments = 0, bridge
+        self._deploys, self._bridge_arguments, self._outlet = 0, bridge, outlet
         truth = folder / "truth.csv"
         try:
             arguments = ["--listen", "127.0.0.1:0", "--truth", str(truth), "--fault", "-", *mock]
@@ -90,7 +97,9 @@ class Rig:
         """Start the bridge, again if it is dead; then it listens where it did."""
         arguments = ["--base", f"tcp/{self.line.address}", "--listen", listen or self.robot]
         arguments += self._bridge_arguments
-        self.bridge = self._start(lambda: Process("bridge", arguments, self.folder, HANGABLE))
+        self.bridge = self._start(
+            lambda: Process("bridge", arguments, self.folder, HANGABLE, outlet=self._outlet)
+        )
         ready = dict(part.split("=", 1) for part in self.bridge.wait_for_line("ready ").split())
         self.robot = ready["zenoh"]
 

@@ -112,7 +112,8 @@ def _bridge_resumes(scene: Scene) -> None:
 def _bridge_wakes(scene: Scene) -> None:
     if isinstance(scene.driver, Hand):
         scene.driver.greedy = False
-    time.sleep(HANG_S)
+    # The rover stood once the base's watchdog had waited for 2 s: the hang ends at least 1 s before this.
+    time.sleep(HANG_S - 1.0)
 
 
 def _release(link: Proxy) -> None:

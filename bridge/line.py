@@ -15,7 +15,7 @@ __all__ = ["Line"]
 
 READ_S = 0.1
 RETRY_S, MAX_RETRY_S = 0.1, 0.5
-"""Wait before a line is opened again: it doubles with each line on which nothing arrives."""
+"""Wait before opening a line again. It doubles with each line on which nothing arrives, up to the maximum."""
 
 
 class Line:

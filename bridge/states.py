@@ -63,7 +63,7 @@ PATIENCE_S = {
     State.HANGING_UP: 0.4,  # as long as Player's p2os waits after CLOSE
     State.CONFIGURING: 0.2,  # ARIA's rhythm of asking for the CONFIGpac
     State.READY: LOSS_S,
-    State.LOST: 2.1,  # the base's watchdog waits 2.0: a base that does not hear us stands by then
+    State.LOST: 1.8,  # with LOSS_S more than the base's watchdog, 2 s: a base cut off has halted before SYNC0
     State.ASKING_FASTER: 0.05,  # ARIA waits 10 ms; HOSTBAUD's 9 bytes take that long at 9600 alone
     State.FASTER: 0.9,  # as long as ARIA waits for a packet
 }

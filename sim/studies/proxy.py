@@ -3,8 +3,8 @@
 A process of its own (``python -m sim.studies.proxy proxy HOST:PORT``), told what to do by lines on its
 standard input; `Proxy` starts one. It ends with that input. Towards the server bytes may be held (nothing
 passes until ``release``, then all of it does), throttled, or cut; towards the client they pass freely unless
-cut, or held both ways. It answers each line by ``applied t_ns=… late_ns=…``, as the mock does; an empty line
-asks for the answer alone.
+cut, or held both ways. ``silence`` cuts the server off from its clients, whose connections stay open. It
+answers each line by ``applied t_ns=… late_ns=…``, as the mock does; an empty line asks for the answer alone.
 """
 
 import selectors

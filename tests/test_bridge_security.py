@@ -10,16 +10,16 @@ import pytest
 import zenoh
 from bridge_bench import Rig, wait_for
 
+from deploy.lease import DriverLease
 from deploy.session import client_config
 from rover_ncp import shell
 from rover_ncp.core.access import access_control
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.keys import KEYS, Kind, Role
-from rover_ncp.core.lease import CommandTag, GateStatus, MotorsReply, MotorsRequest, dump_json, parse_json
+from rover_ncp.core.lease import GateStatus, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
 from rover_ncp.core.messages import read_text, twist_stamped
 from sim.studies.processes import Process
 
-ME = bytes(range(16))
 HEARD = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.BRIDGE}]
 SELDOM = {"sonar", "imu"}
 """Only where something is near, and from a base with a gyro."""
@@ -56,7 +56,7 @@ class User:
             for name in HEARD
         ]
         self._commands = self.session.declare_publisher("cmd_vel")
-        self.sequence = 0
+        self.lease = DriverLease()
 
     @property
     def may_drive(self):
@@ -67,14 +67,17 @@ class User:
         return parse_json(GateStatus, read_text(self.heard["rover/gate"]))
 
     def enable(self):
-        request = MotorsRequest(enable=True, driver=ME.hex(), name="me", sent_ns=time.monotonic_ns())
+        request = MotorsRequest(enable=True, name="me", sent_ns=time.monotonic_ns())
         replies = list(self.session.get("rover/motors", payload=dump_json(request), timeout=1.0))
-        return [parse_json(MotorsReply, reply.ok.payload.to_bytes()) for reply in replies if reply.ok]
+        found = [parse_json(MotorsReply, reply.ok.payload.to_bytes()) for reply in replies if reply.ok]
+        for reply in found:
+            self.lease.grant(reply)
+        return found
 
     def command(self, name="cmd_vel", v=0.1):
-        self.sequence += 1
-        tag = CommandTag(ME, self.sequence, time.monotonic_ns()).pack()
-        self.session.put(name, twist_stamped(Velocity(v, 0.0), time.time_ns()), attachment=tag)
+        payload = twist_stamped(Velocity(v, 0.0), time.time_ns())
+        tag = self.lease.sign(Signed.COMMAND, name, payload, time.monotonic_ns()).pack()
+        self.session.put(name, payload, attachment=tag)
 
     def tokens(self, name):
         return len(list(self.session.liveliness().get(name, timeout=1.0)))
@@ -92,7 +95,7 @@ def test_a_driver_sees_everything_and_drives(rig, keys):
         (reply,) = wait_for(lambda: (found := driver.enable()) and found[0].granted and found)
         assert reply.granted
         wait_for(lambda: driver.command() or driver.gate.accepted > 0)
-        wait_for(lambda: driver.gate.driver == "")  # it fell silent
+        wait_for(lambda: driver.gate.lease == 0)  # it fell silent
 
 
 def test_a_viewer_sees_everything_and_drives_by_no_means(rig, keys):
@@ -110,10 +113,10 @@ def test_a_viewer_sees_everything_and_drives_by_no_means(rig, keys):
         viewer.heard.clear()
         wait_for(lambda: "rover/gate" in viewer.heard)
         after = viewer.gate
-    assert (after.accepted, after.dropped, after.driver, after.stop_reason) == (
+    assert (after.accepted, after.dropped, after.lease, after.stop_reason) == (
         before.accepted,
         before.dropped,
-        before.driver,
+        before.lease,
         "",
     )
 

@@ -7,7 +7,7 @@ import pytest
 import zenoh
 
 from deploy.link import ASK_TRIES, ROUND_TRIP_S, Link
-from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.errors import OtherVersion, SafetyStop
 from rover_ncp.core.lease import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
 
 SECRET = bytes(range(32))
@@ -76,3 +76,27 @@ def test_a_link_may_be_slow_by_chance_and_is_measured_anew(ask):
     assert len(enabling) == 2
     assert bridge.requests[-1].enable is False  # given back at the end
     assert enabling[1].sent_ns > enabling[0].sent_ns
+
+
+class OldBridge(SlowBridge):
+    """Answers as a bridge of protocol version 1 does to a request that it cannot read."""
+
+    def _answer(self, query):
+        with query:
+            query.reply_err("MotorsRequest: driver: Field required")
+
+
+def test_a_bridge_of_an_older_version_is_named_with_our_own():
+    bridge = OldBridge()
+    try:
+        with (
+            Link(bridge.robot, "", None, lambda _: None) as link,
+            pytest.raises(
+                OtherVersion, match="the bridge uses protocol version 1, the driver version 2"
+            ) as error,
+        ):
+            link.request_motors("test")
+    finally:
+        bridge.session.close()
+    assert error.value.exit_code == 3
+    assert "\n" not in str(error.value)

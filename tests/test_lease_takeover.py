@@ -41,11 +41,11 @@ def test_1000_attempts_to_take_over_a_drive_fail_and_it_ends_parked(tmp_path, re
     ticks = [parse_json(TickRecord, read_text(message.data)) for message in recorded.topic(TICKS_TOPIC)]
     assert judge_truth(load_course(course), read_truth(run.truth), ticks[0].wall_ns).parked
 
-    # Six in ten attempts are commands: all were dropped, and none but the driver's was accepted.
+    # Half of the attempts are commands: all were dropped, and none but the driver's was accepted.
     sent = len(recorded.topic("cmd_vel"))
     heard = [read_twist(message.data).velocity.v for message in recorded.topic("rover/cmd_out")]
     assert bridge.result["accepted"] <= sent
-    assert bridge.result["dropped"]["foreign"] + bridge.result["dropped"].get("repeated", 0) >= 0.5 * ATTEMPTS
+    assert sum(bridge.result["dropped"].values()) >= 0.5 * ATTEMPTS
     assert min(heard) >= 0.0
     # Nobody but the driver ever had a lease, and no answer holds a key.
     assert len(attacker.answers) >= 0.4 * ATTEMPTS

@@ -95,7 +95,7 @@ KEYS: tuple[KeySpec, ...] = (
         frozenset({Role.DRIVER}),
         ALL,
         512,
-        "what the driver wants; a CommandTag rides in the attachment",
+        "what the driver wants; the attachment is a CommandTag, signed",
     ),
     KeySpec(
         "pose",
@@ -111,7 +111,11 @@ KEYS: tuple[KeySpec, ...] = (
     ),
     _from_driver("rover/neurons", "std_msgs/msg/Float64MultiArray", 1 << 16, "potentials in mV, labelled"),
     _from_driver("rover/status", "std_msgs/msg/String", 4096, "DriverStatus as JSON"),
-    _asked("rover/motors", "MotorsRequest → MotorsReply", "enable or release; grants the driver's lease"),
+    _asked(
+        "rover/motors",
+        "MotorsRequest → MotorsReply",
+        "enable, renew or release; grants the lease and its key",
+    ),
     _asked("rover/stop", "StopRequest → StopReply", "stop, latched until released"),
     _asked("rover/reset_odometry", "ResetRequest → ResetReply", "make the present pose odom's origin"),
     KeySpec("rover/alive/bridge", Kind.TOKEN, "", frozenset({Role.BRIDGE}), ALL, 0, "the bridge is there"),

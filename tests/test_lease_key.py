@@ -1,0 +1,69 @@
+"""The key of a lease goes to its driver and nowhere else, on a virtual clock."""
+
+import json
+
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.lease import MotorsReply
+from sim.pioneer.firmware import Firmware
+from sim.studies.virtual import Air, World
+from sim.world.bay import Bay
+from sim.world.rover import Rover, RoverModel
+
+
+class OpenWorld(World):
+    """A world that keeps all that the bridge publishes and all that it answers."""
+
+    def __init__(self):
+        super().__init__(Firmware("p3at-sh", Rover(RoverModel(), Bay(()))))
+        self.published, self.answered = [], []
+
+    def publish(self, name, data):
+        self.published.append(data)
+        super().publish(name, data)
+
+    def answer(self, asked, reply):
+        self.answered.append(reply)
+        super().answer(asked, reply)
+
+    def command(self, data, attachment):
+        self.published += [data, attachment]
+        super().command(data, attachment)
+
+
+def test_the_key_is_in_the_first_answer_and_in_no_message_recording_or_state():
+    world, recorded = OpenWorld(), []
+    driver = Air(world, Pose(0.0, 0.0, 0.0), recorded.append)
+    world.sleep(3.0)
+    driver.request_motors("test")
+    for _ in range(20):
+        driver.command(Velocity(0.1, 0.0))
+        world.sleep(0.1)
+    driver.request_motors("test")
+    driver.release()
+    world.sleep(0.5)
+
+    grant, renewal, release = world.answered
+    assert isinstance(grant, MotorsReply)
+    key = bytes.fromhex(grant.key)
+    assert len(key) == 32
+    assert (renewal.granted, renewal.lease, renewal.key) == (True, grant.lease, "")
+    assert not release.granted
+    messages = b"".join([*world.published, *(message.data for message in recorded)])
+    assert len(world.published) > 100
+    assert len(recorded) > 100
+    assert key not in messages
+    assert grant.key.encode() not in messages
+    assert grant.key not in f"{grant} {renewal!r} {driver.gate!r}"
+    assert json.loads(driver.gate.model_dump_json())["lease"] == 0
+
+
+def test_two_leases_have_two_keys():
+    world = OpenWorld()
+    driver = Air(world, Pose(0.0, 0.0, 0.0))
+    world.sleep(3.0)
+    for _ in range(2):
+        driver.request_motors("test")
+        driver.release()
+    keys = {reply.key for reply in world.answered if isinstance(reply, MotorsReply)}
+    assert len(keys) == 2
+    assert {reply.lease for reply in world.answered if isinstance(reply, MotorsReply)} == {1, 2}

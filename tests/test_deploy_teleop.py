@@ -176,7 +176,8 @@ def test_on_every_way_out_the_rover_stands_and_the_terminal_is_as_before(rig, si
 
 
 def test_screen_that_takes_no_output_delays_neither_key_nor_end(rig, sit_down):
-    person, began_ns = sit_down(screen_full=True), time.time_ns()
+    began_ns = time.time_ns()
+    person = sit_down(screen_full=True)
     wait_for(lambda: person.type("i") and moved_since(rig, began_ns)[0] > 0.05, 15.0)
     last_ns = time.time_ns()
     assert rig.stood_after(last_ns) < HOLD_S + 0.2 + braking_s(V_M_S) + MACHINE_S

@@ -13,6 +13,7 @@ import pytest
 from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, wait_for
 
 from rover_ncp import shell
+from rover_ncp.core.lease import MotorsReply, MotorsRequest, dump_json, parse_json
 from sim.studies.processes import Process
 
 STOP_S = 0.5
@@ -106,6 +107,18 @@ def test_options_do_what_they_say(tmp_path):
         done = rig.bridge.wait(5.0)
     assert done.code == 0
     assert set(done.result["limited"]) == {"speed"}
+
+
+def test_driver_name_neither_clears_screen_nor_forges_line(tmp_path):
+    name = "x\x1b[2J\nready zenoh=tcp/192.0.2.1:7447 base=tcp/192.0.2.1:8101"
+    with Rig(tmp_path) as rig, Driver(rig.locator) as driver:
+        request = MotorsRequest(enable=True, driver=driver.id.hex(), name=name, sent_ns=time.monotonic_ns())
+        wait_for(lambda: parse_json(MotorsReply, driver.ask("rover/motors", dump_json(request))).granted)
+        rig.bridge.stop()
+    lines = (tmp_path / "bridge.log").read_text().splitlines()
+    assert [line for line in lines if line.startswith("ready ")] == lines[1:2]
+    assert "x\\x1b[2J\\nready zenoh=tcp/192.0.2.1:7447 base=tcp/192.0.2.1:8101 has the motors" in lines
+    assert "\x1b" not in "".join(lines)
 
 
 def test_no_robot_is_exit_3(fails, nobody):

@@ -1,5 +1,6 @@
 """Driving by keyboard over a pseudo-terminal: mock and bridge as real processes, and somebody's keys."""
 
+import contextlib
 import json
 import os
 import pty
@@ -13,7 +14,7 @@ from itertools import pairwise
 import pytest
 from bridge_bench import MACHINE_S, Rig, braking_s, wait_for
 
-from deploy.keyboard import V_M_S
+from deploy.keyboard import HOLD_S, V_M_S
 from rover_ncp import shell
 from rover_ncp.core.course import load_course
 from rover_ncp.core.recording import read_recording
@@ -29,20 +30,31 @@ IN_ITS_TERMINAL = (
 class Person:
     """Sits at a terminal in which teleop runs."""
 
-    def __init__(self, rig, folder, *options):
+    def __init__(self, rig, folder, *options, screen_full=False):
         self.master, self.slave = pty.openpty()
         self.before = termios.tcgetattr(self.slave)
         self._out, self._err = folder / "teleop.json", folder / "teleop.log"
+        if screen_full:
+            self._fill_screen()
         with self._out.open("wb") as out, self._err.open("wb") as err:
             self.process = subprocess.Popen(
                 [sys.executable, "-c", IN_ITS_TERMINAL, "teleop", "--robot", rig.locator, "--json", *options],
                 stdin=self.slave,
-                stdout=out,
-                stderr=err,
+                stdout=self.slave if screen_full else out,
+                stderr=self.slave if screen_full else err,
                 start_new_session=True,
             )
-        wait_for(lambda: "let go to stop" in self.said, 30.0)
-        wait_for(lambda: self.settings != self.before)
+        if not screen_full:
+            wait_for(lambda: "let go to stop" in self.said, 30.0)
+        wait_for(lambda: self.settings != self.before, 30.0)
+
+    def _fill_screen(self):
+        """Write to the terminal until it takes no more; nothing reads the other end."""
+        fd = os.open(os.ttyname(self.slave), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(fd, bytes(1000))
+        os.close(fd)
 
     @property
     def said(self):
@@ -88,8 +100,8 @@ def rig(tmp_path_factory):
 def sit_down(rig, tmp_path):
     people = []
 
-    def sit_down(*options):
-        people.append(Person(rig, tmp_path, *options))
+    def sit_down(*options, **screen):
+        people.append(Person(rig, tmp_path, *options, **screen))
         return people[-1]
 
     yield sit_down
@@ -161,6 +173,20 @@ def test_on_every_way_out_the_rover_stands_and_the_terminal_is_as_before(rig, si
     assert (code, result["stopped_by"]) == (expected, stopped_by)
     assert person.settings == person.before
     assert rig.stood_after(left_ns) < 0.2 + braking_s(V_M_S) + MACHINE_S
+
+
+def test_screen_that_takes_no_output_delays_neither_key_nor_end(rig, sit_down):
+    began_ns = time.time_ns()
+    person = sit_down(screen_full=True)
+    wait_for(lambda: person.type("i") and moved_since(rig, began_ns)[0] > 0.05, 15.0)
+    last_ns = time.time_ns()
+    assert rig.stood_after(last_ns) < HOLD_S + 0.2 + braking_s(V_M_S) + MACHINE_S
+    person.hold("i", 1.0)
+    left_ns = time.time_ns()
+    person.process.send_signal(signal.SIGTERM)
+    assert rig.stood_after(left_ns) < 0.2 + braking_s(V_M_S) + MACHINE_S
+    assert person.process.wait(2.0) == 130
+    assert person.settings == person.before
 
 
 def test_a_killed_driver_is_a_silent_one(rig, sit_down):

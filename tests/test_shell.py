@@ -50,6 +50,7 @@ def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, expected, c
     ("raised", "code"),
     [
         (UsageError("bad\nthing"), 2),
+        (NoBridge("held by \x1b[2J"), 3),
         (NoBridge("none"), 3),
         (SafetyStop("bumper", "front"), 4),
         (KeyboardInterrupt(), 130),
@@ -69,6 +70,7 @@ def test_errors_become_one_line_an_exit_code_and_one_json_object(raised, code, c
     out, err = capsys.readouterr()
     assert err.count("\n") == 1
     assert "Traceback" not in err
+    assert "\x1b" not in err
     fields = json.loads(out)
     assert fields["exit_code"] == code
     assert fields["error"] in err

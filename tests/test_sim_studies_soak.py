@@ -25,7 +25,7 @@ SIP_NS = SECOND_NS // 10
 
 def test_a_few_faults_in_a_row_and_nothing_is_lost(tmp_path):
     heard = []
-    rows = [row("deploy-killed"), row("truncated"), row("bumper")]
+    rows = [row("deploy-killed"), row("truncated"), row("gone-bumper")]
     soaked = soak(32.0, 1, tmp_path, lambda soaked, doing: heard.append(doing), rows)
     said = fields(soaked, 1)
     assert verdict(soaked) == []

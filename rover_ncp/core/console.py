@@ -56,7 +56,7 @@ class Writer(io.RawIOBase):
                 self._dropped += 1
                 return
             if self._dropped:
-                self._append(f"rover-ncp: {self._dropped} lines of output were dropped here\n".encode())
+                self._append(f"rover-ncp: lines of output dropped here: {self._dropped}\n".encode())
                 self._dropped = 0
             self._append(data)
             self._changed.notify_all()

@@ -1,0 +1,177 @@
+"""Output without a reader: what the writer drops, keeps and counts; commands work and end all the same."""
+
+import os
+import re
+import subprocess
+import sys
+import time
+
+import pytest
+
+from deploy.ticks import TICKS_TOPIC
+from rover_ncp.core.console import ROOM_BYTES, Writer, printable
+from rover_ncp.core.recording import read_recording
+from sim.studies.outlet import GONE, PIPE, TERMINAL
+from sim.studies.processes import Process
+
+COMMAND = [sys.executable, "-m", "rover_ncp"]
+SHORT = "tests/data/short_course.yaml"
+
+
+@pytest.fixture
+def pipe():
+    """A pipe's reading end and a writer on its other end."""
+    reader, fd = os.pipe()
+    yield reader, Writer(fd)
+    os.close(reader)
+    os.close(fd)
+
+
+def read_to(reader, ending):
+    """Return what the pipe holds up to and including an ending."""
+    data = b""
+    while not data.endswith(ending):
+        data += os.read(reader, 1 << 16)
+    return data.decode()
+
+
+def test_full_pipe_delays_nobody_and_every_dropped_line_is_counted(pipe):
+    reader, writer = pipe
+    lines = [f"line {number} {'x' * 80}\n" for number in range(5000)]
+    began = time.monotonic()
+    for line in lines:
+        writer.write(line.encode())
+    assert time.monotonic() - began < 1.0
+    assert not writer.drained(0.05)
+    writer.put(b"the result\n", keep=True)
+    said = read_to(reader, b"the result\n").splitlines(keepends=True)
+    assert len("".join(said)) >= ROOM_BYTES
+    number = 0
+    for line in said[:-1]:
+        if line.startswith("rover-ncp: lines of output dropped here: "):
+            number += int(line.rsplit(" ", 1)[1])
+        else:
+            assert line == lines[number]
+            number += 1
+    assert (number, said[-1]) == (5000, "the result\n")
+    assert writer.drained(1.0)
+
+
+def test_end_waits_as_long_as_reader_takes_data(pipe):
+    reader, writer = pipe
+    command = [sys.executable, "-c", SLOW_READER]
+    with subprocess.Popen(command, stdin=reader) as child:
+        writer.put(b"x" * 500_000, keep=True)
+        assert writer.drained(0.3)
+        assert child.wait(20) == 0
+
+
+SLOW_READER = """
+import os, time
+left = 500_000
+while left:
+    left -= len(os.read(0, 1 << 16))
+    time.sleep(0.1)
+"""
+
+
+def test_output_that_fails_is_counted_and_goes_on_once_there_is_a_reader_again(tmp_path):
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    reader = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
+    fd = os.open(fifo, os.O_WRONLY)
+    os.close(reader)
+    writer = Writer(fd)
+    writer.write(b"lost\n")
+    assert not writer.drained(1.0)
+    assert isinstance(writer.failure, BrokenPipeError)
+    reader = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
+    writer.write(b"read\n")
+    assert writer.drained(1.0)
+    assert os.read(reader, 1000) == b"rover-ncp: lines of output dropped here: 1\nread\n"
+    os.close(reader)
+    os.close(fd)
+
+
+def test_descriptor_that_another_process_made_non_blocking_loses_nothing(pipe):
+    reader, writer = pipe
+    os.set_blocking(writer.fileno(), False)
+    writer.put(b"x" * 300_000 + b"end\n", keep=True)
+    assert len(read_to(reader, b"end\n")) == 300_004
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("θ ±3 µs, Zoë", "θ ±3 µs, Zoë"),
+        ("a\x1b[2J\rb", "a\\x1b[2J\\rb"),
+        ("a\nready zenoh=x\x85b\u2028c", "a\\nready zenoh=x\\x85b\\u2028c"),
+        ("\u202eabc\udc80", "\\u202eabc\\udc80"),
+    ],
+)
+def test_control_characters_are_shown_as_escape_sequences(text, shown):
+    assert printable(text) == shown
+
+
+# Commands.
+
+
+@pytest.mark.parametrize("arguments", [["urdf"], ["urdf", "--json"]])
+@pytest.mark.parametrize("stdout", ["full", "closed", "gone"])
+def test_result_that_cannot_be_written_is_exit_2_and_one_line(arguments, stdout):
+    reader, gone = os.pipe()
+    os.close(reader)
+    redirected = {"full": ">/dev/full", "closed": ">&-", "gone": ""}[stdout]
+    done = subprocess.run(
+        ["sh", "-c", f'exec "$@" {redirected}', "sh", *COMMAND, *arguments],
+        stdout=gone,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    os.close(gone)
+    assert done.returncode == 2
+    assert re.fullmatch(r"rover-ncp: standard output cannot be written: .+\n", done.stderr)
+
+
+@pytest.mark.parametrize("locale", [{"LC_ALL": "C", "PYTHONUTF8": "0"}, {"PYTHONIOENCODING": "ascii"}])
+def test_ascii_terminal_gets_escape_sequences_for_other_characters(locale):
+    done = subprocess.run(
+        [*COMMAND, "paper", "table1"], capture_output=True, env=os.environ | locale, timeout=60, check=True
+    )
+    assert done.stderr == b""
+    assert b"\\xb1" in done.stdout
+
+
+def test_blocked_output_keeps_no_process_from_its_work_nor_from_its_end(tmp_path):
+    """Mock, bridge, viewer and driver: the output of each is blocked from its first line on."""
+    processes = {}
+
+    def start(outlet, ready, command, *arguments):
+        process = processes[command] = Process(command, arguments, tmp_path, outlet=outlet)
+        said = process.wait_for_line(ready) if ready else ""
+        process.outlet.block()
+        return said
+
+    def end(process):
+        began = time.monotonic()
+        code = process.stop().code
+        # A second for the output, and a second for what each ends in order anyway.
+        return code, time.monotonic() - began < 2.0
+
+    try:
+        base = start(PIPE, "listening on ", "mock", "--listen", "127.0.0.1:0")
+        said = start(TERMINAL, "ready ", "bridge", "--base", f"tcp/{base}", "--listen", "tcp/127.0.0.1:0")
+        robot = ["--robot", dict(part.split("=", 1) for part in said.split())["zenoh"]]
+        start(GONE, "watching at ", "watch", *robot, "--port", "0")
+        record = tmp_path / "run.mcap"
+        start(TERMINAL, "", "deploy", *robot, "--course", SHORT, "--duration", "1", "--record", str(record))
+        assert processes["deploy"].wait(60.0).code == 2  # its result could not be written
+        assert len(read_recording(record).topic(TICKS_TOPIC)) == 11
+        ended = {name: end(processes[name]) for name in ("watch", "bridge", "mock")}
+        assert ended == {"watch": (2, True), "bridge": (2, True), "mock": (2, True)}
+    finally:
+        for process in processes.values():
+            if process.running:
+                process.stop()

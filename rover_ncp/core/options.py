@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["Json"]
+__all__ = ["Json", "Overwrite"]
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]

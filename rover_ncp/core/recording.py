@@ -6,6 +6,7 @@ off anywhere still gives all its whole records. Specification: https://mcap.dev/
 """
 
 import contextlib
+import fcntl
 import functools
 import io
 import struct
@@ -24,10 +25,18 @@ from mcap.writer import Writer
 from zstandard import ZstdError
 
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import read_bytes, write_atomic
+from rover_ncp.core.files import create, read_bytes, write_atomic
 from rover_ncp.core.messages import definition
 
-__all__ = ["Recorded", "Recording", "RecordingWriter", "header_stamp_ns", "read_recording", "rewrite"]
+__all__ = [
+    "Recorded",
+    "Recording",
+    "RecordingWriter",
+    "header_stamp_ns",
+    "read_recording",
+    "require_finished",
+    "rewrite",
+]
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 256 * 1024
@@ -88,12 +97,16 @@ def header_stamp_ns(ros_type: str, data: bytes) -> int | None:
 
 
 class RecordingWriter:
-    """Writes one file. Not for two threads at once; a failing disk shows as OSError from any method."""
+    """Writes one file. Not for two threads at once; a failing disk shows as OSError from any method.
 
-    def __init__(self, target: Path | IO[bytes]) -> None:
+    Raises FileError for a path where a file exists, unless ``overwrite``, or where none can be made.
+    """
+
+    def __init__(self, target: Path | IO[bytes], *, overwrite: bool = False) -> None:
         if isinstance(target, Path):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            self._file: IO[bytes] = target.open("wb")
+            self._file = create(target, overwrite=overwrite)
+            with contextlib.suppress(OSError):  # a file system without locks can be written all the same
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # see require_finished
         else:
             self._file = target
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
@@ -222,6 +235,17 @@ _DAMAGE = (
     ValueError,
     RuntimeError,
 )
+
+
+def require_finished(path: Path) -> None:
+    """Raise FileError if a process still writes this recording, or if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise FileError(f"{path}: another process is writing it; wait for its end") from error
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def rewrite(source: Recording, target: Path, more: Iterable[Recorded] = ()) -> None:

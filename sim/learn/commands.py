@@ -144,8 +144,6 @@ def train(
     if resume and out is None:
         raise UsageError("--resume needs --out, the folder of the run to go on with")
     saved = saved_settings(out) if resume and out is not None else None
-    if resume and saved is None:
-        output.say(f"{out} holds no run yet: starting from the beginning")
     if randomize is not None or isinstance(saved, RobustSettings):
         if not {agents, search} <= {None}:
             raise UsageError("--randomize goes with neither --agents nor --search")

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.options import Json
+from rover_ncp.core.options import Json, Overwrite
 
 
 def mock(
@@ -20,6 +20,7 @@ def mock(
     truth: Annotated[
         Path | None, typer.Option(help="Write the rover's true pose to this CSV file, 100 times a second.")
     ] = None,
+    overwrite: Overwrite = False,
     fault: Annotated[
         list[str] | None,
         typer.Option(
@@ -61,6 +62,7 @@ def mock(
         model=model,
         course=course,
         truth=truth,
+        overwrite=overwrite,
         faults=fault or [],
         seed=seed,
         ranges=ranges_for(randomize, profile),

@@ -19,10 +19,11 @@ from typing import Any, Self
 
 from rover_ncp.core.errors import RoverNcpError
 
-__all__ = ["Finished", "LiveRun", "Process", "ProcessError", "uninterrupted"]
+__all__ = ["TRUTH", "Finished", "LiveRun", "Process", "ProcessError", "uninterrupted"]
 
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 5.0
+TRUTH = "truth.csv"
 
 
 class ProcessError(RoverNcpError):
@@ -169,7 +170,7 @@ class LiveRun:
 
     def __init__(self, folder: Path, *, mock: Sequence[str] = (), bridge: Sequence[str] = ()) -> None:
         self.folder = folder
-        self.truth = folder / "truth.csv"
+        self.truth = folder / TRUTH
         self.processes: dict[str, Process] = {}
         self._mock_arguments = mock
         self._bridge_arguments = bridge

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import Output
-from rover_ncp.core.options import Json
+from rover_ncp.core.options import Json, Overwrite
 
 
 def soak(
@@ -16,6 +16,7 @@ def soak(
     ] = 20.0,
     seed: Annotated[int, typer.Option(min=0, help="Decides the order, who drives and when it happens.")] = 0,
     out: Annotated[Path, typer.Option(help="Folder for recordings, table and logs.")] = Path("runs/soak"),
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> int:
     """Bring about every fault of the safety matrix, at random moments, in processes that live on.
@@ -32,4 +33,4 @@ def soak(
     """
     from sim.studies.soak_run import run_soak
 
-    return run_soak(minutes, seed, out, Output(json))
+    return run_soak(minutes, seed, out, Output(json), overwrite=overwrite)

@@ -98,6 +98,9 @@ def run(arguments: list[str]) -> int:
 
 def main() -> None:
     """Entry point of the ``rover-ncp`` script."""
+    # Python would put the current folder in front of all packages in each child, and a user's folder may hold
+    # a sim/ or a numba.py of its own.
+    os.environ["PYTHONSAFEPATH"] = "1"
     # Read by numpy and scipy when they are loaded. For matrices as small as ours BLAS's threads only wait for
     # each other: on a busy machine planning a course took fifty times as long with two.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -123,7 +123,7 @@ def test_resume_needs_no_options_and_refuses_others(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     out = str(tmp_path / "run")
-    assert run([*QUICK, "--out", out, "--resume"]) == 0
+    assert run([*QUICK, "--out", out]) == 0
     assert "holds no run yet: starting from the beginning" in capfd.readouterr().out
     before = content(tmp_path)
     assert run(["train", "--out", out, "--resume"]) == 0

@@ -82,7 +82,8 @@ class Process:
         self._log = log_dir / f"{command}.log"
         with self._result.open("wb") as out, self._log.open("wb") as err:
             self._child = subprocess.Popen(
-                [sys.executable, "-m", module, command, *arguments, "--json"],
+                # -P: the user's folder may hold a sim/ or a numba.py of its own.
+                [sys.executable, "-P", "-m", module, command, *arguments, "--json"],
                 stdin=subprocess.PIPE if told else subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,

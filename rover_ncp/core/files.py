@@ -37,6 +37,8 @@ def resolve(kind: str, name_or_path: str | Path) -> Path:
     A bare name has neither a separator nor a suffix. Raises FileError when there is no such file.
     """
     text = str(name_or_path)
+    if not text:
+        raise FileError(f"an empty name, expected a file or one of the shipped {kind}")
     if "/" not in text and not Path(text).suffix:
         shipped = Path(str(_DATA / kind / f"{text}.yaml"))
         if shipped.is_file():
@@ -51,8 +53,8 @@ def existing_file(path: Path) -> Path:
     """Return the path of a file. Raises FileError: there is none, it is a folder, it cannot be looked up."""
     if not _exists(path):
         raise FileError(f"{path}: no such file")
-    if path.is_dir():
-        raise FileError(f"{path}: is a folder, expected a file")
+    if not path.is_file():
+        raise FileError(f"{path}: is {'a folder' if path.is_dir() else 'a device or pipe'}, expected a file")
     return path
 
 

@@ -7,7 +7,7 @@ import typer
 
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError, UsageError
-from rover_ncp.core.options import Json, Overwrite
+from rover_ncp.core.options import MOST_SEED, Json, Overwrite
 
 
 def park(
@@ -19,7 +19,7 @@ def park(
         ),
     ] = None,
     course: Annotated[str, typer.Option(help="Course to drive, by name or YAML file.")] = "parking",
-    seed: Annotated[int, typer.Option(min=0, help="Root seed of the training.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the training.")] = 0,
     out: Annotated[Path, typer.Option(help="Folder for training, recording, picture and logs.")] = Path(
         "runs/park"
     ),
@@ -120,16 +120,20 @@ def evaluate(
         ),
     ] = None,
     trials: Annotated[
-        int | None, typer.Option(min=1, help="Drive so many random trials.", show_default="1")
+        int | None, typer.Option(min=1, max=10**6, help="Drive so many random trials.", show_default="1")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Root seed of the trials and random courses.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the trials and random courses.")
+    ] = 0,
     randomize: Annotated[
         str | None,
         typer.Option(help="Ranges of the trials: none, mild, full, harsh or YAML file.", show_default="none"),
     ] = None,
     random_courses: Annotated[
         int | None,
-        typer.Option(min=1, help="Drive so many random courses in turn instead.", show_default=False),
+        typer.Option(
+            min=1, max=10_000, help="Drive so many random courses in turn instead.", show_default=False
+        ),
     ] = None,
     stack: Annotated[
         bool,
@@ -138,7 +142,10 @@ def evaluate(
     live: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Drive so many of the trials as real processes, in real time.", show_default=False
+            min=1,
+            max=10_000,
+            help="Drive so many of the trials as real processes, in real time.",
+            show_default=False,
         ),
     ] = None,
     profile: Annotated[
@@ -152,6 +159,7 @@ def evaluate(
         int | None,
         typer.Option(
             min=1,
+            max=1000,
             help="With --stack: changes the speed, never the result. With --live: so many runs at once.",
             show_default="one for each core; 1 live",
         ),
@@ -228,7 +236,7 @@ def evaluate(
             courses,
             trials or live or 1,
             seed,
-            randomize or "none",
+            "none" if randomize is None else randomize,
             random_courses or 0,
             profile,
             stack,

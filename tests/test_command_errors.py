@@ -9,8 +9,6 @@ from pathlib import Path
 import pytest
 from recorded_drives import write_drive
 
-from rover_ncp.core.config import MOST_CHARACTERS
-from rover_ncp.core.course import MOST_CHECKPOINTS
 from rover_ncp.shell import run
 
 LONG = "x" * 300
@@ -47,14 +45,13 @@ READERS = [
     "course check {}",
     "course new {}.csv --out new.yaml",
     "replay {}",
-    "replay drive.mcap --policy {}",
     "recover {}",
     "explain {}",
     "report {}",
     f"watch {ROBOT} --policy {{}}",
     f"watch {ROBOT} --course {{}}",
     f"watch {ROBOT} --port 0 --zenoh-config {{}}",
-    "paper run --task parking --agent circuit --seed 0 --again --circuit {}",
+    "paper run --task parking --seed 0 --circuit {}",
 ]
 # Where files are written.
 WRITERS = [
@@ -66,7 +63,7 @@ WRITERS = [
     "identify drive.mcap --out {}",
     "mock --truth {}",
     "course check parking --out {}.png",
-    "course new poses.csv --out {}.yaml",
+    "course new poses.csv --name mine --out {}.yaml",
     "explain parking --out {}",
     "report drive.mcap --out {}",
     "recover drive.mcap --out {}",
@@ -95,8 +92,8 @@ TABLE = [
     ("course check deep.yaml", "more than 100 lists or mappings in each other"),
     ("train --circuit deep.yaml", "more than 100 lists or mappings in each other"),
     (f"bridge {BASE} --limits deep.yaml", "more than 100 lists or mappings in each other"),
-    ("course check long.yaml", f"{MOST_CHARACTERS} at most"),
-    ("course check many.yaml", f"at most {MOST_CHECKPOINTS} items"),
+    ("course check long.yaml", "expected 1048576 at most"),
+    ("course check many.yaml", "at most 1000 items"),
     ("course check far.yaml", "$.checkpoints[0].x: input should be less than or equal to 1000, got 1e+300"),
     ("course new far.csv --out new.yaml", "$.poses[1].x: input should be less than or equal to 1000"),
     ("course new slow.csv --out new.yaml", "$.horizon_s: input should be less than or equal to 3600"),
@@ -134,7 +131,7 @@ def folder(tmp_path_factory):
     row = "- {{t: {}, x: {}, y: 0, theta: 0}}\n"
     head = "name: a\nstart_signal_s: 0\nhorizon_s: 3600\ncheckpoints:\n"
     (folder / "long.yaml").write_text(head + "".join(row.format(0.01 * k, 0) for k in range(100_000)))
-    many = (row.format(k, 0) for k in range(MOST_CHECKPOINTS + 1))
+    many = (row.format(k, 0) for k in range(1001))
     (folder / "many.yaml").write_text(head + "".join(many))
     (folder / "far.yaml").write_text(head + row.format(1, "1.0e+300"))
     (folder / "poses.csv").write_text("x,y,theta\n0,0,0\n1,0,0\n")
@@ -160,9 +157,13 @@ def test_a_mistake_is_one_line_and_exit_code_2_before_any_work(command, words, f
     assert files(folder) == before
 
 
+# Root may search and write any folder, unless it gives up the capabilities for it.
+AS_ANYBODY = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"] if os.geteuid() == 0 else []
+
+
 def in_process(arguments, **how):
     return subprocess.run(
-        [Path(sys.executable).with_name("rover-ncp"), *arguments],
+        [*AS_ANYBODY, Path(sys.executable).with_name("rover-ncp"), *arguments],
         capture_output=True,
         text=True,
         timeout=60,
@@ -180,11 +181,10 @@ def test_a_working_directory_that_is_gone_is_one_line(command, tmp_path):
     assert "No such file" in done.stderr or "no such file" in done.stderr
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 @pytest.mark.parametrize("command", ["course check {}", "identify {}", "keys --out {}"])
 def test_a_folder_that_may_not_be_searched_is_one_line(command, tmp_path):
     locked = tmp_path / "locked"
-    locked.mkdir(mode=0o700)
-    done = in_process(shlex.split(command.format(locked / "mine")), user=65534, group=65534, cwd="/")
+    locked.mkdir(mode=0)
+    done = in_process(shlex.split(command.format(locked / "mine")))
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert "Permission denied" in done.stderr

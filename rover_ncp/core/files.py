@@ -90,7 +90,7 @@ def write_atomic(path: Path, content: bytes | str, private: bool = False) -> Non
     """
     data = content.encode() if isinstance(content, str) else content
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        _make_folder(path.parent)
         handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         try:
             with os.fdopen(handle, "wb") as file:
@@ -117,7 +117,7 @@ def create(path: Path, *, overwrite: bool = False) -> IO[bytes]:
     a new file takes its name: a process that still writes the old one does not write into the new one.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        _make_folder(path.parent)
         if overwrite:
             path.unlink(missing_ok=True)
         return path.open("xb")
@@ -147,6 +147,13 @@ def require_writable(path: Path) -> None:
             pass
     except OSError as error:
         raise _not_created(path, error) from error
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)) from error
 
 
 def _not_created(path: Path, error: OSError) -> FileError:

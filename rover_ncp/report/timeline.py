@@ -80,6 +80,8 @@ class Timeline:
         self.let_through: list[Command] = []
         self.voltages: list[float] = []
         self.predicted = 0
+        self.foreign = False
+        """Whether neurons came that are not those of the policy."""
         self.unreadable: Counter[str] = Counter()
         self._watcher = Watcher()
         self._course_odom: Pose | None = None
@@ -159,6 +161,7 @@ class Timeline:
     def _neurons(self, message: Recorded) -> None:
         potentials = read_neurons(message.data)
         if tuple(potentials) != self.policy.circuit.neurons:
+            self.foreign = True
             raise FormatError(f"neurons {', '.join(potentials)} are not those of the policy")
         _require_sane(list(potentials.values()))
         if self.final is None:

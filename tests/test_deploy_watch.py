@@ -234,7 +234,7 @@ def test_ctrl_c_ends_it_with_130_and_no_traceback_while_a_page_listens(live):
         with urllib.request.urlopen(address + "events", timeout=5) as stream:
             stream.readline()
             watch.send_signal(signal.SIGINT)
-            done = watch.wait(10)
+            done = watch.wait(30)
     finally:
         watch.stop()
     assert done.code == 130

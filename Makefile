@@ -9,7 +9,7 @@ GRADIENTS_STAMP := $(VENV)/.gradients
 .PHONY: park test test-browser check lint types contracts safety clean paper paper-quick paper-gradients
 
 park: $(STAMP)
-	$(BIN)/rover-ncp park --out runs/park
+	$(BIN)/rover-ncp park --out runs/park --overwrite
 
 # Two workers, a file to each: many tests wait for real processes, and two cores are what CI has.
 test: $(STAMP)

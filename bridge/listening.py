@@ -8,6 +8,7 @@ from typing import Any
 import zenoh
 
 from rover_ncp.core.errors import FileError, UsageError
+from rover_ncp.core.files import existing_file
 
 __all__ = ["LISTEN", "any_port", "configured", "reason"]
 
@@ -38,8 +39,8 @@ def configured(listen: str | None, file: Path | None, insecure: bool) -> tuple[z
     Raises FileError for a bad file, UsageError for a bad endpoint, or for one beyond this machine where
     nobody has to say who they are, unless ``insecure``.
     """
-    if file is not None and not file.is_file():
-        raise FileError(f"{file}: no such file")
+    if file is not None:
+        existing_file(file)
     try:
         settings = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
     except zenoh.ZError as error:

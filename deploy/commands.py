@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from rover_ncp.core.console import Output
-from rover_ncp.core.options import Json
+from rover_ncp.core.options import Json, Overwrite
 
 
 def deploy(
@@ -24,6 +24,7 @@ def deploy(
     record: Annotated[
         Path | None, typer.Option(help="Record the drive to this MCAP file; see 'rover-ncp replay'.")
     ] = None,
+    overwrite: Overwrite = False,
     duration: Annotated[
         float | None,
         typer.Option(min=0.1, help="End after so many seconds, if the course would last longer."),
@@ -66,7 +67,7 @@ def deploy(
     from deploy.node import Options, run
 
     options = Options(
-        robot, policy, course, record, duration, dry_run, namespace, zenoh_config, pose, profile
+        robot, policy, course, record, duration, dry_run, namespace, zenoh_config, pose, profile, overwrite
     )
     return run(options, Output(json, controls=True))
 

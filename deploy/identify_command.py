@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import Output
+from rover_ncp.core.options import Overwrite
 
 
 def identify(
@@ -28,6 +29,7 @@ def identify(
     record: Annotated[
         Path | None, typer.Option(help="Record the drive to this MCAP file.", show_default=False)
     ] = None,
+    overwrite: Overwrite = False,
     namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
     zenoh_config: Annotated[
         Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates or user and password.")
@@ -54,5 +56,5 @@ def identify(
     """
     from deploy.identify_run import Options, run
 
-    options = Options(recording, robot, out, fence, record, namespace, zenoh_config)
+    options = Options(recording, robot, out, fence, record, overwrite, namespace, zenoh_config)
     return run(options, Output(json, controls=True))

@@ -16,7 +16,7 @@ from deploy.waits import Waits
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError, UsageError
-from rover_ncp.core.files import write_atomic
+from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.core.interrupts import Interrupts
 from rover_ncp.core.profile import RoverProfile
 from rover_ncp.core.recording import Recorded, read_recording
@@ -35,6 +35,7 @@ class Options:
     out: Path
     fence_m: float
     record: Path | None
+    overwrite: bool
     namespace: str
     zenoh_config: Path | None
 
@@ -46,6 +47,7 @@ def run(options: Options, output: Output) -> int:
     """
     if (options.recording is None) == (options.robot is None):
         raise UsageError("say --robot to drive one, or a recording of a drive: one of the two")
+    require_writable(options.out)
     if options.recording is not None:
         if options.record is not None:
             raise UsageError("--record goes with --robot")
@@ -67,7 +69,7 @@ def run(options: Options, output: Output) -> int:
 def _driven(options: Options, robot: str, output: Output) -> list[Recorded]:
     """Drive a robot, and return all that was heard. Raises KeyboardInterrupt when somebody wants an end."""
     heard: list[Recorded] = []
-    tape = Tape()
+    tape = Tape(options.record, overwrite=options.overwrite)
 
     def record(message: Recorded) -> None:
         heard.append(message)
@@ -80,9 +82,8 @@ def _driven(options: Options, robot: str, output: Output) -> list[Recorded]:
                 guard = Guard(link, intake, Waits(), lambda: interrupts.raised)
                 try:
                     guard.wait(drives=True, namespace=options.namespace)
-                    if options.record is not None:
-                        about = {"version": version("rover-ncp"), "robot": robot}
-                        tape.roll(options.record, {SETTINGS_FILE: dump_yaml(about).encode()})
+                    about = {"version": version("rover-ncp"), "robot": robot}
+                    tape.roll({SETTINGS_FILE: dump_yaml(about).encode()})
                     seconds = sum(step.seconds for step in steps())
                     output.say(
                         f"driving for {seconds:.0f} s within {options.fence_m} m of here; Ctrl-C stops it"

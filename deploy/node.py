@@ -58,6 +58,7 @@ class Options:
     zenoh_config: Path | None
     pose: PoseUse = "auto"
     profile: Path | None = None
+    overwrite: bool = False
 
 
 def run(options: Options, output: Output, period_s: float = TICK_S) -> int:
@@ -85,7 +86,7 @@ def run(options: Options, output: Output, period_s: float = TICK_S) -> int:
     )
     controller = Controller(policy, course, config.estimator, rover)
     files = attachments(policy, course, config)
-    tape = Tape()
+    tape = Tape(options.record, overwrite=options.overwrite)
     _prepare_for_real_time()
     with Interrupts() as interrupts:
         try:
@@ -98,8 +99,7 @@ def run(options: Options, output: Output, period_s: float = TICK_S) -> int:
                     drive.wait()
                 except Interrupted as interruption:
                     raise KeyboardInterrupt from interruption  # nothing has moved: the shell says the rest
-                if options.record is not None:
-                    tape.roll(options.record, files)
+                tape.roll(files)
                 with progress(lambda: drive.progress, output):
                     drive.run({name: zlib.crc32(content) for name, content in files.items()})
         finally:

@@ -9,6 +9,7 @@ from rich.live import Live
 
 from deploy.recorder import Recorder
 from rover_ncp.core.console import Output
+from rover_ncp.core.files import require_creatable
 from rover_ncp.core.recording import Recorded
 
 __all__ = ["Tape", "progress"]
@@ -20,7 +21,11 @@ BACKLOG = 1000
 class Tape:
     """Where messages go to be recorded: kept until there is a recorder, thrown away if there never is."""
 
-    def __init__(self) -> None:
+    def __init__(self, path: Path | None, *, overwrite: bool = False) -> None:
+        """Raise FileError if a recording could not be made at ``path``; None makes none."""
+        if path is not None:
+            require_creatable(path, overwrite=overwrite)
+        self._path, self._overwrite = path, overwrite
         self._backlog: deque[Recorded] = deque(maxlen=BACKLOG)
         self.recorder: Recorder | None = None
 
@@ -31,9 +36,11 @@ class Tape:
         else:
             self.recorder.put(message)
 
-    def roll(self, path: Path, files: dict[str, bytes]) -> None:
-        """Open the recording. Raises FileError."""
-        recorder = Recorder(path, files)
+    def roll(self, files: dict[str, bytes]) -> None:
+        """Open the recording, if there is to be one. Raises FileError."""
+        if self._path is None:
+            return
+        recorder = Recorder(self._path, files, overwrite=self._overwrite)
         for message in list(self._backlog):
             recorder.put(message)
         self.recorder = recorder

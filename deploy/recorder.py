@@ -26,7 +26,7 @@ CLOSE_TIMEOUT_S = 10.0
 class Recorder:
     """Writes one recording. Opening it may raise FileError; from then on nothing raises."""
 
-    def __init__(self, path: Path, attachments: Mapping[str, bytes]) -> None:
+    def __init__(self, path: Path, attachments: Mapping[str, bytes], *, overwrite: bool = False) -> None:
         self.path = path
         self.failure = ""
         """Why recording ended early; empty while it works."""
@@ -34,7 +34,7 @@ class Recorder:
         self.dropped = 0
         self._queue: queue.Queue[Recorded | None] = queue.Queue(QUEUE_LENGTH)
         try:
-            self._writer = RecordingWriter(path)
+            self._writer = RecordingWriter(path, overwrite=overwrite)
             for name, content in attachments.items():
                 self._writer.attach(name, content)
             self._writer.flush()

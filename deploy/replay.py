@@ -108,15 +108,18 @@ def _compared(
             quantity = f"the {INPUTS[missing[0].topic]} of stamp {missing[0].stamp_ns}"
             yield record, Difference(record.index, quantity, ABSENT, "needed")
             return
-        if record is records[0]:
-            first = wanted.pop(0)
-            began = read_odometry(data[first.topic, first.crc])
-            controller.start(began.pose, 0.0, Pose(*start.pose), start.sure)
-        for ref in wanted:
-            _take_in(controller, ref, data[ref.topic, ref.crc], start.sample)
         now = seconds(record.now_ns, start.sample)
-        tick = controller.tick(record.index, now) if record.command is not None else None
-        estimate = tick.estimate if tick else controller.look(record.index, now)
+        try:
+            if record is records[0]:
+                first = wanted.pop(0)
+                began = read_odometry(data[first.topic, first.crc])
+                controller.start(began.pose, 0.0, Pose(*start.pose), start.sure)
+            for ref in wanted:
+                _take_in(controller, ref, data[ref.topic, ref.crc], start.sample)
+            tick = controller.tick(record.index, now) if record.command is not None else None
+            estimate = tick.estimate if tick else controller.look(record.index, now)
+        except ValueError as error:  # such as a time that goes back
+            raise FileError(f"{recording.path}: tick {record.index} cannot be recomputed: {error}") from error
         found = _first(_differences(record, tick, estimate, names, messages))
         yield record, found
 

@@ -8,11 +8,14 @@ from pathlib import Path
 import zenoh
 
 from rover_ncp.core.errors import FileError, NoBridge, NotAuthorised, UnreachableError, UsageError
+from rover_ncp.core.files import existing_file
 
 __all__ = ["PORT", "client_config", "locator", "refused"]
 
 PORT = 7447
 """Zenoh's own port, where the bridge listens."""
+
+MOST_PORT = 65535
 
 PROBE_S = 1.0
 
@@ -41,6 +44,8 @@ def locator(robot: str) -> str:
         raise UsageError(
             f"--robot {robot}: expected PROTOCOL/HOST[:PORT], for example tcp/192.168.1.20:{PORT}"
         )
+    if match["port"] is not None and not 1 <= int(match["port"][1:]) <= MOST_PORT:
+        raise UsageError(f"--robot {robot}: expected a port from 1 to {MOST_PORT}")
     return f"{match['protocol']}/{match['host']}{match['port'] or f':{PORT}'}{match['rest'] or ''}"
 
 
@@ -68,8 +73,8 @@ def client_config(robot: str, file: Path | None) -> tuple[zenoh.Config, str]:
     silence is noticed is not up to it. Raises UsageError and FileError.
     """
     endpoint = locator(robot)
-    if file is not None and not file.is_file():
-        raise FileError(f"{file}: no such file")
+    if file is not None:
+        existing_file(file)
     try:
         config = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
     except zenoh.ZError as error:

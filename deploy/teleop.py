@@ -43,6 +43,7 @@ class Options:
 
     robot: str
     record: Path | None
+    overwrite: bool
     namespace: str
     zenoh_config: Path | None
 
@@ -136,7 +137,7 @@ class Teleop:
 
 def run(options: Options, output: Output) -> int:
     """Let a person drive, and return the exit code. Raises RoverNcpError for what kept it from beginning."""
-    tape = Tape()
+    tape = Tape(options.record, overwrite=options.overwrite)
     stop: SafetyStop | None = None
     interrupted = False
     with Interrupts() as interrupts:
@@ -150,9 +151,8 @@ def run(options: Options, output: Output) -> int:
                     teleop.wait()
                 except Interrupted as interruption:
                     raise KeyboardInterrupt from interruption  # nothing has moved: the shell says the rest
-                if options.record is not None:
-                    about = {"version": version("rover-ncp"), "robot": options.robot}
-                    tape.roll(options.record, {TELEOP_FILE: dump_yaml(about).encode()})
+                about = {"version": version("rover-ncp"), "robot": options.robot}
+                tape.roll({TELEOP_FILE: dump_yaml(about).encode()})
                 for line in HELP.splitlines():
                     output.say(line)
                 try:

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import Output
+from rover_ncp.core.options import Overwrite
 
 
 def teleop(
@@ -18,6 +19,7 @@ def teleop(
         Path | None,
         typer.Option(help="Record the drive to this MCAP file; 'rover-ncp course new' makes a course of it."),
     ] = None,
+    overwrite: Overwrite = False,
     namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
     zenoh_config: Annotated[
         Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates or user and password.")
@@ -37,4 +39,5 @@ def teleop(
     """
     from deploy.teleop import Options, run
 
-    return run(Options(robot, record, namespace, zenoh_config), Output(json, controls=True))
+    options = Options(robot, record, overwrite, namespace, zenoh_config)
+    return run(options, Output(json, controls=True))

@@ -6,7 +6,6 @@ origin, other names for this machine by the host they ask for.
 """
 
 import asyncio
-import contextlib
 import json
 import socket
 import time
@@ -29,6 +28,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import PortInUse, UnreachableError
+from rover_ncp.core.interrupts import Interrupts
 from rover_ncp.report.feed import Feed, Place
 from rover_ncp.report.page import html
 from rover_ncp.report.page_data import circuit_data, course_data
@@ -36,6 +36,7 @@ from rover_ncp.report.page_data import circuit_data, course_data
 __all__ = ["Options", "application", "run"]
 
 HOST = "127.0.0.1"
+INTERRUPTED = 130
 PERIOD_S = 0.1
 
 
@@ -66,27 +67,33 @@ def run(options: Options, output: Output) -> int:
         listener,
         Viewer(options.robot, options.namespace, options.zenoh_config, feed.take) as viewer,
     ):
-        served = application(page, feed, viewer)
+        served = application(page, feed, viewer, ending=lambda: server.should_exit)
         config = uvicorn.Config(
             served, log_level="warning", access_log=False, lifespan="off", timeout_graceful_shutdown=1
         )
+        server = uvicorn.Server(config)
         output.announce(f"watching at {address}")
-        with contextlib.suppress(KeyboardInterrupt):
-            uvicorn.Server(config).run(sockets=[listener])
-    output.result({"address": address, "robot": viewer.robot}, "no longer watching")
-    return 0
+        # The server ends in order on a signal, and then raises the signal again.
+        with Interrupts():
+            server.run(sockets=[listener])
+    output.result({"address": address, "robot": viewer.robot}, "interrupted; no longer watching")
+    return INTERRUPTED
 
 
 def application(
-    page: str, feed: Feed, viewer: Viewer, clock: Callable[[], float] = time.monotonic
+    page: str,
+    feed: Feed,
+    viewer: Viewer,
+    clock: Callable[[], float] = time.monotonic,
+    ending: Callable[[], bool] = lambda: False,
 ) -> Starlette:
-    """Return the web application."""
+    """Return the web application. Streams of events end soon after ``ending`` returns True."""
 
     async def show(request: Request) -> Response:
         return HTMLResponse(page)
 
     async def events(request: Request) -> Response:
-        return StreamingResponse(_events(feed, viewer), media_type="text/event-stream")
+        return StreamingResponse(_events(feed, viewer, ending), media_type="text/event-stream")
 
     async def stop(request: Request) -> Response:
         return await _ask(request, viewer, clock, release=False)
@@ -105,10 +112,10 @@ def application(
     )
 
 
-async def _events(feed: Feed, viewer: Viewer) -> AsyncIterator[str]:
+async def _events(feed: Feed, viewer: Viewer, ending: Callable[[], bool]) -> AsyncIterator[str]:
     place = Place()
     yield "retry: 500\n\n"
-    while True:
+    while not ending():
         news: dict[str, Any] = await run_in_threadpool(feed.news, place)
         news |= {"bridge": viewer.bridge_alive, "mayStop": viewer.may_stop}
         yield f"data: {json.dumps(news, allow_nan=False, separators=(',', ':'))}\n\n"

@@ -16,7 +16,7 @@ from typing import Any
 import typer
 
 from rover_ncp.core.console import BLOCKED_S, Output, Writer, install, keep, printable
-from rover_ncp.core.errors import MissingExtra, RoverNcpError
+from rover_ncp.core.errors import FileError, MissingExtra, RoverNcpError
 
 __all__ = ["main", "run"]
 
@@ -40,6 +40,26 @@ _EXTRAS = {
     "uvicorn": "report",
     "cryptography": "keys",
     "distributed": "cluster",
+}
+# The extras of what each command needs whatever its options; ``train`` brings ``drive``.
+_NEEDS = {
+    "park": {"report", "train"},
+    "train": {"train"},
+    "eval": {"train"},
+    "bench": {"train"},
+    "mock": {"train"},
+    "deploy": {"drive"},
+    "check": {"drive"},
+    "teleop": {"drive"},
+    "replay": {"drive"},
+    "identify": {"drive"},
+    "explain": {"train"},
+    "report": {"report", "train"},
+    "course": {"drive"},
+    "watch": {"drive", "report"},
+    "soak": {"train"},
+    "paper": {"train"},
+    "keys": {"keys"},
 }
 # The order in which a newcomer meets the commands; others follow by name.
 _ORDER = ["park", "train", "eval", "mock", "bridge", "deploy", "replay"]
@@ -71,6 +91,19 @@ def _fail(message: str, kind: str, code: int, as_json: bool) -> int:
     return code
 
 
+def _file_error(error: OSError) -> FileError:
+    """Return what the system did not allow, such as the use of a folder that is gone."""
+    place = f"{error.filename}: " if error.filename else ""
+    return FileError(f"{place}{error.strerror or error}")
+
+
+def _extras(arguments: list[str], missing: str) -> list[str]:
+    """Return all extras that a command line needs, of which one is missing."""
+    command = next((word for word in arguments if not word.startswith("-")), "")
+    needed = _NEEDS.get(command, set()) | {missing}
+    return sorted(needed - {"drive"} if "train" in needed else needed)
+
+
 def run(arguments: list[str]) -> int:
     """Run one command line and return its exit code; see ``docs/cli.md`` for the codes."""
     as_json = "--json" in arguments
@@ -83,13 +116,14 @@ def run(arguments: list[str]) -> int:
         message = error.format_message() if hasattr(error, "format_message") else str(error)
         # Without a message typer has just shown the help: a command was missing.
         return _fail(message, "UsageError", 2, as_json) if message else 2
-    except RoverNcpError as error:
-        return _fail(str(error), type(error).__name__, error.exit_code, as_json)
+    except (RoverNcpError, OSError) as error:
+        known = error if isinstance(error, RoverNcpError) else _file_error(error)
+        return _fail(str(known), type(known).__name__, known.exit_code, as_json)
     except ModuleNotFoundError as error:
         library = (error.name or "").split(".")[0]
         if library not in _EXTRAS:
             raise
-        missing = MissingExtra(library, _EXTRAS[library])
+        missing = MissingExtra(library, _extras(arguments, _EXTRAS[library]))
         return _fail(str(missing), "MissingExtra", missing.exit_code, as_json)
     # Typer turns Ctrl-C into this code and says nothing; a command that took care of it has said its own.
     if result == INTERRUPTED and not Output.ended:
@@ -99,6 +133,9 @@ def run(arguments: list[str]) -> int:
 
 def main() -> None:
     """Entry point of the ``rover-ncp`` script."""
+    # Python would put the current folder in front of all packages in each child, and a user's folder may hold
+    # a sim/ or a numba.py of its own.
+    os.environ["PYTHONSAFEPATH"] = "1"
     # Read by numpy and scipy when they are loaded. For matrices as small as ours BLAS's threads only wait for
     # each other: on a busy machine planning a course took fifty times as long with two.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -176,6 +176,7 @@ def driver(bridge, folder, capsys, monkeypatch):
             "policy": str(policy),
             "course": str(course),
             "record": folder / "run.mcap",
+            "overwrite": True,
             "duration_s": None,
             "dry_run": False,
             "namespace": bridge.namespace,

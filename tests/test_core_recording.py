@@ -54,6 +54,41 @@ def test_what_was_written_is_read(written):
         recording.attachment("course.yaml")
 
 
+def test_what_other_software_recorded_is_made_whole_as_bytes(tmp_path):
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros1", library="another")
+        poses = writer.register_schema("lab/Pose", "jsonschema", b'{"type": "object"}')
+        told = [
+            (writer.register_channel("/pose", "json", poses, {"lab": "7"}), b'{"x": 1}'),
+            (writer.register_channel("/raw", "", 0, {}), b"\0\1\2"),
+            (writer.register_channel("/pose", "cbor", 0, {}), b"\xa0"),  # a second one on the same topic
+        ]
+        for number, (channel, data) in enumerate(told * 3):
+            writer.add_message(channel, T0 + number, data, T0 + number, number)
+        writer.finish()
+    whole = path.read_bytes()
+    with path.open("rb") as file:
+        expected = [
+            (schema, channel.topic, message.data)
+            for schema, channel, message in make_reader(file).iter_messages()
+        ]
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: whole.rindex(b"lab/Pose") - 40])  # the index and the footer are lost
+    assert not read_recording(cut).complete
+    rewrite(read_recording(cut), cut)
+    with cut.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_header().profile == "ros1"
+        found = list(reader.iter_messages())
+    assert [(s and (s.name, s.encoding, s.data), c.topic, m.data) for s, c, m in found] == [
+        (s and (s.name, s.encoding, s.data), topic, data) for s, topic, data in expected
+    ]
+    assert [channel.message_encoding for _, channel, _ in found] == ["json", "", "cbor"] * 3
+    assert found[0][1].metadata == {"lab": "7"}
+
+
 def test_other_readers_understand_it(written):
     with written.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)

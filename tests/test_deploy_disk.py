@@ -78,6 +78,25 @@ def test_a_killed_drive_loses_half_a_second_and_is_made_whole(rig, tmp_path, cap
     assert shell.run(["replay", str(record)]) == 0
 
 
+def test_no_recording_is_overwritten_not_even_while_it_is_written(rig, tmp_path, capsys):
+    record = tmp_path / "run.mcap"
+    process = start(rig, record, None, "--duration", "4")
+    wait_for(lambda: record.exists() and record.stat().st_size > 30_000, 20.0)
+    again = ["deploy", "--robot", rig.locator, "--course", str(COURSE), "--record", str(record)]
+    assert shell.run(again) == 2
+    assert f"{record}: exists already" in capsys.readouterr().err
+    assert shell.run(["recover", str(record)]) == 2
+    assert f"{record}: another process is writing it" in capsys.readouterr().err
+    result = json.loads(process.communicate(timeout=30)[0])
+    assert (result["ticks"], result["recording_failure"]) == (40, None)
+    assert shell.run(["replay", str(record)]) == 0
+    content = record.read_bytes()
+    assert shell.run(["recover", str(record), "--out", str(record.with_name("whole.mcap"))]) == 0
+    assert shell.run(["recover", str(record), "--out", str(record.with_name("whole.mcap"))]) == 2
+    assert shell.run(again) == 2
+    assert record.read_bytes() == content
+
+
 def test_a_full_disk_does_not_stop_the_drive_and_is_reported(rig, tmp_path):
     record = tmp_path / "run.mcap"
     process = start(rig, record, SMALL_BYTES, "--duration", "5")

@@ -45,8 +45,9 @@ while True:
 
 
 def test_killed_at_any_moment_it_loses_half_a_second_at_most(tmp_path):
-    path, lost = tmp_path / "run.mcap", []
+    lost = []
     for run_s in (0.95, 1.2):  # at different points between two flushes
+        path = tmp_path / f"{run_s}.mcap"
         with subprocess.Popen(
             [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True
         ) as child:
@@ -133,3 +134,15 @@ def test_a_place_that_cannot_be_written_is_said_at_once(tmp_path):
         Recorder(tmp_path / "file" / "run.mcap", {})
     with pytest.raises(FileError, match=f"{tmp_path}: cannot be written"):
         Recorder(tmp_path, {})
+
+
+def test_overwriting_does_not_damage_what_another_writer_still_writes(tmp_path):
+    path = tmp_path / "run.mcap"
+    first = Recorder(path, {})
+    first.put(note("first"))
+    second = Recorder(path, {}, overwrite=True)
+    second.put(note("second"))
+    first.close()
+    second.close()
+    assert [read_text(message.data) for message in read_recording(path).messages] == ["second"]
+    assert read_recording(path).complete

@@ -242,6 +242,19 @@ def test_what_was_changed_in_a_recording_is_found(recorded, tmp_path, topic, cha
     assert str(difference).startswith(f"tick {difference.tick}: {quantity}")
 
 
+def test_time_that_goes_back_is_one_line_and_exit_code_2(recorded, tmp_path, capsys):
+    def back(data):
+        record = json.loads(read_text(data))
+        return text(json.dumps(record | {"now_ns": record["now_ns"] - 300 * MS}))
+
+    with pytest.raises(
+        FileError, match=r"tick 20 cannot be recomputed: asked for .* before the last measurement"
+    ):
+        rewritten(recorded, tmp_path, "deploy/ticks", 20, back)
+    assert shell(["replay", str(tmp_path / "tampered.mcap")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
 def test_cut_off_anywhere_the_rest_recomputes(recorded, tmp_path):
     content, path, ticks = recorded.read_bytes(), tmp_path / "cut.mcap", []
     for size in range(len(content) // 4, len(content), len(content) // 7):

@@ -32,7 +32,7 @@ def deploy(run, request, tmp_path):
     """Starts a driver that goes straight ahead, far beyond this short course's goal."""
     data = request.config.rootpath / "tests" / "data"
     files = ["--policy", str(data / "golden/parking.bnn"), "--course", str(data / "short_course.yaml")]
-    return lambda: run.deploy(*files, "--record", str(tmp_path / "run.mcap"))
+    return lambda: run.deploy(*files, "--record", str(tmp_path / "run.mcap"), "--overwrite")
 
 
 def wait_until(condition, seconds=30.0):

@@ -3,6 +3,7 @@
 import csv
 import http.client
 import json
+import signal
 import time
 import urllib.error
 import urllib.request
@@ -221,6 +222,24 @@ def test_the_stop_button_stops_a_running_rover(live):
     code, said = page.post("release", page.address.rstrip("/"))
     assert (code, said["stopped"]) == (200, False)
     page.news(lambda news: news["gate"]["held"] != "stopped")
+
+
+def test_ctrl_c_ends_it_with_130_and_no_traceback_while_a_page_listens(live):
+    _, running, folder = live
+    logs = folder / "second"
+    logs.mkdir()
+    watch = Process("watch", ["--robot", running.robot, "--port", "0"], logs)
+    try:
+        address = watch.wait_for_line("watching at ")
+        with urllib.request.urlopen(address + "events", timeout=5) as stream:
+            stream.readline()
+            watch.send_signal(signal.SIGINT)
+            done = watch.wait(30)
+    finally:
+        watch.stop()
+    assert done.code == 130
+    assert done.result["address"] == address
+    assert (logs / "watch.log").read_text() == f"watching at {address}\n"
 
 
 def test_the_end_of_the_bridge_is_told(live):

@@ -1,12 +1,21 @@
+import itertools
 import json
+import math
 import re
+from dataclasses import replace
 
+import numpy as np
 import pytest
-from recorded_drives import BEGAN_NS, TICK_NS, write_drive
+from recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
 
+from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.core import messages
+from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.course import load_course
+from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.lease import DriverStatus, GateStatus, dump_json
-from rover_ncp.core.recording import Recorded
+from rover_ncp.core.recording import Recorded, RecordingWriter
+from rover_ncp.report.feed import Feed, Place
 from rover_ncp.report.page import drive_page, html
 from rover_ncp.report.recorded import read_drive
 from rover_ncp.report.summary import summarise
@@ -25,6 +34,34 @@ def page(tmp_path_factory):
 
 def data_of(text):
     return json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)[1])
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e308, -1e308])
+@pytest.mark.parametrize("topic", ["rover/neurons", "rover/estimate", "truth/pose", "odom", "cmd_vel"])
+def test_numbers_that_no_drive_has_are_left_out(topic, value, tmp_path, capsys):
+    policy, course = load_policy("parking"), load_course(SHORT)
+    bad = {
+        "rover/neurons": lambda: messages.neurons([value] * 12, policy.circuit.neurons),
+        "rover/estimate": lambda: messages.pose_with_covariance(Pose(value, 0, 0), np.eye(3), 1, "course"),
+        "truth/pose": lambda: messages.pose_stamped(Pose(value, 0, 0), 1, "course"),
+        "odom": lambda: messages.odometry(Pose(value, 0, 0), Velocity(value, 0), 1),
+        "cmd_vel": lambda: messages.twist_stamped(Velocity(value, value), 1),
+    }
+    told = list(drive_messages(policy, course)[0])
+    victim = [number for number, message in enumerate(told) if message.topic == topic][7]
+    told[victim] = replace(told[victim], data=bad[topic]())
+    path = tmp_path / "run.mcap"
+    with RecordingWriter(path) as writer:
+        writer.attach("policy.yaml", policy_to_yaml(policy).encode())
+        writer.attach("course.yaml", dump_yaml(course.model_dump(mode="json")).encode())
+        for message in told:
+            writer.write(message)
+    assert run(["report", str(path)]) == 0, capsys.readouterr().err
+    feed, place = Feed(policy, course, itertools.count().__next__), Place()
+    for message in told:
+        feed.take(message)
+        json.dumps(feed.news(place), allow_nan=False)
+    assert feed.news(place)["foreign"] is False
 
 
 def test_the_page_holds_plotly_once_and_is_small(page):

@@ -10,6 +10,7 @@ from rover_ncp import shell
 from rover_ncp.core.errors import NoBridge, SafetyStop, UsageError
 
 COMMANDS = sorted(point.name for point in entry_points(group=shell.GROUP))
+NOBODY = "--robot tcp/127.0.0.1:1"
 HEAVY = ["numba", "pymunk", "filterpy", "gymnasium", "matplotlib", "plotly", "zenoh", "rosbags", "scipy"]
 
 
@@ -87,6 +88,87 @@ def test_a_missing_extra_names_what_to_install(capsys, monkeypatch):
     monkeypatch.setattr(shell, "_app", lambda: app)
     assert shell.run(["fail"]) == 2
     assert "pip install 'rover-ncp[drive]'" in capsys.readouterr().err
+
+
+NEEDS = {
+    "": [
+        "urdf",
+        "recover no.mcap",
+        "bridge --base tcp/127.0.0.1:1 --limits no.yaml",
+    ],
+    "drive": [
+        f"deploy {NOBODY}",
+        f"check --on-blocks {NOBODY}",
+        f"teleop {NOBODY}",
+        "replay no.mcap",
+        "identify no.mcap",
+        "course check parking",
+    ],
+    "drive,report": [f"watch {NOBODY} --port 0"],
+    "keys": ["keys --out keys"],
+    "train": [
+        "train --course no.yaml",
+        "eval parking",
+        "mock --listen nowhere",
+        "explain no.mcap",
+        "paper status",
+    ],
+    "report,train": ["park --course no.yaml", "report no.mcap"],
+}
+"""Command lines that end at once, by the extras they need."""
+WITHOUT = """
+import json, os, sys
+from importlib.abc import MetaPathFinder
+from rover_ncp import shell
+
+missing, lines = json.loads(sys.argv[1])
+
+class Missing(MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name.split(".")[0] in missing:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+for line in lines:
+    print("$", line, file=sys.stderr)
+    shell.run(line.split())
+"""
+
+
+def without(missing, lines, folder):
+    """Run command lines, one after the other, where these libraries cannot be found; return what they say."""
+    asked = json.dumps([sorted(missing), lines])
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT, asked],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=100,
+        stdin=subprocess.DEVNULL,
+        check=True,
+    )
+    return [part.split("\n", 1) for part in done.stderr.split("$ ")[1:]]
+
+
+def test_a_missing_library_names_all_extras_of_the_command_in_one_line(tmp_path):
+    lines = [line for extras, lines in NEEDS.items() if extras for line in lines]
+    told = without(shell._EXTRAS, lines, tmp_path)
+    assert [line for line, _ in told] == lines
+    for extras, own in NEEDS.items():
+        for line, words in told:
+            if line in own:
+                assert words.endswith(f"is not installed: pip install 'rover-ncp[{extras}]'\n"), line
+                assert words.count("\n") == 1
+
+
+@pytest.mark.parametrize("extras", NEEDS)
+def test_the_extras_that_are_named_are_enough(extras, tmp_path):
+    brought = set(extras.split(",")) | ({"drive"} if "train" in extras else set())
+    missing = {library for library, extra in shell._EXTRAS.items() if extra not in brought}
+    if "report" in brought:
+        missing -= {"matplotlib"}  # of both
+    for line, words in without(missing, NEEDS[extras], tmp_path):
+        assert "is not installed" not in words, line
 
 
 def test_a_bug_is_a_traceback_not_a_user_error(monkeypatch):

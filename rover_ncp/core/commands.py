@@ -8,8 +8,7 @@ import typer
 
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.files import write_atomic
-from rover_ncp.core.options import Json
+from rover_ncp.core.options import Json, Overwrite
 
 
 def keys(
@@ -32,10 +31,12 @@ def keys(
     keep it off the robot.
     """
     from rover_ncp.core.credentials import make_credentials
+    from rover_ncp.core.files import require_writable, write_atomic
 
     taken = [name.name for name in out.glob("*") if name.suffix in {".pem", ".json5"}] if out.is_dir() else []
     if taken:
         raise UsageError(f"--out {out}: holds keys already ({', '.join(sorted(taken))}); say another folder")
+    require_writable(out / "ca.pem")
     hosts = list(dict.fromkeys([*(host or []), "127.0.0.1", "localhost", socket.gethostname()]))
     files = make_credentials(hosts, namespace)
     for name, content in files.items():
@@ -55,17 +56,24 @@ def recover(
     out: Annotated[
         Path | None, typer.Option(help="Write the whole recording here instead of in its place.")
     ] = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Make a recording whole that was cut off: every message it holds, and the index that viewers need.
 
     What a killed process had not yet written is gone, half a second at most. The file is replaced at once or
-    not at all. A recording that is whole already stays as it is.
+    not at all. A recording that is whole already stays as it is, and so does one that is still being written.
     """
-    from rover_ncp.core.recording import read_recording, rewrite
+    from rover_ncp.core.files import require_creatable, require_writable
+    from rover_ncp.core.recording import read_recording, require_finished, rewrite
 
-    recording = read_recording(run)
     target = out or run
+    if target == run:
+        require_finished(run)
+        require_writable(run)
+    else:
+        require_creatable(target, overwrite=overwrite)
+    recording = read_recording(run)
     if not recording.complete or out is not None:
         rewrite(recording, target)
     count = len(recording.messages)

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text
 
-__all__ = ["StrictModel", "dump_yaml", "load_yaml", "parse_yaml"]
+__all__ = ["StrictModel", "dump_yaml", "load_yaml", "parse_yaml", "read_yaml", "validated"]
 
 
 class StrictModel(BaseModel):
@@ -63,17 +63,39 @@ _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 100
 
 
-def parse_yaml(text: str, model: type[ModelT], source: str) -> ModelT:
-    """Parse YAML text into ``model``; raises ConfigError naming ``source`` and the path of each bad value."""
+MOST_CHARACTERS, MOST_DEEP = 1 << 20, 100
+"""Of a YAML file and of the lists and mappings in each other. libyaml's C code ends the process when it is to
+build 100,000 of them in each other; our own files have 5."""
+
+
+def read_yaml(text: str, source: str) -> Any:
+    """Return what YAML text stands for, not validated. Raises ConfigError naming ``source``."""
+    if len(text) > MOST_CHARACTERS:
+        raise ConfigError(source, [f"{len(text)} characters, expected {MOST_CHARACTERS} at most"])
     try:
-        data = yaml.load(text, Loader=_Loader)  # _Loader is a SafeLoader
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        deep = 0
+        for event in yaml.parse(text, Loader=_Loader):
+            deep += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if deep > MOST_DEEP:
+                raise ConfigError(source, [f"more than {MOST_DEEP} lists or mappings in each other"])
+        return yaml.load(text, Loader=_Loader)  # _Loader is a SafeLoader
+    except (yaml.YAMLError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
         raise ConfigError(source, [f"not valid YAML{where}: {problem}"]) from error
+
+
+def parse_yaml(text: str, model: type[ModelT], source: str) -> ModelT:
+    """Parse YAML text into ``model``; raises ConfigError naming ``source`` and the path of each bad value."""
+    data = read_yaml(text, source)
     if not isinstance(data, dict):
         raise ConfigError(source, [f"expected a mapping of keys, got {type(data).__name__}"])
+    return validated(data, model, source)
+
+
+def validated(data: Any, model: type[ModelT], source: str) -> ModelT:
+    """Return plain values as ``model``; raises ConfigError as `parse_yaml` does."""
     try:
         return model.model_validate(data)
     except ValidationError as error:

@@ -16,11 +16,29 @@ from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 
-__all__ = ["TICK_S", "Checkpoint", "Course", "Obstacle", "ParkedRule", "Verdict", "load_course"]
+__all__ = [
+    "FAR_M",
+    "MOST_CHECKPOINTS",
+    "TICK_S",
+    "Angle",
+    "Checkpoint",
+    "Coordinate",
+    "Course",
+    "Obstacle",
+    "ParkedRule",
+    "Verdict",
+    "load_course",
+]
 
 TICK_S = 0.1
 """Control tick in seconds: the circuit is asked for a command ten times a second."""
 
+MOST_CHECKPOINTS = 1000
+"""Of checkpoints, and of obstacles: the time that planning a course takes grows with both."""
+FAR_M, FAR_RAD = 1000.0, 1000.0
+"""No rover comes farther within the longest horizon, an hour."""
+Coordinate = Annotated[float, Field(ge=-FAR_M, le=FAR_M)]
+Angle = Annotated[float, Field(ge=-FAR_RAD, le=FAR_RAD)]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=64)]
 
 
@@ -28,9 +46,9 @@ class Checkpoint(StrictModel):
     """Where the base should be at a deadline: t in s, x and y in m, theta in rad."""
 
     t: float = Field(ge=0)
-    x: float
-    y: float
-    theta: float
+    x: Coordinate
+    y: Coordinate
+    theta: Angle
 
     @property
     def pose(self) -> Pose:
@@ -41,11 +59,11 @@ class Checkpoint(StrictModel):
 class Obstacle(StrictModel):
     """A rectangle that cannot be pushed: its centre and heading, its length and width in metres."""
 
-    x: float
-    y: float
-    theta: float = 0.0
-    length: float = Field(gt=0)
-    width: float = Field(gt=0)
+    x: Coordinate
+    y: Coordinate
+    theta: Angle = 0.0
+    length: float = Field(gt=0, le=FAR_M)
+    width: float = Field(gt=0, le=FAR_M)
 
 
 class ParkedRule(StrictModel):
@@ -76,8 +94,8 @@ class Course(StrictModel):
     description: str = ""
     start_signal_s: float = Field(ge=0, description="when the start signal goes from 0 to 1")
     horizon_s: float = Field(gt=0, le=3600, description="how long the run lasts")
-    checkpoints: tuple[Checkpoint, ...] = Field(min_length=1)
-    obstacles: tuple[Obstacle, ...] = ()
+    checkpoints: tuple[Checkpoint, ...] = Field(min_length=1, max_length=MOST_CHECKPOINTS)
+    obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=MOST_CHECKPOINTS)
     parked: ParkedRule = ParkedRule()
 
     @model_validator(mode="after")

@@ -13,11 +13,11 @@ from pathlib import Path
 
 from pydantic import Field
 
-from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml
-from rover_ncp.core.course import TICK_S, Checkpoint, Course, Obstacle
+from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, validated
+from rover_ncp.core.course import MOST_CHECKPOINTS, TICK_S, Angle, Checkpoint, Coordinate, Course, Obstacle
 from rover_ncp.core.drivable import Cause, Drivability, check_course
 from rover_ncp.core.errors import FileError, FormatError
-from rover_ncp.core.files import read_text
+from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.core.geometry import Pose, distance, relative, wrap_angle
 from rover_ncp.core.messages import read_odometry, read_pose
 from rover_ncp.core.recording import Recording, read_recording
@@ -39,32 +39,34 @@ MOVED_M, MOVED_RAD = 0.01, 0.02
 _DECIMALS = 4
 
 
+MOST_POSES = MOST_CHECKPOINTS - 2
+"""A course has a checkpoint before them, and one after."""
+
+
 class Place(StrictModel):
     """A pose to drive through: m and rad."""
 
-    x: float
-    y: float
-    theta: float
+    x: Coordinate
+    y: Coordinate
+    theta: Angle
 
 
 class PoseList(StrictModel):
     """The YAML file that `make_course` takes; obstacles are in the same frame as the poses."""
 
-    poses: tuple[Place, ...] = Field(min_length=2)
-    obstacles: tuple[Obstacle, ...] = ()
+    poses: tuple[Place, ...] = Field(min_length=2, max_length=MOST_POSES)
+    obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=MOST_CHECKPOINTS)
 
 
 def read_poses(path: Path) -> PoseList:
     """Read YAML, CSV (header x, y, theta) or a recording (MCAP). Raises FileError and ConfigError."""
-    if not path.is_file():
-        raise FileError(f"{path}: no such file")
-    match path.suffix:
+    match existing_file(path).suffix:
         case ".yaml" | ".yml":
             return load_yaml(path, PoseList)
         case ".csv":
             return _from_csv(path)
         case ".mcap":
-            return PoseList(poses=tuple(_place(pose) for pose in _thinned(_driven(read_recording(path)))))
+            return _listed(path, _thinned(_driven(read_recording(path))))
     raise FileError(f"{path}: expected poses as .yaml or .csv, or a recording as .mcap")
 
 
@@ -75,14 +77,16 @@ def make_course(name: str, source: str, places: PoseList) -> tuple[Course, Driva
     obstacles = tuple(_moved(obstacle, first) for obstacle in places.obstacles)
     stretch = 1.0
     for _ in range(SLOWER_MAX):
-        course = Course(
-            name=name,
-            description=f"Made from {source}.",
-            start_signal_s=START_S,
-            checkpoints=tuple(checkpoints := _checkpoints(poses, stretch)),
-            horizon_s=checkpoints[-1].t,
-            obstacles=obstacles,
-        )
+        checkpoints = _checkpoints(poses, stretch)
+        fields = {
+            "name": name,
+            "description": f"Made from {source}.",
+            "start_signal_s": START_S,
+            "checkpoints": checkpoints,
+            "horizon_s": checkpoints[-1].t,
+            "obstacles": obstacles,
+        }
+        course = validated(fields, Course, source)  # it may last too long, or lead too far away
         found = check_course(course)
         # In time enough a rover can turn on the spot and drive to its side; who asks for a way to the side
         # means something else.
@@ -134,10 +138,16 @@ def _from_csv(path: Path) -> PoseList:
             raise FileError(f"{path}: line {rows.line_num}: expected three numbers") from error
         if not all(map(math.isfinite, (x, y, theta))):
             raise FileError(f"{path}: line {rows.line_num}: expected finite numbers")
-        places.append(Place(x=x, y=y, theta=theta))
+        places.append((x, y, theta))
     if len(places) < 2:
         raise FileError(f"{path}: a course needs two poses at least, got {len(places)}")
-    return PoseList(poses=tuple(places))
+    return _listed(path, places)
+
+
+def _listed(path: Path, poses: Sequence[tuple[float, float, float]]) -> PoseList:
+    """Return poses that were not read from YAML, by the same rules. Raises ConfigError."""
+    data = [dict(zip(("x", "y", "theta"), pose, strict=True)) for pose in poses]
+    return validated({"poses": data}, PoseList, str(path))
 
 
 def _driven(recording: Recording) -> list[Pose]:
@@ -178,10 +188,6 @@ def _thinned(poses: Sequence[Pose]) -> list[Pose]:
 
 def _pose(place: Place) -> Pose:
     return Pose(place.x, place.y, place.theta)
-
-
-def _place(pose: Pose) -> Place:
-    return Place(x=pose.x, y=pose.y, theta=pose.theta)
 
 
 def _moved(obstacle: Obstacle, first: Pose) -> Obstacle:

@@ -69,11 +69,10 @@ class PortInUse(UsageError):
 
 
 class MissingExtra(UsageError):
-    """A command needs libraries that are not installed."""
+    """A command needs libraries that are not installed; ``extras`` bring all that it needs."""
 
-    def __init__(self, library: str, extra: str) -> None:
-        self.extra = extra
-        super().__init__(f"{library} is not installed: pip install 'rover-ncp[{extra}]'")
+    def __init__(self, library: str, extras: Sequence[str]) -> None:
+        super().__init__(f"{library} is not installed: pip install 'rover-ncp[{','.join(extras)}]'")
 
 
 class UnreachableError(RoverNcpError):

@@ -1,13 +1,25 @@
 """Files that are found by name, read with clear errors and never left half-written."""
 
+import errno
 import os
 import tempfile
 from importlib import resources
 from pathlib import Path
+from typing import IO
 
 from rover_ncp.core.errors import FileError
 
-__all__ = ["read_bytes", "read_text", "resolve", "shipped_names", "write_atomic"]
+__all__ = [
+    "create",
+    "existing_file",
+    "read_bytes",
+    "read_text",
+    "require_creatable",
+    "require_writable",
+    "resolve",
+    "shipped_names",
+    "write_atomic",
+]
 
 _DATA = resources.files("rover_ncp") / "data"
 
@@ -25,17 +37,33 @@ def resolve(kind: str, name_or_path: str | Path) -> Path:
     A bare name has neither a separator nor a suffix. Raises FileError when there is no such file.
     """
     text = str(name_or_path)
+    if not text:
+        raise FileError(f"an empty name, expected a file or one of the shipped {kind}")
     if "/" not in text and not Path(text).suffix:
         shipped = Path(str(_DATA / kind / f"{text}.yaml"))
         if shipped.is_file():
             return shipped
-        if not Path(text).is_file():
+        if not _exists(Path(text)):
             shipped_list = ", ".join(shipped_names(kind))
             raise FileError(f"{text}: no such file, and none of the shipped {kind} ({shipped_list})")
-    path = Path(text)
-    if not path.is_file():
+    return existing_file(Path(text))
+
+
+def existing_file(path: Path) -> Path:
+    """Return the path of a file. Raises FileError: there is none, it is a folder, it cannot be looked up."""
+    if not _exists(path):
         raise FileError(f"{path}: no such file")
+    if not path.is_file():
+        raise FileError(f"{path}: is {'a folder' if path.is_dir() else 'a device or pipe'}, expected a file")
     return path
+
+
+def _exists(path: Path) -> bool:
+    """Whether there is anything at a path. Raises FileError where the system cannot say."""
+    try:
+        return path.exists()
+    except OSError as error:  # a name too long, or a folder that may not be searched
+        raise FileError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def read_bytes(path: Path) -> bytes:
@@ -62,7 +90,7 @@ def write_atomic(path: Path, content: bytes | str, private: bool = False) -> Non
     """
     data = content.encode() if isinstance(content, str) else content
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        _make_folder(path.parent)
         handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         try:
             with os.fdopen(handle, "wb") as file:
@@ -80,3 +108,55 @@ def write_atomic(path: Path, content: bytes | str, private: bool = False) -> Non
             raise
     except OSError as error:
         raise FileError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def create(path: Path, *, overwrite: bool = False) -> IO[bytes]:
+    """Open a new file to write to, in folders that are made if missing. Raises FileError.
+
+    A file that exists is an error, also when another process makes it at this very moment. With ``overwrite``
+    a new file takes its name: a process that still writes the old one does not write into the new one.
+    """
+    try:
+        _make_folder(path.parent)
+        if overwrite:
+            path.unlink(missing_ok=True)
+        return path.open("xb")
+    except OSError as error:
+        raise _not_created(path, error) from error
+
+
+def require_creatable(path: Path, *, overwrite: bool = False) -> None:
+    """Raise the FileError that `create` would raise now; for use before work whose result goes there."""
+    if _exists(path) and not overwrite:
+        raise _not_created(path, FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)))
+    require_writable(path)
+
+
+def require_writable(path: Path) -> None:
+    """Raise the FileError that `write_atomic` would raise now; for use before work whose result goes there.
+
+    Leaves nothing behind: missing folders are not made.
+    """
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        folder = path.parent
+        while not folder.exists():
+            folder = folder.parent
+        with tempfile.NamedTemporaryFile(prefix=f".{path.name}.", dir=folder):
+            pass
+    except OSError as error:
+        raise _not_created(path, error) from error
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)) from error
+
+
+def _not_created(path: Path, error: OSError) -> FileError:
+    if isinstance(error, FileExistsError) and path.is_file():
+        return FileError(f"{path}: exists already; choose another file, or say --overwrite")
+    return FileError(f"{path}: cannot be written: {error.strerror}")

@@ -4,6 +4,9 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["Json"]
+__all__ = ["MOST_SEED", "Json", "Overwrite"]
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
+MOST_SEED = 2**63 - 1
+"""Of a seed, or of the number of a trial."""
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from rover_ncp.core.config import StrictModel, load_yaml
-from rover_ncp.core.errors import FileError
+from rover_ncp.core.files import existing_file
 
 __all__ = ["RoverProfile", "load_profile"]
 
@@ -50,6 +50,4 @@ class RoverProfile(StrictModel):
 
 def load_profile(path: str | Path) -> RoverProfile:
     """Load a profile by path. Raises FileError or ConfigError."""
-    if not Path(path).is_file():
-        raise FileError(f"{path}: no such file")
-    return load_yaml(Path(path), RoverProfile)
+    return load_yaml(existing_file(Path(path)), RoverProfile)

@@ -6,16 +6,17 @@ off anywhere still gives all its whole records. Specification: https://mcap.dev/
 """
 
 import contextlib
+import fcntl
 import functools
 import io
 import struct
 import time
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Self
+from typing import IO, NamedTuple, Self
 
 from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
@@ -24,10 +25,18 @@ from mcap.writer import Writer
 from zstandard import ZstdError
 
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import read_bytes, write_atomic
+from rover_ncp.core.files import create, read_bytes, write_atomic
 from rover_ncp.core.messages import definition
 
-__all__ = ["Recorded", "Recording", "RecordingWriter", "header_stamp_ns", "read_recording", "rewrite"]
+__all__ = [
+    "Recorded",
+    "Recording",
+    "RecordingWriter",
+    "header_stamp_ns",
+    "read_recording",
+    "require_finished",
+    "rewrite",
+]
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 256 * 1024
@@ -39,9 +48,18 @@ RECORD_LIMIT = 1 << 30
 """No record of ours comes near; a longer one means a damaged length."""
 
 
+class Layout(NamedTuple):
+    """How the bytes of a channel are to be read, as its file says: MCAP's Channel, with its Schema."""
+
+    encoding: str
+    metadata: tuple[tuple[str, str], ...]
+    schema: tuple[str, str, bytes] | None
+    """Name, encoding and text; None where a channel needs none."""
+
+
 @dataclass(frozen=True)
 class Recorded:
-    """One message: its CDR bytes, when it arrived here and when it was sent (ns since the epoch)."""
+    """One message: its bytes, when it arrived here and when it was sent (ns since the epoch)."""
 
     topic: str
     type: str
@@ -49,6 +67,8 @@ class Recorded:
     log_ns: int
     publish_ns: int
     sequence: int = 0
+    layout: Layout | None = field(default=None, compare=False, repr=False)
+    """None for ours: ``type`` in CDR. A file may hold what we cannot read; `rewrite` keeps it as it is."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +80,7 @@ class Recording:
     metadata: Mapping[str, Mapping[str, str]]
     messages: tuple[Recorded, ...]
     complete: bool
+    profile: str = "ros2"
 
     def topic(self, name: str) -> list[Recorded]:
         """Return the messages of one topic in the order in which they were written."""
@@ -87,19 +108,32 @@ def header_stamp_ns(ros_type: str, data: bytes) -> int | None:
     return int(seconds * 1_000_000_000 + nanoseconds)
 
 
-class RecordingWriter:
-    """Writes one file. Not for two threads at once; a failing disk shows as OSError from any method."""
+@functools.cache
+def _our_layout(ros_type: str) -> Layout:
+    # The key must be there (MCAP registry, ros2 profile); what it would say is known to ROS alone.
+    metadata = (("offered_qos_profiles", ""),)
+    return Layout("cdr", metadata, (ros_type, "ros2msg", definition(ros_type).encode()))
 
-    def __init__(self, target: Path | IO[bytes]) -> None:
+
+class RecordingWriter:
+    """Writes one file. Not for two threads at once; a failing disk shows as OSError from any method.
+
+    Raises FileError for a path where a file exists, unless ``overwrite``, or where none can be made.
+    """
+
+    def __init__(
+        self, target: Path | IO[bytes], *, overwrite: bool = False, profile: str = Recording.profile
+    ) -> None:
         if isinstance(target, Path):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            self._file: IO[bytes] = target.open("wb")
+            self._file = create(target, overwrite=overwrite)
+            with contextlib.suppress(OSError):  # a file system without locks can be written all the same
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # see require_finished
         else:
             self._file = target
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
-        self._writer.start(profile="ros2", library="rover-ncp")
-        self._channels: dict[str, tuple[int, str]] = {}
-        self._schemas: dict[str, int] = {}
+        self._writer.start(profile=profile, library="rover-ncp")
+        self._channels: dict[tuple[str, Layout | None], tuple[int, str]] = {}
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -123,24 +157,24 @@ class RecordingWriter:
         self._writer.add_metadata(name, dict(values))
 
     def write(self, message: Recorded) -> None:
-        """Add a message. A topic has one type; ValueError if another comes on it."""
-        if message.topic not in self._channels:
-            self._channels[message.topic] = (self._channel(message.topic, message.type), message.type)
-        channel, ros_type = self._channels[message.topic]
+        """Add a message. A topic of ours has one type; ValueError if another comes on it."""
+        known = (message.topic, message.layout)
+        if known not in self._channels:
+            layout = message.layout or _our_layout(message.type)
+            self._channels[known] = (self._channel(message.topic, layout), message.type)
+        channel, ros_type = self._channels[known]
         if ros_type != message.type:
             raise ValueError(f"{message.topic} holds {ros_type}, not {message.type}")
         self._writer.add_message(
             channel, message.log_ns, message.data, message.publish_ns, message.sequence % 2**32
         )
 
-    def _channel(self, topic: str, ros_type: str) -> int:
-        if ros_type not in self._schemas:
-            text = definition(ros_type).encode()
-            self._schemas[ros_type] = self._writer.register_schema(ros_type, "ros2msg", text)
-        # The key must be there (MCAP registry, ros2 profile); what it would say is known to ROS alone.
-        return self._writer.register_channel(
-            topic, "cdr", self._schemas[ros_type], {"offered_qos_profiles": ""}
-        )
+    def _channel(self, topic: str, layout: Layout) -> int:
+        schema = layout.schema
+        if schema is not None and schema not in self._schemas:
+            self._schemas[schema] = self._writer.register_schema(*schema)
+        number = 0 if schema is None else self._schemas[schema]  # 0: MCAP's for none
+        return self._writer.register_channel(topic, layout.encoding, number, dict(layout.metadata))
 
     def flush(self) -> None:
         """Put everything so far on the disk as whole records (but do not wait for the disk itself)."""
@@ -177,8 +211,9 @@ def read_recording(path: Path) -> Recording:
     if not content.startswith(MAGIC[: len(content)]):
         raise FileError(f"{path}: not an MCAP recording")
     stream = _WholeReads(content)
-    schemas: dict[int, str] = {}
-    channels: dict[int, tuple[str, str]] = {}
+    schemas: dict[int, tuple[str, str, bytes]] = {}
+    channels: dict[int, tuple[str, str, Layout]] = {}
+    profile = ""
     attachments: dict[str, bytes] = {}
     metadata: dict[str, dict[str, str]] = {}
     messages: list[Recorded] = []
@@ -187,29 +222,28 @@ def read_recording(path: Path) -> Recording:
     try:
         for record in reader.records:
             if isinstance(record, Message):
-                topic, ros_type = channels[record.channel_id]
-                messages.append(
-                    Recorded(
-                        topic, ros_type, record.data, record.log_time, record.publish_time, record.sequence
-                    )
-                )
+                topic, ros_type, layout = channels[record.channel_id]
+                times = record.log_time, record.publish_time
+                messages.append(Recorded(topic, ros_type, record.data, *times, record.sequence, layout))
             elif isinstance(record, Schema):
-                schemas[record.id] = record.name
+                schemas[record.id] = (record.name, record.encoding, record.data)
             elif isinstance(record, Channel):
-                channels[record.id] = (record.topic, schemas.get(record.schema_id, ""))
+                schema = schemas.get(record.schema_id)
+                layout = Layout(record.message_encoding, tuple(record.metadata.items()), schema)
+                channels[record.id] = (record.topic, schema[0] if schema else "", layout)
             elif isinstance(record, Attachment):
                 attachments[record.name] = record.data
             elif isinstance(record, Metadata):
                 metadata[record.name] = record.metadata
             elif isinstance(record, Header):
-                headed = True
+                headed, profile = True, record.profile
         complete = True
     except EndOfFile:
         if not headed:
             raise FileError(f"{path}: cut off before its first record") from None
     except _DAMAGE as error:
         raise FileError(f"{path}: damaged before byte {stream.tell()}: {error or 'bad record'}") from error
-    return Recording(path, attachments, metadata, tuple(messages), complete)
+    return Recording(path, attachments, metadata, tuple(messages), complete, profile)
 
 
 _DAMAGE = (
@@ -224,6 +258,17 @@ _DAMAGE = (
 )
 
 
+def require_finished(path: Path) -> None:
+    """Raise FileError if a process still writes this recording, or if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise FileError(f"{path}: another process is writing it; wait for its end") from error
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror}") from error
+
+
 def rewrite(source: Recording, target: Path, more: Iterable[Recorded] = ()) -> None:
     """Write a whole, indexed copy of a recording, with ``more`` messages put in at their time.
 
@@ -232,7 +277,7 @@ def rewrite(source: Recording, target: Path, more: Iterable[Recorded] = ()) -> N
     """
     buffer = io.BytesIO()
     buffer.close = lambda: None  # type: ignore[method-assign]  # the writer closes what we still have to read
-    with RecordingWriter(buffer) as writer:
+    with RecordingWriter(buffer, profile=source.profile) as writer:
         for name, content in source.attachments.items():
             writer.attach(name, content)
         for name, values in source.metadata.items():

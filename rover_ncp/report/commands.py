@@ -54,6 +54,7 @@ def course(
     """
     from rover_ncp.core.course import load_course
     from rover_ncp.core.drivable import check_course
+    from rover_ncp.core.files import require_writable
 
     output = Output(json)
     if what is What.NEW:
@@ -63,6 +64,8 @@ def course(
             raise UsageError("--name is for new")
         if out is not None and out.suffix not in PICTURES:
             raise UsageError(f"--out {out}: expected a picture, .png or .svg")
+        if out is not None:
+            require_writable(out)
         made = load_course(source)
         found = check_course(made)
         if out is not None:
@@ -84,13 +87,14 @@ def course(
 
 def _new(source: Path, out: Path | None, name: str | None) -> Any:
     from rover_ncp.core.course_making import course_yaml, make_course, read_poses
-    from rover_ncp.core.files import write_atomic
+    from rover_ncp.core.files import require_writable, write_atomic
 
     if out is None or out.suffix not in {".yaml", ".yml"}:
         raise UsageError("--out: expected the new course's file, .yaml")
     called = name or re.sub(r"[^a-z0-9_-]+", "-", out.stem.lower()).strip("-_") or "course"
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", called):
         raise UsageError(f"--name {called}: expected small letters, digits, - and _, at most 64")
+    require_writable(out)
     made, found = make_course(called, source.name, read_poses(source))
     write_atomic(out, course_yaml(made))
     return made, found

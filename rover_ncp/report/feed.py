@@ -93,7 +93,7 @@ class Feed:
             "status": None if status is None else status.model_dump(),
             "gate": None if gate is None else gate.model_dump(),
             "verdict": self._verdict() if self._over and self._timeline.ticks else None,
-            "foreign": bool(self._timeline.unreadable["rover/neurons"]),
+            "foreign": self._timeline.foreign,
             "events": event_rows(self._timeline),
         }
 

@@ -4,11 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml
-from rover_ncp.core.config import parse_yaml
+from rover_ncp.core.config import parse_yaml, read_yaml
 from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording, read_recording
@@ -46,10 +44,7 @@ def read_drive(path: Path) -> Drive:
     course = parse_yaml(_attached(recording, "course.yaml"), Course, f"{path}, course.yaml")
     settings: Any = {}
     if "deploy.yaml" in recording.attachments:
-        try:
-            settings = yaml.safe_load(_attached(recording, "deploy.yaml"))
-        except (yaml.YAMLError, RecursionError, ValueError) as error:
-            raise FileError(f"{path}: its deploy.yaml is damaged") from error
+        settings = read_yaml(_attached(recording, "deploy.yaml"), f"{path}, deploy.yaml")
     timeline = Timeline(policy, course)
     for message in recording.messages:
         timeline.take(message)

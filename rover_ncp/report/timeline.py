@@ -8,6 +8,7 @@ listens, and all moments are those of arrival.
 
 import json
 from collections import Counter
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,8 @@ FloatArray = NDArray[np.float64]
 
 TRUTH_TOPIC = "truth/pose"
 TICKS_TOPIC = "deploy/ticks"
+MOST = 1e9
+"""Of a pose in m and rad, a covariance, or a potential in mV."""
 
 
 class Estimated(NamedTuple):
@@ -77,6 +80,8 @@ class Timeline:
         self.let_through: list[Command] = []
         self.voltages: list[float] = []
         self.predicted = 0
+        self.foreign = False
+        """Whether neurons came that are not those of the policy."""
         self.unreadable: Counter[str] = Counter()
         self._watcher = Watcher()
         self._course_odom: Pose | None = None
@@ -150,12 +155,15 @@ class Timeline:
 
     def _estimate(self, message: Recorded) -> None:
         sample = read_pose(message.data)
+        _require_sane([*sample.pose, *sample.covariance.ravel()])
         self.final = Estimated(message.publish_ns, sample.pose, sample.covariance)
 
     def _neurons(self, message: Recorded) -> None:
         potentials = read_neurons(message.data)
         if tuple(potentials) != self.policy.circuit.neurons:
+            self.foreign = True
             raise FormatError(f"neurons {', '.join(potentials)} are not those of the policy")
+        _require_sane(list(potentials.values()))
         if self.final is None:
             return  # somebody joined between a tick's estimate and its neurons
         if not self.ticks:
@@ -169,6 +177,7 @@ class Timeline:
 
     def _truth(self, message: Recorded) -> None:
         pose = decode(message.type, message.data).pose
+        _require_sane([pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w])
         yaw = 2.0 * np.arctan2(pose.orientation.z, pose.orientation.w)
         self.truth.append(Moved(message.log_ns, Pose(pose.position.x, pose.position.y, float(yaw))))
 
@@ -191,6 +200,12 @@ class Timeline:
             self.predicted += 1
             words = f"no odometry in time: tick {index} ran on prediction"
             self._watcher.events.append(Event(message.log_ns, "late", words))
+
+
+def _require_sane(values: Sequence[float]) -> None:
+    """Raise FormatError for numbers that no drive has, and whose squares or sums are no numbers."""
+    if not (np.abs(values) <= MOST).all():  # NaN is not, either
+        raise FormatError(f"numbers from {np.min(values):g} to {np.max(values):g}, expected {MOST:g} at most")
 
 
 def _command(message: Recorded) -> Command:

@@ -44,10 +44,13 @@ def explain(
     of the paper, with its counts); the range of each time constant; the drive simulated again without each
     neuron and each synapse; and how much the return hangs on each parameter.
     """
+    from rover_ncp.core.files import require_writable
     from sim.explain.explain import explain as explain_source
     from sim.explain.explain import write
 
     output = Output(json)
+    if out is not None:
+        require_writable(out / "explanation.md")
     found = explain_source(source, course, threshold=threshold, on_progress=output.say)
     for number, told in enumerate(found.analysis.explanations, 1):
         output.say(f"{number}. {told.text}")

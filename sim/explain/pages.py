@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from rover_ncp.core.files import write_atomic
+from rover_ncp.core.files import existing_file, require_writable, write_atomic
 from rover_ncp.report.page import TRAINING, drive_page, html
 from rover_ncp.report.page_data import course_data
 from rover_ncp.report.recorded import read_drive
@@ -26,10 +26,11 @@ def write_page(source: Path, out: Path | None = None) -> Page:
     Raises FileError and ConfigError.
     """
     if source.is_dir():
-        text, kind, path = _training_page(read_training(source)), "training", source / "report.html"
+        kind, path = "training", out or source / "report.html"
     else:
-        text, kind, path = drive_page(read_drive(source)), "drive", source.with_suffix(".html")
-    path = out or path
+        kind, path = "drive", out or existing_file(source).with_suffix(".html")
+    require_writable(path)
+    text = _training_page(read_training(source)) if kind == "training" else drive_page(read_drive(source))
     write_atomic(path, text)
     return Page(path, kind, len(text.encode()))
 

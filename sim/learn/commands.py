@@ -8,7 +8,7 @@ import typer
 
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.options import Json
+from rover_ncp.core.options import MOST_SEED, Json
 
 if TYPE_CHECKING:
     from sim.learn.record import RobustSettings
@@ -32,7 +32,8 @@ def train(
         typer.Option(help="Untuned circuit, by name or file (YAML or .bnn).", show_default="parking"),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Root seed: all randomness comes from it.", show_default="0")
+        int | None,
+        typer.Option(min=0, max=MOST_SEED, help="Root seed: all randomness comes from it.", show_default="0"),
     ] = None,
     agents: Annotated[
         int | None,
@@ -40,7 +41,9 @@ def train(
     ] = None,
     iterations: Annotated[
         int | None,
-        typer.Option(min=1, help="Candidates that each agent tries.", show_default="20000, 2600 if random"),
+        typer.Option(
+            min=1, max=10**9, help="Candidates that each agent tries.", show_default="20000, 2600 if random"
+        ),
     ] = None,
     search: Annotated[
         SearchName | None,
@@ -57,13 +60,16 @@ def train(
         ),
     ] = None,
     rollouts: Annotated[
-        int | None, typer.Option(min=1, help="Trials of a candidate.", show_default="144 if random")
+        int | None,
+        typer.Option(min=1, max=100_000, help="Trials of a candidate.", show_default="144 if random"),
     ] = None,
     worst: Annotated[
-        int | None, typer.Option(min=1, help="Average so many worst ones.", show_default="all rollouts")
+        int | None,
+        typer.Option(min=1, max=100_000, help="Average so many worst ones.", show_default="all rollouts"),
     ] = None,
     random_courses: Annotated[
-        int | None, typer.Option(min=0, help="Courses beside the given one.", show_default="400 if random")
+        int | None,
+        typer.Option(min=0, max=10_000, help="Courses beside the given one.", show_default="400 if random"),
     ] = None,
     profile: Annotated[
         Path | None,
@@ -79,7 +85,9 @@ def train(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")] = False,
     processes: Annotated[
         int | None,
-        typer.Option(min=1, help="Changes the speed, never the result.", show_default="one for each core"),
+        typer.Option(
+            min=1, max=1000, help="Changes the speed, never the result.", show_default="one for each core"
+        ),
     ] = None,
     cluster: Annotated[
         str | None,
@@ -144,8 +152,6 @@ def train(
     if resume and out is None:
         raise UsageError("--resume needs --out, the folder of the run to go on with")
     saved = saved_settings(out) if resume and out is not None else None
-    if resume and saved is None:
-        output.say(f"{out} holds no run yet: starting from the beginning")
     if randomize is not None or isinstance(saved, RobustSettings):
         if not {agents, search} <= {None}:
             raise UsageError("--randomize goes with neither --agents nor --search")

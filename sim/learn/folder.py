@@ -73,11 +73,11 @@ class _Kind(BaseModel):
     settings: dict[str, Any]
 
 
-def saved_settings(path: Path) -> TrainSettings | RobustSettings | None:
-    """Return the settings of the run in a folder, None if it holds none. Raises FileError or ConfigError."""
+def saved_settings(path: Path) -> TrainSettings | RobustSettings:
+    """Return the settings of the run in a folder. Raises UsageError (none), FileError, ConfigError."""
     saved = path / _RECORD
     if not saved.exists():
-        return None
+        raise _nothing_to_resume(path)
     if "randomize" in load_yaml(saved, _Kind).settings:
         return load_yaml(saved, Record[RobustSettings]).settings
     return load_yaml(saved, Record[TrainSettings]).settings
@@ -154,7 +154,8 @@ def open_folder(path: Path, record: Record[SettingsT], resume: bool) -> Iterator
     """Begin a run in an empty or missing folder or, if ``resume``, go on with the one it holds.
 
     Gives the record that the run began with. Raises UsageError or ConfigError if the folder holds something
-    else or a run of other settings. A folder whose run was killed before it wrote anything counts as empty.
+    else, nothing to resume, or a run of other settings. A folder whose run was killed before it wrote
+    anything counts as empty.
     """
     saved = path / _RECORD
     try:
@@ -173,6 +174,8 @@ def open_folder(path: Path, record: Record[SettingsT], resume: bool) -> Iterator
             began = load_yaml(saved, type(record))
             began.require_same(record, str(saved))
             record = began
+        elif resume:
+            raise _nothing_to_resume(path)
         elif foreign := [name for name in os.listdir(path) if not _is_leftover(name)]:  # noqa: PTH208
             raise UsageError(f"{path}: is not empty ({min(foreign)}) and holds no training run")
         _sweep(path)
@@ -180,6 +183,10 @@ def open_folder(path: Path, record: Record[SettingsT], resume: bool) -> Iterator
         yield record
     finally:
         os.close(handle)
+
+
+def _nothing_to_resume(path: Path) -> UsageError:
+    return UsageError(f"{path}: holds no training run to resume; begin one without --resume")
 
 
 def _lock(handle: int, path: Path) -> None:

@@ -67,7 +67,7 @@ def paper(
     again: Annotated[bool, typer.Option("--again", help="Make runs anew that are made already.")] = False,
     processes: Annotated[
         int | None,
-        typer.Option(min=1, help="Runs at a time; none changes.", show_default="one for each core"),
+        typer.Option(min=1, max=1000, help="Runs at a time; none changes.", show_default="one for each core"),
     ] = None,
     cluster: Annotated[
         str | None,
@@ -93,6 +93,7 @@ def paper(
     from rich.console import Console
     from rich.progress import Progress
 
+    from rover_ncp.core.files import require_writable
     from sim.learn.workers import available_processes
     from sim.paper.cell import Shelf
     from sim.paper.choice import chosen
@@ -123,6 +124,7 @@ def paper(
         )
 
     if left:
+        require_writable(left[0].path(runs))
         count = processes or available_processes()
         with progress:
             make_runs(
@@ -152,9 +154,10 @@ def _show(what: What, output: Output, shelf: Any, out: Path) -> None:
         rows = tables.parameters()
         output.result({"tasks": rows}, render.parameters_text(rows))
     elif what is What.CURVES:
-        from rover_ncp.core.files import write_atomic
+        from rover_ncp.core.files import require_writable, write_atomic
         from sim.paper.curves import curves_png
 
+        require_writable(out)
         write_atomic(out, curves_png(shelf))
         output.result({"picture": str(out)}, str(out))
     else:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.options import Json
+from rover_ncp.core.options import MOST_SEED, Json, Overwrite
 
 
 def mock(
@@ -20,6 +20,7 @@ def mock(
     truth: Annotated[
         Path | None, typer.Option(help="Write the rover's true pose to this CSV file, 100 times a second.")
     ] = None,
+    overwrite: Overwrite = False,
     fault: Annotated[
         list[str] | None,
         typer.Option(
@@ -33,14 +34,16 @@ def mock(
         str, typer.Option(help="Be a robot nobody measured: ranges none, mild, full, harsh or YAML file.")
     ] = "none",
     trial: Annotated[
-        int, typer.Option(min=0, help="Which of them: the one of that number in 'eval --trials'.")
+        int,
+        typer.Option(min=0, max=MOST_SEED, help="Which of them: the one of that number in 'eval --trials'."),
     ] = 0,
     profile: Annotated[
         Path | None,
         typer.Option(help="Be this robot: a rover profile, as 'identify' writes it.", show_default=False),
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, help="Of the trial, and of which packets random faults damage.")
+        int,
+        typer.Option(min=0, max=MOST_SEED, help="Of the trial, and of which packets random faults damage."),
     ] = 0,
     json: Json = False,
 ) -> None:
@@ -61,6 +64,7 @@ def mock(
         model=model,
         course=course,
         truth=truth,
+        overwrite=overwrite,
         faults=fault or [],
         seed=seed,
         ranges=ranges_for(randomize, profile),

@@ -34,6 +34,7 @@ def run_mock(
     model: str,
     course: str | None,
     truth: Path | None,
+    overwrite: bool,
     faults: Sequence[str],
     seed: int,
     ranges: Randomization,
@@ -57,7 +58,7 @@ def run_mock(
     def make(start_s: float, observe: Callable[[float], None]) -> Firmware:
         return Firmware(model, rover, suffering, start_s, observe, trial=BaseTrial(trials))
 
-    server = Server(host, port, make, TruthFile(truth) if truth else None, output.say)
+    server = Server(host, port, make, TruthFile(truth, overwrite=overwrite) if truth else None, output.say)
     try:
         with _until_signal() as wake:
             output.announce(f"listening on {server.host}:{server.port}")

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from io import FileIO
 from pathlib import Path
-from typing import TextIO
 
-from rover_ncp.core.errors import FileError, PortInUse, UsageError
+from rover_ncp.core.errors import PortInUse, UsageError
+from rover_ncp.core.files import create
 from sim.pioneer.faults import parse_fault
 from sim.pioneer.firmware import Firmware
 from sim.world.rover import SUBSTEP_S
@@ -49,12 +49,9 @@ def parse_listen(text: str) -> tuple[str, int]:
 class TruthFile:
     """The true pose as CSV, 100 lines a second, flushed as they come: a kill leaves whole lines behind."""
 
-    def __init__(self, path: Path) -> None:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file: TextIO = path.open("w", encoding="ascii", newline="\n")
-        except OSError as error:
-            raise FileError(f"--truth {path}: cannot be written: {error.strerror}") from error
+    def __init__(self, path: Path, *, overwrite: bool = False) -> None:
+        """Raise FileError for a path where a file exists, unless ``overwrite``, or where none can be made."""
+        self._file = create(path, overwrite=overwrite)
         self._lines = [",".join(TRUTH_COLUMNS)]
         self.flush()
 
@@ -70,7 +67,7 @@ class TruthFile:
     def flush(self) -> None:
         """Hand over to the system what was noted, in whole lines."""
         if self._lines:
-            self._file.write("\n".join(self._lines) + "\n")
+            self._file.write(("\n".join(self._lines) + "\n").encode("ascii"))
             self._file.flush()
             self._lines.clear()
 

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import Output
-from rover_ncp.core.options import Json
+from rover_ncp.core.files import require_writable, write_atomic
+from rover_ncp.core.options import MOST_SEED, Json
 from sim.learn.commands import SearchName
 
 
@@ -27,9 +28,11 @@ def bench(
     *,
     iterations: Annotated[
         int | None,
-        typer.Option(min=1, help="Iterations of each agent.", show_default="500 for train, 20000 for search"),
+        typer.Option(
+            min=1, max=10**9, help="Iterations of each agent.", show_default="500 for train, 20000 for search"
+        ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Root seed of the searches.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the searches.")] = 0,
     agents: Annotated[int, typer.Option(min=1, max=1000, help="Agents of a search.")] = 12,
     search: Annotated[
         SearchName | None, typer.Option(help="search: this one alone.", show_default="all")
@@ -37,7 +40,9 @@ def bench(
     csv: Annotated[
         Path | None, typer.Option(help="search: write every agent's returns here.", show_default=False)
     ] = None,
-    seconds: Annotated[float, typer.Option(min=2.0, help="deploy: how long each rate is measured.")] = 60.0,
+    seconds: Annotated[
+        float, typer.Option(min=2.0, max=86_400.0, help="deploy: how long each rate is measured.")
+    ] = 60.0,
     json: Json = False,
 ) -> None:
     """Measure the training, how fast it is or how far each search gets, or how soon the driver answers.
@@ -56,6 +61,8 @@ def bench(
         rover-ncp bench search --seed 1 --csv returns.csv
     """
     output = Output(json)
+    if csv is not None:
+        require_writable(csv)
     if what is What.DEPLOY:
         from sim.studies.bench_deploy import bench_deploy
 
@@ -70,7 +77,6 @@ def bench(
         output.result(fields, f"peak memory {fields['peak_memory_mb']:.0f} MB")
         return
 
-    from rover_ncp.core.files import write_atomic
     from sim.studies.bench_search import bench_search, returns_table
 
     budget = iterations or 20_000

@@ -289,7 +289,7 @@ def _compile_times() -> tuple[float, float]:
     with tempfile.TemporaryDirectory() as folder:
         times = [
             subprocess.run(
-                [sys.executable, "-c", _COMPILE_SCRIPT],
+                [sys.executable, "-P", "-c", _COMPILE_SCRIPT],
                 env=os.environ | {"NUMBA_CACHE_DIR": folder},
                 capture_output=True,
                 text=True,

@@ -7,7 +7,7 @@ import typer
 
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError, UsageError
-from rover_ncp.core.options import Json
+from rover_ncp.core.options import MOST_SEED, Json, Overwrite
 
 
 def park(
@@ -19,10 +19,11 @@ def park(
         ),
     ] = None,
     course: Annotated[str, typer.Option(help="Course to drive, by name or YAML file.")] = "parking",
-    seed: Annotated[int, typer.Option(min=0, help="Root seed of the training.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the training.")] = 0,
     out: Annotated[Path, typer.Option(help="Folder for training, recording, picture and logs.")] = Path(
         "runs/park"
     ),
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> int:
     """Train a circuit until it parks in simulation, then park a robot with it, all in one go.
@@ -34,15 +35,16 @@ def park(
     from rover_ncp.core.course import load_course
     from sim.learn.progress import TrainProgress
     from sim.learn.rollout import rollout
-    from sim.studies.park import PARK_ITERATIONS, train_until_parked
+    from sim.studies.park import PARK_ITERATIONS, require_free, train_until_parked
     from sim.studies.park import park as park_with
 
     output = Output(json)
     known = load_course(course)
+    require_free(out, overwrite=overwrite)
     training: dict[str, Any] | None = None
     if policy is None:
         folder = out / "train"
-        _clear_own(folder)
+        _clear_own(folder, overwrite=overwrite)
         output.say("training twelve agents until the best one parks in simulation")
         with TrainProgress(PARK_ITERATIONS) as progress:
             result = train_until_parked(course, seed, folder, progress.show)
@@ -60,7 +62,7 @@ def park(
             return 1
         output.say(f"{summary}: it parks in simulation")
         policy = str(result.policy_path)
-    parked = park_with(policy, course, out, output.say)
+    parked = park_with(policy, course, out, output.say, overwrite=overwrite)
     verdict, estimate, bridge = parked.verdict, parked.estimate, parked.bridge
     fields = {
         "parked": verdict.parked,
@@ -89,12 +91,14 @@ def park(
     return 0 if verdict.parked else 1
 
 
-def _clear_own(folder: Path) -> None:
+def _clear_own(folder: Path, *, overwrite: bool) -> None:
     """Remove an earlier run of park's training; a folder that holds anything else is left alone."""
     import shutil
 
     if not folder.exists():
         return
+    if not overwrite:
+        raise FileError(f"{folder}: exists already; choose another --out, or say --overwrite")
     if not (folder / "settings.yaml").is_file() and any(folder.iterdir()):
         raise FileError(f"{folder}: is not empty and holds no training of an earlier park")
     shutil.rmtree(folder)
@@ -116,16 +120,20 @@ def evaluate(
         ),
     ] = None,
     trials: Annotated[
-        int | None, typer.Option(min=1, help="Drive so many random trials.", show_default="1")
+        int | None, typer.Option(min=1, max=10**6, help="Drive so many random trials.", show_default="1")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Root seed of the trials and random courses.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the trials and random courses.")
+    ] = 0,
     randomize: Annotated[
         str | None,
         typer.Option(help="Ranges of the trials: none, mild, full, harsh or YAML file.", show_default="none"),
     ] = None,
     random_courses: Annotated[
         int | None,
-        typer.Option(min=1, help="Drive so many random courses in turn instead.", show_default=False),
+        typer.Option(
+            min=1, max=10_000, help="Drive so many random courses in turn instead.", show_default=False
+        ),
     ] = None,
     stack: Annotated[
         bool,
@@ -134,7 +142,10 @@ def evaluate(
     live: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Drive so many of the trials as real processes, in real time.", show_default=False
+            min=1,
+            max=10_000,
+            help="Drive so many of the trials as real processes, in real time.",
+            show_default=False,
         ),
     ] = None,
     profile: Annotated[
@@ -148,6 +159,7 @@ def evaluate(
         int | None,
         typer.Option(
             min=1,
+            max=1000,
             help="With --stack: changes the speed, never the result. With --live: so many runs at once.",
             show_default="one for each core; 1 live",
         ),
@@ -224,7 +236,7 @@ def evaluate(
             courses,
             trials or live or 1,
             seed,
-            randomize or "none",
+            "none" if randomize is None else randomize,
             random_courses or 0,
             profile,
             stack,

@@ -17,7 +17,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.course import Course, Verdict, load_course
 from rover_ncp.core.errors import FileError, FormatError
-from rover_ncp.core.files import write_atomic
+from rover_ncp.core.files import require_creatable, write_atomic
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import read_text
 from rover_ncp.core.recording import Recording, read_recording, rewrite
@@ -28,14 +28,23 @@ from sim.learn.record import TrainSettings
 from sim.learn.rollout import rollout
 from sim.learn.train import TrainResult, train
 from sim.studies.picture import trajectory_png
-from sim.studies.processes import LiveRun, ProcessError
+from sim.studies.processes import TRUTH, LiveRun, ProcessError
 from sim.studies.truth import TrueState, judge_truth, read_truth, recorded_truth
 
-__all__ = ["PARK_ITERATIONS", "TRAIN_LIMIT_S", "Parked", "estimated_path", "park", "train_until_parked"]
+__all__ = [
+    "PARK_ITERATIONS",
+    "TRAIN_LIMIT_S",
+    "Parked",
+    "estimated_path",
+    "park",
+    "require_free",
+    "train_until_parked",
+]
 
 TRAIN_LIMIT_S = 100.0
 """How long the search may take to find a circuit that parks in simulation."""
 PARK_ITERATIONS = 20_000
+RECORDING, LOG = "run.mcap", "log"
 _AGENTS = 12
 _MARGIN = 0.5
 _DEPLOY_EXTRA_S = 60.0
@@ -83,14 +92,24 @@ def parks_well(policy: Policy, course: Course) -> bool:
     )
 
 
-def park(policy: str, course_name: str, out: Path, say: Callable[[str], None]) -> Parked:
+def require_free(out: Path, *, overwrite: bool) -> None:
+    """Raise FileError if `park` could not leave its files in a folder, for use before a long training."""
+    for name in (RECORDING, f"{LOG}/{TRUTH}"):
+        require_creatable(out / name, overwrite=overwrite)
+
+
+def park(
+    policy: str, course_name: str, out: Path, say: Callable[[str], None], *, overwrite: bool = False
+) -> Parked:
     """Park a mock Pioneer with a policy, through real processes. Raises RoverNcpError when one fails."""
+    require_free(out, overwrite=overwrite)
+    insist = ["--overwrite"] if overwrite else []
     course = load_course(course_name)
     load_policy(policy)  # a bad file is found before anything is started
-    recording = out / "run.mcap"
-    with LiveRun(out / "log", mock=["--course", course_name]) as run:
+    recording = out / RECORDING
+    with LiveRun(out / LOG, mock=["--course", course_name, *insist]) as run:
         say(f"mock Pioneer and bridge are up ({run.robot}); the circuit drives for {course.horizon_s:.0f} s")
-        driver = run.deploy("--policy", policy, "--course", course_name, "--record", str(recording))
+        driver = run.deploy("--policy", policy, "--course", course_name, "--record", str(recording), *insist)
         try:
             done = driver.wait(course.horizon_s + _DEPLOY_EXTRA_S)
         except KeyboardInterrupt:

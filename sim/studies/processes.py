@@ -21,13 +21,23 @@ from typing import Any, NamedTuple, Self
 from rover_ncp.core.errors import RoverNcpError
 from sim.studies.outlet import Outlet
 
-__all__ = ["Applied", "Finished", "LiveRun", "Process", "ProcessError", "compile_driver", "uninterrupted"]
+__all__ = [
+    "TRUTH",
+    "Applied",
+    "Finished",
+    "LiveRun",
+    "Process",
+    "ProcessError",
+    "compile_driver",
+    "uninterrupted",
+]
 
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 5.0
 APPLIED = "applied "
 """How the line begins in which a child answers what it was given."""
 APPLIED_TIMEOUT_S = 5.0
+TRUTH = "truth.csv"
 
 
 class ProcessError(RoverNcpError):
@@ -110,7 +120,8 @@ class Process:
         self.outlet = Outlet(outlet, self._log) if outlet else None
         with self._result.open("wb") as out, self._log.open("wb") as err:
             self._child = subprocess.Popen(
-                [sys.executable, "-m", module, command, *arguments, "--json"],
+                # -P: the user's folder may hold a sim/ or a numba.py of its own.
+                [sys.executable, "-P", "-m", module, command, *arguments, "--json"],
                 stdin=subprocess.PIPE if told else subprocess.DEVNULL,
                 stdout=self.outlet.fd if self.outlet else out,
                 stderr=self.outlet.fd if self.outlet else err,
@@ -223,7 +234,7 @@ class LiveRun:
 
     def __init__(self, folder: Path, *, mock: Sequence[str] = (), bridge: Sequence[str] = ()) -> None:
         self.folder = folder
-        self.truth = folder / "truth.csv"
+        self.truth = folder / TRUTH
         self.processes: dict[str, Process] = {}
         self._mock_arguments = mock
         self._bridge_arguments = bridge

@@ -6,16 +6,19 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import Output
-from rover_ncp.core.options import Json
+from rover_ncp.core.options import MOST_SEED, Json, Overwrite
 
 
 def soak(
     *,
     minutes: Annotated[
-        float, typer.Option(min=0.5, help="How long it lasts; all rows need about ten.")
+        float, typer.Option(min=0.5, max=10_080.0, help="How long it lasts; all rows need about ten.")
     ] = 20.0,
-    seed: Annotated[int, typer.Option(min=0, help="Decides the order, who drives and when it happens.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=MOST_SEED, help="Decides the order, who drives and when it happens.")
+    ] = 0,
     out: Annotated[Path, typer.Option(help="Folder for recordings, table and logs.")] = Path("runs/soak"),
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> int:
     """Bring about every fault of the safety matrix, at random moments, in processes that live on.
@@ -32,4 +35,4 @@ def soak(
     """
     from sim.studies.soak_run import run_soak
 
-    return run_soak(minutes, seed, out, Output(json))
+    return run_soak(minutes, seed, out, Output(json), overwrite=overwrite)

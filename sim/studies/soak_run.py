@@ -5,16 +5,24 @@ from pathlib import Path
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rover_ncp.core.console import Output
-from rover_ncp.core.files import write_atomic
+from rover_ncp.core.errors import FileError
+from rover_ncp.core.files import require_writable, write_atomic
+from sim.studies.processes import TRUTH
 from sim.studies.soak import Soaked, soak
 from sim.studies.soak_report import fields, line, table, verdict
 
 __all__ = ["run_soak"]
 
+TABLE = "soak.md"
 
-def run_soak(minutes: float, seed: int, out: Path, output: Output) -> int:
+
+def run_soak(minutes: float, seed: int, out: Path, output: Output, *, overwrite: bool) -> int:
     """See ``soak_commands.soak``. Raises RoverNcpError when it cannot begin or end."""
-    for old in (out / "drives").glob("*.mcap"):
+    earlier = [*(out / "log").glob(TRUTH), *(out / "drives").glob("*.mcap")]
+    if earlier and not overwrite:
+        raise FileError(f"{earlier[0]}: exists already; choose another --out, or say --overwrite")
+    require_writable(out / TABLE)
+    for old in earlier:
         old.unlink()
     bar = Progress(
         TimeElapsedColumn(),
@@ -36,7 +44,7 @@ def run_soak(minutes: float, seed: int, out: Path, output: Output) -> int:
 
     with bar:
         soaked = soak(minutes * 60.0, seed, out, tell)
-    rows = out / "soak.md"
+    rows = out / TABLE
     write_atomic(rows, "\n".join(table(soaked)) + "\n")
     wrong = verdict(soaked)
     words = [

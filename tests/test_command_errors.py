@@ -1,0 +1,190 @@
+"""Mistakes on the command line, and files that cannot be: an exit code and one line, never a traceback."""
+
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from recorded_drives import write_drive
+
+from rover_ncp.shell import run
+
+LONG = "x" * 300
+HUGE = "99999999999999999999"
+ROBOT = "--robot tcp/127.0.0.1:1"
+BASE = "--base tcp/127.0.0.1:1"
+SHORT = Path(__file__).parent / "data" / "short_course.yaml"
+
+# Where a file is read: {} is in the place of its name.
+READERS = [
+    "park --policy {}",
+    "park --course {}",
+    "train --course {}",
+    "train --circuit {}",
+    "train --randomize {}",
+    "train --randomize mild --profile {}",
+    "train --resume --out {}",
+    "eval {}",
+    "eval course --course {}",
+    "eval course --randomize {}",
+    "eval course --profile {}",
+    "mock --course {}",
+    "mock --randomize {}",
+    "mock --profile {}",
+    f"bridge {BASE} --limits {{}}",
+    f"bridge {BASE} --zenoh-config {{}}",
+    f"deploy {ROBOT} --policy {{}}",
+    f"deploy {ROBOT} --course {{}}",
+    f"deploy {ROBOT} --profile {{}}",
+    f"deploy {ROBOT} --zenoh-config {{}}",
+    f"check --on-blocks {ROBOT} --zenoh-config {{}}",
+    "identify {}",
+    f"identify {ROBOT} --zenoh-config {{}}",
+    "course check {}",
+    "course new {}.csv --out new.yaml",
+    "replay {}",
+    "recover {}",
+    "explain {}",
+    "report {}",
+    f"watch {ROBOT} --policy {{}}",
+    f"watch {ROBOT} --course {{}}",
+    f"watch {ROBOT} --port 0 --zenoh-config {{}}",
+    "paper run --task parking --seed 0 --circuit {}",
+]
+# Where files are written.
+WRITERS = [
+    "park --policy parking --out {}",
+    "train --out {}",
+    "eval course --live 1 --out {}",
+    f"deploy {ROBOT} --record {{}}",
+    f"identify {ROBOT} --record {{}}",
+    "identify drive.mcap --out {}",
+    "mock --truth {}",
+    "course check parking --out {}.png",
+    "course new poses.csv --name mine --out {}.yaml",
+    "explain parking --out {}",
+    "report drive.mcap --out {}",
+    "recover drive.mcap --out {}",
+    "keys --out {}",
+    "bench search --csv {}",
+    "paper curves --out {}",
+    "paper run --task parking --agent circuit --seed 0 --again --budget quick --runs {}",
+    "soak --out {}",
+]
+TABLE = [
+    *((command.format(LONG), "File name too long") for command in READERS),
+    *((command.format("file/x"), "file/x") for command in READERS),
+    *((command.format(LONG), "File name too long") for command in WRITERS),
+    *((command.format("file/x"), "Not a directory") for command in WRITERS),
+    # recordings and runs that exist
+    (f"deploy {ROBOT} --record drive.mcap", "drive.mcap: exists already"),
+    (f"identify {ROBOT} --record drive.mcap", "drive.mcap: exists already"),
+    ("recover drive.mcap --out file", "file: exists already"),
+    ("mock --truth file", "file: exists already"),
+    ("park --policy parking --out done", "done/run.mcap: exists already"),
+    ("park --out done", "done/run.mcap: exists already"),
+    ("park --out trained", "trained/train: exists already"),
+    ("soak --out soaked", "soaked/drives/001-bumper.mcap: exists already"),
+    ("train --resume --out done", "done: holds no training run to resume"),
+    # YAML and courses
+    ("course check deep.yaml", "more than 100 lists or mappings in each other"),
+    ("train --circuit deep.yaml", "more than 100 lists or mappings in each other"),
+    (f"bridge {BASE} --limits deep.yaml", "more than 100 lists or mappings in each other"),
+    ("course check long.yaml", "expected 1048576 at most"),
+    ("course check many.yaml", "at most 1000 items"),
+    ("course check far.yaml", "$.checkpoints[0].x: input should be less than or equal to 1000, got 1e+300"),
+    ("course new far.csv --out new.yaml", "$.poses[1].x: input should be less than or equal to 1000"),
+    ("course new slow.csv --out new.yaml", "$.horizon_s: input should be less than or equal to 3600"),
+    ("course check /dev/zero", "/dev/zero: is a device or pipe, expected a file"),
+    # values
+    (f"eval course --trials {HUGE}", "--trials"),
+    (f"eval course --live {HUGE}", "--live"),
+    (f"eval course --random-courses {HUGE}", "--random-courses"),
+    (f"train --iterations {HUGE}", "--iterations"),
+    (f"train --seed {HUGE}", "--seed"),
+    (f"mock --trial {HUGE}", "--trial"),
+    (f"bench train --iterations {HUGE}", "--iterations"),
+    ("eval course --randomize ''", "an empty name"),
+    ("train --randomize ''", "an empty name"),
+    ("mock --randomize ''", "an empty name"),
+    ("deploy --robot tcp/127.0.0.1:99999", "expected a port from 1 to 65535"),
+    ("deploy --robot tcp/127.0.0.1:0", "expected a port from 1 to 65535"),
+    ("watch --robot tcp/127.0.0.1:99999 --port 0", "expected a port from 1 to 65535"),
+    ("check --on-blocks --robot tcp/127.0.0.1:99999", "expected a port from 1 to 65535"),
+    ("identify --robot tcp/127.0.0.1:99999", "expected a port from 1 to 65535"),
+    ("bridge --base tcp/127.0.0.1:99999 --listen tcp/127.0.0.1:0", "99999"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with files that no command can use, or may replace."""
+    folder = tmp_path_factory.mktemp("errors")
+    (folder / "file").write_text("x")
+    write_drive(folder / "drive.mcap", course=SHORT)
+    for made in ("done/run.mcap", "trained/train/settings.yaml", "soaked/drives/001-bumper.mcap"):
+        (folder / made).parent.mkdir(parents=True)
+        (folder / made).write_text("x")
+    (folder / "deep.yaml").write_text("a: " + "[" * 100_000 + "]" * 100_000)
+    row = "- {{t: {}, x: {}, y: 0, theta: 0}}\n"
+    head = "name: a\nstart_signal_s: 0\nhorizon_s: 3600\ncheckpoints:\n"
+    (folder / "long.yaml").write_text(head + "".join(row.format(0.01 * k, 0) for k in range(100_000)))
+    many = (row.format(k, 0) for k in range(1001))
+    (folder / "many.yaml").write_text(head + "".join(many))
+    (folder / "far.yaml").write_text(head + row.format(1, "1.0e+300"))
+    (folder / "poses.csv").write_text("x,y,theta\n0,0,0\n1,0,0\n")
+    (folder / "far.csv").write_text("x,y,theta\n0,0,0\n1e300,0,0\n")
+    (folder / "slow.csv").write_text("x,y,theta\n0,0,0\n900,0,0\n")
+    return folder
+
+
+def files(folder):
+    return {str(path): path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(("command", "words"), TABLE, ids=lambda text: text.replace(LONG, "LONG"))
+def test_a_mistake_is_one_line_and_exit_code_2_before_any_work(command, words, folder, monkeypatch, capfd):
+    monkeypatch.chdir(folder)
+    before = files(folder)
+    assert run(shlex.split(command)) == 2
+    printed = capfd.readouterr()
+    assert printed.err.startswith("rover-ncp: ")
+    assert printed.err.count("\n") == 1
+    assert words in printed.err
+    assert printed.out == ""
+    assert files(folder) == before
+
+
+# Root may search and write any folder, unless it gives up the capabilities for it.
+AS_ANYBODY = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"] if os.geteuid() == 0 else []
+
+
+def in_process(arguments, **how):
+    return subprocess.run(
+        [*AS_ANYBODY, Path(sys.executable).with_name("rover-ncp"), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        **how,
+    )
+
+
+@pytest.mark.parametrize("command", ["course check mine.yaml", "keys --out mine", "report drive.mcap"])
+def test_a_working_directory_that_is_gone_is_one_line(command, tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    done = in_process(shlex.split(command), cwd=gone, preexec_fn=gone.rmdir)  # a system call alone
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "No such file" in done.stderr or "no such file" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["course check {}", "identify {}", "keys --out {}"])
+def test_a_folder_that_may_not_be_searched_is_one_line(command, tmp_path):
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0)
+    done = in_process(shlex.split(command.format(locked / "mine")))
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "Permission denied" in done.stderr

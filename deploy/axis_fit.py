@@ -10,9 +10,9 @@ Rules of this file:
 1. The record is divided into blocks, one for each change of the command after a pause. A block in which a
    command was lost does not fit the others and is left out as a whole.
 2. Reports that show the same number share one rounding error. They count as one sample.
-3. The covariance is the cluster-robust one, by blocks (CR3, Bell and McCaffrey 2002): nothing is assumed about
-   correlation within a block. It is never less than rounding alone causes, and just that where the residuals
-   are no larger than rounding.
+3. Where the residuals are no larger than rounding, the covariance is that of rounding. Otherwise it is the
+   cluster-robust one by blocks (CR3, Bell and McCaffrey 2002), which assumes nothing about correlation within
+   a block, and no less than that of rounding.
 """
 
 import math
@@ -24,7 +24,7 @@ from scipy.optimize import least_squares
 
 from deploy.motion_log import MotionLog
 
-__all__ = ["Axis", "OdometryPrior", "identify_axis"]
+__all__ = ["Axis", "OdometryErrors", "identify_axis"]
 
 FloatArray = NDArray[np.float64]
 
@@ -39,10 +39,10 @@ LEAST_MOTION = (0.05, 0.08)
 """An axis that was never asked for more than this, in m/s and rad/s, is not fitted."""
 PAUSE_S = 0.3
 """A command that changes after so long without a change begins a block."""
-UNFELT = 1e-6
-"""A parameter whose largest effect is such a share of another's has none."""
-BLOCK_S = 4.0
-"""A block lasts no longer: a driver that changes its command all the time would make a single one."""
+DIFFERENCES = (0.005, 0.002, 0.01)
+"""Steps of delay, gain and log acceleration for derivatives; commands of a driver are stairs of 20 ms."""
+LEAST_BLOCKS = 4
+"""From fewer blocks their spread is not estimated."""
 SINGULAR = 1e12
 """Condition number beyond which a matrix counts as singular."""
 MISFIT = 1.3
@@ -51,7 +51,7 @@ OUTLIER = 5.0
 """A block is left out if its residual is so many times the median block's, and beyond the robust scale."""
 
 
-class OdometryPrior(NamedTuple):
+class OdometryErrors(NamedTuple):
     """Odometry's errors on an axis: scale and slip (s), values (2,) and covariance (2, 2)."""
 
     values: FloatArray
@@ -71,7 +71,7 @@ class Axis(NamedTuple):
     """Root mean square over the blocks that were kept, m/s or rad/s."""
 
 
-def identify_axis(log: MotionLog, axis: int, prior: OdometryPrior) -> Axis | None:
+def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis | None:
     """Fit axis 0 (v) or 1 (omega); None if it was hardly asked for anything, or nothing fits."""
     if float(np.abs(log.sent[:, axis]).max()) < LEAST_MOTION[axis]:
         return None
@@ -81,8 +81,8 @@ def identify_axis(log: MotionLog, axis: int, prior: OdometryPrior) -> Axis | Non
     weights, groups = _rounding_weights(reported)
     sigma = _step(reported) / math.sqrt(12.0)
 
-    def misses(x: FloatArray, odometry: FloatArray = prior.values) -> FloatArray:
-        motion = _modelled(times + x[0], values, x[1], usual * math.exp(x[2]), odometry, t)
+    def misses(x: FloatArray, errors: FloatArray = odometry.values) -> FloatArray:
+        motion = _modelled((times + x[0], values), x[1], usual * math.exp(x[2]), errors, t)
         found: FloatArray = motion - reported
         return found
 
@@ -96,33 +96,50 @@ def identify_axis(log: MotionLog, axis: int, prior: OdometryPrior) -> Axis | Non
     )
     bounds = [0.0, 0.3, math.log(BOUNDS[0])], [DELAY_MAX_S, 3.0, math.log(BOUNDS[1])]
     steps = (0.05, 0.1, 0.2)
-    x = least_squares(lambda x: misses(x) / scale, first, bounds=bounds, loss="cauchy", x_scale=steps).x
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        return np.column_stack(
+            [(misses(x + step) - misses(x - step)) / (2.0 * step.max()) for step in np.diag(DIFFERENCES)]
+        )
+
+    x = least_squares(
+        lambda x: misses(x) / scale,
+        first,
+        lambda x: jacobian(x) / scale,
+        bounds=bounds,
+        loss="cauchy",
+        x_scale=steps,
+    ).x
 
     begins = times[np.diff(times, prepend=-math.inf) > PAUSE_S]
-    blocks = _blocks(begins + x[0], t)
+    blocks = np.searchsorted(begins + x[0], t, side="right")
     kept = ~np.isin(blocks, _outliers(misses(x), blocks, scale))
     for _ in range(8):
         chosen = kept
 
-        def residuals(x: FloatArray, chosen: NDArray[np.bool_] = chosen) -> FloatArray:
-            found: FloatArray = (misses(x) * weights)[chosen]
+        def weighted(table: FloatArray, chosen: NDArray[np.bool_] = chosen) -> FloatArray:
+            found: FloatArray = (table.T * weights).T[chosen]
             return found
 
-        fit = least_squares(residuals, x, bounds=bounds, x_scale=steps, diff_step=1e-5)
+        fit = least_squares(
+            lambda x, weighted=weighted: weighted(misses(x)),
+            x,
+            lambda x, weighted=weighted: weighted(jacobian(x)),
+            bounds=bounds,
+            x_scale=steps,
+        )
         x = fit.x
+        if (fit.active_mask[1:] != 0).any() or fit.active_mask[0] > 0:
+            return None  # the best value lies beyond what a base can have; a delay of 0 is none of these
         kept = ~np.isin(blocks, _outliers(misses(x), blocks, scale))
         if (kept == chosen).all() or not kept.any():
             break
-    # An acceleration that no command asked for has no effect: the others are determined without it.
-    free = np.abs(fit.jac).max(axis=0) > UNFELT * np.abs(fit.jac).max()
-    jacobian = fit.jac[:, free]
-    covariance = _covariance(jacobian, fit.fun, blocks[chosen], weights[chosen] * sigma, groups[chosen])
+    covariance = _covariance(fit.jac, fit.fun, blocks[chosen], weights[chosen] * sigma, groups[chosen])
     by_odometry = np.column_stack(
-        [(misses(x, prior.values + change) - misses(x))[chosen] / 1e-4 for change in 1e-4 * np.eye(2)]
+        [(misses(x, odometry.values + change) - misses(x))[chosen] / 1e-4 for change in 1e-4 * np.eye(2)]
     )
-    shift = np.linalg.lstsq(jacobian, by_odometry * weights[chosen][:, None])[0]
-    deviations = np.full(3, np.inf)
-    deviations[free] = np.sqrt(np.diag(covariance + shift @ prior.covariance @ shift.T))
+    shift = np.linalg.lstsq(fit.jac, by_odometry * weights[chosen][:, None])[0]
+    deviations = np.sqrt(np.diag(covariance + shift @ odometry.covariance @ shift.T))
     acceleration = usual * math.exp(x[2])
     return Axis(
         float(x[0]),
@@ -135,15 +152,6 @@ def identify_axis(log: MotionLog, axis: int, prior: OdometryPrior) -> Axis | Non
     )
 
 
-def _blocks(begins: FloatArray, t: FloatArray) -> NDArray[np.intp]:
-    """Return the block of each sample: a new one at each of ``begins``, and after `BLOCK_S` at the latest."""
-    place = np.searchsorted(begins, t, side="right")
-    since = t - np.concatenate([[t[0]], begins])[place]
-    _, numbers = np.unique(np.column_stack([place, since // BLOCK_S]), axis=0, return_inverse=True)
-    found: NDArray[np.intp] = numbers.ravel()
-    return found
-
-
 def _changes(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the commands that differ from the one before, which is 0 at first."""
     new = np.diff(values, prepend=0.0) != 0.0
@@ -151,10 +159,14 @@ def _changes(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _modelled(
-    due: FloatArray, asked: FloatArray, gain: float, acceleration: float, odometry: FloatArray, t: FloatArray
+    commands: tuple[FloatArray, FloatArray],
+    gain: float,
+    acceleration: float,
+    errors: FloatArray,
+    t: FloatArray,
 ) -> FloatArray:
-    """Return the reported motion at ``t``; commands ``asked`` take effect at ``due``."""
-    scale, slip = odometry.tolist()
+    """Return the motion that is reported at ``t``, of commands by the times when they take effect."""
+    (due, asked), (scale, slip) = commands, errors.tolist()
     targets = gain / scale * asked
     targets = targets * (1.0 - slip * np.abs(targets))
     knots, speeds = [-math.inf], [0.0]
@@ -200,16 +212,20 @@ def _outliers(misses: FloatArray, blocks: NDArray[np.intp], scale: float) -> lis
 
 
 def _covariance(
-    jacobian: FloatArray, residuals: FloatArray, blocks: NDArray[np.intp], rounding: FloatArray, shown: FloatArray
+    jacobian: FloatArray,
+    residuals: FloatArray,
+    blocks: NDArray[np.intp],
+    rounding: FloatArray,
+    shown: FloatArray,
 ) -> FloatArray:
     """Return the parameters' covariance: of rounding, and by blocks if the residuals are larger than it.
 
-    ``rounding`` (n,) is its standard deviation in each row, ``shown`` (n,) the reported number, whose rounding
-    error has its sign. Infinite if the record does not determine all parameters.
+    ``rounding`` (n,) is its standard deviation in each row, ``shown`` (n,) the reported number, whose
+    rounding error has its sign. Infinite if the record does not determine all parameters.
     """
     size = jacobian.shape[1]
     curvature = jacobian.T @ jacobian
-    if np.linalg.cond(curvature) > SINGULAR:
+    if not np.linalg.cond(curvature) < SINGULAR:
         return np.diag(np.full(size, np.inf))
     bread = np.linalg.inv(curvature)
     rounded = np.zeros((size, size))
@@ -221,12 +237,15 @@ def _covariance(
     moving = shown != 0.0
     if np.sum(np.square(residuals[moving])) <= MISFIT * np.sum(np.square(rounding[moving])):
         return by_rounding
+    moved = np.unique(blocks[moving])
+    if len(moved) < LEAST_BLOCKS:
+        return np.diag(np.full(size, np.inf))
     seen = np.zeros((size, size))
-    for block in np.unique(blocks):
+    for block in moved:
         rows, misses = jacobian[blocks == block], residuals[blocks == block]
         inside = np.eye(len(rows)) - rows @ bread @ rows.T
         # A parameter that one block alone determines has no spread between blocks.
-        if np.linalg.cond(inside) > SINGULAR:
+        if not np.linalg.cond(inside) < SINGULAR:
             return np.diag(np.full(size, np.inf))
         pull = rows.T @ np.linalg.solve(inside, misses)
         seen += np.outer(pull, pull)

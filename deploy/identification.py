@@ -1,9 +1,9 @@
 """A base's profile from a record of its motion: delays, accelerations, gains, noise and odometry's errors.
 
-Every value has a standard deviation, so that twice it on both sides holds the truth 19 times in 20. A value
+Each fitted value has a standard deviation: 1.96 of them on both sides hold the truth 19 times in 20. A value
 whose standard deviation is too wide is left out. Gains are those that odometry sees; accelerations are true
-ones. Odometry's own errors (scales, slip, imbalance) only show beside external poses; without them their usual
-spread is part of the accelerations' standard deviations.
+ones. Odometry's own errors (scales, slip, imbalance) only show beside external poses. Without external poses
+their usual spread is part of the accelerations' standard deviations.
 """
 
 import math
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.axis_fit import OdometryPrior, identify_axis
+from deploy.axis_fit import OdometryErrors, identify_axis
 from deploy.motion_log import MotionLog
 from deploy.odometry_fit import fit_distance, fit_turns, stands_beside
 from rover_ncp.core.profile import RoverProfile
@@ -64,24 +64,24 @@ def identify(log: MotionLog, name: str) -> RoverProfile:
     }
     stands = _stands(log)
     found = _noise(log, stands)
-    priors = (
-        OdometryPrior(np.array([1.0, 0.0]), np.diag([SCALE_STD**2, 0.0])),
-        OdometryPrior(np.array([1.0, 0.0]), np.diag([SCALE_STD**2, SLIP_STD_S**2])),
+    odometry = (
+        OdometryErrors(np.array([1.0, 0.0]), np.diag([SCALE_STD**2, 0.0])),
+        OdometryErrors(np.array([1.0, 0.0]), np.diag([SCALE_STD**2, SLIP_STD_S**2])),
     )
     if len(log.external.t):
         measured["external_poses"] = len(log.external.t)
         beside = stands_beside(log, stands, (STEP_M, STEP_RAD))
         if way := fit_distance(beside):
             found["odometry_distance"] = _Value(float(way.values[0]), math.sqrt(way.covariance[0, 0]))
-            priors = OdometryPrior(np.append(way.values, 0.0), np.pad(way.covariance, (0, 1))), priors[1]
+            odometry = OdometryErrors(np.append(way.values, 0.0), np.pad(way.covariance, (0, 1))), odometry[1]
         if turn := fit_turns(log, beside):
             names = "odometry_heading", "slip_s", "imbalance_rad_m"
             deviations = np.sqrt(np.diag(turn.covariance))
             for key, value, std in zip(names, turn.values.tolist(), deviations.tolist(), strict=False):
                 found[key] = _Value(value, std)
-            priors = priors[0], OdometryPrior(turn.values[:2], turn.covariance[:2, :2])
+            odometry = odometry[0], OdometryErrors(turn.values[:2], turn.covariance[:2, :2])
     for axis, keys in enumerate((("delay_v_s", "accel", "gain_v"), ("delay_omega_s", "alpha", "gain_omega"))):
-        fitted = identify_axis(log, axis, priors[axis])
+        fitted = identify_axis(log, axis, odometry[axis])
         if fitted is not None:
             found |= {key: _Value(fitted[i], fitted[i + 3]) for i, key in enumerate(keys)}
             measured[("v", "omega")[axis]] = {"residual": float(f"{fitted.residual:.3g}")}

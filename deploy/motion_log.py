@@ -103,7 +103,8 @@ def _measured(arrived: FloatArray) -> FloatArray:
     late = arrived - table @ line.x if line.success else np.full(1, math.inf)
     if late.max() > 0.75 * line.x[1] or (np.diff(count) < 1.0).any():
         return arrived
-    return arrived - late
+    measured: FloatArray = arrived - late
+    return measured
 
 
 def _track(table: FloatArray) -> Track:

@@ -57,7 +57,7 @@ def stands_beside(
 
     ``steps`` are those that odometry's positions (m) and headings (rad) are rounded to.
     """
-    inside = []
+    inside: list[tuple[float, float, FloatArray, FloatArray]] = []
     for begin, end in spans:
         own, true = (
             track.poses[(track.t >= begin) & (track.t <= end)] for track in (log.odometry, log.external)
@@ -66,7 +66,7 @@ def stands_beside(
             inside.append((begin, end, own, true))
     if not inside:
         return []
-    own_noise, true_noise = (_scatter([row[side] for row in inside]) for side in (2, 3))
+    own_noise, true_noise = _scatter([row[2] for row in inside]), _scatter([row[3] for row in inside])
     rounding = np.square([steps[0], steps[0], steps[1]]) / 12.0
     return [
         Stand(
@@ -87,11 +87,11 @@ def fit_distance(stands: Sequence[Stand]) -> Fit | None:
     ways, true_ways, directions, rows = [], [], [], []
     for row, (a, b) in enumerate(pairwise(stands)):
         own, true = (b.own - a.own)[:2], (b.true - a.true)[:2]
-        way = math.hypot(*own)
-        if way > LEAST_WAY_M:
-            ways.append(way)
+        length = math.hypot(*own)
+        if length > LEAST_WAY_M:
+            ways.append(length)
             true_ways.append(math.hypot(*true))
-            directions.append(own / way)
+            directions.append(own / length)
             rows.append(row)
     if len(ways) < 3:
         return None
@@ -162,14 +162,17 @@ def _fitted(
         root = np.linalg.cholesky(covariance[np.ix_(kept, kept)])
         fit = least_squares(
             lambda x, kept, root: solve_triangular(root, residuals(x, kept), lower=True),
-            x, bounds=bounds, args=(kept, root), x_scale="jac",
+            x,
+            bounds=bounds,
+            args=(kept, root),
+            x_scale="jac",
         )
         x = fit.x
-        if not PLAUSIBLE[0] < x[0] < PLAUSIBLE[1]:
+        if not PLAUSIBLE[0] < x[0] < PLAUSIBLE[1] or (fit.active_mask > 0).any():
             return None
         curvature = fit.jac.T @ fit.jac
         free = int(kept.sum()) - len(x)
-        if free < 1 or np.linalg.cond(curvature) > 1e14:
+        if free < 1 or not np.linalg.cond(curvature) < 1e14:
             return None
         values = np.linalg.inv(curvature)
         # Of what remains of each interval: precision-weighted residual over its standard deviation.
@@ -184,7 +187,9 @@ def _fitted(
             # The noise is known from the scatter of the poses; a small push shows as a misfit beyond it.
             # Its size is then estimated from few intervals: 1.96 deviations are to be Student's quantile.
             misfit = 2.0 * fit.cost / free
-            return Fit(x, values * (misfit * (t.ppf(0.975, free) / norm.ppf(0.975)) ** 2 if misfit > 1.0 else 1.0))
+            return Fit(
+                x, values * (misfit * (t.ppf(0.975, free) / norm.ppf(0.975)) ** 2 if misfit > 1.0 else 1.0)
+            )
         kept[np.flatnonzero(kept)[worst]] = False
 
 
@@ -193,4 +198,3 @@ def _scatter(poses: Sequence[FloatArray]) -> FloatArray:
     squares = sum((np.square(rows - rows.mean(axis=0)).sum(axis=0) for rows in poses), np.zeros(3))
     found: FloatArray = squares / sum(len(rows) - 1 for rows in poses)
     return found
-

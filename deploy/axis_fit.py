@@ -21,6 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from deploy.motion_log import MotionLog
 
@@ -41,8 +43,8 @@ PAUSE_S = 0.3
 """A command that changes after so long without a change begins a block."""
 DIFFERENCES = (0.005, 0.002, 0.01)
 """Steps of delay, gain and log acceleration for derivatives; commands of a driver are stairs of 20 ms."""
-LEAST_BLOCKS = 4
-"""From fewer blocks their spread is not estimated."""
+LEAST_BLOCKS, FEW_BLOCKS = 3, 6
+"""From fewer blocks their spread is not estimated; from few, 1.96 deviations are made Student's quantile."""
 SINGULAR = 1e12
 """Condition number beyond which a matrix counts as singular."""
 MISFIT = 1.3
@@ -249,6 +251,8 @@ def _covariance(
             return np.diag(np.full(size, np.inf))
         pull = rows.T @ np.linalg.solve(inside, misses)
         seen += np.outer(pull, pull)
+    if len(moved) < FEW_BLOCKS:
+        seen *= (student.ppf(0.975, len(moved) - 1) / norm.ppf(0.975)) ** 2
     by_blocks: FloatArray = bread @ seen @ bread
     np.fill_diagonal(by_blocks, np.maximum(np.diag(by_blocks), np.diag(by_rounding)))
     return by_blocks

@@ -1,5 +1,6 @@
 """The process that identifies a robot: drives it or reads a recording, and writes its profile."""
 
+import math
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -99,7 +100,7 @@ def _driven(options: Options, robot: str, output: Output) -> list[Recorded]:
 
 
 def _words(profile: RoverProfile) -> list[str]:
-    """Return the profile for people, a line for each number."""
+    """Return the profile for people: a line for each value, with its standard deviation."""
     names: dict[str, tuple[str, float, str]] = {
         "delay_v_s": ("delay of the speed", 1000.0, "ms"),
         "delay_omega_s": ("delay of the turn", 1000.0, "ms"),
@@ -116,7 +117,20 @@ def _words(profile: RoverProfile) -> list[str]:
     }
     values: dict[str, Any] = profile.model_dump()
     return [
-        f"{words:40} "
-        + ("not known" if values[name] is None else f"{values[name] * factor:.4g} {unit}".rstrip())
+        f"{words:40} {_number(values[name], profile.std.get(name), factor, unit)}"
         for name, (words, factor, unit) in names.items()
     ]
+
+
+def _number(value: float | None, std: float | None, factor: float, unit: str) -> str:
+    """Return a value ± its standard deviation, to the deviation's second digit.
+
+    >>> _number(0.14213, 0.00061, 1000.0, "ms")
+    '142.13 ± 0.61 ms'
+    """
+    if value is None:
+        return "not known"
+    if not std:
+        return f"{value * factor:.4g} {unit}".rstrip()
+    digits = max(0, 1 - math.floor(math.log10(std * factor)))
+    return f"{value * factor:.{digits}f} ± {std * factor:.{digits}f} {unit}".rstrip()

@@ -4,11 +4,13 @@ All come from the messages as they were published, by their stamps: both the com
 through (``rover/cmd_out``) and odometry bear the bridge's clock.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.messages import COURSE_FRAME, read_odometry, read_pose, read_twist
@@ -20,6 +22,8 @@ FloatArray = NDArray[np.float64]
 
 _LEAST = 50
 """Odometry samples; from fewer nothing can be said."""
+_LAG = 40
+"""Reports over whose time the cycle is first estimated: one that is late matters little then."""
 
 
 class Track(NamedTuple):
@@ -68,6 +72,7 @@ def motion_log(messages: Iterable[Recorded]) -> MotionLog:
     zero_ns = odometry[0][0]
     commands, samples = _table(sent, zero_ns, 3), _table(odometry, zero_ns, 6)
     outside = _table(external, zero_ns, 4)
+    samples[:, 0] = _measured(samples[:, 0])
     return MotionLog(commands[:, 0], commands[:, 1:], _track(samples[:, :4]), samples[:, 4:], _track(outside))
 
 
@@ -77,6 +82,29 @@ def _table(rows: Sequence[tuple[float, ...]], zero_ns: int, width: int) -> Float
     table = table[np.isfinite(table).all(axis=1)]
     ordered: FloatArray = table[np.argsort(table[:, 0], kind="stable")]
     return ordered
+
+
+def _measured(arrived: FloatArray) -> FloatArray:
+    """Return when samples were measured that arrived at ``arrived`` (n,), rising, in s.
+
+    A base measures at a regular cycle, and its reports arrive late by varying times: the cycle is the line
+    that no report is before and that is nearest to all. Unchanged if there is no such cycle.
+    """
+    lag = min(_LAG, len(arrived) - 1)
+    slope, start = float(np.median(arrived[lag:] - arrived[:-lag])) / lag, float(arrived[0])
+    if not slope > 0.0:
+        return arrived
+    for _ in range(5):
+        count = np.rint((arrived - start) / slope)
+        slope, start = np.polyfit(count, arrived, 1)
+    # Maximise the mean of start + slope · count, which no arrival is before.
+    table = np.column_stack([np.ones(len(count)), count])
+    line = linprog(-table.mean(axis=0), A_ub=table, b_ub=arrived, bounds=(None, None))
+    late = arrived - table @ line.x if line.success else np.full(1, math.inf)
+    if late.max() > 0.75 * line.x[1] or (np.diff(count) < 1.0).any():
+        return arrived
+    measured: FloatArray = arrived - late
+    return measured
 
 
 def _track(table: FloatArray) -> Track:

@@ -6,7 +6,7 @@ robot alone. How odometry itself errs, and what slips away unseen, takes somebod
 """
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -27,8 +27,8 @@ class RoverProfile(StrictModel):
     delay_v_s: float | None = _Delay
     """From a command's arrival at the base until the speed begins to change."""
     delay_omega_s: float | None = _Delay
-    accel: float | None = Field(default=None, gt=0, description="m/s², speeding up and braking")
-    alpha: float | None = Field(default=None, gt=0, description="rad/s²")
+    accel: float | None = Field(default=None, gt=0, description="m/s², true, speeding up and braking")
+    alpha: float | None = Field(default=None, gt=0, description="rad/s², true")
     gain_v: float | None = _Factor
     """Speed over commanded speed, as odometry reports it."""
     gain_omega: float | None = _Factor
@@ -44,6 +44,8 @@ class RoverProfile(StrictModel):
     noise_m: float | None = Field(default=None, ge=0)
     """Standard deviation of reported positions, beyond their rounding."""
     noise_rad: float | None = Field(default=None, ge=0)
+    std: dict[str, Annotated[float, Field(ge=0)]] = Field(default_factory=dict)
+    """Standard deviation of each value above that was fitted, by its name and in its unit."""
     measured: dict[str, Any] = Field(default_factory=dict)
     """How it was found: by whom, from what, how well it fits."""
 

@@ -1,19 +1,26 @@
-"""How well a robot can be identified: mock robots with random errors, on a virtual clock or live.
+"""How well robots are identified: whether the truth is within 1.96 standard deviations of each value.
 
-    python -m sim.studies.identify full 77 10
-    python -m sim.studies.identify full 77 10 outside
+    python -m sim.studies.identify --robots 500 --seed 1 --randomize full
 
-identifies robots 0 to 9 of seed 77, drawn from the ranges ``full``, and prints how far each number is from
-the truth; with ``outside``, with noisy external poses beside odometry.
+draws robots and drives each as `rover-ncp identify` does, through firmware, bridge and driver's code on a
+virtual clock, with noisy external poses beside odometry. It prints a row for each value: the share of robots
+whose 95 % interval holds the truth, their number, the median standard deviation, and the root mean square of
+error over standard deviation. Values that were found to be zero have no interval and are not counted.
 """
 
-import json
-import sys
-from collections.abc import Callable
+import argparse
+import math
+import multiprocessing
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from statistics import median
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from rich.progress import track
 
+from bridge.motion import MotionLimits
 from bridge.robots import ROBOTS
 from deploy.excitation import FENCE_M, excite
 from deploy.guard import Guard
@@ -35,27 +42,33 @@ from sim.world.bay import Bay
 from sim.world.randomization import Randomization, Trials, draw_trials, load_randomization
 from sim.world.rover import SUBSTEP_S
 
-__all__ = ["Errors", "errors", "identified", "robot"]
+__all__ = ["Coverage", "Error", "coverage", "driven", "errors", "identified", "robot", "truth"]
 
 TICKS = 600
 """How long a robot's trial lasts: longer than the drive that identifies it."""
 OUTSIDE_M, OUTSIDE_RAD = 0.005, 0.0087
 """Noise of the external poses."""
+INTERVAL = 1.96
+"""Standard deviations on both sides that hold 95 % of a Gaussian."""
 
 
-class Errors(NamedTuple):
-    """Found minus true: delays in s, all else as shares of the truth."""
+class Error(NamedTuple):
+    """A value's found minus true, and the standard deviation that was said with it; in its unit."""
 
-    delay_v_s: float
-    delay_omega_s: float
-    gain_v: float
-    """Against what odometry sees; so is the next."""
-    gain_omega: float
-    true_gain_v: float
-    """Against the true speed over the command; so is the next. Better with external poses."""
-    true_gain_omega: float
-    accel: float
-    alpha: float
+    error: float
+    std: float
+
+
+class Coverage(NamedTuple):
+    """Of one value over many robots."""
+
+    share: float
+    """Of 95 % intervals that hold the truth."""
+    robots: int
+    std: float
+    """Median."""
+    rms: float
+    """Root mean square of error / standard deviation; 1 is ideal."""
 
 
 def robot(ranges: Randomization, seed: int, number: int) -> Trials:
@@ -64,8 +77,8 @@ def robot(ranges: Randomization, seed: int, number: int) -> Trials:
     return draw_trials(ranges, model, seed, count=1, ticks=TICKS, first=number)
 
 
-def identified(trials: Trials, *, outside: bool = False, seed: int = 0) -> RoverProfile:
-    """Identify a robot through firmware, bridge and driver's code on a virtual clock."""
+def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Recorded]:
+    """Drive a robot as `identify` does, through firmware, bridge and driver's code on a virtual clock."""
     rover = rover_of(trials, rover_model_of(ROBOTS[MODEL]), Bay(()))
     world = World(Firmware(MODEL, rover, trial=BaseTrial(trials)))
     heard: list[Recorded] = []
@@ -82,13 +95,18 @@ def identified(trials: Trials, *, outside: bool = False, seed: int = 0) -> Rover
     guard = Guard(link, intake, Waits(), lambda: False, world)
     guard.wait(True, "")
     excite(link, intake, guard, FENCE_M, world)
-    return identify(motion_log(heard), "mock")
+    return heard
+
+
+def identified(trials: Trials, *, outside: bool = False, seed: int = 0) -> RoverProfile:
+    """Drive and identify a robot."""
+    return identify(motion_log(driven(trials, outside=outside, seed=seed)), "mock")
 
 
 def _camera(
     rover: Any, world: World, heard: list[Recorded], noise: np.random.Generator
 ) -> Callable[[], None]:
-    """Return a camera above the bay, that tells where the rover is when it is called."""
+    """Return a camera above the bay, which publishes where the rover is when it is called."""
     spread = np.diag(np.square([OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]))
 
     def look() -> None:
@@ -100,45 +118,79 @@ def _camera(
     return look
 
 
-def errors(found: RoverProfile, trials: Trials) -> Errors:
-    """Compare a profile with the robot it is of."""
-    gain, odometry = trials.gain[0], trials.odometry[0]
-    delay, effort = trials.delay[0] * SUBSTEP_S, trials.acceleration[0]
-    model = rover_model_of(ROBOTS[MODEL])
-    seen = _or_nan(found.gain_v), _or_nan(found.gain_omega)
-    true = seen[0] / (found.odometry_distance or 1.0), seen[1] / (found.odometry_heading or 1.0)
-    return Errors(
-        _or_nan(found.delay_v_s) - delay[0],
-        _or_nan(found.delay_omega_s) - delay[1],
-        seen[0] / (gain[0] * odometry[0]) - 1.0,
-        seen[1] / (gain[1] * odometry[1]) - 1.0,
-        true[0] / gain[0] - 1.0,
-        true[1] / gain[1] - 1.0,
-        _or_nan(found.accel) / (model.accel * effort[0]) - 1.0,
-        _or_nan(found.alpha) / (model.alpha * effort[1]) - 1.0,
+def truth(ranges: Randomization, trials: Trials) -> dict[str, float]:
+    """Return the true values of the robot in row 0, by their names in a profile."""
+    odometry, limits = trials.odometry[0], MotionLimits()
+    delay_v, delay_omega = (trials.delay[0] * SUBSTEP_S).tolist()
+    gain_v, gain_omega = (trials.gain[0] * odometry).tolist()
+    effort_v, effort_omega = trials.acceleration[0].tolist()
+    return {
+        "delay_v_s": delay_v,
+        "delay_omega_s": delay_omega,
+        # As the bridge asks the base for them, in whole mm/s² and deg/s².
+        "accel": round(limits.accel * 1000) / 1000 * effort_v,
+        "alpha": math.radians(round(math.degrees(limits.alpha))) * effort_omega,
+        "gain_v": gain_v,
+        "gain_omega": gain_omega,
+        "noise_m": ranges.noise_m,
+        "noise_rad": ranges.noise_rad,
+        "odometry_distance": float(odometry[0]),
+        "odometry_heading": float(odometry[1]),
+        "imbalance_rad_m": float(trials.imbalance[0]),
+        "slip_s": float(trials.slip[0]),
+    }
+
+
+def errors(found: RoverProfile, true: dict[str, float]) -> dict[str, Error]:
+    """Compare the values of a profile that have a standard deviation with the truth."""
+    return {key: Error(getattr(found, key) - true[key], std) for key, std in found.std.items()}
+
+
+def coverage(found: Iterable[dict[str, Error]]) -> dict[str, Coverage]:
+    """Return the coverage of each value, and of ``all`` together."""
+    pooled: dict[str, list[Error]] = {}
+    for one in found:
+        for key, error in one.items():
+            pooled.setdefault(key, []).append(error)
+            pooled.setdefault("all", []).append(error)
+    return {key: _coverage(pooled[key]) for key in sorted(pooled, key=lambda key: (key == "all", key))}
+
+
+def _coverage(found: Sequence[Error]) -> Coverage:
+    ratios = np.array([error / std for error, std in found])
+    return Coverage(
+        float(np.mean(np.abs(ratios) <= INTERVAL)),
+        len(found),
+        median(std for _, std in found),
+        float(np.sqrt(np.mean(np.square(ratios)))),
     )
 
 
-def _or_nan(value: float | None) -> float:
-    return float("nan") if value is None else value
-
-
-def main(name: str, seed: str, count: str, outside: str = "") -> None:
-    """Print each robot's errors, then the largest of each kind."""
+def _study(name: str, seed: int, outside: bool, number: int) -> dict[str, Error]:
     ranges = load_randomization(name)
-    found = []
-    for number in range(int(count)):
-        trials = robot(ranges, int(seed), number)
-        profile = identified(trials, outside=bool(outside), seed=number)
-        found.append(errors(profile, trials))
-        print(json.dumps({key: round(float(value), 5) for key, value in found[-1]._asdict().items()}))
-    worst = np.abs(np.array(found)).max(axis=0).tolist()
-    print(
-        json.dumps(
-            {"largest": {key: round(value, 5) for key, value in zip(Errors._fields, worst, strict=True)}}
-        )
-    )
+    trials = robot(ranges, seed, number)
+    profile = identified(trials, outside=outside, seed=number)
+    return errors(profile, truth(ranges, trials))
+
+
+def main() -> None:
+    """Print the coverage of robots 0 and on of a seed."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    options.add_argument("--robots", type=int, default=500)
+    options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--randomize", default="full", help="the preset that the robots are drawn from")
+    options.add_argument("--odometry-only", action="store_true", help="without external poses")
+    options.add_argument("--processes", type=int, default=2)
+    chosen = options.parse_args()
+    study = partial(_study, chosen.randomize, chosen.seed, not chosen.odometry_only)
+    # Spawned, never forked: numba and cffi do not survive a fork.
+    with ProcessPoolExecutor(chosen.processes, multiprocessing.get_context("spawn")) as pool:
+        found = list(track(pool.map(study, range(chosen.robots)), "robots", total=chosen.robots))
+    print(f"{'value':18} {'coverage':>8} {'n':>5} {'median ±':>9} {'rms error/σ':>11}")
+    for key, row in coverage(found).items():
+        std = "" if key == "all" else f"{row.std:.5f}"
+        print(f"{key:18} {100 * row.share:6.1f} % {row.robots:5} {std:>9} {row.rms:11.2f}")
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

@@ -35,7 +35,7 @@ from sim.learn.team import AgentState, Plan, Rounds, Team
 from sim.learn.train import training_plan
 from sim.learn.workers import Processes, available_processes, split
 from sim.world.bay import Bay
-from sim.world.fleet import ROVERS_PER_BAY, SUBSTEPS, Fleet, advance, send
+from sim.world.fleet import SUBSTEPS, Fleet, advance, send
 from sim.world.rover import Rover, RoverModel
 
 __all__ = ["LANES", "bench_train"]
@@ -109,7 +109,7 @@ def _parts(task: Task) -> dict[str, Any]:
         "circuit": lambda: [runner.tick([0.3, 0.3, 0.3, 1.0]) for _ in range(_TICKS)],
         "physics": lambda: _substep(rover, _TICKS * SUBSTEPS),
     }
-    fleets = [_fleet(lanes) for lanes in LANES]  # kept: their arrays hold but addresses
+    fleets = [Fleet([RoverModel()] * lanes) for lanes in LANES]  # kept: their arrays hold but addresses
     for lanes, fleet in zip(LANES, fleets, strict=True):
         commands = np.full((2, len(fleet.bodies)), 0.1)
         calls[f"circuit {lanes}"] = partial(_tick_circuits, *_circuits(task, lanes), _ticks(lanes))
@@ -247,11 +247,6 @@ def _circuits(task: Task, lanes: int) -> tuple[Any, ...]:
     potentials = resting_potentials(task.policy, lanes)
     observations = np.full((len(task.policy.sensing.inputs), lanes), 0.3)
     return program, parameters, potentials, observations, np.zeros((2, lanes))
-
-
-def _fleet(lanes: int) -> Fleet:
-    """Return rovers in whole bays."""
-    return Fleet([RoverModel()] * (-(-lanes // ROVERS_PER_BAY) * ROVERS_PER_BAY))
 
 
 @kernel

@@ -17,7 +17,7 @@ from rover_ncp.core.reference import plan_reference
 from sim.learn.engine import Engine
 from sim.learn.rollout import rollout
 from sim.world.env import ENV_ID
-from sim.world.random_course import random_course
+from sim.world.random_course import mirrored, random_course
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
 from sim.world.scoring import due_checkpoints
@@ -175,9 +175,29 @@ def test_a_reference_is_planned_from_the_course_if_none_is_given():
     assert rollout(TRACKER.with_parameters(vectors[1]), COURSE).total == planned.total[1, 0]
 
 
-def test_courses_of_different_obstacles_do_not_go_together():
-    with pytest.raises(ConfigError, match="same obstacles"):
-        Engine(POLICY, [COURSE, FENCED])
+def test_courses_with_and_without_obstacles_are_driven_together():
+    vectors, courses = candidates(4, seed=11), [COURSE, FENCED, mirrored(FENCED)]
+    trials = draw_trials(load_randomization("full"), RoverModel(), 5, count=6, ticks=320)
+    found = Engine(POLICY, courses, trials=trials).outcomes(vectors)
+    runs = [
+        [
+            rollout(POLICY.with_parameters(vector), courses[row % 3], trials=trials, row=row)
+            for row in range(trials.size)
+        ]
+        for vector in vectors
+    ]
+    assert found.total.tolist() == [[run.total for run in row] for row in runs]
+    assert found.touched.tolist() == [[run.touched for run in row] for row in runs]
+    assert found.touched.any()
+    assert not found.touched[:, ::3].any()
+    nominal = Engine(POLICY, courses).outcomes(vectors).total
+    assert nominal.T.tolist() == [Engine(POLICY, course).returns(vectors).tolist() for course in courses]
+
+
+def test_blocked_start_of_a_later_course_is_rejected():
+    blocked = COURSE.model_copy(update={"obstacles": (Obstacle(x=0.2, y=0.0, length=0.2, width=0.2),)})
+    with pytest.raises(ConfigError, match="an obstacle stands where the rover starts"):
+        Engine(POLICY, [COURSE, blocked])
 
 
 def test_no_candidates_no_returns():

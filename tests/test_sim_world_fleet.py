@@ -32,7 +32,7 @@ def models(count):
             alpha=1.0 + 0.1 * i,
             alpha_decel=0.7,
             delay_v_s=0.01 * i,
-            delay_omega_s=0.37 - 0.02 * i,
+            delay_omega_s=0.60 - 0.02 * i,
             friction=0.01 + 0.05 * i,
             omega_max=1.5,
         )
@@ -59,7 +59,8 @@ def drive_alone(model, obstacles, start, commands):
 
 
 @pytest.mark.parametrize(
-    ("lanes", "obstacles", "touching"), [(12, (), 0), (16, (), 0), (16, BOX[:1], 3), (16, BOX, 15)]
+    ("lanes", "obstacles", "touching"),
+    [(12, (), 0), (29, (), 0), (13, BOX[:1], 3), (16, BOX, 15)],
 )
 def test_each_rover_of_a_fleet_goes_as_it_would_alone(lanes, obstacles, touching):
     start = Pose(0.0, 0.01, 0.2)
@@ -76,14 +77,32 @@ def test_each_rover_of_a_fleet_goes_as_it_would_alone(lanes, obstacles, touching
     assert obstacles or not fleet.touched.any()
 
 
-def test_a_mirror_image_shows_in_no_bit_not_even_where_there_is_nothing_to_see():
-    fleet, commands = Fleet([RoverModel()] * 8), np.zeros((8, 20, 2))
-    commands[2:, :, 0] = 0.3
-    commands[4:, 10:, 1] = np.linspace(-0.4, 0.4, 4)[:, None]
-    poses = np.array([fleet.tick(np.ascontiguousarray(command.T)) for command in np.swapaxes(commands, 0, 1)])
-    for lane in range(8):
-        alone, _ = drive_alone(RoverModel(), (), Pose(0.0, 0.0, 0.0), commands[lane])
-        assert np.ascontiguousarray(poses[:, :, lane]).tobytes() == alone.tobytes()
+@pytest.mark.parametrize("seed", range(3))
+def test_shapes_and_mirrored_drives_change_no_bit_on_open_ground(seed):
+    lanes, far = 28, (Obstacle(x=1000.0, y=0.0, length=0.2, width=2.0),)
+    commands = random_commands(seed, 120, lanes, 0.5, 2.0)
+    commands[:, :4] = 0.0
+    commands[:60, 4:8] = 0.0
+    places = np.random.default_rng(seed).uniform(-3.0, 3.0, (lanes, 3))
+    places[:8] = 0.0
+    unmirrored = []
+    for mirror in np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0]]):
+        starts = [Pose(*start) for start in (places * mirror + 0.0).tolist()]
+        sent = commands * mirror[[0, 2]]
+        poses = {}
+        for obstacles in ((), far):
+            fleet = Fleet(models(lanes), obstacles)
+            assert any(body.shapes for body in fleet.bodies) == bool(obstacles)
+            for lane, start in enumerate(starts):
+                fleet.place(lane, start)
+            poses[obstacles] = np.array([fleet.tick(np.ascontiguousarray(row.T)) for row in sent])
+            assert not fleet.touched.any()
+        assert poses[()].tobytes() == poses[far].tobytes()
+        for lane, model in enumerate(models(lanes)):
+            alone, _ = drive_alone(model, (), starts[lane], sent[:, lane])
+            assert np.ascontiguousarray(poses[()][:, :, lane]).tobytes() == alone.tobytes()
+        unmirrored.append(poses[()] * mirror[:, None])
+    assert np.array_equal(*unmirrored)
 
 
 def test_a_rover_placed_again_is_as_good_as_new():
@@ -102,11 +121,6 @@ def test_a_rover_placed_again_is_as_good_as_new():
     poses = np.array([fleet.tick(np.ascontiguousarray(command.T)) for command in commands])
     for lane in range(8):
         assert np.array_equal(poses[:, :, lane], drive_alone(model, BOX, start, commands[:, lane])[0])
-
-
-def test_a_fleet_fills_whole_bays():
-    with pytest.raises(ValueError, match="multiple of 4"):
-        Fleet([RoverModel()] * 9)
 
 
 @settings(max_examples=300)

@@ -14,12 +14,11 @@ from rover_ncp.circuit.lanes import allocate_lanes, make_program, resting_potent
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.program import Program
 from rover_ncp.core.course import TICK_S, Course
-from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.reference import Reference, plan_reference
 from rover_ncp.core.signals import SIGNALS, needs_reference
 from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, run_episodes
 from sim.learn.rollout import require_driver
-from sim.world.fleet import ROVERS_PER_BAY, Fleet
+from sim.world.fleet import Fleet
 from sim.world.randomization import Trials, nominal_trials
 from sim.world.rover import SUBSTEP_S, RoverModel, require_free_start
 from sim.world.scoring import due_checkpoints
@@ -60,8 +59,7 @@ class Engine:
     With ``trials``, trial i is driven on course i modulo the number of courses; without, each course once
     as the model is. References are planned where the policy sees them and none are given.
 
-    Raises ConfigError when the policy cannot drive, a course's start is blocked, or courses that differ in
-    their obstacles are to be driven together.
+    Raises ConfigError when the policy cannot drive or a course's start is blocked.
     """
 
     def __init__(
@@ -75,9 +73,11 @@ class Engine:
         require_driver(policy)
         courses = [course] if isinstance(course, Course) else list(course)
         self.policy, self.courses, self.model = policy, courses, model or RoverModel()
-        require_free_start(self.model, courses[0])
-        if any(other.obstacles != courses[0].obstacles for other in courses):
-            raise ConfigError("courses", ["all that are driven together must have the same obstacles"])
+        for each in courses:
+            require_free_start(self.model, each)
+        # Lanes are built for one set of obstacles, and drive the courses that have it.
+        self._grounds = list(dict.fromkeys(each.obstacles for each in courses))
+        self._ground = np.array([self._grounds.index(each.obstacles) for each in courses])
         if references is None and needs_reference(policy.sensing.inputs):
             references = [plan_reference(each) for each in courses]
         self._program = make_program(policy)
@@ -86,7 +86,7 @@ class Engine:
         ticks = int(self._tasks.ticks.max())
         self._nominal = trials is None
         self.change_trials(trials or nominal_trials(self.model, ticks))
-        self._teams: dict[int, tuple[Fleet, Lanes]] = {}
+        self._teams: dict[tuple[int, int], tuple[Fleet, Lanes]] = {}
 
     def change_trials(self, trials: Trials, first_course: int = 0) -> None:
         """Drive other trials from now on, trial i on course ``first_course`` + i modulo their number."""
@@ -169,11 +169,17 @@ class Engine:
     ) -> Queue:
         results = np.zeros((len(vector), RESULTS))
         misses = np.zeros((len(vector), *self.checkpoints))
-        queue = Queue(vectors, vector, task, trial, stop, results, misses)
-        if len(vector):
-            fleet, lanes = self._team(_width(len(vector), race=bool((stop > -np.inf).any())))
-            self.run_queue(lanes, fleet, queue)
-        return queue
+        for ground in range(len(self._grounds)):
+            rows = np.flatnonzero(self._ground[task] == ground)
+            if rows.size:
+                queue = Queue(
+                    vectors, vector[rows], task[rows], trial[rows], stop[rows], results[rows], misses[rows]
+                )
+                race = bool((queue.stop_below > -np.inf).any())
+                fleet, lanes = self._team(_width(rows.size, race), ground)
+                self.run_queue(lanes, fleet, queue)
+                results[rows], misses[rows] = queue.results, queue.misses
+        return Queue(vectors, vector, task, trial, stop, results, misses)
 
     def run_queue(self, lanes: Lanes, fleet: Fleet, queue: Queue) -> None:
         """Run the episodes of a queue."""
@@ -189,14 +195,14 @@ class Engine:
         """C and 3, the shape of an episode's misses."""
         return self._tasks.checkpoints.shape[1:]
 
-    def _team(self, width: int) -> tuple[Fleet, Lanes]:
-        """Return lanes and rovers of a width, built once."""
-        if width not in self._teams:
-            self._teams[width] = self.build_team(width)
-        return self._teams[width]
+    def _team(self, width: int, ground: int) -> tuple[Fleet, Lanes]:
+        """Return lanes and rovers of a width for a set of obstacles, built once."""
+        if (width, ground) not in self._teams:
+            self._teams[width, ground] = self.build_team(width, ground)
+        return self._teams[width, ground]
 
-    def build_team(self, width: int) -> tuple[Fleet, Lanes]:
-        """Return lanes and rovers of a width, which nobody else uses."""
+    def build_team(self, width: int, ground: int = 0) -> tuple[Fleet, Lanes]:
+        """Return new lanes and rovers of a width, for the first course's obstacles unless told otherwise."""
         lanes = Lanes(
             parameters=allocate_lanes(self._program, self.policy, width),
             potentials=resting_potentials(self.policy, width),
@@ -216,7 +222,7 @@ class Engine:
         )
         delay_v, delay_omega = self._slowest
         slowest = self.model.model_copy(update={"delay_v_s": delay_v, "delay_omega_s": delay_omega})
-        return Fleet([slowest] * width, self.courses[0].obstacles), lanes
+        return Fleet([slowest] * width, self._grounds[ground]), lanes
 
 
 def _rows(vectors: ArrayLike) -> FloatArray:
@@ -250,11 +256,11 @@ def _tasks(courses: Sequence[Course], references: Sequence[Reference] | None, mo
 
 
 def _width(count: int, race: bool) -> int:
-    """Return how many lanes serve so many episodes, in whole bays.
+    """Return how many lanes serve so many episodes.
 
     Episodes of the same length go in as few rounds as can be, evenly full. In a race they end at all times,
     so fewer lanes with a queue behind them do more than many that stand idle at the end.
     """
     most = min(MOST_LANES, count // RACERS_PER_LANE) if race else MOST_LANES
     rounds = -(-count // max(most, LEAST_LANES))
-    return -(-count // (rounds * ROVERS_PER_BAY)) * ROVERS_PER_BAY
+    return -(-count // rounds)

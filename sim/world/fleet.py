@@ -1,22 +1,13 @@
 """Many rovers stepped together from inside a kernel, each to the last bit as ``rover.Rover`` would go.
 
-The rules are those of ``rover.py``; here they stand a second time, on arrays. Rovers share bays of four, all
-on the same spot of it: they do not collide with each other, and Chipmunk works relative to the bay's origin,
-so a rover's path does not depend on which of the four it is, nor on what the others do. (Spread out in one
-bay they would be quicker, but rounding would make each place's path its own.) Where nothing stands, every
-other rover drives in the mirror image, its left being its right: that changes signs and no other bit, and
-spares pairs of rectangles that overlap.
+The rules are those of ``rover.py``, repeated on arrays. Every substep of every rover is Chipmunk's own step.
+An integrator of our own would be a second simulator.
 
-Measured per rover and substep (one core of an AMD EPYC), all on one spot: 112 ns alone in a bay, 67 ns in
-bays of four, 70 in bays of six, 74 in bays of eight: a space's step costs 54 ns whatever is in it, and every
-two rovers on one spot 4 ns. All but 5 ns of it is Chipmunk's step; 10 to 19 ns go into the sine and cosine of
-the heading. Since then what it does in vain is spared, to the same bits: damping (7 % of the whole, on a busy
-machine), and, where nothing stands, nine of ten rounds of its contact solver (4 %), a power function for them
-(3 ns), and pairs (3 ns; bays of eight, of which four are mirrored, cost more again). A spatial hash instead
-of the tree costs a fifth more.
+Rovers have a shape only if there are obstacles. Without contacts, a shape never changes how a body moves, and
+keeping shapes up to date takes more than half of a step. ``touched`` then stays 0.
 
-Every substep of every rover is Chipmunk's step with its shape present, also where nothing stands that it
-could touch: an integrator of our own would be faster there, and be a second simulator.
+Rovers that share a space do not collide with each other, and Chipmunk works relative to the space's origin.
+So a rover's path does not depend on the others. SHARING_OPEN and SHARING_OBSTACLES say how many share one.
 
 One thread at a time may use a fleet.
 """
@@ -47,7 +38,6 @@ from sim.world.bay import Bay
 from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, RoverModel, own_axes, rover_body
 
 __all__ = [
-    "ROVERS_PER_BAY",
     "SUBSTEPS",
     "Fleet",
     "FleetArrays",
@@ -61,7 +51,8 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-ROVERS_PER_BAY = 4
+SHARING_OPEN, SHARING_OBSTACLES = 24, 4
+"""Rovers that share a space, at most: without obstacles and with them. Multiples or divisors of WIDTH."""
 SUBSTEPS = 10
 """Physics steps in a control tick."""
 
@@ -71,12 +62,13 @@ class FleetArrays(NamedTuple):
 
     layout: chipmunk.Layout
     spaces: IntArray
-    """(L / ROVERS_PER_BAY,) addresses."""
-    side: FloatArray
-    """(L,) -1 for rovers that drive in the mirror image, else 1."""
+    """(spaces,) addresses."""
+    sharing: int
+    """Lane n is in space n // ``sharing``."""
     bodies: IntArray
+    """(L,) addresses."""
     shapes: IntArray
-    """(L,) addresses each."""
+    """(L,) addresses; (0,) without obstacles."""
     eights: IntArray
     """The bodies once more, the last of them until all eights are full."""
     rise: FloatArray
@@ -105,13 +97,15 @@ class Fleet:
     """Rovers on copies of one bay; ``arrays`` is for the kernels of this module."""
 
     def __init__(self, models: Sequence[RoverModel], obstacles: Sequence[Obstacle] = ()) -> None:
-        if not models or len(models) % ROVERS_PER_BAY:
-            raise ValueError(f"a fleet is a multiple of {ROVERS_PER_BAY} rovers, got {len(models)}")
-        # Kept for their memory, whose addresses the kernels have.
-        self.bays = [Bay(obstacles) for _ in range(len(models) // ROVERS_PER_BAY)]
-        self.bodies = [rover_body(model, self.bays[i // ROVERS_PER_BAY]) for i, model in enumerate(models)]
-        for i, body in enumerate(self.bodies):
-            chipmunk.leave_velocities(self.bays[i // ROVERS_PER_BAY].space, body)
+        sharing, lanes = SHARING_OBSTACLES if obstacles else SHARING_OPEN, len(models)
+        # The kernels use the addresses of these objects, which must therefore live as long.
+        self.bays = [Bay(obstacles) for _ in range(0, lanes, sharing)]
+        self.bodies = [
+            rover_body(model, self.bays[lane // sharing], has_shape=bool(obstacles))
+            for lane, model in enumerate(models)
+        ]
+        for lane, body in enumerate(self.bodies):
+            chipmunk.leave_velocities(self.bays[lane // sharing].space, body)
         if not obstacles:
             for bay in self.bays:
                 bay.space.iterations = 1  # there will be no contact to solve
@@ -119,14 +113,15 @@ class Fleet:
         limits = [_limits(model) for model in models]
         rise, fall, top, delay = (np.array(rows).T.copy() for rows in zip(*limits, strict=True))
         ticks_kept = int(delay.max()) // SUBSTEPS + 2
-        lanes = len(models)
         bodies = np.array([chipmunk.body_address(body) for body in self.bodies])
         self.arrays = FleetArrays(
             layout=chipmunk.find_layout(),
             spaces=np.array([chipmunk.space_address(bay.space) for bay in self.bays]),
-            side=np.where((np.arange(lanes) % 2 == 1) & (not obstacles), -1.0, 1.0),
+            sharing=sharing,
             bodies=bodies,
-            shapes=np.array([chipmunk.shape_address(next(iter(body.shapes))) for body in self.bodies]),
+            shapes=np.array(
+                [chipmunk.shape_address(shape) for body in self.bodies for shape in body.shapes], np.int64
+            ),
             eights=np.pad(bodies, (0, -lanes % WIDTH), mode="edge"),
             rise=rise,
             fall=fall,
@@ -175,18 +170,20 @@ def place(fleet: FleetArrays, lane: int, x: float, y: float, theta: float) -> No
     What Chipmunk holds back of a contact, to apply it in the next step, it keeps: a rover that touched
     something is placed for good only when it is placed again after a step in the open.
     """
-    body, layout = fleet.bodies[lane], fleet.layout
-    space, shape, side = fleet.spaces[lane // ROVERS_PER_BAY], fleet.shapes[lane], fleet.side[lane]
+    body, layout, has_shape = fleet.bodies[lane], fleet.layout, len(fleet.shapes) > 0
+    space = fleet.spaces[lane // fleet.sharing]
     # A shape taken out and put in again has left its contacts behind, and the hints that collision detection
     # keeps for its next search; with them the last bits of a path would depend on the rover's past.
-    chipmunk.call_with_thing(layout.remove_shape, space, shape)
+    if has_shape:
+        chipmunk.call_with_thing(layout.remove_shape, space, fleet.shapes[lane])
     chipmunk.store(body + layout.position, x)
-    chipmunk.store(body + layout.position + 8, side * y)
-    chipmunk.call_with_number(layout.set_angle, body, side * theta)
+    chipmunk.store(body + layout.position + 8, y)
+    chipmunk.call_with_number(layout.set_angle, body, theta)
     chipmunk.store(body + layout.velocity, 0.0)
     chipmunk.store(body + layout.velocity + 8, 0.0)
     chipmunk.store(body + layout.angular_velocity, 0.0)
-    chipmunk.call_with_thing(layout.add_shape, space, shape)
+    if has_shape:
+        chipmunk.call_with_thing(layout.add_shape, space, fleet.shapes[lane])
     fleet.sent[:, :, lane] = 0.0
     fleet.touched[lane] = 0
 
@@ -210,31 +207,34 @@ def advance(fleet: FleetArrays) -> None:
     # Local names: numba counts references whenever an array is taken out of a tuple.
     layout, bodies, eights, spaces = fleet.layout, fleet.bodies, fleet.eights, fleet.spaces
     old, new, late, rise, fall, grip = fleet.old, fleet.new, fleet.late, fleet.rise, fleet.fall, fleet.grip
-    touched = fleet.touched
-    for start in range(0, len(bodies), WIDTH):
-        end = min(start + WIDTH, len(bodies))
+    shapes, touched, sharing = fleet.shapes, fleet.touched, fleet.sharing
+    # Whole vectors and whole spaces: few enough rovers to stay in a core's first cache over a tick.
+    together = max(sharing, WIDTH)
+    for first in range(0, len(bodies), together):
+        end = min(first + together, len(bodies))
         for substep in range(SUBSTEPS):
             now = float(substep)
-            cos, sin = gather(eights, start, layout.rotation), gather(eights, start, layout.rotation + 8)
-            vx, vy = gather(eights, start, layout.velocity), gather(eights, start, layout.velocity + 8)
-            omega = gather(eights, start, layout.angular_velocity)
-            forward, sideways = _own_axes(cos, sin, vx, vy, omega)
-            target = where_less(
-                now, load_lanes(late, 0, start), load_lanes(old, 0, start), load_lanes(new, 0, start)
-            )
-            forward = toward(forward, target, load_lanes(rise, 0, start), load_lanes(fall, 0, start))
-            friction = load_lanes(grip, 0, start)
-            sideways = toward(sideways, everywhere(0.0), friction, friction)
-            target = where_less(
-                now, load_lanes(late, 1, start), load_lanes(old, 1, start), load_lanes(new, 1, start)
-            )
-            omega = toward(omega, target, load_lanes(rise, 1, start), load_lanes(fall, 1, start))
-            scatter(eights, start, layout.velocity, cos * forward - sin * sideways)
-            scatter(eights, start, layout.velocity + 8, sin * forward + cos * sideways)
-            scatter(eights, start, layout.angular_velocity, omega)
-            for bay in range(start // ROVERS_PER_BAY, end // ROVERS_PER_BAY):
-                chipmunk.call_with_number(layout.step, spaces[bay], SUBSTEP_S)
-            for lane in range(start, end):
+            for start in range(first, end, WIDTH):
+                cos, sin = gather(eights, start, layout.rotation), gather(eights, start, layout.rotation + 8)
+                vx, vy = gather(eights, start, layout.velocity), gather(eights, start, layout.velocity + 8)
+                omega = gather(eights, start, layout.angular_velocity)
+                forward, sideways = _own_axes(cos, sin, vx, vy, omega)
+                target = where_less(
+                    now, load_lanes(late, 0, start), load_lanes(old, 0, start), load_lanes(new, 0, start)
+                )
+                forward = toward(forward, target, load_lanes(rise, 0, start), load_lanes(fall, 0, start))
+                friction = load_lanes(grip, 0, start)
+                sideways = toward(sideways, everywhere(0.0), friction, friction)
+                target = where_less(
+                    now, load_lanes(late, 1, start), load_lanes(old, 1, start), load_lanes(new, 1, start)
+                )
+                omega = toward(omega, target, load_lanes(rise, 1, start), load_lanes(fall, 1, start))
+                scatter(eights, start, layout.velocity, cos * forward - sin * sideways)
+                scatter(eights, start, layout.velocity + 8, sin * forward + cos * sideways)
+                scatter(eights, start, layout.angular_velocity, omega)
+            for space in range(first // sharing, (end - 1) // sharing + 1):
+                chipmunk.call_with_number(layout.step, spaces[space], SUBSTEP_S)
+            for lane in range(first, min(end, len(shapes))):
                 if chipmunk.load_word(bodies[lane] + layout.contacts) != 0:
                     touched[lane] = 1
 
@@ -243,7 +243,7 @@ def advance(fleet: FleetArrays) -> None:
 def find_targets(fleet: FleetArrays) -> None:
     """Find which commands fall due in this tick, and when."""
     sent, delay, late, old, new = fleet.sent, fleet.delay, fleet.late, fleet.old, fleet.new
-    side, clock, ticks_kept = fleet.side, fleet.clock[0], len(sent)
+    clock, ticks_kept = fleet.clock[0], len(sent)
     for axis in range(2):
         for lane in range(len(fleet.bodies)):
             ticks = delay[axis, lane] // SUBSTEPS
@@ -251,9 +251,6 @@ def find_targets(fleet: FleetArrays) -> None:
             new[axis, lane] = sent[due, axis, lane]
             old[axis, lane] = sent[due - 1 if due > 0 else ticks_kept - 1, axis, lane]
             late[axis, lane] = delay[axis, lane] - ticks * SUBSTEPS
-    for lane in range(len(fleet.bodies)):
-        old[1, lane] *= side[lane]
-        new[1, lane] *= side[lane]
 
 
 _own_axes = kernel(own_axes)
@@ -275,20 +272,20 @@ def read_poses(fleet: FleetArrays, poses: FloatArray) -> None:
 
 @inlined_kernel
 def read_pose(fleet: FleetArrays, poses: FloatArray, lane: int) -> None:
-    """Write one rover's pose. Nothing is ever at -0.0, so the mirror image of 0.0 must not be."""
-    body, layout, side = fleet.bodies[lane], fleet.layout, fleet.side[lane]
+    """Write one rover's pose."""
+    body, layout = fleet.bodies[lane], fleet.layout
     poses[0, lane] = chipmunk.load(body + layout.position)
-    poses[1, lane] = side * chipmunk.load(body + layout.position + 8) + 0.0
-    poses[2, lane] = wrapped(side * chipmunk.load(body + layout.angle) + 0.0)
+    poses[1, lane] = chipmunk.load(body + layout.position + 8)
+    poses[2, lane] = wrapped(chipmunk.load(body + layout.angle))
 
 
 @kernel
 def push(fleet: FleetArrays, lane: int, x: float, y: float, theta: float) -> None:
     """Shift a rover at once; it keeps its velocity."""
-    body, layout, side = fleet.bodies[lane], fleet.layout, fleet.side[lane]
+    body, layout = fleet.bodies[lane], fleet.layout
     chipmunk.store(body + layout.position, chipmunk.load(body + layout.position) + x)
-    chipmunk.store(body + layout.position + 8, chipmunk.load(body + layout.position + 8) + side * y)
-    chipmunk.call_with_number(layout.set_angle, body, chipmunk.load(body + layout.angle) + side * theta)
+    chipmunk.store(body + layout.position + 8, chipmunk.load(body + layout.position + 8) + y)
+    chipmunk.call_with_number(layout.set_angle, body, chipmunk.load(body + layout.angle) + theta)
 
 
 @kernel

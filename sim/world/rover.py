@@ -118,15 +118,17 @@ def own_axes(cos: float, sin: float, vx: float, vy: float, omega: float) -> tupl
     return forward * (1.0 - 0.5 * square) - sideways * (turn * (1.0 - square / 6.0)), sideways
 
 
-def rover_body(model: RoverModel, bay: Bay, pose: Pose = ORIGIN) -> pymunk.Body:
-    """Put a rover's body with its shape into a bay, standing still."""
+def rover_body(model: RoverModel, bay: Bay, pose: Pose = ORIGIN, *, has_shape: bool = True) -> pymunk.Body:
+    """Put a rover's body into a bay, standing still; without a shape it touches nothing."""
     size = (model.length, model.width)
     body = pymunk.Body(model.mass, pymunk.moment_for_box(model.mass, size))
     body.position, body.angle = (pose.x, pose.y), pose.theta
-    shape = pymunk.Poly.create_box(body, size)
-    shape.filter = ROVER_FILTER
-    shape.friction = model.shell_friction
-    bay.space.add(body, shape)
+    bay.space.add(body)
+    if has_shape:
+        shape = pymunk.Poly.create_box(body, size)
+        shape.filter = ROVER_FILTER
+        shape.friction = model.shell_friction
+        bay.space.add(shape)
     return body
 
 

@@ -57,7 +57,7 @@ def drive_messages(policy, course, truth=True):
         put("rover/neurons", messages.neurons(run.potentials[k], policy.circuit.neurons), ns)
         put("cmd_vel", messages.twist_stamped(Velocity(v, omega), ns), ns)
         put("rover/cmd_out", messages.twist_stamped(Velocity(v, omega), ns), ns + 2_000_000)
-        gate(ns + 3_000_000, driver="0" * 32, accepted=k + 1)
+        gate(ns + 3_000_000, lease=1, accepted=k + 1)
         status("driving", k, ns + 1_000_000)
     put("battery_state", messages.battery_state(12.8, BEGAN_NS), BEGAN_NS)
     status("parked" if run.verdict.parked else "ended", len(run.commands), ns + TICK_NS)

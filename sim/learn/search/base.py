@@ -165,7 +165,7 @@ class Search(ABC, Generic[AdaptationT]):
             adaptation = adaptation.after_failure()
             if self.wants_estimate(adaptation):
                 break
-        return np.stack([draw.vector for draw in self._pending])
+        return np.array([draw.vector for draw in self._pending])
 
     def tell(self, values: Sequence[float] | Vector, misses: Vector | None = None) -> int:
         """Take the returns (n,) of what ``ask`` gave, in its order; return how many of them counted.

@@ -76,7 +76,8 @@ class Caps:
     def after_failure(self) -> Self:
         """One more failure; with the 51st every cap grows by one, not above its most."""
         if self.failures + 1 < FAILURES_TO_WIDEN:
-            return replace(self, failures=self.failures + 1)
+            # Directly, as ``replace`` takes several times as long and every candidate comes by here twice.
+            return type(self)(self.least, self.most, self.caps, self.failures + 1)
         caps = tuple(min(cap + 1, most) for cap, most in zip(self.caps, self.most, strict=True))
         return replace(self, caps=caps, failures=0)
 

@@ -50,7 +50,7 @@ paper-gradients: $(GRADIENTS_STAMP)
 
 # The gate has the last word: every line and branch of it is run by its own tests.
 coverage-gate: $(STAMP)
-	$(BIN)/coverage run --branch --include='bridge/gate*.py,bridge/limits.py' --data-file=.coverage-gate \
+	$(BIN)/coverage run --branch --include='bridge/gate/*.py' --data-file=.coverage-gate \
 		-m pytest -q tests/test_bridge_gate*.py tests/test_bridge_limits.py
 	$(BIN)/coverage report --data-file=.coverage-gate --show-missing --fail-under=100
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from bridge.conventions import Convention
+from bridge.ros.conventions import Convention
 from rover_ncp.core.options import Json
 
 
@@ -56,7 +56,7 @@ def bridge(
     the limits reaches it. Motors are off until a driver asks for them. It is ready when it prints
     "ready zenoh=... base=..."; Ctrl-C or SIGTERM stops the rover and ends it.
     """
-    from bridge.run import run_bridge
+    from bridge.app import run_bridge
 
     return run_bridge(
         base=base,
@@ -81,8 +81,8 @@ def urdf(
 
     Its frames are those that the bridge publishes on tf_static.
     """
-    from bridge.robots import ROBOTS
-    from bridge.urdf import urdf as description
+    from bridge.pioneer.robots import ROBOTS
+    from bridge.ros.urdf import urdf as description
     from rover_ncp.core.console import Output
     from rover_ncp.core.errors import UsageError
 

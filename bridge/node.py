@@ -12,9 +12,15 @@ import math
 import time
 from collections.abc import Callable, Iterator
 
-from bridge import ros
-from bridge.clearance import Clearance, Room
-from bridge.events import (
+from bridge.base_connection import Line
+from bridge.gate.clearance import Clearance, Room
+from bridge.gate.gate import step
+from bridge.gate.limits import Limits
+from bridge.gate.signatures import is_signed, read_tag
+from bridge.gate.state import BaseLost, Command, Heard, Reason, State, Tick, Verdict
+from bridge.gate.state import Event as GateEvent
+from bridge.inbox import Arrival, Asked, Broken, Crashed, Inbox, Opened, Received, Sampled
+from bridge.pioneer.events import (
     BaudChanged,
     Configured,
     Connected,
@@ -25,22 +31,16 @@ from bridge.events import (
     Recovered,
     StateReceived,
 )
-from bridge.gate import step
-from bridge.gate_state import BaseLost, Command, Heard, Reason, State, Tick, Verdict
-from bridge.gate_state import Event as GateEvent
-from bridge.inbox import Arrival, Asked, Broken, Crashed, Inbox, Opened, Received, Sampled
-from bridge.limits import Limits
-from bridge.line import Line
-from bridge.link import Link
-from bridge.odometry import BaseState
+from bridge.pioneer.odometry import BaseState
+from bridge.pioneer.robots import RobotParameters
+from bridge.pioneer.session import Session
 from bridge.queries import Answers
-from bridge.robots import RobotParameters
-from bridge.session import Session
-from bridge.signatures import is_signed, read_tag
+from bridge.ros import messages as ros
+from bridge.zenoh_link import Link
 from rover_ncp.core.clock import Clock
 from rover_ncp.core.errors import FormatError, NoRobot
-from rover_ncp.core.lease import Signed, dump_json
 from rover_ncp.core.messages import read_twist, text
+from rover_ncp.core.protocol import Signed, dump_json
 
 __all__ = ["Node"]
 

@@ -7,14 +7,14 @@ digest is verified before the request is parsed. The key is in the answer to a n
 import secrets
 from collections.abc import Callable
 
-from bridge.gate_state import Enable, Event, Lease, Reason, Release, State, Stop, Unlatch, Verdict
+from bridge.gate.limits import Limits
+from bridge.gate.signatures import is_signed, read_tag
+from bridge.gate.state import Enable, Event, Lease, Reason, Release, State, Stop, Unlatch, Verdict
 from bridge.inbox import Asked
-from bridge.limits import Limits
-from bridge.link import Link
-from bridge.session import Session
-from bridge.signatures import is_signed, read_tag
+from bridge.pioneer.session import Session
+from bridge.zenoh_link import Link
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.lease import (
+from rover_ncp.core.protocol import (
     KEY_BYTES,
     PROTOCOL,
     VERSION_REASON,

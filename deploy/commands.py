@@ -64,7 +64,7 @@ def deploy(
     Ends with 0 parked, 1 not parked (judged on the estimate), 3 no bridge, no robot, not authorised or
     another driver, 4 stopped by a safety rule, which is named, 130 interrupted.
     """
-    from deploy.node import Options, run
+    from deploy.app import Options, run
 
     options = Options(
         robot, policy, course, record, duration, dry_run, namespace, zenoh_config, pose, profile, overwrite
@@ -131,7 +131,7 @@ def watch(
     Nobody but this machine can open the page. It is ready when it prints "watching at ADDRESS"; Ctrl-C ends
     it, and changes nothing about the rover.
     """
-    from deploy.watch import Options, run
+    from deploy.watch.server import Options, run
 
     options = Options(robot, policy, course, port, namespace, zenoh_config)
     return run(options, Output(json, controls=True))

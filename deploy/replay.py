@@ -13,18 +13,26 @@ from typing import Any
 import numpy as np
 import yaml
 
-from deploy.config import attached
-from deploy.controller import Controller, Tick
-from deploy.estimator import Estimate
-from deploy.reporter import estimate_message
-from deploy.ticks import START_TOPIC, TICKS_TOPIC, SampleRef, StartRecord, TickRecord, numbers, seconds
+from deploy.drive.config import attached
+from deploy.drive.controller import Controller, Tick
+from deploy.drive.status_publisher import estimate_message
+from deploy.drive_records import (
+    START_TOPIC,
+    TICKS_TOPIC,
+    SampleRef,
+    StartRecord,
+    TickRecord,
+    numbers,
+    seconds,
+)
+from deploy.estimator.estimator import Estimate
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.imu import read_imu
-from rover_ncp.core.lease import parse_json
 from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read_text, read_twist
+from rover_ncp.core.protocol import parse_json
 from rover_ncp.core.recording import Recording, read_recording
 
 __all__ = ["Comparison", "Difference", "replay"]

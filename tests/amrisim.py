@@ -10,9 +10,9 @@ from dataclasses import replace
 
 from arcos_captures import CAPTURES
 
-from bridge.arcos import Decoder
-from bridge.packets import SIP_KINDS, ConfigPac, Kind, Sip
-from bridge.robots import ROBOTS
+from bridge.pioneer.arcos import Decoder
+from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Kind, Sip
+from bridge.pioneer.robots import ROBOTS
 from sim.pioneer.firmware import Firmware, Link
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.server import Server

@@ -1,9 +1,9 @@
 """A session with somebody at its other end who knows what was sent and what happened."""
 
-from bridge.arcos import COMMANDS, Command, Decoder, Packet, decode_argument, encode_frame
-from bridge.packets import ConfigPac, Sip, encode_names
-from bridge.session import Event, Session, State
-from bridge.states import PATIENCE_S, Input
+from bridge.pioneer.arcos import COMMANDS, Command, Decoder, Packet, decode_argument, encode_frame
+from bridge.pioneer.packets import ConfigPac, Sip, encode_names
+from bridge.pioneer.session import Event, Session, State
+from bridge.pioneer.states import PATIENCE_S, Input
 
 Sent = list[tuple[Command, object]]
 

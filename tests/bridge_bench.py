@@ -8,10 +8,11 @@ from pathlib import Path
 
 import zenoh
 
-from deploy.lease import DriverLease
+from deploy.drive.lease import DriverLease
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.keys import key
-from rover_ncp.core.lease import (
+from rover_ncp.core.key_table import key
+from rover_ncp.core.messages import read_odometry, read_text, read_twist, twist_stamped
+from rover_ncp.core.protocol import (
     GateStatus,
     MotorsReply,
     MotorsRequest,
@@ -21,8 +22,7 @@ from rover_ncp.core.lease import (
     dump_json,
     parse_json,
 )
-from rover_ncp.core.messages import read_odometry, read_text, read_twist, twist_stamped
-from sim.studies.processes import Process
+from sim.live.processes import Process
 
 PERIOD_S = 0.05
 BRAKING_M_S2, DELAY_S = 0.31, 0.15

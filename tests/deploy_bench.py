@@ -8,15 +8,16 @@ import time
 
 import zenoh
 
-from deploy import node
-from deploy.config import DriveConfig
-from deploy.node import Options, run
+from deploy import app as node
+from deploy.app import Options, run
+from deploy.drive.config import DriveConfig
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.geometry import Pose, Velocity, compose
-from rover_ncp.core.keys import key
-from rover_ncp.core.lease import (
+from rover_ncp.core.key_table import key
+from rover_ncp.core.messages import odometry, read_twist, text
+from rover_ncp.core.protocol import (
     CommandTag,
     GateStatus,
     MotorsReply,
@@ -25,7 +26,6 @@ from rover_ncp.core.lease import (
     dump_json,
     parse_json,
 )
-from rover_ncp.core.messages import odometry, read_twist, text
 
 ODOM_AT_START = Pose(3.0, -2.0, 3.1)  # nowhere near the origin, and turning left crosses π
 SIP_S = 0.1

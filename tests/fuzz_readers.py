@@ -10,22 +10,40 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from bridge.arcos import COMMANDS, Command, Decoder, Packet, decode_argument, encode_command, encode_frame
-from bridge.limits import Limits
-from bridge.packets import ConfigPac, EncoderPac, GyroPac, IoPac, SimStat, Sip, decode_names, encode_names
-from bridge.session import Session
-from deploy.config import CONFIG_FILE, COURSE_FILE, POLICY_FILE, DriveConfig
+from bridge.gate.limits import Limits
+from bridge.pioneer.arcos import (
+    COMMANDS,
+    Command,
+    Decoder,
+    Packet,
+    decode_argument,
+    encode_command,
+    encode_frame,
+)
+from bridge.pioneer.packets import (
+    ConfigPac,
+    EncoderPac,
+    GyroPac,
+    IoPac,
+    SimStat,
+    Sip,
+    decode_names,
+    encode_names,
+)
+from bridge.pioneer.session import Session
+from deploy.drive.config import CONFIG_FILE, COURSE_FILE, POLICY_FILE, DriveConfig
+from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.replay import replay
-from deploy.ticks import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
+from deploy.report.recorded_drive import read_drive
 from rover_ncp.circuit.bnn import circuit_from_bnn, circuit_to_bnn
 from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
-from rover_ncp.core import lease
+from rover_ncp.core import protocol as lease
 from rover_ncp.core.config import dump_yaml, parse_yaml
 from rover_ncp.core.course import Course
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import read_bytes, resolve, shipped_names
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.keys import KEYS, Kind, spec
+from rover_ncp.core.key_table import KEYS, Kind, spec
 from rover_ncp.core.messages import (
     decode,
     neurons,
@@ -38,9 +56,8 @@ from rover_ncp.core.messages import (
     text,
     twist_stamped,
 )
-from rover_ncp.core.profile import RoverProfile
 from rover_ncp.core.recording import Recorded, RecordingWriter, header_stamp_ns, read_recording
-from rover_ncp.report.recorded import read_drive
+from rover_ncp.core.robot_profile import RoverProfile
 from sim.pioneer.firmware import Firmware
 from sim.world.bay import Bay
 from sim.world.randomization import Randomization

@@ -3,11 +3,11 @@
 Digests are verified before the gate: here a command or a request says whether it is signed by the holder.
 """
 
-from bridge.gate import step
-from bridge.gate_state import Command, Enable, Heard, Release, State
-from bridge.limits import Limits
+from bridge.gate.gate import step
+from bridge.gate.limits import Limits
+from bridge.gate.state import Command, Enable, Heard, Release, State
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.lease import CommandTag
+from rover_ncp.core.protocol import CommandTag
 
 SECRET = bytes(range(32))
 SLOW = Velocity(0.1, -0.1)

@@ -1,9 +1,10 @@
 """Mutation testing of the gate: ``python tests/mutate_gate.py [FIRST LAST]``, or ``make mutate``.
 
-Every mutant differs from ``bridge/gate.py`` in one place: a comparison, an operator, a constant, a condition,
-a keyword of a call, a statement. Each is run against the gate's tests in a process of its own, forked from
-one that has everything loaded. A mutant that no test kills must stand in ``tests/data/gate_survivors.yaml``
-with the reason why it is the same gate; one that stands there and dies is an error too.
+Every mutant differs from ``bridge/gate/gate.py`` in one place: a comparison, an operator, a constant, a
+condition, a keyword of a call, a statement. Each is run against the gate's tests in a process of its own,
+forked from one that has everything loaded. A mutant that no test kills must stand in
+``tests/data/gate_survivors.yaml`` with the reason why it is the same gate; one that stands there and dies
+is an error too.
 """
 
 import ast
@@ -21,7 +22,7 @@ import yaml
 import bridge
 
 ROOT = Path(__file__).parent.parent
-GATE = ROOT / "bridge" / "gate.py"
+GATE = ROOT / "bridge" / "gate" / "gate.py"
 SURVIVORS = ROOT / "tests" / "data" / "gate_survivors.yaml"
 TESTS = [f"test_bridge_gate{part}.py" for part in ("", "_commands", "_edges", "_anything")]
 TIMEOUT_S = 30
@@ -136,7 +137,7 @@ def run_tests(*more):
 def forget():
     """Let the next import of the gate and of what uses it be a new one."""
     for name in list(sys.modules):
-        if "gate" in name and name.startswith(("bridge.gate", "tests.test_bridge_gate", "gate_bench")):
+        if "gate" in name and name.startswith(("bridge.gate.gate", "tests.test_bridge_gate", "gate_bench")):
             del sys.modules[name]
 
 
@@ -148,11 +149,11 @@ def killed(tree):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
         try:
             forget()
-            module = types.ModuleType("bridge.gate")
+            module = types.ModuleType("bridge.gate.gate")
             module.__file__ = str(GATE)
-            sys.modules["bridge.gate"] = module
+            sys.modules["bridge.gate.gate"] = module
             exec(compile(tree, str(GATE), "exec"), module.__dict__)
-            bridge.gate = module
+            bridge.gate.gate = module
             failed = run_tests()
         except BaseException:
             failed = True

@@ -2,9 +2,9 @@
 
 import math
 
-from bridge.arcos import Command, Decoder, Packet, encode_command
-from bridge.packets import SIP_KINDS, ConfigPac, Sip
-from bridge.robots import ROBOTS
+from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command
+from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
+from bridge.pioneer.robots import ROBOTS
 from rover_ncp.core.course import Obstacle
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware, Link

@@ -9,8 +9,8 @@ from rover_ncp.core import messages
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.course import load_course
 from rover_ncp.core.geometry import Pose, Velocity, compose
-from rover_ncp.core.keys import spec
-from rover_ncp.core.lease import DriverStatus, GateStatus, dump_json
+from rover_ncp.core.key_table import spec
+from rover_ncp.core.protocol import DriverStatus, GateStatus, dump_json
 from rover_ncp.core.recording import Recorded, RecordingWriter
 from sim.learn.rollout import rollout
 

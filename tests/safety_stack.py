@@ -7,7 +7,7 @@ import json
 import os
 from pathlib import Path
 
-from sim.studies.measure import in_time
+from sim.faults.measure import in_time
 
 COURSE = Path(__file__).parent / "data" / "prompt_course.yaml"
 WALL = COURSE.with_name("wall_course.yaml")

@@ -7,7 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from sim.studies.matrix import MATRIX
+from sim.faults.table import MATRIX
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "safety.md"

@@ -10,9 +10,9 @@ import time
 import tty
 from dataclasses import replace
 
-from bridge.arcos import Command, Packet
-from bridge.baud import RATES
-from bridge.robots import ROBOTS
+from bridge.pioneer.arcos import Command, Packet
+from bridge.pioneer.baud import RATES
+from bridge.pioneer.robots import ROBOTS
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of, rover_model_of
 from sim.world.bay import Bay

@@ -6,9 +6,9 @@ import pytest
 from amrisim import RECORDED, AmriSimServer
 from bridge_bench import MACHINE_S, Driver, braking_s, wait_for
 
-from bridge.arcos import encode_frame
-from bridge.packets import Kind
-from sim.studies.processes import Process
+from bridge.pioneer.arcos import encode_frame
+from bridge.pioneer.packets import Kind
+from sim.live.processes import Process
 
 STOP_S = 0.5
 

@@ -9,8 +9,8 @@ from arcos_captures import CAPTURES, VECTORS, Capture
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-import bridge.arcos
-from bridge.arcos import (
+import bridge.pioneer.arcos
+from bridge.pioneer.arcos import (
     COMMANDS,
     Argument,
     Command,
@@ -78,7 +78,7 @@ def carry_lost(body: bytes) -> int:
 def test_a_wrong_checksum_rule_refuses_third_party_frames(
     monkeypatch: pytest.MonkeyPatch, mutant: Callable[[bytes], int]
 ) -> None:
-    monkeypatch.setattr(bridge.arcos, "checksum", mutant)
+    monkeypatch.setattr(bridge.pioneer.arcos, "checksum", mutant)
     assert any(Decoder().feed(frame) == [] for frame in FRAMES)
 
 

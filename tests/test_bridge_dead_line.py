@@ -9,9 +9,9 @@ from itertools import cycle
 import pytest
 from bridge_bench import Driver, Rig, wait_for
 
-from bridge.arcos import encode_frame
-from rover_ncp import shell
-from sim.studies.proxy import Proxy
+from bridge.pioneer.arcos import encode_frame
+from rover_ncp import cli as shell
+from sim.faults.proxy import Proxy
 
 RECOVERY_S = 5.0
 """The base is there again at the latest so long after it answers again."""

@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 from gate_bench import LIMITS, SLOW, Gate
 
-from bridge.gate_state import (
+from bridge.gate.limits import Fence
+from bridge.gate.state import (
     ZERO,
     BaseLost,
     Heard,
@@ -15,7 +16,6 @@ from bridge.gate_state import (
     Tick,
     Unlatch,
 )
-from bridge.limits import Fence
 from rover_ncp.core.geometry import Velocity
 
 # What it takes to drive

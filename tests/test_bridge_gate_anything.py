@@ -6,8 +6,9 @@ from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.gate import step
-from bridge.gate_state import (
+from bridge.gate.gate import step
+from bridge.gate.limits import Fence, Limits
+from bridge.gate.state import (
     ZERO,
     BaseLost,
     Command,
@@ -19,9 +20,8 @@ from bridge.gate_state import (
     Tick,
     Unlatch,
 )
-from bridge.limits import Fence, Limits
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.lease import CommandTag
+from rover_ncp.core.protocol import CommandTag
 
 SECRET = bytes(range(32))
 SLOW = Velocity(0.1, -0.1)

@@ -5,7 +5,7 @@ import math
 import pytest
 from gate_bench import LIMITS, SECRET, SLOW, Gate
 
-from bridge.gate_state import (
+from bridge.gate.state import (
     ZERO,
     Command,
     Enable,
@@ -14,7 +14,7 @@ from bridge.gate_state import (
     Tick,
 )
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.lease import CommandTag
+from rover_ncp.core.protocol import CommandTag
 
 # Lateness
 

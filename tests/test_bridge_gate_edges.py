@@ -5,10 +5,10 @@ import math
 import pytest
 from gate_bench import LIMITS, SLOW, Gate
 
-from bridge.gate_state import ZERO, BaseLost, Command, Heard, Reason, Tick
-from bridge.limits import Fence, Limits
+from bridge.gate.limits import Fence, Limits
+from bridge.gate.state import ZERO, BaseLost, Command, Heard, Reason, Tick
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.lease import CommandTag
+from rover_ncp.core.protocol import CommandTag
 
 # A pose that stands still
 

@@ -3,7 +3,7 @@
 import pytest
 from pydantic import ValidationError
 
-from bridge.limits import Fence, Limits
+from bridge.gate.limits import Fence, Limits
 
 STOP_S = 0.5
 

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import pytest
 
-from bridge import line as line_module
+from bridge import base_connection as line_module
+from bridge.base_connection import Line
 from bridge.inbox import ROOM, Broken, Crashed, Inbox, Opened, Received, Sampled
-from bridge.line import Line
 from bridge.transport import TcpTransport
 from rover_ncp.core.errors import NoRobot, UsageError
 

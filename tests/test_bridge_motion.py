@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.motion import MotionLimits, SetPoints
+from bridge.pioneer.quantise import MotionLimits, SetPoints
 
 LIMITS = MotionLimits(v=0.3, omega=0.6)
 

@@ -13,9 +13,9 @@ import pytest
 from bridge_bench import MACHINE_S, Driver, Rig, braking_s, wait_for
 
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.keys import KEYS, Kind, Role, spec
-from rover_ncp.core.lease import CommandTag
+from rover_ncp.core.key_table import KEYS, Kind, Role, spec
 from rover_ncp.core.messages import decode, twist_stamped
+from rover_ncp.core.protocol import CommandTag
 
 STOP_S = 0.5
 """Requirement 1: the rover stands so long after the last command, plus braking."""

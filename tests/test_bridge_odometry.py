@@ -8,11 +8,11 @@ from arcos_captures import ARIA_LINE, CAPTURES, PLAYER_LINE, Capture
 from hypothesis import given
 from hypothesis import strategies as st
 
-import bridge.odometry
-from bridge.arcos import COMMANDS, Command, Decoder
-from bridge.odometry import BaseState, Odometer, counter_difference
-from bridge.packets import SIP_KINDS, ConfigPac, Sip
-from bridge.robots import ROBOTS
+import bridge.pioneer.odometry
+from bridge.pioneer.arcos import COMMANDS, Command, Decoder
+from bridge.pioneer.odometry import BaseState, Odometer, counter_difference
+from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
+from bridge.pioneer.robots import ROBOTS
 
 SPOKEN = [c for c in CAPTURES if c.said(ARIA_LINE) or c.said(PLAYER_LINE)]
 
@@ -82,13 +82,13 @@ def half_a_turn_off(new: int, old: int, bits: int) -> int:
 def test_a_wrong_wrap_is_found_by_the_recorded_robot(
     monkeypatch: pytest.MonkeyPatch, mutant: Callable[[int, int, int], int]
 ) -> None:
-    monkeypatch.setattr(bridge.odometry, "counter_difference", mutant)
+    monkeypatch.setattr(bridge.pioneer.odometry, "counter_difference", mutant)
     assert any(unmatched_lines(capture) for capture in SPOKEN)
 
 
 def test_taking_the_counters_for_16_bits_would_lose_an_arcos_base(monkeypatch: pytest.MonkeyPatch) -> None:
     """AMRISim's recordings cannot show this one: its counters do have 16."""
-    monkeypatch.setattr(bridge.odometry, "COUNTER_BITS", 16)
+    monkeypatch.setattr(bridge.pioneer.odometry, "COUNTER_BITS", 16)
     assert not survives_wraps(15)
 
 

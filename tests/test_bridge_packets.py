@@ -7,8 +7,8 @@ from arcos_captures import CAPTURES, VECTORS
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.arcos import Decoder, Packet
-from bridge.packets import (
+from bridge.pioneer.arcos import Decoder, Packet
+from bridge.pioneer.packets import (
     SIP_KINDS,
     ConfigPac,
     EncoderPac,

@@ -12,9 +12,9 @@ import time
 import pytest
 from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, wait_for
 
-from rover_ncp import shell
-from rover_ncp.core.lease import MotorsReply, MotorsRequest, dump_json, parse_json
-from sim.studies.processes import Process
+from rover_ncp import cli as shell
+from rover_ncp.core.protocol import MotorsReply, MotorsRequest, dump_json, parse_json
+from sim.live.processes import Process
 
 STOP_S = 0.5
 PLAIN_TWIST = b"\0\1\0\0" + struct.pack("<6d", 0.15, 0, 0, 0, 0, 0)

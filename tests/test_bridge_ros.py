@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from bridge import ros
-from bridge.arcos import Decoder
-from bridge.gate_state import Lease, Reason, State
-from bridge.odometry import BaseState
-from bridge.robots import ROBOTS
-from rover_ncp.core.keys import spec
-from rover_ncp.core.lease import dump_json
+from bridge.gate.state import Lease, Reason, State
+from bridge.pioneer.arcos import Decoder
+from bridge.pioneer.odometry import BaseState
+from bridge.pioneer.robots import ROBOTS
+from bridge.ros import messages as ros
+from rover_ncp.core.key_table import spec
 from rover_ncp.core.messages import decode, read_odometry, text
+from rover_ncp.core.protocol import dump_json
 
 STAMP = 1_700_000_000_123_456_789
 ROBOT = ROBOTS["p3at-sh"]

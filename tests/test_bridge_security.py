@@ -10,15 +10,15 @@ import pytest
 import zenoh
 from bridge_bench import Rig, wait_for
 
-from deploy.lease import DriverLease
-from deploy.session import client_config
-from rover_ncp import shell
-from rover_ncp.core.access import access_control
+from deploy.drive.lease import DriverLease
+from deploy.drive.zenoh_config import client_config
+from rover_ncp import cli as shell
+from rover_ncp.core.access_control import access_control
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.keys import KEYS, Kind, Role
-from rover_ncp.core.lease import GateStatus, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
+from rover_ncp.core.key_table import KEYS, Kind, Role
 from rover_ncp.core.messages import read_text, twist_stamped
-from sim.studies.processes import Process
+from rover_ncp.core.protocol import GateStatus, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
+from sim.live.processes import Process
 
 HEARD = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.BRIDGE}]
 SELDOM = {"sonar", "imu"}

@@ -11,10 +11,10 @@ import pytest
 from bridge_bench import Driver, wait_for
 from serial_base import SerialBase
 
-from bridge.arcos import Command
+from bridge.pioneer.arcos import Command
+from sim.live.processes import Process
 from sim.pioneer.faults import parse_fault
 from sim.pioneer.firmware import Link
-from sim.studies.processes import Process
 
 
 def test_soar_connects_drives_and_leaves_in_its_own_manner() -> None:

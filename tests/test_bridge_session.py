@@ -8,11 +8,11 @@ from arcos_captures import CAPTURES, Capture
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.arcos import Command, encode_frame
-from bridge.events import Configured, Connected, Failed, GyroHeard, Lost, Recovered, StateReceived
-from bridge.packets import ConfigPac, Flag, GyroPac, Kind
-from bridge.session import MotionLimits, Session, State
-from bridge.states import PATIENCE_S
+from bridge.pioneer.arcos import Command, encode_frame
+from bridge.pioneer.events import Configured, Connected, Failed, GyroHeard, Lost, Recovered, StateReceived
+from bridge.pioneer.packets import ConfigPac, Flag, GyroPac, Kind
+from bridge.pioneer.session import MotionLimits, Session, State
+from bridge.pioneer.states import PATIENCE_S
 from rover_ncp.core.errors import UsageError
 
 

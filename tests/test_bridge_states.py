@@ -3,10 +3,10 @@
 import pytest
 from arcos_bench import Bench
 
-from bridge.arcos import Command
-from bridge.events import BaudChanged, Configured, Connected, Failed, Lost, Recovered, StateReceived
-from bridge.session import Session, State
-from bridge.states import PATIENCE_S, TABLE, Input
+from bridge.pioneer.arcos import Command
+from bridge.pioneer.events import BaudChanged, Configured, Connected, Failed, Lost, Recovered, StateReceived
+from bridge.pioneer.session import Session, State
+from bridge.pioneer.states import PATIENCE_S, TABLE, Input
 
 OUTSIDE = [
     *(Input.CONNECT, Input.CLOSE, Input.LINK_DOWN, Input.EXPIRED, Input.ECHO0, Input.ECHO1),

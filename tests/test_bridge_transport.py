@@ -13,9 +13,9 @@ from contextlib import closing, contextmanager
 import pytest
 from pioneer_bench import Pioneer
 
-from bridge.arcos import Command, encode_command
-from bridge.events import Lost, StateReceived
-from bridge.session import Session, State
+from bridge.pioneer.arcos import Command, encode_command
+from bridge.pioneer.events import Lost, StateReceived
+from bridge.pioneer.session import Session, State
 from bridge.transport import DEFAULT_PORT, Transport, open_transport
 from rover_ncp.core.errors import NoRobot, UsageError
 

@@ -8,10 +8,10 @@ from xml.etree import ElementTree
 import pytest
 from test_bridge_ros import STAMP, STATE
 
-from bridge import ros
-from bridge.robots import ROBOTS
-from bridge.urdf import urdf
-from rover_ncp import shell
+from bridge.pioneer.robots import ROBOTS
+from bridge.ros import messages as ros
+from bridge.ros.urdf import urdf
+from rover_ncp import cli as shell
 from rover_ncp.core.messages import decode
 
 MODELS = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)

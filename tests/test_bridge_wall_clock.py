@@ -3,10 +3,10 @@
 import pytest
 
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.lease import MotorsRequest, dump_json
 from rover_ncp.core.messages import read_odometry
+from rover_ncp.core.protocol import MotorsRequest, dump_json
 from sim.pioneer.firmware import Firmware
-from sim.studies.virtual import WALL_NS, World
+from sim.stack.virtual import WALL_NS, World
 from sim.world.bay import Bay
 from sim.world.rover import Rover, RoverModel
 

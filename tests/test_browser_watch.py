@@ -7,8 +7,8 @@ import pytest
 from bridge_bench import Rig
 from browser import Watched, chromium
 
-from rover_ncp import shell
-from sim.studies.processes import LiveRun, Process
+from rover_ncp import cli as shell
+from sim.live.processes import LiveRun, Process
 
 pytestmark = pytest.mark.browser
 

@@ -18,7 +18,7 @@ from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
 from rover_ncp.circuit.solver import exp2, fill_lane, tick_lanes
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
-from rover_ncp.jit import kernel
+from rover_ncp.kernels.jit import kernel
 
 PARKING = parking_policy(parking_circuit())
 SIZE = PARKING.layout().size

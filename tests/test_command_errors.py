@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from recorded_drives import write_drive
 
-from rover_ncp.shell import run
+from rover_ncp.cli import run
 
 LONG = "x" * 300
 HUGE = "99999999999999999999"

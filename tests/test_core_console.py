@@ -8,11 +8,11 @@ import time
 
 import pytest
 
-from deploy.ticks import TICKS_TOPIC
+from deploy.drive_records import TICKS_TOPIC
 from rover_ncp.core.console import ROOM_BYTES, Writer, printable
 from rover_ncp.core.recording import read_recording
-from sim.studies.outlet import GONE, PIPE, TERMINAL
-from sim.studies.processes import Process
+from sim.faults.outlet import GONE, PIPE, TERMINAL
+from sim.live.processes import Process
 
 COMMAND = [sys.executable, "-m", "rover_ncp"]
 SHORT = "tests/data/short_course.yaml"

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rover_ncp.core.course import Checkpoint, Course, Obstacle, load_course
-from rover_ncp.core.drivable import Cause, check_course
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.core.reference import OMEGA_MAX, V_MAX
+from rover_ncp.course.feasibility import Cause, check_course
+from rover_ncp.course.reference import OMEGA_MAX, V_MAX
 from sim.world.bay import Bay
 from sim.world.rover import RoverModel, rover_body
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.lease import (
+from rover_ncp.core.messages import twist_stamped
+from rover_ncp.core.protocol import (
     KEY_BYTES,
     PROTOCOL,
     VERSION_REASON,
@@ -27,7 +28,6 @@ from rover_ncp.core.lease import (
     parse_json,
     requested_version,
 )
-from rover_ncp.core.messages import twist_stamped
 
 DIGEST = bytes(range(16))
 SECRET = bytes(range(32))

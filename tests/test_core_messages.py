@@ -13,7 +13,7 @@ from rover_ncp.core import messages
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from rover_ncp.core.imu import imu, read_imu
-from rover_ncp.core.keys import KEYS, Kind
+from rover_ncp.core.key_table import KEYS, Kind
 
 STAMP = 1_700_000_123_456_789_012
 STAMP_PARTS = (1_700_000_123, 456_789_012)

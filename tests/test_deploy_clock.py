@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.clock import NS, RateKeeper, StampClock
+from deploy.drive.clock import NS, RateKeeper, StampClock
 
 MS = 1_000_000
 PERIOD = 100 * MS

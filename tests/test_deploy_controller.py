@@ -4,15 +4,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.controller import Controller
-from deploy.estimator import EstimatorSettings, Outcome
+from deploy.drive.controller import Controller
+from deploy.estimator.estimator import EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import PolicyRunner, course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative, wrap_angle
-from rover_ncp.core.reference import plan_reference
-from rover_ncp.core.signals import SIGNALS, see
+from rover_ncp.core.observation import SIGNALS, see
+from rover_ncp.course.reference import plan_reference
 from sim.learn.rollout import rollout
 from sim.world.bay import Bay
 from sim.world.randomization import nominal_trials

@@ -12,9 +12,9 @@ import pytest
 from bridge_bench import Rig, wait_for
 from mcap.reader import make_reader
 
-from rover_ncp import shell
+from rover_ncp import cli as shell
 from rover_ncp.core.recording import read_recording
-from sim.studies.processes import compile_driver
+from sim.live.processes import compile_driver
 
 COURSE = Path(__file__).parent / "data" / "prompt_course.yaml"
 LOST_S = 0.5

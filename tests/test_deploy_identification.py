@@ -6,25 +6,25 @@ import math
 import numpy as np
 import pytest
 
-from deploy import excitation
-from deploy.axis_fit import OdometryErrors, identify_axis
-from deploy.excitation import FENCE_M, excite, steps
-from deploy.guard import Guard
-from deploy.identification import identify
-from deploy.intake import Intake
-from deploy.motion_log import MotionLog, Track, motion_log
-from deploy.waits import Waits
+from deploy.drive.measurements import Intake
+from deploy.drive.safety_monitor import Guard
+from deploy.drive.waits import Waits
+from deploy.identify import excitation
+from deploy.identify.axis_fit import OdometryErrors, identify_axis
+from deploy.identify.excitation import FENCE_M, excite, steps
+from deploy.identify.fit import identify
+from deploy.identify.motion_log import MotionLog, Track, motion_log
+from rover_ncp.cli import run
 from rover_ncp.core.errors import FileError, SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, distance
 from rover_ncp.core.messages import odometry, twist_stamped
-from rover_ncp.core.profile import load_profile
 from rover_ncp.core.recording import Recorded, RecordingWriter
-from rover_ncp.shell import run
+from rover_ncp.core.robot_profile import load_profile
+from sim.live.processes import LiveRun
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, rover_of
+from sim.stack.virtual import Air, World
 from sim.studies.identify import driven, errors, identified, robot, truth
-from sim.studies.processes import LiveRun
-from sim.studies.virtual import Air, World
 from sim.world.bay import Bay
 from sim.world.randomization import load_randomization
 from sim.world.rover import RoverModel

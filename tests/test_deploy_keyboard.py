@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.keyboard import HOLD_S, KEYS, NUDGE, OMEGA_RAD_S, V_M_S, Keyboard, Press, presses
+from deploy.teleop.keyboard import HOLD_S, KEYS, NUDGE, OMEGA_RAD_S, V_M_S, Keyboard, Press, presses
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.reference import OMEGA_MAX, V_MAX
+from rover_ncp.course.reference import OMEGA_MAX, V_MAX
 
 STILL = Velocity(0.0, 0.0)
 

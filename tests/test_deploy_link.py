@@ -6,9 +6,9 @@ import time
 import pytest
 import zenoh
 
-from deploy.link import ASK_TRIES, ROUND_TRIP_S, Link
+from deploy.drive.link import ASK_TRIES, ROUND_TRIP_S, Link
 from rover_ncp.core.errors import OtherVersion, SafetyStop
-from rover_ncp.core.lease import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
+from rover_ncp.core.protocol import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
 
 SECRET = bytes(range(32))
 
@@ -55,7 +55,7 @@ def ask():
             with Link(bridge.robot, "", None, lambda _: None) as link:
                 return link.request_motors("test"), bridge
         finally:
-            bridge.session.close()
+            bridge.pioneer.session.close()
 
     return ask
 
@@ -97,6 +97,6 @@ def test_a_bridge_of_an_older_version_is_named_with_our_own():
         ):
             link.request_motors("test")
     finally:
-        bridge.session.close()
+        bridge.pioneer.session.close()
     assert error.value.exit_code == 3
     assert "\n" not in str(error.value)

@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 from deploy_bench import LEASE, ODOM_AT_START, STILL, Bridge, driver, free_port
 
-from deploy import node
-from deploy.config import DriveConfig
+from deploy import app as node
+from deploy.drive.config import DriveConfig
 from deploy.replay import replay
 from rover_ncp.core.errors import AnotherDriver, NoBridge, NoRobot, RoverNcpError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance
-from rover_ncp.core.lease import GateStatus
 from rover_ncp.core.messages import odometry, read_pose
+from rover_ncp.core.protocol import GateStatus
 from rover_ncp.core.recording import RecordingWriter, read_recording
 
 
@@ -196,7 +196,7 @@ def test_a_refusal_names_its_reason_and_moves_nothing(bridge, drive):
 
 
 def test_a_second_driver_is_told_so(bridge, drive):
-    bridge.gate = GateStatus(lease=LEASE + 1)
+    bridge.gate.gate = GateStatus(lease=LEASE + 1)
     bridge.refusal = "another-driver"
     with pytest.raises(AnotherDriver, match="refuses the motors"):
         drive()

@@ -5,8 +5,8 @@ import json
 import pytest
 from bridge_bench import BRAKING_M_S2, Rig
 
-from deploy.preflight import STANDING
-from rover_ncp import shell
+from deploy.preflight.preflight import STANDING
+from rover_ncp import cli as shell
 
 
 @pytest.fixture

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.config import POLICY_FILE, DriveConfig, attachments
-from deploy.controller import Controller
+from deploy.drive.config import POLICY_FILE, DriveConfig, attachments
+from deploy.drive.controller import Controller
+from deploy.drive.status_publisher import Reporter
+from deploy.drive_records import SampleRef, StartRecord, TickRecord, numbers, seconds
 from deploy.replay import replay
-from deploy.reporter import Reporter
-from deploy.ticks import SampleRef, StartRecord, TickRecord, numbers, seconds
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml, save_policy
+from rover_ncp.cli import run as shell
 from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity, compose
@@ -27,7 +28,6 @@ from rover_ncp.core.messages import (
     twist_stamped,
 )
 from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording, rewrite
-from rover_ncp.shell import run as shell
 
 MS = 1_000_000
 T0 = 1_700_000_000_000_000_000

@@ -1,8 +1,8 @@
 import pytest
 
-from deploy.controller import Controller
-from deploy.estimator import EstimatorSettings
-from deploy.response import ResponseWatch
+from deploy.drive.controller import Controller
+from deploy.drive.response import ResponseWatch
+from deploy.estimator.estimator import EstimatorSettings
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.course import load_course
 from rover_ncp.core.geometry import Pose, Velocity

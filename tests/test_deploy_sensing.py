@@ -6,17 +6,17 @@ import functools
 import pytest
 from deploy_bench import ODOM_AT_START, STILL, Bridge, driver, short_course, untuned_policy
 
-from deploy import node
-from deploy.config import DriveConfig
+from deploy import app as node
+from deploy.drive.config import DriveConfig
+from deploy.drive_records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
-from deploy.ticks import TICKS_TOPIC, TickRecord
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import NoPose
 from rover_ncp.core.geometry import Pose, compose, distance, inverse
 from rover_ncp.core.imu import imu
-from rover_ncp.core.keys import key
-from rover_ncp.core.lease import parse_json
+from rover_ncp.core.key_table import key
 from rover_ncp.core.messages import odometry, pose_with_covariance, read_pose, read_text
+from rover_ncp.core.protocol import parse_json
 from rover_ncp.core.recording import read_recording, rewrite
 
 
@@ -62,7 +62,7 @@ def test_an_external_pose_places_the_rover_on_the_course(bridge, drive, tmp_path
 
 def test_a_gyros_readings_count_are_recorded_and_recomputed(bridge, drive, tmp_path):
     def odom(pose, velocity, stamp):
-        bridge.session.put(key("", "imu"), imu(velocity.omega + 0.3, 1e-6, stamp))
+        bridge.pioneer.session.put(key("", "imu"), imu(velocity.omega + 0.3, 1e-6, stamp))
         return odometry(pose, velocity, stamp)
 
     bridge.odom = odom

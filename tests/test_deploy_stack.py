@@ -7,14 +7,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from deploy.drive_records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
-from deploy.ticks import TICKS_TOPIC, TickRecord
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.core.lease import parse_json
 from rover_ncp.core.messages import read_text
+from rover_ncp.core.protocol import parse_json
 from rover_ncp.core.recording import read_recording
-from sim.studies.processes import LiveRun
-from sim.studies.truth import read_truth
+from sim.live.processes import LiveRun
+from sim.live.truth import read_truth
 
 BRAKING_S = 0.16 / 0.31 + 0.15
 """From the circuit's full speed, with the base's delay."""

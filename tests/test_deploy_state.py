@@ -1,6 +1,6 @@
 import pytest
 
-from deploy.state import FINAL, TRANSITIONS, Event, Impossible, State, next_state
+from deploy.drive.phases import FINAL, TRANSITIONS, Event, Impossible, State, next_state
 
 W, A, D, P, E, F = State.WAITING, State.ARMED, State.DRIVING, State.PARKED, State.ENDED, State.FAULT
 X = None

@@ -14,8 +14,8 @@ from itertools import pairwise
 import pytest
 from bridge_bench import MACHINE_S, Rig, braking_s, wait_for
 
-from deploy.keyboard import HOLD_S, V_M_S
-from rover_ncp import shell
+from deploy.teleop.keyboard import HOLD_S, V_M_S
+from rover_ncp import cli as shell
 from rover_ncp.core.course import load_course
 from rover_ncp.core.recording import read_recording
 

@@ -3,11 +3,11 @@
 import pytest
 from bridge_bench import Rig, wait_for
 
-from deploy.viewer import Viewer
-from rover_ncp import shell
+from deploy.watch.viewer import Viewer
+from rover_ncp import cli as shell
 from rover_ncp.core.errors import NoBridge, NotAuthorised
-from rover_ncp.core.lease import GateStatus, parse_json
 from rover_ncp.core.messages import read_text
+from rover_ncp.core.protocol import GateStatus, parse_json
 
 
 @pytest.fixture(scope="module")

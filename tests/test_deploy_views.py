@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.views import Views
+from deploy.viewer_topics import Views
 from rover_ncp.circuit.tap_withdrawal import PARKING_NEURONS
 from rover_ncp.core.cdr import decode
 from rover_ncp.core.geometry import Pose, compose
-from rover_ncp.core.keys import KEYS
+from rover_ncp.core.key_table import KEYS
 from rover_ncp.core.messages import read_neurons
-from sim.studies.truth import TRUTH_TOPIC
+from sim.live.truth import TRUTH_TOPIC
 
 NAMES = ("A", "B", "Long_name")
 LAYOUT = Path("docs/viewing/rover-ncp.json")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rover_ncp import shell
+from rover_ncp import cli as shell
 
 PAGE = Path("docs/paper.md")
 

@@ -3,7 +3,7 @@ import subprocess
 import sys
 
 CALLEE = """
-from rover_ncp.jit import kernel
+from rover_ncp.kernels.jit import kernel
 FACTOR = {factor}
 @kernel
 def inner(x):
@@ -12,7 +12,7 @@ def inner(x):
 CALLER = """
 import callee
 from callee import FACTOR, inner
-from rover_ncp.jit import kernel
+from rover_ncp.kernels.jit import kernel
 @kernel
 def outer(x):
     return middle(x) + FACTOR + callee.inner(x)

@@ -3,9 +3,9 @@
 import json
 
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.lease import MotorsReply
+from rover_ncp.core.protocol import MotorsReply
 from sim.pioneer.firmware import Firmware
-from sim.studies.virtual import Air, World
+from sim.stack.virtual import Air, World
 from sim.world.bay import Bay
 from sim.world.rover import Rover, RoverModel
 

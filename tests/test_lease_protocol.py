@@ -8,11 +8,11 @@ import time
 import pytest
 from bridge_bench import Driver, Rig, client, wait_for
 
-from deploy.link import Link
+from deploy.drive.link import Link
 from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.lease import CommandTag, MotorsRequest, Signed, dump_json
 from rover_ncp.core.messages import twist_stamped
+from rover_ncp.core.protocol import CommandTag, MotorsRequest, Signed, dump_json
 
 OLD_REQUEST = {"enable": True, "driver": "ab" * 16, "name": "old", "sent_ns": 1}
 BOTH = (

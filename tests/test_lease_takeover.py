@@ -5,13 +5,13 @@ import time
 from attacker import Attacker
 from bridge_bench import wait_for
 
-from deploy.ticks import TICKS_TOPIC, TickRecord
+from deploy.drive_records import TICKS_TOPIC, TickRecord
 from rover_ncp.core.course import load_course
-from rover_ncp.core.lease import parse_json
 from rover_ncp.core.messages import read_text, read_twist
+from rover_ncp.core.protocol import parse_json
 from rover_ncp.core.recording import read_recording
-from sim.studies.processes import LiveRun
-from sim.studies.truth import judge_truth, read_truth
+from sim.live.processes import LiveRun
+from sim.live.truth import judge_truth, read_truth
 
 ATTEMPTS, PERIOD_S = 1000, 0.005
 

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bridge.events import StateReceived
-from bridge.session import Session, State
+from bridge.pioneer.events import StateReceived
+from bridge.pioneer.session import Session, State
 from bridge.transport import Transport, open_transport
 from rover_ncp.core.errors import NoRobot
 from sim.pioneer.server import TRUTH_COLUMNS
 
-COMMAND = [sys.executable, "-c", "from rover_ncp.shell import main; main()", "mock"]
+COMMAND = [sys.executable, "-c", "from rover_ncp.cli import main; main()", "mock"]
 
 
 @contextmanager

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from rover_ncp import shell
+from rover_ncp import cli as shell
 from rover_ncp.core.course import load_course
 
 POSES = "x,y,theta\n1.0,1.0,1.5708\n1.0,1.6,1.5708\n"

@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rover_ncp.circuit.circuit import SynapseKind, build_circuit
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
-from rover_ncp.report.currents import synapse_currents
-from rover_ncp.report.interpret import (
+from deploy.report.currents import synapse_currents
+from deploy.report.interpretation import (
     Sign,
     contribution,
     contributions,
     time_constant_ranges,
 )
+from rover_ncp.circuit.circuit import SynapseKind, build_circuit
+from rover_ncp.circuit.tap_withdrawal import parking_circuit
 
 POTENTIAL = st.integers(-9000, 0).map(lambda hundredths: hundredths / 100)
 PAIRS = st.lists(st.tuples(POTENTIAL, POTENTIAL), min_size=2, max_size=40)

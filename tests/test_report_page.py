@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
 
+from deploy.report.page.feed import Feed, Place
+from deploy.report.page.page import drive_page, html
+from deploy.report.recorded_drive import read_drive
+from deploy.report.summary import summarise
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
+from rover_ncp.cli import run
 from rover_ncp.core import messages
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.course import load_course
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.lease import DriverStatus, GateStatus, dump_json
+from rover_ncp.core.protocol import DriverStatus, GateStatus, dump_json
 from rover_ncp.core.recording import Recorded, RecordingWriter
-from rover_ncp.report.feed import Feed, Place
-from rover_ncp.report.page import drive_page, html
-from rover_ncp.report.recorded import read_drive
-from rover_ncp.report.summary import summarise
-from rover_ncp.shell import run
 
 SHORT = "tests/data/short_course.yaml"
 STRING = "std_msgs/msg/String"

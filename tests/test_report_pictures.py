@@ -1,17 +1,17 @@
 import numpy as np
 import pytest
 
+from deploy.report.analysis import analyse
+from deploy.report.charts.bars import Outcome, Swing, outcomes, swings
+from deploy.report.charts.circuit import circuit
+from deploy.report.charts.files import tables
+from deploy.report.layout import HEIGHT, RADIUS, WIDTH, Layer, lay_out, layers
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
 from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.sensing import parking_sensing
 from rover_ncp.circuit.tap_withdrawal import PARKING_NEURONS, parking_circuit
 from rover_ncp.core.course import load_course
-from rover_ncp.report.analysis import analyse
-from rover_ncp.report.files import tables
-from rover_ncp.report.layout import HEIGHT, RADIUS, WIDTH, Layer, lay_out, layers
-from rover_ncp.report.picture_bars import Outcome, Swing, outcomes, swings
-from rover_ncp.report.picture_circuit import circuit
 from sim.explain.explain import traced
 from sim.learn.rollout import rollout
 

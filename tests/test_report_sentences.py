@@ -4,15 +4,15 @@ import itertools
 import numpy as np
 import pytest
 
+from deploy.report.phases import phases
+from deploy.report.sentences import explain
+from deploy.report.trace import Trace, motor_outputs, motor_shares
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, course_policy, parking_policy
 from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
 from rover_ncp.core.course import load_course
-from rover_ncp.report.phases import phases
-from rover_ncp.report.sentences import explain
-from rover_ncp.report.trace import Trace, motor_outputs, motor_shares
 from sim.learn.rollout import rollout
 
 EX, IN = SynapseKind.EXCITATORY, SynapseKind.INHIBITORY

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
 
+from deploy.report.drive_events import Watcher
+from deploy.report.recorded_drive import judge, read_drive
+from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core import messages
 from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.lease import DriverStatus, GateStatus, dump_json
+from rover_ncp.core.protocol import DriverStatus, GateStatus, dump_json
 from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording
-from rover_ncp.report.events import Watcher
-from rover_ncp.report.recorded import judge, read_drive
-from rover_ncp.report.timeline import Timeline
 
 SHORT = "tests/data/short_course.yaml"
 STRING = "std_msgs/msg/String"

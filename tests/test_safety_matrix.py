@@ -2,7 +2,7 @@
 
 The bounds are the requirement itself: 0.5 s plus braking, and the base's watchdog (2 s) plus braking where
 the bridge is dead or hung, or cut off from its base. What the machine adds to bridge and driver has to fit
-in; what it adds to the mock and the line to it is the measurement's (`sim.studies.measure`).
+in; what it adds to the mock and the line to it is the measurement's (`sim.faults.measure`).
 """
 
 import functools
@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 from safety_stack import COURSE, ROWS_FILE, WALL, record
 
-from sim.studies.matrix import MATRIX, braking_s, row
-from sim.studies.measure import measure
-from sim.studies.mishaps import HAND, MISHAPS
-from sim.studies.rig import SPEED_M_S, Rig, wait_for
+from sim.faults.faults import HAND, MISHAPS
+from sim.faults.measure import measure
+from sim.faults.rig import SPEED_M_S, Rig, wait_for
+from sim.faults.table import MATRIX, braking_s, row
 
 PAGE = Path(__file__).parent.parent / "docs" / "safety.md"
 

@@ -6,7 +6,7 @@ from importlib.metadata import entry_points
 import pytest
 import typer
 
-from rover_ncp import shell
+from rover_ncp import cli as shell
 from rover_ncp.core.errors import NoBridge, SafetyStop, UsageError
 
 COMMANDS = sorted(point.name for point in entry_points(group=shell.GROUP))
@@ -17,7 +17,7 @@ HEAVY = ["numba", "pymunk", "filterpy", "gymnasium", "matplotlib", "plotly", "ze
 @pytest.mark.parametrize("command", [[], *[[name] for name in COMMANDS]])
 def test_help_teaches_and_imports_nothing_heavy(command):
     code = (
-        "import sys; from rover_ncp.shell import run\n"
+        "import sys; from rover_ncp.cli import run\n"
         f"code = run({[*command, '--help']!r})\n"
         f"heavy = [m for m in {HEAVY!r} if m in sys.modules]\n"
         "sys.stderr.write(repr(heavy)); sys.exit(code)"
@@ -119,7 +119,7 @@ NEEDS = {
 WITHOUT = """
 import json, os, sys
 from importlib.abc import MetaPathFinder
-from rover_ncp import shell
+from rover_ncp import cli
 
 missing, lines = json.loads(sys.argv[1])
 
@@ -131,7 +131,7 @@ class Missing(MetaPathFinder):
 sys.meta_path.insert(0, Missing())
 for line in lines:
     print("$", line, file=sys.stderr)
-    shell.run(line.split())
+    cli.run(line.split())
 """
 
 

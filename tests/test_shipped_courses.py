@@ -5,7 +5,7 @@ import pytest
 
 from rover_ncp.core.course import load_course
 from rover_ncp.core.files import shipped_names
-from rover_ncp.core.reference import deviations, plan_reference
+from rover_ncp.course.reference import deviations, plan_reference
 from sim.world.bay import Bay
 from sim.world.rover import RoverModel, rover_body
 

@@ -5,7 +5,7 @@ import pytest
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.course import load_course
-from sim.studies.evaluate import evaluate, unseen_courses
+from sim.evaluate.evaluate import evaluate, unseen_courses
 from sim.world.randomization import load_randomization
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.cli import run
 from rover_ncp.core.errors import FileError
-from rover_ncp.shell import run
 from sim.explain.pages import write_page
 from sim.explain.training import read_training, training_data
 from sim.learn.record import TrainSettings

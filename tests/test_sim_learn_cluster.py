@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from dask_cluster import Cluster, start, wait_for
 
-from rover_ncp.shell import run
+from rover_ncp.cli import run
 
 COURSE = Path(__file__).parent / "data" / "short_course.yaml"
 TRAIN = ["train", "--course", str(COURSE), "--agents", "4", "--seed", "3"]
@@ -21,7 +21,7 @@ def _no_git(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def start_train(*arguments: str) -> subprocess.Popen[bytes]:
-    return start("-c", "from rover_ncp.shell import main; main()", *arguments)
+    return start("-c", "from rover_ncp.cli import main; main()", *arguments)
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.cli import run
 from rover_ncp.core.course import load_course
-from rover_ncp.shell import run
 from sim.learn.commands import SearchName
 from sim.learn.engine import Engine
 from sim.learn.progress import TrainProgress
@@ -35,7 +35,7 @@ def _no_git(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", "from rover_ncp.shell import main; main()", *arguments]
+    command = [sys.executable, "-c", "from rover_ncp.cli import main; main()", *arguments]
     return subprocess.Popen(
         command,
         env=NO_GIT,

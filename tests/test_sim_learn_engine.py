@@ -13,7 +13,7 @@ from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_cir
 from rover_ncp.core.course import Obstacle, load_course
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import wrap_angle
-from rover_ncp.core.reference import plan_reference
+from rover_ncp.course.reference import plan_reference
 from sim.learn.engine import Engine
 from sim.learn.rollout import rollout
 from sim.world.env import ENV_ID

@@ -8,9 +8,9 @@ import yaml
 
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
+from rover_ncp.cli import run
 from rover_ncp.core.course import load_course
-from rover_ncp.core.reference import plan_reference
-from rover_ncp.shell import run
+from rover_ncp.course.reference import plan_reference
 from sim.learn.engine import Engine, Outcomes
 from sim.learn.robust import RobustSearch, UnitCube, costs, drive_trials, training_courses
 from sim.learn.search.unit_box import reflected

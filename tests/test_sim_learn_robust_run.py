@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from rover_ncp.cli import run as shell
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
-from rover_ncp.shell import run as shell
 from sim.learn import robust_run
 from sim.learn.record import RobustSettings
 from sim.learn.robust_run import train_robust

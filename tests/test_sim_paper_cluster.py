@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from dask_cluster import Cluster
 
-from rover_ncp.shell import run
+from rover_ncp.cli import run
 from sim.paper.cell import Name, load_cell
 
 QUICK = ["paper", "run", "--task", "cart-pole", "--agent", "mlp", "--budget", "quick", "--again"]

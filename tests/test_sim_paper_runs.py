@@ -14,8 +14,8 @@ import pytest
 
 from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.circuit.tap_withdrawal import tap_withdrawal_circuit
+from rover_ncp.cli import run
 from rover_ncp.core.errors import FileError, UsageError
-from rover_ncp.shell import run
 from sim.paper.arena import Arena, draw_seeds
 from sim.paper.cell import Cell, Name, Shelf, load_cell
 from sim.paper.choice import chosen
@@ -180,7 +180,7 @@ def test_creeping_counts_as_a_miss_and_in_no_return():
 
 
 def test_runs_in_processes_are_those_of_one_process_and_an_interrupt_ends_them_all(tmp_path):
-    code = "from rover_ncp.shell import main; main()"
+    code = "from rover_ncp.cli import main; main()"
     runs = ["--runs", str(tmp_path), "--again", "--task", "cart-pole", "--processes", "2"]
     command = [sys.executable, "-c", code, "paper", "run", *runs, "--agent", "mlp"]
     quick = [*command, "--seed", "0", "--seed", "1", "--budget", "quick"]

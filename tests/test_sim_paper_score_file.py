@@ -8,7 +8,7 @@ import pytest
 from rover_ncp.circuit.bnn import circuit_to_bnn
 from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
-from rover_ncp.shell import run
+from rover_ncp.cli import run
 from sim.paper.agents import build_agent
 from sim.paper.cell import Name, Shelf, load_cell
 from sim.paper.tasks import TASKS

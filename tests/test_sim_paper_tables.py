@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rover_ncp.shell import run
+from rover_ncp.cli import run
 from sim.learn.search.packed import pack
 from sim.paper.cell import Cell, Name, Shelf
 from sim.paper.curves import curves_png

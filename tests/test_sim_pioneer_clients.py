@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from pioneer_bench import Pioneer
 
 import sim.pioneer.firmware
-from bridge.arcos import COMMANDS, Command, Packet, decode_argument, encode_frame
-from bridge.packets import decode_names
-from bridge.robots import ROBOTS
+from bridge.pioneer.arcos import COMMANDS, Command, Packet, decode_argument, encode_frame
+from bridge.pioneer.packets import decode_names
+from bridge.pioneer.robots import ROBOTS
 
 SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pioneer_bench import Pioneer
 
-from bridge.arcos import Command, Decoder, Packet, encode_frame
-from bridge.packets import Flag
+from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
+from bridge.pioneer.packets import Flag
 from rover_ncp.core.errors import UsageError
 from sim.pioneer.faults import FAULTS, Fault, Faults, parse_fault
 from sim.pioneer.firmware import Link

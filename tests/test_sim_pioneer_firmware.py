@@ -5,10 +5,10 @@ import math
 import pytest
 from pioneer_bench import Pioneer
 
-from bridge.arcos import Command, Packet, encode_command, encode_frame
-from bridge.odometry import Odometer
-from bridge.packets import ConfigPac, EncoderPac, Flag, IoPac, Kind, SimStat, decode_names
-from bridge.robots import ROBOTS
+from bridge.pioneer.arcos import Command, Packet, encode_command, encode_frame
+from bridge.pioneer.odometry import Odometer
+from bridge.pioneer.packets import ConfigPac, EncoderPac, Flag, IoPac, Kind, SimStat, decode_names
+from bridge.pioneer.robots import ROBOTS
 from sim.pioneer.firmware import Link
 
 SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]

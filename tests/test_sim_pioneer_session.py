@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pioneer_bench import Pioneer
 
-from bridge.arcos import Command, encode_command
-from bridge.events import Configured, Connected, Failed, GyroHeard, Lost, Recovered, StateReceived
-from bridge.odometry import BaseState
-from bridge.robots import ROBOTS
-from bridge.session import Event, Session, State
+from bridge.pioneer.arcos import Command, encode_command
+from bridge.pioneer.events import Configured, Connected, Failed, GyroHeard, Lost, Recovered, StateReceived
+from bridge.pioneer.odometry import BaseState
+from bridge.pioneer.robots import ROBOTS
+from bridge.pioneer.session import Event, Session, State
 from sim.pioneer.firmware import Link
 from sim.pioneer.models import config_of
 

@@ -10,14 +10,14 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from sim.benchmarks import train as bench_train
+from sim.benchmarks.commands import bench
+from sim.benchmarks.search import MARKS, PASSED
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.search import least_squares
 from sim.learn.search.strategies import STRATEGIES
 from sim.learn.team import AgentState, Team
 from sim.learn.train import training_plan
-from sim.studies import bench_train
-from sim.studies.bench_commands import bench
-from sim.studies.bench_search import MARKS, PASSED
 
 ITERATIONS = 60
 
@@ -33,9 +33,9 @@ def run(*arguments: str) -> dict:
 def test_the_searches_are_compared_by_what_training_gives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.studies.bench_search.available_processes", lambda: 1)
-    monkeypatch.setattr("sim.studies.bench_search.MARKS", (20, 40, *MARKS))
-    monkeypatch.setattr("sim.studies.bench_search.PASSED", (-30.0, -8.0, *PASSED))
+    monkeypatch.setattr("sim.benchmarks.search.available_processes", lambda: 1)
+    monkeypatch.setattr("sim.benchmarks.search.MARKS", (20, 40, *MARKS))
+    monkeypatch.setattr("sim.benchmarks.search.PASSED", (-30.0, -8.0, *PASSED))
     table = tmp_path / "returns.csv"
     found = run(
         "search", "--iterations", str(ITERATIONS), "--agents", "3", "--seed", "4", "--csv", str(table)

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from rover_ncp.shell import run
-from sim.studies import bench_deploy
-from sim.studies.bench_deploy import latencies, quantiles
-from sim.studies.bench_peer import Moments
+from rover_ncp.cli import run
+from sim.benchmarks import deploy as bench_deploy
+from sim.benchmarks.deploy import latencies, quantiles
+from sim.benchmarks.peer import Moments
 
 MS = 1_000_000
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rover_ncp.core.course import load_course
-from rover_ncp.core.reference import plan_reference
-from sim.studies.evaluate import evaluate
-from sim.studies.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, GainCube, LawEngine, law_command
+from rover_ncp.course.reference import plan_reference
+from sim.evaluate.evaluate import evaluate
+from sim.evaluate.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, GainCube, LawEngine, law_command
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
 

@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 
 from deploy.replay import replay
-from rover_ncp.core.profile import load_profile
+from rover_ncp.cli import run
 from rover_ncp.core.recording import read_recording
-from rover_ncp.shell import run
+from rover_ncp.core.robot_profile import load_profile
 
 SHORT = str(Path(__file__).parent / "data" / "short_course.yaml")
 

@@ -5,7 +5,7 @@ import numpy as np
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.course import load_course
 from sim.learn.rollout import rollout
-from sim.studies.stack import Stack
+from sim.stack.trials import Stack
 from sim.world.randomization import load_randomization
 
 CIRCUITS, SPREAD = 5, 0.01

@@ -12,12 +12,12 @@ import pytest
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.messages import odometry, twist_stamped
 from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording
-from sim.studies.completeness import check_recording
-from sim.studies.leaks import Usage, leaks, usage
-from sim.studies.matrix import row
-from sim.studies.measure import Measured
-from sim.studies.soak import Round, Soaked, soak
-from sim.studies.soak_report import fields, table, verdict
+from sim.faults.completeness import check_recording
+from sim.faults.leaks import Usage, leaks, usage
+from sim.faults.measure import Measured
+from sim.faults.soak import Round, Soaked, soak
+from sim.faults.soak_report import fields, table, verdict
+from sim.faults.table import row
 
 SECOND_NS = 1_000_000_000
 SIP_NS = SECOND_NS // 10

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.cli import run
 from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, distance
-from rover_ncp.core.profile import RoverProfile, load_profile
-from rover_ncp.shell import run
+from rover_ncp.core.robot_profile import RoverProfile, load_profile
 from sim.learn.rollout import rollout
 from sim.pioneer.trial import BaseTrial
-from sim.studies.spread import drive_all
-from sim.studies.stack import Stack
+from sim.stack.parallel import drive_all
+from sim.stack.trials import Stack
 from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials, ranges_for
 from sim.world.rover import RoverModel
 

@@ -2,10 +2,10 @@
 
 import pytest
 
+from sim.faults.measure import in_time
+from sim.faults.standstill import SAMPLE_S, NotStill, TruthReader
+from sim.faults.table import braking_s, row
 from sim.pioneer.server import TRUTH_COLUMNS
-from sim.studies.matrix import braking_s, row
-from sim.studies.measure import in_time
-from sim.studies.standstill import SAMPLE_S, NotStill, TruthReader
 
 STEP_NS = 10_000_000
 EPOCH_NS = 1_700_000_000 * 10**9

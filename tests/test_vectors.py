@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from rover_ncp.jit import borrowed, kernel
-from rover_ncp.vectors import (
+from rover_ncp.kernels.jit import borrowed, kernel
+from rover_ncp.kernels.vectors import (
     WIDTH,
     everywhere,
     gather,

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from recorded_drives import write_drive
 
-from rover_ncp import shell
+from rover_ncp import cli as shell
 from rover_ncp.core.recording import read_recording
 
 pytestmark = pytest.mark.browser

@@ -20,7 +20,7 @@ from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.circuit.program import Chemical, Gaps, LaneParameters, Program, Stepped
 from rover_ncp.circuit.sensing import Drive
 from rover_ncp.circuit.solver import fill_lane
-from rover_ncp.vectors import WIDTH, aligned_zeros
+from rover_ncp.kernels.vectors import WIDTH, aligned_zeros
 
 __all__ = ["allocate_lanes", "inert_parameters", "lane_parameters", "make_program", "resting_potentials"]
 

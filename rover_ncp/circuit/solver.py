@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import MIDPOINT_MV
 from rover_ncp.circuit.program import Chemical, Gaps, LaneParameters, Program
-from rover_ncp.jit import inlined_kernel, kernel
-from rover_ncp.vectors import (
+from rover_ncp.kernels.jit import inlined_kernel, kernel
+from rover_ncp.kernels.vectors import (
     WIDTH,
     everywhere,
     larger,

@@ -17,8 +17,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from rover_ncp.core.access import access_control
-from rover_ncp.core.keys import Role
+from rover_ncp.core.access_control import access_control
+from rover_ncp.core.key_table import Role
 
 __all__ = ["PEERS", "USERS_FILE", "make_credentials"]
 

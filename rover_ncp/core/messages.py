@@ -2,8 +2,8 @@
 
 Frames as in REP-105: ``odom`` → ``base_link``, and ``course`` for a course's own; x forward, y left, angles
 counter-clockwise (REP-103). Stamps are ns since the epoch. The keys they travel on are in
-`rover_ncp.core.keys`, what rides with a command and the JSON of the queries in `rover_ncp.core.lease`, the
-bytes in `rover_ncp.core.cdr`.
+`rover_ncp.core.key_table`, what rides with a command and the JSON of the queries in
+`rover_ncp.core.protocol`, the bytes in `rover_ncp.core.cdr`.
 """
 
 import math

@@ -11,7 +11,7 @@ from rover_ncp.core.options import Json
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from rover_ncp.report.analysis import Analysis
+    from deploy.report.analysis import Analysis
     from sim.explain.explained import Explained
 
 SHOWN = 12
@@ -101,8 +101,8 @@ def _table(title: str, first: str, *others: str) -> "Table":
 
 
 def _contributions(analysis: "Analysis") -> "list[Table]":
-    from rover_ncp.report.picture_pairs import SYMBOLS
-    from rover_ncp.report.published import CONTRIBUTIONS
+    from deploy.report.charts.neuron_pairs import SYMBOLS
+    from deploy.report.published import CONTRIBUTIONS
 
     table = _table(
         "Contributions, P/Q: + positive, − antagonistic, ± phase-switching", "from", *analysis.motors

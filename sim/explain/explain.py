@@ -6,17 +6,17 @@ The run is a simulated one, or one that was recorded; the what-ifs are always si
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from deploy.report.analysis import analyse
+from deploy.report.charts.bars import Outcome, Swing, outcomes, swings
+from deploy.report.charts.figure import Picture
+from deploy.report.charts.files import pictures, table, tables
+from deploy.report.interpretation import THRESHOLD
+from deploy.report.recorded_drive import judge, read_drive
+from deploy.report.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.course import load_course
 from rover_ncp.core.files import write_atomic
-from rover_ncp.report.analysis import analyse
-from rover_ncp.report.files import pictures, table, tables
-from rover_ncp.report.interpret import THRESHOLD
-from rover_ncp.report.picture import Picture
-from rover_ncp.report.picture_bars import Outcome, Swing, outcomes, swings
-from rover_ncp.report.recorded import judge, read_drive
-from rover_ncp.report.trace import Trace
 from sim.explain.explained import Explained
 from sim.explain.knockout import knock_outs
 from sim.explain.prose import prose

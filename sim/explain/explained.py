@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from typing import Any
 
+from deploy.report.analysis import Analysis
+from deploy.report.interpretation import Contribution
+from deploy.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
+from deploy.report.sentences import Explanation
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import Course, Verdict
-from rover_ncp.report.analysis import Analysis
-from rover_ncp.report.interpret import Contribution
-from rover_ncp.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
-from rover_ncp.report.sentences import Explanation
 from sim.explain.knockout import Knockout
 from sim.explain.sensitivity import Sensitivity
 from sim.learn.rollout import Rollout

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import NamedTuple
 
+from deploy.report.page.page import TRAINING, drive_page, html
+from deploy.report.page.page_data import course_data
+from deploy.report.recorded_drive import read_drive
 from rover_ncp.core.files import existing_file, require_writable, write_atomic
-from rover_ncp.report.page import TRAINING, drive_page, html
-from rover_ncp.report.page_data import course_data
-from rover_ncp.report.recorded import read_drive
 from sim.explain.training import Training, read_training, training_data
 
 __all__ = ["Page", "write_page"]

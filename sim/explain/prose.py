@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from rover_ncp.report.interpret import Contribution
-from rover_ncp.report.picture_pairs import SYMBOLS
-from rover_ncp.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
+from deploy.report.charts.neuron_pairs import SYMBOLS
+from deploy.report.interpretation import Contribution
+from deploy.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
 from sim.explain.explained import Explained
 from sim.explain.sensitivity import STEP
 

@@ -14,8 +14,8 @@ from rover_ncp.circuit.lanes import allocate_lanes, make_program, resting_potent
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.program import Program
 from rover_ncp.core.course import TICK_S, Course
-from rover_ncp.core.reference import Reference, plan_reference
-from rover_ncp.core.signals import SIGNALS, needs_reference
+from rover_ncp.core.observation import SIGNALS, needs_reference
+from rover_ncp.course.reference import Reference, plan_reference
 from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, run_episodes
 from sim.learn.rollout import require_driver
 from sim.world.fleet import Fleet

@@ -15,8 +15,8 @@ from rover_ncp.circuit.circuit import RESTING_MV
 from rover_ncp.circuit.program import LaneParameters, Program
 from rover_ncp.circuit.solver import fill_lane, tick_lanes
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.signals import seen_from
-from rover_ncp.jit import borrowed, inlined_kernel, kernel
+from rover_ncp.core.observation import seen_from
+from rover_ncp.kernels.jit import borrowed, inlined_kernel, kernel
 from sim.world.fleet import FleetArrays, advance, place, push, read_pose, read_poses, send, wrapped
 from sim.world.randomization import BaseErrors, OdometryErrors, Trials, driven, reckoned, stepped
 from sim.world.rover import SUBSTEP_S

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy
 from rover_ncp.circuit.solver import exp2
-from rover_ncp.jit import kernel
+from rover_ncp.kernels.jit import kernel
 
 __all__ = [
     "CELLS",

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import Course
-from rover_ncp.core.reference import Reference
+from rover_ncp.course.reference import Reference
 from sim.learn.engine import Engine, Outcomes
 from sim.learn.objective import mean_of_worst
 from sim.learn.search.cma import Cma, default_population

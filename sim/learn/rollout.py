@@ -18,8 +18,8 @@ from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.core.reference import Reference, plan_reference
-from rover_ncp.core.signals import SIGNALS, needs_reference, see
+from rover_ncp.core.observation import SIGNALS, needs_reference, see
+from rover_ncp.course.reference import Reference, plan_reference
 from sim.world.bay import Bay
 from sim.world.fleet import SUBSTEPS
 from sim.world.randomization import (

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.vectors import WIDTH
+from rover_ncp.kernels.vectors import WIDTH
 from sim.learn.nets import Net
 from sim.paper.brain import make_brain
 from sim.paper.cheetah_model import NO_CHEETAH, load_cheetah

@@ -16,7 +16,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.program import LaneParameters, Program
 from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.circuit.solver import fill_lane, tick_lanes
-from rover_ncp.jit import kernel
+from rover_ncp.kernels.jit import kernel
 from sim.learn.nets import (
     Net,
     NetKind,

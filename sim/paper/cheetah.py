@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.jit import inlined_kernel
+from rover_ncp.kernels.jit import inlined_kernel
 from sim.paper.cheetah_constraints import find_constraints, rotated, satisfy, solve
 from sim.paper.cheetah_model import COORDINATES, LINKS, Cheetah, CheetahWork
 

@@ -8,7 +8,7 @@ constraint asks for, weighted by its stiffness, is least. A constraint that woul
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.jit import inlined_kernel
+from rover_ncp.kernels.jit import inlined_kernel
 from sim.paper.cheetah_model import COORDINATES, LEG, LINKS, TRUNK, Cheetah, CheetahWork, Softness
 
 __all__ = ["find_constraints", "rotated", "satisfy", "solve"]

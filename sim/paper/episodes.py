@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.jit import kernel
+from rover_ncp.kernels.jit import kernel
 from sim.paper.brain import Brain, start_lane, think
 from sim.paper.plants import Plants, observe, reset_plant, step_plant
 

@@ -3,11 +3,11 @@
 from collections import Counter
 from typing import Any
 
+from deploy.report.interpretation import contributions, time_constant_ranges
+from deploy.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import UsageError
-from rover_ncp.report.interpret import contributions, time_constant_ranges
-from rover_ncp.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
 from sim.learn.rollout import rollout
 from sim.paper.agents import build_agent
 from sim.paper.cell import Cell, Shelf

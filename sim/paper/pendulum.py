@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.jit import kernel
+from rover_ncp.kernels.jit import kernel
 
 __all__ = ["TILTED_RAD", "step_pendulum"]
 

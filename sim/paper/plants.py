@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.jit import kernel
+from rover_ncp.kernels.jit import kernel
 from sim.paper.cheetah import step_cheetah
 from sim.paper.cheetah_model import COORDINATES, NO_CHEETAH, Cheetah, CheetahWork, cheetah_work
 from sim.paper.pendulum import TILTED_RAD, step_pendulum

@@ -8,7 +8,7 @@ manual p. 28). Sources: AROS manual p. 44 (which command replaces which), Adept 
 
 import math
 
-from bridge.robots import RobotParameters
+from bridge.pioneer.robots import RobotParameters
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from sim.pioneer.trial import BaseTrial
 from sim.world.rover import SUBSTEP_S, Rover

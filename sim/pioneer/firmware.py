@@ -21,10 +21,19 @@ from collections import Counter
 from collections.abc import Callable
 from enum import Enum
 
-from bridge.arcos import COMMANDS, Argument, Command, Decoder, Packet, decode_argument, encode_frame, pair
-from bridge.baud import RATES
-from bridge.packets import ConfigPac, Kind, encode_names
-from bridge.robots import ROBOTS
+from bridge.pioneer.arcos import (
+    COMMANDS,
+    Argument,
+    Command,
+    Decoder,
+    Packet,
+    decode_argument,
+    encode_frame,
+    pair,
+)
+from bridge.pioneer.baud import RATES
+from bridge.pioneer.packets import ConfigPac, Kind, encode_names
+from bridge.pioneer.robots import ROBOTS
 from rover_ncp.core.geometry import Pose
 from sim.pioneer.drive import Drive
 from sim.pioneer.faults import Fault, Faults

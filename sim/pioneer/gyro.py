@@ -2,8 +2,8 @@
 
 import random
 
-from bridge.arcos import Packet
-from bridge.packets import GYRO_RAD_S, GYRO_REST, GyroPac
+from bridge.pioneer.arcos import Packet
+from bridge.pioneer.packets import GYRO_RAD_S, GYRO_REST, GyroPac
 from sim.world.rover import Rover
 
 __all__ = ["Gyro"]

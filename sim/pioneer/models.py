@@ -1,13 +1,13 @@
 """The Pioneers that the mock can be: rover, FLASH values, names.
 
-Factors and outlines are those of ``bridge.robots``; FLASH values from real and simulated CONFIGpacs
+Factors and outlines are those of ``bridge.pioneer.robots``; FLASH values from real and simulated CONFIGpacs
 (AriaCoda issue 15, AMRISim). What no source tells is chosen and says so.
 """
 
 import math
 
-from bridge.packets import ConfigPac
-from bridge.robots import ROBOTS, RobotParameters
+from bridge.pioneer.packets import ConfigPac
+from bridge.pioneer.robots import ROBOTS, RobotParameters
 from sim.world.rover import RoverModel
 
 __all__ = ["BASE_CLASS", "BASE_NAME", "TICKS_PER_MM", "config_of", "rover_model_of"]

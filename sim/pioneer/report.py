@@ -3,10 +3,10 @@
 import math
 from dataclasses import dataclass, replace
 
-from bridge.arcos import Packet
-from bridge.odometry import COUNTER_BITS, HEADING_BITS
-from bridge.packets import ConfigPac, EncoderPac, Flag, IoPac, SimStat, Sip
-from bridge.robots import RobotParameters
+from bridge.pioneer.arcos import Packet
+from bridge.pioneer.odometry import COUNTER_BITS, HEADING_BITS
+from bridge.pioneer.packets import ConfigPac, EncoderPac, Flag, IoPac, SimStat, Sip
+from bridge.pioneer.robots import RobotParameters
 from rover_ncp.core.geometry import Pose
 from sim.pioneer.drive import Drive
 from sim.pioneer.models import TICKS_PER_MM

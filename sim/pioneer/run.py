@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from bridge.robots import ROBOTS
+from bridge.pioneer.robots import ROBOTS
 from rover_ncp.core.console import Output
 from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import UsageError

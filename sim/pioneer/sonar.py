@@ -6,8 +6,8 @@ the order). A reading is the distance along the sonar's axis; a real cone hears 
 
 import math
 
-from bridge.packets import NO_ECHO_MM, Flag
-from bridge.robots import RobotParameters
+from bridge.pioneer.packets import NO_ECHO_MM, Flag
+from bridge.pioneer.robots import RobotParameters
 from rover_ncp.core.geometry import compose
 from sim.world.bay import ROVER_FILTER
 from sim.world.rover import Rover

@@ -6,7 +6,7 @@ noise begins; while the window of a lost tick is open, set-points do not arrive;
 seen in that tick is old. Commands in whole steps are not among a trial's errors here: ARCOS has its own.
 """
 
-from bridge.arcos import Command
+from bridge.pioneer.arcos import Command
 from rover_ncp.core.course import TICK_S
 from rover_ncp.core.geometry import Pose, Velocity
 from sim.world.bay import Bay

@@ -31,15 +31,15 @@ from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.circuit.random_wiring import random_circuit
 from rover_ncp.circuit.sensing import shifted_sensing
 from rover_ncp.core.course import Course, load_course
-from rover_ncp.core.reference import plan_reference
+from rover_ncp.course.reference import plan_reference
+from sim.evaluate.evaluate import unseen_courses
+from sim.evaluate.laws import LAWS, GainCube, LawEngine
 from sim.learn.engine import Engine
 from sim.learn.net_engine import NetEngine
 from sim.learn.nets import Net, NetKind, net_for
 from sim.learn.record import RobustSettings, made_with
 from sim.learn.robust import Cube, RobustSearch, UnitCube, drive_trials, training_courses
 from sim.learn.search.unit_box import reflected
-from sim.studies.evaluate import unseen_courses
-from sim.studies.laws import LAWS, GainCube, LawEngine
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
 

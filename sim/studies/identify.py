@@ -20,24 +20,24 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from rich.progress import track
 
-from bridge.motion import MotionLimits
-from bridge.robots import ROBOTS
-from deploy.excitation import FENCE_M, excite
-from deploy.guard import Guard
-from deploy.identification import identify
-from deploy.intake import Intake
-from deploy.link import Link
-from deploy.motion_log import motion_log
-from deploy.waits import Waits
+from bridge.pioneer.quantise import MotionLimits
+from bridge.pioneer.robots import ROBOTS
+from deploy.drive.link import Link
+from deploy.drive.measurements import Intake
+from deploy.drive.safety_monitor import Guard
+from deploy.drive.waits import Waits
+from deploy.identify.excitation import FENCE_M, excite
+from deploy.identify.fit import identify
+from deploy.identify.motion_log import motion_log
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance
-from rover_ncp.core.profile import RoverProfile
 from rover_ncp.core.recording import Recorded
+from rover_ncp.core.robot_profile import RoverProfile
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.trial import BaseTrial, rover_of
-from sim.studies.stack import MODEL
-from sim.studies.virtual import Air, World
+from sim.stack.trials import MODEL
+from sim.stack.virtual import Air, World
 from sim.world.bay import Bay
 from sim.world.randomization import Randomization, Trials, draw_trials, load_randomization
 from sim.world.rover import SUBSTEP_S

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.course import Course, load_course
+from sim.evaluate.evaluate import unseen_courses
+from sim.evaluate.laws import LAWS, LawEngine
 from sim.learn.engine import Engine
-from sim.studies.evaluate import unseen_courses
-from sim.studies.laws import LAWS, LawEngine
 from sim.world.randomization import Randomization, draw_trials, load_randomization
 from sim.world.rover import RoverModel
 

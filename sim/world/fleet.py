@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from rover_ncp.core.course import Obstacle
 from rover_ncp.core.geometry import Pose
-from rover_ncp.jit import inlined_kernel, kernel
-from rover_ncp.vectors import (
+from rover_ncp.kernels.jit import inlined_kernel, kernel
+from rover_ncp.kernels.vectors import (
     WIDTH,
     everywhere,
     gather,

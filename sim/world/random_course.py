@@ -11,7 +11,7 @@ import numpy as np
 
 from rover_ncp.core.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.core.geometry import Pose, wrap_angle
-from rover_ncp.core.reference import OMEGA_MAX, Reference, drive_profile
+from rover_ncp.course.reference import OMEGA_MAX, Reference, drive_profile
 
 __all__ = ["mirrored", "mirrored_reference", "random_course"]
 

@@ -17,7 +17,7 @@ from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.core.course import TICK_S
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.profile import RoverProfile, load_profile
+from rover_ncp.core.robot_profile import RoverProfile, load_profile
 from sim.world.rover import SUBSTEP_S, RoverModel
 
 __all__ = [

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.jit import kernel
+from rover_ncp.kernels.jit import kernel
 
 __all__ = ["Cma", "default_population"]
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.solver import exp2
-from rover_ncp.jit import kernel
-from rover_ncp.vectors import WIDTH, load, store, total
+from rover_ncp.kernels.jit import kernel
+from rover_ncp.kernels.vectors import WIDTH, load, store, total
 
 __all__ = ["correct_slopes", "damped_steps", "lost_at", "measure_slope", "survival", "survival_weights"]
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout
 from rover_ncp.circuit.solver import exp2
-from rover_ncp.jit import kernel
+from rover_ncp.kernels.jit import kernel
 from sim.learn.search.base import Vector
 
 __all__ = ["BY_LOGARITHM", "UnitBox", "reflected"]

@@ -1,0 +1,81 @@
+"""The ``bridge`` command: reads its options, runs the loop until a signal comes, reports."""
+
+import signal
+from collections.abc import Collection
+from pathlib import Path
+
+from bridge.base_connection import Line
+from bridge.gate.limits import Limits
+from bridge.inbox import Inbox
+from bridge.node import Node
+from bridge.pioneer.quantise import MotionLimits
+from bridge.pioneer.session import Session
+from bridge.ros import messages as ros_messages
+from bridge.ros.conventions import Convention
+from bridge.zenoh_link import Link
+from rover_ncp.core.config import load_yaml
+from rover_ncp.core.console import Output
+from rover_ncp.core.signals import Interrupts
+
+__all__ = ["run_bridge"]
+
+INTERRUPTED = 130
+
+
+def run_bridge(
+    *,
+    base: str,
+    listen: str | None,
+    namespace: str,
+    model: str,
+    limits: Path | None,
+    zenoh_config: Path | None,
+    ros: Collection[Convention],
+    accept_ros: bool,
+    insecure: bool,
+    as_json: bool,
+) -> int:
+    """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
+    output = Output(as_json, controls=True)
+    allowed = Limits() if limits is None else load_yaml(limits, Limits)
+    session = Session(model, MotionLimits(v=allowed.v_max, omega=allowed.omega_max))
+    inbox = Inbox()
+    with (
+        Interrupts() as interrupts,
+        Link(listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros) as link,
+    ):
+        line = Line(base, inbox)
+
+        def ready() -> None:
+            link.announce()
+            output.announce(f"ready zenoh={link.locator} base={base}")
+
+        node = Node(
+            line,
+            link,
+            inbox,
+            session,
+            limits=allowed,
+            accept_ros=accept_ros,
+            say=output.say,
+            ready=ready,
+        )
+        node.run(lambda: interrupts.raised)
+    status = ros_messages.gate_status(node.gate)
+    output.result(
+        {
+            "zenoh": link.locator,
+            "base": base,
+            "bytes_to_base": line.bytes_out,
+            "bytes_from_base": line.bytes_in,
+            "accepted": status.accepted,
+            "dropped": status.dropped,
+            "limited": status.limited,
+            "stops": status.stops,
+            "reconnects": max(node.reconnects, 0),
+            "flooded": inbox.flooded,
+        },
+        f"{status.accepted} commands passed, {sum(status.dropped.values())} dropped, "
+        f"{sum(status.stops.values())} stops; {line.bytes_out} bytes to the base, {line.bytes_in} from it",
+    )
+    return INTERRUPTED if signal.SIGINT in interrupts.received else 0

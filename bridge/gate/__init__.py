@@ -1,0 +1,1 @@
+"""The safety gate: one pure function between every command and the base."""

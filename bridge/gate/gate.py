@@ -1,0 +1,363 @@
+"""The gate: the one function between what anybody asks for and what the base is told.
+
+Rules of this file:
+
+1. `step` is all there is: state and event in, state and verdict out. No I/O and no clock; ``now`` is the
+   bridge's monotonic clock in seconds.
+2. Whatever came, the verdict's velocity is finite, within the limits, and what is sent, published, recorded.
+3. The output is zero unless all of these hold: the base reports in time, no stop is latched, no hazard is
+   flagged, the motors are on, there is a lease, and its holder sent a command that is fresh, new and finite.
+4. Hazards end the lease: whoever drove has to ask again. Mere lateness (silence, odometry) pauses, and so do
+   fence and sonars: the rover may be driven away from them.
+5. Braking is never slowed down; only growth is.
+6. A message that is not signed with the key of the present lease changes nothing of it but a counter. Digests
+   are verified, and keys are made, by the caller: `step` draws no random numbers.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+from bridge.gate.limits import Fence, Limits
+from bridge.gate.state import (
+    ZERO,
+    BaseLost,
+    Command,
+    Enable,
+    Event,
+    Heard,
+    Lease,
+    Reason,
+    Release,
+    State,
+    Stop,
+    Unlatch,
+    Verdict,
+)
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.protocol import CommandTag
+
+__all__ = ["step"]
+
+MINIMUM_KEPT_S = 60
+"""How long the smallest (arrival − stamp) is remembered: clocks that drift 100 ppm differ by 6 ms in it."""
+ROS_AGE_S = 0.3
+"""A stamped command without a tag counts when its stamp is no farther from our clock than this."""
+LET_GO_S = 1.0
+"""How long untagged commands must pause, or be zero, after a lease ended."""
+MOTORS_GRACE_S = 1.0
+"""How long after ENABLE the base may still report its motors off."""
+COAST_S = 2.0
+"""Without a lease, motors are switched off when the rover stands, or after this."""
+STANDING = 0.01
+"""Below this, in m/s and rad/s, a reported speed counts as standing."""
+REACT_S = 0.3
+"""From command to first braking, at worst: what the fence reckons with besides braking."""
+FROZEN_M, FROZEN_RAD = 0.01, 0.02
+"""A base that went so far by its own speeds and reports the same pose does not know where it is."""
+FROZEN_REPORTS = 2
+"""So many times it reports it again: noisy odometry hits upon the same millimetre once by chance."""
+STEP_MAX_S = 0.1
+"""A loop that slept does not earn acceleration for the time it slept."""
+
+
+def step(state: State, event: Event, now: float, limits: Limits, accept_ros: bool) -> tuple[State, Verdict]:
+    """Take in one event at ``now`` and say what the base is to do from now on."""
+    elapsed = min(max(now - state.now, 0.0), STEP_MAX_S)
+    state = _lapse(replace(state, now=max(now, state.now)))
+    refusal = dropped = None
+    match event:
+        case Heard():
+            state = _hear(state, event, limits)
+        case BaseLost():
+            state = replace(state, base=None, low_since_s=None)
+        case Enable():
+            state, refusal = _enable(state, event, limits)
+        case Release(sequence) if state.lease is not None and sequence > state.lease.last_sequence:
+            state = _end_lease(state, None)
+        case Stop(reason):
+            state = replace(state, latched=reason)
+        case Unlatch():
+            state = replace(state, latched=None)
+        case Command():
+            state, dropped = _command(state, event, limits, accept_ros)
+        case _:  # time alone, or a release that was repeated or came after the lease ended
+            pass
+    hazard = _hazard(state, limits)
+    if hazard is not None and state.lease is not None:
+        state = _end_lease(state, hazard)
+    held = hazard or _pause(state, limits)
+    if state.held is None and held not in {None, Reason.NO_LEASE}:
+        state = replace(state, stops=_count(state.stops, held))
+    velocity = ZERO
+    if held is None and state.target is not None:
+        velocity = _within(state.target, state.out, limits, elapsed)
+    state = _switch_motors(replace(state, held=held, out=velocity))
+    return state, Verdict(velocity, state.motors, held, refusal, dropped, state.lease)
+
+
+def _hazard(state: State, limits: Limits) -> Reason | None:
+    """Return what nobody may drive with, whoever asks."""
+    base, low, lease = state.base, state.low_since_s, state.lease
+    if state.latched is not None:
+        return Reason.STOPPED
+    if base is None:
+        return Reason.NO_BASE
+    for flagged, reason in (
+        (base.stop_pressed, Reason.STOP_BUTTON),
+        (base.bumped, Reason.BUMPER),
+        (base.stalled, Reason.STALL),
+        (low is not None and state.now - low >= limits.battery_low_s, Reason.LOW_BATTERY),
+        (_frozen(state), Reason.FROZEN),
+    ):
+        if flagged:
+            return reason
+    if lease is not None and not base.motors_on and state.now - lease.granted_s > MOTORS_GRACE_S:
+        return Reason.MOTORS_OFF
+    return None
+
+
+def _pause(state: State, limits: Limits) -> Reason | None:
+    """Return what keeps the command from the base for now."""
+    base, target = state.base, state.target
+    reason = None
+    if base is None or _deaf(state, base, limits):
+        reason = Reason.ODOMETRY
+    elif state.lease is None:
+        reason = Reason.NO_LEASE
+    elif not base.motors_on:
+        reason = Reason.MOTORS_OFF
+    elif target is None:
+        reason = state.idle
+    elif state.now > state.target_until_s:
+        reason = Reason.SILENCE
+    elif limits.fence is not None and _leaves(limits.fence, base, _clamp(target.v, limits.v_max), limits):
+        reason = Reason.GEOFENCE
+    elif limits.sonar_stop_m is not None and not _clear(base, target.v, limits.sonar_stop_m):
+        reason = Reason.SONAR
+    return reason
+
+
+def _frozen(state: State) -> bool:
+    """Whether the base reports one and the same pose while it says that it drives."""
+    went = state.unseen_m >= FROZEN_M or state.unseen_rad >= FROZEN_RAD
+    return went and state.same >= FROZEN_REPORTS
+
+
+def _deaf(state: State, base: Heard, limits: Limits) -> bool:
+    """Whether the base was not heard of late, or says no numbers."""
+    numbers = (base.x, base.y, base.theta, base.v, base.omega)
+    return state.now - state.base_s > limits.odometry_s or not all(map(math.isfinite, numbers))
+
+
+def _leaves(fence: Fence, base: Heard, v: float, limits: Limits) -> bool:
+    """Whether a base at speed ``v`` would come to stand beyond the fence, no nearer to it than it is now."""
+    reach = v * REACT_S + v * abs(v) / (2.0 * limits.brake)
+    ahead = fence.outside(base.x + reach * math.cos(base.theta), base.y + reach * math.sin(base.theta))
+    return v != 0.0 and ahead > 0.0 and ahead >= fence.outside(base.x, base.y)
+
+
+def _clear(base: Heard, v: float, least_m: float) -> bool:
+    """Whether the sonars know that nothing is nearer than ``least_m`` where a speed leads."""
+    ahead = v <= 0.0 or base.clear_ahead_m >= least_m
+    behind = v >= 0.0 or base.clear_behind_m >= least_m
+    return ahead and behind
+
+
+def _hear(state: State, base: Heard, limits: Limits) -> State:
+    """Take in a report; note since when the battery is low, and how far it came in the same place."""
+    before, low_since_s, same, unseen_m, unseen_rad = state.base, None, 0, 0.0, 0.0
+    if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
+        elapsed = state.now - state.base_s
+        same = state.same + 1
+        unseen_m = state.unseen_m + min(abs(before.v), abs(base.v)) * elapsed
+        unseen_rad = state.unseen_rad + min(abs(before.omega), abs(base.omega)) * elapsed
+    if 0.0 < base.battery_v < limits.battery_min_v:
+        low_since_s = state.now if state.low_since_s is None else state.low_since_s
+    return replace(
+        state,
+        base=base,
+        base_s=state.now,
+        low_since_s=low_since_s,
+        same=same,
+        unseen_m=unseen_m,
+        unseen_rad=unseen_rad,
+    )
+
+
+def _enable(state: State, request: Enable, limits: Limits) -> tuple[State, Reason | None]:
+    """Grant or renew the lease, or say why not. A renewal forgets what was known of the driver's clock."""
+    base, lease = state.base, state.lease
+    sequence = -1 if lease is None else request.sequence
+    if sequence is None:
+        return state, Reason.ANOTHER_DRIVER
+    if lease is not None and sequence <= lease.last_sequence:
+        return state, Reason.REPEATED
+    hazard = _hazard(state, limits)
+    if hazard is not None or base is None:
+        return state, hazard
+    if _deaf(state, base, limits):
+        return state, Reason.ODOMETRY
+    granted = Lease(
+        number=state.leases + 1 if lease is None else lease.number,
+        secret=request.secret if lease is None else lease.secret,
+        name=request.name,
+        sent_ns=request.sent_ns,
+        granted_s=state.now,
+        expires_s=state.now + limits.lease_s,
+        last_sequence=sequence,
+    )
+    return replace(
+        state,
+        lease=granted,
+        leases=granted.number,
+        ended=None,
+        target=None,
+        idle=Reason.SILENCE,
+        minima=_remember((), state.now, request.sent_ns),
+        motors=True,
+    ), None
+
+
+def _lapse(state: State) -> State:
+    """End a lease whose holder has not been heard for too long."""
+    if state.lease is not None and state.now > state.lease.expires_s:
+        return _end_lease(state, Reason.LEASE_LAPSED)
+    return state
+
+
+def _end_lease(state: State, reason: Reason | None) -> State:
+    return replace(
+        state,
+        lease=None,
+        ended=reason,
+        target=None,
+        motors_until_s=state.now + COAST_S,
+        untagged_until_s=state.now + LET_GO_S,
+    )
+
+
+def _switch_motors(state: State) -> State:
+    """Without a lease the motors go off once the rover stands: rolling on without them is no stop."""
+    if state.lease is not None or not state.motors:
+        return state
+    base = state.base
+    stands = base is None or (abs(base.v) < STANDING and abs(base.omega) < STANDING)
+    return replace(state, motors=not stands and state.now < state.motors_until_s)
+
+
+class _Admitted(NamedTuple):
+    """A command whose sender and time are in order; its content is yet to be looked at."""
+
+    state: State
+    lease: Lease
+    sent_s: float
+    """When it was sent, on our clock, as far as can be known."""
+
+
+def _command(state: State, command: Command, limits: Limits, accept_ros: bool) -> tuple[State, Reason | None]:
+    """Make a command the one in force, or say why it does not count."""
+    velocity = command.velocity
+    admitted: _Admitted | Reason = Reason.FOREIGN
+    if command.tag is not None:
+        admitted = _tagged(state, command.tag, command.signed, limits)
+    elif accept_ros:
+        admitted = _untagged(state, command, limits)
+    if isinstance(admitted, Reason):
+        return replace(state, dropped=_count(state.dropped, admitted)), admitted
+    state = admitted.state
+    if velocity is None or not all(map(math.isfinite, velocity)):
+        # The driver that holds the lease is faulty: the command before this one is not carried out further.
+        flaw = Reason.UNREADABLE if velocity is None else Reason.NOT_FINITE
+        return replace(state, target=None, idle=flaw, dropped=_count(state.dropped, flaw)), flaw
+    limited = state.limited
+    if abs(velocity.v) > limits.v_max:
+        limited = _count(limited, Reason.SPEED)
+    if abs(velocity.omega) > limits.omega_max:
+        limited = _count(limited, Reason.TURN)
+    return replace(
+        state,
+        lease=replace(admitted.lease, expires_s=state.now + limits.lease_s),
+        target=velocity,
+        target_until_s=admitted.sent_s + limits.silence_s,
+        accepted=state.accepted + 1,
+        limited=limited,
+    ), None
+
+
+def _tagged(state: State, tag: CommandTag, signed: bool, limits: Limits) -> _Admitted | Reason:
+    """Judge by signature, sequence number and age.
+
+    The two clocks agree in nothing, but (arrival − stamp) of the quickest command of the last minute is as
+    near to their difference as can be known: what exceeds it is this command's age.
+    """
+    lease = state.lease
+    if lease is None:
+        return _hazard(state, limits) or Reason.NO_LEASE
+    if not signed:
+        return Reason.FOREIGN
+    if tag.sequence <= lease.last_sequence:
+        return Reason.REPEATED
+    minima = _remember(state.minima, state.now, tag.stamp_ns)
+    age = state.now - tag.stamp_ns * 1e-9 - min(offset for _, offset in minima)
+    if age > limits.stale_s or tag.stamp_ns < lease.sent_ns:
+        return Reason.STALE
+    lease = replace(lease, last_sequence=tag.sequence)
+    return _Admitted(replace(state, lease=lease, minima=minima), lease, state.now - age)
+
+
+def _untagged(state: State, command: Command, limits: Limits) -> _Admitted | Reason:
+    """Judge a plain ROS command by its stamp, if it has one, on synchronised wall clocks.
+
+    It gets its lease by itself; after a lease ended it takes a pause or a zero first, as one lets go of a
+    stick.
+    """
+    age = 0.0 if command.age_s is None else command.age_s
+    if not abs(age) <= ROS_AGE_S:
+        return Reason.STALE
+    if state.lease is None:
+        refusal = _hazard(state, limits)
+        if refusal is None and state.now < state.untagged_until_s and command.velocity != ZERO:
+            refusal = Reason.NO_LEASE
+        if refusal is None:
+            state, refusal = _enable(state, Enable("ros"), limits)
+        if refusal is not None:
+            return refusal
+    lease = state.lease
+    if lease is None or lease.secret is not None:
+        return Reason.FOREIGN
+    return _Admitted(state, lease, state.now - max(age, 0.0))
+
+
+def _remember(
+    minima: tuple[tuple[int, float], ...], now: float, stamp_ns: int
+) -> tuple[tuple[int, float], ...]:
+    """Add (arrival − stamp) to the minima of the last minute, one a second."""
+    second, offset = math.floor(now), now - stamp_ns * 1e-9
+    kept = tuple(item for item in minima if second - item[0] <= MINIMUM_KEPT_S)
+    if kept and kept[-1][0] == second:
+        return (*kept[:-1], (second, min(offset, kept[-1][1])))
+    return (*kept, (second, offset))
+
+
+def _within(target: Velocity, before: Velocity, limits: Limits, elapsed: float) -> Velocity:
+    """Return what of the target is allowed now."""
+    return Velocity(
+        _toward(before.v, _clamp(target.v, limits.v_max), limits.accel * elapsed),
+        _toward(before.omega, _clamp(target.omega, limits.omega_max), limits.alpha * elapsed),
+    )
+
+
+def _clamp(value: float, bound: float) -> float:
+    return min(max(value, -bound), bound)
+
+
+def _toward(before: float, wanted: float, growth: float) -> float:
+    """Let a magnitude grow by ``growth`` at most, from zero where the sign changes."""
+    start = abs(before) if before * wanted > 0.0 else 0.0
+    return math.copysign(min(abs(wanted), start + growth), wanted)
+
+
+def _count(counts: Mapping[Reason, int], reason: Reason) -> Mapping[Reason, int]:
+    return {**counts, reason: counts.get(reason, 0) + 1}

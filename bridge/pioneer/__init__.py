@@ -1,0 +1,1 @@
+"""ARCOS, the protocol of Pioneer bases: framing, packets, session, setpoints."""

@@ -1,0 +1,387 @@
+"""The client's side of an ARCOS connection: bytes in, events out, time passed in.
+
+Rules of this file:
+
+1. The state changes only as ``states.TABLE`` says.
+2. Nothing is sent but from ``tick``, ``receive`` and the explicit calls; keep-alives come from ``tick``
+   alone. Whoever calls it from anywhere but the safety gate's own loop defeats the base's watchdog.
+3. A base resumes its old set-points with any packet that reaches it, SYNC0 included. So connecting begins by
+   listening: a base heard then has an open session, and is sent zeros before all else.
+4. Set-points are zero before ENABLE, after a loss, and until the motors were asked for and are on.
+
+Sources: AROS manual p. 43 (motors, watchdog); ``states.py`` for the handshake.
+"""
+
+from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command
+from bridge.pioneer.baud import Rates
+from bridge.pioneer.events import (
+    BaudChanged,
+    Configured,
+    Connected,
+    Event,
+    Failed,
+    GyroHeard,
+    Lost,
+    Recovered,
+    StateReceived,
+)
+from bridge.pioneer.odometry import BaseState, Odometer
+from bridge.pioneer.packets import SIP_KINDS, ConfigPac, GyroPac, Kind, Sip, decode_names
+from bridge.pioneer.quantise import MotionLimits
+from bridge.pioneer.robots import ROBOTS, RobotParameters, parameters_for
+from bridge.pioneer.setpoints import Helm
+from bridge.pioneer.states import LOSS_S, PATIENCE_S, TABLE, Input, State
+from rover_ncp.core.errors import UsageError
+
+__all__ = [
+    "BaudChanged",
+    "Configured",
+    "Connected",
+    "Event",
+    "Failed",
+    "Lost",
+    "MotionLimits",
+    "Recovered",
+    "Session",
+    "State",
+    "StateReceived",
+]
+
+
+CONFIG_S, OPEN_S = 1.0, 2.0
+"""How long to wait for a CONFIGpac, which is optional, and for the first SIP, which is not."""
+
+GYRO_CLIENT_SIDE = 1
+"""HASGYRO of a base that sends readings when asked; with 2 its headings have the gyro in them already."""
+
+POLITE_TRIES, SILENT_TRIES = 1, 6
+"""Silent handshakes before CLOSE goes first; before giving up."""
+
+TRIES_WHEN_LOST, TRIES_AGAIN = 1, 3
+"""Silent handshakes before giving up the line of a base that was ready; the same on each line after that."""
+
+CONNECT_S = 15.0
+"""A base that answers but is not ready after this time is given up: the search of all rates takes 11 s."""
+
+_PACKET_INPUTS: dict[int, Input] = {
+    Kind.SYNC0: Input.ECHO0,
+    Kind.SYNC1: Input.ECHO1,
+    Kind.CONFIG: Input.CONFIG,
+    Kind.RESET_FE: Input.RESET,
+    Kind.RESET_FF: Input.RESET,
+}
+
+
+class Session:
+    """One base on one line. ``model`` is a name of ``ROBOTS``, or ``auto`` to go by what the base says.
+
+    Raises UsageError for another model. Times are seconds on any clock that does not go back.
+    """
+
+    def __init__(self, model: str = "auto", limits: MotionLimits | None = None) -> None:
+        if model != "auto" and model not in ROBOTS:
+            raise UsageError(f"model {model}: expected auto, {', '.join(ROBOTS)}")
+        self.state = State.IDLE
+        self.decoder = Decoder()
+        """Its counters tell the quality of the link."""
+        self._model = model
+        self._helm = Helm(limits or MotionLimits(), self._send)
+        # Until the base tells its name; then made anew.
+        self._odometer = Odometer(ROBOTS.get(model, ROBOTS["p3at-sh"]))
+        self._sip = Sip()
+        self._names = ("", "", "")
+        self._base: BaseState | None = None
+        self._config: ConfigPac | None = None
+        self._out = bytearray()
+        self._events: list[Event] = []
+        self._reason = ""
+        self._now = self._deadline = self._opened_s = 0.0
+        self._began_s = 0.0
+        self._tries = self._silent_tries = 0
+        self._silent_limit = SILENT_TRIES
+        self._bytes_heard = self._packets_before = 0
+        self._rates = Rates()
+
+    # What the user calls.
+
+    def connect(self, now: float, baudrate: int | None = None) -> None:
+        """Begin to connect; events tell how it goes.
+
+        A line opened at ``baudrate`` is told by `BaudChanged` when it is to run at another; without one it is
+        never told so.
+        """
+        self._now = now
+        self._rates.begin(baudrate)
+        self._dispatch(Input.CONNECT)
+
+    def close(self, now: float) -> None:
+        """Stop the base, switch its motors off, end the session. What there is to send then is the last."""
+        self._now = now
+        self._dispatch(Input.CLOSE)
+
+    def link_down(self, reason: str, now: float) -> list[Event]:
+        """Take note that the line is gone, and why; ``connect`` begins anew on the next one."""
+        self._now, self._reason = now, reason
+        self._dispatch(Input.LINK_DOWN)
+        self._out.clear()
+        return self._drain()
+
+    def receive(self, data: bytes, now: float) -> list[Event]:
+        """Take over bytes from the base and return what they mean."""
+        self._now = now
+        self._bytes_heard += len(data)
+        self._decode(data)
+        return self._drain()
+
+    def tick(self, now: float) -> list[Event]:
+        """Let time pass: clocks, set-points, keep-alives. Call it from the gate's loop, 20 times a second."""
+        self._now = now
+        self._decode(b"")
+        if now - self._began_s >= CONNECT_S:
+            self._dispatch(Input.GAVE_UP)
+        if now >= self._deadline:
+            self._dispatch(Input.EXPIRED)
+        if self.state is State.READY:
+            self._helm.tick(self._base, self._odometer.reset_pending, now)
+        return self._drain()
+
+    def data_to_send(self) -> bytes:
+        """Return the bytes for the base and forget them."""
+        data = bytes(self._out)
+        self._out.clear()
+        return data
+
+    def set_motion(self, v: float, omega: float) -> None:
+        """Set the speeds (m/s, rad/s) that the next tick sends; zero unless the motors were asked for.
+
+        Raises ValueError when a speed is not finite.
+        """
+        self._helm.set_motion(v, omega)
+
+    # Only a ready base is asked for anything: nothing moves before the base was heard from.
+
+    def enable(self, on: bool) -> None:
+        """Ask for the motors, or switch them off, standing still either way."""
+        if self.state is State.READY:
+            self._helm.enable(on, self._base is not None and self._base.motors_enabled, self._now)
+
+    def stop(self) -> None:
+        """Stop within the deceleration limit; the motors stay as they are."""
+        if self.state is State.READY:
+            self._helm.halt(Command.STOP, self._now)
+
+    def emergency_stop(self) -> None:
+        """Stop at once, beyond the deceleration limit."""
+        if self.state is State.READY:
+            self._helm.halt(Command.E_STOP, self._now)
+
+    def reset_odometry(self) -> None:
+        """Let the pose count from here; the states show it when the base has done it."""
+        if self.state is State.READY:
+            self._helm.reset_odometry(self._now)
+            self._odometer.expect_reset()
+
+    # The machine.
+
+    def _decode(self, data: bytes) -> None:
+        for packet in self.decoder.feed(data, self._now):
+            what = self._classify(packet)
+            if what is not None:
+                self._silent_tries = 0
+                self._dispatch(what)
+
+    def _dispatch(self, what: Input) -> None:
+        entry = TABLE[self.state].get(what)
+        if entry is None:
+            return
+        state, action = entry
+        if state is not None:
+            self.state = state
+            self._deadline = self._now + PATIENCE_S[state]
+        getattr(self, "_do_" + action)()
+
+    def _drain(self) -> list[Event]:
+        events, self._events = self._events, []
+        return events
+
+    def _send(self, command: Command, argument: int | None = None) -> None:
+        self._out += encode_command(command, argument)
+
+    def _classify(self, packet: Packet) -> Input | None:
+        """Return what a packet means and keep what it holds; None for one that means nothing to a session."""
+        if packet.kind in SIP_KINDS:
+            sip = Sip.decode(packet)
+            self._sip = sip or self._sip
+            return None if sip is None else Input.SIP
+        if packet.kind == Kind.SYNC2:
+            self._names = decode_names(packet.payload)
+            return Input.STRANGER if self._robot() is None else Input.NAMES
+        if packet.kind == Kind.CONFIG:
+            self._config = ConfigPac.decode(packet.payload)
+        if packet.kind == Kind.GYRO and self.state is State.READY:
+            self._hear_gyro(GyroPac.decode(packet.payload).rate)
+        return _PACKET_INPUTS.get(packet.kind)
+
+    def _hear_gyro(self, rate: float | None) -> None:
+        if rate is not None:
+            self._events.append(GyroHeard(rate))
+
+    def _robot(self) -> RobotParameters | None:
+        return parameters_for(self._names[2] if self._model == "auto" else self._model)
+
+    # Actions.
+
+    def _do_nothing(self) -> None:
+        pass
+
+    def _do_listen(self) -> None:
+        self._helm.let_go()
+        self._out.clear()
+        self.decoder.drop()
+        self._began_s = self._now
+        self._tries = self._silent_tries = 0
+        self._bytes_heard, self._packets_before = 0, self.decoder.packets
+
+    def _do_sync0(self) -> None:
+        self._tries += 1
+        self._send(Command.PULSE)
+
+    def _do_sync1(self) -> None:
+        self._send(Command.OPEN)
+
+    def _do_sync2(self) -> None:
+        self._send(Command.CLOSE)
+
+    def _do_try_again(self) -> None:
+        self._silent_tries += 1
+        if self._silent_tries >= self._silent_limit + self._rates.tries:
+            self._dispatch(Input.GAVE_UP)
+        elif self._silent_tries > POLITE_TRIES:
+            self._change_baud(self._rates.look(self._silent_tries - POLITE_TRIES - 1))
+            # The answer to SYNC2 may have been lost: then a session waits for OPEN and echoes nothing.
+            self._send(Command.CLOSE)
+
+    def _do_give_up(self) -> None:
+        self._silent_limit = TRIES_AGAIN
+        valid = self.decoder.packets - self._packets_before
+        if valid:
+            reason = (
+                f"the base answers, but no handshake was completed within {self._now - self._began_s:.0f} s"
+            )
+        elif self._bytes_heard:
+            reason = (
+                f"what answers is no ARCOS base, or the baud rate is wrong: "
+                f"{self._bytes_heard} bytes, not one valid packet"
+            )
+        else:
+            reason = f"no answer to {self._tries} handshake{'s' if self._tries > 1 else ''}"
+        self._events.append(Failed(reason))
+
+    def _do_hang_up(self) -> None:
+        self._send_zeros()
+        self._send(Command.CLOSE)
+
+    def _do_open(self) -> None:
+        robot = self._robot()
+        assert robot is not None  # or this was a STRANGER
+        self._odometer = Odometer(robot)
+        self._base = self._config = None
+        self._opened_s = self._now
+        self._events.append(Connected(*self._names))
+        self._send(Command.OPEN)
+        self._send(Command.CONFIG)
+
+    def _do_refuse(self) -> None:
+        self._send(Command.CLOSE)
+        known = ", ".join(ROBOTS)
+        self._events.append(
+            Failed(f"the base calls itself {self._names[2]!r}; say its model, one of {known}")
+        )
+
+    def _do_first_sip(self) -> None:
+        self._base = self._odometer.update(self._sip, self._now)
+        if self._config is not None:
+            self._settle()
+
+    def _do_configure(self) -> None:
+        self._odometer.config = self._config
+        if self._base is not None:
+            self._settle()
+
+    def _do_ask_again(self) -> None:
+        waited = self._now - self._opened_s
+        if self._base is None:
+            if waited > OPEN_S:
+                self._dispatch(Input.GAVE_UP)
+                return
+            self._send(Command.OPEN)
+        elif waited > CONFIG_S:
+            self._dispatch(Input.SETTLED)
+            return
+        if self._config is None:
+            self._send(Command.CONFIG)
+
+    def _settle(self) -> None:
+        slow = self._rates.faster(self._config) is not None
+        self._dispatch(Input.SLOW if slow else Input.SETTLED)
+
+    def _do_ask_faster(self) -> None:
+        self._send(Command.HOSTBAUD, self._rates.faster(self._config))
+
+    def _do_switch(self) -> None:
+        self._change_baud(self._rates.switch())
+        # Whatever it holds was cut by the change; and the base is to see that we came along.
+        self.decoder.drop()
+        self._send(Command.PULSE)
+
+    def _do_switch_back(self) -> None:
+        self._change_baud(self._rates.back())
+        self.decoder.drop()
+        self._do_be_ready()
+
+    def _change_baud(self, baudrate: int | None) -> None:
+        if baudrate is not None:
+            self._events.append(BaudChanged(baudrate))
+
+    def _do_be_ready(self) -> None:
+        self._silent_limit = TRIES_WHEN_LOST
+        self._events.append(Configured(self._config, self._odometer.robot))
+        self._helm.take(self._now)
+        if self._config is not None and self._config.has_gyro == GYRO_CLIENT_SIDE:
+            self._send(Command.GYRO, 1)
+
+    def _do_publish(self) -> None:
+        self._base = self._odometer.update(self._sip, self._now)
+        self._events.append(StateReceived(self._base))
+
+    def _do_lose(self) -> None:
+        self._helm.let_go()
+        self._send_zeros()
+        self._events.append(Lost(f"no odometry from the base for {LOSS_S} s"))
+
+    def _do_recover(self) -> None:
+        self._events.append(Recovered())
+        self._helm.take(self._now)
+        self._do_publish()
+
+    def _do_lose_to_reset(self) -> None:
+        self._do_listen()
+        self._events.append(Lost("the base was reset"))
+
+    def _do_lose_line(self) -> None:
+        self._helm.let_go()
+        self._events.append(Lost(self._reason))
+
+    def _do_leave(self) -> None:
+        self._helm.let_go()
+        self._send_zeros()
+        self._send(Command.ENABLE, 0)
+        self._send(Command.CLOSE)
+
+    def _do_say_close(self) -> None:
+        self._send(Command.CLOSE)
+
+    def _send_zeros(self) -> None:
+        self._send(Command.VEL, 0)
+        self._send(Command.RVEL, 0)
+        self._send(Command.STOP)

@@ -1,0 +1,163 @@
+"""What the base says, as ROS messages: frames of REP-105, axes and units of REP-103. Pure functions.
+
+``odom`` is where the base was when it was connected or its odometry was reset; ``base_link`` is its centre of
+rotation, on the ground. Sonar echoes are points in ``base_link``; where each sonar sits is in ``tf_static``.
+"""
+
+import math
+from collections.abc import Mapping
+
+from bridge.gate.state import Reason, State
+from bridge.pioneer.arcos import Decoder
+from bridge.pioneer.odometry import BaseState
+from bridge.pioneer.packets import GYRO_RAD_S, NO_ECHO_MM
+from bridge.pioneer.robots import RobotParameters
+from rover_ncp.core import messages
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.imu import imu
+from rover_ncp.core.messages import BASE_FRAME, ODOM_FRAME, Diagnostic, Transform
+from rover_ncp.core.protocol import GateStatus
+
+__all__ = ["diagnostics", "each_sip", "each_so_often", "gate_status", "sensor_frames", "turn", "velocity"]
+
+# What a single reading may be off by from its rounding (uniform: step² / 12), not what odometry drifts by:
+# positions in whole mm, headings in 1/4096 turn, wheel speeds in whole mm/s, turn rates in 0.1 deg/s.
+_POSE_VARIANCE = (0.001**2 / 12, 0.001**2 / 12, (math.tau / 4096) ** 2 / 12)
+_VELOCITY_VARIANCE = (0.001**2 / 12, math.radians(0.1) ** 2 / 12)
+
+_GYRO_VARIANCE = (GYRO_RAD_S / 4) ** 2 / 12
+"""Of the mean of four readings, from their rounding."""
+
+_CHARGING = {0: False, 1: True, 2: True, 3: True}
+"""CHARGESTATE: not charging, bulk, overcharge, float; anything else is not known."""
+OK, WARNING, ERROR = 0, 1, 2
+
+
+def each_sip(state: BaseState, robot: RobotParameters, stamp_ns: int) -> dict[str, bytes]:
+    """Return the messages that go out with each SIP, by key."""
+    pose = Pose(state.x, state.y, state.theta)
+    sent = {
+        "odom": messages.odometry(
+            pose, Velocity(state.v, state.omega), stamp_ns, _POSE_VARIANCE, _VELOCITY_VARIANCE
+        ),
+        "tf": messages.transforms(
+            [Transform(ODOM_FRAME, BASE_FRAME, state.x, state.y, 0.0, state.theta)], stamp_ns
+        ),
+        "bumpers": messages.bumpers(*state.bumpers),
+    }
+    if state.sonar:
+        sent["sonar"] = messages.point_cloud(_echoes(state.sonar, robot), stamp_ns)
+    return sent
+
+
+def _echoes(ranges: Mapping[int, float], robot: RobotParameters) -> list[tuple[float, float, float]]:
+    points = []
+    for number, range_m in ranges.items():
+        if number < len(robot.sonars) and 0.0 < range_m < NO_ECHO_MM / 1000:
+            sonar = robot.sonars[number]
+            x = sonar.x + range_m * math.cos(sonar.theta)
+            points.append((x, sonar.y + range_m * math.sin(sonar.theta), robot.sonar_height_m))
+    return points
+
+
+def each_so_often(state: BaseState, robot: RobotParameters, stamp_ns: int) -> dict[str, bytes]:
+    """Return the messages that go out once a second, by key."""
+    charging = None if state.charge_state is None else _CHARGING.get(state.charge_state)
+    return {
+        "battery_state": messages.battery_state(state.battery_v, stamp_ns, charging=charging),
+        # Sent again and again for those who come late and do not ask for what was sent before.
+        "tf_static": messages.transforms(sensor_frames(robot), stamp_ns),
+    }
+
+
+def sensor_frames(robot: RobotParameters) -> list[Transform]:
+    """Return where each sensor sits on the base."""
+    return [
+        Transform(BASE_FRAME, f"sonar_{number}", sonar.x, sonar.y, robot.sonar_height_m, sonar.theta)
+        for number, sonar in enumerate(robot.sonars)
+    ]
+
+
+def velocity(command: Velocity, stamp_ns: int) -> bytes:
+    """Return the command that was let through."""
+    return messages.twist_stamped(command, stamp_ns)
+
+
+def turn(rate: float, stamp_ns: int) -> bytes:
+    """Return what the base's gyro says: rad/s, counter-clockwise."""
+    return imu(rate, _GYRO_VARIANCE, stamp_ns)
+
+
+def gate_status(state: State) -> GateStatus:
+    """Return the gate's state as it goes out on ``rover/gate``."""
+    lease = state.lease
+    held = state.held
+    return GateStatus(
+        lease=lease.number if lease else 0,
+        driver_name=lease.name if lease else "",
+        sequence=lease.last_sequence if lease else -1,
+        held="" if held in {None, Reason.NO_LEASE} else str(held),
+        ended=str(state.ended or ""),
+        stop_reason=state.latched or "",
+        accepted=state.accepted,
+        dropped=_named(state.dropped),
+        limited=_named(state.limited),
+        stops=_named(state.stops),
+    )
+
+
+def _named(counts: Mapping[Reason, int]) -> dict[str, int]:
+    return {str(reason): count for reason, count in counts.items()}
+
+
+def diagnostics(
+    base: BaseState | None, gate: State, decoder: Decoder, *, reconnects: int, hardware: str, stamp_ns: int
+) -> bytes:
+    """Return the health of link, base and gate."""
+    return messages.diagnostics([_link(decoder, reconnects), _base(base), _gate(gate)], stamp_ns, hardware)
+
+
+def _link(decoder: Decoder, reconnects: int) -> Diagnostic:
+    values = {
+        "packets": decoder.packets,
+        "bad_checksums": decoder.bad_checksums,
+        "skipped_bytes": decoder.skipped_bytes,
+        "reconnects": reconnects,
+    }
+    damaged = decoder.bad_checksums > 0
+    return Diagnostic(
+        "bridge: link to the base",
+        WARNING if damaged else OK,
+        "packets were damaged" if damaged else "clean",
+        {name: str(value) for name, value in values.items()},
+    )
+
+
+def _base(base: BaseState | None) -> Diagnostic:
+    if base is None:
+        return Diagnostic("bridge: base", ERROR, "not connected", {})
+    troubles = {
+        "STOP button pressed": base.stop_pressed,
+        "stalled": any(base.stalled),
+        "bumper pressed": any(base.bumpers),
+        "reports faults": base.faults != 0,
+    }
+    found = ", ".join(trouble for trouble, there in troubles.items() if there)
+    values = {
+        "battery_v": f"{base.battery_v:.1f}",
+        "motors": "on" if base.motors_enabled else "off",
+        "flags": f"{base.flags:#06x}",
+        "faults": f"{base.faults:#06x}",
+        "stalled_left_right": f"{base.stalled[0]:d}{base.stalled[1]:d}",
+        "bumpers_front_rear": f"{base.bumpers[0]:#04x} {base.bumpers[1]:#04x}",
+    }
+    return Diagnostic("bridge: base", ERROR if found else OK, found or "fine", values)
+
+
+def _gate(gate: State) -> Diagnostic:
+    status = gate_status(gate)
+    values = {"driver": status.driver_name, "lease": str(status.lease), "accepted": str(status.accepted)}
+    for name in ("dropped", "limited", "stops"):
+        values |= {f"{name}_{reason}": str(count) for reason, count in getattr(status, name).items()}
+    held = status.held or ("" if status.lease else status.ended)
+    return Diagnostic("bridge: gate", WARNING if held else OK, held or "open", values)

@@ -1,0 +1,105 @@
+"""The bridge as a node of rmw_zenoh's graph, on the Zenoh session of its link."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import zenoh
+import zenoh.ext
+
+from bridge.inbox import Sampled
+from bridge.ros.rmw import Attachment, Graph, Topic, gid
+from rover_ncp.core.errors import FormatError
+from rover_ncp.core.key_table import KeySpec, key
+from rover_ncp.core.messages import TWIST, TWIST_STAMPED
+
+__all__ = ["RmwNode", "latching_publisher", "sampled"]
+
+HEARTBEAT_S = 0.5
+"""How often, while there is news, subscribers are told how much they should have: rmw_zenoh's own period."""
+
+
+def latching_publisher(session: zenoh.Session, key_expr: str) -> Any:
+    """Declare a publisher whose last message reaches also who subscribes later, as ROS bridges ask for it."""
+    return zenoh.ext.declare_advanced_publisher(
+        session,
+        key_expr,
+        encoding=zenoh.Encoding.APPLICATION_CDR,
+        congestion_control=zenoh.CongestionControl.DROP,
+        cache=zenoh.ext.CacheConfig(max_samples=1),
+        sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
+        publisher_detection=True,
+    )
+
+
+class RmwNode:
+    """Publishers of ``rows`` and subscribers of ``cmd_vel``; ``commanded`` gets what these hear.
+
+    Raises UsageError for a namespace that ROS does not know.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        domain: int,
+        namespace: str,
+        rows: Iterable[KeySpec],
+        commanded: Callable[[zenoh.Sample], None],
+    ) -> None:
+        self._session = session
+        self._graph = Graph(domain, str(session.info.zid()), namespace.strip("/"))
+        self._tokens = [self._graph.node_token()]
+        self._publishers: dict[str, _Publisher] = {}
+        for row in rows:
+            topic = Topic(key(namespace, row.name), row.type, row.latched)
+            token = self._graph.publisher_token(len(self._tokens), topic)
+            self._tokens.append(token)
+            self._publishers[row.name] = _Publisher(session, topic.key(domain), topic.latched, gid(token))
+        self._held: list[Any] = []
+        for ros_type in (TWIST, TWIST_STAMPED):
+            topic = Topic(key(namespace, "cmd_vel"), ros_type)
+            self._tokens.append(self._graph.subscriber_token(len(self._tokens), topic))
+            self._held.append(session.declare_subscriber(topic.key(domain), commanded))
+
+    def announce(self) -> None:
+        """Show the node, its publishers and its subscribers in the graph."""
+        tokens = self._session.liveliness()
+        self._held += [tokens.declare_token(token) for token in self._tokens]
+
+    def publish(self, name: str, data: bytes) -> None:
+        """Send a message on a key of the table."""
+        self._publishers[name].put(data)
+
+
+class _Publisher:
+    """A publisher that numbers and stamps what it sends."""
+
+    def __init__(self, session: zenoh.Session, key_expr: str, latched: bool, gid_: bytes) -> None:
+        self._gid, self._sequence = gid_, 0
+        self._publisher: Any = (
+            latching_publisher(session, key_expr)
+            if latched
+            else session.declare_publisher(
+                key_expr,
+                encoding=zenoh.Encoding.APPLICATION_CDR,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+        )
+
+    def put(self, data: bytes) -> None:
+        self._sequence += 1
+        self._publisher.put(data, attachment=Attachment(self._sequence, time.time_ns(), self._gid).pack())
+
+
+def sampled(sample: zenoh.Sample) -> Sampled:
+    """Return a command as it came from a ROS node: without a tag, as old as its attachment says.
+
+    Without a right attachment it is no message of rmw_zenoh, and becomes one that cannot be read.
+    """
+    attachment = sample.attachment
+    with contextlib.suppress(FormatError):
+        if attachment is not None:
+            stamp_ns = Attachment.unpack(attachment.to_bytes()).stamp_ns
+            return Sampled(sample.payload.to_bytes(), None, stamp_ns)
+    return Sampled(b"", None, None)

@@ -1,0 +1,189 @@
+"""The bridge's Zenoh session: a router inside this process, which needs no other server.
+
+Callbacks only put what arrives into the inbox. Publishing never blocks: what cannot leave at once falls away.
+"""
+
+import json
+import os
+from collections.abc import Callable, Collection
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+from pydantic import BaseModel
+
+from bridge.inbox import Asked, Crashed, Inbox, Sampled
+from bridge.ros.conventions import Convention
+from bridge.ros.discovery import bridge_token, topic_token
+from bridge.ros.rmw import domain_id
+from bridge.ros.rmw_node import RmwNode, latching_publisher, sampled
+from bridge.zenoh_config import any_port, configured, reason
+from rover_ncp.core.errors import PortInUse, UsageError
+from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key
+from rover_ncp.core.protocol import dump_json
+
+__all__ = ["Link"]
+
+
+class Link:
+    """An open session, listening. Raises UsageError, FileError (``config``) or PortInUse.
+
+    Beyond this machine it listens only to those who say who they are, unless ``insecure``. ``ros`` says in
+    what form ROS nodes look for the topics; the domain of rmw_zenoh is that of ROS_DOMAIN_ID.
+    """
+
+    def __init__(
+        self,
+        listen: str | None,
+        namespace: str,
+        config: Path | None,
+        inbox: Inbox,
+        *,
+        insecure: bool = False,
+        ros: Collection[Convention] = (Convention.ROS2DDS,),
+    ) -> None:
+        self._inbox = inbox
+        self._namespace = namespace
+        self._ros = ros
+        self._rmw: RmwNode | None = None
+        self.key("odom")  # a bad namespace is said before anything is opened
+        settings, endpoints = configured(listen, config, insecure)
+        if Convention.RMW_ZENOH in ros:
+            # ROS nodes find each other through the router they are connected to, which we are then.
+            settings.insert_json5("scouting/gossip/enabled", "true")
+        self._session = _open(settings, endpoints)
+        self._token: Any = None
+        self._held: list[Any] = []
+        try:
+            self.locator = self._locator(endpoints)
+            """Where it really listens."""
+            self._declare()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def announce(self) -> None:
+        """Let everybody know that the bridge is there; ROS bridges, which topics it has."""
+        if self._token is None:
+            tokens = self._session.liveliness()
+            if Convention.ROS2DDS in self._ros:
+                self._held += [tokens.declare_token(key) for key in self._ros2dds_tokens()]
+            if self._rmw is not None:
+                self._rmw.announce()
+            self._token = tokens.declare_token(self.key("rover/alive/bridge"))
+
+    def _ros2dds_tokens(self) -> list[str]:
+        zid = str(self._session.info.zid())
+        rows = [row for row in KEYS if row.name in self._publishers or row.name == "cmd_vel"]
+        topics = [
+            topic_token(zid, self.key(row.name), row.type, row.name in self._publishers, row.latched)
+            for row in rows
+        ]
+        return [bridge_token(zid), *topics]
+
+    def publish(self, name: str, data: bytes) -> None:
+        """Send a message on a key of the table."""
+        self._publishers[name].put(data)
+        if self._rmw is not None:
+            self._rmw.publish(name, data)
+
+    def answer(self, asked: Asked, reply: BaseModel) -> None:
+        """Answer a query; an asker who is gone does not matter."""
+        with asked.query as query:
+            query.reply(self.key(asked.name), dump_json(reply), encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def refuse(self, asked: Asked, reason: str) -> None:
+        """Answer a query that cannot be read."""
+        with asked.query as query:
+            query.reply_err(reason)
+
+    def close(self) -> None:
+        """End the session; the token goes with it."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def key(self, name: str) -> str:
+        """Return the key expression of a row of the table, with the namespace."""
+        return key(self._namespace, name)
+
+    def _declare(self) -> None:
+        ours = [row for row in KEYS if row.senders == {Role.BRIDGE} and row.kind is Kind.MESSAGE]
+        self._publishers = {row.name: self._publisher(row) for row in ours}
+        self._held.append(self._session.declare_subscriber(self.key("cmd_vel"), self._guard(self._sampled)))
+        for row in KEYS:
+            if row.kind is Kind.QUERYABLE:
+                asked = self._guard(self._asking(row.name, row.max_bytes))
+                self._held.append(self._session.declare_queryable(self.key(row.name), asked))
+        if Convention.RMW_ZENOH in self._ros:
+            commanded = self._guard(lambda sample: self._inbox.put(sampled(sample)))
+            self._rmw = RmwNode(self._session, domain_id(os.environ), self._namespace, ours, commanded)
+
+    def _publisher(self, row: KeySpec) -> Any:
+        if row.latched:
+            return latching_publisher(self._session, self.key(row.name))
+        return self._session.declare_publisher(
+            self.key(row.name),
+            encoding=zenoh.Encoding.APPLICATION_CDR,
+            congestion_control=zenoh.CongestionControl.DROP,
+        )
+
+    def _guard(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Zenoh would print an error in a callback and go on; we hand it to the loop."""
+
+        def guarded(item: Any) -> None:
+            try:
+                callback(item)
+            except Exception as error:
+                self._inbox.put(Crashed(error))
+
+        return guarded
+
+    def _sampled(self, sample: zenoh.Sample) -> None:
+        stamp = sample.timestamp
+        self._inbox.put(
+            Sampled(
+                sample.payload.to_bytes(),
+                _bytes(sample.attachment),
+                round(stamp.get_time().timestamp() * 1e9) if stamp is not None else None,
+            )
+        )
+
+    def _asking(self, name: str, max_bytes: int) -> Callable[[zenoh.Query], None]:
+        def asked(query: zenoh.Query) -> None:
+            payload = query.payload
+            # One byte too many is enough for the reader to refuse it.
+            data = b"{}" if payload is None else payload.to_bytes()[: max_bytes + 1]
+            self._inbox.put(Asked(name, query, data, _bytes(query.attachment)))
+
+        return asked
+
+    def _locator(self, endpoints: list[str]) -> str:
+        """Return the first endpoint; for port 0, ask the session which one it got."""
+        if not any_port(endpoints):
+            return endpoints[0].partition("#")[0]
+        for reply in self._session.get(f"@/{self._session.info.zid()}/router", timeout=1.0):
+            if reply.ok is not None:
+                return str(json.loads(reply.ok.payload.to_string())["locators"][0])
+        raise UsageError(f"--listen {endpoints[0]}: the port that was taken is not known; say one")
+
+
+def _bytes(attachment: zenoh.ZBytes | None) -> bytes | None:
+    return None if attachment is None else attachment.to_bytes()
+
+
+def _open(settings: zenoh.Config, endpoints: list[str]) -> zenoh.Session:
+    try:
+        return zenoh.open(settings)
+    except zenoh.ZError as error:
+        where = ", ".join(endpoints)
+        if "already in use" in str(error):
+            raise PortInUse(f"--listen {where}: another process listens there already") from error
+        raise UsageError(f"--listen {where}: cannot listen there: {reason(error)}") from error

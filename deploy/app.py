@@ -1,0 +1,197 @@
+"""The process that drives: puts policy, link, recorder and drive together, and says how it went."""
+
+import gc
+import math
+import sys
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deploy.drive.config import DriveConfig, PoseUse, attachments, settings_for
+from deploy.drive.control_loop import Drive
+from deploy.drive.controller import ORIGIN, Controller
+from deploy.drive.link import Link
+from deploy.drive.phases import State
+from deploy.drive.safety_monitor import Interrupted
+from deploy.drive.status_publisher import Reporter
+from deploy.recorder import Recorder
+from deploy.recording_buffer import Tape, progress
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.console import Output, printable
+from rover_ncp.core.course import TICK_S, load_course
+from rover_ncp.core.errors import UsageError
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.messages import (
+    COURSE_FRAME,
+    neurons,
+    odometry,
+    pose_with_covariance,
+    read_odometry,
+    text,
+    twist_stamped,
+)
+from rover_ncp.core.robot_profile import load_profile
+from rover_ncp.core.signals import Interrupts
+
+__all__ = ["Options", "run"]
+
+SWITCH_INTERVAL_S = 0.0005
+"""How long another thread may keep the interpreter from the control loop (Python's default is 5 ms)."""
+INTERRUPTED = 130
+STANDSTILL = Velocity(0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Options:
+    """The command line of ``rover-ncp deploy``."""
+
+    robot: str
+    policy: str
+    course: str
+    record: Path | None
+    duration_s: float | None
+    dry_run: bool
+    namespace: str
+    zenoh_config: Path | None
+    pose: PoseUse = "auto"
+    profile: Path | None = None
+    overwrite: bool = False
+
+
+def run(options: Options, output: Output, period_s: float = TICK_S) -> int:
+    """Drive once, and return the exit code; ``period_s`` is how long a tick lasts.
+
+    Raises RoverNcpError for what kept the drive from beginning.
+    """
+    policy, course = load_policy(options.policy), load_course(options.course)
+    rover = load_profile(options.profile) if options.profile else None
+    ticks = course.ticks
+    if options.duration_s is not None:
+        if not TICK_S <= options.duration_s < math.inf:
+            raise UsageError(f"--duration {options.duration_s:g}: expected seconds, at least {TICK_S}")
+        ticks = min(ticks, round(options.duration_s / TICK_S))
+    config = DriveConfig(
+        robot=options.robot,
+        namespace=options.namespace,
+        policy=policy.circuit.name,
+        course=course.name,
+        dry_run=options.dry_run,
+        ticks=ticks,
+        pose=options.pose,
+        estimator=settings_for(rover),
+        rover=rover,
+    )
+    controller = Controller(policy, course, config.estimator, rover)
+    files = attachments(policy, course, config)
+    tape = Tape(options.record, overwrite=options.overwrite)
+    _prepare_for_real_time()
+    with Interrupts() as interrupts:
+        try:
+            with Link(options.robot, options.namespace, options.zenoh_config, tape.put) as link:
+                reporter = Reporter(link, tape.put, policy.circuit.neurons)
+                drive = Drive(
+                    link, controller, reporter, config, lambda: interrupts.raised, period_s=period_s
+                )
+                try:
+                    drive.wait()
+                except Interrupted as interruption:
+                    raise KeyboardInterrupt from interruption  # nothing has moved: the shell says the rest
+                tape.roll(files)
+                with progress(lambda: drive.progress, output):
+                    drive.run({name: zlib.crc32(content) for name, content in files.items()})
+        finally:
+            tape.close()
+    fields = _fields(drive, options, config, tape.recorder)
+    words = _words(fields)
+    if output.as_json and fields["exit_code"]:
+        output.say(words.splitlines()[0])  # who looks at stderr reads there why it did not end well
+    output.result(fields, words)
+    return int(fields["exit_code"])
+
+
+def _prepare_for_real_time() -> None:
+    """Do now what would otherwise hold up a tick."""
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    # Writers and readers of message types are made on first use, 10 ms each and 200 ms for the first.
+    read_odometry(odometry(ORIGIN, STANDSTILL, 0))
+    twist_stamped(STANDSTILL, 0)
+    pose_with_covariance(ORIGIN, np.zeros((3, 3)), 0, COURSE_FRAME)
+    neurons([0.0], ["-"])
+    text("")
+    # What is loaded by now stays: going through all of it again would take 200 ms at a time.
+    gc.collect()
+    gc.freeze()
+
+
+def _fields(drive: Drive, options: Options, config: DriveConfig, recorder: Recorder | None) -> dict[str, Any]:
+    report, verdict = drive.keeper.report(), drive.verdict
+    parked = drive.state is State.PARKED
+    if drive.stop is not None:
+        code = drive.stop.exit_code
+    elif verdict is None:
+        code = INTERRUPTED
+    else:
+        code = 0 if parked or options.dry_run else 1
+    latencies_ms = np.array(drive.latencies_ns or [0]) / 1e6
+    return {
+        "parked": parked,
+        "state": drive.state.value,
+        "reason": drive.reason,
+        "stopped_by": drive.stop.rule if drive.stop else None,
+        "estimate_error_m": verdict.error_m if verdict else None,
+        "estimate_error_rad": verdict.error_rad if verdict else None,
+        "ticks": report.ticks,
+        "overruns": report.overruns,
+        "predicted": report.predicted,
+        "missed": report.missed,
+        "tick_rate_hz": report.rate_hz,
+        "lateness_ms": {"p50": report.lateness_p50_ms, "max": report.lateness_max_ms},
+        "odometry_to_command_ms": {
+            "p50": float(np.percentile(latencies_ms, 50)),
+            "p99": float(np.percentile(latencies_ms, 99)),
+        },
+        "odometry": {
+            "taken": drive.intake.count,
+            "unreadable": drive.intake.garbled,
+            "rejected": drive.rejected,
+        },
+        "pose": drive.pose_counts(),
+        "policy": options.policy,
+        "course": config.course,
+        "dry_run": options.dry_run,
+        "recording": str(recorder.path) if recorder else None,
+        "recording_failure": (recorder.failure or None) if recorder else None,
+        "recording_dropped": recorder.dropped if recorder else 0,
+        "exit_code": code,
+    }
+
+
+def _words(fields: dict[str, Any]) -> str:
+    """Return the result for people."""
+    if fields["stopped_by"]:
+        first = printable(fields["reason"])
+    elif fields["estimate_error_m"] is None:
+        first = "interrupted; the rover was stopped"
+    else:
+        ending = "parked" if fields["parked"] else f"not parked: {fields['reason']}"
+        first = (
+            f"{ending}; by the estimate {1000 * fields['estimate_error_m']:.0f} mm and "
+            f"{1000 * fields['estimate_error_rad']:.0f} mrad from the goal"
+        )
+    lines = [
+        ("dry run, " if fields["dry_run"] else "") + first,
+        f"{fields['ticks']} ticks at {fields['tick_rate_hz']:.2f} Hz, {fields['overruns']} overruns; "
+        f"odometry to command {fields['odometry_to_command_ms']['p50']:.1f} ms (median), "
+        f"{fields['odometry_to_command_ms']['p99']:.1f} ms (99 %)",
+    ]
+    pose = fields["pose"]
+    if pose["taken"] and not pose["placed"]:
+        lines.append("external poses came, but none while the rover stood at the start: none was used")
+    if fields["recording"]:
+        lines.append(f"recording: {fields['recording']}")
+    if fields["recording_failure"]:
+        lines.append(f"the recording failed, the drive went on without it: {fields['recording_failure']}")
+    return "\n".join(lines)

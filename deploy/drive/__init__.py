@@ -1,0 +1,1 @@
+"""One drive: control loop, controller, safety monitor, link to the bridge."""

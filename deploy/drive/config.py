@@ -1,0 +1,91 @@
+"""What a drive is: its settings, and the files that go into its recording."""
+
+from importlib.metadata import version
+from typing import Literal
+
+from pydantic import Field
+
+from deploy.drive.waits import Waits
+from deploy.estimator.estimator import EstimatorSettings
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
+from rover_ncp.core.config import dump_yaml, parse_yaml
+from rover_ncp.core.course import Course
+from rover_ncp.core.errors import FileError
+from rover_ncp.core.recording import Recording
+from rover_ncp.core.robot_profile import RoverProfile
+
+__all__ = [
+    "CONFIG_FILE",
+    "COURSE_FILE",
+    "POLICY_FILE",
+    "DriveConfig",
+    "PoseUse",
+    "attached",
+    "attachments",
+    "settings_for",
+]
+
+POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
+
+PoseUse = Literal["auto", "required", "none"]
+"""Whether external poses place the rover: if they come, in any case, or never."""
+
+
+class DriveConfig(Waits):
+    """The settings of one drive; times in s."""
+
+    format: int = Field(default=1, ge=1, le=1)
+    version: str = Field(default_factory=lambda: version("rover-ncp"))
+    robot: str
+    namespace: str
+    policy: str
+    course: str
+    dry_run: bool
+    ticks: int = Field(ge=1, description="how many control ticks the drive lasts at most")
+    still_wait_s: float = Field(default=10.0, gt=0, description="for the rover to stand still")
+    still_s: float = Field(default=1.0, gt=0, description="so long it stands still before the start")
+    still_m: float = Field(default=0.003, gt=0)
+    still_rad: float = Field(default=0.005, gt=0)
+    pose: PoseUse = "auto"
+    pose_wait_s: float = Field(default=10.0, gt=0, description="for the first external pose, if required")
+    estimator: EstimatorSettings = EstimatorSettings()
+    rover: RoverProfile | None = Field(default=None, description="what was measured of this robot")
+
+
+def settings_for(rover: RoverProfile | None) -> EstimatorSettings:
+    """Return the estimator's settings for a robot: its odometry may be noisier than its steps."""
+    usual = EstimatorSettings()
+    if rover is None:
+        return usual
+    return usual.model_copy(
+        update={
+            "position_m": max(usual.position_m, rover.noise_m or 0.0),
+            "heading_rad": max(usual.heading_rad, rover.noise_rad or 0.0),
+        }
+    )
+
+
+def attachments(policy: Policy, course: Course, config: DriveConfig) -> dict[str, bytes]:
+    """Return the files that go into the recording, by name."""
+    return {
+        POLICY_FILE: policy_to_yaml(policy).encode(),
+        COURSE_FILE: dump_yaml(course.model_dump(mode="json")).encode(),
+        CONFIG_FILE: dump_yaml(config.model_dump(mode="json")).encode(),
+    }
+
+
+def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
+    """Read policy, course and settings from a recording. Raises FileError and ConfigError."""
+    texts = {}
+    for name in (POLICY_FILE, COURSE_FILE, CONFIG_FILE):
+        try:
+            texts[name] = recording.attachment(name).decode()
+        except UnicodeDecodeError as error:
+            raise FileError(f"{recording.path}: its {name} is no text") from error
+    where = {name: f"{recording.path}, {name}" for name in texts}
+    return (
+        policy_from_yaml(texts[POLICY_FILE], where[POLICY_FILE]),
+        parse_yaml(texts[COURSE_FILE], Course, where[COURSE_FILE]),
+        parse_yaml(texts[CONFIG_FILE], DriveConfig, where[CONFIG_FILE]),
+    )

@@ -1,0 +1,142 @@
+"""One control tick: from where the rover is to what it shall do. No I/O, no clock.
+
+Rules of this file:
+
+1. The same inputs give the same bits: `replay` runs a recording through this very class.
+2. The circuit sees the signals its sensing names (`core/signals.py`) and nothing else of the world: they
+   come from the estimate, predicted to the moment of the tick, and from the course.
+3. Before the first tick the circuit makes one tick on the start pose with the start signal at 0, its motors
+   ignored, as it did in the simulator.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.estimator.estimator import Estimate, Estimator, EstimatorSettings, Outcome
+from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.core.course import TICK_S, Course, Verdict
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.observation import SIGNALS, needs_reference, see
+from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.course.reference import plan_reference
+
+__all__ = ["ORIGIN", "Controller", "Tick"]
+
+ORIGIN = Pose(0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What one tick saw and said: ``t`` is the course's time in s, ``potentials`` are in mV."""
+
+    index: int
+    t: float
+    estimate: Estimate
+    command: Velocity
+    potentials: NDArray[np.float64]
+
+
+class Controller:
+    """Estimator and circuit of one drive. Times are seconds on one clock, any zero.
+
+    A ``rover`` whose gains are known is asked for so much less or more that it does what the circuit wants.
+    """
+
+    def __init__(
+        self, policy: Policy, course: Course, settings: EstimatorSettings, rover: RoverProfile | None = None
+    ) -> None:
+        if problems := _misfits(policy):
+            raise ConfigError(f"policy {policy.circuit.name}", problems)
+        self._signal_at = [SIGNALS.index(name) for name in policy.sensing.inputs]
+        self._course = course
+        self._reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
+        self._runner = PolicyRunner(policy)
+        self._runner.warm_up([0.0] * len(self._signal_at))  # compiles, now and not when the rover waits
+        self.estimator = Estimator(settings)
+        self._gains = _gains(rover)
+        self._times: list[float] = []
+        self._poses: list[Pose] = []
+
+    def start(
+        self,
+        odometry: Pose,
+        t: float,
+        pose: Pose = ORIGIN,
+        covariance: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Begin at rest at time ``t``, at ``pose`` in the course, where odometry stands at ``odometry``.
+
+        ``covariance`` (3, 3) says how sure the pose is; without one it defines where the course lies.
+        """
+        self.estimator.start(pose, t, odometry, covariance)
+        self._runner.reset()
+        self._runner.warm_up(self._observation(pose, 0, 0.0))
+
+    def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
+        """Take in odometry, in its own frame, measured at time ``t``."""
+        return self.estimator.odometry(pose, velocity, t)
+
+    def gyro(self, rate: float, t: float) -> None:
+        """Take in the rate of turn (rad/s) that the base's gyro measured until time ``t``."""
+        self.estimator.gyro(rate, t)
+
+    def external(self, pose: Pose, covariance: NDArray[np.float64], t: float) -> Outcome:
+        """Take in an external pose (course frame) with its covariance (3, 3), measured at time ``t``."""
+        return self.estimator.external(pose, covariance, t)
+
+    def tick(self, index: int, t: float) -> Tick:
+        """Run tick ``index`` of the course at time ``t``, which is not before the last odometry."""
+        estimate = self.look(index, t)
+        start = self._course.start_signal(index * TICK_S)
+        v, omega = self._runner.tick(self._observation(estimate.pose, index, start))
+        return Tick(
+            index,
+            index * TICK_S,
+            estimate,
+            Velocity(float(v) / self._gains.v, float(omega) / self._gains.omega),
+            self._runner.potentials,
+        )
+
+    def look(self, index: int, t: float) -> Estimate:
+        """Note the estimate at time ``t`` for the verdict, without a tick of the circuit."""
+        estimate = self.estimator.at(t)
+        self._times.append(index * TICK_S)
+        self._poses.append(estimate.pose)
+        return estimate
+
+    def verdict(self) -> Verdict:
+        """Judge the drive so far on the estimate.
+
+        Contact is not judged here: the gate stops at the first bump, and the drive ends as a fault.
+        """
+        return self._course.judge(self._times, self._poses, touched=False)
+
+    def _observation(self, pose: Pose, index: int, start: float) -> NDArray[np.float64]:
+        signals = see(pose, start, self._reference.tick(index) if self._reference else None)
+        return np.array([signals[i] for i in self._signal_at], dtype=np.float64)
+
+
+def _gains(rover: RoverProfile | None) -> Velocity:
+    """Return what a robot makes of commands, as far as it is known: true speed over commanded speed."""
+    if rover is None:
+        return Velocity(1.0, 1.0)
+    return Velocity(
+        (rover.gain_v or 1.0) / (rover.odometry_distance or 1.0),
+        (rover.gain_omega or 1.0) / (rover.odometry_heading or 1.0),
+    )
+
+
+def _misfits(policy: Policy) -> list[str]:
+    """Return why a policy cannot drive a rover tick by tick; empty when it can."""
+    problems = []
+    if unknown := [name for name in policy.sensing.inputs if name not in SIGNALS]:
+        problems.append(f"its sensing asks for {', '.join(unknown)}; known are {', '.join(SIGNALS)}")
+    if policy.motors.outputs != Velocity._fields:
+        problems.append(f"its outputs are {', '.join(policy.motors.outputs)}; expected v, omega")
+    if not math.isclose(policy.tick_s, TICK_S):
+        problems.append(f"its tick lasts {policy.tick_s:g} s; a control tick lasts {TICK_S} s")
+    return problems

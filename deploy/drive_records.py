@@ -1,0 +1,82 @@
+"""What a recording keeps of each tick, so that `replay` can run the same arithmetic on the same numbers.
+
+JSON on two topics that exist in recordings only. Odometry itself is not repeated: a record names the samples
+that the controller took in, by stamp and checksum, with the moment of measurement it gave them; so do
+external poses.
+"""
+
+import zlib
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from deploy.estimator.estimator import Estimate
+from rover_ncp.core.config import StrictModel
+
+__all__ = ["START_TOPIC", "TICKS_TOPIC", "SampleRef", "StartRecord", "TickRecord", "numbers", "seconds"]
+
+START_TOPIC = "deploy/start"
+TICKS_TOPIC = "deploy/ticks"
+
+
+class SampleRef(NamedTuple):
+    """A sample: its stamp, the CRC-32 of its bytes, when it was measured on the driver's clock, its topic."""
+
+    stamp_ns: int
+    crc: int
+    measured_ns: int
+    topic: str = "odom"
+
+    @classmethod
+    def of(cls, stamp_ns: int, data: bytes, measured_ns: int, topic: str = "odom") -> Self:
+        """Name a sample."""
+        return cls(stamp_ns, zlib.crc32(data), measured_ns, topic)
+
+
+class StartRecord(StrictModel):
+    """Where and when the drive began: at ``pose`` in the course's frame, at the moment of ``sample``.
+
+    ``covariance`` of that pose has nine numbers, row by row; None where the pose defines the course's frame.
+    ``attachments`` are the CRC-32s of the files in the recording, by name.
+    """
+
+    sample: SampleRef
+    pose: tuple[float, float, float]
+    covariance: tuple[float, ...] | None = Field(default=None, min_length=9, max_length=9)
+    attachments: dict[str, int]
+
+    @property
+    def sure(self) -> NDArray[np.float64] | None:
+        """The covariance (3, 3)."""
+        return None if self.covariance is None else np.array(self.covariance).reshape(3, 3)
+
+
+class TickRecord(StrictModel):
+    """One tick: what it was made from, in the order in which it was taken in, and what came out.
+
+    ``now_ns`` is the tick's moment on the driver's monotonic clock, ``wall_ns`` the same by the wall clock
+    (it stamps the messages). ``estimate`` is x, y, theta, v, omega; ``command`` is v, omega, or None for the
+    look at the very end, which asks the circuit for nothing. ``sequence`` is that of the command on the wire,
+    None if none was sent.
+    """
+
+    index: int
+    now_ns: int
+    wall_ns: int
+    samples: tuple[SampleRef, ...]
+    predicted: bool
+    estimate: tuple[float, float, float, float, float]
+    command: tuple[float, float] | None
+    sequence: int | None
+
+
+def seconds(moment_ns: int, start: SampleRef) -> float:
+    """Return a moment of the driver's clock as the controller's time: seconds since the start."""
+    return (moment_ns - start.measured_ns) * 1e-9
+
+
+def numbers(estimate: Estimate) -> tuple[float, float, float, float, float]:
+    """Return an estimate as its record keeps it."""
+    return (*estimate.pose, *estimate.velocity)

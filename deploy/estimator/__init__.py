@@ -1,0 +1,1 @@
+"""The pose estimate from odometry, a gyro and external poses."""

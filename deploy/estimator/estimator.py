@@ -1,0 +1,196 @@
+"""Where the rover is, from odometry, a gyro where there is one, and external poses when they come.
+
+Rules of this file:
+
+1. The filters are seeded once, by `Estimator.start`, and never again. What does not fit is refused; refused
+   too often in a row is a fault, which stays.
+2. Nothing that is not finite reaches a filter.
+3. Asking where the rover is (`Estimator.at`) changes nothing.
+
+Two extended Kalman filters, one after the other: `odometry_filter` follows what the base reports in
+odometry's own frame, refuses jumps and bridges gaps; `course_filter` carries that onto the course, knows how
+wrong odometry may be, and lets external poses and a gyro correct it.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.estimator.course_filter import PULL, SCALE, SKID, CourseFilter, Moment
+from deploy.estimator.odometry_filter import OdometryFilter
+from deploy.estimator.settings import EstimatorSettings, Outcome
+from rover_ncp.core.geometry import Pose, Velocity
+
+__all__ = ["Estimate", "Estimator", "EstimatorSettings", "Outcome"]
+
+Array = NDArray[np.float64]
+
+GYRO_GAP_S = 0.25
+"""A gyro silent for longer than this says nothing of the turn since."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The rover at ``t`` seconds: pose in the course's frame, motion, covariance of (x, y, θ, v, ω)."""
+
+    t: float
+    pose: Pose
+    velocity: Velocity
+    covariance: Array
+
+
+class _Gyro:
+    """The angle that a gyro has turned, from its rates."""
+
+    def __init__(self) -> None:
+        self._t, self._rad, self._rate = -math.inf, 0.0, 0.0
+        self._torn = True
+
+    def measure(self, rate: float, t: float) -> None:
+        """Take in the mean rate since the reading before."""
+        gap = t - self._t
+        if 0.0 <= gap <= GYRO_GAP_S:
+            self._rad += rate * gap
+        else:
+            self._torn = True
+        self._t, self._rate = t, rate
+
+    def angle(self, t: float) -> float:
+        """Return the angle at ``t``, NaN where nothing is known, and once after each gap.
+
+        So what is known before a gap and what is known after it are never held against each other.
+        """
+        if self._torn or abs(t - self._t) > GYRO_GAP_S:
+            self._torn = abs(t - self._t) > GYRO_GAP_S
+            return math.nan
+        return self._rad + self._rate * (t - self._t)
+
+
+class Estimator:
+    """The filters with their gates. Times are seconds on one clock, any zero."""
+
+    def __init__(self, settings: EstimatorSettings | None = None) -> None:
+        self._settings = settings or EstimatorSettings()
+        self._odometry: OdometryFilter | None = None
+        self._gyro = _Gyro()
+        self.rejected = 0
+        """Odometry samples refused so far."""
+        self.poses = dict.fromkeys(Outcome, 0)
+        """What became of the external poses; those that wait are counted again when they are weighed."""
+        self.fault = ""
+        """Why the estimate can no longer be trusted; empty while it can."""
+        self.fault_rule = ""
+        """The safety rule of that fault: estimator, or external-pose."""
+        self._in_a_row = self._poses_in_a_row = 0
+
+    def start(
+        self, pose: Pose, t: float, odometry: Pose | None = None, covariance: Array | None = None
+    ) -> None:
+        """Seed the filters, once: the rover stands at ``pose`` (course frame) at time ``t``.
+
+        ``odometry`` is where its own odometry believes to be, the same if it is not said. ``covariance``
+        (3, 3) says how sure the pose is; by default it defines the course's frame, and so is exact.
+        """
+        if self._odometry is not None:
+            raise RuntimeError("the estimator is seeded once and never again")
+        own = pose if odometry is None else odometry
+        if not all(map(math.isfinite, (*pose, *own, t))):
+            raise ValueError(f"cannot start from {pose}, odometry {own}, at {t}")
+        sure = np.zeros((3, 3)) if covariance is None else self._spread(covariance)
+        if sure is None:
+            raise ValueError(f"cannot start with the covariance {covariance}")
+        self._odometry = OdometryFilter(self._settings, own, t)
+        self._course = CourseFilter(self._settings, pose, sure, Moment(t, own))
+
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared of the last finite odometry sample."""
+        return self._base.nis
+
+    @property
+    def pose_nis(self) -> float:
+        """The same of the last external pose that was weighed."""
+        return self._course.nis
+
+    def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
+        """Take in odometry measured at ``t``: pose in its own frame, v in m/s, ω in rad/s."""
+        outcome = self._base.measure(pose, velocity, t)
+        if outcome is Outcome.ACCEPTED:
+            self._in_a_row = 0
+            for waited in self._course.odometry(Moment(t, self._base.pose, self._gyro.angle(t))):
+                self._count(waited)
+            return outcome
+        self.rejected += 1
+        self._in_a_row += 1
+        if self._in_a_row >= self._settings.rejected_in_a_row:
+            words = f"{self._in_a_row} odometry samples in a row refused, the last as {outcome.value}"
+            self._fail("estimator", words)
+        return outcome
+
+    def gyro(self, rate: float, t: float) -> None:
+        """Take in a gyro's rate of turn in rad/s, the mean since its last, before the odometry of ``t``."""
+        if math.isfinite(rate) and math.isfinite(t):
+            self._gyro.measure(rate, t)
+
+    def external(self, pose: Pose, covariance: Array, t: float) -> Outcome:
+        """Take in a pose (course frame) that was measured from outside at ``t``, however late it comes.
+
+        ``covariance`` (3, 3) is that of (x, y, θ); a variance of 0 is one that nobody knows.
+        """
+        noise = self._spread(covariance)
+        if noise is None or not all(map(math.isfinite, (*pose, t))):
+            outcome = Outcome.NOT_FINITE
+        else:
+            outcome = self._course.pose(self._course.seen(pose, noise, t))
+        self._count(outcome)
+        return outcome
+
+    def at(self, t: float) -> Estimate:
+        """Return the estimate predicted to ``t``, which must not lie before the last odometry."""
+        own, velocity, motion = self._base.at(t)
+        x, covariance = self._course.at(Moment(t, own))
+        turned = x[2] - own.theta
+        c, s = math.cos(turned), math.sin(turned)
+        to_course = np.eye(5)
+        to_course[:2, :2] = [[c, -s], [s, c]]
+        spread = to_course @ motion @ to_course.T
+        spread[:3, :3] += covariance[:3, :3]
+        v, omega = velocity
+        forward, turn = (1.0 + x[SCALE]) * v, (1.0 + x[SKID]) * omega + x[PULL] * v
+        spread[3, 3] += v * v * covariance[SCALE, SCALE]
+        spread[4, 4] += omega * omega * covariance[SKID, SKID]
+        pose = Pose(float(x[0]), float(x[1]), float(x[2]))
+        return Estimate(t, pose, Velocity(float(forward), float(turn)), spread)
+
+    @property
+    def _base(self) -> OdometryFilter:
+        if self._odometry is None:
+            raise RuntimeError("the estimator was not started")
+        return self._odometry
+
+    def _spread(self, covariance: Array) -> Array | None:
+        """Return a covariance with what nobody knows filled in; None if it is none."""
+        spread = np.array(covariance, dtype=np.float64)
+        if not np.isfinite(spread).all() or (np.diag(spread) < 0).any():
+            return None
+        usual = np.square([self._settings.pose_m, self._settings.pose_m, self._settings.pose_rad])
+        spread[np.diag_indices(3)] = np.where(np.diag(spread) == 0.0, usual, np.diag(spread))
+        spread = 0.5 * (spread + spread.T)
+        return spread if np.linalg.eigvalsh(spread).min() > 0.0 else None
+
+    def _count(self, outcome: Outcome) -> None:
+        self.poses[outcome] += 1
+        if outcome is Outcome.ACCEPTED:
+            self._poses_in_a_row = 0
+        elif outcome in {Outcome.OUTLIER, Outcome.NOT_FINITE}:
+            self._poses_in_a_row += 1
+            if self._poses_in_a_row >= self._settings.poses_rejected_in_a_row:
+                count = self._poses_in_a_row
+                words = f"{count} external poses in a row refused, the last as {outcome.value}"
+                self._fail("external-pose", words)
+
+    def _fail(self, rule: str, words: str) -> None:
+        if not self.fault:
+            self.fault, self.fault_rule = words, rule

@@ -1,0 +1,1 @@
+"""Identification of a robot: excitation drive, fit, robot profile."""

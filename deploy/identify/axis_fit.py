@@ -1,0 +1,258 @@
+"""Delay, acceleration and gain of one axis (speed or turn rate) from commands and reported motion.
+
+The model is the simulator's. A command takes effect after a delay, times a gain, and the motion approaches it
+with at most one acceleration, so that it is piecewise linear in time. Odometry reports the motion times a
+scale; for turns, unseen slip acts on both (`sim.world.randomization`). Scale and slip are given with their
+uncertainty, which is carried over into that of the fit.
+
+Rules of this file:
+
+1. The record is divided into blocks, one for each change of the command after a pause. A block in which a
+   command was lost does not fit the others and is left out as a whole.
+2. Reports that show the same number share one rounding error. They count as one sample.
+3. Where the residuals are no larger than rounding, the covariance is that of rounding. Otherwise it is the
+   cluster-robust one by blocks (CR3, Bell and McCaffrey 2002), which assumes nothing about correlation within
+   a block, and no less than that of rounding.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from deploy.identify.motion_log import MotionLog
+
+__all__ = ["Axis", "OdometryErrors", "identify_axis"]
+
+FloatArray = NDArray[np.float64]
+
+DELAY_MAX_S = 0.8
+SCALES = (0.004, 0.01)
+"""Residuals of v (m/s) and omega (rad/s) beyond which a sample counts less in the first, robust fit."""
+USUAL = (0.31, 1.25)
+"""Accelerations of the paper's simulator, m/s² and rad/s²."""
+BOUNDS = (0.05, 20.0)
+"""Of the accelerations, as factors on the usual ones."""
+LEAST_MOTION = (0.05, 0.08)
+"""An axis that was never asked for more than this, in m/s and rad/s, is not fitted."""
+PAUSE_S = 0.3
+"""A command that changes after so long without a change begins a block."""
+DIFFERENCES = (0.005, 0.002, 0.01)
+"""Steps of delay, gain and log acceleration for derivatives; commands of a driver are stairs of 20 ms."""
+LEAST_BLOCKS, FEW_BLOCKS = 3, 6
+"""From fewer blocks their spread is not estimated; from few, 1.96 deviations are made Student's quantile."""
+SINGULAR = 1e12
+"""Condition number beyond which a matrix counts as singular."""
+MISFIT = 1.3
+"""Residuals whose mean square is no more than so many times that of rounding are rounding."""
+OUTLIER = 5.0
+"""A block is left out if its residual is so many times the median block's, and beyond the robust scale."""
+
+
+class OdometryErrors(NamedTuple):
+    """Odometry's errors on an axis: scale and slip (s), values (2,) and covariance (2, 2)."""
+
+    values: FloatArray
+    covariance: FloatArray
+
+
+class Axis(NamedTuple):
+    """One axis: s, m/s² or rad/s² (true), gain as odometry sees it; their standard deviations; SI."""
+
+    delay_s: float
+    acceleration: float
+    gain: float
+    delay_std: float
+    acceleration_std: float
+    gain_std: float
+    residual: float
+    """Root mean square over the blocks that were kept, m/s or rad/s."""
+
+
+def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis | None:
+    """Fit axis 0 (v) or 1 (omega); None if it was hardly asked for anything, or nothing fits."""
+    if float(np.abs(log.sent[:, axis]).max()) < LEAST_MOTION[axis]:
+        return None
+    times, values = _changes(log.sent_s, log.sent[:, axis])
+    t, reported = log.odometry.t, log.motion[:, axis]
+    scale, usual = SCALES[axis], USUAL[axis]
+    weights, groups = _rounding_weights(reported)
+    sigma = _step(reported) / math.sqrt(12.0)
+
+    def misses(x: FloatArray, errors: FloatArray = odometry.values) -> FloatArray:
+        motion = _modelled((times + x[0], values), x[1], usual * math.exp(x[2]), errors, t)
+        found: FloatArray = motion - reported
+        return found
+
+    first = min(
+        (
+            np.array([delay, 1.0, effort])
+            for delay in np.arange(0.0, DELAY_MAX_S, 0.04)
+            for effort in (-0.7, 0.0, 1.5)
+        ),
+        key=lambda x: float(np.log1p(np.square(misses(x) / scale / 10.0)).sum()),
+    )
+    bounds = [0.0, 0.3, math.log(BOUNDS[0])], [DELAY_MAX_S, 3.0, math.log(BOUNDS[1])]
+    steps = (0.05, 0.1, 0.2)
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        return np.column_stack(
+            [(misses(x + step) - misses(x - step)) / (2.0 * step.max()) for step in np.diag(DIFFERENCES)]
+        )
+
+    x = least_squares(
+        lambda x: misses(x) / scale,
+        first,
+        lambda x: jacobian(x) / scale,
+        bounds=bounds,
+        loss="cauchy",
+        x_scale=steps,
+    ).x
+
+    begins = times[np.diff(times, prepend=-math.inf) > PAUSE_S]
+    blocks = np.searchsorted(begins + x[0], t, side="right")
+    kept = ~np.isin(blocks, _outliers(misses(x), blocks, scale))
+    for _ in range(8):
+        chosen = kept
+
+        def weighted(table: FloatArray, chosen: NDArray[np.bool_] = chosen) -> FloatArray:
+            found: FloatArray = (table.T * weights).T[chosen]
+            return found
+
+        fit = least_squares(
+            lambda x, weighted=weighted: weighted(misses(x)),
+            x,
+            lambda x, weighted=weighted: weighted(jacobian(x)),
+            bounds=bounds,
+            x_scale=steps,
+        )
+        x = fit.x
+        if (fit.active_mask[1:] != 0).any() or fit.active_mask[0] > 0:
+            return None  # the best value lies beyond what a base can have; a delay of 0 is none of these
+        kept = ~np.isin(blocks, _outliers(misses(x), blocks, scale))
+        if (kept == chosen).all() or not kept.any():
+            break
+    covariance = _covariance(fit.jac, fit.fun, blocks[chosen], weights[chosen] * sigma, groups[chosen])
+    by_odometry = np.column_stack(
+        [(misses(x, odometry.values + change) - misses(x))[chosen] / 1e-4 for change in 1e-4 * np.eye(2)]
+    )
+    shift = np.linalg.lstsq(fit.jac, by_odometry * weights[chosen][:, None])[0]
+    deviations = np.sqrt(np.diag(covariance + shift @ odometry.covariance @ shift.T))
+    acceleration = usual * math.exp(x[2])
+    return Axis(
+        float(x[0]),
+        acceleration,
+        float(x[1]),
+        float(deviations[0]),
+        float(deviations[2]) * acceleration,
+        float(deviations[1]),
+        float(np.sqrt(np.mean(np.square(misses(x)[chosen])))),
+    )
+
+
+def _changes(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the commands that differ from the one before, which is 0 at first."""
+    new = np.diff(values, prepend=0.0) != 0.0
+    return times[new], values[new]
+
+
+def _modelled(
+    commands: tuple[FloatArray, FloatArray],
+    gain: float,
+    acceleration: float,
+    errors: FloatArray,
+    t: FloatArray,
+) -> FloatArray:
+    """Return the motion that is reported at ``t``, of commands by the times when they take effect."""
+    (due, asked), (scale, slip) = commands, errors.tolist()
+    targets = gain / scale * asked
+    targets = targets * (1.0 - slip * np.abs(targets))
+    knots, speeds = [-math.inf], [0.0]
+    now, speed, target = -1e9, 0.0, 0.0
+    for when, wanted in zip([*due.tolist(), math.inf], [*targets.tolist(), 0.0], strict=True):
+        reached = now + abs(target - speed) / acceleration
+        if reached < when:
+            knots.append(reached)
+            speeds.append(target)
+            speed = target
+        else:
+            speed += math.copysign(acceleration * (when - now), target - speed)
+        if when < math.inf:
+            knots.append(when)
+            speeds.append(speed)
+        now, target = when, wanted
+    motion = np.interp(t, knots[1:], speeds[1:])
+    found: FloatArray = scale * motion * (1.0 + slip * np.abs(motion))
+    return found
+
+
+def _rounding_weights(reported: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return weights (n,) under which all reports of one size count as one sample, and signed sizes (n,)."""
+    sizes = np.round(np.abs(reported), 7)
+    _, numbers, counts = np.unique(sizes, return_inverse=True, return_counts=True)
+    return 1.0 / np.sqrt(counts[numbers]), np.sign(reported) * sizes
+
+
+def _step(reported: FloatArray) -> float:
+    """Return the step in which a speed is reported: the smallest difference between two reports."""
+    gaps = np.diff(np.unique(np.round(np.abs(reported), 7)))
+    return float(gaps.min()) if len(gaps) else 0.0
+
+
+def _outliers(misses: FloatArray, blocks: NDArray[np.intp], scale: float) -> list[int]:
+    """Return the blocks that do not fit."""
+    numbers = np.unique(blocks)
+    sizes = np.array([np.sqrt(np.mean(np.square(misses[blocks == number]))) for number in numbers])
+    moved = sizes[sizes > 0.0]
+    limit = max(OUTLIER * float(np.median(moved)) if len(moved) else 0.0, 0.3 * scale)
+    found: list[int] = numbers[sizes > limit].tolist()
+    return found
+
+
+def _covariance(
+    jacobian: FloatArray,
+    residuals: FloatArray,
+    blocks: NDArray[np.intp],
+    rounding: FloatArray,
+    shown: FloatArray,
+) -> FloatArray:
+    """Return the parameters' covariance: of rounding, and by blocks if the residuals are larger than it.
+
+    ``rounding`` (n,) is its standard deviation in each row, ``shown`` (n,) the reported number, whose
+    rounding error has its sign. Infinite if the record does not determine all parameters.
+    """
+    size = jacobian.shape[1]
+    curvature = jacobian.T @ jacobian
+    if not np.linalg.cond(curvature) < SINGULAR:
+        return np.diag(np.full(size, np.inf))
+    bread = np.linalg.inv(curvature)
+    rounded = np.zeros((size, size))
+    for number in np.unique(np.abs(shown[shown != 0.0])):
+        chosen = np.abs(shown) == number
+        pull = jacobian[chosen].T @ (np.sign(shown) * rounding)[chosen]
+        rounded += np.outer(pull, pull)
+    by_rounding: FloatArray = bread @ rounded @ bread
+    moving = shown != 0.0
+    if np.sum(np.square(residuals[moving])) <= MISFIT * np.sum(np.square(rounding[moving])):
+        return by_rounding
+    moved = np.unique(blocks[moving])
+    if len(moved) < LEAST_BLOCKS:
+        return np.diag(np.full(size, np.inf))
+    seen = np.zeros((size, size))
+    for block in moved:
+        rows, misses = jacobian[blocks == block], residuals[blocks == block]
+        inside = np.eye(len(rows)) - rows @ bread @ rows.T
+        # A parameter that one block alone determines has no spread between blocks.
+        if not np.linalg.cond(inside) < SINGULAR:
+            return np.diag(np.full(size, np.inf))
+        pull = rows.T @ np.linalg.solve(inside, misses)
+        seen += np.outer(pull, pull)
+    if len(moved) < FEW_BLOCKS:
+        seen *= (student.ppf(0.975, len(moved) - 1) / norm.ppf(0.975)) ** 2
+    by_blocks: FloatArray = bread @ seen @ bread
+    np.fill_diagonal(by_blocks, np.maximum(np.diag(by_blocks), np.diag(by_rounding)))
+    return by_blocks

@@ -1,0 +1,89 @@
+"""A short drive that shows what a base makes of commands: steps forward and back, left and right, and rests.
+
+Rules of this file:
+
+1. It stays within a circle around its start: one step farther than it should, and it stops for good.
+2. What stops a drive stops it: `Guard` looks before each command, and every way out gives the motors back.
+3. Steps are whole mm/s and deg/s, which a Pioneer takes as they are; they last no whole number of reports, so
+   that reports fall on all parts of a ramp.
+"""
+
+import math
+import time
+from typing import NamedTuple
+
+from deploy.drive.link import Link
+from deploy.drive.measurements import Intake
+from deploy.drive.safety_monitor import Guard
+from rover_ncp.core.clock import Clock
+from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.geometry import Pose, Velocity, distance
+
+__all__ = ["FENCE_M", "Step", "excite", "steps"]
+
+FENCE_M = 0.8
+"""How far from its start the rover may come; the steps take it half as far."""
+PERIOD_S = 0.05
+BRAKE_M_S2 = 0.2
+"""How hard a base is sure to brake, and after which delay: what the fence reckons with."""
+REACT_S = 0.4
+
+_SPEEDS_M_S = (0.150, -0.150, 0.200, -0.200, 0.100, -0.100)
+_DRIVE_S, _REST_S = 2.13, 2.06
+_TURNS_DEG_S = (10, -10, 20, -20, 28, -28)
+_TURN_S, _TURN_REST_S = 2.13, 1.86
+_BEFORE_S, _AFTER_S = 0.6, 0.6
+
+
+class Step(NamedTuple):
+    """A velocity, and for how long (s)."""
+
+    velocity: Velocity
+    seconds: float
+
+
+def steps() -> list[Step]:
+    """Return the whole drive: 51 s."""
+    rest = Velocity(0.0, 0.0)
+    found = [Step(rest, _BEFORE_S)]
+    for v in _SPEEDS_M_S:
+        found += [Step(Velocity(v, 0.0), _DRIVE_S), Step(rest, _REST_S)]
+    for turn in _TURNS_DEG_S:
+        found += [Step(Velocity(0.0, math.radians(turn)), _TURN_S), Step(rest, _TURN_REST_S)]
+    return [*found, Step(rest, _AFTER_S)]
+
+
+def excite(link: Link, intake: Intake, guard: Guard, fence_m: float, clock: Clock = time) -> None:
+    """Drive the steps, with the motors from the first to the last.
+
+    Raises SafetyStop (``geofence``, or what the guard finds), Interrupted, AnotherDriver, NotAuthorised or
+    NoBridge; the motors are given back whatever comes.
+    """
+    assert intake.newest is not None  # the guard waited for odometry
+    start = intake.newest.pose
+    try:
+        link.request_motors("identify")
+        guard.granted()
+        due = clock.monotonic()
+        for step in steps():
+            end = due + step.seconds
+            while due < end:
+                guard.check()
+                _stay_inside(intake, start, fence_m)
+                link.command(step.velocity)
+                due = min(due + PERIOD_S, end)
+                while (left_s := due - clock.monotonic()) > 0.0:
+                    intake.take(left_s)
+    finally:
+        link.release()
+
+
+def _stay_inside(intake: Intake, start: Pose, fence_m: float) -> None:
+    """Raise SafetyStop when the rover would come to stand beyond the fence."""
+    newest = intake.newest
+    assert newest is not None  # it was there at the start
+    v, heading = newest.velocity.v, newest.pose.theta
+    reach = v * REACT_S + v * abs(v) / (2.0 * BRAKE_M_S2)
+    stop = Pose(newest.pose.x + reach * math.cos(heading), newest.pose.y + reach * math.sin(heading), heading)
+    if not max(distance(newest.pose, start), distance(stop, start)) <= fence_m:
+        raise SafetyStop("geofence", f"the rover would come farther than {fence_m} m from its start")

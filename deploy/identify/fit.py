@@ -1,0 +1,138 @@
+"""A base's profile from a record of its motion: delays, accelerations, gains, noise and odometry's errors.
+
+Each fitted value has a standard deviation: 1.96 of them on both sides hold the truth 19 times in 20. A value
+whose standard deviation is too wide is left out. Gains are those that odometry sees; accelerations are true
+ones. Odometry's own errors (scales, slip, imbalance) only show beside external poses. Without external poses
+their usual spread is part of the accelerations' standard deviations.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.identify.axis_fit import OdometryErrors, identify_axis
+from deploy.identify.motion_log import MotionLog
+from deploy.identify.odometry_fit import fit_distance, fit_turns, stands_beside
+from rover_ncp.core.robot_profile import RoverProfile
+
+__all__ = ["identify"]
+
+FloatArray = NDArray[np.float64]
+
+STANDING_M_S, STANDING_RAD_S = 0.004, 0.006
+STANDING_S = 0.35
+"""So long the rover stands before its pose counts, and at least so long after."""
+STEP_M, STEP_RAD = 0.001, math.tau / 4096
+"""What positions and headings are rounded to."""
+LEAST_NOISE_SAMPLES = 20
+
+SCALE_STD = 0.0173
+"""Of odometry's scales when no external pose tells them: ±3 %, evenly spread, as for the estimator."""
+SLIP_STD_S = 0.17
+"""Of the slip of a turn: 0 to 0.3 s, evenly spread (preset `harsh`), about 0."""
+
+WIDEST_S = 0.03
+"""Largest standard deviation of a delay that is kept."""
+WIDEST_SHARE = {
+    "gain_v": 0.03,
+    "gain_omega": 0.03,
+    "accel": 0.15,
+    "alpha": 0.15,
+    "noise_m": 0.25,
+    "noise_rad": 0.25,
+    "odometry_distance": 0.03,
+    "odometry_heading": 0.03,
+}
+"""Largest standard deviation that is kept, as a share of the value."""
+WIDEST = {"delay_v_s": WIDEST_S, "delay_omega_s": WIDEST_S, "imbalance_rad_m": 0.03, "slip_s": 0.15}
+"""The same, SI."""
+
+
+class _Value(NamedTuple):
+    value: float
+    std: float
+
+
+def identify(log: MotionLog, name: str) -> RoverProfile:
+    """Return the profile of the base that a record is of; what it does not tell well enough is None."""
+    measured: dict[str, Any] = {
+        "samples": len(log.odometry.t),
+        "seconds": round(float(log.odometry.t[-1]), 1),
+    }
+    stands = _stands(log)
+    found = _noise(log, stands)
+    odometry = (
+        OdometryErrors(np.array([1.0, 0.0]), np.diag([SCALE_STD**2, 0.0])),
+        OdometryErrors(np.array([1.0, 0.0]), np.diag([SCALE_STD**2, SLIP_STD_S**2])),
+    )
+    if len(log.external.t):
+        measured["external_poses"] = len(log.external.t)
+        beside = stands_beside(log, stands, (STEP_M, STEP_RAD))
+        if way := fit_distance(beside):
+            found["odometry_distance"] = _Value(float(way.values[0]), math.sqrt(way.covariance[0, 0]))
+            odometry = OdometryErrors(np.append(way.values, 0.0), np.pad(way.covariance, (0, 1))), odometry[1]
+        if turn := fit_turns(log, beside):
+            names = "odometry_heading", "slip_s", "imbalance_rad_m"
+            deviations = np.sqrt(np.diag(turn.covariance))
+            for key, value, std in zip(names, turn.values.tolist(), deviations.tolist(), strict=False):
+                found[key] = _Value(value, std)
+            odometry = odometry[0], OdometryErrors(turn.values[:2], turn.covariance[:2, :2])
+    for axis, keys in enumerate((("delay_v_s", "accel", "gain_v"), ("delay_omega_s", "alpha", "gain_omega"))):
+        fitted = identify_axis(log, axis, odometry[axis])
+        if fitted is not None:
+            found |= {key: _Value(fitted[i], fitted[i + 3]) for i, key in enumerate(keys)}
+            measured[("v", "omega")[axis]] = {"residual": float(f"{fitted.residual:.3g}")}
+    sure = {key: value for key, value in found.items() if _sure(key, value)}
+    return RoverProfile.model_validate(
+        {
+            "name": name,
+            "measured": measured,
+            "std": {key: float(f"{std:.3g}") for key, (_, std) in sure.items() if std > 0.0},
+        }
+        | {key: float(f"{value:.5g}") for key, (value, _) in sure.items()}
+    )
+
+
+def _sure(key: str, found: _Value) -> bool:
+    """Return whether a value is known well enough to be of use."""
+    widest = WIDEST[key] if key in WIDEST else WIDEST_SHARE[key] * found.value
+    return found.std <= widest
+
+
+def _stands(log: MotionLog) -> list[tuple[float, float]]:
+    """Return from when to when the rover stood for certain, by odometry's speeds."""
+    t = log.odometry.t
+    still = (np.abs(log.motion) < (STANDING_M_S, STANDING_RAD_S)).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
+    spans = [(t[a] + STANDING_S, t[b - 1]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(float(a), float(b)) for a, b in spans if b - a >= STANDING_S]
+
+
+def _noise(log: MotionLog, stands: Sequence[tuple[float, float]]) -> dict[str, _Value]:
+    """Return how far poses scatter while the rover stands, beyond their rounding.
+
+    Only between drives: a base may report otherwise before its motors are on. Noise that rounding hides is 0.
+    """
+    squares, count = np.zeros(3), 0
+    for a, b in stands[1:-1]:
+        inside = (log.odometry.t >= a) & (log.odometry.t <= b)
+        poses = log.odometry.poses[inside]
+        squares += np.square(poses - poses.mean(axis=0)).sum(axis=0)
+        count += len(poses) - 1
+    if count < LEAST_NOISE_SAMPLES:
+        return {}
+    variance = squares / count
+    found = {}
+    for key, seen, step, samples in (
+        ("noise_m", float(variance[:2].mean()), STEP_M, 2 * count),
+        ("noise_rad", float(variance[2]), STEP_RAD, count),
+    ):
+        noise = math.sqrt(max(seen - step**2 / 12.0, 0.0))
+        # The deviation of a Gaussian's sample variance is that variance times √(2 / samples).
+        found[key] = (
+            _Value(noise, seen / noise / math.sqrt(2.0 * samples)) if noise > step / 2.0 else _Value(0.0, 0.0)
+        )
+    return found

@@ -1,0 +1,200 @@
+"""Errors of odometry, from where the rover stood by it and by external poses.
+
+Only poses of a standing rover are compared, so that no clock matters. Way and turn between one stand and the
+next have the noise of both stands' means in them, which the next interval shares: the fits are generalised
+least squares with that covariance. A push between two stands is an outlier: its interval is left out.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.optimize import least_squares
+from scipy.stats import norm, t
+
+from deploy.identify.motion_log import MotionLog
+
+__all__ = ["Fit", "Stand", "fit_distance", "fit_turns", "stands_beside"]
+
+FloatArray = NDArray[np.float64]
+
+LEAST_WAY_M = 0.1
+LEAST_POSES = 3
+"""Of odometry and of external poses in a stand."""
+PUSHED = float(norm.isf(0.0005))
+"""An interval whose standardised residual is larger was disturbed: two in 1000 by chance, of two sides."""
+PLAUSIBLE = 0.5, 2.0
+"""Scales of odometry; external poses that ask for others belong to something else."""
+SLIP_MAX_S = 3.0
+
+
+class Fit(NamedTuple):
+    """Values (k,) with their covariance (k, k)."""
+
+    values: FloatArray
+    covariance: FloatArray
+
+
+class Stand(NamedTuple):
+    """The rover stood from ``begin_s`` to ``end_s``: mean poses with their variances of x, y and theta."""
+
+    begin_s: float
+    end_s: float
+    own: FloatArray
+    true: FloatArray
+    own_variance: FloatArray
+    true_variance: FloatArray
+
+
+def stands_beside(
+    log: MotionLog, spans: Sequence[tuple[float, float]], steps: tuple[float, float]
+) -> list[Stand]:
+    """Return the stands with both kinds of poses, whose noise is pooled over all of them.
+
+    ``steps`` are those that odometry's positions (m) and headings (rad) are rounded to.
+    """
+    inside: list[tuple[float, float, FloatArray, FloatArray]] = []
+    for begin, end in spans:
+        own, true = (
+            track.poses[(track.t >= begin) & (track.t <= end)] for track in (log.odometry, log.external)
+        )
+        if min(len(own), len(true)) >= LEAST_POSES:
+            inside.append((begin, end, own, true))
+    if not inside:
+        return []
+    own_noise, true_noise = _scatter([row[2] for row in inside]), _scatter([row[3] for row in inside])
+    rounding = np.square([steps[0], steps[0], steps[1]]) / 12.0
+    return [
+        Stand(
+            begin,
+            end,
+            own.mean(axis=0),
+            true.mean(axis=0),
+            # The mean of reports that do not scatter is still rounded.
+            np.maximum(own_noise / len(own), np.where(own_noise > 3.0 * rounding, 0.0, rounding)),
+            true_noise / len(true),
+        )
+        for begin, end, own, true in inside
+    ]
+
+
+def fit_distance(stands: Sequence[Stand]) -> Fit | None:
+    """Fit odometry's way = scale · true way over the straight intervals; None from fewer than three."""
+    ways, true_ways, directions, rows = [], [], [], []
+    for row, (a, b) in enumerate(pairwise(stands)):
+        own, true = (b.own - a.own)[:2], (b.true - a.true)[:2]
+        length = math.hypot(*own)
+        if length > LEAST_WAY_M:
+            ways.append(length)
+            true_ways.append(math.hypot(*true))
+            directions.append(own / length)
+            rows.append(row)
+    if len(ways) < 3:
+        return None
+    way, true_way = np.array(ways), np.array(true_ways)
+    variances = np.array([(stand.own_variance + stand.true_variance)[:2].mean() for stand in stands])
+    covariance = np.diag(variances[rows] + variances[np.array(rows) + 1])
+    for i in range(len(rows) - 1):
+        if rows[i + 1] == rows[i] + 1:
+            shared = -float(directions[i] @ directions[i + 1]) * variances[rows[i + 1]]
+            covariance[i, i + 1] = covariance[i + 1, i] = shared
+    return _fitted(lambda x, kept: (x[0] * true_way - way)[kept], [1.0], covariance, [(0.0, math.inf)])
+
+
+def fit_turns(log: MotionLog, stands: Sequence[Stand]) -> Fit | None:
+    """Fit heading scale, slip (s), imbalance (rad/m) and drift (rad/s), in this order.
+
+    turn = scale · (true turn + slip · ∫|ω|ω dt − imbalance · way) + drift · time. None if intervals are few.
+    """
+    turns, true_turns, motions, ways, seconds = [], [], [], [], []
+    times, (v, omega) = log.odometry.t, log.motion.T
+    for a, b in pairwise(stands):
+        turn, true_turn = b.own[2] - a.own[2], b.true[2] - a.true[2]
+        turns.append(turn)
+        true_turns.append(true_turn + math.tau * round((turn - true_turn) / math.tau))
+        span = (times >= a.begin_s) & (times <= b.end_s)
+        motions.append((times[span], omega[span]))
+        ways.append(float(np.trapezoid(v[span], times[span])))
+        seconds.append((b.begin_s + b.end_s - a.begin_s - a.end_s) / 2.0)
+    if len(turns) < 6:
+        return None
+    turn, true_turn, way, second = (np.array(column) for column in (turns, true_turns, ways, seconds))
+
+    def residuals(x: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
+        scale, slip, imbalance, drift = x
+        slipped = np.array([_slipped(times, rate / scale, slip) for times, rate in motions])
+        found: FloatArray = scale * (true_turn + slip * slipped - imbalance * way) + drift * second - turn
+        return found[kept]
+
+    variances = np.array([(stand.own_variance + stand.true_variance)[2] for stand in stands])
+    covariance = np.diag(variances[:-1] + variances[1:])
+    beside = np.arange(len(turn) - 1)
+    covariance[beside, beside + 1] = covariance[beside + 1, beside] = -variances[1:-1]
+    limits = [(0.0, math.inf), (0.0, SLIP_MAX_S), (-math.inf, math.inf), (-math.inf, math.inf)]
+    return _fitted(residuals, [1.0, 0.01, 0.0, 0.0], covariance, limits)
+
+
+def _slipped(times: FloatArray, rate: FloatArray, slip: float) -> float:
+    """Return ∫|ω|ω dt of the true turn rate, where odometry without its scale saw ``rate``."""
+    size = np.abs(rate)
+    true = size if slip == 0.0 else (np.sqrt(1.0 + 4.0 * slip * size) - 1.0) / (2.0 * slip)
+    return float(np.trapezoid(np.sign(rate) * np.square(true), times))
+
+
+def _fitted(
+    residuals: Callable[[FloatArray, NDArray[np.bool_]], FloatArray],
+    start: Sequence[float],
+    covariance: FloatArray,
+    limits: Sequence[tuple[float, float]],
+) -> Fit | None:
+    """Fit, leave out the worst interval while it does not belong, and fit again; None if nothing fits.
+
+    The covariance of the values is the larger of that by the poses' noise and that by the residuals.
+    """
+    kept = np.ones(len(covariance), np.bool_)
+    x = np.array(start)
+    bounds = tuple(np.array(limits).T)
+    while True:
+        root = np.linalg.cholesky(covariance[np.ix_(kept, kept)])
+        fit = least_squares(
+            lambda x, kept, root: solve_triangular(root, residuals(x, kept), lower=True),
+            x,
+            bounds=bounds,
+            args=(kept, root),
+            x_scale="jac",
+        )
+        x = fit.x
+        if not PLAUSIBLE[0] < x[0] < PLAUSIBLE[1] or (fit.active_mask > 0).any():
+            return None
+        curvature = fit.jac.T @ fit.jac
+        free = int(kept.sum()) - len(x)
+        if free < 1 or not np.linalg.cond(curvature) < 1e14:
+            return None
+        values = np.linalg.inv(curvature)
+        # Of what remains of each interval: precision-weighted residual over its standard deviation.
+        precision = np.linalg.inv(covariance[np.ix_(kept, kept)])
+        jacobian = root @ fit.jac
+        weight = precision - precision @ jacobian @ values @ jacobian.T @ precision
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sizes = np.abs(weight @ residuals(x, kept)) / np.sqrt(np.diag(weight))
+        sizes = np.nan_to_num(sizes, posinf=0.0)
+        worst = int(np.argmax(sizes))
+        if sizes[worst] <= PUSHED or free <= 2:
+            # The noise is known from the scatter of the poses; a small push shows as a misfit beyond it.
+            # Its size is then estimated from few intervals: 1.96 deviations are to be Student's quantile.
+            misfit = 2.0 * fit.cost / free
+            return Fit(
+                x, values * (misfit * (t.ppf(0.975, free) / norm.ppf(0.975)) ** 2 if misfit > 1.0 else 1.0)
+            )
+        kept[np.flatnonzero(kept)[worst]] = False
+
+
+def _scatter(poses: Sequence[FloatArray]) -> FloatArray:
+    """Return the variance (3,) of poses about the mean of their stand."""
+    squares = sum((np.square(rows - rows.mean(axis=0)).sum(axis=0) for rows in poses), np.zeros(3))
+    found: FloatArray = squares / sum(len(rows) - 1 for rows in poses)
+    return found

@@ -1,0 +1,1 @@
+"""Analysis of recorded drives as tables, charts and pages."""

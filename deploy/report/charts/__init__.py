@@ -1,0 +1,1 @@
+"""Charts of a drive as files, drawn with matplotlib."""

@@ -1,0 +1,1 @@
+"""Driving by keyboard through the same lease and gate."""

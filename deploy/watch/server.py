@@ -1,0 +1,145 @@
+"""The live page: served to this machine alone, fed ten times a second, with a Stop button.
+
+Server-sent events carry what is new; a browser that lost the line asks again by itself and gets everything.
+Only pages of this very server may press its buttons: other pages in the same browser are told apart by their
+origin, other names for this machine by the host they ask for.
+"""
+
+import asyncio
+import json
+import socket
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from deploy.report.page.feed import Feed, Place
+from deploy.report.page.page import html
+from deploy.report.page.page_data import circuit_data, course_data
+from deploy.watch.viewer import Viewer
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.console import Output
+from rover_ncp.core.course import load_course
+from rover_ncp.core.errors import PortInUse, UnreachableError
+from rover_ncp.core.signals import Interrupts
+
+__all__ = ["Options", "application", "run"]
+
+HOST = "127.0.0.1"
+INTERRUPTED = 130
+PERIOD_S = 0.1
+
+
+@dataclass(frozen=True)
+class Options:
+    """The command line of ``rover-ncp watch``."""
+
+    robot: str
+    policy: str
+    course: str
+    port: int
+    namespace: str
+    zenoh_config: Path | None
+
+
+def run(options: Options, output: Output) -> int:
+    """Serve until interrupted. Raises RoverNcpError for what keeps it from beginning."""
+    policy, course = load_policy(options.policy), load_course(options.course)
+    feed = Feed(policy, course)
+    listener = _listener(options.port)
+    address = f"http://{HOST}:{listener.getsockname()[1]}/"
+    page = html(
+        f"Watching {options.robot}",
+        {"live": True, "course": course_data(course), "circuit": circuit_data(policy)},
+        connect="'self'",
+    )
+    with (
+        listener,
+        Viewer(options.robot, options.namespace, options.zenoh_config, feed.take) as viewer,
+    ):
+        served = application(page, feed, viewer, ending=lambda: server.should_exit)
+        config = uvicorn.Config(
+            served, log_level="warning", access_log=False, lifespan="off", timeout_graceful_shutdown=1
+        )
+        server = uvicorn.Server(config)
+        output.announce(f"watching at {address}")
+        # The server ends in order on a signal, and then raises the signal again.
+        with Interrupts():
+            server.run(sockets=[listener])
+    output.result({"address": address, "robot": viewer.robot}, "interrupted; no longer watching")
+    return INTERRUPTED
+
+
+def application(
+    page: str,
+    feed: Feed,
+    viewer: Viewer,
+    clock: Callable[[], float] = time.monotonic,
+    ending: Callable[[], bool] = lambda: False,
+) -> Starlette:
+    """Return the web application. Streams of events end soon after ``ending`` returns True."""
+
+    async def show(request: Request) -> Response:
+        return HTMLResponse(page)
+
+    async def events(request: Request) -> Response:
+        return StreamingResponse(_events(feed, viewer, ending), media_type="text/event-stream")
+
+    async def stop(request: Request) -> Response:
+        return await _ask(request, viewer, clock, release=False)
+
+    async def release(request: Request) -> Response:
+        return await _ask(request, viewer, clock, release=True)
+
+    return Starlette(
+        routes=[
+            Route("/", show),
+            Route("/events", events),
+            Route("/stop", stop, methods=["POST"]),
+            Route("/release", release, methods=["POST"]),
+        ],
+        middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])],
+    )
+
+
+async def _events(feed: Feed, viewer: Viewer, ending: Callable[[], bool]) -> AsyncIterator[str]:
+    place = Place()
+    yield "retry: 500\n\n"
+    while not ending():
+        news: dict[str, Any] = await run_in_threadpool(feed.news, place)
+        news |= {"bridge": viewer.bridge_alive, "mayStop": viewer.may_stop}
+        yield f"data: {json.dumps(news, allow_nan=False, separators=(',', ':'))}\n\n"
+        await asyncio.sleep(PERIOD_S)
+
+
+async def _ask(request: Request, viewer: Viewer, clock: Callable[[], float], release: bool) -> Response:
+    if request.headers.get("origin") != f"{request.url.scheme}://{request.headers.get('host')}":
+        return JSONResponse({"error": "only the page itself may do this"}, 403)
+    began = clock()
+    try:
+        reply = await run_in_threadpool(viewer.stop, release)
+    except UnreachableError as error:
+        return JSONResponse({"error": str(error)}, 502)
+    return JSONResponse({"stopped": reply.stopped, "took_s": clock() - began})
+
+
+def _listener(port: int) -> socket.socket:
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((HOST, port))
+        listener.listen()  # from now on nobody is turned away, though the server is not there yet
+    except OSError as error:
+        listener.close()
+        raise PortInUse(f"--port {port}: {HOST}:{port} cannot be listened on: {error.strerror}") from error
+    return listener

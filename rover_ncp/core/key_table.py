@@ -1,0 +1,146 @@
+"""The table of all Zenoh keys: what travels on each, who may send it, who hears it.
+
+Messages are ROS 2 types in CDR on plain keys, so that ROS bridges see them with no glue. The namespace is put
+in front by `key`, not by Zenoh's own setting, which would also prefix the ``@`` tokens of ROS bridges.
+Access control and documentation are made from this table.
+"""
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+from rover_ncp.core.errors import UsageError
+
+__all__ = ["KEYS", "KeySpec", "Kind", "Role", "key", "spec"]
+
+
+class Role(Enum):
+    """Who a peer is, to access control."""
+
+    BRIDGE = "bridge"
+    DRIVER = "driver"
+    VIEWER = "viewer"
+    LOCALISER = "localiser"
+    """External localisation: may send ``pose`` and nothing else."""
+
+
+class Kind(Enum):
+    """How a key is used."""
+
+    MESSAGE = "message"
+    QUERYABLE = "queryable"
+    """Senders ask, the one receiver answers; JSON both ways (`rover_ncp.core.protocol`)."""
+    TOKEN = "token"
+    """A liveliness token: there as long as its sender is."""
+
+
+ALL = frozenset({Role.BRIDGE, Role.DRIVER, Role.VIEWER})
+
+
+@dataclass(frozen=True)
+class KeySpec:
+    """A row: ``type`` is a ROS type or names JSON models; payloads over ``max_bytes`` are refused.
+
+    Who subscribes to a ``latched`` one gets its last message although it was sent before.
+    """
+
+    name: str
+    kind: Kind
+    type: str
+    senders: frozenset[Role]
+    receivers: frozenset[Role]
+    max_bytes: int
+    about: str
+    latched: bool = False
+
+
+def _from_bridge(name: str, ros_type: str, max_bytes: int, about: str, *, latched: bool = False) -> KeySpec:
+    return KeySpec(name, Kind.MESSAGE, ros_type, frozenset({Role.BRIDGE}), ALL, max_bytes, about, latched)
+
+
+def _from_driver(name: str, ros_type: str, max_bytes: int, about: str) -> KeySpec:
+    return KeySpec(name, Kind.MESSAGE, ros_type, frozenset({Role.DRIVER}), ALL, max_bytes, about)
+
+
+def _asked(name: str, model: str, about: str) -> KeySpec:
+    return KeySpec(
+        name, Kind.QUERYABLE, model, frozenset({Role.DRIVER}), frozenset({Role.BRIDGE}), 4096, about
+    )
+
+
+KEYS: tuple[KeySpec, ...] = (
+    _from_bridge("odom", "nav_msgs/msg/Odometry", 4096, "pose and velocity of the base, each SIP"),
+    _from_bridge(
+        "imu", "sensor_msgs/msg/Imu", 4096, "rate of turn of a base with a gyro of its own, each SIP"
+    ),
+    _from_bridge("tf", "tf2_msgs/msg/TFMessage", 4096, "odom → base_link, each SIP"),
+    _from_bridge(
+        "tf_static", "tf2_msgs/msg/TFMessage", 1 << 16, "where the sensors sit on the base", latched=True
+    ),
+    _from_bridge("battery_state", "sensor_msgs/msg/BatteryState", 4096, "once a second"),
+    _from_bridge("sonar", "sensor_msgs/msg/PointCloud2", 1 << 16, "the echoes of one SIP, in base_link"),
+    _from_bridge(
+        "bumpers", "std_msgs/msg/UInt8MultiArray", 4096, "front and rear bits, 1 = pressed, each SIP"
+    ),
+    _from_bridge("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 1 << 16, "base, link and gate"),
+    # The next two are the gate's last word: what reached the base, and why nothing did.
+    _from_bridge(
+        "rover/cmd_out", "geometry_msgs/msg/TwistStamped", 512, "the command that the gate let through"
+    ),
+    _from_bridge("rover/gate", "std_msgs/msg/String", 4096, "GateStatus as JSON: driver, stop, counters"),
+    KeySpec(
+        "cmd_vel",
+        Kind.MESSAGE,
+        "geometry_msgs/msg/TwistStamped",
+        frozenset({Role.DRIVER}),
+        ALL,
+        512,
+        "what the driver wants; the attachment is a CommandTag, signed",
+    ),
+    KeySpec(
+        "pose",
+        Kind.MESSAGE,
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        frozenset({Role.DRIVER, Role.LOCALISER}),
+        ALL,
+        4096,
+        "optional external localisation, in the course's frame",
+    ),
+    _from_driver(
+        "rover/estimate", "geometry_msgs/msg/PoseWithCovarianceStamped", 4096, "the driver's own estimate"
+    ),
+    _from_driver("rover/neurons", "std_msgs/msg/Float64MultiArray", 1 << 16, "potentials in mV, labelled"),
+    _from_driver("rover/status", "std_msgs/msg/String", 4096, "DriverStatus as JSON"),
+    _asked(
+        "rover/motors",
+        "MotorsRequest → MotorsReply",
+        "enable, renew or release; grants the lease and its key",
+    ),
+    _asked("rover/stop", "StopRequest → StopReply", "stop, latched until released"),
+    _asked("rover/reset_odometry", "ResetRequest → ResetReply", "make the present pose odom's origin"),
+    KeySpec("rover/alive/bridge", Kind.TOKEN, "", frozenset({Role.BRIDGE}), ALL, 0, "the bridge is there"),
+    KeySpec("rover/alive/driver", Kind.TOKEN, "", frozenset({Role.DRIVER}), ALL, 0, "a driver is there"),
+)
+
+_BY_NAME = {row.name: row for row in KEYS}
+# Zenoh gives meaning to * $ # ? and to chunks that begin with @; ROS knows letters, digits, _ and /.
+_NAMESPACE = re.compile(r"[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*")
+
+
+def spec(name: str) -> KeySpec:
+    """Return a row of the table. KeyError for a name that is not in it."""
+    return _BY_NAME[name]
+
+
+def key(namespace: str, name: str) -> str:
+    """Return the full key of a row: ``key("bot1", "odom")`` is ``bot1/odom``; "" is no namespace.
+
+    Slashes around the namespace, as ROS writes them, fall off. Raises UsageError for one that is no key.
+    """
+    row = _BY_NAME[name]
+    stripped = namespace.strip("/")
+    if not stripped:
+        return row.name
+    if not _NAMESPACE.fullmatch(stripped):
+        raise UsageError(f"namespace {namespace!r}: expected names of letters, digits, _ and -, joined by /")
+    return f"{stripped}/{row.name}"

@@ -1,0 +1,1 @@
+"""Courses beyond their file: reference motion, feasibility, building from poses."""

@@ -1,0 +1,195 @@
+"""A course made from poses, or from a drive that was recorded.
+
+The first pose becomes the origin. Deadlines are chosen so that a drive at six tenths of the motors' limits
+meets them, and later where that is still too much; where a recording paused or crept plays no part.
+"""
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+from pydantic import Field
+
+from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, validated
+from rover_ncp.core.course import MOST_CHECKPOINTS, TICK_S, Angle, Checkpoint, Coordinate, Course, Obstacle
+from rover_ncp.core.errors import FileError, FormatError
+from rover_ncp.core.files import existing_file, read_text
+from rover_ncp.core.geometry import Pose, distance, relative, wrap_angle
+from rover_ncp.core.messages import read_odometry, read_pose
+from rover_ncp.core.recording import Recording, read_recording
+from rover_ncp.course.feasibility import Cause, Drivability, check_course
+from rover_ncp.course.reference import OMEGA_MAX, V_MAX
+
+__all__ = ["PoseList", "course_yaml", "make_course", "read_poses"]
+
+EASE = 0.6
+"""Share of the motors' limits that the deadlines count on."""
+SLOWER, SLOWER_MAX = 1.3, 4
+"""Deadlines are stretched by this much, so many times, while the course cannot be driven in time."""
+START_S, JOIN_S, REST_S = 3.0, 2.0, 8.0
+"""Start signal; what setting off and stopping take beside; rest at the end."""
+NO_MATTER_OF_TIME = frozenset({Cause.SIDEWAYS, Cause.OBSTACLE})
+STEP_M, STEP_RAD = 0.10, 0.20
+"""How far apart the checkpoints of a recorded drive are."""
+MOVED_M, MOVED_RAD = 0.01, 0.02
+"""Less than this is no motion."""
+_DECIMALS = 4
+
+
+MOST_POSES = MOST_CHECKPOINTS - 2
+"""A course has a checkpoint before them, and one after."""
+
+
+class Place(StrictModel):
+    """A pose to drive through: m and rad."""
+
+    x: Coordinate
+    y: Coordinate
+    theta: Angle
+
+
+class PoseList(StrictModel):
+    """The YAML file that `make_course` takes; obstacles are in the same frame as the poses."""
+
+    poses: tuple[Place, ...] = Field(min_length=2, max_length=MOST_POSES)
+    obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=MOST_CHECKPOINTS)
+
+
+def read_poses(path: Path) -> PoseList:
+    """Read YAML, CSV (header x, y, theta) or a recording (MCAP). Raises FileError and ConfigError."""
+    match existing_file(path).suffix:
+        case ".yaml" | ".yml":
+            return load_yaml(path, PoseList)
+        case ".csv":
+            return _from_csv(path)
+        case ".mcap":
+            return _listed(path, _thinned(_driven(read_recording(path))))
+    raise FileError(f"{path}: expected poses as .yaml or .csv, or a recording as .mcap")
+
+
+def make_course(name: str, source: str, places: PoseList) -> tuple[Course, Drivability]:
+    """Return a course through poses with deadlines that can be met, as far as that goes, and how it is."""
+    first = _pose(places.poses[0])
+    poses = [relative(first, _pose(place)) for place in places.poses]
+    obstacles = tuple(_moved(obstacle, first) for obstacle in places.obstacles)
+    stretch = 1.0
+    for _ in range(SLOWER_MAX):
+        checkpoints = _checkpoints(poses, stretch)
+        fields = {
+            "name": name,
+            "description": f"Made from {source}.",
+            "start_signal_s": START_S,
+            "checkpoints": checkpoints,
+            "horizon_s": checkpoints[-1].t,
+            "obstacles": obstacles,
+        }
+        course = validated(fields, Course, source)  # it may last too long, or lead too far away
+        found = check_course(course)
+        # In time enough a rover can turn on the spot and drive to its side; who asks for a way to the side
+        # means something else.
+        if found.drivable or any(problem.cause in NO_MATTER_OF_TIME for problem in found.problems):
+            break
+        stretch *= SLOWER
+    return course, found
+
+
+def course_yaml(course: Course) -> str:
+    """Return a course as its file."""
+    return dump_yaml(course.model_dump(mode="json"))
+
+
+def _checkpoints(poses: Sequence[Pose], stretch: float) -> list[Checkpoint]:
+    found = [_checkpoint(0.0, poses[0]), _checkpoint(START_S, poses[0])]
+    t = START_S
+    last = len(poses) - 1
+    for number, (a, b) in enumerate(pairwise(poses), 1):
+        join = JOIN_S * ((number == 1) + (number == last))
+        t += stretch * (_seconds(a, b) + join)
+        t = math.ceil(t / TICK_S - 1e-9) * TICK_S
+        found.append(_checkpoint(t, b))
+    return [*found, _checkpoint(math.ceil(t + REST_S), poses[-1])]
+
+
+def _seconds(a: Pose, b: Pose) -> float:
+    turn = abs(wrap_angle(b.theta - a.theta))
+    half = 0.5 * turn
+    # An arc is longer than its chord; no arc turns by more than half a turn between two poses.
+    arc = distance(a, b) * (half / math.sin(half) if half > 1e-6 else 1.0)
+    return max(arc / (EASE * V_MAX), turn / (EASE * OMEGA_MAX), TICK_S)
+
+
+def _checkpoint(t: float, pose: Pose) -> Checkpoint:
+    x, y, theta = (round(number, _DECIMALS) + 0.0 for number in pose)
+    return Checkpoint(t=round(t, 1), x=x, y=y, theta=theta)
+
+
+def _from_csv(path: Path) -> PoseList:
+    rows = csv.DictReader(io.StringIO(read_text(path)), skipinitialspace=True)
+    if missing := [name for name in ("x", "y", "theta") if name not in (rows.fieldnames or ())]:
+        raise FileError(f"{path}: its first line names no {', '.join(missing)} (expected x, y, theta)")
+    places = []
+    for row in rows:
+        try:
+            x, y, theta = (float(row[name]) for name in ("x", "y", "theta"))
+        except (TypeError, ValueError) as error:
+            raise FileError(f"{path}: line {rows.line_num}: expected three numbers") from error
+        if not all(map(math.isfinite, (x, y, theta))):
+            raise FileError(f"{path}: line {rows.line_num}: expected finite numbers")
+        places.append((x, y, theta))
+    if len(places) < 2:
+        raise FileError(f"{path}: a course needs two poses at least, got {len(places)}")
+    return _listed(path, places)
+
+
+def _listed(path: Path, poses: Sequence[tuple[float, float, float]]) -> PoseList:
+    """Return poses that were not read from YAML, by the same rules. Raises ConfigError."""
+    data = [dict(zip(("x", "y", "theta"), pose, strict=True)) for pose in poses]
+    return validated({"poses": data}, PoseList, str(path))
+
+
+def _driven(recording: Recording) -> list[Pose]:
+    """Return where the rover was: by the driver's estimate where there is one, else by odometry."""
+    poses = []
+    for topic, read in (("rover/estimate", read_pose), ("odom", read_odometry)):
+        for message in recording.topic(topic):
+            try:
+                pose = read(message.data).pose
+            except FormatError:
+                continue
+            if all(map(math.isfinite, pose)):
+                poses.append(pose)
+        if poses:
+            return poses
+    raise FileError(f"{recording.path}: holds neither rover/estimate nor odom")
+
+
+def _thinned(poses: Sequence[Pose]) -> list[Pose]:
+    """Return the poses a step apart, and those where the rover changes between forward and backward."""
+    kept, newest, ahead = [poses[0]], poses[0], 0.0
+    for pose in poses[1:]:
+        way = relative(newest, pose)
+        if math.hypot(way.x, way.y) < MOVED_M and abs(way.theta) < MOVED_RAD:
+            continue
+        if way.x * ahead < 0 and newest is not kept[-1]:
+            kept.append(newest)
+        newest, ahead = pose, way.x or ahead
+        step = relative(kept[-1], pose)
+        if math.hypot(step.x, step.y) >= STEP_M or abs(step.theta) >= STEP_RAD:
+            kept.append(pose)
+    if newest is not kept[-1]:
+        kept.append(newest)
+    if len(kept) < 2:
+        raise FileError("the recorded rover did not move")
+    return kept
+
+
+def _pose(place: Place) -> Pose:
+    return Pose(place.x, place.y, place.theta)
+
+
+def _moved(obstacle: Obstacle, first: Pose) -> Obstacle:
+    x, y, theta = relative(first, Pose(obstacle.x, obstacle.y, obstacle.theta))
+    return obstacle.model_copy(update={"x": x, "y": y, "theta": theta})

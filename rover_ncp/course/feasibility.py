@@ -1,0 +1,200 @@
+"""Whether a course can be driven, and if not, where and why.
+
+A course is drivable when its reference, the nearest drive within the motors' limits, begins where the rover
+does, comes near every checkpoint, ends on the goal, rests there long enough to count as parked, and touches
+no obstacle on its way. Near means: within what counts as parked; at the goal within a quarter of it.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.core.course import TICK_S, Checkpoint, Course, Obstacle
+from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Deviation, Reference, deviations, plan_reference
+
+__all__ = ["Cause", "Drivability", "Problem", "check_course"]
+
+FloatArray = NDArray[np.float64]
+
+LENGTH_M, WIDTH_M = 0.626, 0.505
+"""A Pioneer 3-AT (its manual, table of specifications)."""
+GOAL_SHARE = 0.25
+SIDEWAYS = 0.5
+"""Off its heading by more than this, as a tangent, is no bend any more but a way to the side."""
+SIDEWAYS_M = 0.02
+_UNIT = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
+
+
+class Cause(StrEnum):
+    """Why a checkpoint cannot be driven to."""
+
+    FAST = "too fast"
+    TURN = "turns too fast"
+    SIDEWAYS = "sideways"
+    BEND = "too sharp a bend"
+    OBSTACLE = "obstacle"
+    START = "start"
+    REST = "no rest"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """``checkpoint`` counts from 1; ``t`` is in the course's time."""
+
+    checkpoint: int
+    t: float
+    cause: Cause
+    detail: str
+
+    def __str__(self) -> str:
+        return f"checkpoint {self.checkpoint} ({self.t:g} s): {self.cause.value}: {self.detail}"
+
+
+@dataclass(frozen=True)
+class Drivability:
+    """What was found; ``misses`` has one entry for each checkpoint."""
+
+    reference: Reference
+    misses: tuple[Deviation, ...]
+    problems: tuple[Problem, ...]
+    clearance_m: float | None
+    """The least distance between the rover and an obstacle, 0 if they touch; None without obstacles."""
+
+    @property
+    def drivable(self) -> bool:
+        """Whether there is no problem."""
+        return not self.problems
+
+
+def check_course(course: Course) -> Drivability:
+    """Plan a course's reference and look it over."""
+    reference = plan_reference(course)
+    misses = tuple(deviations(course, reference))
+    problems = [*_start(course), *_missed(course, misses), *_rest(course, reference)]
+    clearance, touching = _clearance(course, reference)
+    problems += touching
+    problems.sort(key=lambda problem: (problem.t, problem.checkpoint))
+    return Drivability(reference, misses, tuple(problems), clearance)
+
+
+def _start(course: Course) -> list[Problem]:
+    first, rule = course.checkpoints[0], course.parked
+    away, turned = distance(first.pose, Pose(0, 0, 0)), abs(first.theta)
+    if first.t > 0 or (away <= rule.position_m and turned <= rule.heading_rad):
+        return []
+    detail = f"it is {away:.2f} m and {turned:.2f} rad from the origin, where the rover begins"
+    return [Problem(1, 0.0, Cause.START, detail)]
+
+
+def _missed(course: Course, misses: tuple[Deviation, ...]) -> list[Problem]:
+    rule, last = course.parked, len(misses)
+    demands = _demands(course)
+    problems = []
+    for number, miss in enumerate(misses, 1):
+        share = GOAL_SHARE if number == last else 1.0
+        if miss.error_m <= share * rule.position_m and miss.error_rad <= share * rule.heading_rad:
+            continue
+        missed = f"missed by {miss.error_m:.2f} m and {miss.error_rad:.2f} rad"
+        cause, why = Cause.BEND, "the motors cannot follow the way there"
+        if demands:
+            # What a course asks too much of shows also before and after: the reference spreads the misses.
+            into, cause, why = min(demands, key=lambda demand: abs(demand[0] - number))
+            why += "" if into == number else f" into checkpoint {into}"
+        problems.append(Problem(number, miss.t, cause, f"{why}; {missed}"))
+    return problems
+
+
+def _demands(course: Course) -> list[tuple[int, Cause, str]]:
+    """Return which checkpoints ask for more than the motors can, from the one before each."""
+    found = []
+    points = list(course.checkpoints)
+    if points[0].t > 0:
+        points.insert(0, Checkpoint(t=0.0, x=0.0, y=0.0, theta=0.0))
+    skipped = len(points) - len(course.checkpoints)
+    for number, (a, b) in enumerate(pairwise(points), 2 - skipped):
+        ahead, left, turn = _way(a.pose, b.pose)
+        seconds = b.t - a.t
+        speed, rate = math.hypot(ahead, left) / seconds, abs(turn) / seconds
+        if speed > V_MAX:
+            found.append((number, Cause.FAST, f"{speed:.2f} m/s (at most {V_MAX} m/s)"))
+        elif abs(left) > SIDEWAYS_M and abs(left) > SIDEWAYS * abs(ahead):
+            side = "left" if left > 0 else "right"
+            found.append(
+                (number, Cause.SIDEWAYS, f"{abs(left):.2f} m to the {side}, {abs(ahead):.2f} m along")
+            )
+        elif rate > OMEGA_MAX:
+            found.append((number, Cause.TURN, f"{rate:.2f} rad/s (at most {OMEGA_MAX} rad/s)"))
+    return found
+
+
+def _way(a: Pose, b: Pose) -> tuple[float, float, float]:
+    """Return the way along and across the mean heading, and the turn: no arc has any way across."""
+    turn = wrap_angle(b.theta - a.theta)
+    heading = a.theta + 0.5 * turn
+    cos, sin = math.cos(heading), math.sin(heading)
+    dx, dy = b.x - a.x, b.y - a.y
+    return cos * dx + sin * dy, cos * dy - sin * dx, turn
+
+
+def _rest(course: Course, reference: Reference) -> list[Problem]:
+    rule, ticks = course.parked, round(course.parked.still_s / TICK_S)
+    tail = reference.poses[-ticks - 1 :]
+    moved = float(np.hypot(*(tail[:, :2] - tail[-1, :2]).T).max())
+    turned = float(np.abs(tail[:, 2] - tail[-1, 2]).max())
+    if moved < rule.still_m and turned < rule.still_rad:
+        return []
+    detail = f"{moved:.3f} m and {turned:.3f} rad in the last {rule.still_s:g} s; let the goal be due earlier"
+    return [Problem(len(course.checkpoints), course.checkpoints[-1].t, Cause.REST, detail)]
+
+
+def _clearance(course: Course, reference: Reference) -> tuple[float | None, list[Problem]]:
+    """Return the least clearance, and the first touch of each obstacle."""
+    if not course.obstacles:
+        return None, []
+    least, problems = math.inf, []
+    rover = _UNIT * [LENGTH_M, WIDTH_M]
+    for which, obstacle in enumerate(course.obstacles, 1):
+        gaps = [_gap(_placed(rover, pose), _corners(obstacle)) for pose in reference.poses.tolist()]
+        least = min(least, *gaps)
+        if (touching := next((k for k, gap in enumerate(gaps) if gap <= 0.0), None)) is not None:
+            t = touching * TICK_S
+            number = next(
+                (n for n, p in enumerate(course.checkpoints, 1) if p.t >= t - 1e-9), len(course.checkpoints)
+            )
+            detail = f"the rover ({LENGTH_M} m by {WIDTH_M} m) touches obstacle {which} at {t:.1f} s"
+            problems.append(Problem(number, course.checkpoints[number - 1].t, Cause.OBSTACLE, detail))
+    return max(least, 0.0), problems
+
+
+def _corners(obstacle: Obstacle) -> FloatArray:
+    return _placed(_UNIT * [obstacle.length, obstacle.width], [obstacle.x, obstacle.y, obstacle.theta])
+
+
+def _placed(corners: FloatArray, pose: list[float]) -> FloatArray:
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    placed: FloatArray = corners @ np.array([[cos, sin], [-sin, cos]]) + np.array(pose[:2])
+    return placed
+
+
+def _gap(a: FloatArray, b: FloatArray) -> float:
+    """Return the distance between two convex shapes, (k, 2) corners counter-clockwise; 0 if they meet."""
+    apart = False
+    for one, other in ((a, b), (b, a)):
+        edges = np.roll(one, -1, axis=0) - one
+        outward = np.column_stack([edges[:, 1], -edges[:, 0]])
+        beyond = np.einsum("ij,kij->ik", outward, other[:, None] - one[None])
+        apart |= bool((beyond.min(axis=1) > 0).any())
+    return min(_to_edges(a, b), _to_edges(b, a)) if apart else 0.0
+
+
+def _to_edges(corners: FloatArray, shape: FloatArray) -> float:
+    """Return the least distance from corners to the edges of a shape."""
+    edges = np.roll(shape, -1, axis=0) - shape
+    away = corners[:, None] - shape[None]
+    along = np.clip((away * edges).sum(axis=2) / (edges * edges).sum(axis=1), 0.0, 1.0)
+    return float(np.hypot(*(away - along[:, :, None] * edges).transpose(2, 0, 1)).min())

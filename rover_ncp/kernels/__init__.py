@@ -1,0 +1,1 @@
+"""Compiled kernels: the compiler and vector instructions."""

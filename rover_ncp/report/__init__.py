@@ -1,1 +1,0 @@
-"""What a run or a training meant, as numbers, pictures and pages."""

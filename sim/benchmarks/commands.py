@@ -1,0 +1,87 @@
+"""The command ``bench``; heavy libraries load only when it runs."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rover_ncp.core.console import Output
+from rover_ncp.core.files import require_writable, write_atomic
+from rover_ncp.core.options import MOST_SEED, Json
+from sim.learn.commands import SearchName
+
+
+class What(StrEnum):
+    """What can be measured."""
+
+    TRAIN = "train"
+    SEARCH = "search"
+    DEPLOY = "deploy"
+
+
+def bench(
+    what: Annotated[
+        What,
+        typer.Argument(help="train: how fast it is. search: how far it gets. deploy: how soon it answers."),
+    ],
+    *,
+    iterations: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=10**9, help="Iterations of each agent.", show_default="500 for train, 20000 for search"
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the searches.")] = 0,
+    agents: Annotated[int, typer.Option(min=1, max=1000, help="Agents of a search.")] = 12,
+    search: Annotated[
+        SearchName | None, typer.Option(help="search: this one alone.", show_default="all")
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(help="search: write every agent's returns here.", show_default=False)
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option(min=2.0, max=86_400.0, help="deploy: how long each rate is measured.")
+    ] = 60.0,
+    json: Json = False,
+) -> None:
+    """Measure the training, how fast it is or how far each search gets, or how soon the driver answers.
+
+    train measures episodes and iterations per second, on one core and on all, against the plain environment
+    of a single rover, what a substep costs alone and as a lane, and where the time goes. Speeds of one core
+    are in CPU time. search trains with every strategy from the same root seed and counts the agents that pass
+    a return of -0.1 (it parks), -0.05 and -0.03; with all its iterations that takes minutes.
+
+    deploy measures the time from an odometry sample to its command at 10, 50 and 100 samples a second, beside
+    a bare round trip of the same bytes, the ticks' jitter and the share of a core; what the circuit takes of
+    it, and whether all of it can run 500 times a second.
+
+        rover-ncp bench train --json
+        rover-ncp bench deploy --seconds 10
+        rover-ncp bench search --seed 1 --csv returns.csv
+    """
+    output = Output(json)
+    if csv is not None:
+        require_writable(csv)
+    if what is What.DEPLOY:
+        from sim.benchmarks.deploy import bench_deploy
+
+        fields = bench_deploy(seconds, output.say)
+        slow = fields["rates"][0]["above_bare_ms"]["p99"]
+        output.result(fields, f"at 10 Hz the slowest in a hundred take {slow:.2f} ms more than the bare way")
+        return
+    if what is What.TRAIN:
+        from sim.benchmarks.train import bench_train
+
+        fields = bench_train(iterations or 500, output.say)
+        output.result(fields, f"peak memory {fields['peak_memory_mb']:.0f} MB")
+        return
+
+    from sim.benchmarks.search import bench_search, returns_table
+
+    budget = iterations or 20_000
+    strategies = [search.value] if search is not None else list(SearchName)
+    found, trained = bench_search(seed, agents, budget, output.say, strategies)
+    if csv is not None:
+        write_atomic(csv, returns_table(trained, seed, budget))
+    output.result(found, f"{agents} agents, {budget} iterations each")

@@ -1,0 +1,164 @@
+"""How long the driver takes from odometry to command: ``rover-ncp bench deploy``.
+
+The driver is the real process, recording as in a drive; odometry comes from a peer that stands in for the
+bridge, at the rates asked for, and half a period after each sample the same bytes go to a process that sends
+them straight back. What the driver adds is its time beyond half of that round trip.
+"""
+
+import os
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.policy import PolicyRunner
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.course import TICK_S, load_course
+from rover_ncp.core.files import write_atomic
+from sim.benchmarks.peer import BenchPeer, Moments
+from sim.live.processes import Process
+
+__all__ = ["RATES_HZ", "bench_deploy", "latencies", "quantiles"]
+
+RATES_HZ = (10.0, 50.0, 100.0)
+FASTEST_HZ, FASTEST_S = 500.0, 20.0
+P999_SAMPLES = 10_000
+CIRCUIT_TICKS, CIRCUIT_REPEATS = 500, 20
+EXTRA_S = 60.0
+
+
+def bench_deploy(seconds: float, say: Callable[[str], None]) -> dict[str, Any]:
+    """Measure at each rate for so many seconds. Raises RoverNcpError when a process fails."""
+    fields: dict[str, Any] = {"cores": os.cpu_count(), "load_before": os.getloadavg()[0]}
+    fields["circuit_us"] = _circuit_us()
+    say(f"the circuit takes {fields['circuit_us']:.1f} µs a tick")
+    fields["rates"] = []
+    for rate_hz in RATES_HZ:
+        measured = _measure(rate_hz, seconds, ping=True)
+        fields["rates"].append(measured)
+        ours, bare = (measured[f"{name}_ms"] for name in ("odometry_to_command", "bare_half_round_trip"))
+        say(
+            f"{rate_hz:.0f} Hz: {ours['p50']:.2f} ms from odometry to command (99 %: {ours['p99']:.2f} ms); "
+            f"bare half round trip {bare['p50']:.2f} and {bare['p99']:.2f} ms; "
+            f"{measured['cpu_share']:.0%} of a core"
+        )
+    fastest = _measure(FASTEST_HZ, min(seconds, FASTEST_S), ping=False)
+    fields["fastest"] = {
+        name: fastest[name]
+        for name in ("rate_hz", "ticks", "predicted", "missed", "tick_rate_hz", "cpu_share")
+    }
+    say("{tick_rate_hz:.1f} ticks a second when asked for {rate_hz:.0f}, {missed} missed".format(**fastest))
+    fields["load_after"] = os.getloadavg()[0]
+    return fields
+
+
+def quantiles(times_ms: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
+    """Return median, 99 % and greatest, and 99.9 % where there are samples enough to tell."""
+    found = {
+        "p50": float(np.percentile(times_ms, 50)),
+        "p99": float(np.percentile(times_ms, 99)),
+        "max": float(np.max(times_ms)),
+    }
+    if len(times_ms) >= P999_SAMPLES:
+        found["p99_9"] = float(np.percentile(times_ms, 99.9))
+    return found
+
+
+def _measure(rate_hz: float, seconds: float, *, ping: bool) -> dict[str, Any]:
+    ticks = round(seconds * rate_hz)
+    with tempfile.TemporaryDirectory() as name, BenchPeer(_free_port()) as peer:
+        folder, ended = Path(name), threading.Event()
+        course = _course(folder, ticks)
+        echo = Process("echo", [peer.robot], folder, "sim.benchmarks.echo")
+        sending = threading.Thread(target=peer.run, args=(rate_hz, ping, ended))
+        driver = None
+        try:
+            echo.wait_for_line("ready")
+            sending.start()
+            arguments = [peer.robot, str(course), str(folder / "run.mcap"), str(1.0 / rate_hz)]
+            driver = Process("deploy", arguments, folder, "sim.benchmarks.deploy_driver")
+            while driver.running and not peer.moments.commands:
+                time.sleep(0.01)
+            cpu_s = [(_cpu_s(driver.pid), time.monotonic())]
+            while driver.running and len(peer.moments.commands) < ticks - 1:
+                cpu_s.append((_cpu_s(driver.pid), time.monotonic()))
+                time.sleep(0.02)
+            done = driver.wait(EXTRA_S)
+            if done.code not in {0, 1}:
+                raise driver.failure()
+        finally:
+            ended.set()
+            for process in (driver, echo):
+                if process is not None:
+                    process.stop()
+            if sending.is_alive():
+                sending.join()
+    drive = done.result
+    return {
+        "rate_hz": rate_hz,
+        **{field: drive[field] for field in ("ticks", "predicted", "missed", "tick_rate_hz")},
+        "cpu_share": (cpu_s[-1][0] - cpu_s[0][0]) / (cpu_s[-1][1] - cpu_s[0][1]),
+        **(latencies(peer.moments, rate_hz) if ping else {}),
+    }
+
+
+def latencies(moments: Moments, rate_hz: float) -> dict[str, Any]:
+    """Return delays in ms of each command after the newest odometry before it, beside half of each ping."""
+    commands = np.array(moments.commands[: len(moments.commands) - 1])  # the last one only says stop
+    sent = np.array(moments.odometry)
+    newest = sent[np.searchsorted(sent, commands) - 1]
+    ours = quantiles((commands - newest) / 1e6)
+    pairs = min(len(moments.pings), len(moments.pongs))
+    bare = quantiles((np.array(moments.pongs[:pairs]) - np.array(moments.pings[:pairs])) / 2e6)
+    jitter = np.abs(np.diff(commands) - 1e9 / rate_hz) / 1e6
+    return {
+        "samples": len(commands),
+        "odometry_to_command_ms": ours,
+        "bare_half_round_trip_ms": bare,
+        "above_bare_ms": {name: ours[name] - bare[name] for name in ("p50", "p99")},
+        "tick_jitter_ms": quantiles(jitter),
+    }
+
+
+def _circuit_us() -> float:
+    """Return the median CPU time of a tick of the shipped circuit, called as the driver calls it."""
+    runner, seen = PolicyRunner(load_policy("parking")), np.array([0.3, 0.3, 0.3, 1.0])
+    runner.warm_up(seen)
+    times = []
+    for _ in range(CIRCUIT_REPEATS):
+        began = time.thread_time()
+        for _ in range(CIRCUIT_TICKS):
+            runner.tick(seen)
+        times.append((time.thread_time() - began) / CIRCUIT_TICKS)
+    return float(np.median(times)) * 1e6
+
+
+def _course(folder: Path, ticks: int) -> Path:
+    """Write the parking course with as many ticks and a start signal that never comes.
+
+    So the rover stands, and has nothing to do with a time that runs faster than it could follow.
+    """
+    parking = load_course("parking")
+    horizon_s = max(round(ticks * TICK_S, 1), parking.horizon_s)
+    course = parking.model_copy(update={"start_signal_s": horizon_s, "horizon_s": horizon_s})
+    path = folder / "course.yaml"
+    write_atomic(path, dump_yaml(course.model_dump(mode="json")))
+    return path
+
+
+def _free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return int(listener.getsockname()[1])
+
+
+def _cpu_s(pid: int) -> float:
+    """Return the CPU time of a child so far."""
+    words = (Path("/proc") / str(pid) / "stat").read_text().rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")

@@ -1,0 +1,301 @@
+"""How fast the training engine is, and where its time goes: ``rover-ncp bench train``.
+
+Speeds are counted in CPU time, so that what else the machine does shows as little as it can; where processes
+share the work, a round lasts as long as the slowest of them. The engine's worth is a ratio within the run.
+"""
+
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from rover_ncp.circuit.lanes import allocate_lanes, make_program, resting_potentials
+from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.solver import tick_lanes
+from rover_ncp.core.course import TICK_S
+from rover_ncp.kernels.jit import kernel
+from sim.learn import stream
+from sim.learn.engine import Engine
+from sim.learn.ensemble import Snapshot, run_ensemble
+from sim.learn.flow import Answer, Flow
+from sim.learn.objective import Deterministic, Objective
+from sim.learn.record import Task, TrainSettings, resolve_task
+from sim.learn.rollout import rollout
+from sim.learn.search.strategies import STRATEGIES
+from sim.learn.team import AgentState, Plan, Rounds, Team
+from sim.learn.train import training_plan
+from sim.learn.workers import Processes, available_processes, split
+from sim.world.bay import Bay
+from sim.world.fleet import SUBSTEPS, Fleet, advance, send
+from sim.world.rover import Rover, RoverModel
+
+__all__ = ["LANES", "bench_train"]
+
+LANES = tuple(2**n for n in range(13))
+"""1 to 4096."""
+_REPEATS = 5
+_EPISODES = 72
+_AGENTS = 12
+_WARM_ITERATIONS = 100
+_TICKS = 40
+_LANE_TICKS = 65_536
+_NS = 1e9
+
+_COMPILE_SCRIPT = """
+import time
+from sim.learn.record import TrainSettings, resolve_task
+from sim.learn.team import AgentState, Team
+from sim.learn.train import training_plan
+settings = TrainSettings()
+team = Team(training_plan(settings, resolve_task(settings)))
+began = time.process_time()
+team.advance([AgentState(0)], 200)
+print(time.process_time() - began)
+"""
+
+
+def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
+    """Measure everything on the parking course; ``iterations`` of 12 agents for each strategy and speed."""
+    settings = {name: TrainSettings.model_validate({"search": name}) for name in STRATEGIES}
+    task = resolve_task(settings["gauss-newton"])
+    plans = {name: training_plan(each, task) for name, each in settings.items()}
+    cores = available_processes()
+    fields: dict[str, Any] = {"cores": cores}
+    fields |= _parts(task)
+    say(
+        "{episodes_per_s:.0f} episodes/s; the plain environment {plain_episodes_per_s:.1f}: "
+        "{ratio_to_plain:.0f} times as fast".format(**fields)
+    )
+    for row in fields["cost_by_lanes"]:
+        say("{lanes} lanes: circuit {circuit_ns:.0f} ns, physics {physics_ns:.0f} ns a substep".format(**row))
+    fields["iterations_per_s"] = {}
+    in_engine = {}
+    for name, plan in plans.items():
+        one, in_engine[name] = _iterations_per_cpu_s(plan, iterations)
+        every, wall = _iterations_on_all_cores(plan, iterations, cores)
+        fields["iterations_per_s"][name] = {
+            "one_core": one,
+            "all_cores": every,
+            "ratio": every / one,
+            "all_cores_wall": wall,
+        }
+        say(f"{name}: {one:.0f} iterations/s and core, {every / one:.2f} times that on {cores} cores")
+    fields["share"] = _shares(fields, in_engine["gauss-newton"])
+    fields["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    cold, cached = _compile_times()
+    fields["compile_s"] = {"cold": cold, "cached": cached}
+    say(f"compiling takes {cold:.1f} s, loading what was compiled {cached:.1f} s")
+    return fields
+
+
+def _parts(task: Task) -> dict[str, Any]:
+    """Measure whole episodes and their parts, so that they can be compared: all in turn, again and again."""
+    engine, vectors = Engine(task.policy, task.course), _candidates(task.policy, _EPISODES)
+    alone = [task.policy.with_parameters(vector) for vector in vectors[:2]]
+    runner, rover = PolicyRunner(task.policy), Rover(RoverModel(), Bay(()), task.course.checkpoints[0].pose)
+    rover.command(0.1, 0.1)
+    calls: dict[str, Callable[[], object]] = {
+        "episodes": lambda: engine.returns(vectors),
+        "plain": lambda: [rollout(policy, task.course) for policy in alone],
+        "circuit": lambda: [runner.tick([0.3, 0.3, 0.3, 1.0]) for _ in range(_TICKS)],
+        "physics": lambda: _substep(rover, _TICKS * SUBSTEPS),
+    }
+    fleets = [Fleet([RoverModel()] * lanes) for lanes in LANES]  # kept: their arrays hold but addresses
+    for lanes, fleet in zip(LANES, fleets, strict=True):
+        commands = np.full((2, len(fleet.bodies)), 0.1)
+        calls[f"circuit {lanes}"] = partial(_tick_circuits, *_circuits(task, lanes), _ticks(lanes))
+        calls[f"physics {lanes}"] = partial(_tick_rovers, fleet.arrays, commands, _ticks(lanes))
+    cpu_s = _cpu_s(calls)
+    by_lanes = [
+        {"lanes": lanes}
+        | {
+            f"{name}_ns": cpu_s[f"{name} {lanes}"] * _NS / (lanes * _ticks(lanes) * SUBSTEPS)
+            for name in ("circuit", "physics")
+        }
+        for lanes in LANES
+    ]
+    lane = next(row for row in by_lanes if row["lanes"] == stream.LANES)
+    in_lanes, plain = len(vectors) / cpu_s["episodes"], len(alone) / cpu_s["plain"]
+    return {
+        "episodes_per_s": in_lanes,
+        "plain_episodes_per_s": plain,
+        "ratio_to_plain": in_lanes / plain,
+        "cost_by_lanes": by_lanes,
+        "substep_ns": {
+            name: {"scalar": cpu_s[name] * _NS / (_TICKS * SUBSTEPS), "lane": lane[f"{name}_ns"]}
+            for name in ("circuit", "physics")
+        },
+    }
+
+
+def _candidates(policy: Policy, count: int) -> np.ndarray:
+    layout = policy.layout()
+    noise = np.random.default_rng(0).normal(size=(count, layout.size))
+    vectors = policy.parameters() + 0.05 * noise * (layout.upper - layout.lower)
+    return np.clip(vectors, layout.lower, layout.upper)
+
+
+def _cpu_s(calls: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """Return the median CPU time of each call, after one in vain; in turn, as machines have slow moments."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for repeat in range(_REPEATS + 1):
+        for name, run in calls.items():
+            began = time.process_time()
+            run()
+            if repeat:
+                times[name].append(time.process_time() - began)
+    return {name: statistics.median(each) for name, each in times.items()}
+
+
+class _Timed:
+    """A flow, and the CPU time that it takes to answer."""
+
+    def __init__(self, flow: Flow) -> None:
+        self._flow = flow
+        self.room, self.enough = flow.room, flow.enough
+        self.cpu_s = 0.0
+        self.submit = flow.submit
+
+    def collect(self) -> list[Answer]:
+        began = time.process_time()
+        answers = self._flow.collect()
+        self.cpu_s += time.process_time() - began
+        return answers
+
+
+def _iterations_per_cpu_s(plan: Plan, iterations: int) -> tuple[float, float]:
+    """Return the speed, and the share of the time that the engine takes of it.
+
+    The same iterations run twice and the second run counts. Descents begin after the warm-up, and their
+    kernels are compiled or loaded on their first calls.
+    """
+    flows: list[_Timed] = []
+
+    def timed() -> Objective:
+        objective = plan.build_objective()
+        assert isinstance(objective, Deterministic) and objective.stream is not None
+        open_stream = objective.stream
+
+        def stream(agents: int) -> Flow:
+            flows.append(_Timed(open_stream(agents)))
+            return flows[-1]
+
+        objective.stream = stream
+        return objective
+
+    team = Team(replace(plan, build_objective=timed))
+    agents = team.advance([AgentState(number) for number in range(_AGENTS)], _WARM_ITERATIONS)
+    for _ in range(2):
+        for flow in flows:
+            flow.cpu_s = 0.0
+        began = time.process_time()
+        team.advance(agents, _WARM_ITERATIONS + iterations)
+        cpu_s = time.process_time() - began
+    return _AGENTS * iterations / cpu_s, sum(flow.cpu_s for flow in flows) / cpu_s
+
+
+class _TimedProcesses(Processes):
+    """Teams in processes, and the CPU time of the slowest of them."""
+
+    def __init__(self, plan: Plan, count: int) -> None:
+        super().__init__(partial(_timed_team, plan), count)
+        self.cpu_s = 0.0
+
+    def rounds(self, agents: Sequence[AgentState], targets: Sequence[int]) -> Rounds:
+        """Give all agents after each of these numbers of candidates."""
+        for parts in self.stream([(group, targets) for group in split(agents, self.count)]):
+            self.cpu_s = max(cpu_s for _, cpu_s in parts)
+            yield [agent for part, _ in parts for agent in part]
+
+
+def _timed_team(plan: Plan) -> Callable[..., Iterator[tuple[list[AgentState], float]]]:
+    team = Team(plan)
+
+    def rounds(
+        agents: Sequence[AgentState], targets: Sequence[int]
+    ) -> Iterator[tuple[list[AgentState], float]]:
+        began = time.process_time()
+        for advanced in team.rounds(agents, targets):
+            yield advanced, time.process_time() - began
+
+    return rounds
+
+
+def _iterations_on_all_cores(plan: Plan, iterations: int, cores: int) -> tuple[float, float]:
+    """Return the iterations per second of CPU time, as it would be on idle cores, and of wall time."""
+    start = Snapshot(tuple(AgentState(number) for number in range(_AGENTS)))
+    with _TimedProcesses(plan, cores) as workers:
+        warm = run_ensemble(workers, start, _WARM_ITERATIONS, lambda _: False)
+        for _ in range(2):  # as on one core
+            began = time.monotonic()
+            run_ensemble(workers, warm, _WARM_ITERATIONS + iterations, lambda _: False)
+            wall_s = time.monotonic() - began
+        return _AGENTS * iterations / workers.cpu_s, _AGENTS * iterations / wall_s
+
+
+def _ticks(lanes: int) -> int:
+    """Return how many ticks take long enough to be timed."""
+    return _LANE_TICKS // lanes
+
+
+def _circuits(task: Task, lanes: int) -> tuple[Any, ...]:
+    program = make_program(task.policy)
+    parameters = allocate_lanes(program, task.policy, lanes)
+    potentials = resting_potentials(task.policy, lanes)
+    observations = np.full((len(task.policy.sensing.inputs), lanes), 0.3)
+    return program, parameters, potentials, observations, np.zeros((2, lanes))
+
+
+@kernel
+def _tick_circuits(program, parameters, potentials, observations, commands, ticks):  # type: ignore[no-untyped-def]  # noqa: PLR0917  # numba's own types
+    for _ in range(ticks):
+        tick_lanes(program, parameters, potentials, observations, commands)
+
+
+@kernel
+def _tick_rovers(fleet, commands, ticks):  # type: ignore[no-untyped-def]  # numba's own types
+    for _ in range(ticks):
+        send(fleet, commands)
+        advance(fleet)
+
+
+def _substep(rover: Rover, times: int) -> None:
+    for _ in range(times):
+        rover.substep()
+
+
+def _shares(fields: dict[str, Any], in_engine: float) -> dict[str, float]:
+    """Return the parts of a gauss-newton iteration's time; they sum up to 1. Within the engine, as in whole
+    episodes."""
+    substeps = 32.0 / TICK_S * SUBSTEPS
+    parts = {
+        name: fields["substep_ns"][name]["lane"] * substeps / _NS * fields["episodes_per_s"]
+        for name in ("physics", "circuit")
+    }
+    parts["other_engine"] = 1.0 - sum(parts.values())
+    return {name: part * in_engine for name, part in parts.items()} | {"search": 1.0 - in_engine}
+
+
+def _compile_times() -> tuple[float, float]:
+    """Return the CPU seconds until the first episode has run: with an empty cache, and with a full one."""
+    with tempfile.TemporaryDirectory() as folder:
+        times = [
+            subprocess.run(
+                [sys.executable, "-P", "-c", _COMPILE_SCRIPT],
+                env=os.environ | {"NUMBA_CACHE_DIR": folder},
+                capture_output=True,
+                text=True,
+                check=True,
+            ).stdout
+            for _ in range(2)
+        ]
+    return float(times[0]), float(times[1])

@@ -1,0 +1,158 @@
+"""Many trials of one policy, and what came of them. What is judged is the true pose."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.course import Course, ParkedRule, Verdict
+from rover_ncp.core.errors import UsageError
+from sim.evaluate.laws import LAWS, LawEngine
+from sim.learn.engine import Engine, Outcomes
+from sim.world.random_course import random_course
+from sim.world.randomization import Randomization, Trials, draw_trials
+from sim.world.rover import RoverModel
+
+__all__ = ["Evaluation", "Spread", "cause", "evaluate", "summarize", "tally", "unseen_courses", "wilson"]
+
+_NORMAL_95 = 1.959963984540054
+_BATCH = 500
+"""Trials at a time, so that drawn noise takes some 10 MB whatever is asked for."""
+
+
+TOUCHED, FAR, TURNED, MOVING = (
+    "touched an obstacle",
+    "too far from the goal",
+    "too far from the goal's heading",
+    "still moving",
+)
+
+
+class Spread(NamedTuple):
+    """Median, 95th percentile and largest of an error."""
+
+    p50: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(cls, errors: NDArray[np.float64]) -> "Spread":
+        """Return the spread of errors (n,)."""
+        p50, p95 = np.percentile(errors, [50, 95]).tolist()
+        return cls(p50, p95, float(errors.max()))
+
+
+class Evaluation(NamedTuple):
+    """How trials ended; errors of all of them, parked or not, in m and rad."""
+
+    trials: int
+    success_rate: float
+    success_ci95: tuple[float, float]
+    """Wilson's interval."""
+    error_m: Spread
+    error_rad: Spread
+    failures: dict[str, int]
+    """First reason, in the order of ``Course.judge``: how many."""
+
+    def fields(self) -> dict[str, Any]:
+        """Return what ``--json`` prints."""
+        spreads = {"error_m": self.error_m._asdict(), "error_rad": self.error_rad._asdict()}
+        return self._asdict() | {"success_ci95": list(self.success_ci95)} | spreads
+
+
+def evaluate(
+    driver: Policy | str,
+    courses: Sequence[Course],
+    ranges: Randomization,
+    *,
+    trials: int,
+    seed: int,
+    model: RoverModel | None = None,
+) -> Evaluation:
+    """Drive ``trials`` trials of a seed, trial i on course i modulo their number. Raises ConfigError.
+
+    ``driver`` is a policy, or the name of a classical law.
+    """
+    if trials < 1:
+        raise UsageError(f"at least one trial must be driven, got {trials}")
+    model = model or RoverModel()
+    ticks = max(course.ticks for course in courses)
+    engine, found = None, []
+    for first in range(0, trials, _BATCH):
+        count = min(_BATCH, trials - first)
+        drawn = draw_trials(ranges, model, seed, count=count, ticks=ticks, first=first)
+        if engine is None:
+            engine = _engine(driver, courses, model, drawn)
+        else:
+            engine.change_trials(drawn, first)
+        found.append(engine.outcomes(LAWS[driver].tuned if isinstance(driver, str) else driver.parameters()))
+    rules = [courses[i % len(courses)].parked for i in range(trials)]
+    limits = np.array([[rule.position_m, rule.heading_rad] for rule in rules])
+    return summarize(
+        Outcomes(*(np.concatenate(column, axis=1) for column in zip(*found, strict=True))), limits
+    )
+
+
+def _engine(driver: Policy | str, courses: Sequence[Course], model: RoverModel, trials: Trials) -> Engine:
+    if isinstance(driver, str):
+        return LawEngine(driver, courses, trials)
+    return Engine(driver, courses, model, trials)
+
+
+def summarize(found: Outcomes, limits: NDArray[np.float64]) -> Evaluation:
+    """Return how the trials of one candidate ended; ``limits`` (trials, 2) are the courses' m and rad."""
+    parked = found.parked[0]
+    reasons = np.select(
+        [
+            parked,
+            found.touched[0],
+            ~(found.error_m[0] <= limits[:, 0]),
+            ~(found.error_rad[0] <= limits[:, 1]),
+        ],
+        ["", TOUCHED, FAR, TURNED],
+        MOVING,
+    )
+    return tally(found.error_m[0], found.error_rad[0], reasons.tolist())
+
+
+def tally(error_m: NDArray[np.float64], error_rad: NDArray[np.float64], causes: Sequence[str]) -> Evaluation:
+    """Sum up trials from their errors (n,) and why each did not park, "" if it did."""
+    count, successes = len(causes), causes.count("")
+    failures = Counter(why for why in causes if why)
+    return Evaluation(
+        trials=count,
+        success_rate=successes / count,
+        success_ci95=wilson(successes, count),
+        error_m=Spread.of(error_m),
+        error_rad=Spread.of(error_rad),
+        failures=dict(failures.most_common()),
+    )
+
+
+def cause(verdict: Verdict, rule: ParkedRule) -> str:
+    """Return why a trial did not park, in the words of an evaluation; "" if it did."""
+    if verdict.parked:
+        return ""
+    if verdict.reason.startswith("touched"):
+        return TOUCHED
+    if not verdict.error_m <= rule.position_m:
+        return FAR
+    return MOVING if verdict.error_rad <= rule.heading_rad else TURNED
+
+
+def wilson(successes: int, count: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a probability, from so many successes."""
+    share, z2 = successes / count, _NORMAL_95**2
+    middle = (share + z2 / (2 * count)) / (1 + z2 / count)
+    half = _NORMAL_95 / (1 + z2 / count) * math.sqrt(share * (1 - share) / count + z2 / (4 * count**2))
+    # At the ends the exact bounds, which rounding would miss.
+    return 0.0 if successes == 0 else middle - half, 1.0 if successes == count else middle + half
+
+
+def unseen_courses(seed: int, count: int) -> list[Course]:
+    """Return random courses for an evaluation; a policy gets their checkpoints, not the drive behind."""
+    return [random_course(seed, number)[0] for number in range(count)]

@@ -1,0 +1,158 @@
+"""What ``rover-ncp eval --trials`` does: drive random trials one way or another, and say how they ended."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.progress import Progress
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.console import Output
+from rover_ncp.core.course import Course, load_course
+from rover_ncp.core.errors import UsageError
+from rover_ncp.core.geometry import distance, wrap_angle
+from sim.evaluate.evaluate import Evaluation, Spread, evaluate, tally, unseen_courses
+from sim.evaluate.laws import LAWS
+from sim.live.trials import LiveTrials
+from sim.stack.parallel import drive_all
+from sim.stack.trials import Driven, Stack
+from sim.world.randomization import ranges_for
+
+__all__ = ["TrialOptions", "run_trials"]
+
+
+class TrialOptions(NamedTuple):
+    """What was asked for."""
+
+    policy: str
+    courses: tuple[str, ...]
+    trials: int
+    seed: int
+    randomize: str
+    random_courses: int
+    profile: Path | None
+    stack: bool
+    live: int | None
+    processes: int | None
+    out: Path
+
+
+def run_trials(output: Output, options: TrialOptions) -> int:
+    """Drive trials, report, and return the exit code: 1 if a single one was driven and did not park."""
+    ranges, seed = ranges_for(options.randomize, options.profile), options.seed
+    if options.random_courses:
+        courses: Sequence[Course] = unseen_courses(seed, options.random_courses)
+    else:
+        courses = [load_course(name) for name in options.courses]
+    more: dict[str, Any] = {}
+    if options.stack or options.live:
+        stack = Stack(_circuit(options.policy), tuple(courses), ranges, seed)
+        found, more = (_live if options.live else _through_stack)(output, stack, options)
+    else:
+        driver = options.policy if options.policy in LAWS else load_policy(options.policy)
+        found = evaluate(driver, courses, ranges, trials=options.trials, seed=seed)
+    fields = found.fields() | {
+        "randomize": options.randomize,
+        "seed": seed,
+        "random_courses": options.random_courses,
+        "course": ",".join(options.courses),
+    }
+    output.result(fields | more, "\n".join(_words(found, more)))
+    return 1 if found.trials == 1 and found.success_rate < 1 else 0
+
+
+def _circuit(policy: str) -> Policy:
+    if policy in LAWS:
+        raise UsageError(f"{policy}: the classical laws drive in plain simulation alone")
+    return load_policy(policy)
+
+
+def _through_stack(output: Output, stack: Stack, options: TrialOptions) -> tuple[Evaluation, dict[str, Any]]:
+    began = time.monotonic()
+    with _progress(output, options.trials) as done:
+        driven = drive_all(stack, options.trials, options.processes, done)
+    wall_s = time.monotonic() - began
+    driven_s = sum(stack.course(number).horizon_s for number in range(options.trials))
+    return _sum_up(driven), _totals(driven) | {"wall_s": wall_s, "times_real_time": driven_s / wall_s}
+
+
+def _live(output: Output, stack: Stack, options: TrialOptions) -> tuple[Evaluation, dict[str, Any]]:
+    """Drive live; with ``stack`` the same trials on the virtual clock, too, to compare where they end."""
+    count = options.live or 0
+    if count > options.trials:
+        raise UsageError(f"--live {count}: there are only {options.trials} trials")
+    if options.out.exists() and any(options.out.iterdir()):
+        raise UsageError(f"{options.out}: is not an empty folder")
+    trials = LiveTrials(stack, options.policy, options.randomize, options.profile, options.out)
+    with _progress(output, count) as done:
+        driven = trials.drive(count, options.processes or 1, done)
+    fields = _totals(driven)
+    fields["live"] = [
+        {
+            "trial": number,
+            "course": stack.course(number).name,
+            "parked": trial.parked,
+            "reason": trial.reason,
+            "error_m": trial.error_m,
+            "error_rad": trial.error_rad,
+            "pose": list(trial.pose),
+            "overruns": trial.overruns,
+            "folder": str(trials.folder(number)),
+        }
+        for number, trial in enumerate(driven)
+    ]
+    if options.stack:
+        pairs = list(zip(driven, drive_all(stack, count, options.processes), strict=True))
+        apart_m = [distance(live.pose, virtual.pose) for live, virtual in pairs]
+        apart_rad = [abs(wrap_angle(live.pose.theta - virtual.pose.theta)) for live, virtual in pairs]
+        for entry, there, turned in zip(fields["live"], apart_m, apart_rad, strict=True):
+            entry |= {"apart_m": there, "apart_rad": turned}
+        fields["apart_m"] = Spread.of(np.array(apart_m))._asdict()
+        fields["apart_rad"] = Spread.of(np.array(apart_rad))._asdict()
+    return _sum_up(driven), fields
+
+
+def _sum_up(driven: Sequence[Driven]) -> Evaluation:
+    errors = np.array([(trial.error_m, trial.error_rad) for trial in driven])
+    return tally(errors[:, 0], errors[:, 1], [trial.reason for trial in driven])
+
+
+def _totals(driven: Sequence[Driven]) -> dict[str, Any]:
+    return {
+        name: sum(getattr(trial, name) for trial in driven)
+        for name in ("bytes_to_base", "bytes_from_base", "overruns")
+    }
+
+
+@contextmanager
+def _progress(output: Output, total: int) -> Iterator[Callable[[], None]]:
+    with Progress(console=output.console, transient=True, disable=not output.console.is_terminal) as progress:
+        task = progress.add_task("trials", total=total)
+        yield lambda: progress.advance(task)
+
+
+def _words(found: Evaluation, more: dict[str, Any]) -> Iterator[str]:
+    low, high = found.success_ci95
+    yield f"{found.success_rate:.1%} of {found.trials} trials parked (95 % interval {low:.1%} to {high:.1%})"
+    for name, spread, unit in (
+        ("distance to the goal", found.error_m, "mm"),
+        ("angle to its heading", found.error_rad, "mrad"),
+    ):
+        p50, p95, most = (1000 * error for error in spread)
+        yield f"{name}: median {p50:.0f}, 95 % below {p95:.0f}, at most {most:.0f} {unit}"
+    for reason, count in found.failures.items():
+        yield f"{count} of those that did not: {reason}"
+    if more:
+        yield f"{more['bytes_to_base']} bytes to the bases, {more['bytes_from_base']} from them"
+    if "times_real_time" in more:
+        yield f"{more['times_real_time']:.0f} times as fast as in reality"
+    if "apart_m" in more:
+        apart_m, apart_rad = more["apart_m"], more["apart_rad"]
+        yield (
+            f"live and virtual runs ended up to {1000 * apart_m['max']:.1f} mm and "
+            f"{1000 * apart_rad['max']:.1f} mrad apart (median {1000 * apart_m['p50']:.1f} mm)"
+        )

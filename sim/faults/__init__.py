@@ -1,0 +1,1 @@
+"""Fault injection: the safety matrix and the soak, on real processes."""

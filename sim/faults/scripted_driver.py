@@ -1,0 +1,130 @@
+"""A driver that is no circuit: a steady hand at constant speed, and what a hostile or broken one would send.
+
+It speaks as ``rover-ncp deploy`` does, in a few lines, and never gives up: whenever it has no motors it asks
+for them again, and it drives on whatever the gate says. So what stops the rover is the gate, never the hand.
+"""
+
+import threading
+import time
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+
+from deploy.drive.lease import DriverLease
+from deploy.drive.zenoh_config import client_config
+from rover_ncp.core.errors import FormatError
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.messages import read_odometry, read_text, twist_stamped
+from rover_ncp.core.protocol import (
+    GateStatus,
+    MotorsReply,
+    MotorsRequest,
+    Signed,
+    StopRequest,
+    dump_json,
+    parse_json,
+)
+
+__all__ = ["Hand"]
+
+PERIOD_S = 0.05
+ASK_S = 0.25
+STOP_TIMEOUT_S = 2.0
+
+
+class Hand:
+    """Drives at ``velocity`` until told otherwise; ``lease_s`` is how long the link may be silent."""
+
+    def __init__(self, robot: str, lease_s: float = 1.0) -> None:
+        config, _ = client_config(robot, None)
+        config.insert_json5("transport/link/tx/lease", str(round(lease_s * 1000)))
+        self._session = zenoh.open(config)
+        self.lease = DriverLease()
+        self.velocity = Velocity(0.0, 0.0)
+        self.payload: bytes | None = None
+        """Sent instead of the velocity, if there is one."""
+        self.greedy = True
+        """Whether it asks for the motors when it has none."""
+        self.silent = False
+        self.age_s = 0.0
+        """How much older than it is each command says to be."""
+        self.gate = GateStatus()
+        self.last_sent_ns = 0
+        """When the last command was sent, in ns of the monotonic clock."""
+        self._asked_s = 0.0
+        hear = self._session.declare_subscriber
+        self.heard_ns: list[int] = []
+        """The stamps of all odometry."""
+        self._held: list[Any] = [
+            hear("odom", self._odometry),
+            hear("rover/gate", self._gate),
+        ]
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
+        self._thread.start()
+
+    @property
+    def driving(self) -> bool:
+        """Whether the gate gave us the motors."""
+        return 0 < self.lease.number == self.gate.lease
+
+    def send(self, payload: bytes, age_s: float = 0.0, tagged: bool = True) -> None:
+        """Send one command of our own making."""
+        tag = None
+        if tagged:
+            stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
+            tag = self.lease.sign(Signed.COMMAND, "cmd_vel", payload, stamp_ns).pack()
+        self._session.put("cmd_vel", payload, attachment=tag)
+
+    def publish(self, name: str, payload: bytes) -> None:
+        """Send anything on any key, whoever may."""
+        self._session.put(name, payload)
+
+    def stop(self, release: bool = False) -> bool:
+        """Ask for a stop, or for its release; return whether the bridge answers."""
+        request = StopRequest(release=release, reason="" if release else "hand")
+        replies = self._session.get("rover/stop", payload=dump_json(request), timeout=STOP_TIMEOUT_S)
+        return any(reply.ok is not None for reply in replies)
+
+    def close(self) -> None:
+        """Fall silent and leave, without a word."""
+        self._closing.set()
+        self._thread.join()
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        while not self._closing.wait(PERIOD_S):
+            now = time.monotonic()
+            if self.greedy and not self.driving and now - self._asked_s > ASK_S:
+                self._asked_s = now
+                self._ask()
+            if not self.silent:
+                self.last_sent_ns = time.monotonic_ns()
+                self.send(self.payload or twist_stamped(self.velocity, time.time_ns()), self.age_s)
+
+    def _ask(self) -> None:
+        now_ns = time.monotonic_ns()
+        payload = dump_json(MotorsRequest(enable=True, name="hand", sent_ns=now_ns))
+        # Without a lease the bridge takes the signature of the last one for none.
+        tag = self.lease.sign(Signed.MOTORS, "rover/motors", payload, now_ns).pack()
+        for reply in self._session.get("rover/motors", payload=payload, attachment=tag, timeout=0.5):
+            if reply.ok is not None:
+                self.lease.grant(parse_json(MotorsReply, reply.ok.payload.to_bytes()))
+
+    def _odometry(self, sample: zenoh.Sample) -> None:
+        with suppress(FormatError):
+            self.heard_ns.append(read_odometry(sample.payload.to_bytes()).stamp_ns)
+
+    def _gate(self, sample: zenoh.Sample) -> None:
+        with suppress(FormatError):
+            self.gate = parse_json(GateStatus, read_text(sample.payload.to_bytes()))

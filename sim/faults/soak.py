@@ -1,0 +1,180 @@
+"""Hours of mishaps in minutes: every row of the safety matrix at random moments, on processes that live on.
+
+Mock and bridge run from beginning to end, so that what they lose shows. The rows come in a random order, all
+once before any comes again; killing the bridge comes last, for it ends a long life. What follows from the
+seed is that order, who drives and how long the rover is under way before it happens; times follow the
+machine.
+"""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import zenoh
+
+from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.course import load_course
+from rover_ncp.core.errors import RoverNcpError
+from rover_ncp.core.files import write_atomic
+from sim.faults.completeness import Completeness, check_recording
+from sim.faults.faults import CIRCUIT, MISHAPS
+from sim.faults.leaks import Usage, usage
+from sim.faults.measure import Measured, measure
+from sim.faults.rig import Rig, wait_for
+from sim.faults.table import MATRIX, Row
+from sim.live.processes import compile_driver
+
+__all__ = ["LAST", "Round", "Soaked", "soak"]
+
+LAST = "bridge-killed"
+ROUND_S, LAST_S = 15.0, 25.0
+"""What a round takes, at most as a rule, and what the last one and the end take."""
+START_SIGNAL_S = 0.2
+QUIET_S = 1.0
+STILL_S = 2.0
+"""How long the rover is looked at in the end."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """One mishap: when (s since the start), and what came of it or what failed."""
+
+    at_s: float
+    row: Row
+    driver: str
+    measured: Measured | None
+    failure: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the rover stood in time, and stayed so, and its driver said so."""
+        return self.measured is not None and self.measured.in_time
+
+
+@dataclass
+class Soaked:
+    """All that a soak saw."""
+
+    rounds: list[Round] = field(default_factory=list)
+    recordings: list[Completeness] = field(default_factory=list)
+    usage: dict[str, list[Usage]] = field(default_factory=lambda: {"bridge": [], "mock": []})
+    settled: int = 0
+    """After so many rounds every row that the first processes live through came once."""
+    not_reached: list[Row] = field(default_factory=list)
+    still: bool = False
+    wall_s: float = 0.0
+    load: float = 0.0
+    """The highest load average of a minute."""
+
+
+def soak(
+    seconds: float,
+    seed: int,
+    folder: Path,
+    tell: Callable[[Soaked, str], None],
+    rows: Sequence[Row] = MATRIX,
+) -> Soaked:
+    """Bring about mishaps for so many seconds; ``tell`` hears of each round that begins and that ended.
+
+    Recordings, logs and the mock's truth land in ``folder``. Raises RoverNcpError when the processes do not
+    start or the rover cannot be driven at the end.
+    """
+    course = _prompt_course(folder)
+    compile_driver()  # else the first round, and no other, would take that long
+    order, moments = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+    soaked, began_s = Soaked(), time.monotonic()
+    rows = [row for row in rows if row.outside]
+    last = [row for row in rows if row.key == LAST]
+    with Rig(folder / "log", course) as rig:
+        heard_ns = rig.watcher.heard_ns
+
+        def one(row: Row, driver: str) -> None:
+            soaked.load = max(soaked.load, os.getloadavg()[0])
+            tell(soaked, f"{row.layer}: {row.fault}")
+            at_s = time.monotonic() - began_s
+            record = folder / "drives" / f"{len(soaked.rounds) + 1:03d}-{row.key}.mcap"
+            measured, failure = _try(lambda: _measured(rig, row, driver, record, moments))
+            soaked.rounds.append(Round(at_s, row, driver, measured, failure))
+            if record.exists() and measured is not None:
+                soaked.recordings.append(_complete(record, heard_ns, measured))
+            _settle(rig)
+            for name, process in (("bridge", rig.bridge), ("mock", rig.mock)):
+                if row.key != LAST:
+                    soaked.usage[name].append(usage(process.pid, time.monotonic() - began_s))
+            tell(soaked, "")
+
+        soaked.settled = len(rows) - len(last)
+        plan = _plan([row for row in rows if row.key != LAST], order)
+        while time.monotonic() - began_s + ROUND_S + LAST_S * len(last) < seconds:
+            one(*next(plan))
+        for row in last:
+            one(row, CIRCUIT)
+        rig.leave(rig.under_way(rig.hand()))
+        rig.stood(time.monotonic_ns())
+        stands_ns = time.monotonic_ns()
+        time.sleep(STILL_S)
+        soaked.still = not any(row.moving for row in rig.truth.since(stands_ns))
+    soaked.wall_s = time.monotonic() - began_s
+    reached = {each.row for each in soaked.rounds}
+    soaked.not_reached = [row for row in rows if row not in reached]
+    return soaked
+
+
+def _prompt_course(folder: Path) -> Path:
+    """Write the parking course with a start signal that comes at once."""
+    course = load_course("parking").model_copy(update={"start_signal_s": START_SIGNAL_S})
+    path = folder / "course.yaml"
+    write_atomic(path, dump_yaml(course.model_dump(mode="json")))
+    return path
+
+
+def _plan(rows: Sequence[Row], order: np.random.Generator) -> Iterator[tuple[Row, str]]:
+    """Yield rows and who drives, for ever: all rows once in random order, and again in another one."""
+    while True:
+        for place in order.permutation(len(rows)):
+            drivers = MISHAPS[rows[place].key].drivers
+            yield rows[place], drivers[int(order.integers(len(drivers)))]
+
+
+def _try(find: Callable[[], Measured]) -> tuple[Measured | None, str]:
+    try:
+        return find(), ""
+    except (RoverNcpError, zenoh.ZError) as error:
+        return None, str(error)
+
+
+def _measured(rig: Rig, row: Row, driver: str, record: Path, moments: np.random.Generator) -> Measured:
+    """Measure a row; one that spoils the bridge's output for good has mock and bridge of its own."""
+    if not row.outlet:
+        return measure(rig, row, driver, record, moments)
+    with Rig(rig.folder / row.key, rig.course, outlet=row.outlet) as own:
+        return measure(own, row, driver, record, moments)
+
+
+def _complete(record: Path, heard_ns: list[int], measured: Measured) -> Completeness:
+    mishap = MISHAPS[measured.row.key]
+    try:
+        return check_recording(
+            record, heard_ns, measured.began_ns, killed=measured.stopped_by == "killed", losing=mishap.losing
+        )
+    except RoverNcpError:
+        return Completeness(record, False, 0, 1, 0, 0)
+
+
+def _settle(rig: Rig) -> None:
+    """Mend what a failed round left behind, and wait until nobody drives."""
+    rig.link.release()
+    rig.line.release()
+    rig.bridge.send_signal(signal.SIGCONT)
+    if not rig.bridge.running:
+        rig.start_bridge()
+    with suppress(RoverNcpError):
+        wait_for(
+            lambda: not rig.watcher.gate.held and not rig.watcher.gate.lease, "the gate to be ready again"
+        )
+    time.sleep(QUIET_S)

@@ -1,0 +1,111 @@
+"""What a soak says in the end: fields for programs, a table for the documentation."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from sim.faults.leaks import Leaks, leaks
+from sim.faults.measure import Measured
+from sim.faults.soak import Round, Soaked
+from sim.faults.table import MATRIX
+
+__all__ = ["fields", "line", "table", "verdict"]
+
+
+def line(done: Round) -> str:
+    """Return a round in one line for people."""
+    where = (
+        f"{done.at_s // 60:3.0f}:{done.at_s % 60:02.0f}  {done.row.layer}: {done.row.fault} ({done.driver})"
+    )
+    found = done.measured
+    if found is None:
+        return f"{where}: FAILED: {done.failure}"
+    late = "" if found.in_time else "TOO LATE, "
+    allowed = found.row.bound_s + found.braking_s
+    return f"{where}: {late}stood after {found.seconds:.2f} s of {allowed:.2f} s"
+
+
+def verdict(soaked: Soaked) -> list[str]:
+    """Return everything that is wrong, in words; empty when all is well."""
+    wrong = [line(done).strip() for done in soaked.rounds if not done.passed]
+    for name, found in _leaks(soaked).items():
+        wrong += [f"{name} leaks {what}: {getattr(found, _FIELD[what])}" for what in found.leaking]
+    wrong += [
+        f"{each.path.name}: lost {each.missing} odometry messages, {each.gaps} SIPs, {each.skipped} commands"
+        for each in soaked.recordings
+        if each.lost
+    ]
+    if not soaked.still:
+        wrong.append("the rover does not stand in the end")
+    return wrong
+
+
+_FIELD = {"memory": "memory_mb", "threads": "threads", "files": "files", "sockets": "sockets"}
+
+
+def _leaks(soaked: Soaked) -> dict[str, Leaks]:
+    return {name: leaks(samples, soaked.settled) for name, samples in soaked.usage.items() if samples}
+
+
+def fields(soaked: Soaked, seed: int) -> dict[str, Any]:
+    """Return the command's JSON."""
+    wrong = verdict(soaked)
+    recordings = soaked.recordings
+    return {
+        "passed": not wrong,
+        "wrong": wrong,
+        "seed": seed,
+        "wall_s": soaked.wall_s,
+        "load": soaked.load,
+        "rounds": [_round_fields(done) for done in soaked.rounds],
+        "not_reached": [row.key for row in soaked.not_reached],
+        "still": soaked.still,
+        "processes": {name: found._asdict() for name, found in _leaks(soaked).items()},
+        "recordings": {
+            "count": len(recordings),
+            "recovered": sum(each.recovered for each in recordings),
+            "odometry": sum(each.odometry for each in recordings),
+            "missing": sum(each.missing for each in recordings),
+            "gaps": sum(each.gaps for each in recordings),
+            "skipped": sum(each.skipped for each in recordings),
+        },
+    }
+
+
+def _round_fields(done: Round) -> dict[str, Any]:
+    found = done.measured
+    return {
+        "row": done.row.key,
+        "at_s": done.at_s,
+        "driver": done.driver,
+        "passed": done.passed,
+        "failure": done.failure,
+        "stands_after_s": found.seconds if found else None,
+        "late_s": found.late_s if found else None,
+        "bound_s": done.row.bound_s,
+        "braking_s": found.braking_s if found else None,
+        "stopped_by": found.stopped_by if found else "",
+        "note": found.note if found else "",
+    }
+
+
+def table(soaked: Soaked) -> Iterator[str]:
+    """Yield the rows as Markdown: how often each came, and the time of that which had least to spare."""
+    yield "| layer | fault | times | slowest stands after | allowed |"
+    yield "|---|---|---:|---:|---|"
+    for row in MATRIX:
+        found = [done.measured for done in soaked.rounds if done.row == row and done.measured is not None]
+        times = sum(done.row == row for done in soaked.rounds)
+        if not times:
+            continue
+        if found:
+            worst = max(found, key=_spent)
+            yield (
+                f"| {row.layer} | {row.fault} | {times} | {worst.seconds:.2f} s | "
+                f"{row.allowed} + {worst.braking_s:.2f} s braking |"
+            )
+        else:
+            yield f"| {row.layer} | {row.fault} | {times} | failed | {row.allowed} |"
+
+
+def _spent(found: Measured) -> float:
+    return found.seconds - found.row.bound_s - found.braking_s

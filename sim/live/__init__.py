@@ -1,0 +1,1 @@
+"""Mock, bridge and driver as real processes on this machine."""

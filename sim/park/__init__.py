@@ -1,0 +1,1 @@
+"""The ``park`` command: train, drive and report in one go."""

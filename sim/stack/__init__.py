@@ -1,0 +1,1 @@
+"""The stack simulation: firmware, bridge and driver on a virtual clock."""

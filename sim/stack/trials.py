@@ -1,0 +1,156 @@
+"""Random trials through the whole stack: firmware, bridge and driver as they are, on a virtual clock.
+
+The trials are those of `evaluate`, drawn from the same seeds. Here their errors act where a robot has them,
+at the base; what the driver knows is what its packets tell, where it stands at the start, and how noisy its
+odometry is. What is judged is the true pose.
+"""
+
+import copy
+from bisect import bisect_right
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, cast
+
+from bridge.pioneer.robots import ROBOTS
+from deploy.drive.config import DriveConfig, settings_for
+from deploy.drive.control_loop import Drive
+from deploy.drive.controller import Controller
+from deploy.drive.link import Link
+from deploy.drive.status_publisher import Reporter
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.course import Course, Verdict
+from rover_ncp.core.geometry import Pose
+from rover_ncp.core.robot_profile import RoverProfile
+from sim.evaluate.evaluate import cause
+from sim.pioneer.firmware import Firmware
+from sim.pioneer.models import rover_model_of
+from sim.pioneer.trial import BaseTrial, rover_of
+from sim.stack.virtual import Air, World
+from sim.world.bay import Bay
+from sim.world.randomization import Randomization, Trials, draw_trials
+from sim.world.rover import Rover, RoverModel
+
+__all__ = ["MODEL", "Driven", "Stack"]
+
+MODEL = "p3at-sh"
+
+
+class Driven(NamedTuple):
+    """How a trial ended, by the true pose."""
+
+    parked: bool
+    reason: str
+    """The first in the order of ``Course.judge``, or the safety rule; "" if it parked."""
+    error_m: float
+    error_rad: float
+    pose: Pose
+    ticks: int
+    overruns: int
+    bytes_to_base: int
+    bytes_from_base: int
+
+
+@dataclass(frozen=True)
+class Stack:
+    """What is driven: trial i of a seed on course i modulo their number."""
+
+    policy: Policy
+    courses: tuple[Course, ...]
+    ranges: Randomization
+    seed: int
+
+    @cached_property
+    def model(self) -> RoverModel:
+        """The rover as it would be on its best day."""
+        return rover_model_of(ROBOTS[MODEL])
+
+    @cached_property
+    def known(self) -> RoverProfile:
+        """What the driver knows of the robot: how noisy its odometry is, and the profile if there is one."""
+        ranges = self.ranges
+        rover = ranges.rover or RoverProfile(name=f"a robot of {ranges.name}")
+        noises = {"noise_m": ranges.noise_m, "noise_rad": ranges.noise_rad}
+        unknown = {name: noise for name, noise in noises.items() if getattr(rover, name) is None}
+        return rover.model_copy(update=unknown)
+
+    @cached_property
+    def _drivers(self) -> dict[int, Controller]:
+        """A driver for each course that was met; its reference takes a second to plan."""
+        return {}
+
+    def course(self, number: int) -> Course:
+        """Return the course of a trial."""
+        return self.courses[number % len(self.courses)]
+
+    def trials(self, number: int) -> Trials:
+        """Draw one trial, as row 0."""
+        ticks = self.course(number).ticks
+        return draw_trials(self.ranges, self.model, self.seed, count=1, ticks=ticks, first=number)
+
+    def drive(self, number: int) -> Driven:
+        """Drive a trial from power-up to the motors' release."""
+        course, trials = self.course(number), self.trials(number)
+        start = Pose(*trials.start[0].tolist())
+        rover = rover_of(trials, self.model, Bay(course.obstacles))
+        truth = _Truth(rover, watch=bool(course.obstacles))
+        world = World(Firmware(MODEL, rover, observe=truth.note, trial=BaseTrial(trials)))
+        air = Air(world, start)
+        config = DriveConfig(
+            robot=air.robot,
+            namespace="",
+            policy=self.policy.circuit.name,
+            course=course.name,
+            dry_run=False,
+            ticks=course.ticks,
+            estimator=settings_for(self.known),
+            rover=self.known,
+        )
+        link = cast(Link, air)
+        reporter = Reporter(link, lambda message: None, self.policy.circuit.neurons, world)
+        drive = Drive(link, self._driver(number), reporter, config, lambda: False, clock=world)
+        drive.wait()
+        drive.run({})
+        report = drive.keeper.report()
+        verdict = truth.judge(course, air.first_command_ns)
+        return Driven(
+            verdict.parked and drive.stop is None,
+            cause(verdict, course.parked) if drive.stop is None else f"stopped by {drive.stop.rule}",
+            verdict.error_m,
+            verdict.error_rad,
+            rover.pose,
+            report.ticks,
+            report.overruns,
+            world.bytes_to_base,
+            world.bytes_from_base,
+        )
+
+    def _driver(self, number: int) -> Controller:
+        """Return a driver that has not started yet."""
+        place = number % len(self.courses)
+        if place not in self._drivers:
+            settings = settings_for(self.known)
+            self._drivers[place] = Controller(self.policy, self.courses[place], settings, self.known)
+        return copy.deepcopy(self._drivers[place])
+
+
+class _Truth:
+    """Where the rover truly was, every substep."""
+
+    def __init__(self, rover: Rover, watch: bool) -> None:
+        self._rover, self._watch = rover, watch
+        self._times: list[float] = []
+        self._poses: list[Pose] = []
+        self._touched = False
+
+    def note(self, now: float) -> None:
+        """Take down where the rover is at ``now`` s."""
+        self._times.append(now)
+        self._poses.append(self._rover.pose)
+        self._touched = self._touched or (self._watch and self._rover.in_contact)
+
+    def judge(self, course: Course, began_ns: int | None) -> Verdict:
+        """Judge the drive from its first command to the course's horizon."""
+        began = self._times[-1] if began_ns is None else began_ns * 1e-9
+        first, last = (bisect_right(self._times, began + t) for t in (-1e-6, course.horizon_s + 1e-6))
+        times = [now - began for now in self._times[first:last]]
+        return course.judge(times, self._poses[first:last], self._touched)

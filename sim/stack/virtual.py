@@ -1,0 +1,257 @@
+"""The base, the bridge and the air on a virtual clock: everything real but sockets, Zenoh and waiting.
+
+Firmware and bridge loop are those of the processes, and exchange the very bytes they would. Whoever drives
+uses `Air` in place of its Zenoh session; time passes only while it waits, and then in the order of events:
+bytes reach the bridge when the base sends them, the bridge's loop turns when something arrives or its time is
+up. What takes a live run a millisecond takes no time here.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, cast
+
+from pydantic import BaseModel
+
+from bridge.base_connection import Line
+from bridge.gate.limits import Limits
+from bridge.inbox import Arrival as BridgeArrival
+from bridge.inbox import Asked, Opened, Received, Sampled
+from bridge.inbox import Inbox as BridgeInbox
+from bridge.node import Node
+from bridge.pioneer.quantise import MotionLimits
+from bridge.pioneer.session import Session
+from bridge.transport import Transport
+from bridge.zenoh_link import Link as BridgeLink
+from deploy.drive.lease import DriverLease
+from deploy.drive.link import Arrival, Inbox, Mailbox
+from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.key_table import spec
+from rover_ncp.core.messages import read_text, twist_stamped
+from rover_ncp.core.protocol import (
+    GateStatus,
+    MotorsRefusal,
+    MotorsReply,
+    MotorsRequest,
+    Signed,
+    dump_json,
+    parse_json,
+)
+from rover_ncp.core.recording import Recorded
+from sim.pioneer.firmware import Firmware
+from sim.stack.start_pose import known_pose
+
+__all__ = ["Air", "World"]
+
+NS = 1_000_000_000
+WALL_NS = 1_700_000_000 * NS
+"""The wall clock's time when the virtual clock shows 0."""
+_LATE_NS = 1000
+"""A loop wakes up so much after it asked to: no rounding makes it too early."""
+
+
+class World:
+    """A base with its bridge. The firmware's clock must begin at 0."""
+
+    def __init__(self, firmware: Firmware, limits: Limits | None = None) -> None:
+        self.firmware = firmware
+        self.now_ns = 0
+        self.bytes_to_base = self.bytes_from_base = 0
+        self.hear: Callable[[str, bytes], None] = lambda name, data: None
+        """Called with all that the bridge publishes: its key and the CDR bytes."""
+        allowed = limits or Limits()
+        self._inbox: list[BridgeArrival] = [Opened(cast(Transport, _Wire()))]
+        self._reply: BaseModel | None = None
+        self._node = Node(
+            cast(Line, self),
+            cast(BridgeLink, self),
+            cast(BridgeInbox, self),
+            Session("auto", MotionLimits(v=allowed.v_max, omega=allowed.omega_max)),
+            limits=allowed,
+            accept_ros=False,
+            say=lambda words: None,
+            ready=lambda: None,
+            clock=self,
+        )
+
+    # The clock.
+
+    def monotonic(self) -> float:
+        """Return the virtual time in s."""
+        return self.now_ns / NS
+
+    def monotonic_ns(self) -> int:
+        """Return the virtual time in ns."""
+        return self.now_ns
+
+    def time_ns(self) -> int:
+        """Return the virtual wall clock's time."""
+        return WALL_NS + self.now_ns
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        self.wait(seconds, lambda: False)
+
+    def wait(self, seconds: float, condition: Callable[[], bool]) -> None:
+        """Let time pass until ``condition`` holds, for so long at most."""
+        until_ns = self.now_ns + max(math.ceil(seconds * NS), 0)
+        self._turn()
+        while not condition() and self.now_ns < until_ns:
+            due_s = min(self.firmware.sip_due_s, self._node.due_s)
+            due_ns = until_ns if math.isinf(due_s) else math.ceil(due_s * NS) + _LATE_NS
+            self.now_ns = min(max(due_ns, self.now_ns), until_ns)
+            self.firmware.advance(self.monotonic())
+            self._collect()
+            self._turn()
+
+    def _turn(self) -> None:
+        while self._inbox or self._node.due_s * NS + _LATE_NS <= self.now_ns:
+            self._node.turn()
+
+    def _collect(self) -> None:
+        if data := self.firmware.data_to_send():
+            self.bytes_from_base += len(data)
+            self._inbox.append(Received(data))
+
+    # What the driver sends.
+
+    def command(self, data: bytes, attachment: bytes) -> None:
+        """Bring a command to the bridge, which takes it in before any more time passes."""
+        self._inbox.append(Sampled(data, attachment, None))
+
+    def ask(self, name: str, payload: bytes, attachment: bytes | None = None) -> BaseModel:
+        """Ask the bridge, and return its answer. Raises RuntimeError when it cannot read the question."""
+        self._inbox.append(Asked(name, cast(Any, None), payload, attachment))
+        self._reply = None
+        self._turn()
+        if self._reply is None:
+            raise RuntimeError(f"the bridge does not answer {name}")
+        return self._reply
+
+    # What the bridge's loop calls: its inbox, its line to the base, its Zenoh session.
+
+    endpoint = "virtual"
+
+    def take(self, timeout_s: float) -> list[tuple[float, BridgeArrival]]:
+        """Return what arrived; time passes elsewhere."""
+        arrived, self._inbox = self._inbox, []
+        return [(self.monotonic(), arrival) for arrival in arrived]
+
+    def use(self, transport: Transport) -> None:
+        """There is but one line."""
+
+    def reopen(self, reason: str) -> None:
+        """Begin a new connection on the one line."""
+        self._inbox.append(Opened(cast(Transport, _Wire())))
+
+    def write(self, data: bytes) -> None:
+        """Bring bytes to the base."""
+        self.bytes_to_base += len(data)
+        self.firmware.receive(data, self.monotonic())
+        self._collect()
+
+    def key(self, name: str) -> str:
+        """Return the key expression of a message; there is no namespace."""
+        return name
+
+    def publish(self, name: str, data: bytes) -> None:
+        """Let the driver hear a message."""
+        self.hear(name, data)
+
+    def answer(self, asked: Asked, reply: BaseModel) -> None:
+        """Keep the answer for who asks."""
+        self._reply = reply
+
+
+class _Wire:
+    """A line that is open; it has no rate."""
+
+    baudrate = None
+
+
+class _Mailbox(Mailbox):
+    """A mailbox that time passes while one waits at."""
+
+    def __init__(self, world: World) -> None:
+        super().__init__()
+        self._world = world
+
+    def take(self, timeout_s: float) -> Arrival | None:
+        self._world.wait(timeout_s, lambda: self._newest is not None)
+        return super().take(0)
+
+
+class Air:
+    """What a driver has in place of `deploy.drive.link.Link`.
+
+    Until the motors are asked for, external localisation says that the rover stands at ``start``. What is
+    heard goes to ``record``.
+    """
+
+    robot = "virtual"
+    bridge_alive = True
+
+    def __init__(
+        self, world: World, start: Pose, record: Callable[[Recorded], None] = lambda message: None
+    ) -> None:
+        self._world, self._start, self._record = world, start, record
+        self.odometry, self.poses, self.gyro = _Mailbox(world), Inbox(), Inbox()
+        self.gate = GateStatus()
+        self.first_command_ns: int | None = None
+        """When the first command was sent."""
+        self.lease = DriverLease()
+        self._asked = False
+        world.hear = self._hear
+
+    def authorised(self) -> bool:
+        """Nobody is kept from driving."""
+        return True
+
+    def request_motors(self, name: str) -> MotorsReply:
+        """Ask for the motors. Raises SafetyStop when they are refused."""
+        self._asked = True
+        reply = self._motors(enable=True, name=name)
+        if not isinstance(reply, MotorsReply):
+            raise SafetyStop(reply.reason or "gate", reply.detail)
+        self.lease.grant(reply)
+        return reply
+
+    def release(self) -> None:
+        """Stop, and give the motors back if we have them."""
+        if self.lease.number:
+            self.command(Velocity(0.0, 0.0))
+            self._motors(enable=False, name="")
+            self.lease.end()
+
+    def command(self, velocity: Velocity) -> int:
+        """Send a command and return its sequence number."""
+        world = self._world
+        if self.first_command_ns is None:
+            self.first_command_ns = world.now_ns
+        data = twist_stamped(velocity, world.time_ns())
+        tag = self.lease.sign(Signed.COMMAND, "cmd_vel", data, world.now_ns)
+        world.command(data, tag.pack())
+        return tag.sequence
+
+    def publish(self, name: str, data: bytes, wall_ns: int) -> None:
+        """Nobody listens to what the driver says of itself."""
+
+    def _motors(self, enable: bool, name: str) -> MotorsRefusal:
+        payload = dump_json(MotorsRequest(enable=enable, name=name, sent_ns=self._world.now_ns))
+        tag = None
+        if self.lease.number:
+            tag = self.lease.sign(Signed.MOTORS, "rover/motors", payload, self._world.now_ns).pack()
+        return cast(MotorsRefusal, self._world.ask("rover/motors", payload, tag))
+
+    def _hear(self, name: str, data: bytes) -> None:
+        wall_ns = self._world.time_ns()
+        self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
+        if name == "odom":
+            self.odometry.put(self._arrival(data))
+            if not self._asked:
+                self.poses.put(self._arrival(known_pose(self._start, wall_ns)))
+        elif name == "rover/gate":
+            self.gate = parse_json(GateStatus, read_text(data))
+
+    def _arrival(self, data: bytes) -> Arrival:
+        return Arrival(data, self._world.now_ns, self._world.time_ns())

@@ -17,8 +17,6 @@ from rover_ncp.core.config import load_yaml
 from rover_ncp.core.console import Output
 from rover_ncp.core.signals import Interrupts
 
-__all__ = ["run_bridge"]
-
 INTERRUPTED = 130
 
 

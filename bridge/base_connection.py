@@ -11,8 +11,6 @@ from bridge.inbox import Broken, Crashed, Inbox, Opened, Received
 from bridge.transport import Transport, open_transport
 from rover_ncp.core.errors import NoRobot
 
-__all__ = ["Line"]
-
 READ_S = 0.1
 RETRY_S, MAX_RETRY_S = 0.1, 0.5
 """Wait before opening a line again. It doubles with each line on which nothing arrives, up to the maximum."""

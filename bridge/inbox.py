@@ -14,8 +14,6 @@ import zenoh
 from bridge.transport import Transport
 from rover_ncp.core.errors import NoRobot
 
-__all__ = ["Arrival", "Asked", "Broken", "Crashed", "Inbox", "Opened", "Received", "Sampled"]
-
 ROOM = 2048
 """What peers send beyond this is let fall: 0.1 s of a flood of 20,000 a second."""
 

@@ -42,8 +42,6 @@ from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.messages import read_twist, text
 from rover_ncp.core.protocol import Signed, dump_json
 
-__all__ = ["Node"]
-
 TICK_S = 0.02
 """How often the loop turns when nothing arrives."""
 APART_S = 0.01

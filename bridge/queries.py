@@ -31,8 +31,6 @@ from rover_ncp.core.protocol import (
     requested_version,
 )
 
-__all__ = ["Answers"]
-
 _WORDS = {
     Reason.NO_BASE: "the base is not connected",
     Reason.STOP_BUTTON: "the STOP button is pressed",

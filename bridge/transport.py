@@ -14,8 +14,6 @@ import serial
 
 from rover_ncp.core.errors import NoRobot, UsageError
 
-__all__ = ["DEFAULT_PORT", "SerialTransport", "TcpTransport", "Transport", "open_transport"]
-
 DEFAULT_PORT = 8101
 """Where ARIA, p2os and AMRISim expect a base on TCP."""
 

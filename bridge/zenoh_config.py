@@ -10,8 +10,6 @@ import zenoh
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.files import existing_file
 
-__all__ = ["LISTEN", "any_port", "configured", "reason"]
-
 LISTEN = "tcp/127.0.0.1:7447"
 """Zenoh's own port, on this machine alone."""
 

@@ -23,8 +23,6 @@ from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key
 from rover_ncp.core.protocol import dump_json
 
-__all__ = ["Link"]
-
 
 class Link:
     """An open session, listening. Raises UsageError, FileError (``config``) or PortInUse.

@@ -36,8 +36,6 @@ from rover_ncp.core.messages import (
 from rover_ncp.core.robot_profile import load_profile
 from rover_ncp.core.signals import Interrupts
 
-__all__ = ["Options", "run"]
-
 SWITCH_INTERVAL_S = 0.0005
 """How long another thread may keep the interpreter from the control loop (Python's default is 5 ms)."""
 INTERRUPTED = 130

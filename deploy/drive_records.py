@@ -15,8 +15,6 @@ from pydantic import Field
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.config import StrictModel
 
-__all__ = ["START_TOPIC", "TICKS_TOPIC", "SampleRef", "StartRecord", "TickRecord", "numbers", "seconds"]
-
 START_TOPIC = "deploy/start"
 TICKS_TOPIC = "deploy/ticks"
 

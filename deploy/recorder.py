@@ -14,8 +14,6 @@ from pathlib import Path
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recorded, RecordingWriter
 
-__all__ = ["FLUSH_S", "Recorder"]
-
 FLUSH_S = 0.4
 """Leaves a tenth of a second for the queue and the disk: a killed process loses at most 0.5 s."""
 QUEUE_LENGTH = 10_000

@@ -12,8 +12,6 @@ from rover_ncp.core.console import Output
 from rover_ncp.core.files import require_creatable
 from rover_ncp.core.recording import Recorded
 
-__all__ = ["Tape", "progress"]
-
 BACKLOG = 1000
 """Messages that came before the recording was opened, such as the static transforms."""
 

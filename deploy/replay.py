@@ -35,8 +35,6 @@ from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read
 from rover_ncp.core.protocol import parse_json
 from rover_ncp.core.recording import Recording, read_recording
 
-__all__ = ["Comparison", "Difference", "replay"]
-
 ESTIMATE = ("estimate x", "estimate y", "estimate theta", "estimate v", "estimate omega")
 COMMAND = ("command v", "command omega")
 ABSENT = "absent"

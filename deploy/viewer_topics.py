@@ -21,8 +21,6 @@ from rover_ncp.core.messages import (
 )
 from rover_ncp.core.recording import Recorded
 
-__all__ = ["FRAMES_TOPIC", "NEURON_TOPICS", "PATH_TOPIC", "POSE_TOPIC", "Views"]
-
 FRAMES_TOPIC = "deploy/frames"
 POSE_TOPIC = "deploy/pose"
 PATH_TOPIC = "deploy/path"

@@ -18,8 +18,6 @@ import typer
 from rover_ncp.core.console import BLOCKED_S, Output, Writer, install, keep, printable
 from rover_ncp.core.errors import FileError, MissingExtra, RoverNcpError
 
-__all__ = ["main", "run"]
-
 GROUP = "rover_ncp.commands"
 INTERRUPTED = 130
 

@@ -8,8 +8,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["Cluster", "start", "wait_for"]
-
 # Without git on the path no record names a commit, which somebody may make while the tests run.
 ENVIRONMENT = {**os.environ, "PATH": ""}
 FREE_PORT = "tcp://127.0.0.1:0"

@@ -63,8 +63,6 @@ from sim.world.bay import Bay
 from sim.world.randomization import Randomization
 from sim.world.rover import Rover, RoverModel
 
-__all__ = ["READERS", "Reader", "survives"]
-
 STILL = Velocity(0.0, 0.0)
 HERE = Pose(0.1, 0.2, 0.3)
 JSON_MODELS = (

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from deploy.drive.controller import Controller
-from deploy.estimator.estimator import EstimatorSettings, Outcome
+from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import PolicyRunner, course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.core.course import load_course

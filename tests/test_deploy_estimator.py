@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.estimator.estimator import Estimator, EstimatorSettings, Outcome
+from deploy.estimator.estimator import Estimator
 from deploy.estimator.odometry_filter import OdometryFilter
+from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
 
 DT = 0.1

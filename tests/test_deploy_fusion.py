@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from deploy.estimator.course_filter import CourseFilter
-from deploy.estimator.estimator import Estimator, EstimatorSettings, Outcome
+from deploy.estimator.estimator import Estimator
+from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, inverse, relative, wrap_angle
 from sim.world.fleet import Fleet
 from sim.world.random_course import random_course

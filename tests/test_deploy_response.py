@@ -2,7 +2,7 @@ import pytest
 
 from deploy.drive.controller import Controller
 from deploy.drive.response import ResponseWatch
-from deploy.estimator.estimator import EstimatorSettings
+from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.course import load_course
 from rover_ncp.core.geometry import Pose, Velocity

@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 from bridge.pioneer.robots import RobotParameters
 
-__all__ = ["Clearance", "Room"]
-
 OLD_S = 1.0
 """After this a range counts no more: three rounds."""
 AHEAD_RAD = math.radians(45.0)

@@ -38,8 +38,6 @@ from bridge.gate.state import (
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.protocol import CommandTag
 
-__all__ = ["step"]
-
 MINIMUM_KEPT_S = 60
 """How long the smallest (arrival − stamp) is remembered: clocks that drift 100 ppm differ by 6 ms in it."""
 ROS_AGE_S = 0.3

@@ -10,8 +10,6 @@ from pydantic import Field, model_validator
 
 from rover_ncp.core.config import StrictModel
 
-__all__ = ["Fence", "Limits"]
-
 
 class Fence(StrictModel):
     """A rectangle in odom, in metres; the base's centre stays inside."""

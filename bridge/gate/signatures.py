@@ -4,8 +4,6 @@ from bridge.gate.state import Lease
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.protocol import CommandTag, Signed
 
-__all__ = ["UNREADABLE_TAG", "is_signed", "read_tag"]
-
 UNREADABLE_TAG = CommandTag(0, 0, 0)
 """In place of an attachment that is no tag: no lease has the number 0, so it is valid under none."""
 

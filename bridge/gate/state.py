@@ -9,23 +9,6 @@ from typing import TypeAlias
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.protocol import CommandTag
 
-__all__ = [
-    "ZERO",
-    "BaseLost",
-    "Command",
-    "Enable",
-    "Event",
-    "Heard",
-    "Lease",
-    "Reason",
-    "Release",
-    "State",
-    "Stop",
-    "Tick",
-    "Unlatch",
-    "Verdict",
-]
-
 ZERO = Velocity(0.0, 0.0)
 
 

@@ -14,19 +14,6 @@ import struct
 from enum import Enum, IntEnum
 from typing import NamedTuple, Self
 
-__all__ = [
-    "COMMANDS",
-    "Argument",
-    "Command",
-    "Decoder",
-    "Packet",
-    "checksum",
-    "decode_argument",
-    "encode_command",
-    "encode_frame",
-    "pair",
-]
-
 HEADER = b"\xfa\xfb"
 MIN_COUNT, MAX_COUNT = 3, 252
 """COUNT is unsigned: a real CONFIGpac has 137. The manuals say up to 249, receive buffers allow more."""

@@ -7,8 +7,6 @@ for 38400 whenever the CONFIGpac says AUTOBAUD 2; whoever vanished leaves the ba
 
 from bridge.pioneer.packets import ConfigPac
 
-__all__ = ["FAST", "RATES", "Rates"]
-
 RATES = (9600, 19200, 38400, 57600, 115200)
 """By the argument of HOSTBAUD."""
 

@@ -7,18 +7,6 @@ from bridge.pioneer.odometry import BaseState
 from bridge.pioneer.packets import ConfigPac
 from bridge.pioneer.robots import RobotParameters
 
-__all__ = [
-    "BaudChanged",
-    "Configured",
-    "Connected",
-    "Event",
-    "Failed",
-    "GyroHeard",
-    "Lost",
-    "Recovered",
-    "StateReceived",
-]
-
 
 @dataclass(frozen=True)
 class Connected:

@@ -11,8 +11,6 @@ from dataclasses import dataclass, field
 from bridge.pioneer.packets import ConfigPac, Flag, Sip
 from bridge.pioneer.robots import RobotParameters
 
-__all__ = ["COUNTER_BITS", "HEADING_BITS", "BaseState", "Odometer", "counter_difference"]
-
 COUNTER_BITS, HEADING_BITS = 15, 12
 
 _RESET_NEAR_M, _RESET_NEAR_RAD = 0.1, 0.2

@@ -19,22 +19,6 @@ from typing import Any, ClassVar, Self, TypeVar
 
 from bridge.pioneer.arcos import Packet
 
-__all__ = [
-    "GYRO_RAD_S",
-    "NO_ECHO_MM",
-    "SIP_KINDS",
-    "ConfigPac",
-    "EncoderPac",
-    "Flag",
-    "GyroPac",
-    "IoPac",
-    "Kind",
-    "SimStat",
-    "Sip",
-    "decode_names",
-    "encode_names",
-]
-
 
 class Kind(IntEnum):
     """Packet types of a base."""

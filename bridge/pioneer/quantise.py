@@ -8,8 +8,6 @@ over a second within 0.002 rad/s. A rover that is to stand is sent zero, and not
 import math
 from dataclasses import dataclass
 
-__all__ = ["MotionLimits", "SetPoints"]
-
 STANDING_M_S = 0.002
 STANDING_RAD_S = 0.002
 """Dead band: commands within both ask for a standing rover. Its width is the mean error that is allowed."""

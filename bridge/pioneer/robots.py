@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 from rover_ncp.core.geometry import Pose
 
-__all__ = ["ROBOTS", "RobotParameters", "Wheels", "parameters_for"]
-
 
 @dataclass(frozen=True)
 class Wheels:

@@ -33,21 +33,6 @@ from bridge.pioneer.setpoints import Helm
 from bridge.pioneer.states import LOSS_S, PATIENCE_S, TABLE, Input, State
 from rover_ncp.core.errors import UsageError
 
-__all__ = [
-    "BaudChanged",
-    "Configured",
-    "Connected",
-    "Event",
-    "Failed",
-    "Lost",
-    "MotionLimits",
-    "Recovered",
-    "Session",
-    "State",
-    "StateReceived",
-]
-
-
 CONFIG_S, OPEN_S = 1.0, 2.0
 """How long to wait for a CONFIGpac, which is optional, and for the first SIP, which is not."""
 

@@ -13,8 +13,6 @@ from bridge.pioneer.arcos import Command
 from bridge.pioneer.odometry import BaseState
 from bridge.pioneer.quantise import MotionLimits, SetPoints
 
-__all__ = ["PULSE_S", "REFRESH_S", "VERIFY_S", "Helm"]
-
 PULSE_S, REFRESH_S = 0.5, 0.2
 """Rhythm of PULSE while the motors are off (the watchdog waits 2 s), of the set-points while they are on."""
 

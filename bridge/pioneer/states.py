@@ -13,8 +13,6 @@ import math
 from enum import Enum
 from typing import TypeAlias
 
-__all__ = ["LOSS_S", "PATIENCE_S", "TABLE", "Entry", "Input", "State"]
-
 
 class State(Enum):
     """Where the connection stands."""

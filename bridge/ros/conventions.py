@@ -2,8 +2,6 @@
 
 from enum import StrEnum
 
-__all__ = ["Convention"]
-
 
 class Convention(StrEnum):
     """A name for ``--ros``."""

@@ -5,8 +5,6 @@ Form from zenoh-plugin-ros2dds (liveliness_mgt.rs; facts only): ``@/ZID/@ros2_lv
 default lets no token of the bridge out but its own: there ``ros2 topic list`` shows a topic once subscribed.
 """
 
-__all__ = ["bridge_token", "topic_token"]
-
 # No keys; reliable; volatile or transient local; keep the last 10 or 1 (Cyclone DDS' numbers).
 _KEEP_10, _LATCHED = ":1:0:0,10", ":1:1:0,1"
 

@@ -18,8 +18,6 @@ from rover_ncp.core.imu import imu
 from rover_ncp.core.messages import BASE_FRAME, ODOM_FRAME, Diagnostic, Transform
 from rover_ncp.core.protocol import GateStatus
 
-__all__ = ["diagnostics", "each_sip", "each_so_often", "gate_status", "sensor_frames", "turn", "velocity"]
-
 # What a single reading may be off by from its rounding (uniform: step² / 12), not what odometry drifts by:
 # positions in whole mm, headings in 1/4096 turn, wheel speeds in whole mm/s, turn rates in 0.1 deg/s.
 _POSE_VARIANCE = (0.001**2 / 12, 0.001**2 / 12, (math.tau / 4096) ** 2 / 12)

@@ -12,10 +12,8 @@ from typing import NamedTuple, Self
 
 import xxhash
 
+from rover_ncp.core.cdr import type_hash
 from rover_ncp.core.errors import FormatError, UsageError
-from rover_ncp.core.messages import type_hash
-
-__all__ = ["NODE_NAME", "Attachment", "Graph", "Topic", "domain_id", "gid"]
 
 NODE_NAME = "rover_bridge"
 _DOMAIN_MAX = 232

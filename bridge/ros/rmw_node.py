@@ -14,8 +14,6 @@ from rover_ncp.core.errors import FormatError
 from rover_ncp.core.key_table import KeySpec, key
 from rover_ncp.core.messages import TWIST, TWIST_STAMPED
 
-__all__ = ["RmwNode", "latching_publisher", "sampled"]
-
 HEARTBEAT_S = 0.5
 """How often, while there is news, subscribers are told how much they should have: rmw_zenoh's own period."""
 

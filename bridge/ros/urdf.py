@@ -11,8 +11,6 @@ from bridge.pioneer.robots import RobotParameters
 from bridge.ros.messages import sensor_frames
 from rover_ncp.core.messages import BASE_FRAME
 
-__all__ = ["urdf"]
-
 BODY, TYRE = "0.75 0.1 0.1 1", "0.1 0.1 0.1 1"
 """Colours as red, green, blue, opacity."""
 

@@ -12,8 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["NS", "RateKeeper", "RateReport", "StampClock"]
-
 NS = 1_000_000_000
 """Nanoseconds in a second."""
 

@@ -6,7 +6,7 @@ from typing import Literal
 from pydantic import Field
 
 from deploy.drive.waits import Waits
-from deploy.estimator.estimator import EstimatorSettings
+from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
 from rover_ncp.core.config import dump_yaml, parse_yaml
@@ -14,17 +14,6 @@ from rover_ncp.core.course import Course
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording
 from rover_ncp.core.robot_profile import RoverProfile
-
-__all__ = [
-    "CONFIG_FILE",
-    "COURSE_FILE",
-    "POLICY_FILE",
-    "DriveConfig",
-    "PoseUse",
-    "attached",
-    "attachments",
-    "settings_for",
-]
 
 POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
 

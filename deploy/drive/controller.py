@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.estimator.estimator import Estimate, Estimator, EstimatorSettings, Outcome
+from deploy.estimator.estimator import Estimate, Estimator
+from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import ConfigError
@@ -23,8 +24,6 @@ from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.observation import SIGNALS, needs_reference, see
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.reference import plan_reference
-
-__all__ = ["ORIGIN", "Controller", "Tick"]
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 

@@ -11,8 +11,6 @@ from collections import deque
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.protocol import CommandTag, GateStatus, MotorsReply, Signed
 
-__all__ = ["ACCEPTED_S", "DriverLease"]
-
 ACCEPTED_S = 0.4
 """A driver stops when the gate has not accepted a command for so long after it was sent. It checks at least
 every 0.1 s, and so stops within 0.5 s."""

@@ -42,8 +42,6 @@ from rover_ncp.core.protocol import (
 )
 from rover_ncp.core.recording import Recorded, header_stamp_ns
 
-__all__ = ["Arrival", "Inbox", "Link", "Mailbox"]
-
 QUERY_TIMEOUT_S = 2.0
 RELEASE_TIMEOUT_S = 1.0
 ROUND_TRIP_S, ASK_TRIES = 0.2, 3

@@ -16,8 +16,6 @@ from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
 from rover_ncp.core.imu import read_imu
 from rover_ncp.core.messages import COURSE_FRAME, read_odometry, read_pose
 
-__all__ = ["GyroIntake", "Intake", "PoseIntake", "Sample", "SeenPose", "StillWatch", "Turn", "middle"]
-
 
 @dataclass(frozen=True)
 class Sample:

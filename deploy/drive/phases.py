@@ -11,8 +11,6 @@ Rules of this file:
 
 from enum import Enum
 
-__all__ = ["FINAL", "TRANSITIONS", "Event", "Impossible", "State", "next_state"]
-
 
 class State(Enum):
     """Where a drive stands."""

@@ -12,8 +12,6 @@ from collections import deque
 from rover_ncp.core.course import TICK_S
 from rover_ncp.core.geometry import Velocity
 
-__all__ = ["ResponseWatch"]
-
 WINDOW_TICKS = round(1.0 / TICK_S)
 LAG_TICKS = round(0.7 / TICK_S)
 SHORTEST_LAG_TICKS = round(0.1 / TICK_S)

@@ -10,8 +10,6 @@ from deploy.drive.waits import Waits
 from rover_ncp.core.clock import Clock
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
 
-__all__ = ["Guard", "Interrupted"]
-
 POLL_S = 0.002
 
 

@@ -14,8 +14,6 @@ from rover_ncp.core.messages import COURSE_FRAME, neurons, pose_with_covariance,
 from rover_ncp.core.protocol import DriverStatus, dump_json
 from rover_ncp.core.recording import Recorded
 
-__all__ = ["Reporter", "estimate_message"]
-
 _JSON = "std_msgs/msg/String"
 
 

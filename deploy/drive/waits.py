@@ -4,8 +4,6 @@ from pydantic import Field
 
 from rover_ncp.core.config import StrictModel
 
-__all__ = ["Waits"]
-
 
 class Waits(StrictModel):
     """Times in s."""

@@ -10,8 +10,6 @@ import zenoh
 from rover_ncp.core.errors import FileError, NoBridge, NotAuthorised, UnreachableError, UsageError
 from rover_ncp.core.files import existing_file
 
-__all__ = ["PORT", "client_config", "locator", "refused"]
-
 PORT = 7447
 """Zenoh's own port, where the bridge listens."""
 

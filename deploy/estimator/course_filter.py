@@ -27,8 +27,6 @@ from numpy.typing import NDArray
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, compose, relative, wrap_angle
 
-__all__ = ["CourseFilter", "Moment"]
-
 X, Y, THETA, TURN, SCALE, SKID, PULL, DRIFT, BIAS = range(9)
 SIZE = 9
 POSE = slice(X, TURN)

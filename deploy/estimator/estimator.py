@@ -23,8 +23,6 @@ from deploy.estimator.odometry_filter import OdometryFilter
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity
 
-__all__ = ["Estimate", "Estimator", "EstimatorSettings", "Outcome"]
-
 Array = NDArray[np.float64]
 
 GYRO_GAP_S = 0.25

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 
-__all__ = ["OdometryFilter"]
-
 X, Y, THETA, V, OMEGA = range(5)
 
 BLOCKS = (slice(X, V), slice(V, OMEGA + 1))

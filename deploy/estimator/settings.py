@@ -6,8 +6,6 @@ from pydantic import Field
 
 from rover_ncp.core.config import StrictModel
 
-__all__ = ["EstimatorSettings", "Outcome"]
-
 
 class EstimatorSettings(StrictModel):
     """SI units. How wrong odometry may be is that of a base nobody measured (standard deviations)."""

@@ -26,8 +26,6 @@ from scipy.stats import t as student
 
 from deploy.identify.motion_log import MotionLog
 
-__all__ = ["Axis", "OdometryErrors", "identify_axis"]
-
 FloatArray = NDArray[np.float64]
 
 DELAY_MAX_S = 0.8

@@ -19,8 +19,6 @@ from rover_ncp.core.clock import Clock
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, distance
 
-__all__ = ["FENCE_M", "Step", "excite", "steps"]
-
 FENCE_M = 0.8
 """How far from its start the rover may come; the steps take it half as far."""
 PERIOD_S = 0.05

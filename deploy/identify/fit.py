@@ -18,8 +18,6 @@ from deploy.identify.motion_log import MotionLog
 from deploy.identify.odometry_fit import fit_distance, fit_turns, stands_beside
 from rover_ncp.core.robot_profile import RoverProfile
 
-__all__ = ["identify"]
-
 FloatArray = NDArray[np.float64]
 
 STANDING_M_S, STANDING_RAD_S = 0.004, 0.006

@@ -16,8 +16,6 @@ from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.messages import COURSE_FRAME, read_odometry, read_pose, read_twist
 from rover_ncp.core.recording import Recorded
 
-__all__ = ["MotionLog", "Track", "motion_log"]
-
 FloatArray = NDArray[np.float64]
 
 _LEAST = 50

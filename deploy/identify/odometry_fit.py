@@ -18,8 +18,6 @@ from scipy.stats import norm, t
 
 from deploy.identify.motion_log import MotionLog
 
-__all__ = ["Fit", "Stand", "fit_distance", "fit_turns", "stands_beside"]
-
 FloatArray = NDArray[np.float64]
 
 LEAST_WAY_M = 0.1

@@ -22,8 +22,6 @@ from rover_ncp.core.recording import Recorded, read_recording
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.core.signals import Interrupts
 
-__all__ = ["Options", "run"]
-
 SETTINGS_FILE = "identify.yaml"
 
 

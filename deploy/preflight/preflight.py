@@ -18,8 +18,6 @@ from rover_ncp.core.key_table import spec
 from rover_ncp.core.protocol import GateStatus
 from rover_ncp.core.recording import Recorded
 
-__all__ = ["Finding", "Preflight"]
-
 V_M_S, OMEGA_RAD_S = 0.1, 0.2
 """Slow, and still well above the noise of wheels in the air."""
 MOVE_S, PERIOD_S = 1.5, 0.05

@@ -13,8 +13,6 @@ from deploy.report.layout import Layer, layers
 from deploy.report.sentences import Explanation, explain
 from deploy.report.trace import Trace
 
-__all__ = ["Analysis", "analyse"]
-
 
 @dataclass(frozen=True, eq=False)
 class Analysis:

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import REVERSAL_MV, Circuit, SynapseKind
 from rover_ncp.circuit.solver_reference import conductances
 
-__all__ = ["Currents", "synapse_currents"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -4,8 +4,6 @@ from typing import NamedTuple
 
 from rover_ncp.core.protocol import DriverStatus, GateStatus
 
-__all__ = ["Event", "Watcher"]
-
 
 class Event(NamedTuple):
     """Something worth a line; ``kind`` is state, start, gate, stop or late."""

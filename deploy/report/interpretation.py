@@ -17,17 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.circuit.solver_reference import time_constants
 
-__all__ = [
-    "BINS",
-    "THRESHOLD",
-    "Contribution",
-    "Sign",
-    "TimeConstant",
-    "contribution",
-    "contributions",
-    "time_constant_ranges",
-]
-
 FloatArray = NDArray[np.float64]
 
 BINS = 10

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
 
-__all__ = ["HEIGHT", "RADIUS", "ROW", "WIDTH", "Curve", "Layer", "Layout", "labels", "lay_out", "layers"]
-
 FloatArray = NDArray[np.float64]
 
 WIDTH, HEIGHT, ROW = 560.0, 600.0, 160.0

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from deploy.report.trace import Trace, motor_shares
 from rover_ncp.core.geometry import wrap_angle
 
-__all__ = ["LABELS", "Phase", "phases"]
-
 FloatArray = NDArray[np.float64]
 
 IDLE = 0.1

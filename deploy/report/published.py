@@ -2,8 +2,6 @@
 
 from deploy.report.interpretation import Sign
 
-__all__ = ["CONTRIBUTIONS", "TIME_CONSTANTS_S"]
-
 CONTRIBUTIONS: dict[tuple[str, str], Sign] = {
     ("AVM", "RGT"): Sign.POSITIVE,
     ("AVD", "RGT"): Sign.POSITIVE,

@@ -12,8 +12,6 @@ from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording, read_recording
 
-__all__ = ["Drive", "Judged", "judge", "read_drive"]
-
 
 @dataclass(frozen=True)
 class Judged:

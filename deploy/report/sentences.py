@@ -19,8 +19,6 @@ from deploy.report.trace import Trace, motor_shares
 from rover_ncp.circuit.circuit import MIDPOINT_MV, Circuit
 from rover_ncp.circuit.policy import Policy
 
-__all__ = ["Change", "Explanation", "Level", "Pull", "explain"]
-
 FloatArray = NDArray[np.float64]
 
 V, OMEGA = 0, 1

@@ -9,8 +9,6 @@ import numpy as np
 from deploy.report.recorded_drive import Drive, Judged, judge
 from rover_ncp.core.course import Verdict
 
-__all__ = ["Summary", "summarise"]
-
 
 class Summary(NamedTuple):
     """A headline, rows of what and how much, and rows of where policy and program came from."""

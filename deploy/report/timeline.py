@@ -25,8 +25,6 @@ from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read
 from rover_ncp.core.protocol import DriverStatus, GateStatus, parse_json
 from rover_ncp.core.recording import Recorded
 
-__all__ = ["TRUTH_TOPIC", "Command", "Estimated", "Moved", "Tick", "Timeline"]
-
 FloatArray = NDArray[np.float64]
 
 TRUTH_TOPIC = "truth/pose"

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
 
-__all__ = ["Trace", "motor_outputs", "motor_shares"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -15,8 +15,6 @@ from enum import StrEnum
 
 from rover_ncp.core.geometry import Velocity
 
-__all__ = ["HELP", "HOLD_S", "KEYS", "Keyboard", "Press", "presses"]
-
 HOLD_S = 0.4
 NUDGE = 0.5
 V_M_S, OMEGA_RAD_S = 0.12, 0.14

@@ -29,8 +29,6 @@ from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
 from rover_ncp.core.signals import Interrupts
 
-__all__ = ["Options", "Teleop", "run"]
-
 PERIOD_S = 0.05
 HELD_UP_S = 0.25
 INTERRUPTED = 130

@@ -10,8 +10,6 @@ from typing import Self
 
 from rover_ncp.core.errors import UsageError
 
-__all__ = ["Terminal"]
-
 READ_BYTES = 1024
 _INPUT, _LOCAL, _CHARACTERS = 0, 3, 6
 

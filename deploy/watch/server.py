@@ -33,8 +33,6 @@ from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import PortInUse, UnreachableError
 from rover_ncp.core.signals import Interrupts
 
-__all__ = ["Options", "application", "run"]
-
 HOST = "127.0.0.1"
 INTERRUPTED = 130
 PERIOD_S = 0.1

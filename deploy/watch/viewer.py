@@ -15,8 +15,6 @@ from rover_ncp.core.key_table import KEYS, Kind, key, spec
 from rover_ncp.core.protocol import StopReply, StopRequest, dump_json, parse_json
 from rover_ncp.core.recording import Recorded
 
-__all__ = ["Viewer"]
-
 STOP_TIMEOUT_S = 1.0
 REASON = "the Stop button of a viewer"
 

@@ -30,8 +30,6 @@ from rover_ncp.circuit.circuit import (
 from rover_ncp.circuit.tap_withdrawal import NEURONS, PARKING_NEURONS
 from rover_ncp.core.errors import ConfigError, FileError
 
-__all__ = ["circuit_from_bnn", "circuit_to_bnn"]
-
 _SYNAPSES = {"ex": SynapseKind.EXCITATORY, "inh": SynapseKind.INHIBITORY, "gj": SynapseKind.GAP}
 _NEURON_VALUES = {
     "cm": ParameterKind.CAPACITANCE,

@@ -17,19 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.core.errors import ConfigError
 
-__all__ = [
-    "BOUNDS",
-    "DEFAULTS",
-    "MIDPOINT_MV",
-    "RESTING_MV",
-    "REVERSAL_MV",
-    "Bounds",
-    "Circuit",
-    "ParameterKind",
-    "SynapseKind",
-    "build_circuit",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Item = TypeVar("Item")

@@ -22,8 +22,6 @@ from rover_ncp.circuit.sensing import Drive
 from rover_ncp.circuit.solver import fill_lane
 from rover_ncp.kernels.vectors import WIDTH, aligned_zeros
 
-__all__ = ["allocate_lanes", "inert_parameters", "lane_parameters", "make_program", "resting_potentials"]
-
 IntArray = NDArray[np.int64]
 
 

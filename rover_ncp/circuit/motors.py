@@ -15,8 +15,6 @@ from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.circuit.sensing import Channel, require_distinct
 from rover_ncp.core.config import StrictModel
 
-__all__ = ["Motors", "Pull", "course_motors", "four_dof_motors", "parking_motors"]
-
 
 class Pull(NamedTuple):
     """Motor neurons as arrays (q,): channel += end * clip((potential - low) / (high - low), 0, 1)."""

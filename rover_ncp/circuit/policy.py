@@ -18,16 +18,6 @@ from rover_ncp.circuit.sensing import Sensing, course_sensing, parking_sensing
 from rover_ncp.core.course import Course
 from rover_ncp.core.errors import ConfigError, UsageError
 
-__all__ = [
-    "ParameterBlock",
-    "ParameterLayout",
-    "Policy",
-    "PolicyRunner",
-    "absolute_policy",
-    "course_policy",
-    "parking_policy",
-]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -19,15 +19,6 @@ from rover_ncp.core.config import StrictModel, dump_yaml, parse_yaml
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text, resolve, write_atomic
 
-__all__ = [
-    "circuit_to_yaml",
-    "load_circuit",
-    "load_policy",
-    "policy_from_yaml",
-    "policy_to_yaml",
-    "save_policy",
-]
-
 FORMAT = 1
 
 

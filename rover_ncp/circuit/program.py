@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.motors import Pull
 from rover_ncp.circuit.sensing import Drive
 
-__all__ = ["Chemical", "Gaps", "LaneParameters", "Program", "Stepped"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

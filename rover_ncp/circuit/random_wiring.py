@@ -13,8 +13,6 @@ from rover_ncp.circuit.circuit import Circuit, SynapseKind, build_circuit
 from rover_ncp.circuit.tap_withdrawal import NEURONS, SENSORY, SYNAPSES
 from rover_ncp.core.errors import UsageError
 
-__all__ = ["random_circuit"]
-
 _MOST_WEIGHT_S = 2.0
 
 

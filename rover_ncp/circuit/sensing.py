@@ -17,18 +17,6 @@ from pydantic import Field, model_validator
 from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.core.config import StrictModel
 
-__all__ = [
-    "HIGH_MV",
-    "LOW_MV",
-    "SATURATION_MV",
-    "Channel",
-    "Drive",
-    "Sensing",
-    "course_sensing",
-    "parking_sensing",
-    "shifted_sensing",
-]
-
 LOW_MV = -70.0
 HIGH_MV = -20.0
 SATURATION_MV = 1000.0

@@ -27,8 +27,6 @@ from rover_ncp.kernels.vectors import (
     store_lanes,
 )
 
-__all__ = ["exp2", "fill_lane", "tick_lanes"]
-
 FloatArray = NDArray[np.float64]
 
 LOG2_E = 1.4426950408889634

@@ -11,8 +11,6 @@ from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.sensing import HIGH_MV, LOW_MV, SATURATION_MV, Sensing
 
-__all__ = ["motor_channels", "sensory_potentials", "step", "tick", "time_constants"]
-
 FloatArray = NDArray[np.float64]
 
 

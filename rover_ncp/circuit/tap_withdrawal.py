@@ -12,19 +12,6 @@ Nothing feeds a sensory neuron. 28 of 11 x 11 possible connections exist: a spar
 
 from rover_ncp.circuit.circuit import Circuit, SynapseKind, build_circuit
 
-__all__ = [
-    "FOUR_DOF_MOTORS",
-    "FOUR_DOF_NEURONS",
-    "NEURONS",
-    "PARKING_MOTORS",
-    "PARKING_NEURONS",
-    "SENSORY",
-    "SYNAPSES",
-    "four_dof_circuit",
-    "parking_circuit",
-    "tap_withdrawal_circuit",
-]
-
 EX, IN, GAP = SynapseKind.EXCITATORY, SynapseKind.INHIBITORY, SynapseKind.GAP
 
 NEURONS = ("PVD", "PLM", "AVA", "AVD", "PVC", "AVB", "AVM", "ALM", "DVA", "FWD", "REV")

@@ -9,8 +9,6 @@ from typing import Any
 
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key
 
-__all__ = ["access_control"]
-
 # (flow seen from the bridge's router, kinds of Zenoh messages) for a peer that sends, and one that receives.
 # A peer learns that somebody listens only where the listener's declaration may leave the router: that is how
 # a driver knows that it may drive before it tries.

@@ -14,8 +14,6 @@ from rosbags.typesys.store import Typestore
 
 from rover_ncp.core.errors import FormatError
 
-__all__ = ["decode", "definition", "encode", "make", "type_hash"]
-
 
 @functools.cache
 def _store() -> Typestore:

@@ -2,8 +2,6 @@
 
 from typing import Protocol
 
-__all__ = ["Clock"]
-
 
 class Clock(Protocol):
     """A clock that never goes back, the wall clock, and waiting."""

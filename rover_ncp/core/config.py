@@ -14,8 +14,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text
 
-__all__ = ["StrictModel", "dump_yaml", "load_yaml", "parse_yaml", "read_yaml", "validated"]
-
 
 class StrictModel(BaseModel):
     """Base of all configuration models: frozen, finite, no unknown keys."""

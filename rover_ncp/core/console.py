@@ -19,8 +19,6 @@ from typing import Any, TextIO
 
 from rich.console import Console
 
-__all__ = ["BLOCKED_S", "Output", "Writer", "install", "keep", "printable"]
-
 ROOM_BYTES = 1 << 16
 """A `Writer` drops text beyond this."""
 CHUNK_BYTES = 1024

@@ -16,20 +16,6 @@ from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 
-__all__ = [
-    "FAR_M",
-    "MOST_CHECKPOINTS",
-    "TICK_S",
-    "Angle",
-    "Checkpoint",
-    "Coordinate",
-    "Course",
-    "Obstacle",
-    "ParkedRule",
-    "Verdict",
-    "load_course",
-]
-
 TICK_S = 0.1
 """Control tick in seconds: the circuit is asked for a command ten times a second."""
 

@@ -20,8 +20,6 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from rover_ncp.core.access_control import access_control
 from rover_ncp.core.key_table import Role
 
-__all__ = ["PEERS", "USERS_FILE", "make_credentials"]
-
 PEERS = (Role.DRIVER, Role.VIEWER, Role.LOCALISER)
 """Who gets a user of the bridge."""
 USERS_FILE = "users.txt"

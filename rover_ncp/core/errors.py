@@ -22,24 +22,6 @@ wrapped with ``raise ... from``. Anything else that reaches the user is a bug an
 
 from collections.abc import Sequence
 
-__all__ = [
-    "AnotherDriver",
-    "ConfigError",
-    "FileError",
-    "FormatError",
-    "MissingExtra",
-    "NoBridge",
-    "NoPose",
-    "NoRobot",
-    "NotAuthorised",
-    "OtherVersion",
-    "PortInUse",
-    "RoverNcpError",
-    "SafetyStop",
-    "UnreachableError",
-    "UsageError",
-]
-
 
 class RoverNcpError(Exception):
     """Root of the tree; ``exit_code`` is what the command line returns."""

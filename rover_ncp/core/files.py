@@ -9,18 +9,6 @@ from typing import IO
 
 from rover_ncp.core.errors import FileError
 
-__all__ = [
-    "create",
-    "existing_file",
-    "read_bytes",
-    "read_text",
-    "require_creatable",
-    "require_writable",
-    "resolve",
-    "shipped_names",
-    "write_atomic",
-]
-
 _DATA = resources.files("rover_ncp") / "data"
 
 

@@ -13,8 +13,6 @@ Poses chain as their letters do: ``compose(pose_AB, pose_BC)`` is ``pose_AC``.
 import math
 from typing import NamedTuple
 
-__all__ = ["Pose", "Velocity", "compose", "distance", "inverse", "relative", "wrap_angle"]
-
 
 class Pose(NamedTuple):
     """A pose in the plane: x and y in metres, theta in radians."""

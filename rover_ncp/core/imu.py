@@ -7,8 +7,6 @@ import numpy as np
 from rover_ncp.core.cdr import decode, encode, make
 from rover_ncp.core.messages import BASE_FRAME
 
-__all__ = ["IMU", "TurnSample", "imu", "read_imu"]
-
 IMU = "sensor_msgs/msg/Imu"
 _SECOND_NS = 1_000_000_000
 _UNKNOWN = 1e6

@@ -11,8 +11,6 @@ from enum import Enum
 
 from rover_ncp.core.errors import UsageError
 
-__all__ = ["KEYS", "KeySpec", "Kind", "Role", "key", "spec"]
-
 
 class Role(Enum):
     """Who a peer is, to access control."""

@@ -12,43 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rover_ncp.core.cdr import decode, definition, encode, make, type_hash
+from rover_ncp.core.cdr import decode, encode, make
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity
-
-__all__ = [
-    "BASE_FRAME",
-    "COURSE_FRAME",
-    "ODOM_FRAME",
-    "TWIST",
-    "TWIST_STAMPED",
-    "Diagnostic",
-    "OdometrySample",
-    "PoseSample",
-    "Transform",
-    "TwistSample",
-    "battery_state",
-    "bumpers",
-    "decode",
-    "definition",
-    "diagnostics",
-    "encode",
-    "neurons",
-    "odometry",
-    "path",
-    "point_cloud",
-    "pose_stamped",
-    "pose_with_covariance",
-    "read_neurons",
-    "read_odometry",
-    "read_pose",
-    "read_text",
-    "read_twist",
-    "text",
-    "transforms",
-    "twist_stamped",
-    "type_hash",
-]
 
 ODOM_FRAME = "odom"
 BASE_FRAME = "base_link"

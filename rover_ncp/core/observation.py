@@ -13,8 +13,6 @@ import math
 
 from rover_ncp.core.geometry import Pose, Velocity
 
-__all__ = ["REFERENCE_SIGNALS", "SIGNALS", "needs_reference", "see", "seen_from"]
-
 REFERENCE_SIGNALS = ("longitudinal", "lateral", "heading", "speed", "turn")
 SIGNALS = ("x", "y", "theta", "start", *REFERENCE_SIGNALS)
 """In the order of ``see``."""

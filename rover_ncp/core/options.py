@@ -4,8 +4,6 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["MOST_SEED", "Json", "Overwrite"]
-
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 MOST_SEED = 2**63 - 1
 """Of a seed, or of the number of a trial."""

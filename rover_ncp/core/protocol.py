@@ -17,27 +17,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FormatError
 
-__all__ = [
-    "KEY_BYTES",
-    "PROTOCOL",
-    "VERSION_REASON",
-    "CommandTag",
-    "DriverStatus",
-    "GateStatus",
-    "MotorsRefusal",
-    "MotorsReply",
-    "MotorsRequest",
-    "ResetReply",
-    "ResetRequest",
-    "Signed",
-    "StopReply",
-    "StopRequest",
-    "dump_json",
-    "other_version",
-    "parse_json",
-    "requested_version",
-]
-
 PROTOCOL = 2
 """Version of this protocol. Version 1 had no key: a tag was the driver's public id, and no digest."""
 VERSION_REASON = "version"

@@ -24,19 +24,9 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from zstandard import ZstdError
 
+from rover_ncp.core.cdr import definition
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import create, read_bytes, write_atomic
-from rover_ncp.core.messages import definition
-
-__all__ = [
-    "Recorded",
-    "Recording",
-    "RecordingWriter",
-    "header_stamp_ns",
-    "read_recording",
-    "require_finished",
-    "rewrite",
-]
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 256 * 1024

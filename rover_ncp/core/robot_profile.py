@@ -13,8 +13,6 @@ from pydantic import Field
 from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.core.files import existing_file
 
-__all__ = ["RoverProfile", "load_profile"]
-
 _Delay = Field(default=None, ge=0, le=2)
 _Factor = Field(default=None, gt=0.2, lt=5)
 

@@ -4,8 +4,6 @@ import signal
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-__all__ = ["Interrupts"]
-
 
 class Interrupts:
     """Notes SIGINT, SIGTERM and SIGHUP instead of dying of them: the rover has to be stopped first.

@@ -23,8 +23,6 @@ from rover_ncp.core.recording import Recording, read_recording
 from rover_ncp.course.feasibility import Cause, Drivability, check_course
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
 
-__all__ = ["PoseList", "course_yaml", "make_course", "read_poses"]
-
 EASE = 0.6
 """Share of the motors' limits that the deadlines count on."""
 SLOWER, SLOWER_MAX = 1.3, 4

@@ -17,8 +17,6 @@ from rover_ncp.core.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Deviation, Reference, deviations, plan_reference
 
-__all__ = ["Cause", "Drivability", "Problem", "check_course"]
-
 FloatArray = NDArray[np.float64]
 
 LENGTH_M, WIDTH_M = 0.626, 0.505

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from rover_ncp.core.course import TICK_S, Course
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
 
-__all__ = ["OMEGA_MAX", "V_MAX", "Deviation", "Reference", "deviations", "drive_profile", "plan_reference"]
-
 FloatArray = NDArray[np.float64]
 
 V_MAX = 0.16

@@ -19,8 +19,6 @@ from numba import njit
 from numba.core import types
 from numba.extending import intrinsic
 
-__all__ = ["borrowed", "in_kernels", "inlined_kernel", "kernel"]
-
 
 def in_kernels(generator: Callable[..., Any]) -> Any:
     """Make a code generator into a function for kernels, which do not pass its first argument."""

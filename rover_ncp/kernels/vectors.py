@@ -21,23 +21,6 @@ from numpy.typing import NDArray
 
 from rover_ncp.kernels.jit import in_kernels
 
-__all__ = [
-    "WIDTH",
-    "aligned_zeros",
-    "everywhere",
-    "gather",
-    "larger",
-    "load",
-    "load_lanes",
-    "scale_by_power_of_two",
-    "scatter",
-    "smaller",
-    "store",
-    "store_lanes",
-    "total",
-    "where_less",
-]
-
 WIDTH = 8
 """Lanes in a vector."""
 

@@ -25,8 +25,6 @@ from rover_ncp.core.files import write_atomic
 from sim.benchmarks.peer import BenchPeer, Moments
 from sim.live.processes import Process
 
-__all__ = ["RATES_HZ", "bench_deploy", "latencies", "quantiles"]
-
 RATES_HZ = (10.0, 50.0, 100.0)
 FASTEST_HZ, FASTEST_S = 500.0, 20.0
 P999_SAMPLES = 10_000

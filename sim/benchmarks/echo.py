@@ -10,8 +10,6 @@ import zenoh
 
 from deploy.drive.zenoh_config import client_config
 
-__all__ = ["PING", "PONG"]
-
 PING, PONG = "bench/ping", "bench/pong"
 
 

@@ -28,8 +28,6 @@ from rover_ncp.core.protocol import (
 )
 from sim.benchmarks.echo import PING, PONG
 
-__all__ = ["BenchPeer", "Moments"]
-
 STATUS_S = 0.1
 STILL = Velocity(0.0, 0.0)
 

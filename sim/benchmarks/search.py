@@ -11,8 +11,6 @@ from sim.learn.team import AgentState
 from sim.learn.train import training_plan
 from sim.learn.workers import Inline, LocalProcesses, available_processes
 
-__all__ = ["MARKS", "PASSED", "bench_search", "returns_table"]
-
 MARKS = (1000, 2000, 5000, 10_000, 20_000)
 """Iterations at which returns are looked at."""
 PASSED = (-0.1, -0.05, -0.03)

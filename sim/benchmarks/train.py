@@ -38,8 +38,6 @@ from sim.world.bay import Bay
 from sim.world.fleet import SUBSTEPS, Fleet, advance, send
 from sim.world.rover import Rover, RoverModel
 
-__all__ = ["LANES", "bench_train"]
-
 LANES = tuple(2**n for n in range(13))
 """1 to 4096."""
 _REPEATS = 5

@@ -17,8 +17,6 @@ from sim.world.random_course import random_course
 from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import RoverModel
 
-__all__ = ["Evaluation", "Spread", "cause", "evaluate", "summarize", "tally", "unseen_courses", "wilson"]
-
 _NORMAL_95 = 1.959963984540054
 _BATCH = 500
 """Trials at a time, so that drawn noise takes some 10 MB whatever is asked for."""

@@ -27,8 +27,6 @@ from sim.learn.search.unit_box import reflected
 from sim.world.fleet import Fleet, FleetArrays, wrapped
 from sim.world.randomization import Trials
 
-__all__ = ["LAWS", "GainCube", "Law", "LawEngine"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

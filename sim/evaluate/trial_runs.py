@@ -22,8 +22,6 @@ from sim.stack.parallel import drive_all
 from sim.stack.trials import Driven, Stack
 from sim.world.randomization import ranges_for
 
-__all__ = ["TrialOptions", "run_trials"]
-
 
 class TrialOptions(NamedTuple):
     """What was asked for."""

@@ -23,8 +23,6 @@ from sim.explain.prose import prose
 from sim.explain.sensitivity import STEP, sensitivities
 from sim.learn.rollout import Rollout, rollout
 
-__all__ = ["explain", "traced", "write"]
-
 SHOWN = 25
 """Parameters in the picture of sensitivities."""
 

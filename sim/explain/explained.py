@@ -13,8 +13,6 @@ from sim.explain.knockout import Knockout
 from sim.explain.sensitivity import Sensitivity
 from sim.learn.rollout import Rollout
 
-__all__ = ["Explained"]
-
 
 @dataclass(frozen=True, eq=False)
 class Explained:

@@ -14,8 +14,6 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import Course
 from sim.learn.rollout import Rollout, rollout
 
-__all__ = ["Knockout", "knock_outs", "without_neuron", "without_synapse"]
-
 
 @dataclass(frozen=True)
 class Knockout:

@@ -9,8 +9,6 @@ from deploy.report.recorded_drive import read_drive
 from rover_ncp.core.files import existing_file, require_writable, write_atomic
 from sim.explain.training import Training, read_training, training_data
 
-__all__ = ["Page", "write_page"]
-
 
 class Page(NamedTuple):
     """A page that was written; ``kind`` is drive or training."""

@@ -8,8 +8,6 @@ from deploy.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
 from sim.explain.explained import Explained
 from sim.explain.sensitivity import STEP
 
-__all__ = ["prose"]
-
 SHOWN = 10
 """Parameters in the table of sensitivities; the CSV has them all."""
 LOST = 0.01

@@ -12,8 +12,6 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import Course
 from sim.learn.engine import Engine
 
-__all__ = ["STEP", "Sensitivity", "parameter_names", "sensitivities"]
-
 STEP = 0.01
 """Of the range between a parameter's bounds."""
 

@@ -22,8 +22,6 @@ from sim.learn.curve import curve_iterations
 from sim.learn.record import Record, TrainSettings
 from sim.learn.rollout import Rollout, rollout
 
-__all__ = ["Agent", "Milestone", "Training", "read_training", "training_data"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -8,8 +8,6 @@ from typing import NamedTuple
 from rover_ncp.core.key_table import spec
 from rover_ncp.core.recording import Recording, header_stamp_ns, read_recording, rewrite
 
-__all__ = ["Completeness", "check_recording"]
-
 SIP_NS = 100_000_000
 LOST_NS = 500_000_000
 """What a killed process may lose."""

@@ -20,8 +20,6 @@ from sim.faults.rig import SPEED_M_S, Rig, Unsafe, wait_for
 from sim.faults.scripted_driver import Hand
 from sim.live.processes import Process
 
-__all__ = ["BOTH", "CIRCUIT", "HAND", "MISHAPS", "Mishap", "Scene"]
-
 LATE_S = 5.0
 FLOOD_S, FLOOD_PER_S = 1.5, 10_000
 NAN_S, NAN_PERIOD_S = 1.0, 0.01

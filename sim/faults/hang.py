@@ -15,8 +15,6 @@ import time
 
 from rover_ncp.cli import main
 
-__all__ = ["HANG_S"]
-
 HANG_S = 4
 
 

@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["Leaks", "Usage", "leaks", "usage"]
-
 MEMORY_MB, MEMORY_MB_PER_MIN = 4.0, 0.5
 """More than both is a leak: an allocator settles for a while, and what is lost is lost again and again."""
 MEMORY_SAMPLES = 10

@@ -23,8 +23,6 @@ from sim.faults.scripted_driver import Hand
 from sim.faults.standstill import SAMPLE_S
 from sim.faults.table import Row, braking_s
 
-__all__ = ["Measured", "in_time", "measure"]
-
 STAND_TIMEOUT_S = 8.0
 DEPLOY_TIMEOUT_S = 20.0
 STOPPED = 4

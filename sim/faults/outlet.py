@@ -7,8 +7,6 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["GONE", "OUTLETS", "PIPE", "TERMINAL", "Outlet"]
-
 TERMINAL, PIPE, GONE = "terminal", "pipe", "gone"
 OUTLETS = (TERMINAL, PIPE, GONE)
 XOFF = b"\x13"

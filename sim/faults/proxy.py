@@ -20,8 +20,6 @@ from pathlib import Path
 
 from sim.live.processes import Applied, Process
 
-__all__ = ["Proxy"]
-
 CHUNK_BYTES = 1 << 16
 TURN_S = 0.005
 ABORT = struct.pack("ii", 1, 0)

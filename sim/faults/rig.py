@@ -17,8 +17,6 @@ from sim.faults.scripted_driver import Hand
 from sim.faults.standstill import Motion, TruthReader
 from sim.live.processes import Process, compile_driver, uninterrupted
 
-__all__ = ["CREEP_M_S", "SPEED_M_S", "InVain", "Rig", "Unsafe", "wait_for"]
-
 SPEED_M_S = 0.12
 """At which a steady hand drives."""
 CREEP_M_S = 0.05

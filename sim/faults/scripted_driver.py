@@ -27,8 +27,6 @@ from rover_ncp.core.protocol import (
     parse_json,
 )
 
-__all__ = ["Hand"]
-
 PERIOD_S = 0.05
 ASK_S = 0.25
 STOP_TIMEOUT_S = 2.0

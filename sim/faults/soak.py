@@ -29,8 +29,6 @@ from sim.faults.rig import Rig, wait_for
 from sim.faults.table import MATRIX, Row
 from sim.live.processes import compile_driver
 
-__all__ = ["LAST", "Round", "Soaked", "soak"]
-
 LAST = "bridge-killed"
 ROUND_S, LAST_S = 15.0, 25.0
 """What a round takes, at most as a rule, and what the last one and the end take."""

@@ -8,8 +8,6 @@ from sim.faults.measure import Measured
 from sim.faults.soak import Round, Soaked
 from sim.faults.table import MATRIX
 
-__all__ = ["fields", "line", "table", "verdict"]
-
 
 def line(done: Round) -> str:
     """Return a round in one line for people."""

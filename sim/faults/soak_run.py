@@ -11,8 +11,6 @@ from sim.faults.soak import Soaked, soak
 from sim.faults.soak_report import fields, line, table, verdict
 from sim.live.processes import TRUTH
 
-__all__ = ["run_soak"]
-
 TABLE = "soak.md"
 
 

@@ -8,8 +8,6 @@ from typing import NamedTuple, TextIO
 
 from rover_ncp.core.errors import RoverNcpError
 
-__all__ = ["SAMPLE_S", "STILL_M_S", "STILL_RAD_S", "Motion", "NotStill", "TruthReader"]
-
 STILL_M_S, STILL_RAD_S = 1e-3, 1e-3
 """Below these a rover counts as standing."""
 

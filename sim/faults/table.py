@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 from sim.faults.outlet import GONE, PIPE, TERMINAL
 
-__all__ = ["ALPHA_RAD_S2", "BRAKING_M_S2", "DELAY_S", "MATRIX", "Row", "braking_s", "row"]
-
 STOP_S, WATCHDOG_S = 0.5, 2.0
 """The first safety requirement, and the base's own watchdog."""
 LOW_BATTERY_S = 2.0

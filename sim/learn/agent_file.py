@@ -11,8 +11,6 @@ from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.team import AgentState, Plan, revive
 
-__all__ = ["load_agent", "save_agent"]
-
 
 class _AgentFile(StrictModel):
     format: int = Field(default=1, ge=1, le=1)

@@ -19,8 +19,6 @@ from sim.learn.record import made_with
 from sim.learn.team import AgentState, Plan, Rounds, Team
 from sim.learn.workers import WorkerDied, split
 
-__all__ = ["RETRIES", "ClusterLost", "DaskCluster", "connect", "require_versions", "told_plainly", "versions"]
-
 CONNECT_S = 10.0
 """How long a scheduler has to answer, and then a first worker to be there."""
 RETRIES = 1000

@@ -7,8 +7,6 @@ import numpy as np
 
 from sim.learn.team import AgentState
 
-__all__ = ["curve_csv", "curve_iterations", "curve_png"]
-
 _LEAST_LOSS = 1e-4
 
 

@@ -23,8 +23,6 @@ from sim.world.randomization import Trials, nominal_trials
 from sim.world.rover import SUBSTEP_S, RoverModel, require_free_start
 from sim.world.scoring import due_checkpoints
 
-__all__ = ["Engine", "Outcomes"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -13,8 +13,6 @@ from statistics import median
 from sim.learn.team import AgentState
 from sim.learn.workers import Workers
 
-__all__ = ["ROUND_ITERATIONS", "Snapshot", "run_ensemble"]
-
 ROUND_ITERATIONS = 100
 """Long enough to hide the traffic between processes, short enough for a live display: parts of a second."""
 

@@ -21,8 +21,6 @@ from sim.world.fleet import FleetArrays, advance, place, push, read_pose, read_p
 from sim.world.randomization import BaseErrors, OdometryErrors, Trials, driven, reckoned, stepped
 from sim.world.rover import SUBSTEP_S
 
-__all__ = ["IDLE", "RESULTS", "Lanes", "Queue", "Tasks", "drive_tick", "run_episodes", "start_episode"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

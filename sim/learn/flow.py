@@ -8,8 +8,6 @@ import numpy as np
 from sim.learn.objective import Objective
 from sim.learn.search.base import Vector
 
-__all__ = ["Answer", "Flow", "Lockstep"]
-
 
 class Answer(NamedTuple):
     """What became of the n candidates that an agent had submitted; its arrays may change when it submits

@@ -31,8 +31,6 @@ from sim.learn.ensemble import Snapshot
 from sim.learn.record import Record, RobustSettings, SettingsT, Task, TrainSettings, resolve_task
 from sim.learn.team import AgentState, Plan
 
-__all__ = ["RunFolder", "is_milestone", "new_run_path", "open_folder", "open_run", "saved_settings"]
-
 _RUNS = Path("runs")
 _RECORD = "settings.yaml"
 # What ``write_atomic`` calls its temporary files, for those a killed run can have been writing.

@@ -22,8 +22,6 @@ from sim.learn.nets import (
 from sim.world.fleet import Fleet, FleetArrays
 from sim.world.randomization import Trials
 
-__all__ = ["NetEngine"]
-
 
 @kernel
 def run_nets(  # noqa: PLR0917  # as run_episodes

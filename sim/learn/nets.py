@@ -25,18 +25,6 @@ from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy
 from rover_ncp.circuit.solver import exp2
 from rover_ncp.kernels.jit import kernel
 
-__all__ = [
-    "CELLS",
-    "Net",
-    "NetKind",
-    "NetLanes",
-    "NetProgram",
-    "allocate_net_lanes",
-    "fill_net_lane",
-    "net_for",
-    "tick_net_lanes",
-]
-
 FloatArray = NDArray[np.float64]
 
 CELLS = 11

@@ -18,8 +18,6 @@ from sim.learn.search.base import Vector
 if TYPE_CHECKING:
     from sim.learn.flow import Flow
 
-__all__ = ["Deterministic", "Objective", "Sampled", "mean_of_worst"]
-
 Seeds = NDArray[np.uint64]
 Key = tuple[int, ...]
 

@@ -8,8 +8,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sim.learn.ensemble import Snapshot
 
-__all__ = ["TrainProgress"]
-
 
 class TrainProgress:
     """Shows iterations, the best and the median return, and the speed, while its context is open."""

@@ -21,8 +21,6 @@ from rover_ncp.core.course import Course, load_course
 from rover_ncp.core.errors import ConfigError
 from sim.world.rover import RoverModel, require_free_start
 
-__all__ = ["Record", "RobustSettings", "Task", "TrainSettings", "made_with", "resolve_task"]
-
 _LIBRARIES = ("rover-ncp", "numpy", "numba", "pymunk")
 _GIT_TIMEOUT_S = 5.0
 

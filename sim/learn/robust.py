@@ -30,18 +30,6 @@ from sim.world.random_course import mirrored, mirrored_reference, random_course
 from sim.world.randomization import Randomization, draw_trials
 from sim.world.rover import RoverModel
 
-__all__ = [
-    "Cube",
-    "Drive",
-    "Generation",
-    "RobustSearch",
-    "Stage",
-    "UnitCube",
-    "costs",
-    "drive_trials",
-    "training_courses",
-]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -39,8 +39,6 @@ from sim.learn.workers import Processes, available_processes
 from sim.world.randomization import Randomization, draw_trials, ranges_for
 from sim.world.rover import RoverModel
 
-__all__ = ["RobustResult", "train_robust"]
-
 FloatArray = NDArray[np.float64]
 
 # Checkpoints take at most this share of the time.

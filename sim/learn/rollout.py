@@ -35,8 +35,6 @@ from sim.world.randomization import (
 from sim.world.rover import Rover, RoverModel, require_free_start
 from sim.world.scoring import due_checkpoints, reward
 
-__all__ = ["OUTPUTS", "Rollout", "require_driver", "rollout"]
-
 FloatArray = NDArray[np.float64]
 
 OUTPUTS = ("v", "omega")

@@ -22,8 +22,6 @@ from sim.learn.search.base import Vector
 from sim.world.fleet import FleetArrays, advance, read_poses, send
 from sim.world.randomization import Trials
 
-__all__ = ["Stream"]
-
 IntArray = NDArray[np.int64]
 
 LANES = 8

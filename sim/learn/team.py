@@ -18,8 +18,6 @@ from sim.learn.objective import Deterministic, Objective
 from sim.learn.search.base import SearchState, Strategy, Vector
 from sim.learn.search.strategies import STRATEGIES, start_search
 
-__all__ = ["AgentState", "Plan", "Rounds", "Team", "revive"]
-
 _MOST_AHEAD = 4
 """Rounds that an agent may be ahead of the slowest; who waits leaves lanes idle."""
 

@@ -18,8 +18,6 @@ from sim.learn.record import Task, TrainSettings
 from sim.learn.team import Plan
 from sim.learn.workers import Inline, LocalProcesses, Workers, available_processes
 
-__all__ = ["TrainResult", "train", "training_plan"]
-
 # Checkpoints take at most this share of the time, so a short run saves often and a slow disk seldom.
 _CHECKPOINT_SHARE = 0.02
 

@@ -23,17 +23,6 @@ from typing import Any, NamedTuple, Protocol, Self
 from rover_ncp.core.errors import RoverNcpError, UsageError
 from sim.learn.team import AgentState, Plan, Rounds, Team
 
-__all__ = [
-    "Inline",
-    "LocalProcesses",
-    "Processes",
-    "WorkerDied",
-    "Workers",
-    "available_processes",
-    "split",
-    "starting_processes",
-]
-
 _JOIN_S = 5.0
 _MOST_AHEAD = 4
 """Answers of a process that may wait for those of slower ones."""

@@ -21,17 +21,6 @@ from typing import Any, NamedTuple, Self
 from rover_ncp.core.errors import RoverNcpError
 from sim.faults.outlet import Outlet
 
-__all__ = [
-    "TRUTH",
-    "Applied",
-    "Finished",
-    "LiveRun",
-    "Process",
-    "ProcessError",
-    "compile_driver",
-    "uninterrupted",
-]
-
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 5.0
 APPLIED = "applied "
@@ -55,7 +44,7 @@ def compile_driver() -> None:
     After an installation that takes 8 s of CPU time, and on a busy machine longer than any timeout here.
     """
     from deploy.drive.controller import Controller
-    from deploy.estimator.estimator import EstimatorSettings
+    from deploy.estimator.settings import EstimatorSettings
     from rover_ncp.circuit.policy_file import load_policy
     from rover_ncp.core.course import load_course
 

@@ -20,8 +20,6 @@ from sim.park.park import estimated_path
 from sim.stack.start_pose import Placed
 from sim.stack.trials import MODEL, Driven, Stack
 
-__all__ = ["LiveTrials"]
-
 _EXTRA_S = 180.0
 """For a driver to start, on a machine that does other things too, and to stand for a moment."""
 _DROVE = {0, 1, 4}

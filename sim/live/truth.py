@@ -12,8 +12,6 @@ from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import pose_stamped
 from rover_ncp.core.recording import Recorded
 
-__all__ = ["TRUTH_TOPIC", "TrueState", "during", "judge_truth", "read_truth", "recorded_truth"]
-
 TRUTH_TOPIC = "truth/pose"
 TRUTH_FRAME = "course"
 

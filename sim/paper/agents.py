@@ -24,8 +24,6 @@ from sim.learn.search.base import Vector
 from sim.learn.search.published import shake
 from sim.paper.tasks import Task
 
-__all__ = ["AGENTS", "GRADIENTS", "build_agent", "inert", "untuned"]
-
 GRADIENTS = ("ppo", "a2c")
 AGENTS = ("circuit", "random", "mlp", "lstm", *GRADIENTS)
 _MOST_SHAKES = 6

@@ -12,8 +12,6 @@ from sim.paper.episodes import IDLE, RESULTS, Queue, Room, run_episodes
 from sim.paper.plants import WRITTEN_CHEETAH, allocate_plants
 from sim.paper.tasks import Benchmark
 
-__all__ = ["Arena", "Seeds", "draw_seeds"]
-
 FloatArray = NDArray[np.float64]
 Seeds = NDArray[np.uint64]
 

@@ -27,8 +27,6 @@ from sim.learn.nets import (
     tick_net_lanes,
 )
 
-__all__ = ["Brain", "make_brain", "start_lane", "think"]
-
 FloatArray = NDArray[np.float64]
 
 _NO_NET = Net(NetKind.MLP, (), (), (), (), (), cells=0)

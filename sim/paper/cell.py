@@ -16,8 +16,6 @@ from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.search.base import Vector
 from sim.learn.search.packed import unpack
 
-__all__ = ["Cell", "Name", "Shelf", "load_cell"]
-
 SHIPPED = Path(__file__).parent / "results"
 
 

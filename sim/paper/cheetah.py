@@ -19,8 +19,6 @@ from rover_ncp.kernels.jit import inlined_kernel
 from sim.paper.cheetah_constraints import find_constraints, rotated, satisfy, solve
 from sim.paper.cheetah_model import COORDINATES, LINKS, Cheetah, CheetahWork
 
-__all__ = ["step_cheetah"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from rover_ncp.kernels.jit import inlined_kernel
 from sim.paper.cheetah_model import COORDINATES, LEG, LINKS, TRUNK, Cheetah, CheetahWork, Softness
 
-__all__ = ["find_constraints", "rotated", "satisfy", "solve"]
-
 FloatArray = NDArray[np.float64]
 
 _MOST_SETS = 20

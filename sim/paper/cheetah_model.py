@@ -5,19 +5,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "COORDINATES",
-    "LEG",
-    "LINKS",
-    "NO_CHEETAH",
-    "TRUNK",
-    "Cheetah",
-    "CheetahWork",
-    "Softness",
-    "cheetah_work",
-    "load_cheetah",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -9,8 +9,6 @@ from sim.paper.cell import Name
 from sim.paper.grid import GRID
 from sim.paper.tasks import find_task
 
-__all__ = ["chosen"]
-
 _OWN_RUNS = 5
 
 

@@ -8,8 +8,6 @@ from sim.learn.cluster import RETRIES, connect, require_versions, told_plainly, 
 from sim.paper.cell import Cell, Name
 from sim.paper.train import BudgetName, train_cell
 
-__all__ = ["make_on_cluster"]
-
 # A worker may have several threads; a run's time is that of its process.
 _one_run = threading.Lock()
 

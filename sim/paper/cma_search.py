@@ -25,8 +25,6 @@ from sim.paper.arena import Arena, Seeds, draw_seeds
 from sim.paper.search import Budget, Found, best_starts, confirmed
 from sim.paper.separable import Separable
 
-__all__ = ["CMA", "search_by_cma", "seeds_apart"]
-
 FloatArray = NDArray[np.float64]
 
 # What a stream of random numbers is for; others are those of ``search.py``.

@@ -11,8 +11,6 @@ from sim.paper.agents import AGENTS
 from sim.paper.cell import Cell, Shelf
 from sim.paper.tasks import TASKS
 
-__all__ = ["curves_png"]
-
 _POINTS = 200
 _WIDE = 100.0
 """An axis that spans this needs no labels between the powers of ten."""

@@ -12,8 +12,6 @@ from rover_ncp.kernels.jit import kernel
 from sim.paper.brain import Brain, start_lane, think
 from sim.paper.plants import Plants, observe, reset_plant, step_plant
 
-__all__ = ["RESULTS", "Queue", "Room", "run_episodes"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -24,8 +24,6 @@ from sim.paper.arena import Arena, Seeds, draw_seeds
 from sim.paper.search import Budget, Found
 from sim.paper.separable import Separable
 
-__all__ = ["EVOLUTION", "search_by_evolution"]
-
 FloatArray = NDArray[np.float64]
 
 # What a stream of random numbers is for.

@@ -22,8 +22,6 @@ from sim.learn.search.base import Vector
 from sim.paper.plants import MOUNTAIN_CAR
 from sim.paper.tasks import Benchmark, Task
 
-__all__ = ["CELLS", "Actor", "PaperEnvironment", "score_actor", "train_actor", "training_of"]
-
 FloatArray = NDArray[np.float64]
 
 CELLS = 11

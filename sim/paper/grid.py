@@ -17,8 +17,6 @@ from sim.paper.cell import Cell, Name, Shelf
 from sim.paper.tasks import TASKS, Benchmark, find_task
 from sim.paper.train import BudgetName, train_cell
 
-__all__ = ["GRID", "Group", "make_runs", "status"]
-
 _GRADIENT_TASKS = ("pendulum", "roboschool", "mountain-car")
 """Those that the paper's table of reinforcement learning has."""
 

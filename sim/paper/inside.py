@@ -13,8 +13,6 @@ from sim.paper.agents import build_agent
 from sim.paper.cell import Cell, Shelf
 from sim.paper.tasks import find_task
 
-__all__ = ["parking_contributions", "parking_time_constants"]
-
 
 def _runs(shelf: Shelf) -> list[tuple[Cell, Policy]]:
     """Return the parking circuits of the runs that succeeded, the highest return first."""

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from rover_ncp.core.errors import RoverNcpError
 from sim.paper.plants import MujocoLanes
 
-__all__ = ["MujocoPool", "model_file"]
-
 # Without a handler a warning, such as that of an outdated attribute in Gymnasium's half-cheetah, ends in a
 # file in whatever folder one is in. An unstable simulation, which a warning could also tell of, shows in its
 # return.

@@ -25,8 +25,6 @@ from sim.paper.agents import inert
 from sim.paper.search import Budget, Found
 from sim.paper.tasks import Task
 
-__all__ = ["ParkingArena", "ParkingOutcome", "search_parking"]
-
 _SEARCH, _PUBLISHED_SEARCH = "gauss-newton", "published"
 _CREEP = 5.0
 """Weight of creeping for 9 s in terms of a miss: 5 mm in 2 s, which is not parked any more, cost 0.013."""

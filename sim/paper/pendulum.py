@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from rover_ncp.kernels.jit import kernel
 
-__all__ = ["TILTED_RAD", "step_pendulum"]
-
 FloatArray = NDArray[np.float64]
 
 TILTED_RAD = 0.2

@@ -18,22 +18,6 @@ from sim.paper.cheetah_model import COORDINATES, NO_CHEETAH, Cheetah, CheetahWor
 from sim.paper.pendulum import TILTED_RAD, step_pendulum
 from sim.world.chipmunk import call_with_thing, load, store
 
-__all__ = [
-    "CART_POLE",
-    "CHEETAH",
-    "MOUNTAIN_CAR",
-    "NO_MUJOCO",
-    "PENDULUM",
-    "WRITTEN_CHEETAH",
-    "WRITTEN_PENDULUM",
-    "MujocoLanes",
-    "Plants",
-    "allocate_plants",
-    "observe",
-    "reset_plant",
-    "step_plant",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

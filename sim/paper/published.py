@@ -2,8 +2,6 @@
 
 from typing import NamedTuple
 
-__all__ = ["RUNS", "SPARSITY", "Reported", "reported"]
-
 RUNS = 10
 
 

@@ -15,8 +15,6 @@ from sim.learn.objective import mean_of_worst
 from sim.learn.search.base import Vector
 from sim.paper.arena import Arena, draw_seeds
 
-__all__ = ["Race", "heats"]
-
 Key = tuple[int, ...]
 
 

@@ -6,8 +6,6 @@ from typing import Any
 from sim.paper.tables import Entry
 from sim.paper.tasks import TASKS
 
-__all__ = ["contributions_text", "parameters_text", "table_text", "time_constants_text"]
-
 
 def table_text(entries: Sequence[Entry]) -> str:
     """Return a table as Markdown."""

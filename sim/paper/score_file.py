@@ -12,8 +12,6 @@ from rover_ncp.core.errors import UsageError
 from sim.paper.arena import Arena, draw_seeds
 from sim.paper.tasks import Benchmark, find_task
 
-__all__ = ["score_circuit", "with_ranges"]
-
 EPISODES = 100
 
 

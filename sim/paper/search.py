@@ -22,8 +22,6 @@ from sim.paper.agents import untuned
 from sim.paper.arena import Arena, draw_seeds
 from sim.paper.racing import Race
 
-__all__ = ["Budget", "Found", "Reestimating", "best_starts", "confirmed", "search_benchmark"]
-
 # What a stream of random numbers is for.
 _SEARCH, _ROLLOUTS, _STARTS, _CONFIRM = range(4)
 _LEAST_AHEAD, _MOST_AHEAD = 4, 48

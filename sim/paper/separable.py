@@ -9,8 +9,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Separable"]
-
 FloatArray = NDArray[np.float64]
 
 

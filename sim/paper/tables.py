@@ -18,8 +18,6 @@ from sim.paper.published import RUNS, SPARSITY, Reported, reported
 from sim.paper.tasks import TASKS
 from sim.paper.train import BudgetName, budget_for
 
-__all__ = ["TABLES", "Entry", "Table", "Verdict", "parameters", "table", "verdict"]
-
 LEVEL = 0.05
 
 

@@ -27,18 +27,6 @@ from sim.paper.plants import (
     WRITTEN_PENDULUM,
 )
 
-__all__ = [
-    "TASKS",
-    "Benchmark",
-    "MujocoModel",
-    "SearchName",
-    "Settings",
-    "StandIn",
-    "Task",
-    "find_task",
-    "two_signals",
-]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -27,8 +27,6 @@ from sim.paper.parking import ParkingArena, search_parking
 from sim.paper.search import Budget, Found, search_benchmark
 from sim.paper.tasks import Benchmark, SearchName, Task, find_task
 
-__all__ = ["BudgetName", "budget_for", "replay", "score", "train_cell"]
-
 _FINAL = 99
 _CURVE_POINTS = 60
 _UNLIMITED = 10**12

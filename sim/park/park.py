@@ -31,16 +31,6 @@ from sim.live.processes import TRUTH, LiveRun, ProcessError
 from sim.live.truth import TrueState, judge_truth, read_truth, recorded_truth
 from sim.park.picture import trajectory_png
 
-__all__ = [
-    "PARK_ITERATIONS",
-    "TRAIN_LIMIT_S",
-    "Parked",
-    "estimated_path",
-    "park",
-    "require_free",
-    "train_until_parked",
-]
-
 TRAIN_LIMIT_S = 100.0
 """How long the search may take to find a circuit that parks in simulation."""
 PARK_ITERATIONS = 20_000

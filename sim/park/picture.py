@@ -8,8 +8,6 @@ import numpy as np
 from rover_ncp.core.course import Course
 from rover_ncp.core.geometry import Pose
 
-__all__ = ["trajectory_png"]
-
 # The outline of a Pioneer 3-AT in m (arcos.md's table of physical parameters: 626 by 505 mm).
 _LENGTH, _WIDTH = 0.626, 0.505
 

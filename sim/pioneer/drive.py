@@ -13,8 +13,6 @@ from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from sim.pioneer.trial import BaseTrial
 from sim.world.rover import SUBSTEP_S, Rover
 
-__all__ = ["Drive"]
-
 DISTANCE_GAIN, HEADING_GAIN = 2.0, 3.0
 """Speed per way left, in 1/s: a third of what would overshoot with the rover's delays."""
 

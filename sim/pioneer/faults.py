@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 
 from rover_ncp.core.errors import UsageError
 
-__all__ = ["FAULTS", "Fault", "Faults", "parse_fault"]
-
 FAULTS: dict[str, tuple[float, float, float] | None] = {
     "mute": None,  # the base sends nothing
     "deaf": None,  # the base hears nothing

@@ -45,8 +45,6 @@ from sim.pioneer.trial import SET_POINTS, BaseTrial
 from sim.world.randomization import nominal_trials
 from sim.world.rover import SUBSTEP_S, Rover
 
-__all__ = ["Firmware", "Link"]
-
 VEL2_M_S = 0.02
 """Wheel speed per unit of VEL2 (Vel2Divisor 20)."""
 

@@ -6,8 +6,6 @@ from bridge.pioneer.arcos import Packet
 from bridge.pioneer.packets import GYRO_RAD_S, GYRO_REST, GyroPac
 from sim.world.rover import Rover
 
-__all__ = ["Gyro"]
-
 READINGS = 4
 """A cycle of 0.1 s, one each 25 ms (ARIA's ArAnalogGyro)."""
 OFFSET, NOISE = 7.3, 0.7

@@ -10,8 +10,6 @@ from bridge.pioneer.packets import ConfigPac
 from bridge.pioneer.robots import ROBOTS, RobotParameters
 from sim.world.rover import RoverModel
 
-__all__ = ["BASE_CLASS", "BASE_NAME", "TICKS_PER_MM", "config_of", "rover_model_of"]
-
 BASE_NAME, BASE_CLASS = "rover-ncp_mock", "Pioneer"
 
 TICKS_PER_MM = 128

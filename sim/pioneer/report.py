@@ -13,8 +13,6 @@ from sim.pioneer.models import TICKS_PER_MM
 from sim.pioneer.sonar import Sonars
 from sim.pioneer.trial import ORIGIN
 
-__all__ = ["Panel", "Reporter"]
-
 BATTERY_DV = 128
 
 IDLE_LEVEL = 0xFF

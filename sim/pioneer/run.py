@@ -20,8 +20,6 @@ from sim.pioneer.trial import BaseTrial, rover_of
 from sim.world.bay import Bay
 from sim.world.randomization import Randomization, draw_trials
 
-__all__ = ["run_mock"]
-
 TRIAL_TICKS = 600
 """How long a trial lasts without a course; its noise then begins anew."""
 TOLD = "-"

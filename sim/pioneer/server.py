@@ -18,8 +18,6 @@ from sim.pioneer.faults import parse_fault
 from sim.pioneer.firmware import Firmware
 from sim.world.rover import SUBSTEP_S
 
-__all__ = ["TRUTH_COLUMNS", "Server", "TruthFile", "parse_listen"]
-
 PERIOD_S = SUBSTEP_S
 """The mock sleeps no longer than a step, so a turn that ends later shows how long it had no CPU."""
 

@@ -12,8 +12,6 @@ from rover_ncp.core.geometry import compose
 from sim.world.bay import ROVER_FILTER
 from sim.world.rover import Rover
 
-__all__ = ["Sonars"]
-
 ARRAY = 8
 RANGE_M = NO_ECHO_MM / 1000
 

@@ -13,8 +13,6 @@ from sim.world.bay import Bay
 from sim.world.randomization import BaseErrors, OdometryErrors, Trials, driven
 from sim.world.rover import SUBSTEP_S, Rover, RoverModel
 
-__all__ = ["ORIGIN", "SET_POINTS", "BaseTrial", "rover_of"]
-
 ORIGIN = Pose(0.0, 0.0, 0.0)
 SET_POINTS = frozenset({Command.VEL, Command.RVEL})
 

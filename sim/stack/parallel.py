@@ -10,8 +10,6 @@ from rover_ncp.core.errors import RoverNcpError
 from sim.learn.workers import starting_processes
 from sim.stack.trials import Driven, Stack
 
-__all__ = ["drive_all"]
-
 _WORTH_A_PROCESS = 6
 """Fewer trials take no longer than a process takes to start."""
 

@@ -14,8 +14,6 @@ from rover_ncp.core.key_table import key
 from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance, read_text
 from rover_ncp.core.protocol import GateStatus, parse_json
 
-__all__ = ["Placed", "known_pose"]
-
 KNOWN_M, KNOWN_RAD = 0.001, 0.001
 PERIOD_S = 0.1
 

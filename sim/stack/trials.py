@@ -30,8 +30,6 @@ from sim.world.bay import Bay
 from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import Rover, RoverModel
 
-__all__ = ["MODEL", "Driven", "Stack"]
-
 MODEL = "p3at-sh"
 
 

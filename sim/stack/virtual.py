@@ -41,8 +41,6 @@ from rover_ncp.core.recording import Recorded
 from sim.pioneer.firmware import Firmware
 from sim.stack.start_pose import known_pose
 
-__all__ = ["Air", "World"]
-
 NS = 1_000_000_000
 WALL_NS = 1_700_000_000 * NS
 """The wall clock's time when the virtual clock shows 0."""

@@ -43,8 +43,6 @@ from sim.learn.search.unit_box import reflected
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
-__all__ = ["Agent", "NetCube", "compare", "find_agent"]
-
 FloatArray = NDArray[np.float64]
 
 _RANDOM_COURSES = RobustSettings().random_courses

@@ -42,8 +42,6 @@ from sim.world.bay import Bay
 from sim.world.randomization import Randomization, Trials, draw_trials, load_randomization
 from sim.world.rover import SUBSTEP_S
 
-__all__ = ["Coverage", "Error", "coverage", "driven", "errors", "identified", "robot", "truth"]
-
 TICKS = 600
 """How long a robot's trial lasts: longer than the drive that identifies it."""
 OUTSIDE_M, OUTSIDE_RAD = 0.005, 0.0087

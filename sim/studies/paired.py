@@ -22,8 +22,6 @@ from sim.learn.engine import Engine
 from sim.world.randomization import Randomization, draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
-__all__ = ["Paired", "exact_p", "paired", "parked"]
-
 
 class Paired(NamedTuple):
     """How many of the same trials parked both, one alone, the other alone, and neither."""

@@ -10,8 +10,6 @@ import pymunk
 
 from rover_ncp.core.course import Obstacle
 
-__all__ = ["ROVER_FILTER", "Bay"]
-
 COLLISION_SLOP_M = 0.001
 """How deep shapes may rest in each other. Chipmunk's default of 0.1 would be 10 cm in our metres."""
 

@@ -23,20 +23,6 @@ from pymunk._chipmunk_cffi import ffi, lib
 
 from rover_ncp.core.errors import RoverNcpError
 
-__all__ = [
-    "Layout",
-    "body_address",
-    "call_with_number",
-    "call_with_thing",
-    "find_layout",
-    "leave_velocities",
-    "load",
-    "load_word",
-    "shape_address",
-    "space_address",
-    "store",
-]
-
 # A caller does not pass the typing context, which numba's own annotation has him do.
 _intrinsic: Any = intrinsic
 

@@ -12,8 +12,6 @@ from sim.world.fleet import SUBSTEPS
 from sim.world.rover import Rover, RoverModel, require_free_start
 from sim.world.scoring import due_checkpoints, reward
 
-__all__ = ["ENV_ID", "RoverParkingEnv"]
-
 ENV_ID = "RoverParking-v0"
 
 FloatArray = NDArray[np.float64]

@@ -37,17 +37,6 @@ from sim.world import chipmunk
 from sim.world.bay import Bay
 from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, RoverModel, own_axes, rover_body
 
-__all__ = [
-    "SUBSTEPS",
-    "Fleet",
-    "FleetArrays",
-    "advance",
-    "place",
-    "read_poses",
-    "send",
-    "wrapped",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

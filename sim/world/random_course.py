@@ -13,8 +13,6 @@ from rover_ncp.core.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.course.reference import OMEGA_MAX, Reference, drive_profile
 
-__all__ = ["mirrored", "mirrored_reference", "random_course"]
-
 HORIZON_S = 32.0
 """As the paper's course."""
 _KNOT_S = 0.5

@@ -20,21 +20,6 @@ from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile, load_profile
 from sim.world.rover import SUBSTEP_S, RoverModel
 
-__all__ = [
-    "BaseErrors",
-    "OdometryErrors",
-    "Randomization",
-    "Trials",
-    "draw_trials",
-    "driven",
-    "load_randomization",
-    "nominal_trials",
-    "ranges_for",
-    "reckoned",
-    "stepped",
-    "trial_model",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -26,18 +26,6 @@ from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from sim.world.bay import ROVER_FILTER, Bay
 
-__all__ = [
-    "GRAVITY_M_S2",
-    "SUBSTEP_S",
-    "Limits",
-    "Rover",
-    "RoverModel",
-    "own_axes",
-    "require_free_start",
-    "rover_body",
-    "toward",
-]
-
 SUBSTEP_S = 0.01
 """Physics step in seconds, as in the paper's simulator."""
 

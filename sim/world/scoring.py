@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from rover_ncp.core.course import TICK_S, Course
 from rover_ncp.core.geometry import Pose, wrap_angle
 
-__all__ = ["due_checkpoints", "reward"]
-
 
 def due_checkpoints(course: Course) -> NDArray[np.int64]:
     """Return (ticks,): the index of the checkpoint judged at the end of each tick, or -1.

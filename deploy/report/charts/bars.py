@@ -8,8 +8,6 @@ import numpy as np
 from deploy.report.charts.figure import Picture, figure, quiet, render
 from deploy.report.charts.style import BLUE, GREEN, GREY, INK, VERMILLION
 
-__all__ = ["Outcome", "Swing", "outcomes", "swings"]
-
 LEAST_M = 1e-3
 
 

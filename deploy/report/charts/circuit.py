@@ -16,8 +16,6 @@ from rover_ncp.circuit.circuit import SynapseKind
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["KINDS", "circuit"]
-
 KINDS = {
     SynapseKind.EXCITATORY: (BLUE, "solid", "excitatory"),
     SynapseKind.INHIBITORY: (VERMILLION, "solid", "inhibitory"),

@@ -9,8 +9,6 @@ from deploy.report.charts.trajectory import setting
 from rover_ncp.core.course import Course
 from rover_ncp.course.feasibility import Drivability
 
-__all__ = ["course_picture"]
-
 ARROW_M = 0.06
 OUTLINE_EVERY_S = 2.0
 

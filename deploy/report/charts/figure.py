@@ -9,8 +9,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Picture", "figure", "quiet", "render"]
-
 
 class Picture(NamedTuple):
     """A picture in both formats."""

@@ -15,8 +15,6 @@ from deploy.report.phases import Phase
 from deploy.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
 from rover_ncp.core.course import Course
 
-__all__ = ["pictures", "table", "tables"]
-
 
 def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """Return a CSV file: numbers with all their digits, nothing for what there is not."""

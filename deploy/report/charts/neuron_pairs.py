@@ -13,8 +13,6 @@ from deploy.report.trace import Trace
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["SYMBOLS", "phase_plots", "slope_histograms"]
-
 SYMBOLS = {Sign.POSITIVE: "+", Sign.ANTAGONISTIC: "−", Sign.PHASE_SWITCHING: "±", Sign.NONE: "0"}
 STILL_MV = 0.02
 """A tick in which no neuron moves more would be a dot on a dot."""

@@ -5,8 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LENGTH_M", "OUTLINE", "WIDTH_M", "ellipse", "placed", "rectangle"]
-
 FloatArray = NDArray[np.float64]
 
 LENGTH_M, WIDTH_M = 0.626, 0.505

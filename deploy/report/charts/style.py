@@ -6,21 +6,6 @@ of Okabe and Ito; potentials use matplotlib's viridis, whose lightness rises all
 
 import math
 
-__all__ = [
-    "AMBER",
-    "BLUE",
-    "GREEN",
-    "GREY",
-    "INK",
-    "POTENTIAL_HIGH_MV",
-    "POTENTIAL_LOW_MV",
-    "POTENTIAL_MAP",
-    "PURPLE",
-    "SKY",
-    "VERMILLION",
-    "ring_radius",
-]
-
 BLUE, VERMILLION, GREEN, AMBER = "#0072B2", "#D55E00", "#009E73", "#E69F00"
 SKY, PURPLE = "#56B4E9", "#AA4499"
 INK, GREY = "#1B1F24", "#6B7280"

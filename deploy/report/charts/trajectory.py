@@ -26,8 +26,6 @@ from rover_ncp.core.course import Course
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["activity", "setting", "trajectory"]
-
 FloatArray = NDArray[np.float64]
 
 STOOD_M = 5e-4

@@ -18,8 +18,6 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import Course
 from rover_ncp.core.recording import Recorded
 
-__all__ = ["Feed", "Place"]
-
 FINAL = frozenset({"parked", "ended", "fault"})
 BEFORE = 50
 """Odometry and commands kept while no drive has begun; a page has no use for more."""

@@ -10,8 +10,6 @@ from deploy.report.page.page_data import circuit_data, course_data, drive_data, 
 from deploy.report.recorded_drive import Drive
 from deploy.report.summary import summarise
 
-__all__ = ["DRIVE", "TRAINING", "drive_page", "html"]
-
 
 class Template(NamedTuple):
     """A page's frame, and its scripts in the order in which they build on each other."""

@@ -22,17 +22,6 @@ from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import Course
 
-__all__ = [
-    "circuit_data",
-    "command_columns",
-    "course_data",
-    "drive_data",
-    "event_rows",
-    "findings",
-    "frames",
-    "moved_columns",
-]
-
 TRUTH_STEP_NS = 50_000_000
 """A mock writes the true pose at 100 Hz; a picture needs no more than 20."""
 

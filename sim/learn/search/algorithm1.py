@@ -14,8 +14,6 @@ import numpy as np
 from rover_ncp.circuit.policy import ParameterLayout
 from sim.learn.search.base import Search, Vector
 
-__all__ = ["ALPHA", "ESTIMATE_AFTER", "LEAST_SCALE", "MOST_SCALE", "START_SCALE", "Algorithm1", "Scale"]
-
 ALPHA = 1.05
 ESTIMATE_AFTER = 100
 """Iterations without success after which the incumbent is estimated anew (the paper's N)."""

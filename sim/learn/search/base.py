@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import ParameterLayout
 
-__all__ = ["Adaptation", "Search", "SearchState", "Strategy", "Vector"]
-
 Vector = NDArray[np.float64]
 
 SearchState = Mapping[str, Any]

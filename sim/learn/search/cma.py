@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from rover_ncp.kernels.jit import kernel
 
-__all__ = ["Cma", "default_population"]
-
 FloatArray = NDArray[np.float64]
 
 _SWEEPS = 30

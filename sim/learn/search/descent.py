@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from sim.learn.search import least_squares
 from sim.learn.search.base import Vector
 
-__all__ = ["Descent", "Outcome", "stopped"]
-
 BOLDNESS = np.array([0.2, 10.0])
 """Dampings of a batch's steps, in terms of the damping that worked last; only the first far from the goal."""
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 0.1, 1e-7, 1e4

@@ -51,8 +51,6 @@ from sim.learn.search.descent import (
 from sim.learn.search.packed import pack, unpack
 from sim.learn.search.unit_box import UnitBox, reflected
 
-__all__ = ["GaussNewton"]
-
 SAMPLES = 50
 SPREAD = 0.1
 """Samples of a start, and their standard deviation."""

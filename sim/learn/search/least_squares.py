@@ -15,8 +15,6 @@ from rover_ncp.circuit.solver import exp2
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH, load, store, total
 
-__all__ = ["correct_slopes", "damped_steps", "lost_at", "measure_slope", "survival", "survival_weights"]
-
 FloatArray = NDArray[np.float64]
 
 LOG2_E = 1.4426950408889634

@@ -7,8 +7,6 @@ import numpy as np
 
 from sim.learn.search.base import Vector
 
-__all__ = ["pack", "unpack"]
-
 _LITTLE_ENDIAN = np.dtype("<f8")
 
 

@@ -16,8 +16,6 @@ from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout
 from sim.learn.search.base import Search, Vector
 
-__all__ = ["FAILURES_TO_WIDEN", "RULES", "Caps", "KindRule", "Published", "shake"]
-
 FAILURES_TO_WIDEN = 51
 """Failures in a row after which every cap grows by one, and the count begins anew."""
 

@@ -12,8 +12,6 @@ from sim.learn.search.gauss_newton import GaussNewton
 from sim.learn.search.published import Published, shake
 from sim.learn.search.unit_box import UnitBox
 
-__all__ = ["STRATEGIES", "start_search"]
-
 STRATEGIES: Mapping[str, type[Strategy]] = {
     "gauss-newton": GaussNewton,
     "published": Published,

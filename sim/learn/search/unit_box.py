@@ -16,8 +16,6 @@ from rover_ncp.circuit.solver import exp2
 from rover_ncp.kernels.jit import kernel
 from sim.learn.search.base import Vector
 
-__all__ = ["BY_LOGARITHM", "UnitBox", "reflected"]
-
 BY_LOGARITHM = frozenset({ParameterKind.LEAK, ParameterKind.CAPACITANCE})
 
 

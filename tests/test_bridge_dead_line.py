@@ -10,7 +10,7 @@ import pytest
 from bridge_bench import Driver, Rig, wait_for
 
 from bridge.pioneer.arcos import encode_frame
-from rover_ncp import cli as shell
+from rover_ncp import cli
 from sim.faults.proxy import Proxy
 
 RECOVERY_S = 5.0
@@ -96,7 +96,7 @@ def test_a_base_that_answers_without_end_but_never_connects_is_exit_3(capsys, st
         thread.start()
         address = f"tcp/127.0.0.1:{server.getsockname()[1]}"
         began_s = time.monotonic()
-        code = shell.run(["bridge", "--base", address, "--listen", "tcp/127.0.0.1:0"])
+        code = cli.run(["bridge", "--base", address, "--listen", "tcp/127.0.0.1:0"])
         assert time.monotonic() - began_s < 20.0
         thread.join(5.0)
     assert code == 3

@@ -12,7 +12,7 @@ import time
 import pytest
 from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, wait_for
 
-from rover_ncp import cli as shell
+from rover_ncp import cli
 from rover_ncp.core.protocol import MotorsReply, MotorsRequest, dump_json, parse_json
 from sim.live.processes import Process
 
@@ -25,7 +25,7 @@ def fails(capsys):
     """Run a bridge that cannot start, in this process; return its exit code and its one line."""
 
     def run(base, *arguments):
-        code = shell.run(["bridge", "--base", base, "--listen", "tcp/127.0.0.1:0", *arguments, "--json"])
+        code = cli.run(["bridge", "--base", base, "--listen", "tcp/127.0.0.1:0", *arguments, "--json"])
         captured = capsys.readouterr()
         result = json.loads(captured.out)
         assert result["exit_code"] == code
@@ -65,7 +65,7 @@ def test_a_base_that_restarts_is_found_again_and_stands_until_somebody_asks(tmp_
         rig.mock.wait(5.0)
         wait_for(lambda: driver.gate.held == "no-base")
         assert driver.motors().reason == "no-base"
-        truth = ["--truth", str(tmp_path / "truth.csv")]
+        truth = ["--truth", str(tmp_path / "truth.csv"), "--overwrite"]
         rig.mock = Process("mock", ["--listen", rig.base, *truth], tmp_path)
         rig.mock.wait_for_line("listening on ")
         began_ns = time.time_ns()
@@ -112,7 +112,7 @@ def test_options_do_what_they_say(tmp_path):
 def test_driver_name_neither_clears_screen_nor_forges_line(tmp_path):
     name = "x\x1b[2J\nready zenoh=tcp/192.0.2.1:7447 base=tcp/192.0.2.1:8101"
     with Rig(tmp_path) as rig, Driver(rig.locator) as driver:
-        request = MotorsRequest(enable=True, driver=driver.id.hex(), name=name, sent_ns=time.monotonic_ns())
+        request = MotorsRequest(enable=True, name=name, sent_ns=time.monotonic_ns())
         wait_for(lambda: parse_json(MotorsReply, driver.ask("rover/motors", dump_json(request))).granted)
         rig.bridge.stop()
     lines = (tmp_path / "bridge.log").read_text().splitlines()
@@ -197,7 +197,7 @@ def test_a_zenoh_configuration_says_where_to_listen_and_garbage_is_refused(fails
     config = tmp_path / "zenoh.json5"
     config.write_text('{ listen: { endpoints: ["tcp/192.0.2.1:9"] } }')
     arguments = ["bridge", "--base", nobody, "--zenoh-config", str(config)]
-    assert shell.run([*arguments, "--insecure"]) == 2
+    assert cli.run([*arguments, "--insecure"]) == 2
     assert "--listen tcp/192.0.2.1:9: cannot listen there" in capsys.readouterr().err
     config.write_text('{ lissten: { endpoints: ["tcp/192.0.2.1:9"] } }')
     code, line = fails(nobody, "--zenoh-config", str(config))

@@ -12,7 +12,7 @@ from bridge_bench import Rig, wait_for
 
 from deploy.drive.lease import DriverLease
 from deploy.drive.zenoh_config import client_config
-from rover_ncp import cli as shell
+from rover_ncp import cli
 from rover_ncp.core.access_control import access_control
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.key_table import KEYS, Kind, Role
@@ -28,7 +28,7 @@ SELDOM = {"sonar", "imu"}
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory):
     folder = tmp_path_factory.mktemp("keys")
-    assert shell.run(["keys", "--out", str(folder)]) == 0
+    assert cli.run(["keys", "--out", str(folder)]) == 0
     return folder
 
 
@@ -185,7 +185,7 @@ def spoil_key(transport, stranger):
 @pytest.mark.parametrize("spoil", [spoil_certificate, spoil_password, spoil_user, spoil_key])
 def test_a_stranger_cannot_connect(rig, keys, tmp_path, spoil):
     stranger = tmp_path / "stranger"
-    assert shell.run(["keys", "--out", str(stranger)]) == 0
+    assert cli.run(["keys", "--out", str(stranger)]) == 0
     transport = read(keys / "driver.json5")["transport"]
     transport["ca"] = transport["link"]["tls"]["root_ca_certificate_base64"]
     spoil(transport, stranger)
@@ -227,10 +227,10 @@ def test_a_drivers_certificate_is_none_to_listen_with(keys, tmp_path):
 
 def test_deploy_says_not_authorised_and_drives_when_it_is(rig, keys, tmp_path, capsys):
     options = ["deploy", "--robot", rig.locator]
-    assert shell.run([*options, "--zenoh-config", str(keys / "viewer.json5")]) == 3
+    assert cli.run([*options, "--zenoh-config", str(keys / "viewer.json5")]) == 3
     viewer = capsys.readouterr().err
     assert viewer.startswith("rover-ncp: not authorised: the bridge at tls/127.0.0.1")
-    assert shell.run(options) == 3
+    assert cli.run(options) == 3
     stranger = capsys.readouterr().err
     assert stranger.startswith("rover-ncp: not authorised: what listens at tls/127.0.0.1")
     driver = ["--zenoh-config", str(keys / "driver.json5"), "--duration", "0.5"]
@@ -244,17 +244,17 @@ LAN = ["tcp/0.0.0.0:0", "tcp/[::]:0", "tls/0.0.0.0:0"]
 @pytest.mark.parametrize("listen", LAN)
 def test_listening_beyond_this_machine_needs_users(listen, capsys, tmp_path):
     arguments = ["bridge", "--base", "tcp/127.0.0.1:1", "--listen", listen]
-    assert shell.run(arguments) == 2
+    assert cli.run(arguments) == 2
     assert f"{listen}: whoever reaches it could drive the rover" in capsys.readouterr().err
     config = tmp_path / "zenoh.json5"
     config.write_text(f'{{ connect: {{ endpoints: ["{listen}"] }} }}')
-    assert shell.run([*arguments[:4], "tcp/127.0.0.1:0", "--zenoh-config", str(config)]) == 2
+    assert cli.run([*arguments[:4], "tcp/127.0.0.1:0", "--zenoh-config", str(config)]) == 2
 
 
 def test_insecure_is_a_word_to_be_said(capsys):
     # What fails then is the robot, which is not there: the bridge did listen.
     arguments = ["bridge", "--base", "tcp/127.0.0.1:1", "--listen", "tcp/0.0.0.0:0", "--insecure"]
-    assert shell.run(arguments) == 3
+    assert cli.run(arguments) == 3
     assert "connection refused" in capsys.readouterr().err
 
 
@@ -263,7 +263,7 @@ def test_files_that_hold_secrets_are_their_owners_alone_and_never_replaced(keys,
     assert modes.pop("ca.pem") & 0o077 != 0
     assert set(modes.values()) == {0o600}
     before = (keys / "driver.json5").read_bytes()
-    assert shell.run(["keys", "--out", str(keys)]) == 2
+    assert cli.run(["keys", "--out", str(keys)]) == 2
     assert "holds keys already" in capsys.readouterr().err
     assert (keys / "driver.json5").read_bytes() == before
     names = b64(read(keys / "bridge.json5")["transport"]["link"]["tls"]["listen_certificate_base64"])

@@ -11,7 +11,7 @@ from test_bridge_ros import STAMP, STATE
 from bridge.pioneer.robots import ROBOTS
 from bridge.ros import messages as ros
 from bridge.ros.urdf import urdf
-from rover_ncp import cli as shell
+from rover_ncp import cli
 from rover_ncp.core.messages import decode
 
 MODELS = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
@@ -80,9 +80,9 @@ def test_outlines_are_those_of_aria():
 
 
 def test_the_command_prints_it_whole(capsys):
-    assert shell.run(["urdf", "p3dx"]) == 0
+    assert cli.run(["urdf", "p3dx"]) == 0
     assert capsys.readouterr().out == urdf(ROBOTS["p3dx"])
-    assert shell.run(["urdf", "--json"]) == 0
+    assert cli.run(["urdf", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"model": "p3at-sh", "urdf": urdf(ROBOTS["p3at-sh"])}
-    assert shell.run(["urdf", "hal"]) == 2
+    assert cli.run(["urdf", "hal"]) == 2
     assert capsys.readouterr().err == "rover-ncp: model hal: expected p3at, p3at-sh, p3dx, p3dx-sh\n"

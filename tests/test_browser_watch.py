@@ -7,7 +7,7 @@ import pytest
 from bridge_bench import Rig
 from browser import Watched, chromium
 
-from rover_ncp import cli as shell
+from rover_ncp import cli
 from sim.live.processes import LiveRun, Process
 
 pytestmark = pytest.mark.browser
@@ -78,7 +78,7 @@ def test_a_running_rover_is_seen_and_stopped(browser, tmp_path):
 
 def test_who_may_only_look_sees_that(browser, tmp_path):
     keys = tmp_path / "keys"
-    assert shell.run(["keys", "--out", str(keys)]) == 0
+    assert cli.run(["keys", "--out", str(keys)]) == 0
     listen = ["--listen", "tls/127.0.0.1:0", "--zenoh-config", str(keys / "bridge.json5")]
     (tmp_path / "rig").mkdir()
     with Rig(tmp_path / "rig", bridge=listen) as rig:

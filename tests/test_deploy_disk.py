@@ -12,7 +12,7 @@ import pytest
 from bridge_bench import Rig, wait_for
 from mcap.reader import make_reader
 
-from rover_ncp import cli as shell
+from rover_ncp import cli
 from rover_ncp.core.recording import read_recording
 from sim.live.processes import compile_driver
 
@@ -64,7 +64,7 @@ def test_a_killed_drive_loses_half_a_second_and_is_made_whole(rig, tmp_path, cap
     before = read_recording(record)
     assert not before.complete
     assert killed_ns - before.messages[-1].log_ns < LOST_S * 1e9
-    assert shell.run(["recover", str(record), "--json"]) == 0
+    assert cli.run(["recover", str(record), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert (said["was_complete"], said["messages"]) == (False, len(before.messages))
     assert len(messages_of(record)) == len(before.messages)
@@ -72,10 +72,10 @@ def test_a_killed_drive_loses_half_a_second_and_is_made_whole(rig, tmp_path, cap
         message.data for message in before.messages
     )
     content = record.read_bytes()
-    assert shell.run(["recover", str(record)]) == 0  # again: nothing to do
+    assert cli.run(["recover", str(record)]) == 0  # again: nothing to do
     assert "was whole already" in capsys.readouterr().out
     assert record.read_bytes() == content
-    assert shell.run(["replay", str(record)]) == 0
+    assert cli.run(["replay", str(record)]) == 0
 
 
 def test_no_recording_is_overwritten_not_even_while_it_is_written(rig, tmp_path, capsys):
@@ -83,17 +83,17 @@ def test_no_recording_is_overwritten_not_even_while_it_is_written(rig, tmp_path,
     process = start(rig, record, None, "--duration", "4")
     wait_for(lambda: record.exists() and record.stat().st_size > 30_000, 20.0)
     again = ["deploy", "--robot", rig.locator, "--course", str(COURSE), "--record", str(record)]
-    assert shell.run(again) == 2
+    assert cli.run(again) == 2
     assert f"{record}: exists already" in capsys.readouterr().err
-    assert shell.run(["recover", str(record)]) == 2
+    assert cli.run(["recover", str(record)]) == 2
     assert f"{record}: another process is writing it" in capsys.readouterr().err
     result = json.loads(process.communicate(timeout=30)[0])
     assert (result["ticks"], result["recording_failure"]) == (40, None)
-    assert shell.run(["replay", str(record)]) == 0
+    assert cli.run(["replay", str(record)]) == 0
     content = record.read_bytes()
-    assert shell.run(["recover", str(record), "--out", str(record.with_name("whole.mcap"))]) == 0
-    assert shell.run(["recover", str(record), "--out", str(record.with_name("whole.mcap"))]) == 2
-    assert shell.run(again) == 2
+    assert cli.run(["recover", str(record), "--out", str(record.with_name("whole.mcap"))]) == 0
+    assert cli.run(["recover", str(record), "--out", str(record.with_name("whole.mcap"))]) == 2
+    assert cli.run(again) == 2
     assert record.read_bytes() == content
 
 
@@ -107,7 +107,7 @@ def test_a_full_disk_does_not_stop_the_drive_and_is_reported(rig, tmp_path):
     assert "File too large" in result["recording_failure"]
     assert result["recording_dropped"] > 0
     assert record.stat().st_size <= SMALL_BYTES
-    assert shell.run(["recover", str(record), "--out", str(tmp_path / "whole.mcap")]) == 0
+    assert cli.run(["recover", str(record), "--out", str(tmp_path / "whole.mcap")]) == 0
     assert {message[1].topic for message in messages_of(tmp_path / "whole.mcap")} >= {"odom", "cmd_vel"}
 
 
@@ -120,6 +120,6 @@ def test_what_cannot_be_recovered_says_so(tmp_path, capsys):
         path = tmp_path / name
         if content is not None:
             path.write_bytes(content)
-        assert shell.run(["recover", str(path)]) == 2
+        assert cli.run(["recover", str(path)]) == 2
         assert words in capsys.readouterr().err
         assert not path.exists() if content is None else path.read_bytes() == content

@@ -124,10 +124,12 @@ def test_odometry_that_cannot_be_trusted_stops_the_rover_in_half_a_second(bridge
     bridge.odom = seen_once_driving(bridge, noted)
     bridge.released.clear()
     ended = []
-    threading.Thread(
+    waiting = threading.Thread(
         target=lambda: (bridge.released.wait(20), ended.append(time.monotonic())), daemon=True
-    ).start()
+    )
+    waiting.start()
     code, result = drive()
+    waiting.join(20)
     assert (code, result["state"]) == (4, "fault")
     assert result["stopped_by"] in rules
     assert result["stopped_by"] in result["reason"]

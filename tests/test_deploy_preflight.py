@@ -6,13 +6,13 @@ import pytest
 from bridge_bench import BRAKING_M_S2, Rig
 
 from deploy.preflight.preflight import STANDING
-from rover_ncp import cli as shell
+from rover_ncp import cli
 
 
 @pytest.fixture
 def check(capsys):
     def check(robot, *options):
-        code = shell.run(["check", "--robot", robot, "--on-blocks", "--json", *options])
+        code = cli.run(["check", "--robot", robot, "--on-blocks", "--json", *options])
         captured = capsys.readouterr()
         return code, json.loads(captured.out), captured.err
 
@@ -63,6 +63,6 @@ def test_a_limit_that_slows_the_robot_is_named(tmp_path, check):
 
 
 def test_without_blocks_nothing_turns(capsys):
-    assert shell.run(["check", "--robot", "tcp/127.0.0.1:1"]) == 2
+    assert cli.run(["check", "--robot", "tcp/127.0.0.1:1"]) == 2
     assert "put the robot on blocks" in capsys.readouterr().err
-    assert shell.run(["check", "--robot", "tcp/127.0.0.1:1", "--on-blocks"]) == 3
+    assert cli.run(["check", "--robot", "tcp/127.0.0.1:1", "--on-blocks"]) == 3

@@ -15,7 +15,7 @@ import pytest
 from bridge_bench import MACHINE_S, Rig, braking_s, wait_for
 
 from deploy.teleop.keyboard import HOLD_S, V_M_S
-from rover_ncp import cli as shell
+from rover_ncp import cli
 from rover_ncp.core.course import load_course
 from rover_ncp.core.recording import read_recording
 
@@ -149,10 +149,10 @@ def test_it_drives_while_a_key_repeats_and_stands_when_it_is_let_go(rig, sit_dow
     assert recording.complete
     assert {"odom", "cmd_vel", "rover/cmd_out", "rover/gate"} <= {m.topic for m in recording.messages}
 
-    assert shell.run(["course", "new", str(record), "--out", str(made)]) == 0
-    assert shell.run(["course", "check", str(made), "--out", str(tmp_path / "driven.png")]) == 0
+    assert cli.run(["course", "new", str(record), "--out", str(made)]) == 0
+    assert cli.run(["course", "check", str(made), "--out", str(tmp_path / "driven.png")]) == 0
     assert load_course(made).goal.x == pytest.approx(along, abs=0.01)
-    assert shell.run(["eval", "course", "--course", str(made)]) == 0
+    assert cli.run(["eval", "course", "--course", str(made)]) == 0
 
 
 WAYS_OUT = {

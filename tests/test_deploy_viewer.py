@@ -4,7 +4,7 @@ import pytest
 from bridge_bench import Rig, wait_for
 
 from deploy.watch.viewer import Viewer
-from rover_ncp import cli as shell
+from rover_ncp import cli
 from rover_ncp.core.errors import NoBridge, NotAuthorised
 from rover_ncp.core.messages import read_text
 from rover_ncp.core.protocol import GateStatus, parse_json
@@ -13,7 +13,7 @@ from rover_ncp.core.protocol import GateStatus, parse_json
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory):
     folder = tmp_path_factory.mktemp("keys")
-    assert shell.run(["keys", "--out", str(folder)]) == 0
+    assert cli.run(["keys", "--out", str(folder)]) == 0
     return folder
 
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from rover_ncp import cli as shell
+from rover_ncp import cli
 from rover_ncp.core.course import load_course
 
 POSES = "x,y,theta\n1.0,1.0,1.5708\n1.0,1.6,1.5708\n"
@@ -19,7 +19,7 @@ def poses(tmp_path):
 
 def test_new_makes_a_course_that_check_finds_drivable(poses, tmp_path, capsys):
     out = tmp_path / "My bay!.yaml"
-    assert shell.run(["course", "new", str(poses), "--out", str(out), "--json"]) == 0
+    assert cli.run(["course", "new", str(poses), "--out", str(out), "--json"]) == 0
     fields = json.loads(capsys.readouterr().out)
     assert fields["drivable"]
     assert fields["problems"] == []
@@ -29,7 +29,7 @@ def test_new_makes_a_course_that_check_finds_drivable(poses, tmp_path, capsys):
 
     for suffix, magic in ((".png", b"\x89PNG"), (".svg", b"<?xml")):
         picture = tmp_path / f"course{suffix}"
-        assert shell.run(["course", "check", str(out), "--out", str(picture)]) == 0
+        assert cli.run(["course", "check", str(out), "--out", str(picture)]) == 0
         assert picture.read_bytes().startswith(magic)
     assert "my-bay: drivable" in capsys.readouterr().out
 
@@ -37,11 +37,11 @@ def test_new_makes_a_course_that_check_finds_drivable(poses, tmp_path, capsys):
 def test_what_cannot_be_driven_is_exit_1_and_says_where_and_why(tmp_path, capsys):
     (tmp_path / "aside.csv").write_text("x,y,theta\n0,0,0\n0,0.5,0\n")
     out = tmp_path / "aside.yaml"
-    assert shell.run(["course", "new", str(tmp_path / "aside.csv"), "--out", str(out)]) == 1
+    assert cli.run(["course", "new", str(tmp_path / "aside.csv"), "--out", str(out)]) == 1
     said = " ".join(capsys.readouterr().out.split())
     assert "aside: not drivable" in said
     assert "sideways: 0.50 m to the left" in said
-    assert shell.run(["course", "check", str(out), "--json", "--out", str(tmp_path / "aside.png")]) == 1
+    assert cli.run(["course", "check", str(out), "--json", "--out", str(tmp_path / "aside.png")]) == 1
     fields = json.loads(capsys.readouterr().out)
     assert not fields["drivable"]
     assert {problem["cause"] for problem in fields["problems"]} == {"sideways"}
@@ -64,7 +64,7 @@ def test_what_cannot_be_driven_is_exit_1_and_says_where_and_why(tmp_path, capsys
 )
 def test_a_users_mistake_is_one_line(arguments, words, poses, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert shell.run(["course", *[str(poses) if a == "POSES" else a for a in arguments]]) == 2
+    assert cli.run(["course", *[str(poses) if a == "POSES" else a for a in arguments]]) == 2
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from recorded_drives import write_drive
 
-from rover_ncp import cli as shell
+from rover_ncp import cli
 from rover_ncp.core.recording import read_recording
 
 pytestmark = pytest.mark.browser
@@ -37,7 +37,7 @@ def checked(recording):
 
 
 def test_a_live_drive_opens_without_complaint(tmp_path, capsys):
-    status = shell.run(
+    status = cli.run(
         ["park", "--policy", "parking", "--course", str(COURSE), "--out", str(tmp_path / "park")]
     )
     assert status in {0, 1}, capsys.readouterr().err  # that course is short, not made to be parked on
@@ -57,5 +57,5 @@ def test_a_recovered_recording_opens_and_a_cut_off_one_does_not(tmp_path):
     recording.write_bytes(content[: len(content) * 2 // 3])
     with pytest.raises(AssertionError, match="recovery"):
         checked(recording)
-    assert shell.run(["recover", str(recording)]) == 0
+    assert cli.run(["recover", str(recording)]) == 0
     assert {status for status, _ in checked(recording).values()} == {"ok"}

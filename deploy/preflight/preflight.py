@@ -1,7 +1,7 @@
 """The pre-flight of a robot on blocks: is everything there, does it turn the right way, does silence stop it?
 
-Each look is a function that returns a `Finding`; the first that fails ends the list, for what comes later
-would only fail of the same cause. The wheels move at walking pace for a few seconds.
+Each look is a function that returns whether all is well, and what it found. The first that fails ends the list:
+later ones would fail for the same cause. The wheels move at walking pace for a few seconds.
 """
 
 import math
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from deploy.drive.link import Link
 from deploy.drive.measurements import Intake, Sample
 from rover_ncp.core.cdr import decode
-from rover_ncp.core.errors import FormatError, NoBridge, RoverNcpError
+from rover_ncp.core.errors import FormatError, NoBridge, RoverNcpError, SafetyStop
 from rover_ncp.core.geometry import Velocity, wrap_angle
 from rover_ncp.core.key_table import spec
 from rover_ncp.core.protocol import GateStatus
@@ -64,48 +64,53 @@ class Preflight:
             raise NoBridge(f"something answers at {link.robot}, but no bridge shows itself there within 5 s")
         self._intake = Intake(link.odometry)
         findings: list[Finding] = []
-        looks = (
-            self._reports,
-            self._battery,
-            self._free,
-            self._motors,
-            self._forward,
-            self._left,
-            self._stop,
-        )
+        looks = {
+            "odometry": self._reports,
+            "battery": self._battery,
+            "stop": self._free,
+            "motors": self._motors,
+            "forward": self._forward,
+            "left": self._left,
+            "silence": self._stop,
+        }
         try:
-            for look in looks:
-                findings.append(look())
-                if not findings[-1].ok:
+            for name, look in looks.items():
+                gate = link.gate
+                try:
+                    ok, detail = look()
+                except SafetyStop as stop:  # the gate accepts no more commands
+                    ok, detail = False, f"{stop}: {self._gate_since(gate)}"
+                findings.append(Finding(name, ok, detail))
+                if not ok:
                     break
         finally:
             link.release()
         return findings
 
-    def _reports(self) -> Finding:
+    def _reports(self) -> tuple[bool, str]:
         self._wait(LISTEN_S)
         rate = self._heard.count / LISTEN_S
-        return Finding("odometry", rate >= RATE_HZ, f"{rate:.1f} reports a second (at least {RATE_HZ:g})")
+        return rate >= RATE_HZ, f"{rate:.1f} reports a second (at least {RATE_HZ:g})"
 
-    def _battery(self) -> Finding:
+    def _battery(self) -> tuple[bool, str]:
         self._until(lambda: math.isfinite(self._battery_v), 2.0)
         volts = self._battery_v
-        return Finding("battery", volts >= BATTERY_V, f"{volts:.1f} V (at least {BATTERY_V} V)")
+        return volts >= BATTERY_V, f"{volts:.1f} V (at least {BATTERY_V} V)"
 
-    def _free(self) -> Finding:
+    def _free(self) -> tuple[bool, str]:
         gate = self._link.gate
         holder = gate.driver_name or ("a driver without a name" if gate.lease else gate.held)
-        return Finding("stop", not holder, f"held by {holder}" if holder else "nothing holds the rover")
+        return not holder, f"held by {holder}" if holder else "nothing holds the rover"
 
-    def _motors(self) -> Finding:
+    def _motors(self) -> tuple[bool, str]:
         try:
             began = time.monotonic()
             self._link.request_motors("check")
         except RoverNcpError as error:
-            return Finding("motors", False, str(error))
-        return Finding("motors", True, f"granted within {time.monotonic() - began:.3f} s")
+            return False, str(error)
+        return True, f"granted within {time.monotonic() - began:.3f} s"
 
-    def _forward(self) -> Finding:
+    def _forward(self) -> tuple[bool, str]:
         gate = self._link.gate
         before, after, way = self._move(Velocity(V_M_S, 0.0))
         ahead = (after.pose.x - before.pose.x) * math.cos(before.pose.theta) + (
@@ -113,20 +118,20 @@ class Preflight:
         ) * math.sin(before.pose.theta)
         if after.velocity.v <= 0.5 * V_M_S or ahead <= 0.0:
             moved = f"commanded {V_M_S} m/s, the base reports {after.velocity.v:.2f} m/s and {ahead:.2f} m"
-            return Finding("forward", False, f"{moved}: {self._gate_since(gate)}")
+            return False, f"{moved}: {self._gate_since(gate)}"
         right = abs(ahead - way) <= SCALE * way
-        return Finding("forward", right, f"{ahead:.3f} m by its pose, {way:.3f} m by its speed")
+        return right, f"{ahead:.3f} m by its pose, {way:.3f} m by its speed"
 
-    def _left(self) -> Finding:
+    def _left(self) -> tuple[bool, str]:
         gate = self._link.gate
         before, after, _ = self._move(Velocity(0.0, OMEGA_RAD_S))
         turned = wrap_angle(after.pose.theta - before.pose.theta)
         right = after.velocity.omega > 0.5 * OMEGA_RAD_S and turned > 0.0
         reported = f"{after.velocity.omega:.2f} rad/s and {turned:.2f} rad"
         moved = f"commanded {OMEGA_RAD_S} rad/s, the base reports {reported}"
-        return Finding("left", right, moved if right else f"{moved}: {self._gate_since(gate)}")
+        return right, moved if right else f"{moved}: {self._gate_since(gate)}"
 
-    def _stop(self) -> Finding:
+    def _stop(self) -> tuple[bool, str]:
         """Rehearse the stop that matters most: nobody says anything any more."""
         self._move(Velocity(V_M_S, 0.0))
         silent = time.monotonic()
@@ -135,7 +140,7 @@ class Preflight:
         took = time.monotonic() - silent
         ok = stands and took <= allowed
         words = f"stands {took:.2f} s after the last command" if stands else "does not stop"
-        return Finding("silence", ok, f"{words} (at most {allowed:.2f} s)")
+        return ok, f"{words} (at most {allowed:.2f} s)"
 
     def _gate_since(self, before: GateStatus) -> str:
         """Return in words what the gate did to commands since ``before``, by the gate's names for reasons."""

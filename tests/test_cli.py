@@ -6,7 +6,7 @@ from importlib.metadata import entry_points
 import pytest
 import typer
 
-from rover_ncp import cli as shell
+from rover_ncp import cli
 from rover_ncp.core.errors import NoBridge, SafetyStop, UsageError
 
 COMMANDS = sorted(point.name for point in entry_points(group=shell.GROUP))
@@ -41,7 +41,7 @@ def test_help_teaches_and_imports_nothing_heavy(command):
     ],
 )
 def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, expected, capsys):
-    assert shell.run(arguments) == 2
+    assert cli.run(arguments) == 2
     err = capsys.readouterr().err
     assert expected in err
     assert err.count("\n") == 1
@@ -67,7 +67,7 @@ def test_errors_become_one_line_an_exit_code_and_one_json_object(raised, code, c
     app.callback()(lambda: None)
     app.command("fail")(fail)
     monkeypatch.setattr(shell, "_app", lambda: app)
-    assert shell.run(["fail", "--json"]) == code
+    assert cli.run(["fail", "--json"]) == code
     out, err = capsys.readouterr()
     assert err.count("\n") == 1
     assert "Traceback" not in err
@@ -86,7 +86,7 @@ def test_a_missing_extra_names_what_to_install(capsys, monkeypatch):
         raise ModuleNotFoundError("No module named 'numba'", name="numba")
 
     monkeypatch.setattr(shell, "_app", lambda: app)
-    assert shell.run(["fail"]) == 2
+    assert cli.run(["fail"]) == 2
     assert "pip install 'rover-ncp[drive]'" in capsys.readouterr().err
 
 
@@ -181,7 +181,7 @@ def test_a_bug_is_a_traceback_not_a_user_error(monkeypatch):
 
     monkeypatch.setattr(shell, "_app", lambda: app)
     with pytest.raises(ZeroDivisionError):
-        shell.run(["fail"])
+        cli.run(["fail"])
 
 
 def test_a_commands_return_value_is_the_exit_code(monkeypatch):
@@ -197,5 +197,5 @@ def test_a_commands_return_value_is_the_exit_code(monkeypatch):
         return None
 
     monkeypatch.setattr(shell, "_app", lambda: app)
-    assert shell.run(["one"]) == 1
-    assert shell.run(["none"]) == 0
+    assert cli.run(["one"]) == 1
+    assert cli.run(["none"]) == 0

@@ -163,11 +163,11 @@ def late_joiner(session, key):
 def test_who_comes_late_gets_the_static_transforms_all_the_same(domain_5):
     data = transforms([Transform("base_link", "sonar_0", 0.1, 0.2, 0.0, 0.5)], 1)
     with Link5(Convention.RMW_ZENOH) as bridge:
-        bridge.zenoh_link.publish("tf_static", data)
+        bridge.link.publish("tf_static", data)
         token = next(token for token in bridge.tokens("@ros2_lv/5/**") if "%tf_static/" in token)
         rmw_key = "/".join(["5/bot1/tf_static", *token.split("/")[10:12]])
         for key in ("bot1/tf_static", rmw_key):
-            with late_joiner(bridge.pioneer.session, key) as got:
+            with late_joiner(bridge.session, key) as got:
                 wait_for(lambda: got)
             assert got[0].payload.to_bytes() == data
     assert Attachment.unpack(got[0].attachment.to_bytes())[::2] == (1, gid(token))
@@ -177,7 +177,7 @@ def test_a_ros_nodes_command_is_as_old_as_its_attachment_says(domain_5):
     twist = b"\0\1\0\0" + struct.pack("<6d", 0.15, 0, 0, 0, 0, 0)
     tag = Attachment(1, 123_456_789, bytes(16)).pack()
     with Link5(Convention.RMW_ZENOH) as bridge:
-        publisher = bridge.pioneer.session.declare_publisher(TWIST_KEY)
+        publisher = bridge.session.declare_publisher(TWIST_KEY)
         wait_for(lambda: publisher.matching_status.matching)
         for attachment in (tag, None, b"x" * 32):
             publisher.put(twist, attachment=attachment)
@@ -190,7 +190,7 @@ def test_a_ros_nodes_command_is_as_old_as_its_attachment_says(domain_5):
 
 def test_ros_nodes_find_each_other_through_the_bridge(domain_5):
     with Link5(Convention.RMW_ZENOH) as bridge:
-        peers = [ros_node(bridge.zenoh_link.locator) for _ in range(2)]
+        peers = [ros_node(bridge.link.locator) for _ in range(2)]
         try:
             heard = []
             held = peers[0].declare_subscriber("5/chatter/x/y", heard.append)

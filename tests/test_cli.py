@@ -9,7 +9,7 @@ import typer
 from rover_ncp import cli
 from rover_ncp.core.errors import NoBridge, SafetyStop, UsageError
 
-COMMANDS = sorted(point.name for point in entry_points(group=shell.GROUP))
+COMMANDS = sorted(point.name for point in entry_points(group=cli.GROUP))
 NOBODY = "--robot tcp/127.0.0.1:1"
 HEAVY = ["numba", "pymunk", "filterpy", "gymnasium", "matplotlib", "plotly", "zenoh", "rosbags", "scipy"]
 
@@ -66,7 +66,7 @@ def test_errors_become_one_line_an_exit_code_and_one_json_object(raised, code, c
     app = typer.Typer()
     app.callback()(lambda: None)
     app.command("fail")(fail)
-    monkeypatch.setattr(shell, "_app", lambda: app)
+    monkeypatch.setattr(cli, "_app", lambda: app)
     assert cli.run(["fail", "--json"]) == code
     out, err = capsys.readouterr()
     assert err.count("\n") == 1
@@ -85,7 +85,7 @@ def test_a_missing_extra_names_what_to_install(capsys, monkeypatch):
     def fail() -> None:
         raise ModuleNotFoundError("No module named 'numba'", name="numba")
 
-    monkeypatch.setattr(shell, "_app", lambda: app)
+    monkeypatch.setattr(cli, "_app", lambda: app)
     assert cli.run(["fail"]) == 2
     assert "pip install 'rover-ncp[drive]'" in capsys.readouterr().err
 
@@ -152,7 +152,7 @@ def without(missing, lines, folder):
 
 def test_a_missing_library_names_all_extras_of_the_command_in_one_line(tmp_path):
     lines = [line for extras, lines in NEEDS.items() if extras for line in lines]
-    told = without(shell._EXTRAS, lines, tmp_path)
+    told = without(cli._EXTRAS, lines, tmp_path)
     assert [line for line, _ in told] == lines
     for extras, own in NEEDS.items():
         for line, words in told:
@@ -164,7 +164,7 @@ def test_a_missing_library_names_all_extras_of_the_command_in_one_line(tmp_path)
 @pytest.mark.parametrize("extras", NEEDS)
 def test_the_extras_that_are_named_are_enough(extras, tmp_path):
     brought = set(extras.split(",")) | ({"drive"} if "train" in extras else set())
-    missing = {library for library, extra in shell._EXTRAS.items() if extra not in brought}
+    missing = {library for library, extra in cli._EXTRAS.items() if extra not in brought}
     if "report" in brought:
         missing -= {"matplotlib"}  # of both
     for line, words in without(missing, NEEDS[extras], tmp_path):
@@ -179,7 +179,7 @@ def test_a_bug_is_a_traceback_not_a_user_error(monkeypatch):
     def fail() -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(shell, "_app", lambda: app)
+    monkeypatch.setattr(cli, "_app", lambda: app)
     with pytest.raises(ZeroDivisionError):
         cli.run(["fail"])
 
@@ -196,6 +196,6 @@ def test_a_commands_return_value_is_the_exit_code(monkeypatch):
     def none() -> None:
         return None
 
-    monkeypatch.setattr(shell, "_app", lambda: app)
+    monkeypatch.setattr(cli, "_app", lambda: app)
     assert cli.run(["one"]) == 1
     assert cli.run(["none"]) == 0

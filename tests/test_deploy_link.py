@@ -55,7 +55,7 @@ def ask():
             with Link(bridge.robot, "", None, lambda _: None) as link:
                 return link.request_motors("test"), bridge
         finally:
-            bridge.pioneer.session.close()
+            bridge.session.close()
 
     return ask
 
@@ -97,6 +97,6 @@ def test_a_bridge_of_an_older_version_is_named_with_our_own():
         ):
             link.request_motors("test")
     finally:
-        bridge.pioneer.session.close()
+        bridge.session.close()
     assert error.value.exit_code == 3
     assert "\n" not in str(error.value)

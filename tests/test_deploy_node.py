@@ -198,7 +198,7 @@ def test_a_refusal_names_its_reason_and_moves_nothing(bridge, drive):
 
 
 def test_a_second_driver_is_told_so(bridge, drive):
-    bridge.gate.gate = GateStatus(lease=LEASE + 1)
+    bridge.gate = GateStatus(lease=LEASE + 1)
     bridge.refusal = "another-driver"
     with pytest.raises(AnotherDriver, match="refuses the motors"):
         drive()

@@ -62,7 +62,7 @@ def test_an_external_pose_places_the_rover_on_the_course(bridge, drive, tmp_path
 
 def test_a_gyros_readings_count_are_recorded_and_recomputed(bridge, drive, tmp_path):
     def odom(pose, velocity, stamp):
-        bridge.pioneer.session.put(key("", "imu"), imu(velocity.omega + 0.3, 1e-6, stamp))
+        bridge.session.put(key("", "imu"), imu(velocity.omega + 0.3, 1e-6, stamp))
         return odometry(pose, velocity, stamp)
 
     bridge.odom = odom

@@ -1,7 +1,7 @@
 """The pre-flight of a robot on blocks: is everything there, does it turn the right way, does silence stop it?
 
-Each look is a function that returns whether all is well, and what it found. The first that fails ends the list:
-later ones would fail for the same cause. The wheels move at walking pace for a few seconds.
+Each look is a function that returns whether all is well, and what it found. The first that fails ends the
+list: later ones would fail for the same cause. The wheels move at walking pace for a few seconds.
 """
 
 import math

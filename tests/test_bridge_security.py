@@ -18,7 +18,7 @@ from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.key_table import KEYS, Kind, Role
 from rover_ncp.core.messages import read_text, twist_stamped
 from rover_ncp.core.protocol import GateStatus, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
-from sim.live.processes import Process
+from sim.live.processes import Process, compile_driver
 
 HEARD = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.BRIDGE}]
 SELDOM = {"sonar", "imu"}
@@ -234,6 +234,7 @@ def test_deploy_says_not_authorised_and_drives_when_it_is(rig, keys, tmp_path, c
     stranger = capsys.readouterr().err
     assert stranger.startswith("rover-ncp: not authorised: what listens at tls/127.0.0.1")
     driver = ["--zenoh-config", str(keys / "driver.json5"), "--duration", "0.5"]
+    compile_driver()
     done = Process("deploy", [*options[1:], *driver], tmp_path).wait(30.0)
     assert (done.code, done.result["ticks"]) == (1, 5)
 

@@ -91,13 +91,13 @@ def draw_observations(data, policy, most):
     return data.draw(st.lists(elements, min_size=1, max_size=most))
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(wirings(), st.data())
 def test_a_step_of_the_kernel_is_the_references(policy, data):
     # From the same potentials each: in ten steps, steep synapses multiply what rounding leaves by a million.
     policy = replace(policy, substeps=1)
     runner = PolicyRunner(policy)
-    for observation in draw_observations(data, policy, 16):
+    for observation in draw_observations(data, policy, 8):
         before = runner.potentials
         command = runner.tick(observation)
         potentials, outputs = reference.tick(policy, before, np.array(observation))
@@ -105,7 +105,7 @@ def test_a_step_of_the_kernel_is_the_references(policy, data):
         np.testing.assert_allclose(command, outputs, atol=1e-11, rtol=0)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(wirings(), st.integers(2, 12), st.data())
 def test_a_tick_is_so_many_steps(policy, substeps, data):
     whole, stepped = (PolicyRunner(replace(policy, substeps=count)) for count in (substeps, 1))
@@ -115,7 +115,7 @@ def test_a_tick_is_so_many_steps(policy, substeps, data):
         assert np.array_equal(whole.potentials, stepped.potentials)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     unit=unit_vectors(SIZE),
     observations=st.lists(st.tuples(*[ANY_INPUT | NEAR_INPUT] * 4), min_size=1, max_size=8),

@@ -27,22 +27,32 @@ def rig(tmp_path_factory):
         yield rig
 
 
-def start(rig, record, limit=None, *options):
-    """Start a deploy that records; no file it writes may grow beyond ``limit`` bytes."""
-
-    def small():
-        if limit is not None:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-
+@pytest.fixture
+def start(rig):
+    """Starts a deploy that records; no file it writes may grow beyond ``limit`` bytes."""
+    processes = []
     compile_driver()
-    arguments = ["--robot", rig.locator, "--course", str(COURSE), "--record", str(record), *options, "--json"]
-    return subprocess.Popen(
-        [sys.executable, "-m", "rover_ncp", "deploy", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        preexec_fn=small,  # noqa: PLW1509  # it calls setrlimit and nothing else
-        text=True,
-    )
+
+    def start(record, limit=None, *options):
+        def small():
+            if limit is not None:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+        arguments = ["--robot", rig.locator, "--course", str(COURSE), "--record", str(record), *options]
+        process = subprocess.Popen(
+            [sys.executable, "-m", "rover_ncp", "deploy", *arguments, "--json"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            preexec_fn=small,  # noqa: PLW1509  # it calls setrlimit and nothing else
+            text=True,
+        )
+        processes.append(process)
+        return process
+
+    yield start
+    for process in processes:
+        with process:
+            process.kill()
 
 
 def messages_of(path):
@@ -53,9 +63,9 @@ def messages_of(path):
         return list(reader.iter_messages())
 
 
-def test_a_killed_drive_loses_half_a_second_and_is_made_whole(rig, tmp_path, capsys):
+def test_a_killed_drive_loses_half_a_second_and_is_made_whole(start, tmp_path, capsys):
     record = tmp_path / "run.mcap"
-    process = start(rig, record)
+    process = start(record)
     # Some seconds of driving, and the driver's start, which takes as long as the machine likes.
     wait_for(lambda: record.exists() and record.stat().st_size > 60_000, 60.0)
     killed_ns = time.time_ns()
@@ -78,9 +88,9 @@ def test_a_killed_drive_loses_half_a_second_and_is_made_whole(rig, tmp_path, cap
     assert cli.run(["replay", str(record)]) == 0
 
 
-def test_no_recording_is_overwritten_not_even_while_it_is_written(rig, tmp_path, capsys):
+def test_no_recording_is_overwritten_not_even_while_it_is_written(rig, start, tmp_path, capsys):
     record = tmp_path / "run.mcap"
-    process = start(rig, record, None, "--duration", "4")
+    process = start(record, None, "--duration", "4")
     wait_for(lambda: record.exists() and record.stat().st_size > 30_000, 20.0)
     again = ["deploy", "--robot", rig.locator, "--course", str(COURSE), "--record", str(record)]
     assert cli.run(again) == 2
@@ -97,9 +107,9 @@ def test_no_recording_is_overwritten_not_even_while_it_is_written(rig, tmp_path,
     assert record.read_bytes() == content
 
 
-def test_a_full_disk_does_not_stop_the_drive_and_is_reported(rig, tmp_path):
+def test_a_full_disk_does_not_stop_the_drive_and_is_reported(start, tmp_path):
     record = tmp_path / "run.mcap"
-    process = start(rig, record, SMALL_BYTES, "--duration", "5")
+    process = start(record, SMALL_BYTES, "--duration", "5")
     out, _ = process.communicate(timeout=30)
     result = json.loads(out)
     assert process.returncode == 1  # not parked within 5 s; nothing worse

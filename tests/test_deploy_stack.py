@@ -21,9 +21,10 @@ BRAKING_S = 0.16 / 0.31 + 0.15
 SLOW_MACHINE_S = 0.6
 
 
-@pytest.fixture
-def run(tmp_path):
-    with LiveRun(tmp_path / "log") as run:
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A rover for all drives of this file. The last drive ends its bridge."""
+    with LiveRun(tmp_path_factory.mktemp("rig") / "log") as run:
         yield run
 
 

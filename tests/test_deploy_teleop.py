@@ -120,7 +120,7 @@ def moved_since(rig, began_ns):
 def test_it_drives_while_a_key_repeats_and_stands_when_it_is_let_go(rig, sit_down, tmp_path):
     record, made = tmp_path / "run.mcap", tmp_path / "driven.yaml"
     person, began_ns = sit_down("--record", str(record)), time.time_ns()
-    for key, seconds in (("i", 2.5), ("u", 2.5), ("\x1b[A", 1.5)):
+    for key, seconds in (("i", 1.5), ("u", 2.5), ("\x1b[A", 1.5)):
         last_ns = person.hold(key, seconds)
         if key == "i":
             assert rig.speed_at(last_ns) == pytest.approx(V_M_S, abs=0.002)
@@ -132,7 +132,7 @@ def test_it_drives_while_a_key_repeats_and_stands_when_it_is_let_go(rig, sit_dow
     assert rig.stood_after(last_ns) < 0.5 + braking_s(V_M_S) + MACHINE_S
     assert 0.005 < abs(rig.truth()[-1][1] - before) < 0.06
     # Another key stops at once.
-    person.hold("i", 1.5)
+    person.hold("i", 1.0)
     last_ns = person.type("k")
     assert rig.stood_after(last_ns) < braking_s(V_M_S) + 0.1 + MACHINE_S
 
@@ -166,7 +166,7 @@ WAYS_OUT = {
 def test_on_every_way_out_the_rover_stands_and_the_terminal_is_as_before(rig, sit_down, way):
     action, expected, stopped_by = WAYS_OUT[way]
     person = sit_down()
-    person.hold("i", 1.5)
+    person.hold("i", 1.0)
     left_ns = time.time_ns()
     action(person)
     code, result = person.end()
@@ -191,14 +191,14 @@ def test_screen_that_takes_no_output_delays_neither_key_nor_end(rig, sit_down):
 
 def test_a_killed_driver_is_a_silent_one(rig, sit_down):
     person = sit_down()
-    last_ns = person.hold("i", 1.5)
+    last_ns = person.hold("i", 1.0)
     person.process.kill()
     assert rig.stood_after(last_ns) < 0.5 + braking_s(V_M_S) + MACHINE_S
 
 
 def test_keys_that_piled_up_while_it_slept_move_nothing(rig, sit_down):
     person = sit_down()
-    person.hold("i", 1.5)
+    person.hold("i", 1.0)
     person.process.send_signal(signal.SIGSTOP)
     rig.stood_after(time.time_ns())
     person.type("i" * 50)

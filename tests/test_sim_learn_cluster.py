@@ -24,9 +24,9 @@ def start_train(*arguments: str) -> subprocess.Popen[bytes]:
     return start("-c", "from rover_ncp.cli import main; main()", *arguments)
 
 
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    found = Cluster(tmp_path)
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    found = Cluster(tmp_path_factory.mktemp("cluster"))
     yield found
     found.stop()
 
@@ -41,28 +41,6 @@ def progress(folder: Path) -> int:
         return int(json.loads((folder / "agents" / "00.json").read_text())["search"]["evaluations"])
     except (FileNotFoundError, json.JSONDecodeError):
         return 0
-
-
-def test_a_cluster_gives_the_bytes_of_one_machine_though_a_worker_is_killed(
-    cluster: Cluster, tmp_path: Path
-) -> None:
-    here, there = tmp_path / "here", tmp_path / "there"
-    iterations = ["--iterations", "2000"]
-    # First here, so that the workers find all kernels compiled.
-    assert run([*TRAIN, *iterations, "--out", str(here), "--processes", "1"]) == 0
-    for _ in range(2):
-        victim = cluster.add_worker()
-    training = start_train(*TRAIN, *iterations, "--out", str(there), "--cluster", cluster.address)
-    try:
-        wait_for(lambda: progress(there) > 0, "the first rounds")
-        victim.send_signal(signal.SIGKILL)
-        killed_at = progress(there)
-        assert training.wait(timeout=60) == 0
-    finally:
-        training.kill()
-        training.wait()
-    assert killed_at < 2000
-    assert content(there) == content(here)
 
 
 def test_a_cluster_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -84,3 +62,25 @@ def test_without_scheduler_or_workers_it_says_so(
     ):
         assert run([*TRAIN, "--out", str(tmp_path / str(number)), "--cluster", address]) == 2
         assert message in capsys.readouterr().err
+
+
+def test_a_cluster_gives_the_bytes_of_one_machine_though_a_worker_is_killed(
+    cluster: Cluster, tmp_path: Path
+) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    iterations = ["--iterations", "1000"]
+    # First here, so that the workers find all kernels compiled.
+    assert run([*TRAIN, *iterations, "--out", str(here), "--processes", "1"]) == 0
+    for _ in range(2):
+        victim = cluster.add_worker()
+    training = start_train(*TRAIN, *iterations, "--out", str(there), "--cluster", cluster.address)
+    try:
+        wait_for(lambda: progress(there) > 0, "the first rounds")
+        victim.send_signal(signal.SIGKILL)
+        killed_at = progress(there)
+        assert training.wait(timeout=60) == 0
+    finally:
+        training.kill()
+        training.wait()
+    assert killed_at < 1000
+    assert content(there) == content(here)

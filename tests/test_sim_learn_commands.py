@@ -224,18 +224,26 @@ def test_ctrl_c_ends_cleanly_with_130_and_a_state_to_resume(tmp_path: Path, mome
         assert not list(out.rglob(".*"))
 
 
-@pytest.mark.timeout(300)  # twenty starts take long on a machine that is busy otherwise
-def test_killed_at_20_random_moments_it_ends_in_the_same_bytes(tmp_path: Path) -> None:
-    """14 kills hit a run in one process, 6 one in two (slower to start); moments spread over a run's life."""
-    began = time.monotonic()
-    undisturbed = start(*TRAIN, "--out", str(tmp_path / "undisturbed"))
-    _, errors = undisturbed.communicate(timeout=100)
-    assert undisturbed.returncode == 0, errors
-    life_s = time.monotonic() - began
+# Files that a run writes one after the other: while the workers start, at work, and at the end.
+MOMENTS = [
+    "settings.yaml",
+    "milestones/000000.yaml",
+    "agents/01.json",
+    "milestones/000100.yaml",
+    "milestones/000200.yaml",
+    "milestones/000500.yaml",
+    "curve.png",
+]
+
+
+def test_killed_again_and_again_it_ends_in_the_same_bytes(tmp_path: Path) -> None:
+    """Each kill comes up to 0.1 s after another file appeared, and the run goes on from there."""
+    assert run([*TRAIN, "--out", str(tmp_path / "undisturbed"), "--processes", "1"]) == 0
     expected = content(tmp_path / "undisturbed")
     assert len(expected) == 4 + 2 * 2 + 4  # milestones at 0, 100, 200 and 500
+    assert set(MOMENTS) <= set(expected)
 
-    def kill_again_and_again(processes: str, kills: int) -> dict[str, bytes]:
+    def kill_again_and_again(processes: str, moments: list[str]) -> dict[str, bytes]:
         out = tmp_path / processes
 
         def command() -> list[str]:
@@ -243,15 +251,13 @@ def test_killed_at_20_random_moments_it_ends_in_the_same_bytes(tmp_path: Path) -
             return [*TRAIN, "--out", str(out), "--processes", processes, *going_on]
 
         chance = random.Random(processes)
-        # One kill in each slice of a life, so that start-up, rounds and the final writing all get theirs.
-        for moment_s in [(i + chance.random()) / kills * life_s for i in range(kills)]:
+        for moment in moments:
             process = start(*command())
-            try:
-                process.wait(moment_s)
-            except subprocess.TimeoutExpired:
-                workers = children(process.pid)
-                process.kill()
-                wait_for(lambda pids=workers: not any(is_running(pid) for pid in pids), 30)
+            wait_for(lambda path=out / moment, child=process: path.exists() or child.poll() is not None)
+            time.sleep(chance.uniform(0.0, 0.1))
+            workers = children(process.pid)
+            process.kill()
+            wait_for(lambda pids=workers: not any(is_running(pid) for pid in pids), 30)
             process.communicate()
         last = start(*command())
         _, errors = last.communicate(timeout=100)
@@ -259,5 +265,5 @@ def test_killed_at_20_random_moments_it_ends_in_the_same_bytes(tmp_path: Path) -
         return content(out)
 
     with ThreadPoolExecutor(2) as pool:
-        for end in pool.map(kill_again_and_again, ["1", "2"], [14, 6]):
+        for end in pool.map(kill_again_and_again, ["1", "2"], [MOMENTS, MOMENTS[::2]]):
             assert end == expected

@@ -201,7 +201,8 @@ def test_commands_are_rounded_from_their_stage_on_every_other_generation():
 )
 def test_all_courses_take_their_turn_once_all_rollouts_are_driven(number, count, turning):
     mine = [COURSE.model_copy(update={"name": str(i)}) for i in range(150)]
-    judge = Engine(START, mine, MODEL, draw_trials(FULL, MODEL, 3, count=1, ticks=COURSE.ticks))
+    trials = draw_trials(FULL, MODEL, 3, count=1, ticks=COURSE.ticks)
+    judge = Engine(START, mine, MODEL, trials, [plan_reference(COURSE)] * 150)
     drive, going, driven = drive_trials(judge, FULL, MODEL, 3), searching(), []
     run = judge._run
 

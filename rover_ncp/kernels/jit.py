@@ -3,21 +3,31 @@
 numba's own cache asks only whether the file of a function has changed, not the files of the functions that
 were compiled into it. After an update of one of them it would go on running the old code, silently. Here
 every kernel carries a stamp of all it is made of: its file, the kernels it calls, the constants it reads.
+Processes that start together compile each kernel once: the first locks it, the others wait and load it.
 
 Arithmetic: no fastmath, so LLVM neither reorders nor fuses operations and a kernel gives the same bits on
 every machine, whatever its vector width. Division by zero gives infinities as in numpy; the test that numba
 would make by default keeps loops from being vectorised.
 """
 
+import contextlib
+import fcntl
 import hashlib
 import inspect
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
 
 from numba import njit
 from numba.core import types
+from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic
+
+WAIT_S = 60.0
+"""How long a process waits for another that compiles the same kernel, before it compiles that one itself."""
+POLL_S = 0.02
 
 
 def in_kernels(generator: Callable[..., Any]) -> Any:
@@ -71,6 +81,7 @@ def _compiled(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     try:
         compiled: Any = njit(cache=True, **options)(function)
         _stamp_when_used(compiled._cache, function)
+        _compile_once(compiled)
     except (RuntimeError, AttributeError):
         # No writable folder for the cache, or a numba that keeps its stamp elsewhere: compile each time.
         compiled = njit(**options)(function)
@@ -88,6 +99,48 @@ def _stamp_when_used(cache: Any, function: Callable[..., Any]) -> None:
         return load(*arguments)
 
     cache.load_overload = load_overload
+
+
+def _compile_once(compiled: Any) -> None:
+    """Let one process at a time look for a kernel on the disk and, if it is not there, compile it."""
+    compile_here, lock = compiled.compile, Path(f"{compiled._cache._cache_file._index_path}.lock")
+
+    def compile_locked(signature: Any) -> Any:
+        # numba's own lock first, for all threads in the same order. A kernel is locked before those it calls.
+        with global_compiler_lock, _locked(lock):
+            return compile_here(signature)
+
+    compiled.compile = compile_locked
+
+
+_held: set[Path] = set()
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold a lock that ends with its process; work without it where no lock file can be made."""
+    if path in _held:
+        yield
+        return
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _wait_for(stack.enter_context(path.open("ab")).fileno())
+        _held.add(path)
+        stack.callback(_held.discard, path)
+        yield
+
+
+def _wait_for(file: int) -> None:
+    # A process that is stopped while it compiles must not hold up the others for good.
+    deadline = time.monotonic() + WAIT_S
+    while time.monotonic() < deadline:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(POLL_S)
+        else:
+            return
 
 
 def stamp(function: Callable[..., Any]) -> str:

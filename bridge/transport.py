@@ -4,6 +4,7 @@ A line is bytes in order, nothing more. Whatever breaks it is a NoRobot that nam
 after one, the line is done with and another is opened.
 """
 
+import os
 import select
 import socket
 import time
@@ -21,8 +22,10 @@ DEFAULT_BAUD = 9600
 """The base's FLASH default."""
 
 CONNECT_TIMEOUT_S = 5.0
-WRITE_TIMEOUT_S = 0.5
-"""A line that takes no bytes for this long is dead: later commands would only arrive late."""
+BACKLOG_S = 0.5
+"""A serial line with more than this still to send is broken: later commands would only arrive late."""
+BITS_PER_BYTE = 10
+"""On a serial line: start bit, 8 data bits, stop bit."""
 
 LINGER_S = 0.3
 """How long closing waits for the base to hang up too."""
@@ -55,11 +58,20 @@ class Transport(ABC):
 
     @abstractmethod
     def write(self, data: bytes) -> None:
-        """Send all of ``data``. Raises NoRobot when the line is gone or takes no more."""
+        """Send all of ``data`` without waiting. Raises NoRobot when the line is gone or has no room for it.
+
+        Then part of it may have been sent.
+        """
 
     @abstractmethod
     def close(self) -> None:
         """Let go of the line, after what was written has gone out. Never fails."""
+
+    def _count(self, sent: int, data: bytes) -> None:
+        """Count what was sent of ``data``. Raises NoRobot unless it is all."""
+        self.bytes_out += sent
+        if sent < len(data):
+            raise self._gone("the line takes no more bytes")
 
     def _gone(self, reason: object) -> NoRobot:
         return NoRobot(f"{self.name}: {reason}")
@@ -80,7 +92,8 @@ class TcpTransport(Transport):
             raise self._gone(getattr(error, "strerror", None) or error) from error
         # A command is a few bytes that must not wait for more.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket.settimeout(WRITE_TIMEOUT_S)
+        # The control loop writes, and must not wait for room.
+        self._socket.setblocking(False)
 
     def set_baudrate(self, baudrate: int) -> None:
         """See Transport: this line has no rate."""
@@ -92,6 +105,8 @@ class TcpTransport(Transport):
             if not readable:
                 return b""
             data = self._socket.recv(CHUNK_BYTES)
+        except BlockingIOError:  # the bytes that were announced had a wrong checksum
+            return b""
         except (OSError, ValueError) as error:
             raise self._gone(getattr(error, "strerror", None) or error) from error
         if not data:
@@ -102,12 +117,12 @@ class TcpTransport(Transport):
     def write(self, data: bytes) -> None:
         """See Transport."""
         try:
-            self._socket.sendall(data)
-        except TimeoutError as error:
-            raise self._gone(f"the line takes no more bytes for {WRITE_TIMEOUT_S} s") from error
+            sent = self._socket.send(data)
+        except BlockingIOError:
+            sent = 0
         except OSError as error:
             raise self._gone(error.strerror or error) from error
-        self.bytes_out += len(data)
+        self._count(sent, data)
 
     def close(self) -> None:
         """See Transport."""
@@ -130,7 +145,7 @@ class SerialTransport(Transport):
         super().__init__(f"serial/{port}#baudrate={baudrate}")
         try:
             self._port = serial.serial_for_url(
-                port, baudrate=baudrate, timeout=0.0, write_timeout=WRITE_TIMEOUT_S, exclusive=True
+                port, baudrate=baudrate, timeout=0.0, write_timeout=0.0, exclusive=True
             )
         except (serial.SerialException, OSError, ValueError) as error:
             raise self._gone(_reason(error)) from error
@@ -160,10 +175,17 @@ class SerialTransport(Transport):
     def write(self, data: bytes) -> None:
         """See Transport."""
         try:
-            self._port.write(data)
-        except (serial.SerialException, OSError) as error:
+            if isinstance(self._port, serial.Serial):
+                backlog_s = self._port.out_waiting * BITS_PER_BYTE / self._port.baudrate
+                # With a timeout of 0, pyserial's own write polls in a loop until there is room.
+                sent = 0 if backlog_s > BACKLOG_S else os.write(self._port.fileno(), data)
+            else:
+                sent = self._port.write(data) or 0
+        except BlockingIOError:
+            sent = 0
+        except (serial.SerialException, OSError, TypeError) as error:
             raise self._gone(_reason(error)) from error
-        self.bytes_out += len(data)
+        self._count(sent, data)
 
     def close(self) -> None:
         """See Transport."""
@@ -175,8 +197,6 @@ class SerialTransport(Transport):
 def _reason(error: Exception) -> str:
     """Return pyserial's reason without its prose."""
     cause = error.__context__ if isinstance(error.__context__, OSError) else error
-    if isinstance(error, serial.SerialTimeoutException):
-        return f"the line takes no more bytes for {WRITE_TIMEOUT_S} s"
     return str(getattr(cause, "strerror", None) or error)
 
 

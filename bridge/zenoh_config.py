@@ -24,6 +24,9 @@ _SETTINGS: dict[str, Any] = {
     "transport/link/tx/keep_alive": 4,
     # The longest message we read has 4 kB, the longest that passes through us hardly more.
     "transport/link/rx/max_message_size": 1 << 20,
+    # Microseconds that an answer to a query may wait for a peer that takes no data, instead of 5 s: the loop
+    # answers. Then Zenoh ends the session with that peer.
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 20_000,
 }
 _USERS = "transport/auth/usrpwd/dictionary_file"
 _MTLS = "transport/link/tls/enable_mtls"

@@ -20,7 +20,7 @@ from bridge.ros.rmw import domain_id
 from bridge.ros.rmw_node import RmwNode, latching_publisher, sampled
 from bridge.zenoh_config import any_port, configured, reason
 from rover_ncp.core.errors import PortInUse, UsageError
-from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key
+from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key, spec
 from rover_ncp.core.protocol import dump_json
 
 
@@ -148,7 +148,8 @@ class Link:
         stamp = sample.timestamp
         self._inbox.put(
             Sampled(
-                sample.payload.to_bytes(),
+                # One byte too many makes it unreadable: the loop digests no megabytes.
+                sample.payload.to_bytes()[: spec("cmd_vel").max_bytes + 1],
                 _bytes(sample.attachment),
                 round(stamp.get_time().timestamp() * 1e9) if stamp is not None else None,
             )

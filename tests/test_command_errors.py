@@ -188,3 +188,22 @@ def test_a_folder_that_may_not_be_searched_is_one_line(command, tmp_path):
     done = in_process(shlex.split(command.format(locked / "mine")))
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert "Permission denied" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "report {} --out {}",
+        "identify {} --out {}",
+        "bench search --iterations 1 --agents 1 --csv {}",
+    ],
+)
+def test_a_result_never_replaces_a_recording(command, tmp_path, capfd):
+    drive = tmp_path / "drive.mcap"
+    write_drive(drive)
+    before = drive.read_bytes()
+    assert run(command.format(*[drive] * command.count("{}")).split()) == 2
+    assert (
+        capfd.readouterr().err == f"rover-ncp: {drive}: is a recording; choose another file for the result\n"
+    )
+    assert drive.read_bytes() == before

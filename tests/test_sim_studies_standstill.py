@@ -46,3 +46,8 @@ def test_bound_is_the_requirement_plus_the_resolution_and_no_more(late_s):
     allowed = 2.0 + 0.15 + 0.12 / 0.31 + SAMPLE_S + late_s
     assert in_time(bridge_hung, allowed - 0.001, braking, late_s)
     assert not in_time(bridge_hung, allowed + 0.001, braking, late_s)
+
+
+def test_no_time_is_good_enough_when_its_resolution_is_worse_than_a_tenth_of_a_second():
+    assert in_time(row("bridge-hung"), 0.0, braking_s(0.12), 0.1)
+    assert not in_time(row("bridge-hung"), 0.0, braking_s(0.12), 0.11)

@@ -1,5 +1,6 @@
 """Files that are found by name, read with clear errors and never left half-written."""
 
+import contextlib
 import errno
 import os
 import tempfile
@@ -9,6 +10,8 @@ from typing import IO
 
 from rover_ncp.core.errors import FileError
 
+_RECORDING = b"\x89MCAP0\r\n"
+"""How a recording begins, a damaged or unfinished one too."""
 _DATA = resources.files("rover_ncp") / "data"
 
 
@@ -117,14 +120,24 @@ def require_creatable(path: Path, *, overwrite: bool = False) -> None:
     """Raise the FileError that `create` would raise now; for use before work whose result goes there."""
     if _exists(path) and not overwrite:
         raise _not_created(path, FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)))
-    require_writable(path)
+    _require_place(path)
 
 
 def require_writable(path: Path) -> None:
     """Raise the FileError that `write_atomic` would raise now; for use before work whose result goes there.
 
-    Leaves nothing behind: missing folders are not made.
+    A recording is never replaced by the result of work: that is a FileError, too. Leaves nothing behind:
+    missing folders are not made.
     """
+    _require_place(path)
+    # A file that may be replaced but not read is no recording of this user.
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        if file.read(len(_RECORDING)) == _RECORDING:
+            raise FileError(f"{path}: is a recording; choose another file for the result")
+
+
+def _require_place(path: Path) -> None:
+    """Raise FileError where no file can be written."""
     try:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))

@@ -152,7 +152,8 @@ def stamp(function: Callable[..., Any]) -> str:
 
 def _collect(function: Callable[..., Any], digest: Any, seen: set[str]) -> None:
     source = inspect.getfile(function)
-    name = f"{source}:{function.__qualname__}"
+    # Not the path: the same source elsewhere, or by another link, is the same machine code.
+    name = f"{function.__module__}:{function.__qualname__}"
     if name in seen:
         return
     seen.add(name)

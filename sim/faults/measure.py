@@ -9,6 +9,8 @@ Fault and standstill are timed on one clock, the machine's monotonic clock:
 - Simulated time is real time, as the requirement is. When the machine keeps the mock or the line to it from
   running, what the bridge sent lies in a buffer, and the base receives it later than a real one would. That
   delay is the measurement's, not the bridge's. Both report the longest, and it is part of the resolution.
+- A resolution worse than `MOST_LATE_S` could hide a stop that is late. Such a measurement is repeated, and
+  none that is so bad is ever in time.
 """
 
 import time
@@ -18,11 +20,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sim.faults.faults import CIRCUIT, MISHAPS, Mishap, Scene
-from sim.faults.rig import CREEP_M_S, Rig, Unsafe, wait_for
+from sim.faults.rig import CREEP_M_S, InVain, Rig, Unsafe, wait_for
 from sim.faults.scripted_driver import Hand
 from sim.faults.standstill import SAMPLE_S
 from sim.faults.table import Row, braking_s
 
+MOST_LATE_S = 0.1
+"""The longest delay of mock and line in a measurement that counts."""
+TRIES = 5
 STAND_TIMEOUT_S = 8.0
 DEPLOY_TIMEOUT_S = 20.0
 STOPPED = 4
@@ -63,9 +68,10 @@ class Measured(NamedTuple):
 def in_time(row: Row, seconds: float, braking_s: float, late_s: float) -> bool:
     """Whether a measured time fits the requirement: the row's bound, braking, and the resolution.
 
-    The resolution is one sample, in which the rover came to stand, and ``late_s`` (see `Measured`).
+    The resolution is one sample, in which the rover came to stand, and ``late_s`` (see `Measured`). A time
+    with a ``late_s`` above `MOST_LATE_S` fits no requirement.
     """
-    return seconds <= row.bound_s + braking_s + SAMPLE_S + late_s
+    return late_s <= MOST_LATE_S and seconds <= row.bound_s + braking_s + SAMPLE_S + late_s
 
 
 def measure(
@@ -73,8 +79,24 @@ def measure(
 ) -> Measured:
     """Measure a row under ``driver``, a circuit's drive recorded to ``record``; ``chance`` picks the moment.
 
-    Raises Unsafe when the rover moves once all is mended, and what `Rig` raises.
+    Repeats a measurement whose resolution is too bad. Raises InVain when all are, Unsafe when the rover moves
+    once all is mended, and what `Rig` raises.
     """
+    for _ in range(TRIES):
+        measured = _measure(rig, row, driver, record, chance)
+        if measured.late_s <= MOST_LATE_S:
+            return measured
+        if record is not None:
+            record.unlink(missing_ok=True)
+    raise InVain(
+        f"the machine kept mock or line from running for more than {MOST_LATE_S} s in each of {TRIES} "
+        "measurements: measure on a machine that does less beside"
+    )
+
+
+def _measure(
+    rig: Rig, row: Row, driver: str, record: Path | None, chance: np.random.Generator | None
+) -> Measured:
     mishap = MISHAPS[row.key]
     robot = rig.spoilt if mishap.spoilt else rig.robot
     scene = _under_circuit(rig, robot, record) if driver == CIRCUIT else _under_hand(rig, robot, mishap)

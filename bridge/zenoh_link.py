@@ -148,7 +148,7 @@ class Link:
         stamp = sample.timestamp
         self._inbox.put(
             Sampled(
-                # One byte too many makes it unreadable: the loop digests no megabytes.
+                # One byte too many, and the digest is not valid: the loop digests no megabytes.
                 sample.payload.to_bytes()[: spec("cmd_vel").max_bytes + 1],
                 _bytes(sample.attachment),
                 round(stamp.get_time().timestamp() * 1e9) if stamp is not None else None,

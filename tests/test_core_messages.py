@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from rover_ncp.core import messages
+from rover_ncp.core import cdr, messages
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from rover_ncp.core.imu import imu, read_imu
@@ -117,11 +117,11 @@ def test_a_point_cloud_says_where_its_floats_are():
     ],
 )
 def test_types_are_those_of_ros_2(ros_type, hash_):
-    assert messages.type_hash(ros_type) == f"RIHS01_{hash_}"
+    assert cdr.type_hash(ros_type) == f"RIHS01_{hash_}"
 
 
 def test_a_definition_brings_all_that_a_type_is_made_of():
-    text = messages.definition("geometry_msgs/msg/TwistStamped")
+    text = cdr.definition("geometry_msgs/msg/TwistStamped")
     assert text.startswith("std_msgs/Header header\ngeometry_msgs/Twist twist\n")
     assert [line for line in text.splitlines() if line.startswith("MSG:")] == [
         "MSG: std_msgs/Header",

@@ -28,7 +28,8 @@ def test_a_live_trial_ends_where_the_virtual_one_does(tmp_path, capsys):
     assert len(recording.topic("truth/pose")) > 400
     # The driver knew how noisy odometry is, and where it stood; nothing else.
     known = load_profile(out / "000" / "driver.yaml").model_dump(exclude_none=True)
-    assert set(known) == {"format", "name", "noise_m", "noise_rad", "measured"}
+    assert set(known) == {"format", "name", "noise_m", "noise_rad", "std", "measured"}
+    assert known["std"] == {}
     assert recording.topic("pose")
     assert replay(out / "000" / "run.mcap").difference is None
     assert run(["eval", "course", *asked, "--out", str(out)]) == 2

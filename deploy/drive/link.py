@@ -145,15 +145,18 @@ class Link:
             for row in KEYS
             if row.kind is Kind.MESSAGE and row.senders == {Role.DRIVER}
         }
-        heard = [row for row in KEYS if row.kind is Kind.MESSAGE and row.name not in self._publishers]
+        handed_on: dict[str, Callable[[Arrival], None]] = {
+            "odom": self.odometry.put,
+            "imu": self.gyro.put,
+            "pose": self.poses.put,
+            "rover/gate": self._gate_spoke,
+        }
         self._subscribers = [
-            self._session.declare_subscriber(self._key(row.name), self._recording(row.name)) for row in heard
-        ]
-        self._subscribers += [
-            self._session.declare_subscriber(self._key("odom"), _into(self.odometry)),
-            self._session.declare_subscriber(self._key("imu"), _into(self.gyro)),
-            self._session.declare_subscriber(self._key("pose"), _into(self.poses)),
-            self._session.declare_subscriber(self._key("rover/gate"), self._gate_spoke),
+            self._session.declare_subscriber(
+                self._key(row.name), self._receiving(row.name, handed_on.get(row.name))
+            )
+            for row in KEYS
+            if row.kind is Kind.MESSAGE and row.name not in self._publishers
         ]
         self._token: Any = None
         self._bridge_token = self._session.liveliness().declare_subscriber(
@@ -286,26 +289,25 @@ class Link:
     def _key(self, name: str) -> str:
         return key(self._namespace, name)
 
-    def _recording(self, name: str) -> Callable[[zenoh.Sample], None]:
+    def _receiving(
+        self, name: str, hand_on: Callable[[Arrival], None] | None
+    ) -> Callable[[zenoh.Sample], None]:
         ros_type = spec(name).type
 
-        def record(sample: zenoh.Sample) -> None:
-            data, now = sample.payload.to_bytes(), time.time_ns()
-            self._record(Recorded(name, ros_type, data, now, header_stamp_ns(ros_type, data) or now))
+        def receive(sample: zenoh.Sample) -> None:
+            arrival = Arrival(sample.payload.to_bytes(), time.monotonic_ns(), time.time_ns())
+            stamp_ns = header_stamp_ns(ros_type, arrival.data) or arrival.wall_ns
+            # Recorded first, so that a recording has all that its drive went by.
+            self._record(Recorded(name, ros_type, arrival.data, arrival.wall_ns, stamp_ns))
+            if hand_on is not None:
+                hand_on(arrival)
 
-        return record
+        return receive
 
-    def _gate_spoke(self, sample: zenoh.Sample) -> None:
+    def _gate_spoke(self, arrival: Arrival) -> None:
         # A word that cannot be read is no news: what it replaces still stands.
         with contextlib.suppress(FormatError):
-            self.gate = parse_json(GateStatus, read_text(sample.payload.to_bytes()))
+            self.gate = parse_json(GateStatus, read_text(arrival.data))
 
     def _bridge_token_changed(self, sample: zenoh.Sample) -> None:
         self.bridge_alive = sample.kind == zenoh.SampleKind.PUT
-
-
-def _into(mailbox: Mailbox | Inbox) -> Callable[[zenoh.Sample], None]:
-    def put(sample: zenoh.Sample) -> None:
-        mailbox.put(Arrival(sample.payload.to_bytes(), time.monotonic_ns(), time.time_ns()))
-
-    return put

@@ -52,8 +52,8 @@ def explain(
     if out is not None:
         require_writable(out / "explanation.md")
     found = explain_source(source, course, threshold=threshold, on_progress=output.say)
-    for number, told in enumerate(found.analysis.explanations, 1):
-        output.say(f"{number}. {told.text}")
+    for number, explanation in enumerate(found.analysis.explanations, 1):
+        output.say(f"{number}. {explanation.text}")
     for table in _tables(found):
         output.console.print(table)
     written = write(found, out) if out is not None else []
@@ -108,8 +108,8 @@ def _contributions(analysis: "Analysis") -> "list[Table]":
         "Contributions, P/Q: + positive, − antagonistic, ± phase-switching", "from", *analysis.motors
     )
     for name in analysis.sources:
-        told = [analysis.contributions[name, motor] for motor in analysis.motors]
-        table.add_row(name, *(f"{SYMBOLS[one.sign]} {one.positive}/{one.negative}" for one in told))
+        contributions = [analysis.contributions[name, motor] for motor in analysis.motors]
+        table.add_row(name, *(f"{SYMBOLS[one.sign]} {one.positive}/{one.negative}" for one in contributions))
     tables = [table]
     for motor in analysis.motors:
         pairs = [(name, motor) for name in analysis.sources if (name, motor) in CONTRIBUTIONS]

@@ -54,11 +54,11 @@ def knock_outs(
 
 
 def without_neuron(policy: Policy, neuron: str) -> Policy:
-    """Return a policy whose neuron reaches nobody: neither another neuron nor a motor."""
+    """Return a policy with all outputs of a neuron removed, to other neurons and to motors."""
     circuit = policy.circuit
     index = circuit.index(neuron)
     weight = np.where(circuit.source == index, 0.0, circuit.weight)
-    # A sensory neuron is set from outside whatever else is said of it.
+    # A sensory neuron is driven by its input, whatever its own parameters are.
     held = dict(circuit.held)
     if neuron not in policy.sensing.neurons:
         held[index] = BOUNDS[ParameterKind.LEAK_POTENTIAL].lower

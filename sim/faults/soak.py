@@ -1,4 +1,4 @@
-"""Hours of mishaps in minutes: every row of the safety matrix at random moments, on processes that live on.
+"""Hours of faults in minutes: every row of the safety matrix at random moments, on processes that live on.
 
 Mock and bridge run from beginning to end, so that what they lose shows. The rows come in a random order, all
 once before any comes again; killing the bridge comes last, for it ends a long life. What follows from the
@@ -22,7 +22,7 @@ from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import write_atomic
 from sim.faults.completeness import Completeness, check_recording
-from sim.faults.faults import CIRCUIT, MISHAPS
+from sim.faults.faults import CIRCUIT, FAULTS
 from sim.faults.leaks import Usage, usage
 from sim.faults.measure import Measured, measure
 from sim.faults.rig import Rig, wait_for
@@ -40,7 +40,7 @@ STILL_S = 2.0
 
 @dataclass(frozen=True)
 class Round:
-    """One mishap: when (s since the start), and what came of it or what failed."""
+    """One fault: when (s since the start), and what came of it or what failed."""
 
     at_s: float
     row: Row
@@ -77,7 +77,7 @@ def soak(
     tell: Callable[[Soaked, str], None],
     rows: Sequence[Row] = MATRIX,
 ) -> Soaked:
-    """Bring about mishaps for so many seconds; ``tell`` hears of each round that begins and that ended.
+    """Bring about faults for so many seconds; ``tell`` hears of each round that begins and that ended.
 
     Recordings, logs and the mock's truth land in ``folder``. Raises RoverNcpError when the processes do not
     start or the rover cannot be driven at the end.
@@ -112,7 +112,7 @@ def soak(
             one(*next(plan))
         for row in last:
             one(row, CIRCUIT)
-        rig.leave(rig.under_way(rig.hand()))
+        rig.leave(rig.under_way(rig.scripted_driver()))
         rig.stood(time.monotonic_ns())
         stands_ns = time.monotonic_ns()
         time.sleep(STILL_S)
@@ -135,7 +135,7 @@ def _plan(rows: Sequence[Row], order: np.random.Generator) -> Iterator[tuple[Row
     """Yield rows and who drives, for ever: all rows once in random order, and again in another one."""
     while True:
         for place in order.permutation(len(rows)):
-            drivers = MISHAPS[rows[place].key].drivers
+            drivers = FAULTS[rows[place].key].drivers
             yield rows[place], drivers[int(order.integers(len(drivers)))]
 
 
@@ -155,10 +155,10 @@ def _measured(rig: Rig, row: Row, driver: str, record: Path, moments: np.random.
 
 
 def _complete(record: Path, heard_ns: list[int], measured: Measured) -> Completeness:
-    mishap = MISHAPS[measured.row.key]
+    fault = FAULTS[measured.row.key]
     try:
         return check_recording(
-            record, heard_ns, measured.began_ns, killed=measured.stopped_by == "killed", losing=mishap.losing
+            record, heard_ns, measured.began_ns, killed=measured.stopped_by == "killed", losing=fault.losing
         )
     except RoverNcpError:
         return Completeness(record, False, 0, 1, 0, 0)

@@ -117,10 +117,10 @@ def train(
 
         rover-ncp train --cluster tcp://192.168.1.5:8786
 
-    With --randomize, a circuit learns to follow any course on robots nobody measured: what it senses is
-    where it is relative to the course (the circuit, tracking unless told otherwise, needs the neurons FWD
-    and REV), a candidate's score is the mean over many random trials, and the search is CMA-ES; iterations
-    are its generations, of which those before 2000 drive a part of the rollouts.
+    With --randomize, a circuit learns to follow any course on randomised robots. It senses its pose relative
+    to the course. The circuit, by default tracking, needs the neurons FWD and REV. A candidate's score is the
+    mean over many random trials, and the search is CMA-ES. Iterations are its generations; those before 2000
+    drive a part of the rollouts.
 
         rover-ncp train --randomize full --out runs/robust
         rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine

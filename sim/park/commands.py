@@ -183,31 +183,32 @@ def evaluate(
 ) -> int:
     """Drive a course in simulation with a policy, and score it.
 
-    Without --trials or --randomize, once, on the rover as it is modelled:
+    Without --trials or --randomize, the policy drives once, on the nominal rover model:
 
     The return is the paper's: minus the squared misses of all checkpoints, 1 rad counting as 1 m; 0 is out of
     reach, doing nothing on the parking course scores -14.18. A .bnn circuit gets the sensors it was trained
     with, which are not clamped.
 
-    With them, on rovers that nobody measured: each trial has its own delays, gains, noise and start, which
-    follow from the seed and the trial's number alone. What is counted is what truly happened.
+    With one of them, the policy drives randomised rovers. Each trial has its own delays, gains, noise and
+    start, which follow from the seed and the trial's number alone. The true motion is scored.
 
         rover-ncp eval course --trials 1000 --randomize full
         rover-ncp eval course --trials 1000 --randomize full --random-courses 200
 
     --stack drives the same trials as encoded bytes through the firmware of a mock Pioneer, the bridge with
-    its gate, and the driver with its estimator; all but sockets and waiting is what drives a robot.
+    its gate, and the driver with its estimator. Only sockets and waiting differ from driving a robot.
 
         rover-ncp eval course --trials 300 --randomize full --stack
 
-    --live drives them as three real processes each, over TCP and Zenoh, on mock robots whose errors nobody
-    who drives knows; with --stack too, both ways, and says how far apart they end.
+    --live drives each of them as three real processes, over TCP and Zenoh. The driver does not know the mock
+    robot's errors. With --stack too, trials are driven both ways, and the distance between their ends is
+    printed.
 
         rover-ncp eval course --live 4 --randomize full --course parking --course bay
 
     Without --stack, kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws.
 
-    --task plays episodes (--trials, 100) of a benchmark that the paper has beside parking; see 'paper'.
+    --task plays episodes (--trials, 100) of one of the paper's other benchmarks; see 'paper'.
 
         rover-ncp eval mine.bnn --task mountain-car --range position=1.0 --range velocity=0.02
 

@@ -299,7 +299,7 @@ def test_a_gyro_for_the_client_tells_how_the_rover_truly_turns(has_gyro: int, se
     turning = [event.rate for event in pair.of(GyroHeard)]
     truly = (pair.pioneer.rover.pose.theta - before) / 4.0
     assert truly == pytest.approx(0.15, abs=0.01)
-    # Its offset is for whoever listens to find out while it stands.
+    # The bridge must estimate the gyro's offset while the rover stands.
     offset = sum(rest) / len(rest)
     assert abs(offset) > 0.05
     assert sum(turning) / len(turning) - offset == pytest.approx(truly, abs=0.004)

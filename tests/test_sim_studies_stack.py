@@ -35,7 +35,7 @@ def apart(one, other):
 
 @pytest.fixture(scope="module")
 def parking():
-    """Two trials of robots nobody measured, on the paper's course."""
+    """Two trials of randomised robots, on the paper's course."""
     driven = stack("full", course="parking")
     return driven, drive_all(driven, 2, 1)
 

@@ -127,7 +127,7 @@ def _release(link: Proxy) -> None:
 
 
 def _release_without_lease(scene: Scene) -> None:
-    """Release the link once the lease has lapsed; an earlier release would not end the drive."""
+    """Release the link once the lease has lapsed; an earlier release would only pause the drive."""
     wait_for(lambda: not scene.rig.watcher.gate.lease, "the lease to lapse")
     scene.rig.link.release()
 

@@ -53,7 +53,7 @@ class Measured(NamedTuple):
     omega: float
     note: str
     stopped_by: str
-    """The reason for which the driver or the gate stopped."""
+    """The reason for the driver's stop, as the driver or the gate reported it."""
 
     @property
     def braking_s(self) -> float:

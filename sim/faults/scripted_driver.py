@@ -47,7 +47,7 @@ class ScriptedDriver:
         """Whether it requests the lease when it has none."""
         self.silent = False
         self.age_s = 0.0
-        """How much older than its true age each command is stamped."""
+        """How much older each command's stamp is than its true time, in s."""
         self.gate = GateStatus()
         self.last_sent_ns = 0
         """When the last command was sent, in ns of the monotonic clock."""

@@ -200,7 +200,7 @@ class Engine:
         return self._teams[width, ground]
 
     def build_team(self, width: int, ground: int = 0) -> tuple[Fleet, Lanes]:
-        """Return new lanes and rovers of a width, for the first course's obstacles unless told otherwise."""
+        """Return new lanes and rovers of a width, by default for the first course's obstacles."""
         lanes = Lanes(
             parameters=allocate_lanes(self._program, self.policy, width),
             potentials=resting_potentials(self.policy, width),

@@ -10,8 +10,7 @@ from sim.learn.search.base import Vector
 
 
 class Answer(NamedTuple):
-    """What became of the n candidates that an agent had submitted; its arrays may change when it submits
-    again."""
+    """Results of the n candidates that an agent submitted; the arrays may change when it submits again."""
 
     agent: int
     values: Vector

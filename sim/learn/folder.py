@@ -129,7 +129,7 @@ class RunFolder:
         write_atomic(self.path / "curve.png", curve_png(snapshot.agents, snapshot.iterations, title))
 
     def policy(self, agent: AgentState, snapshot: Snapshot) -> Policy:
-        """Return an agent's incumbent as a policy that tells how it was made."""
+        """Return an agent's incumbent as a policy with its provenance."""
         if agent.search is None:
             raise ValueError(f"agent {agent.number} has not begun")
         provenance = self._record.provenance(

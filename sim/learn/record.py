@@ -144,7 +144,7 @@ def _commit() -> str | None:
     here = Path(__file__)
     git = ["git", "--no-optional-locks", "-C", str(here.parent)]
     try:
-        # An environment may lie inside somebody's repository without being part of it.
+        # An environment may lie inside another repository without being part of it.
         _run([*git, "ls-files", "--error-unmatch", here.name])
         return _run([*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"])
     except (OSError, subprocess.SubprocessError):

@@ -1,14 +1,14 @@
-"""Training on robots nobody measured: CMA-ES on the mean of a smooth cost over random trials and courses.
+"""Training on randomised robots: CMA-ES on the mean of a smooth cost over random trials and courses.
 
-A generation's candidates all drive the same trials (common random numbers), so that what tells them apart is
-not luck; the next generation drives others, so that none is learned by heart. Early generations drive fewer
-trials: far from the goal a rough estimate will do, and close to it only a good one shows the way. What a
-generation does depends on its number, never on how many are to come. The winner is the average of the
-distribution's last means, which no single lucky trial made.
+A generation's candidates all drive the same trials (common random numbers), so that chance does not separate
+them. The next generation drives other trials, which prevents overfitting. Early generations drive fewer
+trials: far from the goal a rough estimate suffices, and close to it a good one is needed. A generation
+depends on its number, never on the number of later ones. The winner is the average of the distribution's last
+means, which depends on no single lucky trial.
 
-Numbers are searched in the unit cube, at whose walls the search is reflected: conductances of leaks and
-capacitances, which span decades, by their logarithm, all else linearly. Those of neurons that are driven
-decide nothing and stay.
+Parameters are searched in the unit cube, at whose walls the search is reflected. Leak conductances and
+capacitances, which span decades, are scaled by their logarithm, all others linearly. The parameters of
+sensory neurons are dead and stay.
 """
 
 import math
@@ -69,8 +69,9 @@ _FIRST_SPREAD, _MOST_SPREAD = 0.04, 0.1
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
 _STILL = (0.003, 0.0006)
-"""From which m and rad on who should stand still has failed, and how far that is blurred: well within the
-5 mm and 5 mrad of parked, as large twitches are rare, and small ones, which tell of them, are not."""
+"""Motion in m and rad above which a rover that should stand has failed, and the width of the smooth limit:
+well within the 5 mm and 5 mrad of parked, as large twitches are rare, and the small ones that indicate them
+are not."""
 _AVERAGED, _AVERAGED_SHARE = 100, 4
 """The winner is the average of so many last means, yet of no more than that fraction of all."""
 _COURSES_APART = 10**9

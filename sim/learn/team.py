@@ -158,7 +158,7 @@ def _ask(search: Strategy, iterations: int, flow: Flow) -> Vector:
 
 
 def _tell(search: Strategy, values: Vector, misses: Vector | None) -> list[tuple[int, float]]:
-    """Tell a search; return the iterations at which its incumbent's return changed, and to what."""
+    """Pass values to a search; return the iterations and values of changes of its incumbent's return."""
     value, evaluations = search.value, search.evaluations
     changes = []
     for number in range(search.tell(values, misses)):

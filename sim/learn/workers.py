@@ -133,8 +133,8 @@ class Processes:
     def stream(self, calls: Sequence[tuple[Any, ...]]) -> Generator[list[Any], None, None]:
         """Call the function, which gives an iterator, once in each process; give what comes back together.
 
-        The processes do not wait for each other, nor for whoever listens, until they are some answers
-        ahead. Whoever stops listening closes the iterator and can then call again. Raises as ``call`` does.
+        The processes do not wait for each other. They wait for the consumer only when they are some answers
+        ahead. A consumer that stops early closes the iterator and can then call again. Raises as ``call``.
         """
         processes = {ours: process for (process, ours), _ in zip(self._workers, calls, strict=False)}
         for (connection, process), arguments in zip(processes.items(), calls, strict=True):

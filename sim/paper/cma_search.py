@@ -1,10 +1,11 @@
 """The search of the pendulums' runs: CMA-ES, every candidate from the same few starts that lie far apart.
 
-What a pendulum does follows from its start alone. So candidates are compared by their mean return from one
-set of starts, without luck, and a few that cover the environment's own tell nearly as much as many drawn at
-random; who is the best so far must be so from some more. Such a return has many steps and cliffs, over which
-a distribution sees where single changes get stuck. The first searches each begin at one of the best untuned
-agents, the others at the best candidate so far; where for long no candidate is better, the next one begins.
+A pendulum's motion follows from its start alone. So candidates are compared by their mean return from one
+set of starts, without noise. A few starts that cover the environment's own give nearly as much information as
+many random ones. A new best candidate must be best from some more starts too. Such a return has many steps
+and cliffs; a distribution averages over them where single changes get stuck. The first searches begin at the
+best untuned agents, the others at the best candidate so far. A search without improvement for long ends, and
+the next one begins.
 
 A covariance of some hundred parameters costs more than their episodes: above that it is a diagonal.
 """
@@ -44,7 +45,7 @@ CMA: dict[str, Any] = {
     "explored": _EXPLORED,
     "stale": _STALE,
 }
-"""What a run tells of how it was searched."""
+"""The search settings that a run records."""
 
 
 def search_by_cma(

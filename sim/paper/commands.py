@@ -115,7 +115,7 @@ def paper(
     progress = Progress(console=console, transient=True, disable=not console.is_terminal)
     bar = progress.add_task("runs", total=len(left))
 
-    def tell(cell: Any) -> None:
+    def on_cell(cell: Any) -> None:
         made.append({"path": str(cell.name.path(runs)), **_summary(cell)})
         progress.advance(bar)
         output.say(
@@ -128,7 +128,7 @@ def paper(
         count = processes or available_processes()
         with progress:
             make_runs(
-                left, shelf, BudgetName(budget), circuit, processes=count, cluster=cluster, on_cell=tell
+                left, shelf, BudgetName(budget), circuit, processes=count, cluster=cluster, on_cell=on_cell
             )
     output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
     return 0

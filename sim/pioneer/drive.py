@@ -151,7 +151,7 @@ class Drive:
         return self.enabled and not self._braking
 
     def _real(self, limits: dict[str, float]) -> dict[str, float]:
-        """Return the accelerations that the rover keeps when told to keep to ``limits``."""
+        """Return the rover's real accelerations under the commanded ``limits``."""
         trial = self._trial
         return {
             name: limit * (trial.effort_omega if name.startswith("alpha") else trial.effort_v)

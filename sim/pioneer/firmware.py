@@ -137,7 +137,7 @@ class Firmware:
         self.decoder.drop()
         self._out.clear()
 
-    def suffer(self, fault: Fault) -> None:
+    def inject(self, fault: Fault) -> None:
         """Have one more fault from now on; its times count from now, if the motors were ever enabled."""
         self._faults.add(fault, self._enabled_s)
 

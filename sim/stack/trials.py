@@ -1,8 +1,8 @@
 """Random trials through the whole stack: firmware, bridge and driver as they are, on a virtual clock.
 
 The trials are those of `evaluate`, drawn from the same seeds. Here their errors act where a robot has them,
-at the base; what the driver knows is what its packets tell, where it stands at the start, and how noisy its
-odometry is. What is judged is the true pose.
+at the base. The driver knows the content of its packets, its start pose and the noise of its odometry. The
+true pose is judged.
 """
 
 import copy

@@ -1,8 +1,8 @@
-"""Robots nobody measured: what a trial changes about rover, odometry and commands, drawn ahead.
+"""Randomization of trials: perturbations of rover, odometry and commands, drawn before the trial.
 
-A trial has a random stream of its own, from the root seed and its number, and takes from it in a fixed order
-whatever it needs: so trial 7 of seed 1 is the same robot on the same day whoever drives it, in whatever
-company, and harder ranges stretch the same draws. Parameters are uniform in their ranges, noise is Gaussian.
+A trial has a random stream of its own, from the root seed and its number, and draws from it in a fixed order.
+So trial 7 of seed 1 is the same perturbed robot for every driver and every set of trials. Harder presets
+stretch the same draws. Parameters are uniform in their ranges; noise is Gaussian.
 """
 
 import math

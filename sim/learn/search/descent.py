@@ -161,7 +161,7 @@ class Descent:
         return self._goes_on()
 
     def _goes_on(self) -> bool:
-        """Return whether it gained enough of late; a climb of the survival may become one of the return."""
+        """Return whether recent steps gained enough; a climb of the survival may become one of the return."""
         _, checkpoints, _ = self.at.misses.shape
         loss = -self.at.value / checkpoints
         if self.survives and loss < CLOSE_M2:

@@ -1,7 +1,7 @@
 """Damped Gauss-Newton descents on the misses of every checkpoint, from many starts.
 
-A return is one number; the misses it is made of are three for each checkpoint, and tell a search which way
-each of them goes. So: draw samples around the untuned start, take the best, measure how every parameter moves
+A return is one number. Its misses are three numbers for each checkpoint; they show the search the direction
+of each error. So: draw samples around the untuned start, take the best, measure how every parameter moves
 the misses (finite differences), and descend by damped Gauss-Newton steps. From then on every batch is a
 bold step, close to the goal also a careful one, and the finite difference of one parameter, each in its turn;
 what a step taught corrects the other slopes (Broyden). Damping follows success and failure (Levenberg,
@@ -365,10 +365,10 @@ class GaussNewton:
             _Phase.FAR: None,
         }
         batch = unpack(state["batch"], (sizes[phase], self._box.size))
-        values = [float(told) for told in state["values"]]
+        values = [float(value) for value in state["values"]]
         misses = unpack(state["misses"], (None, None, None, 3) if values else (0,))
         if len(misses) != len(values) or len(values) >= len(batch):
-            raise ValueError(f"{len(values)} of a batch of {len(batch)} cannot have been told")
+            raise ValueError(f"{len(values)} of a batch of {len(batch)} cannot have been evaluated")
         descent = self._restored_descent(state["descent"])
         if (descent is None) == (phase in (_Phase.SLOPES, _Phase.STEPS, _Phase.FAR)):
             raise ValueError(f"a descent does not go with the phase {phase}")
@@ -384,7 +384,7 @@ class GaussNewton:
         self.value, self.evaluations, self._best = value, evaluations, best
         self._phase, self._batch, self._descent, self._asked = phase, batch, descent, 0
         self._base, self._hops = base or _Base(best, -math.inf), hops
-        self._told = [Outcome(*told) for told in zip(batch, values, misses, strict=False)]
+        self._told = [Outcome(*fields) for fields in zip(batch, values, misses, strict=False)]
 
     def _restored_outcome(self, state: Mapping[str, Any]) -> Outcome:
         point, misses = unpack(state["point"], (self._box.size,)), unpack(state["misses"], (None, None, 3))

@@ -164,7 +164,7 @@ def test_rounds_are_seen_in_order_and_can_end_the_run() -> None:
         assert ended.iterations == 250
 
 
-def test_processes_that_are_told_to_stop_ahead_of_time_can_go_on() -> None:
+def test_processes_that_stop_ahead_of_time_can_go_on() -> None:
     plan = parking_plan()
     with Inline(plan) as workers:
         whole = run_ensemble(workers, begin(3), 700, lambda _: False)

@@ -100,7 +100,7 @@ def test_the_command_in_a_policy_makes_it_again(reference: Path, tmp_path: Path)
     assert content(tmp_path / "again") == content(reference)
 
 
-def test_a_run_that_was_told_to_stop_names_the_command_that_stops_there(tmp_path: Path) -> None:
+def test_run_that_ended_early_names_the_command_that_ends_there(tmp_path: Path) -> None:
     seen: list[Policy] = []
 
     def enough(snapshot: Snapshot, best: Policy) -> bool:

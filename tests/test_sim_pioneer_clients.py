@@ -40,7 +40,7 @@ def set_points_by_hand(chunks: list[tuple[float, bytes]]) -> list[tuple[float, f
 
 
 def plays(capture: Capture) -> bool:
-    """Play a client's side; return whether all was understood and led to the client's set-points."""
+    """Play a client's side; return whether all was understood and led to the client's setpoints."""
     pioneer, setpoints = Pioneer(capture.model), set_points_by_hand(capture.chunks("c2r"))
     for t, data in capture.chunks("c2r"):
         pioneer.now = t

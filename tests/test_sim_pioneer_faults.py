@@ -171,7 +171,7 @@ def test_a_healthy_line_changes_nothing() -> None:
     assert Faults().damage(b"\xfa\xfb", 1.0) == b"\xfa\xfb"
 
 
-def test_a_fault_that_it_is_told_of_counts_from_then() -> None:
+def test_injected_fault_counts_from_its_injection() -> None:
     pioneer = Pioneer("p3at-sh").open()
     for _ in range(2):
         pioneer.firmware.inject(parse_fault("bumper@1-2"))

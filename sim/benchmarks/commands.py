@@ -13,7 +13,7 @@ from sim.learn.commands import SearchName
 
 
 class What(StrEnum):
-    """What can be measured."""
+    """Measurements of the benchmark."""
 
     TRAIN = "train"
     SEARCH = "search"

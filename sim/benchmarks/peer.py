@@ -33,7 +33,7 @@ STILL = Velocity(0.0, 0.0)
 
 
 class Moments:
-    """What happened when, in ns: odometry sent, commands handed over by their sender, pings and pongs."""
+    """Times of events, in ns: odometry sent, commands handed over by their sender, pings and pongs."""
 
     def __init__(self) -> None:
         self.odometry: list[int] = []

@@ -1,4 +1,4 @@
-"""What is found about one circuit on one course, in one value."""
+"""Findings about one circuit on one course, in one value."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,13 +16,13 @@ from sim.learn.rollout import Rollout
 
 @dataclass(frozen=True, eq=False)
 class Explained:
-    """What ``rover-ncp explain`` found."""
+    """Findings of ``rover-ncp explain``."""
 
     source: str
     policy: Policy
     course: Course
     verdict: Verdict
-    """Of the run that was explained."""
+    """Verdict on the explained run."""
     intact: Rollout
     """The simulated run, against which the what-ifs are held."""
     analysis: Analysis

@@ -1,4 +1,4 @@
-"""What a circuit does without one neuron or one synapse: each drive is simulated again.
+"""Knockouts: the drives of a circuit without one neuron or one synapse, simulated again.
 
 A neuron is taken out by cutting all that leaves it and holding it at the lowest potential, where no motor
 neuron asks for anything; a synapse by a weight of 0.

@@ -1,4 +1,4 @@
-"""What was found, as a page of Markdown: sentences, tables beside the paper's, the pictures beside it."""
+"""Findings as a page of Markdown: sentences, tables beside the paper's, the pictures beside it."""
 
 from collections.abc import Iterable, Iterator, Sequence
 

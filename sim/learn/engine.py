@@ -185,7 +185,7 @@ class Engine:
 
     @property
     def setting(self) -> tuple[Program, IntArray, Tasks, Trials]:
-        """What all episodes have in common, as kernels take it."""
+        """Common arguments of all episodes, in the order of the kernels."""
         return self._program, self._signal_at, self._tasks, self._trials
 
     @property

@@ -25,7 +25,7 @@ class Flow(Protocol):
     room: int
     """The most candidates that an agent may submit at once."""
     enough: int
-    """So many of each agent keep everything busy."""
+    """The number of candidates of each agent that keeps all lanes busy."""
 
     def submit(self, agent: int, vectors: Vector, to_beat: Vector, keys: Sequence[tuple[int, ...]]) -> None:
         """Take candidates (n, P) of an agent that waits for no answer; the rest as in ``Objective``."""

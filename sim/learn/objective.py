@@ -1,4 +1,4 @@
-"""What a search maximises: the return of one rollout, or an estimate from several.
+"""The objective that a search maximises: the return of one rollout, or an estimate from several.
 
 Section IV of the paper: N rollouts, of which all, or the worst k, are averaged. Rollouts that are random
 take a seed each from the stream (agent, evaluation), so that a candidate's estimate depends neither on the

@@ -44,7 +44,7 @@ class Stage(NamedTuple):
     failure: float
     limit: float
     blur: float
-    """What failing costs, from which m and rad on, and how far that limit is blurred."""
+    """The cost of a failure, its limit in m and rad, and the width of the smooth limit."""
     rounded: bool
     """Whether commands come in whole steps, in trials that have them, every other generation."""
 
@@ -65,7 +65,7 @@ Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stage: the costs (k, trials)."""
 
 _FIRST_SPREAD, _MOST_SPREAD = 0.04, 0.1
-"""Where all is equally good, noise lets a spread grow beyond the cube."""
+"""Limit of the spread: where all costs are equal, noise lets it grow beyond the cube."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
 _STILL = (0.003, 0.0006)
@@ -77,11 +77,11 @@ _AVERAGED, _AVERAGED_SHARE = 100, 4
 _COURSES_APART = 10**9
 """Training courses have seeds from here on, evaluations smaller ones: no course is in both."""
 _RANDOM_BETWEEN = 2
-"""So many random courses follow each turn of the given one, which goes to the left and to the right."""
+"""The number of random courses after each turn of the given one, which goes to the left and to the right."""
 
 
 class Generation(NamedTuple):
-    """Where a search stands: after how many generations, the winner (P,), the spread, the best cost in it."""
+    """State of a search: the number of generations, the winner (P,), the spread, the best cost."""
 
     number: int
     winner: FloatArray
@@ -90,7 +90,7 @@ class Generation(NamedTuple):
 
 
 class Cube(Protocol):
-    """What is searched, as numbers in 0..1."""
+    """Search space, scaled to 0..1."""
 
     @property
     def start(self) -> FloatArray:

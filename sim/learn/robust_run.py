@@ -124,7 +124,7 @@ class _Run:
 
     @property
     def last(self) -> Generation:
-        """Where the search stands."""
+        """The newest generation."""
         best, spread = self._curve[-1]
         return Generation(self.search.number, self.search.winner, spread, best)
 

@@ -27,7 +27,7 @@ _SEARCH, _ROLLOUTS = 0, 1
 
 @dataclass(frozen=True)
 class Plan:
-    """What every process needs to know; it travels between processes by pickle."""
+    """Data that every process needs; it is passed between processes by pickle."""
 
     root_seed: int
     strategy: str

@@ -98,7 +98,7 @@ def _workers(plan: Plan, count: int, cluster: str | None) -> Inline | LocalProce
 
 
 class _Rounds:
-    """What happens at the end of each round: display, checkpoint, the question whether to stop."""
+    """Actions at the end of each round: display, checkpoint, stop condition."""
 
     def __init__(
         self,

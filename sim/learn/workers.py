@@ -33,14 +33,14 @@ class WorkerDied(RoverNcpError):
 
 
 class _Failure(NamedTuple):
-    """What a worker answers when it cannot go on; errors themselves do not all survive a pipe."""
+    """Answer of a worker that cannot go on; errors themselves do not all survive a pipe."""
 
     text: str
     is_users: bool
 
 
 class _End:
-    """What a worker sends after the last of several answers."""
+    """Message of a worker after the last of several answers."""
 
 
 class Workers(Protocol):

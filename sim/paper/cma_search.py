@@ -33,7 +33,7 @@ _DRAW, _SEARCH, _TRIALS = range(10, 13)
 _POPULATION, _SPREAD, _SPREADS = 16, 0.05, (0.003, 0.2)
 _TRIED_FROM, _CHECKED_FROM, _POOL = 8, 32, 1000
 _EXPLORED, _SHARE = 4, 0.1
-"""So many searches begin at untuned agents, and take at most that share of a run's steps each."""
+"""The number of searches that begin at untuned agents, and the largest share of a run's steps for each."""
 _STALE = 40
 """Generations without a better candidate."""
 _MOST_ROTATED = 200

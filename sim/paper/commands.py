@@ -12,7 +12,7 @@ from rover_ncp.core.options import Json
 
 
 class What(StrEnum):
-    """What can be asked of the paper's experiments."""
+    """Actions on the paper's experiments."""
 
     RUN = "run"
     STATUS = "status"
@@ -27,7 +27,7 @@ class What(StrEnum):
 
 
 class Budget(StrEnum):
-    """How much a run may take; listed here so that --help need not import the tasks."""
+    """Budgets of a run; listed here so that --help need not import the tasks."""
 
     QUICK = "quick"
     DEFAULT = "default"

@@ -33,7 +33,7 @@ _SPREAD, _POPULATION = 0.06, 24
 
 
 class Stage(NamedTuple):
-    """So many searches, until that share of a run's steps, by episodes of a length and number."""
+    """Number of searches, share of a run's steps at the end, and length and number of episodes."""
 
     searches: int
     until: float

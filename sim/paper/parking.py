@@ -31,7 +31,7 @@ _CREEP = 5.0
 
 
 class ParkingOutcome(NamedTuple):
-    """How the one drive ends, which has no chance in it."""
+    """Outcome of the one drive, which is deterministic."""
 
     total: float
     parked: bool

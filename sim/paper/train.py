@@ -31,11 +31,11 @@ _FINAL = 99
 _CURVE_POINTS = 60
 _UNLIMITED = 10**12
 _QUICK_STEPS = 400_000
-"""Of a quick run: a few seconds."""
+"""Steps of a quick run: a few seconds."""
 
 
 class BudgetName(StrEnum):
-    """How much a run may take."""
+    """Budget of a run."""
 
     QUICK = "quick"
     DEFAULT = "default"

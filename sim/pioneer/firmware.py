@@ -7,7 +7,7 @@ Rules of this file:
 2. Waiting for a client, SYNC0, SYNC1 and SYNC2 are echoed in order; a repeated one is echoed again, one out
    of order starts over, all else is ignored. In a session the same numbers are PULSE, OPEN and CLOSE.
 3. Any valid packet feeds the watchdog. When it has starved for 2 s the base halts; motors, session and
-   set-points stay, and the next packet of any kind lets the set-points go on.
+   setpoints stay, and the next packet of any kind lets the setpoints go on.
 4. No byte, packet or argument can do anything but what is written here: what is unknown, cut short or of the
    wrong type is counted and ignored. Commands that a mock has nothing to show for change nothing.
 5. The session belongs to the base, not to the line: a client that vanishes leaves it open.

@@ -55,7 +55,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class _Motion:
-    """What odometry and encoders say."""
+    """Motion as odometry and encoders report it."""
 
     odometry: Pose
     heading_set_point: float

@@ -47,7 +47,7 @@ class BaseTrial:
 
     @property
     def noise(self) -> Pose:
-        """What is added to the pose of the SIP that begins this tick."""
+        """Offset of the pose in the SIP that begins this tick."""
         if self.tick < 0 or self._trials.exact:
             return ORIGIN
         rows = self._trials.noise[self._row]
@@ -61,13 +61,13 @@ class BaseTrial:
 
     @property
     def lost(self) -> bool:
-        """Whether set-points get lost."""
+        """Whether setpoints get lost."""
         lost = self._trials.lost[self._row]
         return 0 <= self.tick < len(lost) and bool(lost[self.tick])
 
     @property
     def push(self) -> Pose | None:
-        """Where the rover is pushed at the start of this tick."""
+        """Displacement of the rover by a push at the start of this tick."""
         when, *push = self._trials.bump[self._row].tolist()
         return Pose(*push) if self.tick == when and any(push) else None
 

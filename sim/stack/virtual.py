@@ -180,10 +180,10 @@ class _Mailbox(Mailbox):
 
 
 class Air:
-    """What a driver has in place of `deploy.drive.link.Link`.
+    """Replacement of the driver's `deploy.drive.link.Link`.
 
-    Until the motors are asked for, external localisation says that the rover stands at ``start``. What is
-    heard goes to ``record``.
+    Until the driver requests the lease, external localisation reports that the rover stands at ``start``.
+    Received messages go to ``record``.
     """
 
     robot = "virtual"

@@ -21,7 +21,7 @@ _REST_S = 9.0
 _SPEED_M_S = (0.05, 0.14)
 _SHARP_RAD_S = 0.15
 _SHARE = 1.0 / 3.0
-"""Of straight pieces, and of sharp ones."""
+"""The share of straight pieces, and of sharp ones."""
 _DECIMALS = 6
 
 

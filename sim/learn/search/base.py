@@ -66,7 +66,7 @@ class Strategy(Protocol):
 
 
 class Adaptation(Protocol):
-    """What a strategy changes about itself as it goes: a frozen dataclass that follows the outcomes."""
+    """The adaptive state of a strategy: a frozen dataclass that follows the outcomes."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 

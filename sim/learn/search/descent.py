@@ -47,7 +47,7 @@ FAR = (0.05, 0.15, 0.4)
 FAIR_PRICE = 0.1
 """Share of the checkpoints not yet survived that may be lost for an effect."""
 MOST_SILENT = 16
-"""So many are moved, at most: those whose slopes are the least."""
+"""The most that are moved: those with the smallest slopes."""
 MOST_WOKEN = 2
 """How often a descent looks for silent parameters."""
 
@@ -109,7 +109,7 @@ class Descent:
 
     @property
     def to_beat(self) -> float:
-        """What a step's return must exceed, at each checkpoint; minus infinity where none is ever lost."""
+        """The threshold for a step's return, at each checkpoint; minus infinity where no step is pruned."""
         episodes, _, _ = self.at.misses.shape
         return -math.inf if self.survives or episodes > 1 else self.at.value
 

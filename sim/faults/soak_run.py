@@ -18,7 +18,7 @@ def run_soak(minutes: float, seed: int, out: Path, output: Output, *, overwrite:
     """Run ``soak_commands.soak``. Raises RoverNcpError when it cannot begin or end."""
     earlier = [*(out / "log").glob(TRUTH), *(out / "drives").glob("*.mcap")]
     if earlier and not overwrite:
-        raise FileError(f"{earlier[0]}: exists already; choose another --out, or say --overwrite")
+        raise FileError(f"{earlier[0]}: exists already; choose another --out, or add --overwrite")
     require_writable(out / TABLE)
     for old in earlier:
         old.unlink()

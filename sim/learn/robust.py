@@ -57,15 +57,16 @@ _STAGES = (
     Stage(2000, 1, 0.004, 20.0, 0.095, 0.004, False),
     Stage(2400, 1, 0.004, 20.0, 0.095, 0.004, True),
 )
-"""First to come near, then to park always, then to park the last few of a hundred, which takes many trials to
-see and small steps. Whole steps come last, and not always: they swallow the small twitches of a motor neuron
-that should be silent, so that who trains with nothing else twitches on bases that have none."""
+"""The first stages reach the goal's neighbourhood, the next ones park always, and the last ones park the last
+few of a hundred, which takes many trials to see and small steps. Quantised commands come last, and only in
+some generations: they hide the small twitches of a motor neuron that should be at rest. A policy trained with
+nothing else twitches on bases without quantisation."""
 
 Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stage: the costs (k, trials)."""
 
 _FIRST_SPREAD, _MOST_SPREAD = 0.04, 0.1
-"""Limit of the spread: where all costs are equal, noise lets it grow beyond the cube."""
+"""First and greatest spread. Where all costs are equal, noise would let it grow beyond the cube."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
 _STILL = (0.003, 0.0006)

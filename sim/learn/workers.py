@@ -234,7 +234,7 @@ def _work(connection: Connection, make: Callable[[], Callable[..., Any]]) -> Non
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             arguments = connection.recv()
-            if arguments is None:  # it wanted to hear no more when all had been said
+            if arguments is None:  # the parent cancelled a stream that had ended
                 continue
             answer: Any
             try:
@@ -252,7 +252,7 @@ def _work(connection: Connection, make: Callable[[], Callable[..., Any]]) -> Non
 
 
 def _stream(connection: Connection, answers: Generator[Any, None, None]) -> _End:
-    """Send all answers, unless the parent wants to hear no more."""
+    """Send all answers, until the parent cancels."""
     with closing(answers):
         for answer in answers:
             connection.send(answer)

@@ -30,7 +30,7 @@ TRUTH = "truth.csv"
 
 
 class ProcessError(RoverNcpError):
-    """A process of the run failed; carries its last words and hands on its exit code."""
+    """A process of the run failed; carries its last line and its exit code."""
 
     def __init__(self, name: str, code: int, words: str) -> None:
         super().__init__(f"{name}: {words}" if words else f"{name} ended with exit code {code}")
@@ -53,7 +53,7 @@ def compile_driver() -> None:
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Put off Ctrl-C and SIGTERM: who starts a process must get to know it before anything ends."""
+    """Defer Ctrl-C and SIGTERM, so that a started process is registered before the run ends."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -163,7 +163,7 @@ class Process:
         return self.answer_to(write)
 
     def answer_to(self, action: Callable[[], None]) -> Applied:
-        """Wait until it says when it applied an action. Raises ProcessError when it does not."""
+        """Wait for the process's answer to an action. Raises ProcessError without one."""
         known = len(self._answers())
         action()
         deadline = time.monotonic() + APPLIED_TIMEOUT_S

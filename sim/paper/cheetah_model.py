@@ -117,7 +117,7 @@ NO_CHEETAH = Cheetah(
     at_limit=_HARD,
     at_floor=_HARD,
 )
-"""Where there is none."""
+"""Placeholder for plants without a half-cheetah."""
 
 
 def cheetah_work() -> CheetahWork:

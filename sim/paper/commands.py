@@ -64,10 +64,15 @@ def paper(
         "runs/paper"
     ),
     out: Annotated[Path, typer.Option(help="curves: the picture.")] = Path("runs/paper/curves.png"),
-    again: Annotated[bool, typer.Option("--again", help="Make runs anew that are made already.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Repeat runs that exist already.")] = False,
     processes: Annotated[
         int | None,
-        typer.Option(min=1, max=1000, help="Runs at a time; none changes.", show_default="one for each core"),
+        typer.Option(
+            min=1,
+            max=1000,
+            help="Runs at the same time; results do not depend on it.",
+            show_default="one for each core",
+        ),
     ] = None,
     cluster: Annotated[
         str | None,
@@ -191,6 +196,6 @@ def _replay(output: Output, shelf: Any, names: list[Any], circuit: Path | None) 
         if any(getattr(cell, field) != value for field, value in found.items()):
             differ.append({**name.model_dump(), "stored": cell.mean, "replayed": found["mean"]})
     if not count:
-        raise UsageError("there are no such runs to replay; rover-ncp paper status says which are made")
+        raise UsageError("there are no such runs to replay; rover-ncp paper status lists the runs that exist")
     output.result({"replayed": count, "differ": differ}, f"{count} runs replayed, {len(differ)} differ")
     return 1 if differ else 0

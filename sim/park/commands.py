@@ -98,7 +98,7 @@ def _clear_own(folder: Path, *, overwrite: bool) -> None:
     if not folder.exists():
         return
     if not overwrite:
-        raise FileError(f"{folder}: exists already; choose another --out, or say --overwrite")
+        raise FileError(f"{folder}: exists already; choose another --out, or add --overwrite")
     if not (folder / "settings.yaml").is_file() and any(folder.iterdir()):
         raise FileError(f"{folder}: is not empty and holds no training of an earlier park")
     shutil.rmtree(folder)
@@ -115,12 +115,12 @@ def evaluate(
     course: Annotated[
         list[str] | None,
         typer.Option(
-            help="Course to drive, by name or YAML file; again for more, which trials take in turn.",
+            help="Course to drive, by name or YAML file; repeat for more, which trials take in turn.",
             show_default="parking",
         ),
     ] = None,
     trials: Annotated[
-        int | None, typer.Option(min=1, max=10**6, help="Drive so many random trials.", show_default="1")
+        int | None, typer.Option(min=1, max=10**6, help="Number of random trials.", show_default="1")
     ] = None,
     seed: Annotated[
         int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the trials and random courses.")
@@ -132,7 +132,7 @@ def evaluate(
     random_courses: Annotated[
         int | None,
         typer.Option(
-            min=1, max=10_000, help="Drive so many random courses in turn instead.", show_default=False
+            min=1, max=10_000, help="Number of random courses, driven in turn instead.", show_default=False
         ),
     ] = None,
     stack: Annotated[
@@ -144,14 +144,14 @@ def evaluate(
         typer.Option(
             min=1,
             max=10_000,
-            help="Drive so many of the trials as real processes, in real time.",
+            help="Number of trials that are driven as real processes, in real time.",
             show_default=False,
         ),
     ] = None,
     profile: Annotated[
         Path | None,
         typer.Option(
-            help="What was measured of the rover, as 'identify' writes it; the rest is drawn.",
+            help="Rover profile, as 'identify' writes it; values not in it are drawn.",
             show_default=False,
         ),
     ] = None,
@@ -160,7 +160,7 @@ def evaluate(
         typer.Option(
             min=1,
             max=1000,
-            help="With --stack: changes the speed, never the result. With --live: so many runs at once.",
+            help="Processes. With --stack they change the speed, not the result. With --live: runs at once.",
             show_default="one for each core; 1 live",
         ),
     ] = None,
@@ -176,7 +176,7 @@ def evaluate(
     range_: Annotated[
         list[str] | None,
         typer.Option(
-            "--range", help="With --task: how far a sensor reaches, as NAME=LIMIT.", show_default=False
+            "--range", help="With --task: limit of a sensor's range, as NAME=LIMIT.", show_default=False
         ),
     ] = None,
     json: Json = False,

@@ -64,8 +64,8 @@ class Firmware:
     """One base: ``model`` is a key of ``ROBOTS``, ``rover`` is what it drives, from where that stands.
 
     ``observe`` is called after each substep with its time in s, on the clock that ``start_s`` is of.
-    ``config`` holds the FLASH values if they are not those of the model; ``trial`` says what is wrong with
-    the base today.
+    ``config`` holds the FLASH values if they are not those of the model; ``trial`` has the
+    errors of the base.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Firmware:
         """The rate of its serial line: HOSTBAUD changes it, the end of a session restores FLASH's."""
         self.link = Link.WAITING
         self.sip_due_s = self._measure_due_s = math.inf
-        """When the next SIP will be sent, and when what it says will be measured."""
+        """When the next SIP will be sent, and when its content will be measured."""
         self._expected = 0
         self._out = bytearray()
         self._start_s, self._substeps = start_s, 0

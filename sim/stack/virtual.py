@@ -153,11 +153,11 @@ class World:
         return name
 
     def publish(self, name: str, data: bytes) -> None:
-        """Let the driver hear a message."""
+        """Deliver a message to the driver."""
         self.hear(name, data)
 
     def answer(self, asked: Asked, reply: BaseModel) -> None:
-        """Keep the answer for who asks."""
+        """Store the reply for the requester."""
         self._reply = reply
 
 

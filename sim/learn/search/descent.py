@@ -74,7 +74,7 @@ def stopped(outcome: Outcome, to_beat: float) -> Outcome:
 
 @dataclass
 class Descent:
-    """A climb from point to point, and what it knows of the way."""
+    """A climb from point to point, with its history."""
 
     at: Outcome
     survives: bool

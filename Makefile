@@ -11,11 +11,11 @@ GRADIENTS_STAMP := $(VENV)/.gradients
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park --overwrite
 
-# Two workers, a file to each: many tests wait for real processes, and two cores are what CI has.
+# Two workers, each with whole files: many tests wait for real processes, and CI has two cores.
 test: $(STAMP)
 	$(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
-# The pages in Debian's chromium, which it installs where there is none, recordings in Rerun; pictures in runs/browser.
+# Tests of the pages in Debian's chromium (installed if missing) and of recordings in Rerun; pictures in runs/browser.
 test-browser: $(BROWSER_STAMP)
 	$(BIN)/pytest -m browser
 
@@ -24,6 +24,7 @@ check: lint types contracts test
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python tests/prose.py
 
 types: $(STAMP)
 	$(BIN)/mypy
@@ -35,30 +36,30 @@ contracts: $(STAMP)
 safety: $(STAMP)
 	$(BIN)/python tests/safety_table.py
 
-# A run of seconds for every task of the paper: the circuit, a network, and both checked by a replay.
+# A run of seconds for every task of the paper: the circuit and a network, each checked by a replay.
 paper-quick: $(STAMP)
 	$(BIN)/rover-ncp paper run --budget quick --again --agent circuit --agent mlp --seed 0 --runs runs/paper-quick
 	$(BIN)/rover-ncp paper replay --agent circuit --agent mlp --seed 0 --runs runs/paper-quick
 
-# All of the paper's runs that are not made yet, but those of PPO and A2C. Hours; interrupt it, and go on.
+# The paper's missing runs, without PPO and A2C. Takes hours; an interrupted run can be continued.
 paper: $(STAMP)
 	$(BIN)/rover-ncp paper run
 
-# PPO and A2C: installs stable-baselines3, and with it torch.
+# PPO and A2C: installs stable-baselines3, which needs torch.
 paper-gradients: $(GRADIENTS_STAMP)
 	$(BIN)/rover-ncp paper run --agent ppo --agent a2c
 
-# The gate has the last word: every line and branch of it is run by its own tests.
+# The gate's own tests must run every line and branch of it.
 coverage-gate: $(STAMP)
 	$(BIN)/coverage run --branch --include='bridge/gate/*.py' --data-file=.coverage-gate \
 		-m pytest -q tests/test_bridge_gate*.py tests/test_bridge_limits.py
 	$(BIN)/coverage report --data-file=.coverage-gate --show-missing --fail-under=100
 
-# And every change of it is noticed by them, but those of tests/data/gate_survivors.yaml. Takes minutes.
+# The gate's tests must fail on every mutant of it, except those in tests/data/gate_survivors.yaml. Takes minutes.
 mutate: $(STAMP)
 	$(BIN)/python tests/mutate_gate.py
 
-# Readers of other people's bytes, fuzzed for FUZZ_S seconds, led by the code's own branches (atheris).
+# Fuzz the readers of external data for FUZZ_S seconds, guided by branch coverage (atheris).
 fuzz: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,fuzz]'
 	$(BIN)/python tests/fuzz_atheris.py
@@ -66,7 +67,7 @@ fuzz: $(STAMP)
 .PHONY: coverage-gate mutate fuzz
 
 $(STAMP): pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; say make PYTHON=..." % v)'
+	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; run make PYTHON=..." % v)'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@

@@ -1,1 +1,1 @@
-"""rover-ncp: a tiny, explainable neural circuit on a real rover. The ground that all packages share."""
+"""rover-ncp: a tiny, explainable neural circuit on a real rover. The shared package."""

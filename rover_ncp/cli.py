@@ -61,7 +61,7 @@ _NEEDS = {
 }
 # The order in which a newcomer meets the commands; others follow by name.
 _ORDER = ["park", "train", "eval", "mock", "bridge", "deploy", "replay"]
-# What a wrong command line raises. Typer publishes only leaves of this family, not its root.
+# The base class of errors for a wrong command line. Typer publishes only its subclasses.
 _WrongCommandLine: type[Exception] = typer.BadParameter.__mro__[2]
 
 
@@ -137,7 +137,7 @@ def main() -> None:
     # Read by numpy and scipy when they are loaded. For matrices as small as ours BLAS's threads only wait for
     # each other: on a busy machine planning a course took fifty times as long with two.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # What ends on Ctrl-C in order, its children and files too, ends so when it is told to end.
+    # SIGTERM ends a command as Ctrl-C does: it also ends its children and closes its files.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     stdout, stderr = install()
     try:
@@ -151,11 +151,11 @@ def main() -> None:
 
 def _written(code: int, stdout: Writer, stderr: Writer) -> int:
     """Wait until all output is written, and return the exit code: 2 for a result that could not be."""
-    # After an interruption nobody is to wait any more.
+    # After an interruption the user must not wait any longer.
     blocked_s = BLOCKED_S if code == INTERRUPTED else Output.blocked_s
     try:
         if not stdout.drained(blocked_s) and code in {0, 1}:
-            why = stdout.failure.strerror if stdout.failure else "nobody reads it"
+            why = stdout.failure.strerror if stdout.failure else "the reader takes no data"
             code = _fail(f"standard output cannot be written: {why}", "FileError", 2, as_json=False)
         stderr.drained(blocked_s)
     except KeyboardInterrupt:

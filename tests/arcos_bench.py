@@ -1,4 +1,4 @@
-"""A session with somebody at its other end who knows what was sent and what happened."""
+"""A session with a simulated peer, which records the bytes sent and the events."""
 
 from bridge.pioneer.arcos import COMMANDS, Command, Decoder, Packet, decode_argument, encode_frame
 from bridge.pioneer.packets import ConfigPac, Sip, encode_names
@@ -14,7 +14,7 @@ def frame(packet: Packet) -> bytes:
 
 ECHO0, ECHO1 = encode_frame(0), encode_frame(1)
 NAMES = frame(encode_names("IIT-madras_3906", "Pioneer", "P3AT-SH"))
-STRANGER = frame(encode_names("somebody", "Pioneer", "amigo"))
+STRANGER = frame(encode_names("stranger", "Pioneer", "amigo"))
 CONFIG = frame(ConfigPac(front_bumps=5, rear_bumps=5).encode())
 FAST_CONFIG = frame(ConfigPac(front_bumps=5, rear_bumps=5, autobaud=2).encode())
 RESET = encode_frame(0xFF)
@@ -34,7 +34,7 @@ def sip(**fields: int) -> bytes:
 
 
 class Bench:
-    """A session with somebody at its other end who knows what was sent and what happened."""
+    """A session with a simulated peer, which records the bytes sent and the events."""
 
     def __init__(self, model: str = "auto") -> None:
         self.session = Session(model)

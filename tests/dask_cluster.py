@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-# Without git on the path no record names a commit, which somebody may make while the tests run.
+# Without git on the path no record names a commit. A commit could be made while the tests run.
 ENVIRONMENT = {**os.environ, "PATH": ""}
 FREE_PORT = "tcp://127.0.0.1:0"
 

@@ -1,7 +1,7 @@
-"""Whatever reads what others wrote, and samples of it: each may return, or raise the package's own error.
+"""All readers of external data, with samples: each may return, or raise the package's own error.
 
 Shared by ``test_fuzz_readers.py``, which runs a little of it everywhere, and ``fuzz_atheris.py``, which goes
-on for as long as it is told to, led by the code's own branches.
+on for as long as FUZZ_S says, guided by the code's own branches.
 """
 
 import functools
@@ -205,7 +205,7 @@ def _bnns():
 
 
 def _recording(data):
-    """A recording's bytes, spoilt anywhere."""
+    """A recording's bytes, corrupted anywhere."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "x.mcap"
         path.write_bytes(data)
@@ -213,7 +213,7 @@ def _recording(data):
 
 
 def _contents(data):
-    """A sound recording of anything: its messages and files are spoilt, not its frame."""
+    """A sound recording of anything: its messages and files are corrupted, not its frame."""
     place, _, content = data.partition(b"\n")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "x.mcap"

@@ -10,7 +10,7 @@ from rover_ncp import cli
 from rover_ncp.core.errors import NoBridge, SafetyStop, UsageError
 
 COMMANDS = sorted(point.name for point in entry_points(group=cli.GROUP))
-NOBODY = "--robot tcp/127.0.0.1:1"
+NO_BRIDGE = "--robot tcp/127.0.0.1:1"
 HEAVY = ["numba", "pymunk", "filterpy", "gymnasium", "matplotlib", "plotly", "zenoh", "rosbags", "scipy"]
 
 
@@ -109,14 +109,14 @@ NEEDS = {
         "bridge --base tcp/127.0.0.1:1 --limits no.yaml",
     ],
     "drive": [
-        f"deploy {NOBODY}",
-        f"check --on-blocks {NOBODY}",
-        f"teleop {NOBODY}",
+        f"deploy {NO_BRIDGE}",
+        f"check --on-blocks {NO_BRIDGE}",
+        f"teleop {NO_BRIDGE}",
         "replay no.mcap",
         "identify no.mcap",
         "course check parking",
     ],
-    "drive,report": [f"watch {NOBODY} --port 0"],
+    "drive,report": [f"watch {NO_BRIDGE} --port 0"],
     "keys": ["keys --out keys"],
     "train": [
         "train --course no.yaml",

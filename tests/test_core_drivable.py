@@ -1,4 +1,4 @@
-"""What can be driven, what cannot, and whether the right reason is told."""
+"""Feasible and infeasible courses, and the reason reported for each."""
 
 import math
 

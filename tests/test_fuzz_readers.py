@@ -1,4 +1,4 @@
-"""Whatever bytes come, from a line, a network or a file: a result, or the package's own error."""
+"""Any bytes from a line, a network or a file give a result or the package's own error."""
 
 import pytest
 from fuzz_readers import READERS, survives
@@ -22,7 +22,7 @@ PIECES = [
 
 
 @st.composite
-def spoilt(draw, samples):
+def corrupted(draw, samples):
     """A sample with pieces cut out, doubled, put in, and bytes changed."""
     data = bytearray(draw(st.sampled_from(samples)))
     for _ in range(draw(st.integers(1, 4))):
@@ -54,7 +54,7 @@ def test_whatever_comes_is_read_or_refused(name):
     samples = list(reader.samples())
 
     @settings(max_examples=EXAMPLES.get(name, 60))
-    @given(data=st.binary(max_size=300) | spoilt(samples) | spoilt(samples))
+    @given(data=st.binary(max_size=300) | corrupted(samples) | corrupted(samples))
     def read(data):
         survives(reader, data)
 

@@ -1,4 +1,4 @@
-"""What is shipped does what its pages say, on trials that nobody trained on."""
+"""The shipped policies do what their pages state, on trials that were not used in training."""
 
 import numpy as np
 import pytest

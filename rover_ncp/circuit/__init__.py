@@ -1,1 +1,1 @@
-"""The neural circuit: wiring, solver, mappings and policy files. Knows no robot, simulator or network."""
+"""The neural circuit: wiring, solver, mappings and policy files. No robot, simulator or network."""

@@ -29,7 +29,7 @@ MIDPOINT_MV = -40.0
 
 
 class SynapseKind(IntEnum):
-    """What a synapse does to its destination."""
+    """Effect of a synapse on its destination."""
 
     EXCITATORY = 0
     INHIBITORY = 1
@@ -81,7 +81,7 @@ DEFAULTS: Mapping[ParameterKind, float] = {
     ParameterKind.LEAK: 1.0,
     ParameterKind.CAPACITANCE: 0.05,
 }
-"""What the published file format assumes for a parameter that it leaves out."""
+"""Defaults of the published file format for parameters that a file leaves out."""
 
 _SYNAPSE_ARRAYS = (ParameterKind.WEIGHT, ParameterKind.SIGMA)
 _NEURON_ARRAYS = (ParameterKind.LEAK_POTENTIAL, ParameterKind.LEAK, ParameterKind.CAPACITANCE)

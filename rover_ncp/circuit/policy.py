@@ -250,7 +250,7 @@ class PolicyRunner:
         self._potentials[:] = RESTING_MV
 
     def warm_up(self, observation: Sequence[float] | FloatArray) -> None:
-        """Run one tick whose command nobody obeys, as the paper's simulator does before the first."""
+        """Run one warm-up tick, as the paper's simulator does; its command is discarded."""
         self.tick(observation)
 
     def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""What the solver runs, as plain tuples of arrays that kernels can take: made in ``lanes.py``.
+"""The solver's input as plain tuples of arrays that kernels accept; ``lanes.py`` makes them.
 
 The structure (``Program``) is shared by all lanes, their numbers (``LaneParameters``) are not. A driven
 neuron is one that is set, not stepped: a sensory neuron, or one held at a potential.
@@ -73,7 +73,7 @@ class Program(NamedTuple):
 class LaneParameters(NamedTuple):
     """The numbers of all lanes and room to work in, so: one thread at a time.
 
-    B blocks of WIDTH lanes. What spare lanes of the last block hold, nobody reads.
+    B blocks of WIDTH lanes. The contents of spare lanes in the last block are not used.
     """
 
     settled_weight: FloatArray

@@ -79,7 +79,7 @@ def tick_lanes(
     potential = lanes.potential
     neurons, count = potentials.shape
     for block in range((count + WIDTH - 1) // WIDTH):
-        # Spare lanes of the last block start as its last lane does; nobody reads what becomes of them.
+        # Spare lanes of the last block start as copies of its last lane; their results are discarded.
         for neuron in range(neurons):
             store(potential, 0, neuron, load_lanes(potentials, neuron, block * WIDTH))
         set_sensory_neurons(program, lanes, block, observations)

@@ -64,7 +64,7 @@ PARKING_MOTORS: tuple[tuple[SynapseKind, int, int, float], ...] = (
     (EX, 5, 11, 2.0),
     (EX, 2, 11, 2.0),
 )
-"""What parking adds: both command neurons drive the rover forward."""
+"""Synapses added for parking: both command neurons drive the rover forward."""
 
 FOUR_DOF_MOTORS: tuple[tuple[SynapseKind, int, int, float], ...] = (
     (EX, 5, 11, 2.0),

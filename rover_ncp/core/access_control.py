@@ -1,4 +1,4 @@
-"""Who may do what over Zenoh: the access control of a bridge, made from the table of keys.
+"""Access control of a bridge over Zenoh: the rights of each role, made from the table of keys.
 
 Zenoh matches rules by inclusion only, so nothing but a deny by default with exact keys holds: with an allow
 by default, a message on ``rover/*`` would slip past a rule that denies ``rover/motors``. Rules apply at the
@@ -10,8 +10,8 @@ from typing import Any
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key
 
 # (flow seen from the bridge's router, kinds of Zenoh messages) for a peer that sends, and one that receives.
-# A peer learns that somebody listens only where the listener's declaration may leave the router: that is how
-# a driver knows that it may drive before it tries.
+# A peer detects a listener only where the listener's declaration may leave the router. That is how a
+# driver checks whether it may drive before it tries.
 _SENDS = {
     Kind.MESSAGE: (("ingress", ("put",)), ("egress", ("declare_subscriber",))),
     Kind.QUERYABLE: (("ingress", ("query",)), ("egress", ("reply", "declare_queryable"))),

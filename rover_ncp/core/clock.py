@@ -1,4 +1,4 @@
-"""Where loops take the time from: Python's ``time`` module, or a virtual clock that has its methods."""
+"""Time sources of the loops: Python's ``time`` module, or a virtual clock that has its methods."""
 
 from typing import Protocol
 

@@ -25,10 +25,10 @@ def keys(
 
     Writes one Zenoh configuration for each end, which holds all that end needs: bridge.json5 (with users.txt
     beside it) for 'rover-ncp bridge --zenoh-config', driver.json5 for 'rover-ncp deploy --zenoh-config',
-    viewer.json5 for whoever may look and not drive, localiser.json5 for what says from outside where the
-    rover is, and may say nothing else. With them both ends prove who they are, all that
-    travels is encrypted, and each user may do what the table of keys says, nothing else. ca-key.pem signs:
-    keep it off the robot.
+    viewer.json5 for users who may watch but not drive, localiser.json5 for a localisation system that may
+    only publish the rover's pose. With them both ends prove their identity, all traffic is encrypted, and
+    each user has only the rights that the table of keys grants. ca-key.pem signs certificates: keep it off
+    the robot.
     """
     from rover_ncp.core.credentials import make_credentials
     from rover_ncp.core.files import require_writable, write_atomic

@@ -121,7 +121,7 @@ class Writer(io.RawIOBase):
             try:
                 left = left[os.write(self._own, left[:CHUNK_BYTES]) :]
                 self._chunks += 1
-            except BlockingIOError:  # whoever shares the descriptor has made it non-blocking
+            except BlockingIOError:  # another process made the shared descriptor non-blocking
                 select.select([], [self._own], [])
 
 
@@ -167,7 +167,7 @@ class Output:
     """The two channels of a command. ``controls`` says that a rover depends on this process."""
 
     ended = False
-    """Whether a command of this process has given its result: then nobody else is to give one for it."""
+    """Whether a command of this process has printed its result; it must not get a second one."""
     blocked_s: float | None = None
     """How long the end of this process waits for a reader that takes nothing; None is for ever."""
 

@@ -29,7 +29,7 @@ Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=64)]
 
 
 class Checkpoint(StrictModel):
-    """Where the base should be at a deadline: t in s, x and y in m, theta in rad."""
+    """Pose that the base should have at a deadline: t in s, x and y in m, theta in rad."""
 
     t: float = Field(ge=0)
     x: Coordinate
@@ -53,7 +53,7 @@ class Obstacle(StrictModel):
 
 
 class ParkedRule(StrictModel):
-    """What counts as parked at the horizon's end."""
+    """Conditions for a parked rover at the horizon's end."""
 
     position_m: float = Field(default=0.10, gt=0)
     heading_rad: float = Field(default=0.10, gt=0)

@@ -21,7 +21,7 @@ from rover_ncp.core.access_control import access_control
 from rover_ncp.core.key_table import Role
 
 PEERS = (Role.DRIVER, Role.VIEWER, Role.LOCALISER)
-"""Who gets a user of the bridge."""
+"""Roles that get a user of the bridge."""
 USERS_FILE = "users.txt"
 
 _VALID = datetime.timedelta(days=5 * 365)

@@ -1,4 +1,4 @@
-"""The error tree. Whatever leaves a public function on purpose is one of these.
+"""The error tree: every error that a public function raises on purpose.
 
     RoverNcpError
     ├── UsageError            the caller asked for something that cannot be: exit code 2
@@ -11,8 +11,8 @@
     │   ├── NoBridge          no bridge answers on Zenoh
     │   ├── OtherVersion      the bridge uses another version of the protocol
     │   ├── NotAuthorised     the bridge is there but does not let us drive
-    │   ├── AnotherDriver     somebody else holds the driver's lease
-    │   └── NoPose            nothing says where the rover stands
+    │   ├── AnotherDriver     another driver holds the lease
+    │   └── NoPose            no external pose arrives
     ├── FormatError           bytes or text from a peer are not what their key promises
     └── SafetyStop            a safety rule, named, stopped the rover: exit code 4
 
@@ -80,11 +80,11 @@ class NotAuthorised(UnreachableError):
 
 
 class AnotherDriver(UnreachableError):
-    """Somebody else holds the driver's lease."""
+    """Another driver holds the lease."""
 
 
 class NoPose(UnreachableError):
-    """Nothing says from outside where the rover stands, though it was to."""
+    """No external pose of the rover arrives, although one is required."""
 
 
 class FormatError(RoverNcpError):

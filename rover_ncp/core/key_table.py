@@ -1,4 +1,4 @@
-"""The table of all Zenoh keys: what travels on each, who may send it, who hears it.
+"""The table of all Zenoh keys: the content of each, its senders and its receivers.
 
 Messages are ROS 2 types in CDR on plain keys, so that ROS bridges see them with no glue. The namespace is put
 in front by `key`, not by Zenoh's own setting, which would also prefix the ``@`` tokens of ROS bridges.
@@ -13,7 +13,7 @@ from rover_ncp.core.errors import UsageError
 
 
 class Role(Enum):
-    """Who a peer is, to access control."""
+    """Role of a peer in access control."""
 
     BRIDGE = "bridge"
     DRIVER = "driver"

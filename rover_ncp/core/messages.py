@@ -61,7 +61,7 @@ class PoseSample(NamedTuple):
 
 
 class Transform(NamedTuple):
-    """Where ``child`` sits in ``parent``: x, y, z in m and yaw in rad."""
+    """Pose of ``child`` in ``parent``: x, y, z in m and yaw in rad."""
 
     parent: str
     child: str
@@ -121,9 +121,9 @@ def twist_stamped(velocity: Velocity, stamp_ns: int) -> bytes:
 
 
 def read_twist(data: bytes, max_bytes: int = 512) -> TwistSample:
-    """Read a Twist or a TwistStamped, told apart by length. Raises FormatError.
+    """Read a Twist or a TwistStamped, which differ in length. Raises FormatError.
 
-    Sideways and vertical parts are not the base's business: only linear.x and angular.z count.
+    Only linear.x and angular.z are used: the base moves neither sideways nor vertically.
     """
     if len(data) <= TWIST_BYTES:
         twist, stamp_ns = decode(TWIST, data), None

@@ -1,4 +1,4 @@
-"""What a policy can ask to see, by name: the same numbers in the simulator and on the robot.
+"""Quantities that a policy can observe, by name: the same numbers in the simulator and on the robot.
 
     x, y, theta                       the rover's pose in the course's frame, m and rad
     start                             the start signal, 0 or 1

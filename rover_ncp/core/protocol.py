@@ -2,8 +2,8 @@
 
 The driver asks ``rover/motors`` with its clock's time. The bridge answers with its own time, a lease number
 and a fresh key. From then on the driver signs each command, renewal and release with that key, and gives it a
-sequence number and the time of sending. The bridge can thus tell the holder of the lease from all others, and
-an old command from a fresh one although the two clocks agree in nothing.
+sequence number and the time of sending. The bridge can thus distinguish the holder of the lease from all
+others, and an old command from a fresh one, although the two clocks are not synchronised.
 """
 
 import hmac
@@ -202,7 +202,7 @@ class GateStatus(StrictModel):
 
 
 class DriverStatus(StrictModel):
-    """What the driving process says of itself on ``rover/status``."""
+    """Status of the driving process on ``rover/status``."""
 
     state: str
     reason: str = ""

@@ -1,8 +1,8 @@
-"""What was measured of one robot: its profile, which training, evaluation, mock and driver accept.
+"""Robot profile: measured properties of one robot, which training, evaluation, mock and driver accept.
 
-What a profile does not state, nobody knows: simulations draw it from their ranges, the driver does without.
-Gains are those that odometry sees, reported over commanded speed, for this is what can be measured with the
-robot alone. How odometry itself errs, and what slips away unseen, takes somebody who looks from outside.
+Simulations draw the values that a profile leaves out from their randomization; the driver works without them.
+Gains are the speed that odometry reports over the commanded speed: the robot alone can measure no others.
+Errors of odometry and unseen slip can only be measured with external poses.
 """
 
 from pathlib import Path
@@ -31,7 +31,7 @@ class RoverProfile(StrictModel):
     """Speed over commanded speed, as odometry reports it."""
     gain_omega: float | None = _Factor
     odometry_distance: float | None = _Factor
-    """What odometry reports over what is true."""
+    """Ratios of odometry's report to the true motion."""
     odometry_heading: float | None = _Factor
     imbalance_rad_m: float | None = None
     """Turn per way that no encoder sees."""

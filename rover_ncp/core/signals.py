@@ -1,4 +1,4 @@
-"""Being told to end, for processes that have a rover to stop first."""
+"""Termination signals, for processes that have to stop a rover first."""
 
 import signal
 from types import FrameType, TracebackType
@@ -6,9 +6,9 @@ from typing import Any, Self
 
 
 class Interrupts:
-    """Notes SIGINT, SIGTERM and SIGHUP instead of dying of them: the rover has to be stopped first.
+    """Record SIGINT, SIGTERM and SIGHUP instead of ending at once: the rover has to be stopped first.
 
-    What was ignored before stays so, such as SIGHUP (a closed terminal) under ``nohup``.
+    Signals that were ignored before stay ignored, such as SIGHUP (a closed terminal) under ``nohup``.
     """
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class Interrupts:
 
     @property
     def raised(self) -> bool:
-        """Whether any of them came."""
+        """Whether any of these signals was received."""
         return bool(self.received)
 
     def _note(self, number: int, frame: FrameType | None) -> None:

@@ -55,7 +55,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Drivability:
-    """What was found; ``misses`` has one entry for each checkpoint."""
+    """Result of the check; ``misses`` has one entry for each checkpoint."""
 
     reference: Reference
     misses: tuple[Deviation, ...]

@@ -240,8 +240,8 @@ def valid_frames(stream: bytes) -> Iterator[tuple[int, int]]:
     for start in range(len(stream) - 5):
         end = start + stream[start + 2] + 3
         if stream[start : start + 2] == b"\xfa\xfb" and stream[start + 2] >= 3 and end <= len(stream):
-            body, told = stream[start + 3 : end - 2], stream[end - 2 : end]
-            if checksum(body).to_bytes(2, "big") == told:
+            body, expected_sum = stream[start + 3 : end - 2], stream[end - 2 : end]
+            if checksum(body).to_bytes(2, "big") == expected_sum:
                 yield start, end
 
 

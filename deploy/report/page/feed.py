@@ -24,7 +24,7 @@ BEFORE = 50
 EXPLAIN_EVERY_S = 1.0
 
 
-Told = tuple[int, bool]
+Coverage = tuple[int, bool]
 """What an explanation covers: so many ticks, and whether it is that of the drive's end."""
 
 
@@ -37,7 +37,7 @@ class Place:
     odometry: int = 0
     asked: int = 0
     let_through: int = 0
-    explained: Told = (0, False)
+    explained: Coverage = (0, False)
 
 
 class Feed:
@@ -50,7 +50,7 @@ class Feed:
         self._timeline = Timeline(policy, course)
         self._over = False
         self._explained: dict[str, Any] = {}
-        self._explained_of: Told = (0, False)
+        self._explained_of: Coverage = (0, False)
         self._explained_at = -EXPLAIN_EVERY_S
 
     def take(self, message: Recorded) -> None:
@@ -74,10 +74,10 @@ class Feed:
             reset = place.generation != self._generation
             if reset:
                 place.__dict__.update(vars(Place(generation=self._generation)))
-            told: dict[str, Any] = {"reset": reset, **self._state()}
+            news: dict[str, Any] = {"reset": reset, **self._state()}
             if self._timeline.began_ns is not None:
-                told |= self._columns(place)
-            return told
+                news |= self._columns(place)
+            return news
 
     def _begin(self, message: Recorded) -> None:
         self._generation += 1
@@ -125,7 +125,7 @@ class Feed:
             return
         if not self._over and now - self._explained_at < EXPLAIN_EVERY_S:
             return
-        told = findings(analyse(self._timeline.trace()))
+        explained = findings(analyse(self._timeline.trace()))
         if not self._over:
-            told = {name: told[name] for name in ("phases", "rings")}
-        self._explained, self._explained_of, self._explained_at = told, (count, self._over), now
+            explained = {name: explained[name] for name in ("phases", "rings")}
+        self._explained, self._explained_of, self._explained_at = explained, (count, self._over), now

@@ -28,16 +28,16 @@ _ASSETS = resources.files("deploy.report.page") / "assets"
 
 def drive_page(drive: Drive) -> str:
     """Return the report of a recorded drive as HTML."""
-    told = summarise(drive)
+    summary = summarise(drive)
     return html(
-        f"{told.headline}: {drive.policy.circuit.name} on {drive.course.name}",
+        f"{summary.headline}: {drive.policy.circuit.name} on {drive.course.name}",
         {
             "live": False,
-            "parked": told.parked,
-            "headline": told.headline,
-            "subline": told.subline,
-            "summary": told.rows,
-            "origin": told.origin,
+            "parked": summary.parked,
+            "headline": summary.headline,
+            "subline": summary.subline,
+            "summary": summary.rows,
+            "origin": summary.origin,
             "course": course_data(drive.course),
             "circuit": circuit_data(drive.policy),
             "drive": drive_data(drive.timeline),

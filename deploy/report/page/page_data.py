@@ -44,7 +44,7 @@ def course_data(course: Course) -> dict[str, Any]:
 def circuit_data(policy: Policy) -> dict[str, Any]:
     """Return a circuit as it is drawn."""
     circuit, layout = policy.circuit, lay_out(policy)
-    told = labels(policy)
+    meanings = labels(policy)
     return {
         "name": circuit.name,
         "size": [WIDTH, HEIGHT, RADIUS],
@@ -54,7 +54,7 @@ def circuit_data(policy: Policy) -> dict[str, Any]:
                 "layer": str(layer),
                 "x": round(x, 1),
                 "y": round(y, 1),
-                "label": told.get(name, ""),
+                "label": meanings.get(name, ""),
             }
             for name, layer, (x, y) in zip(circuit.neurons, layout.layers, layout.places, strict=True)
         ],
@@ -147,13 +147,13 @@ def findings(analysis: Analysis) -> dict[str, Any]:
     return {
         "phases": [
             {
-                "label": told.phase.label,
-                "start": round(told.phase.start_s, 2),
-                "end": round(told.phase.end_s, 2),
-                "text": told.text,
-                "neurons": [level.neuron for level in (told.behind, told.motor) if level is not None],
+                "label": each.phase.label,
+                "start": round(each.phase.start_s, 2),
+                "end": round(each.phase.end_s, 2),
+                "text": each.text,
+                "neurons": [level.neuron for level in (each.behind, each.motor) if level is not None],
             }
-            for told in analysis.explanations
+            for each in analysis.explanations
         ],
         "rings": {
             row.neuron: [round(ring_radius(row.lowest_s), 1), round(ring_radius(row.highest_s), 1)]

@@ -3,7 +3,7 @@ const PLOT_FONT = { family: "system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-
 const PLOT_CONFIG = { displayModeBar: false, responsive: true, scrollZoom: false, doubleClick: false };
 const GRID = "#e4e6ea";
 const ELLIPSE_SIGMAS = 3;
-// Columns grow in place while a rover drives; Plotly looks at them again only when told that they are others.
+// Columns grow in place while a rover drives; Plotly draws them again only when `datarevision` changes.
 let revision = 0;
 const narrow = () => window.innerWidth < 560;
 
@@ -109,11 +109,11 @@ class PathPlot {
       if (!places.has(key)) places.set(key, { x, y, times: [] });
       places.get(key).times.push(t);
     }
-    const told = [];
+    const labelled = [];
     for (const place of [...places.values()].sort((a, b) => b.times.length - a.times.length)) {
-      if (told.every((other) => Math.hypot(place.x - other.x, place.y - other.y) > (narrow() ? 0.16 : 0.07))) told.push(place);
+      if (labelled.every((other) => Math.hypot(place.x - other.x, place.y - other.y) > (narrow() ? 0.16 : 0.07))) labelled.push(place);
     }
-    return told.map(({ x, y, times }) => ({
+    return labelled.map(({ x, y, times }) => ({
       x, y, text: times.length > 1 ? `${number(times[0])} to ${number(times.at(-1))} s` : `${number(times[0])} s`,
       showarrow: false, xanchor: "left", yanchor: "top", xshift: 7, yshift: -3, font: { size: 11 },
     }));

@@ -1,4 +1,4 @@
-"""A mock Pioneer and a bridge as real processes, and a driver's hand on them. Run as a program, it drives."""
+"""A mock Pioneer and a bridge as real processes, and a scripted driver. Run as a program, it drives."""
 
 import csv
 import json
@@ -34,7 +34,7 @@ def wait_for(condition, timeout_s=5.0):
     """Poll until ``condition()`` is true, and return it."""
     deadline = time.monotonic() + timeout_s
     while not (found := condition()):
-        assert time.monotonic() < deadline, "waited in vain"
+        assert time.monotonic() < deadline, "timed out"
         time.sleep(0.01)
     return found
 
@@ -201,7 +201,7 @@ class Rig:
 
 
 def braking_s(v):
-    """How long the base takes to stand from speed ``v`` once it was told to: its own delay, then braking."""
+    """Time in s from the stop command to standstill at speed ``v``: the base's own delay, then braking."""
     return DELAY_S + abs(v) / BRAKING_M_S2
 
 

@@ -1,4 +1,4 @@
-"""Whatever arrives at the gate, in whatever order: what comes out is finite, within limits, and allowed."""
+"""Any events in any order: the gate's output is finite, within limits, and allowed."""
 
 import math
 from dataclasses import replace
@@ -107,7 +107,7 @@ def events_of(kind, what, now, sequence):
 
 
 def allowed_to_move(history, limits):
-    """Whether the rover may move now, told from the history alone and by other means than the gate's."""
+    """Whether the rover may move now, computed from the history alone, independently of the gate."""
     now = history[-1][0]
     reported_s, report = next(
         ((t, event) for t, event, _ in reversed(history) if isinstance(event, Heard)), (-math.inf, None)

@@ -1,4 +1,4 @@
-"""What the driver makes of a robot's packets, held against what third-party clients printed about them."""
+"""Odometry from a robot's recorded packets, compared with the printed output of third-party clients."""
 
 import math
 from collections.abc import Callable

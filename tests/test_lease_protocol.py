@@ -37,7 +37,7 @@ def driver(rig):
 
 
 def test_a_lost_answer_locks_everybody_out_until_the_lease_lapses(rig, driver):
-    """The lease is granted, and its key with it, to a driver that never gets to know it."""
+    """The lease and its key are granted, but the answer never reaches the driver."""
     first = wait_for(lambda: (reply := driver.motors()).granted and reply)
     driver.lease.end()
     assert driver.motors().reason == "another-driver"

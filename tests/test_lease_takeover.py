@@ -47,7 +47,7 @@ def test_1000_attempts_to_take_over_a_drive_fail_and_it_ends_parked(tmp_path, re
     assert bridge.result["accepted"] <= sent
     assert sum(bridge.result["dropped"].values()) >= 0.5 * ATTEMPTS
     assert min(heard) >= 0.0
-    # Nobody but the driver ever had a lease, and no answer holds a key.
+    # Only the driver ever had a lease, and no answer holds a key.
     assert len(attacker.answers) >= 0.4 * ATTEMPTS
     assert {answer["granted"] for answer in attacker.answers} == {False}
     assert not any("key" in answer for answer in attacker.answers)

@@ -140,7 +140,7 @@ def test_a_robot_that_answers_nonsense_is_exit_3(fails):
         code, line = fails(address)
     thread.join(5.0)
     assert code == 3
-    assert line.startswith(f"{address}: what answers is no ARCOS base")
+    assert line.startswith(f"{address}: the device that answers is no ARCOS base")
 
 
 def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):

@@ -232,7 +232,7 @@ def test_deploy_says_not_authorised_and_drives_when_it_is(rig, keys, tmp_path, c
     assert viewer.startswith("rover-ncp: not authorised: the bridge at tls/127.0.0.1")
     assert cli.run(options) == 3
     stranger = capsys.readouterr().err
-    assert stranger.startswith("rover-ncp: not authorised: what listens at tls/127.0.0.1")
+    assert stranger.startswith("rover-ncp: not authorised: the process at tls/127.0.0.1")
     driver = ["--zenoh-config", str(keys / "driver.json5"), "--duration", "0.5"]
     compile_driver()
     done = Process("deploy", [*options[1:], *driver], tmp_path).wait(30.0)

@@ -311,7 +311,7 @@ def test_what_is_no_pose_is_refused(pose, covariance):
     assert np.array_equal(after.covariance, before.covariance)
 
 
-def test_a_variance_of_zero_is_one_that_nobody_knows():
+def test_a_variance_of_zero_counts_as_unknown():
     one, other = straight(1.0), straight(1.0)
     seen = Pose(_way(1.0) + 0.01, 0.01, 0.01)
     one.external(seen, np.zeros((3, 3)), 1.0)

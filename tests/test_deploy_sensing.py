@@ -1,4 +1,4 @@
-"""What tells the driver where it is beside odometry: external poses and a gyro, over real Zenoh."""
+"""The driver's measurements beside odometry: external poses and a gyro, over real Zenoh."""
 
 import dataclasses
 import functools
@@ -86,7 +86,7 @@ def test_without_anybody_who_says_where_it_stands_the_start_is_the_origin_or_non
 ):
     shorter = functools.partial(DriveConfig, still_s=0.15, pose_wait_s=0.5)
     monkeypatch.setattr(node, "DriveConfig", shorter)
-    with pytest.raises(NoPose, match="nobody says on 'pose' where the rover stands") as caught:
+    with pytest.raises(NoPose, match="no external pose of the rover arrived on 'pose'") as caught:
         drive(pose="required")
     assert caught.value.exit_code == 3
     assert bridge.requests == []

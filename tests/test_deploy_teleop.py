@@ -1,4 +1,4 @@
-"""Driving by keyboard over a pseudo-terminal: mock and bridge as real processes, and somebody's keys."""
+"""Driving by keyboard over a pseudo-terminal: mock and bridge as real processes, and simulated keys."""
 
 import contextlib
 import json
@@ -69,7 +69,7 @@ class Person:
         return time.time_ns()
 
     def hold(self, key, seconds):
-        """Hold a key as a terminal tells it; return when it was sent last, in ns."""
+        """Send a held key as a terminal does; return when it was sent last, in ns."""
         end = time.monotonic() + seconds
         last = self.type(key)
         time.sleep(DELAY_S)

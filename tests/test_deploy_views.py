@@ -1,4 +1,4 @@
-"""What a recording holds for viewers, and the layout that ships for them."""
+"""Topics in a recording for viewers, and the layout file for them."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The live page among real processes: what it is fed, and its Stop button."""
+"""The live page among real processes: its data and its Stop button."""
 
 import csv
 import http.client
@@ -135,7 +135,7 @@ def test_neurons_of_another_policy_are_noticed(short):
     assert feed.news(Place())["foreign"] is True
 
 
-def test_nobody_at_the_robots_address(capsys):
+def test_no_bridge_at_the_robots_address(capsys):
     assert run(["watch", "--robot", "tcp/127.0.0.1:9", "--port", "0"]) == 3
     assert "nothing answers at tcp/127.0.0.1:9" in capsys.readouterr().err
 
@@ -197,7 +197,7 @@ def test_the_stop_button_stops_a_running_rover(live):
 
     with urllib.request.urlopen(page.address, timeout=5) as answer:
         assert b'id="stop"' in answer.read()
-    # A page of somebody else's in the same browser, and a name that somebody else's DNS made for us.
+    # A foreign page in the same browser, and a name for this machine from a foreign DNS.
     assert page.post("stop", "http://evil.example")[0] == 403
     assert page.post("stop", None)[0] == 403
     line = http.client.HTTPConnection(page.host, timeout=5)

@@ -127,7 +127,7 @@ def test_a_left_turn_is_explained_from_its_numbers():
     )
 
 
-def test_a_motor_neuron_that_nobody_pulls_acts_on_its_own_leak():
+def test_a_motor_neuron_without_a_pull_acts_on_its_own_leak():
     quiet = [-70, -70, -70, -30, -70, -30]
     policy = small_policy()
     weak = dataclasses.replace(policy.circuit, weight=np.full(4, 0.5))

@@ -2,7 +2,7 @@
 
 A base begins at the rate in its FLASH, 9600 as shipped, takes another with HOSTBAUD, and goes back to its own
 with CLOSE. At 9600 a SIP with 16 sonars fills 93 ms of its 100 (Adept Pioneer 3 manual p. 43), so ARIA asks
-for 38400 whenever the CONFIGpac says AUTOBAUD 2; whoever vanished leaves the base there.
+for 38400 whenever the CONFIGpac says AUTOBAUD 2; a client that vanished leaves the base at that rate.
 """
 
 from bridge.pioneer.packets import ConfigPac

@@ -43,8 +43,8 @@ def deploy(
     profile: Annotated[
         Path | None,
         typer.Option(
-            help="What was measured of this robot, as 'identify' writes it: its gains are made up for, its "
-            "odometry's noise is reckoned with.",
+            help="The robot's profile, as 'identify' writes it: the drive compensates its gains and uses its "
+            "odometry's noise.",
             show_default=False,
         ),
     ] = None,

@@ -89,7 +89,7 @@ def test_the_manuals_examples_are_what_the_encoder_writes() -> None:
     assert syncs == VECTORS["manual_SYNC"]["hex"]
 
 
-def test_the_manuals_unsigned_argument_keeps_its_size_whatever_its_type_byte() -> None:
+def test_the_manuals_unsigned_argument_keeps_its_size_with_any_type_byte() -> None:
     (packet,) = Decoder().feed(bytes.fromhex(VECTORS["manual_DIGOUT_example"]["hex"]))
     assert decode_argument(Command.DIGOUT, packet.payload) == 0x0919
 

@@ -47,7 +47,7 @@ def test_nothing_moves_before_the_motors_are_on():
     assert gate.drive(0.3).velocity.v > 0.0
 
 
-def test_a_base_not_heard_of_late_is_not_given_to_anybody():
+def test_stale_odometry_refuses_the_lease():
     gate = Gate()
     gate.at(0.0, Heard())
     assert gate.enable(0.5).refusal is Reason.ODOMETRY

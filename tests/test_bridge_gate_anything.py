@@ -155,7 +155,7 @@ def forged(event, state):
 
 @settings(max_examples=300)
 @given(happenings=happenings, limits=all_limits, accept_ros=st.booleans())
-def test_whatever_arrives_what_comes_out_is_finite_within_limits_and_allowed(happenings, limits, accept_ros):
+def test_output_is_always_finite_within_limits_and_allowed(happenings, limits, accept_ros):
     state, now, before = State(), 100.0, (100.0, ZERO)
     history = []
     prelude = [(0.0, ("report", CLEAR)), (0.0, ("enable", (None, 0)))]

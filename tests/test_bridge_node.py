@@ -99,7 +99,7 @@ def test_silence_stops_the_rover(rig, driver):
     assert speed > 0.1
     assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
     wait_for(lambda: driver.gate.stops.get("silence", 0) > stops)
-    # The lease lapses and the motors go off without anybody asking.
+    # The lease lapses and the motors go off without a request.
     wait_for(lambda: driver.gate.lease == 0 and driver.gate.ended == "lease-lapsed")
 
 

@@ -1,4 +1,4 @@
-"""A lab's localisation beside real processes: the rover gets its unknown start pose from outside, and parks."""
+"""A lab's localisation beside real processes: it gives the rover its start pose, and the rover parks."""
 
 import threading
 

@@ -81,9 +81,7 @@ def test_a_gyros_readings_count_are_recorded_and_recomputed(bridge, drive, tmp_p
     assert difference.quantity.startswith("the gyro reading of stamp")
 
 
-def test_without_anybody_who_says_where_it_stands_the_start_is_the_origin_or_none(
-    bridge, drive, tmp_path, monkeypatch
-):
+def test_without_external_poses_the_start_is_the_origin_or_an_error(bridge, drive, tmp_path, monkeypatch):
     shorter = functools.partial(DriveConfig, still_s=0.15, pose_wait_s=0.5)
     monkeypatch.setattr(node, "DriveConfig", shorter)
     with pytest.raises(NoPose, match="no external pose of the rover arrived on 'pose'") as caught:

@@ -81,13 +81,13 @@ def test_events_are_the_news_among_the_words_of_driver_and_gate():
     assert watcher.events == [
         (1, "state", "armed"),
         (2, "state", "driving"),
-        (4, "stop", "the gate holds the rover still, bumper"),
-        (6, "gate", "the gate lets commands through again"),
+        (4, "stop", "the gate holds the rover, bumper"),
+        (6, "gate", "the gate passes commands again"),
         (7, "late", "tick 14 was late"),
         (8, "gate", "the gate limited a command for the first time, speed"),
         (9, "gate", "the gate dropped a command for the first time, stale"),
-        (10, "stop", "the gate holds the rover still, stopped: a person"),
-        (11, "stop", "the gate took the motors away, stopped"),
+        (10, "stop", "the gate holds the rover, stopped: a person"),
+        (11, "stop", "the gate revoked the lease, stopped"),
         (12, "stop", "fault: stopped by lease"),
     ]
 

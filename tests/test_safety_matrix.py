@@ -39,7 +39,7 @@ def rig_with(tmp_path_factory):
         )
 
 
-# A hand never stops by itself, so where one can drive, what stops the rover is the gate.
+# A scripted driver never stops by itself, so where one can drive, the gate stops the rover.
 @pytest.mark.parametrize("key", [each.key for each in MATRIX if each.outside and not each.outlet])
 def test_the_rover_stands_in_time_and_stays(rig, key):
     measured = measure(rig, row(key), MISHAPS[key].drivers[0])

@@ -36,7 +36,7 @@ class Packet(NamedTuple):
 
 
 class Argument(Enum):
-    """What follows a command's number."""
+    """Kind of a command's argument."""
 
     NONE = "nothing"
     SIGNED = "integer, 0x1B negates it"

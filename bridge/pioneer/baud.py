@@ -11,7 +11,7 @@ RATES = (9600, 19200, 38400, 57600, 115200)
 """By the argument of HOSTBAUD."""
 
 FAST = 38400
-"""What ARIA's parameter files ask for (SwitchToBaudRate)."""
+"""The rate in ARIA's parameter files (SwitchToBaudRate)."""
 
 CAN_SWITCH = 2
 """AUTOBAUD of a base that takes another rate in a session (ARIA switches only then)."""
@@ -35,7 +35,7 @@ class Rates:
 
     @property
     def tries(self) -> int:
-        """How many more silent tries it takes to look at every rate."""
+        """Number of further tries without an answer until every rate has been tried."""
         return 0 if self.home is None else len(self._search())
 
     def look(self, attempt: int) -> int | None:

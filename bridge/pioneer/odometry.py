@@ -14,7 +14,7 @@ from bridge.pioneer.robots import RobotParameters
 COUNTER_BITS, HEADING_BITS = 15, 12
 
 _RESET_NEAR_M, _RESET_NEAR_RAD = 0.1, 0.2
-"""How near to zero the counters must be for a reset that was asked for to have happened."""
+"""A requested reset has happened when the counters are this near to zero."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Odometer:
 
     @property
     def reset_pending(self) -> bool:
-        """Whether a reset was asked for and no SIP has shown it yet."""
+        """Whether a reset was requested and no SIP has shown it yet."""
         return self._reset_asked
 
     def expect_reset(self) -> None:
@@ -129,7 +129,7 @@ class Odometer:
         self._last = sip
 
     def _bumpers(self, sip: Sip) -> tuple[int, int]:
-        """Return the bits of the bumpers in the CONFIGpac; a base without bumpers may report all as pressed."""
+        """Return the bits of the bumpers in the CONFIGpac; a base without them may report all as pressed."""
         if self.config is None:
             return 0, 0
         front, rear = self.config.front_bumps, self.config.rear_bumps

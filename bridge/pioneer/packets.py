@@ -134,7 +134,7 @@ class Sip:
     battery_dv: int = _wire("B", 0)
     stall_left: int = _wire("B", 0)  # bit 0 stalled, bits 1 to 7 rear bumpers
     stall_right: int = _wire("B", 0)  # bit 0 stalled, bits 1 to 7 front bumpers
-    control: int = _wire("h", 0)  # heading set-point
+    control: int = _wire("h", 0)  # heading setpoint
     flags: int = _wire("H", 0)
     compass: int | None = _wire("B")
     # The sonar readings stand here on the wire: a count, then number and range of each.

@@ -40,7 +40,7 @@ class Helm:
         self._enable_tries = 0
 
     def take(self, now: float) -> None:
-        """Take over a base that just became ready: limits, sonars, zero set-points, motors off."""
+        """Take over a base that just became ready: limits, sonars, zero setpoints, motors off."""
         self._wanted = False
         self._send_limits()
         self._send(Command.SONAR, 1)

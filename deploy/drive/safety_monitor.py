@@ -68,9 +68,9 @@ class Guard:
         if gate.lease == self._link.lease.number:
             self._lease_seen = True
         elif self._lease_seen:
-            raise SafetyStop(gate.ended or "lease", "the gate took the motors away")
+            raise SafetyStop(gate.ended or "lease", "the gate revoked the lease")
         elif self._clock.monotonic_ns() - granted_ns > self._waits.lease_wait_s * NS:
-            raise SafetyStop("lease", "the gate does not confirm that we may drive")
+            raise SafetyStop("lease", "the gate does not confirm the lease")
         self._link.lease.check(gate, self._clock.monotonic_ns())
 
     def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:

@@ -86,8 +86,8 @@ class CourseFilter:
         self._resolution = np.diag([s.position_m**2, s.position_m**2, s.heading_rad**2])
         self._history = [_Entry(moment, None, x, P)]
         self._fresh = 1
-        """Number of entries that are up to date with all earlier ones. The others are applied again when needed,
-        so many late poses at once cost little more than one."""
+        """Number of entries that include all earlier ones. The others are applied again when needed, so many
+        late poses at once cost little more than one."""
         self._waiting: list[Seen] = []
         self.nis = 0.0
         """Normalised innovation squared of the last evaluated pose."""

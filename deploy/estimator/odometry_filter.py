@@ -53,7 +53,7 @@ class OdometryFilter:
 
     @property
     def pose(self) -> Pose:
-        """Where the base is in odometry's frame at ``t``."""
+        """The pose in odometry's frame at ``t``."""
         x, y, theta = self._filter.x[:V].tolist()
         return Pose(x, y, theta)
 

@@ -24,7 +24,7 @@ STANDING_M_S, STANDING_RAD_S = 0.004, 0.006
 STANDING_S = 0.35
 """The rover stands this long before its pose is used, and at least this long after."""
 STEP_M, STEP_RAD = 0.001, math.tau / 4096
-"""What positions and headings are rounded to."""
+"""Resolution of positions and headings."""
 LEAST_NOISE_SAMPLES = 20
 
 SCALE_STD = 0.0173

@@ -85,7 +85,7 @@ def _driven(options: Options, robot: str, output: Output) -> list[Recorded]:
                     tape.roll({SETTINGS_FILE: dump_yaml(about).encode()})
                     seconds = sum(step.seconds for step in steps())
                     output.say(
-                        f"driving for {seconds:.0f} s within {options.fence_m} m of the start; Ctrl-C stops it"
+                        f"driving for {seconds:.0f} s within {options.fence_m} m of here; Ctrl-C stops it"
                     )
                     excite(link, intake, guard, options.fence_m)
                 except Interrupted as interruption:

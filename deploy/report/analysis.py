@@ -1,4 +1,4 @@
-"""All that one run tells about its circuit, in one value: what tables, pictures and pages are made of."""
+"""Analysis of one run's circuit in one value; tables, pictures and pages use it."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A sentence for each phase of a manoeuvre: which neurons did it, and which did that to them.
+"""A sentence for each phase of a manoeuvre: the neurons that caused it, and those that drove them.
 
 All from the run's numbers. A phase is explained backwards from its output: the motor neuron that gives most
 of it, the neuron whose synapse pulls most on that one, and the synapses that pull most on that in turn.
@@ -23,9 +23,9 @@ FloatArray = NDArray[np.float64]
 
 V, OMEGA = 0, 1
 LEAST_MV = 1.0
-"""A weaker pull is not worth a word,"""
+"""A weaker pull is left out,"""
 LEAST_SHARE = 0.15
-"""nor is one that is small beside the strongest."""
+"""and so is one that is small beside the strongest."""
 MOST = 2
 """Neurons named on either side."""
 LEAST_CHANGE_MV = 3.0
@@ -59,7 +59,7 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why the rover did what it did in one phase; all in mV are means over the phase."""
+    """Explanation of the rover's motion in one phase; values in mV are means over the phase."""
 
     phase: Phase
     motor: Level

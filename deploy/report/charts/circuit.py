@@ -1,4 +1,4 @@
-"""The circuit as a drawing: who reaches whom, how strongly on average, and how fast each neuron is."""
+"""Drawing of the circuit: its synapses, their mean strength, and each neuron's time constants."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING

@@ -17,7 +17,7 @@ from rover_ncp.core.course import Course
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a CSV file: numbers with all their digits, nothing for what there is not."""
+    """Return a CSV file: numbers with all their digits, empty cells for missing values."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(header)

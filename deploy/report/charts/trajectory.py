@@ -1,4 +1,4 @@
-"""The way of the rover from above, plain and painted with the activity of each neuron."""
+"""The rover's path from above, plain and coloured by the activity of each neuron."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -119,7 +119,7 @@ def activity(trace: Trace, course: Course) -> Picture:
 
 
 def setting(axes: "Axes", course: Course) -> None:
-    """Draw what does not move: obstacles and the goal with its tolerance."""
+    """Draw obstacles and the goal with its tolerance."""
     from matplotlib.patches import Circle, Polygon
 
     quiet(axes)
@@ -158,7 +158,7 @@ def _badge(axes: "Axes", where: Any, number: int, color: str) -> None:
 
 
 def _checkpoints(axes: "Axes", trace: Trace, course: Course) -> None:
-    """Draw where the rover should have been, how far off it was at each deadline, and the deadlines."""
+    """Draw the checkpoints, the rover's distance from each at its deadline, and the deadlines."""
     points = np.array([point.pose for point in course.checkpoints])
     times = np.append(trace.times, trace.times[-1] + trace.policy.tick_s)
     above: dict[tuple[float, float], bool] = {}

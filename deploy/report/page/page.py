@@ -1,4 +1,4 @@
-"""The page: one self-contained HTML file that asks nobody for anything."""
+"""The page: one self-contained HTML file without external requests."""
 
 import json
 import re
@@ -47,7 +47,7 @@ def drive_page(drive: Drive) -> str:
 
 
 def html(title: str, data: dict[str, Any], template: Template = DRIVE, connect: str = "'none'") -> str:
-    """Return a page that shows ``data``; ``connect`` is whom its script may talk to, as a CSP source.
+    """Return a page that shows ``data``; ``connect`` is the CSP source to which its script may connect.
 
     Everything is in the file, and its content security policy forbids the browser to fetch anything else.
     """

@@ -1,4 +1,4 @@
-"""What a page shows, as plain values for its script: one drawing, and columns over time.
+"""Data of a page as plain values for its script: one drawing, and columns over time.
 
 Columns are rounded to what a screen can show: a page of a drive of 32 s stays well under a megabyte without
 its plotting library.
@@ -143,7 +143,7 @@ def drive_data(timeline: Timeline) -> dict[str, Any]:
 
 
 def findings(analysis: Analysis) -> dict[str, Any]:
-    """Return what the run says about its circuit: phases, contributions, time constants."""
+    """Return the findings of a run: phases, contributions, time constants."""
     return {
         "phases": [
             {
@@ -181,7 +181,7 @@ def _since(timeline: Timeline, moments: Iterable[int]) -> list[float]:
 
 
 def _rounded(values: ArrayLike, digits: int = 4) -> list[float | None]:
-    """Return numbers as JSON can hold them: rounded, and nothing for what is not finite."""
+    """Return numbers for JSON: rounded, and None for a value that is not finite."""
     return [
         round(value, digits) if math.isfinite(value) else None
         for value in np.asarray(values, np.float64).tolist()

@@ -1,4 +1,4 @@
-// The plots over time and the path from above. Plotly draws what stays; what moves with the slider is little.
+// The plots over time and the path from above. Plotly draws the static parts; few parts move with the slider.
 const PLOT_FONT = { family: "system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif", size: 12, color: COLOR.ink };
 const PLOT_CONFIG = { displayModeBar: false, responsive: true, scrollZoom: false, doubleClick: false };
 const GRID = "#e4e6ea";
@@ -137,7 +137,7 @@ class PathPlot {
     Plotly.restyle(this.holder, { x: all.map((points) => points.map((p) => p[0])), y: all.map((points) => points.map((p) => p[1])) }, this.moving);
   }
 
-  // One line of numbers for those who do not see the plot.
+  // One line of numbers, for screen readers.
   words(i, t) {
     if (i < 0) return "No tick yet.";
     const { course, drive } = this.model, { ticks, truth } = drive, j = locate(truth.t, t);

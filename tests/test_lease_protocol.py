@@ -36,8 +36,8 @@ def driver(rig):
         time.sleep(1.0)  # after which plain commands may drive again
 
 
-def test_a_lost_answer_locks_everybody_out_until_the_lease_lapses(rig, driver):
-    """The lease is granted, and its key with it, to a driver that never gets to know it."""
+def test_a_lost_answer_locks_all_drivers_out_until_the_lease_lapses(rig, driver):
+    """The lease and its key are granted, but the answer never reaches the driver."""
     first = wait_for(lambda: (reply := driver.motors()).granted and reply)
     driver.lease.end()
     assert driver.motors().reason == "another-driver"

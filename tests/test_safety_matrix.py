@@ -39,7 +39,7 @@ def rig_with(tmp_path_factory):
         )
 
 
-# A scripted driver never stops by itself. Wherever one can drive, the gate is what stops the rover.
+# A scripted driver never stops by itself, so where one can drive, the gate stops the rover.
 @pytest.mark.parametrize("key", [each.key for each in MATRIX if each.outside and not each.outlet])
 def test_the_rover_stands_in_time_and_stays(rig, key):
     measured = measure(rig, row(key), FAULTS[key].drivers[0])
@@ -53,7 +53,7 @@ def test_the_rover_stands_in_time_and_stays(rig, key):
     [("bumper", "mock"), ("line-reset", "line"), ("bridge-hung", "bridge")],
 )
 def test_fault_is_timed_when_it_begins_and_not_when_it_is_asked_for(rig, monkeypatch, key, late):
-    """The process that brings the fault about runs 0.2 s later than asked; that is not the rover's time."""
+    """The process that injects the fault starts 0.2 s late; that is not the rover's stopping time."""
     fault = FAULTS[key]
     asked_ns = 0
 

@@ -11,7 +11,7 @@ GRADIENTS_STAMP := $(VENV)/.gradients
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park --overwrite
 
-# Two workers, each with whole files: many tests wait for real processes, and CI has two cores.
+# Three workers, each with whole files: many tests wait for real processes, and CI has two cores.
 test: $(STAMP)
 	$(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
 

@@ -32,11 +32,11 @@ def test_windows_of_neighbouring_ticks_touch_and_do_not_overlap():
 def test_predicted_and_missed_ticks_are_overruns():
     keeper = RateKeeper(PERIOD, 0)
     keeper.ticked(0, predicted=False)
-    assert keeper.skip_missed(keeper.deadline_ns) == 0
+    assert keeper.skip_missed(keeper.deadline_ns, 320) == 0
     keeper.ticked(keeper.deadline_ns, predicted=True)
     assert keeper.overruns == 1
-    assert keeper.skip_missed(keeper.deadline_ns + PERIOD - 1) == 0
-    assert keeper.skip_missed(keeper.deadline_ns + 3 * PERIOD + 1) == 3
+    assert keeper.skip_missed(keeper.deadline_ns + PERIOD - 1, 320) == 0
+    assert keeper.skip_missed(keeper.deadline_ns + 3 * PERIOD + 1, 320) == 3
     assert keeper.index == 5
     keeper.ticked(keeper.due_ns, predicted=False)
     report = keeper.report()
@@ -98,3 +98,10 @@ def test_a_drifting_clock_is_followed_over_hours():
         stamp = round(number * PERIOD * (1 - 1e-4))
         worst = max(worst, arrival - clock.measured_ns(stamp, arrival))
     assert worst <= 60 * NS * 1e-4 + MS
+
+
+def test_no_tick_beyond_the_end_of_the_course_is_missed():
+    keeper = RateKeeper(PERIOD, 0)
+    assert keeper.skip_missed(keeper.deadline_ns + 30 * PERIOD, 10) == 10
+    assert (keeper.index, keeper.missed) == (10, 10)
+    assert keeper.skip_missed(keeper.deadline_ns + 5 * PERIOD, 10) == 0

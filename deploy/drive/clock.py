@@ -63,13 +63,13 @@ class RateKeeper:
         """Ticks that had to run without fresh odometry, or could not run in time at all."""
         return self.predicted + self.missed
 
-    def skip_missed(self, now_ns: int) -> int:
-        """Give up ticks whose whole successor's window is over too; return how many.
+    def skip_missed(self, now_ns: int, end: int) -> int:
+        """Give up ticks whose whole successor's window is over too; return how many. ``end`` is the last index.
 
         A process that was held up goes on where the schedule stands: old ticks run late in a burst would
         show the circuit a time that has passed.
         """
-        missed = max(0, (now_ns - self.deadline_ns) // self._period)
+        missed = max(0, min((now_ns - self.deadline_ns) // self._period, end - self.index))
         self.index += missed
         self.missed += missed
         return missed

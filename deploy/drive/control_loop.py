@@ -166,7 +166,7 @@ class Drive:
         while True:
             now_ns = self._clock.monotonic_ns()
             if now_ns >= keeper.deadline_ns:
-                keeper.skip_missed(now_ns)
+                keeper.skip_missed(now_ns, self._config.ticks)
             fresh = newest.ref.measured_ns >= keeper.opens_ns
             if fresh or now_ns >= keeper.deadline_ns:
                 last = keeper.index >= self._config.ticks

@@ -64,15 +64,13 @@ def recover(
     What a killed process had not yet written is gone, half a second at most. The file is replaced at once or
     not at all. A recording that is whole already stays as it is, and so does one that is still being written.
     """
-    from rover_ncp.core.files import require_creatable, require_writable
+    from rover_ncp.core.files import require_creatable
     from rover_ncp.core.recording import read_recording, require_finished, rewrite
 
     target = out or run
     if target == run:
         require_finished(run)
-        require_writable(run)
-    else:
-        require_creatable(target, overwrite=overwrite)
+    require_creatable(target, overwrite=overwrite or target == run)
     recording = read_recording(run)
     if not recording.complete or out is not None:
         rewrite(recording, target)

@@ -64,7 +64,7 @@ class RateKeeper:
         return self.predicted + self.missed
 
     def skip_missed(self, now_ns: int, end: int) -> int:
-        """Give up ticks whose whole successor's window is over too; return how many. ``end`` is the last index.
+        """Give up ticks before ``end`` whose whole successor's window is over too; return how many.
 
         A process that was held up goes on where the schedule stands: old ticks run late in a burst would
         show the circuit a time that has passed.

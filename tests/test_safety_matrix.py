@@ -53,7 +53,7 @@ def test_the_rover_stands_in_time_and_stays(rig, key):
     [("bumper", "mock"), ("line-reset", "line"), ("bridge-hung", "bridge")],
 )
 def test_fault_is_timed_when_it_begins_and_not_when_it_is_asked_for(rig, monkeypatch, key, late):
-    """The process that injects the fault starts 0.2 s late; that is not the rover's stopping time."""
+    """The process that injects the fault runs 0.2 s late; that delay does not count as the rover's."""
     fault = FAULTS[key]
     asked_ns = 0
 
@@ -113,7 +113,7 @@ def test_a_wall_in_the_way(tmp_path):
 # One table, and everything that is made from it.
 
 
-def test_every_row_that_can_be_brought_about_from_outside_is():
+def test_every_row_that_can_be_injected_has_a_fault():
     assert set(FAULTS) == {each.key for each in MATRIX if each.outside}
     assert len({each.key for each in MATRIX}) == len(MATRIX)
 

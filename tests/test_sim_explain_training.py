@@ -59,7 +59,7 @@ def test_the_page_shows_curves_drives_and_parameters(folder, tmp_path):
     assert len(page.path.read_bytes()) < 10_000_000
 
 
-def test_a_run_that_goes_on_is_told_as_far_as_it_got(folder, tmp_path):
+def test_unfinished_run_is_reported_as_far_as_it_got(folder, tmp_path):
     for part in ("agents/00.yaml", "agents/01.yaml", "agents/02.yaml", "curve.png", "milestones"):
         copy = tmp_path / "run"
         if not copy.exists():

@@ -200,7 +200,7 @@ def test_a_crawl_ends_sooner_far_from_the_goal_than_close_to_it(
     assert descent.take([worse]) == goes_on
 
 
-def test_only_what_is_silent_is_moved_far_and_stays_in_the_box() -> None:
+def test_only_silent_parameters_are_moved_far_and_stay_in_the_box() -> None:
     descent = stalled()
     assert descent.silent.tolist() == [1, 3]
     moves = descent.far_probes() - descent.at.point

@@ -46,7 +46,7 @@ def test_a_stream_decides_as_batches_do(engine: Engine, strategy: str, iteration
     assert streamed.advance(half, iterations) == in_batches
 
 
-def test_answers_are_those_of_the_engine_whoever_is_first(engine: Engine) -> None:
+def test_answers_are_those_of_the_engine_in_any_order(engine: Engine) -> None:
     stream, lockstep = (
         Stream(engine, 4),
         Lockstep(Deterministic(engine.returns, engine.traces), True),
@@ -69,7 +69,7 @@ def test_answers_are_those_of_the_engine_whoever_is_first(engine: Engine) -> Non
     assert lockstep.collect() == []
 
 
-def test_an_episode_that_lost_is_stopped_and_holds_up_nobody(engine: Engine) -> None:
+def test_truncated_episode_does_not_delay_the_others(engine: Engine) -> None:
     stream, vectors = Stream(engine, 2), candidates(8)
     whole = engine.returns(vectors)
     thresholds = np.where(np.arange(8) < 4, np.inf, whole)

@@ -23,7 +23,7 @@ def test_networks_draw_their_start_from_the_seed():
     assert not np.array_equal(*starts)
 
 
-def test_nobody_else_is_compared():
+def test_unknown_agent_is_refused():
     with pytest.raises(KeyError):
         find_agent("oracle", 0)
 

@@ -48,7 +48,7 @@ def test_a_few_faults_in_a_row_and_nothing_is_lost(tmp_path):
         (signal.SIGTERM, ("eval", "course", "--live", "1", "--randomize", "none")),
     ],
 )
-def test_whoever_is_ended_ends_what_he_started(tmp_path, number, command):
+def test_ended_process_ends_its_children(tmp_path, number, command):
     child = subprocess.Popen(
         [sys.executable, "-m", "rover_ncp", *command, "--out", str(tmp_path / "out"), "--json"],
         stdout=subprocess.PIPE,
@@ -101,7 +101,7 @@ def samples(count, **growth):
     ]
 
 
-def test_what_does_not_grow_is_no_leak_and_what_grows_is():
+def test_only_growth_is_a_leak():
     assert leaks(samples(100), 30).leaking == ()
     assert leaks(samples(100, memory_mb=0.02), 30).leaking == ()
     assert leaks(samples(100, memory_mb=0.2), 30).leaking == ("memory",)
@@ -155,7 +155,7 @@ def test_a_recording_that_holds_everything_has_lost_nothing(tmp_path):
         (HEARD[:35], {"killed": True}, (1, 0)),
     ],
 )
-def test_what_is_lost_is_counted_unless_the_fault_explains_it(tmp_path, kept, options, lost):
+def test_lost_messages_are_counted_unless_the_fault_explains_them(tmp_path, kept, options, lost):
     path = record(tmp_path / "a.mcap", kept)
     found = check_recording(path, HEARD, BEGAN, **{"killed": False, "losing": False} | options)
     assert (found.missing, found.gaps) == lost

@@ -130,7 +130,7 @@ def test_without_a_trial_a_base_is_as_it_should_be():
     assert (base.effort_v, base.effort_omega) == (1.0, 1.0)
 
 
-def test_what_a_profile_states_is_not_drawn():
+def test_values_of_a_profile_are_not_drawn():
     profile = RoverProfile(name="mine", delay_v_s=0.21, gain_v=1.1, odometry_distance=1.02, accel=0.248)
     ranges = load_randomization("full").model_copy(update={"rover": profile})
     model = RoverModel()
@@ -194,6 +194,6 @@ def test_the_command_line_drives_through_the_stack(capsys):
         (["course", "--trials", "2", "--live", "3"], "there are only 2 trials"),
     ],
 )
-def test_what_cannot_be_asked_for_together_is_said(arguments, words, capsys):
+def test_options_that_exclude_each_other_are_refused(arguments, words, capsys):
     assert run(["eval", *arguments]) == 2
     assert words in capsys.readouterr().err

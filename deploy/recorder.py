@@ -1,4 +1,4 @@
-"""Recording beside the drive: a thread of its own, so that no disk ever holds up the control loop.
+"""Recording beside the drive: a thread of its own, so that no disk ever blocks the control loop.
 
 Messages are handed over through a bounded queue; one that finds it full is counted as dropped. When the
 disk fails, recording ends, `Recorder.failure` gives the reason, and the drive goes on; the file so far stays

@@ -45,5 +45,5 @@ def test_a_sonar_that_fell_silent_leaves_its_way_unknown_and_the_other_way_known
     assert clearance.update({AHEAD[1]: 4.0}, 11.1) == (4.0, 5.0)
 
 
-def test_a_base_without_sonars_knows_nothing():
+def test_clearance_without_sonars_is_unknown():
     assert all(map(math.isnan, Clearance(ROBOT).update({}, 10.0)))

@@ -92,7 +92,7 @@ def test_asking_again_clears_what_was_in_force_and_why_it_was_not():
     assert gate.renew(0.2).held is Reason.SILENCE
 
 
-def test_who_asks_again_is_not_told_of_the_end_before():
+def test_a_new_request_clears_the_reason_of_the_last_end():
     gate = Gate().driving()
     gate.at(0.1, Heard(bumped=True))
     gate.at(0.2, Heard())

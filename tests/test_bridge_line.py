@@ -70,7 +70,7 @@ def test_arrivals_carry_their_moment_in_order(server, open_line):
     assert abs(moments[0] - before) < 1.0
 
 
-def test_a_broken_line_is_told_and_opened_again(server, open_line):
+def test_a_broken_line_is_reported_and_opened_again(server, open_line):
     line, inbox = open_line()
     first, _ = server.accept()
     line.use(next_of(inbox, Opened).transport)

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.pioneer.quantise import MotionLimits, SetPoints
+from bridge.pioneer.quantise import MotionLimits, Setpoints
 
 LIMITS = MotionLimits(v=0.3, omega=0.6)
 
 
 def turn_error(omega: float, v: float, period_s: float, jitter: float) -> float:
     """Return the largest error of the mean turn rate over any second, in rad/s."""
-    draw, points = random.Random(1), SetPoints(LIMITS)
+    draw, points = random.Random(1), Setpoints(LIMITS)
     now, turned, sent = 0.0, [(0.0, 0.0)], 0.0
     while now < 6.0:
         points.command(v, omega)
@@ -44,7 +44,7 @@ def test_the_mean_turn_rate_over_a_second_is_within_two_thousandths(
 
 
 def test_a_standing_rover_is_sent_nothing_but_zero() -> None:
-    points = SetPoints(LIMITS)
+    points = Setpoints(LIMITS)
     points.command(0.1, 0.05)
     for k in range(40):
         points.step(k * 0.05)
@@ -54,7 +54,7 @@ def test_a_standing_rover_is_sent_nothing_but_zero() -> None:
 
 
 def test_what_was_left_over_is_forgotten_when_the_rover_stands() -> None:
-    points = SetPoints(LIMITS)
+    points = Setpoints(LIMITS)
     points.command(0.0, 0.0085)
     assert points.step(0.0) == (0, 0)
     points.step(0.9)
@@ -66,7 +66,7 @@ def test_what_was_left_over_is_forgotten_when_the_rover_stands() -> None:
 @given(st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(0, 3)), min_size=1))
 def test_no_set_point_is_beyond_the_limits(commands: list[tuple[float, float, float]]) -> None:
     """Invariant: |VEL| ≤ the limit in mm/s and |RVEL| ≤ the whole degree a second above the limit."""
-    points, now = SetPoints(LIMITS), 0.0
+    points, now = Setpoints(LIMITS), 0.0
     for v, omega, pause in commands:
         points.command(v, omega)
         for _ in range(3):
@@ -78,7 +78,7 @@ def test_no_set_point_is_beyond_the_limits(commands: list[tuple[float, float, fl
 
 @given(st.floats(-0.3, 0.3), st.floats(-0.6, 0.6))
 def test_a_command_is_sent_at_once_and_rounded_by_less_than_one(v: float, omega: float) -> None:
-    points = SetPoints(LIMITS)
+    points = Setpoints(LIMITS)
     points.command(v, omega)
     mm_s, deg_s = points.step(5.0)
     if abs(v) < 0.002 and abs(omega) < 0.002:
@@ -90,7 +90,7 @@ def test_a_command_is_sent_at_once_and_rounded_by_less_than_one(v: float, omega:
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_command_that_is_not_finite_is_refused_and_changes_nothing(bad: float) -> None:
-    points = SetPoints(LIMITS)
+    points = Setpoints(LIMITS)
     points.command(0.1, 0.0)
     for command in ((bad, 0.0), (0.0, bad)):
         with pytest.raises(ValueError, match="finite"):

@@ -49,7 +49,7 @@ def test_everything_that_the_table_promises_is_published(rig, driver):
     assert [str(reply.ok.key_expr) for reply in tokens] == ["rover/alive/bridge"]
 
 
-def test_the_driver_drives_and_the_odometry_tells(rig, driver):
+def test_the_driver_drives_and_odometry_reports_it(rig, driver):
     driver.start(v=0.1)
     before = driver.odom
     driver.drive(0.5, v=0.1)

@@ -50,11 +50,11 @@ def agrees(state: BaseState, line: dict[str, str]) -> bool:
         ]
         return all(abs(value - float(line[name])) <= 0.002 for value, name in values)
     wheel = state.omega * ROBOTS["p3at-sh"].half_track_m
-    told_mm = [(state.x, "x"), (state.y, "y"), (state.v, "vel")]
+    values_mm = [(state.x, "x"), (state.y, "y"), (state.v, "vel")]
     # ARIA's parameter files have 0.00153 rad for a heading unit of 2π/4096: 0.26 % less.
     heading = math.degrees(state.theta)
     return (
-        all(abs(value * 1000 - float(line[name])) <= 0.06 for value, name in told_mm)
+        all(abs(value * 1000 - float(line[name])) <= 0.06 for value, name in values_mm)
         and abs(heading - float(line["th"])) <= 0.06 + 0.0027 * abs(heading)
         and abs(math.degrees(state.omega) - float(line["rot"])) <= 0.06
         and state.flags == int(line["flags"], 16)

@@ -90,11 +90,11 @@ def test_bumpers_and_battery():
 
 
 @pytest.mark.parametrize(("charge_state", "status"), [(None, 0), (0, 2), (1, 1), (3, 1), (255, 0)])
-def test_charging_is_told_as_far_as_it_is_known(charge_state, status):
+def test_charging_is_reported_as_far_as_it_is_known(charge_state, status):
     assert sent(replace(STATE, charge_state=charge_state))["battery_state"].power_supply_status == status
 
 
-def test_the_gates_state_tells_who_drives_and_what_holds():
+def test_gate_status_has_the_driver_and_the_hold_reason():
     lease = Lease(7, bytes(32), "deploy", 0, 0.0, 1.0, 41)
     status = ros.gate_status(State(lease=lease, held=None, accepted=3, dropped={Reason.STALE: 2}))
     assert (status.lease, status.driver_name, status.sequence, status.held) == (7, "deploy", 41, "")

@@ -31,7 +31,7 @@ def test_a_silent_line_is_given_up_after_a_few_seconds_and_close_is_tried() -> N
     assert "no answer" in failed.reason
 
 
-def test_nonsense_is_told_from_silence() -> None:
+def test_nonsense_is_distinguished_from_silence() -> None:
     bench = Bench()
     bench.connect()
     while bench.session.state is not State.IDLE:
@@ -139,7 +139,7 @@ def test_an_unknown_model_is_a_usage_error() -> None:
         Session("roomba")
 
 
-def test_limits_are_told_in_the_bases_units() -> None:
+def test_limits_are_sent_in_the_bases_units() -> None:
     bench = Bench()
     bench.session = Session(limits=MotionLimits(v=0.25, omega=0.5, accel=0.31, decel=0.4, alpha=1.25))
     bench.go_to(State.CONFIGURING)
@@ -154,7 +154,7 @@ def test_limits_are_told_in_the_bases_units() -> None:
     ]
 
 
-def test_motors_are_off_until_asked_for_and_set_points_zero_before() -> None:
+def test_motors_are_off_until_asked_for_and_setpoints_are_zero_before() -> None:
     bench = Bench()
     bench.go_to(State.READY)
     bench.session.set_motion(0.2, 0.1)

@@ -43,7 +43,7 @@ DECLARED = Randomization(
     imbalance_rad_m=0.03,
     drift_rad_s=math.radians(0.05),
 )
-"""What the estimator's settings say of a base, as ranges."""
+"""Ranges of a base's errors by the estimator's settings."""
 
 
 def as_a_base_reports(pose, velocity):
@@ -162,7 +162,7 @@ def drives():
 
 
 def band(degrees, count, share=0.95):
-    """Where the mean of ``count`` draws of χ² lies with this probability."""
+    """Range that holds the mean of ``count`` draws of χ² with this probability."""
     return chi2.ppf([(1 - share) / 2, (1 + share) / 2], degrees * count) / count
 
 
@@ -186,7 +186,7 @@ def test_over_200_random_runs_it_is_consistent_and_better_than_odometry(drives):
     assert better < 0.6 * seen  # nor would the poses alone do
 
 
-def test_with_odometry_alone_it_is_odometry_and_knows_how_wrong_that_may_be(drives):
+def test_with_odometry_alone_the_estimate_is_odometry_with_its_covariance(drives):
     runs = [follow(drives, row, every=0) for row in range(60)]
     alone = rms([np.hypot(*run[0][:, :2].T) for run in runs])
     assert alone == pytest.approx(rms([raw_errors(drives, row) for row in range(60)]), rel=0.01)
@@ -195,7 +195,7 @@ def test_with_odometry_alone_it_is_odometry_and_knows_how_wrong_that_may_be(driv
 
 
 def test_what_poses_have_taught_it_outlives_them(drives):
-    """Two thirds of the way with poses: from then on it knows its odometry better than odometry does."""
+    """Poses on two thirds of the way: after them, the estimate is better than odometry alone."""
     begin = 40
     gained = []
     for row in range(40):

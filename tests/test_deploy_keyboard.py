@@ -13,7 +13,7 @@ STILL = Velocity(0.0, 0.0)
 
 
 def held(key, until_s, delay_s, rate_hz, end_s=5.0):
-    """What a terminal makes of a key that is held: (time, velocity asked for) each 10 ms."""
+    """Velocity commanded while a terminal repeats a held key: (time, velocity) each 10 ms."""
     keyboard, times = Keyboard(), [0.0, *np.arange(delay_s, until_s, 1 / rate_hz)]
     asked = []
     for now in np.arange(0.0, end_s, 0.01):

@@ -31,7 +31,7 @@ SIGMA = np.array([0.005, 0.005, 0.0087])
 
 
 class Localiser(threading.Thread):
-    """What a motion capture says: the true pose, a little wrong, ten times a second."""
+    """A simulated motion capture: the true pose with a small error, ten times a second."""
 
     def __init__(self, run, course_world, seed):
         super().__init__(daemon=True)
@@ -56,7 +56,7 @@ class Localiser(threading.Thread):
 
 
 @pytest.mark.parametrize("seed", [1])
-def test_a_rover_that_is_told_where_it_starts_parks_on_the_true_pose(tmp_path, seed):
+def test_a_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path, seed):
     rng = np.random.default_rng(seed)
     start = Pose(*(rng.uniform(-1, 1, 3) * (0.1, 0.1, 0.17)))
     path = tmp_path / "into-place.yaml"

@@ -197,7 +197,7 @@ def test_a_refusal_names_its_reason_and_moves_nothing(bridge, drive):
     assert [velocity for _, velocity in bridge.commands if velocity != STILL] == []
 
 
-def test_a_second_driver_is_told_so(bridge, drive):
+def test_a_second_driver_gets_the_reason(bridge, drive):
     bridge.gate = GateStatus(lease=LEASE + 1)
     bridge.refusal = "another-driver"
     with pytest.raises(AnotherDriver, match="refuses the motors"):

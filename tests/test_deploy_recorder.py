@@ -118,7 +118,7 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path):
     assert recording.attachment("policy.yaml") == b"x"
 
 
-def test_a_disk_that_hangs_never_holds_up_who_records(tmp_path, monkeypatch):
+def test_a_disk_that_hangs_never_blocks_the_caller(tmp_path, monkeypatch):
     hang = threading.Event()
     monkeypatch.setattr("deploy.recorder.QUEUE_LENGTH", 50)
     monkeypatch.setattr(RecordingWriter, "write", lambda self, message: hang.wait(30))
@@ -132,7 +132,7 @@ def test_a_disk_that_hangs_never_holds_up_who_records(tmp_path, monkeypatch):
     recorder.close()
 
 
-def test_any_failure_of_the_thread_is_told(tmp_path):
+def test_any_failure_of_the_thread_is_reported(tmp_path):
     recorder = Recorder(tmp_path / "run.mcap", {})
     recorder.put(note("one"))
     recorder.put(Recorded("a", "nav_msgs/msg/Odometry", b"", 1, 1))  # another type on the same topic

@@ -117,7 +117,7 @@ def moved_since(rig, began_ns):
     return driven, turned, rows[-1][1] - rows[0][1]
 
 
-def test_it_drives_while_a_key_repeats_and_stands_when_it_is_let_go(rig, sit_down, tmp_path):
+def test_it_drives_while_a_key_repeats_and_stands_when_it_is_released(rig, sit_down, tmp_path):
     record, made = tmp_path / "run.mcap", tmp_path / "driven.yaml"
     person, began_ns = sit_down("--record", str(record)), time.time_ns()
     for key, seconds in (("i", 1.5), ("u", 2.5), ("\x1b[A", 1.5)):

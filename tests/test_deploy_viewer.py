@@ -28,7 +28,7 @@ def gates(heard):
     return [parse_json(GateStatus, read_text(m.data)) for m in heard if m.topic == "rover/gate"]
 
 
-def test_a_viewer_hears_everything_and_stops_nothing(rig, keys):
+def test_a_viewer_receives_everything_and_stops_nothing(rig, keys):
     heard = []
     with Viewer(rig.locator, "", keys / "viewer.json5", heard.append) as viewer:
         wait_for(lambda: {"odom", "rover/gate", "tf"} <= {message.topic for message in heard})

@@ -71,7 +71,7 @@ def test_news_in_pieces_are_the_whole(short):
     assert len(pieces[-1]["findings"]["contributions"]) == 132
 
 
-def test_phases_are_told_on_the_way_at_most_once_a_second(short):
+def test_phases_are_sent_during_the_drive_at_most_once_a_second(short):
     policy, course, received, _ = short
     now, place, found = [0.0], Place(), []
     feed = Feed(policy, course, clock=lambda: now[0])
@@ -88,7 +88,7 @@ def test_phases_are_told_on_the_way_at_most_once_a_second(short):
     assert set(found[0][1]) == {"phases", "rings"}
 
 
-def test_the_whole_is_told_at_the_end_though_no_tick_came_since_the_last_phases(short):
+def test_all_findings_are_sent_at_the_end_without_a_new_tick(short):
     policy, course, received, _ = short
     place, feed = Place(), Feed(policy, course)
     on_the_way = [message for message in received if message.topic != "rover/status"]
@@ -242,7 +242,7 @@ def test_ctrl_c_ends_it_with_130_and_no_traceback_while_a_page_listens(live):
     assert (logs / "watch.log").read_text() == f"watching at {address}\n"
 
 
-def test_the_end_of_the_bridge_is_told(live):
+def test_the_end_of_the_bridge_is_reported(live):
     page, running, _ = live
     running.processes["bridge"].stop()
     gone = page.news(lambda news: not news["bridge"])

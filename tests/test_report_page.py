@@ -136,7 +136,7 @@ def test_the_summary_names_verdict_rates_and_origin(tmp_path):
     assert "2023-11-14 22:13:20 UTC" in summary.subline
 
 
-def test_the_summary_tells_a_stop_and_its_reason(tmp_path):
+def test_the_summary_has_a_stop_and_its_reason(tmp_path):
     late = BEGAN_NS + 50 * TICK_NS
     gate = GateStatus(accepted=40, stops={"bumper": 1}, dropped={"stale": 3})
     status = DriverStatus(state="fault", reason="stopped by bumper", tick=40, overruns=2)

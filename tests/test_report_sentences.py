@@ -170,7 +170,7 @@ def test_mirrored_motors_tell_the_mirrored_story():
     assert any("turn" in one.phase.label for one in plain)
 
 
-def test_another_policy_tells_another_story():
+def test_another_policy_gets_other_sentences():
     course = load_course("parking")
     stories = []
     for seed in range(4):

@@ -42,7 +42,7 @@ MINIMUM_KEPT_S = 60
 """How long the smallest (arrival − stamp) is remembered: clocks that drift 100 ppm differ by 6 ms in it."""
 ROS_AGE_S = 0.3
 """The gate accepts a stamped command without a tag if its stamp is no farther from our clock than this."""
-LET_GO_S = 1.0
+UNTAGGED_PAUSE_S = 1.0
 """How long untagged commands must pause, or be zero, after a lease ended."""
 MOTORS_GRACE_S = 1.0
 """How long after ENABLE the base may still report its motors off."""
@@ -232,7 +232,7 @@ def _end_lease(state: State, reason: Reason | None) -> State:
         ended=reason,
         target=None,
         motors_until_s=state.now + COAST_S,
-        untagged_until_s=state.now + LET_GO_S,
+        untagged_until_s=state.now + UNTAGGED_PAUSE_S,
     )
 
 

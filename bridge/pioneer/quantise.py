@@ -42,7 +42,7 @@ class MotionLimits:
         return math.ceil(math.degrees(self.omega) - 1e-6)
 
 
-class SetPoints:
+class Setpoints:
     """The command in force and the integers that carry it, one ``step`` per turn of the bridge's loop."""
 
     def __init__(self, limits: MotionLimits) -> None:

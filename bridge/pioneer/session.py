@@ -220,7 +220,7 @@ class Session:
         pass
 
     def _do_listen(self) -> None:
-        self._helm.let_go()
+        self._helm.clear()
         self._out.clear()
         self.decoder.drop()
         self._began_s = self._now
@@ -340,7 +340,7 @@ class Session:
         self._events.append(StateReceived(self._base))
 
     def _do_lose(self) -> None:
-        self._helm.let_go()
+        self._helm.clear()
         self._send_zeros()
         self._events.append(Lost(f"no odometry from the base for {LOSS_S} s"))
 
@@ -354,11 +354,11 @@ class Session:
         self._events.append(Lost("the base was reset"))
 
     def _do_lose_line(self) -> None:
-        self._helm.let_go()
+        self._helm.clear()
         self._events.append(Lost(self._reason))
 
     def _do_leave(self) -> None:
-        self._helm.let_go()
+        self._helm.clear()
         self._send_zeros()
         self._send(Command.ENABLE, 0)
         self._send(Command.CLOSE)

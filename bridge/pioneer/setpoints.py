@@ -11,7 +11,7 @@ from typing import Protocol
 
 from bridge.pioneer.arcos import Command
 from bridge.pioneer.odometry import BaseState
-from bridge.pioneer.quantise import MotionLimits, SetPoints
+from bridge.pioneer.quantise import MotionLimits, Setpoints
 
 PULSE_S, REFRESH_S = 0.5, 0.2
 """Period of PULSE while the motors are off (the watchdog waits 2 s), of the setpoints while they are on."""
@@ -33,7 +33,7 @@ class Helm:
     def __init__(self, limits: MotionLimits, send: Send) -> None:
         self._limits = limits
         self._send = send
-        self._set_points = SetPoints(limits)
+        self._setpoints = Setpoints(limits)
         self._sent = (0, 0)
         self._sent_s = self._motors_s = self._reset_s = -math.inf
         self._wanted = False
@@ -49,9 +49,9 @@ class Helm:
 
     def set_motion(self, v: float, omega: float) -> None:
         """Set the speeds the next tick sends. Raises ValueError when one is not finite."""
-        self._set_points.command(v, omega)
+        self._setpoints.command(v, omega)
         if not self._wanted:
-            self._set_points.zero()
+            self._setpoints.zero()
 
     def enable(self, on: bool, motors_on: bool, now: float) -> None:
         """Ask for the motors or switch them off, standing still. They stay on if they are already."""
@@ -71,13 +71,13 @@ class Helm:
 
     def zero(self, now: float) -> None:
         """Send zero setpoints and clear the command in force."""
-        self._set_points.zero()
+        self._setpoints.zero()
         self._send_speeds(0, 0, now)
 
-    def let_go(self) -> None:
+    def clear(self) -> None:
         """Clear the command in force and the request for the motors; sends nothing."""
         self._wanted = False
-        self._set_points.zero()
+        self._setpoints.zero()
 
     def reset_odometry(self, now: float) -> None:
         """Request a reset of the counters."""
@@ -95,8 +95,8 @@ class Helm:
         if reset_pending and now - self._reset_s >= VERIFY_S:
             self.reset_odometry(now)
         if state is None or not state.motors_enabled:
-            self._set_points.zero()
-        speeds = self._set_points.step(now)
+            self._setpoints.zero()
+        speeds = self._setpoints.step(now)
         if speeds != self._sent or (self._wanted and now - self._sent_s >= REFRESH_S):
             self._send_speeds(*speeds, now)
         elif now - self._sent_s >= PULSE_S:

@@ -66,7 +66,7 @@ class RateKeeper:
     def skip_missed(self, now_ns: int, end: int) -> int:
         """Give up ticks before ``end`` whose whole successor's window is over too; return how many.
 
-        A process that was held up goes on where the schedule stands: old ticks run late in a burst would
+        A process that was delayed goes on where the schedule stands: old ticks run late in a burst would
         show the circuit a time that has passed.
         """
         missed = max(0, min((now_ns - self.deadline_ns) // self._period, end - self.index))

@@ -96,7 +96,7 @@ def test_refuses_what_cannot_be(changes, problem):
 
 def test_refuses_the_same_synapse_twice():
     row = (SynapseKind.GAP, 0, 1, 0.5)
-    with pytest.raises(ConfigError, match="the synapse gap a -> b stands twice"):
+    with pytest.raises(ConfigError, match="the synapse gap a -> b appears twice"):
         build_circuit("double", ("a", "b"), (row, row))
 
 

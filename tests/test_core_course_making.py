@@ -93,7 +93,7 @@ def test_a_drive_to_and_fro_keeps_its_turning_point(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "error", "words"),
     [
-        ("a.csv", "x,y\n1,2\n", FileError, "names no theta"),
+        ("a.csv", "x,y\n1,2\n", FileError, "lacks theta"),
         ("a.csv", "x,y,theta\n1,2,three\n", FileError, "line 2: expected three numbers"),
         ("a.csv", "x,y,theta\n1,2\n", FileError, "line 2: expected three numbers"),
         ("a.csv", "x,y,theta\n1,2,nan\n", FileError, "line 2: expected finite numbers"),

@@ -35,7 +35,7 @@ def keys(
 
     taken = [name.name for name in out.glob("*") if name.suffix in {".pem", ".json5"}] if out.is_dir() else []
     if taken:
-        raise UsageError(f"--out {out}: holds keys already ({', '.join(sorted(taken))}); say another folder")
+        raise UsageError(f"--out {out}: holds keys already ({', '.join(sorted(taken))}); choose another folder")
     require_writable(out / "ca.pem")
     hosts = list(dict.fromkeys([*(host or []), "127.0.0.1", "localhost", socket.gethostname()]))
     files = make_credentials(hosts, namespace)

@@ -159,5 +159,5 @@ def _make_folder(folder: Path) -> None:
 
 def _not_created(path: Path, error: OSError) -> FileError:
     if isinstance(error, FileExistsError) and path.is_file():
-        return FileError(f"{path}: exists already; choose another file, or say --overwrite")
+        return FileError(f"{path}: exists already; choose another file, or use --overwrite")
     return FileError(f"{path}: cannot be written: {error.strerror}")

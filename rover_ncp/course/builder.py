@@ -127,7 +127,7 @@ def _checkpoint(t: float, pose: Pose) -> Checkpoint:
 def _from_csv(path: Path) -> PoseList:
     rows = csv.DictReader(io.StringIO(read_text(path)), skipinitialspace=True)
     if missing := [name for name in ("x", "y", "theta") if name not in (rows.fieldnames or ())]:
-        raise FileError(f"{path}: its first line names no {', '.join(missing)} (expected x, y, theta)")
+        raise FileError(f"{path}: its first line lacks {', '.join(missing)} (expected x, y, theta)")
     places = []
     for row in rows:
         try:

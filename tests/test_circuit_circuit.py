@@ -60,7 +60,7 @@ def test_shipped_circuit_files_are_the_tables(build):
     value=st.floats(),
     place=st.integers(0, 11),
 )
-def test_takes_just_what_is_in_bounds(kind, value, place):
+def test_accepts_only_values_within_bounds(kind, value, place):
     circuit = parking_circuit()
     values = getattr(circuit, kind).copy()
     values[place] = value
@@ -88,7 +88,7 @@ def test_takes_just_what_is_in_bounds(kind, value, place):
         ({"held": {8: 1.0}}, "DVA: held at 1 mV, outside -90..0 mV"),
     ],
 )
-def test_refuses_what_cannot_be(changes, problem):
+def test_rejects_impossible_circuits(changes, problem):
     with pytest.raises(ConfigError) as caught:
         replace(parking_circuit(), **changes)
     assert problem in caught.value.problems

@@ -99,7 +99,7 @@ def test_refuses_a_channel_that_cannot_be(fields, problem):
         Channel(name="x", **fields)
 
 
-def test_refuses_what_stands_twice():
+def test_rejects_duplicate_names():
     def channel(name, neuron):
         return Channel(name=name, positive=neuron, maximum=1.0)
 

@@ -47,7 +47,7 @@ def test_obstacles_come_along():
     assert found.clearance_m == pytest.approx(1.6 - 0.1 - 1.0 - 0.313, abs=0.003)
 
 
-def test_what_no_time_makes_drivable_is_said():
+def test_problems_that_no_deadline_solves_are_reported():
     course, found = make_course("aside", "aside.csv", places((0, 0, 0), (0, 0.5, 0)))
     assert {problem.cause for problem in found.problems} == {Cause.SIDEWAYS}
     assert course.horizon_s < 60

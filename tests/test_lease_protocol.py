@@ -69,7 +69,7 @@ def test_a_signature_is_for_one_kind_and_one_key_expression(rig, driver):
     wait_for(lambda: driver.gate.lease == 0)
 
 
-def test_an_older_driver_is_told_both_versions(rig, driver):
+def test_older_driver_gets_both_versions(rig, driver):
     reply = json.loads(driver.ask("rover/motors", json.dumps(OLD_REQUEST).encode()))
     assert reply == {"granted": False, "reason": "version", "detail": BOTH}
     later = json.loads(driver.ask("rover/motors", b'{"version": 3, "anything": []}'))

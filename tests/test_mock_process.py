@@ -186,7 +186,7 @@ def test_a_port_in_use_and_a_truth_that_cannot_be_written() -> None:
     assert "/dev/null/truth.csv" in text
 
 
-def test_it_can_be_told_of_faults_while_it_runs_and_answers_when_they_began(tmp_path: Path) -> None:
+def test_running_mock_takes_faults_and_answers_when_they_began(tmp_path: Path) -> None:
     truth = tmp_path / "truth.csv"
     with mock("--fault", "-", "--truth", str(truth)) as (process, _):
         assert process.stdin is not None and process.stderr is not None

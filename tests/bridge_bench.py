@@ -1,4 +1,4 @@
-"""A mock Pioneer and a bridge as real processes, and a driver's hand on them. Run as a program, it drives."""
+"""A mock Pioneer and a bridge as real processes, and a scripted driver. Run as a program, it drives."""
 
 import csv
 import json
@@ -201,7 +201,7 @@ class Rig:
 
 
 def braking_s(v):
-    """Return the base's time to stop from speed ``v`` after the command: its own delay, then braking."""
+    """Time in s from the stop command to standstill at speed ``v``: the base's own delay, then braking."""
     return DELAY_S + abs(v) / BRAKING_M_S2
 
 

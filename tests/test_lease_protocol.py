@@ -36,8 +36,8 @@ def driver(rig):
         time.sleep(1.0)  # after which plain commands may drive again
 
 
-def test_a_lost_answer_locks_everybody_out_until_the_lease_lapses(rig, driver):
-    """The lease is granted, and its key with it, to a driver that never gets to know it."""
+def test_a_lost_answer_locks_all_drivers_out_until_the_lease_lapses(rig, driver):
+    """The lease and its key are granted, but the answer never reaches the driver."""
     first = wait_for(lambda: (reply := driver.motors()).granted and reply)
     driver.lease.end()
     assert driver.motors().reason == "another-driver"
@@ -69,7 +69,7 @@ def test_a_signature_is_for_one_kind_and_one_key_expression(rig, driver):
     wait_for(lambda: driver.gate.lease == 0)
 
 
-def test_older_driver_gets_both_versions(rig, driver):
+def test_an_older_driver_gets_both_versions(rig, driver):
     reply = json.loads(driver.ask("rover/motors", json.dumps(OLD_REQUEST).encode()))
     assert reply == {"granted": False, "reason": "version", "detail": BOTH}
     later = json.loads(driver.ask("rover/motors", b'{"version": 3, "anything": []}'))

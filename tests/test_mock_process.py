@@ -186,13 +186,13 @@ def test_a_port_in_use_and_a_truth_that_cannot_be_written() -> None:
     assert "/dev/null/truth.csv" in text
 
 
-def test_running_mock_takes_faults_and_answers_when_they_began(tmp_path: Path) -> None:
+def test_running_mock_takes_faults_from_its_input_and_answers_when_they_began(tmp_path: Path) -> None:
     truth = tmp_path / "truth.csv"
     with mock("--fault", "-", "--truth", str(truth)) as (process, _):
         assert process.stdin is not None and process.stderr is not None
         began_ns = time.monotonic_ns()
         process.stdin.write("explode\nmute\n")
-        process.stdin.close()  # no more to tell is no end
+        process.stdin.close()  # the end of the input does not end the mock
         process.stdin = None
         assert "expected NAME" in process.stderr.readline()
         word, moment, _, fault = process.stderr.readline().split()

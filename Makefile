@@ -11,9 +11,9 @@ GRADIENTS_STAMP := $(VENV)/.gradients
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park --overwrite
 
-# Two workers, each with whole files: many tests wait for real processes, and CI has two cores.
+# Three workers, each with whole files: many tests wait for real processes, and CI has two cores.
 test: $(STAMP)
-	$(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
 
 # Tests of the pages in Debian's chromium (installed if missing) and of recordings in Rerun; pictures in runs/browser.
 test-browser: $(BROWSER_STAMP)

@@ -1,8 +1,8 @@
-"""The line to the base, read by a thread of its own that also opens another when it broke or fell silent.
+"""The line to the base; its own thread reads it and opens another when it fails or nothing arrives.
 
-Opening, reading and closing block, so the thread does them; the loop only writes. What the thread meets,
-errors included, goes to the inbox. A line is closed before the next is opened, because a base takes one
-client at a time, and after the loop has dropped it, because the loop may be writing.
+Opening, reading and closing block, so the thread does them; the loop only writes. The thread puts all bytes
+and errors into the inbox. It closes a line before it opens the next, because a base takes one client at a
+time, and after the loop has dropped the line, because the loop may be writing.
 """
 
 import threading
@@ -17,7 +17,7 @@ RETRY_S, MAX_RETRY_S = 0.1, 0.5
 
 
 class Line:
-    """Opens at once: raises UsageError for an endpoint of no known form, NoRobot when nobody is there."""
+    """Opens at once: raises UsageError for an endpoint of no known form, NoRobot when nothing answers."""
 
     def __init__(self, endpoint: str, inbox: Inbox) -> None:
         self.endpoint = endpoint
@@ -27,7 +27,7 @@ class Line:
         self._bytes_in = self._bytes_out = 0
         """Of the lines that are closed."""
         self._broken: NoRobot | None = None
-        """Why the thread must give up the line although reading does not fail."""
+        """Reason for giving up the line although reading does not fail."""
         self._closing, self._dropped = threading.Event(), threading.Event()
         first = self._open()
         self._thread = threading.Thread(target=self._run, args=(first,), name="base-line", daemon=True)

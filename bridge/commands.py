@@ -14,7 +14,7 @@ def bridge(
     base: Annotated[
         str,
         typer.Option(
-            help="The robot: tcp/HOST[:8101] or serial//dev/ttyUSB0, with #baudrate=... where to begin."
+            help="The robot: tcp/HOST[:8101] or serial//dev/ttyUSB0, #baudrate=... is the first rate to try."
         ),
     ],
     listen: Annotated[
@@ -23,9 +23,9 @@ def bridge(
             help="Where drivers connect; port 0 takes a free one.", show_default="tcp/127.0.0.1:7447"
         ),
     ] = None,
-    namespace: Annotated[str, typer.Option(help="Goes in front of every key: bot1 makes bot1/odom.")] = "",
+    namespace: Annotated[str, typer.Option(help="Prefix of every key: bot1 makes bot1/odom.")] = "",
     model: Annotated[
-        str, typer.Option(help="p3at, p3at-sh, p3dx, p3dx-sh, or auto: what the robot calls itself.")
+        str, typer.Option(help="p3at, p3at-sh, p3dx, p3dx-sh, or auto: the model that the robot reports.")
     ] = "auto",
     limits: Annotated[
         Path | None, typer.Option(help="YAML with v_max, omega_max, fence, sonar_stop_m ... of the gate.")
@@ -37,23 +37,28 @@ def bridge(
     ros: Annotated[
         list[Convention] | None,
         typer.Option(
-            help="How ROS 2 sees the topics, beside their plain keys; both may be named.",
+            help="Offer the topics to ROS 2 in this form, beside their plain keys; both may be given.",
             show_default="ros2dds",
         ),
     ] = None,
     accept_ros: Annotated[
-        bool, typer.Option("--accept-ros", help="Let plain ROS cmd_vel (Twist, TwistStamped) drive too.")
+        bool, typer.Option("--accept-ros", help="Also accept plain ROS cmd_vel (Twist, TwistStamped).")
     ] = False,
     insecure: Annotated[
-        bool, typer.Option("--insecure", help="Listen beyond this machine although anybody could drive then.")
+        bool,
+        typer.Option(
+            "--insecure",
+            help="Listen beyond this machine without authentication: every client that reaches it can drive.",
+        ),
     ] = False,
     json: Json = False,
 ) -> int | None:
-    """Stand beside a Pioneer and let one driver at a time drive it over Zenoh, within limits.
+    """Connect a Pioneer to Zenoh: one driver at a time drives it, within limits.
 
     Publishes odometry, transforms, battery, sonar, bumpers and diagnostics as ROS 2 messages, and passes
-    commands on through a gate: whoever holds the lease drives, silence stops the rover, and nothing beyond
-    the limits reaches it. Motors are off until a driver asks for them. It is ready when it prints
+    commands on through a gate. Only the holder of the lease drives; the rover stops when no valid command
+    arrives, and no command beyond the limits reaches it. Motors are off until a driver asks for them. It is
+    ready when it prints
     "ready zenoh=... base=..."; Ctrl-C or SIGTERM stops the rover and ends it.
     """
     from bridge.app import run_bridge

@@ -1,6 +1,6 @@
-"""Where everything that arrives waits for the bridge's one loop: bytes, commands, queries, mishaps.
+"""Queue of all arrivals for the bridge's one loop: bytes, commands, queries, errors of threads.
 
-Threads only put things here, each with the moment of its arrival, and never decide anything.
+Threads only add arrivals, each with its time, and never decide anything.
 """
 
 import threading
@@ -15,7 +15,7 @@ from bridge.transport import Transport
 from rover_ncp.core.errors import NoRobot
 
 ROOM = 2048
-"""What peers send beyond this is let fall: 0.1 s of a flood of 20,000 a second."""
+"""Beyond this number, messages of peers are dropped: 0.1 s of a flood of 20,000 a second."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Asked:
 
 @dataclass(frozen=True)
 class Crashed:
-    """A thread came upon an error that is nobody's but ours."""
+    """A thread failed because of an error in this program."""
 
     error: BaseException
 
@@ -69,16 +69,16 @@ Arrival: TypeAlias = Opened | Received | Broken | Sampled | Asked | Crashed
 
 
 class Inbox:
-    """Many threads put, one loop takes. Times are the monotonic clock's, in seconds."""
+    """A queue from many threads to one loop. Times are the monotonic clock's, in seconds."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._arrivals: deque[tuple[float, Arrival]] = deque()
         self.flooded = 0
-        """Commands and queries that found no room."""
+        """Commands and queries dropped because the queue was full."""
 
     def put(self, arrival: Arrival) -> None:
-        """Add what arrived just now. What peers send may be let fall; bytes and mishaps never are."""
+        """Add an arrival. A full queue drops messages of peers, but never bytes or errors."""
         with self._changed:
             if isinstance(arrival, Sampled | Asked) and len(self._arrivals) >= ROOM:
                 self.flooded += 1
@@ -87,7 +87,7 @@ class Inbox:
             self._changed.notify()
 
     def take(self, timeout_s: float) -> list[tuple[float, Arrival]]:
-        """Return everything in the order of arrival; wait for something for ``timeout_s`` at most."""
+        """Return all arrivals in order; wait at most ``timeout_s`` for the first."""
         with self._changed:
             if not self._arrivals and timeout_s > 0.0:
                 self._changed.wait(timeout_s)

@@ -2,10 +2,10 @@
 
 Rules of this file:
 
-1. One loop does it all: what arrived goes to the session and the gate, the gate's verdict goes to the base.
+1. One loop does it all: arrivals go to the session and the gate, the gate's verdict goes to the base.
    The base's keep-alives come from this loop, so a loop that hangs stops the rover.
-2. Nothing but the gate's verdict is ever sent to the base as a speed, and that is what is published.
-3. Every way out stops the rover, switches its motors off and closes the session.
+2. Only the gate's verdict is sent to the base as a speed, and the same value is published.
+3. Every exit stops the rover, switches its motors off and closes the session.
 """
 
 import math
@@ -45,13 +45,13 @@ from rover_ncp.core.protocol import Signed, dump_json
 TICK_S = 0.02
 """How often the loop turns when nothing arrives."""
 APART_S = 0.01
-"""Commands that come faster than this are not passed on one by one: a serial line could not carry them."""
+"""Commands at a higher rate than this are not passed on one by one: a serial line could not carry them."""
 STATUS_S = 0.1
 SLOW_S = 1.0
 
 
 class Node:
-    """The loop and what it knows. ``say`` tells people what happens; ``ready`` is called once."""
+    """The loop and its state. ``say`` logs events for people; ``ready`` is called once."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class Node:
         self._answers = Answers(link, session, limits, self._judge)
         self.gate = State()
         self.reconnects = -1
-        """How often the base came back; −1 until it is there for the first time."""
+        """Number of reconnections of the base; −1 until the first connection."""
         self._verdict = self._sent = Verdict(self.gate.out, motors=False, held=self.gate.held)
         self._base: BaseState | None = None
         self._robot: RobotParameters | None = None
@@ -81,7 +81,7 @@ class Node:
         self._hardware = ""
         self._stopping = self._commanded = self._reopening = False
         self._unsaid: list[str] = []
-        """News of the gate that people get once the base has got its commands."""
+        """Events of the gate to log after the base has got its commands."""
         self._look_at_the_wall_clock()
         self._acted_s = self._status_due_s = self._slow_due_s = -math.inf
 
@@ -106,7 +106,7 @@ class Node:
         wait_s = max(self.due_s - self._clock.monotonic(), 0.0)
         for arrived_s, arrival in self._inbox.take(wait_s):
             self._take(arrival, arrived_s)
-            # However much has arrived, the base is told in time.
+            # The base gets its setpoint in time, even when many messages have arrived.
             if (now := self._clock.monotonic()) - self._acted_s >= 2 * TICK_S:
                 self._act(now)
                 self._line.write(self._session.data_to_send())
@@ -143,9 +143,9 @@ class Node:
                 raise error
 
     def _command(self, sample: Sampled) -> Command:
-        """Read a command; what cannot be read is a command all the same, for the gate to judge.
+        """Read a command; the gate also gets commands that cannot be read, and drops them.
 
-        Nothing of a stranger's command is parsed but its tag.
+        Only the tag of a command without a valid signature is parsed.
         """
         tag = read_tag(sample.attachment)
         key = self._link.key("cmd_vel")
@@ -182,7 +182,7 @@ class Node:
                 case BaudChanged(baudrate):
                     self._line.set_baudrate(baudrate)
                 case Recovered():
-                    self._say("the base speaks again")
+                    self._say("the base sends packets again")
                 case Lost(reason):
                     self._base = None
                     self._judge(BaseLost(), arrived_s)
@@ -218,7 +218,7 @@ class Node:
     # What follows from it.
 
     def _act(self, now: float) -> None:
-        """Tell the base what the gate says now. The session's tick sends it, and the keep-alives with it."""
+        """Pass the gate's verdict to the session. Its tick sends the setpoint and the keep-alives."""
         verdict = self._judge(Tick(), now)
         last, self._sent = self._sent, verdict
         self._stopping = self._commanded = False
@@ -265,9 +265,9 @@ class Node:
         return self._epoch_ns + round(monotonic_s * 1e9)
 
     def _look_at_the_wall_clock(self) -> None:
-        """Go by the wall clock again, as long as nobody drives.
+        """Set the stamps to the wall clock again, unless a driver holds the lease.
 
-        To whoever drives, stamps that step back look like samples that took so much longer.
+        A driver would take samples whose stamps step back for samples that were delayed by that much.
         """
         if self.gate.lease is None:
             self._epoch_ns = self._clock.time_ns() - self._clock.monotonic_ns()
@@ -291,18 +291,18 @@ def _heard(state: BaseState, room: Room) -> Heard:
 
 
 def _public(gate: State) -> tuple[object, ...]:
-    """Return what everybody is to know at once."""
+    """Return the fields whose change is published at once."""
     return gate.lease.number if gate.lease else None, gate.held, gate.ended, gate.latched
 
 
 def _news(before: State, after: State) -> Iterator[str]:
-    """Tell people who drives and what stops the rover."""
+    """Yield log lines: the driver that holds the lease, and the reason for a stop."""
     old, new = before.lease, after.lease
     if new is not None and (old is None or old.number != new.number):
-        yield f"{new.name or 'a driver without a name'} has the motors"
+        yield f"{new.name or 'a driver without a name'} got the lease"
     if old is not None and new is None:
-        yield f"{old.name or 'a driver without a name'} has the motors no more" + (
-            f": {after.ended}" if after.ended else ""
+        yield f"{old.name or 'a driver without a name'} " + (
+            f"lost the lease: {after.ended}" if after.ended else "released the lease"
         )
     if before.held is None and after.held not in {None, Reason.NO_LEASE}:
         yield f"stopped: {after.held}"

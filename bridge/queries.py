@@ -37,8 +37,8 @@ _WORDS = {
     Reason.BUMPER: "a bumper is pressed",
     Reason.STALL: "a motor is stalled",
     Reason.LOW_BATTERY: "the battery is low",
-    Reason.ODOMETRY: "the base does not report where it is",
-    Reason.FROZEN: "the base reports the same place while it says that it drives",
+    Reason.ODOMETRY: "the base reports no pose, or its odometry is stale",
+    Reason.FROZEN: "the base reports the same pose while it reports a speed",
     Reason.REPEATED: "this renewal of the lease, or a later message, has arrived already",
 }
 
@@ -110,7 +110,10 @@ class Answers:
         if gate.base is None:
             return ResetReply(ok=False, reason=_WORDS[Reason.NO_BASE])
         if gate.lease is not None:
-            return ResetReply(ok=False, reason="somebody is driving: a pose that jumps would confuse it")
+            return ResetReply(
+                ok=False,
+                reason="a driver holds the lease: its pose would jump; reset odometry after the drive",
+            )
         self._session.reset_odometry()
         return ResetReply(ok=True)
 
@@ -118,7 +121,7 @@ class Answers:
 def _refusal(refusal: Reason, gate: State) -> MotorsRefusal:
     detail = _WORDS.get(refusal, "")
     if refusal is Reason.ANOTHER_DRIVER and gate.lease is not None:
-        detail = f"{gate.lease.name or 'a driver without a name'} has the motors"
+        detail = f"{gate.lease.name or 'a driver without a name'} holds the lease"
     elif refusal is Reason.STOPPED:
         detail = f"stopped until released: {gate.latched or 'no reason given'}"
     return MotorsRefusal(reason=str(refusal), detail=detail)

@@ -1,7 +1,7 @@
 """The lines to a base: TCP and serial. The only input and output of the ARCOS side.
 
-A line is bytes in order, nothing more. Whatever breaks it is a NoRobot that names the line and the reason;
-after one, the line is done with and another is opened.
+A line carries bytes in order, nothing more. Every failure is a NoRobot that names the line and the reason;
+after one, the line is closed and another is opened.
 """
 
 import os
@@ -16,7 +16,7 @@ import serial
 from rover_ncp.core.errors import NoRobot, UsageError
 
 DEFAULT_PORT = 8101
-"""Where ARIA, p2os and AMRISim expect a base on TCP."""
+"""TCP port of a base in ARIA, p2os and AMRISim."""
 
 DEFAULT_BAUD = 9600
 """The base's FLASH default."""
@@ -65,7 +65,7 @@ class Transport(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the line, after what was written has gone out. Never fails."""
+        """Close the line after all written bytes have been sent. Never fails."""
 
     def _count(self, sent: int, data: bytes) -> None:
         """Count what was sent of ``data``. Raises NoRobot unless it is all."""
@@ -203,7 +203,7 @@ def _reason(error: Exception) -> str:
 def open_transport(endpoint: str) -> Transport:
     """Open ``tcp/HOST[:PORT]`` or ``serial/PORT[#baudrate=N]`` (so ``serial//dev/ttyUSB0``).
 
-    Raises UsageError for another form and NoRobot when there is nobody.
+    Raises UsageError for another form and NoRobot when nothing answers there.
     """
     kind, _, address = endpoint.partition("/")
     address, _, settings = address.partition("#")

@@ -1,4 +1,4 @@
-"""Where and how the bridge's Zenoh session listens, and that not just anybody may drive through it."""
+"""Configuration of the bridge's Zenoh session: where it listens, and authentication beyond this machine."""
 
 import ipaddress
 import json
@@ -37,8 +37,8 @@ _ENCRYPTED_PROTOCOLS = frozenset({"tls", "quic"})
 def configured(listen: str | None, file: Path | None, insecure: bool) -> tuple[zenoh.Config, list[str]]:
     """Return the session's settings and where it listens: the option, else the file, else our default.
 
-    Raises FileError for a bad file, UsageError for a bad endpoint, or for one beyond this machine where
-    nobody has to say who they are, unless ``insecure``.
+    Raises FileError for a bad file, and UsageError for a bad endpoint or, unless ``insecure``, for one beyond
+    this machine without authentication.
     """
     if file is not None:
         existing_file(file)
@@ -60,7 +60,7 @@ def configured(listen: str | None, file: Path | None, insecure: bool) -> tuple[z
     if not insecure:
         _refuse_everybody(settings, endpoints)
     if any_port(endpoints):
-        settings.insert_json5("adminspace/enabled", "true")  # the only place that tells the port
+        settings.insert_json5("adminspace/enabled", "true")  # the port is shown nowhere else
     return settings, endpoints
 
 
@@ -89,7 +89,7 @@ def _of_router(endpoints: Any) -> list[str]:
 
 
 def _refuse_everybody(settings: zenoh.Config, endpoints: list[str]) -> None:
-    """Raise UsageError if somebody beyond this machine could drive without saying who they are.
+    """Raise UsageError if a client beyond this machine could drive without authentication.
 
     A router that we connect to brings all who are connected to it.
     """
@@ -103,13 +103,13 @@ def _refuse_everybody(settings: zenoh.Config, endpoints: list[str]) -> None:
     if mutual and all(where.partition("/")[0] in _ENCRYPTED_PROTOCOLS for where in open_):
         return
     raise UsageError(
-        f"{open_[0]}: whoever reaches it could drive the rover; make keys with 'rover-ncp keys' and give "
-        "--zenoh-config, or say --insecure"
+        f"{open_[0]}: any client that reaches it could drive the rover; make keys with 'rover-ncp keys' and "
+        "give --zenoh-config, or say --insecure"
     )
 
 
 def _local(endpoint: str) -> bool:
-    """Whether only this machine reaches it."""
+    """Whether only this machine can reach the endpoint."""
     protocol, _, rest = endpoint.partition("/")
     if protocol in _LOCAL_PROTOCOLS:
         return True

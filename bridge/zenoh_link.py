@@ -1,6 +1,7 @@
 """The bridge's Zenoh session: a router inside this process, which needs no other server.
 
-Callbacks only put what arrives into the inbox. Publishing never blocks: what cannot leave at once falls away.
+Callbacks only put arrivals into the inbox. Publishing never blocks: a message that cannot leave at once is
+dropped.
 """
 
 import json
@@ -27,8 +28,8 @@ from rover_ncp.core.protocol import dump_json
 class Link:
     """An open session, listening. Raises UsageError, FileError (``config``) or PortInUse.
 
-    Beyond this machine it listens only to those who say who they are, unless ``insecure``. ``ros`` says in
-    what form ROS nodes look for the topics; the domain of rmw_zenoh is that of ROS_DOMAIN_ID.
+    Beyond this machine it requires authentication, unless ``insecure``. ``ros`` selects the form in which ROS
+    nodes look for the topics; the domain of rmw_zenoh is that of ROS_DOMAIN_ID.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class Link:
         self._held: list[Any] = []
         try:
             self.locator = self._locator(endpoints)
-            """Where it really listens."""
+            """The endpoint it listens on, with the port it got."""
             self._declare()
         except BaseException:
             self.close()
@@ -70,7 +71,7 @@ class Link:
         self.close()
 
     def announce(self) -> None:
-        """Let everybody know that the bridge is there; ROS bridges, which topics it has."""
+        """Announce the bridge, and its topics to ROS bridges."""
         if self._token is None:
             tokens = self._session.liveliness()
             if Convention.ROS2DDS in self._ros:
@@ -95,7 +96,7 @@ class Link:
             self._rmw.publish(name, data)
 
     def answer(self, asked: Asked, reply: BaseModel) -> None:
-        """Answer a query; an asker who is gone does not matter."""
+        """Answer a query; a client that is gone is ignored."""
         with asked.query as query:
             query.reply(self.key(asked.name), dump_json(reply), encoding=zenoh.Encoding.APPLICATION_JSON)
 
@@ -134,7 +135,7 @@ class Link:
         )
 
     def _guard(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Zenoh would print an error in a callback and go on; we hand it to the loop."""
+        """Hand an error in a callback to the loop; Zenoh would print it and go on."""
 
         def guarded(item: Any) -> None:
             try:
@@ -171,7 +172,7 @@ class Link:
         for reply in self._session.get(f"@/{self._session.info.zid()}/router", timeout=1.0):
             if reply.ok is not None:
                 return str(json.loads(reply.ok.payload.to_string())["locators"][0])
-        raise UsageError(f"--listen {endpoints[0]}: the port that was taken is not known; say one")
+        raise UsageError(f"--listen {endpoints[0]}: the chosen port is unknown; give a port number")
 
 
 def _bytes(attachment: zenoh.ZBytes | None) -> bytes | None:

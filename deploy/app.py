@@ -1,4 +1,4 @@
-"""The process that drives: puts policy, link, recorder and drive together, and says how it went."""
+"""The driving process: connects policy, link, recorder and drive, and reports the result."""
 
 import gc
 import math
@@ -62,7 +62,7 @@ class Options:
 def run(options: Options, output: Output, period_s: float = TICK_S) -> int:
     """Drive once, and return the exit code; ``period_s`` is how long a tick lasts.
 
-    Raises RoverNcpError for what kept the drive from beginning.
+    Raises RoverNcpError if the drive could not begin.
     """
     policy, course = load_policy(options.policy), load_course(options.course)
     rover = load_profile(options.profile) if options.profile else None
@@ -105,13 +105,13 @@ def run(options: Options, output: Output, period_s: float = TICK_S) -> int:
     fields = _fields(drive, options, config, tape.recorder)
     words = _words(fields)
     if output.as_json and fields["exit_code"]:
-        output.say(words.splitlines()[0])  # who looks at stderr reads there why it did not end well
+        output.say(words.splitlines()[0])  # stderr shows the reason for a bad end
     output.result(fields, words)
     return int(fields["exit_code"])
 
 
 def _prepare_for_real_time() -> None:
-    """Do now what would otherwise hold up a tick."""
+    """Do slow first-time work before the ticks start."""
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     # Writers and readers of message types are made on first use, 10 ms each and 200 ms for the first.
     read_odometry(odometry(ORIGIN, STANDSTILL, 0))
@@ -119,7 +119,7 @@ def _prepare_for_real_time() -> None:
     pose_with_covariance(ORIGIN, np.zeros((3, 3)), 0, COURSE_FRAME)
     neurons([0.0], ["-"])
     text("")
-    # What is loaded by now stays: going through all of it again would take 200 ms at a time.
+    # Exclude loaded objects from garbage collection: a full pass over them would take 200 ms.
     gc.collect()
     gc.freeze()
 

@@ -31,7 +31,7 @@ def deploy(
     ] = None,
     dry_run: Annotated[
         bool,
-        typer.Option("--dry-run", help="Do everything but ask for the motors and send commands."),
+        typer.Option("--dry-run", help="Dry run: send no commands and do not request the motors."),
     ] = False,
     pose: Annotated[
         Literal["auto", "required", "none"],
@@ -43,8 +43,8 @@ def deploy(
     profile: Annotated[
         Path | None,
         typer.Option(
-            help="What was measured of this robot, as 'identify' writes it: its gains are made up for, its "
-            "odometry's noise is reckoned with.",
+            help="The robot's profile, as 'identify' writes it: the drive compensates its gains and uses its "
+            "odometry's noise.",
             show_default=False,
         ),
     ] = None,
@@ -56,10 +56,10 @@ def deploy(
 ) -> int:
     """Let a circuit drive the robot behind a bridge.
 
-    Waits for the bridge and for a rover that stands still, takes where it stands as the course's origin,
-    asks for the motors and drives the course. Where something on 'pose' says meanwhile where it stands, it
-    starts from there, and later poses correct what odometry believes. Ctrl-C stops the rover first. However
-    the drive ends, the motors are off afterwards.
+    Waits for the bridge and for a rover that stands still, takes its place as the course's origin, requests
+    the motors and drives the course. If external poses arrive on 'pose' meanwhile, it starts from them, and
+    later poses correct odometry. Ctrl-C stops the rover first. The motors are off after every end of the
+    drive.
 
     Ends with 0 parked, 1 not parked (judged on the estimate), 3 no bridge, no robot, not authorised or
     another driver, 4 stopped by a safety rule, which is named, 130 interrupted.
@@ -95,7 +95,7 @@ def replay(
         "complete": found.complete,
         "difference": vars(found.difference) if found.difference else None,
     }
-    cut = "" if found.complete else " (the recording was cut off; compared is what it holds)"
+    cut = "" if found.complete else " (the recording was cut off; the rest was compared)"
     words = (
         f"{found.ticks} ticks, all the same to the last bit{cut}"
         if same
@@ -128,8 +128,8 @@ def watch(
 
     The page is that of 'rover-ncp report', fed ten times a second: path, circuit, commands, events. Its
     Stop button stops the rover until released; a viewer who is not authorised to stop sees that it is not.
-    Nobody but this machine can open the page. It is ready when it prints "watching at ADDRESS"; Ctrl-C ends
-    it, and changes nothing about the rover.
+    Only this machine can open the page. It is ready when it prints "watching at ADDRESS"; Ctrl-C ends it,
+    and changes nothing about the rover.
     """
     from deploy.watch.server import Options, run
 

@@ -1,4 +1,4 @@
-"""What a recording keeps of each tick, so that `replay` can run the same arithmetic on the same numbers.
+"""Records of each tick in a recording, from which `replay` repeats the same arithmetic on the same numbers.
 
 JSON on two topics that exist in recordings only. Odometry itself is not repeated: a record names the samples
 that the controller took in, by stamp and checksum, with the moment of measurement it gave them; so do
@@ -34,7 +34,7 @@ class SampleRef(NamedTuple):
 
 
 class StartRecord(StrictModel):
-    """Where and when the drive began: at ``pose`` in the course's frame, at the moment of ``sample``.
+    """The start of a drive: at ``pose`` in the course's frame, at the moment of ``sample``.
 
     ``covariance`` of that pose has nine numbers, row by row; None where the pose defines the course's frame.
     ``attachments`` are the CRC-32s of the files in the recording, by name.
@@ -52,7 +52,7 @@ class StartRecord(StrictModel):
 
 
 class TickRecord(StrictModel):
-    """One tick: what it was made from, in the order in which it was taken in, and what came out.
+    """One tick: its inputs, in the order in which they were applied, and its outputs.
 
     ``now_ns`` is the tick's moment on the driver's monotonic clock, ``wall_ns`` the same by the wall clock
     (it stamps the messages). ``estimate`` is x, y, theta, v, omega; ``command`` is v, omega, or None for the

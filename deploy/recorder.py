@@ -1,8 +1,8 @@
 """Recording beside the drive: a thread of its own, so that no disk ever holds up the control loop.
 
 Messages are handed over through a bounded queue; one that finds it full is counted as dropped. When the
-disk fails, recording ends, `Recorder.failure` says why, and the drive goes on: what is on the disk by then
-can be read. What a killed process loses is at most what came after the last flush.
+disk fails, recording ends, `Recorder.failure` gives the reason, and the drive goes on; the file so far stays
+readable. A killed process loses at most the messages after the last flush.
 """
 
 import queue
@@ -27,7 +27,7 @@ class Recorder:
     def __init__(self, path: Path, attachments: Mapping[str, bytes], *, overwrite: bool = False) -> None:
         self.path = path
         self.failure = ""
-        """Why recording ended early; empty while it works."""
+        """Reason for an early end of the recording; empty while it works."""
         self.written = 0
         self.dropped = 0
         self._queue: queue.Queue[Recorded | None] = queue.Queue(QUEUE_LENGTH)

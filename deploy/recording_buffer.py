@@ -1,4 +1,4 @@
-"""What a process that drives has around it: the recording, a line for people."""
+"""Recording and status line of a driving process."""
 
 import contextlib
 from collections import deque
@@ -17,7 +17,7 @@ BACKLOG = 1000
 
 
 class Tape:
-    """Where messages go to be recorded: kept until there is a recorder, thrown away if there never is."""
+    """Buffer of messages to record: kept until there is a recorder, discarded without one."""
 
     def __init__(self, path: Path | None, *, overwrite: bool = False) -> None:
         """Raise FileError if a recording could not be made at ``path``; None makes none."""

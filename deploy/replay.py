@@ -1,7 +1,7 @@
-"""A recording run through the same controller again, and every number held against the recorded one.
+"""Replay: run a recording through the same controller again and compare every number with the recorded one.
 
 Bit for bit: the same odometry, at the same recorded moments, through the same policy must give the same
-estimates, potentials and commands. What differs is named: the tick, the quantity, both values.
+estimates, potentials and commands. A difference is reported with tick, quantity and both values.
 """
 
 import zlib
@@ -39,12 +39,12 @@ ESTIMATE = ("estimate x", "estimate y", "estimate theta", "estimate v", "estimat
 COMMAND = ("command v", "command omega")
 ABSENT = "absent"
 INPUTS = {"odom": "odometry", "imu": "gyro reading", "pose": "external pose"}
-"""What a tick is made from, by topic."""
+"""Inputs of a tick, by topic."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Where recording and recomputation part; ``tick`` is None for what belongs to no tick."""
+    """First difference between recording and recomputation; ``tick`` is None if it belongs to no tick."""
 
     tick: int | None
     quantity: str
@@ -58,7 +58,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What a replay found. ``complete`` is False for a recording that was cut off; its rest is compared."""
+    """Result of a replay. ``complete`` is False for a recording that was cut off; its rest is compared."""
 
     ticks: int
     complete: bool
@@ -77,7 +77,7 @@ def replay(path: Path, policy: str | None = None) -> Comparison:
         if difference is not None:
             break
         ticks_done += record.command is not None
-    # A number may be another and yet leave no trace in this very run: then the files themselves tell.
+    # A changed number may leave no trace in this run: then the files themselves show the difference.
     difference = difference or _other_file(recording, start) or _other_policy(own, other)
     return Comparison(ticks_done, recording.complete, difference)
 

@@ -1,7 +1,7 @@
-"""What a recording holds for viewers alone: where the course lies, the pose, the path, each neuron by name.
+"""Topics in a recording for viewers alone: the course's frame, the pose, the path, each neuron by name.
 
-Foxglove, Lichtblick and Rerun draw transforms, poses, paths and single numbers, but know neither a course's
-frame nor whose potential a place in an array is. Nothing here goes over the wire, nothing reads it back.
+Foxglove, Lichtblick and Rerun draw transforms, poses, paths and single numbers. They know neither a course's
+frame nor the neuron of an array element. These topics are neither sent over the wire nor read back.
 """
 
 import struct

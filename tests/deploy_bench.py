@@ -53,7 +53,7 @@ def router(endpoint):
 
 
 class Bridge:
-    """Looks like a bridge to a driver; its rover obeys at once. ``odom`` may be replaced to spoil it."""
+    """Looks like a bridge to a driver; its rover obeys at once. ``odom`` may be replaced by a faulty one."""
 
     def __init__(self, namespace=""):
         self.namespace = namespace
@@ -65,9 +65,9 @@ class Bridge:
         self.refusal = ""
         self.secret = bytes(range(32))
         self.drops = None
-        """The reason to drop all commands, "" for one that it does not tell."""
+        """The reason to drop all commands; with "" it reports none."""
         self.accepted = -1
-        """The number of the last command that counted."""
+        """The number of the last accepted command."""
         self.commands, self.requests, self.times = [], [], []
         self.released = threading.Event()
         self._stop = threading.Event()

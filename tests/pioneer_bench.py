@@ -1,4 +1,4 @@
-"""A mock Pioneer on a virtual clock, with a client's hand on it."""
+"""A mock Pioneer on a virtual clock, and a client for it."""
 
 import math
 
@@ -28,8 +28,8 @@ class Pioneer:
     ) -> None:
         walls = [Obstacle(x=wall_x, y=0.0, length=0.2, width=4.0)] if wall_x is not None else []
         self.rover = Rover(rover_model_of(ROBOTS[model]), Bay(walls))
-        suffering = Faults([parse_fault(text) for text in faults], seed)
-        self.firmware = Firmware(model, self.rover, suffering, config=config)
+        injected = Faults([parse_fault(text) for text in faults], seed)
+        self.firmware = Firmware(model, self.rover, injected, config=config)
         self.now = 0.0
         self.packets: list[Packet] = []
         self._decoder = Decoder()

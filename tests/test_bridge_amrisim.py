@@ -36,7 +36,7 @@ def test_the_recorded_configpac_is_the_short_one_that_shows_signed_lengths():
 
 
 def test_a_base_whose_motors_are_on_from_the_start_is_driven_and_stopped(amrisim, driver):
-    # The bridge found motors that nobody asked for: it switches them off before anybody drives.
+    # The bridge found motors on without a lease: it switches them off before the first drive.
     wait_for(lambda: amrisim.connected and not amrisim.server.firmware.drive.enabled)
     # West across the counter's zero, where 15 and 16 bits disagree: -1 mm is 65535, not 32767.
     driver.start(v=-0.15)

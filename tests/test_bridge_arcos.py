@@ -89,7 +89,7 @@ def test_the_manuals_examples_are_what_the_encoder_writes() -> None:
     assert syncs == VECTORS["manual_SYNC"]["hex"]
 
 
-def test_the_manuals_unsigned_argument_keeps_its_size_whatever_its_type_byte() -> None:
+def test_the_manuals_unsigned_argument_keeps_its_size_with_any_type_byte() -> None:
     (packet,) = Decoder().feed(bytes.fromhex(VECTORS["manual_DIGOUT_example"]["hex"]))
     assert decode_argument(Command.DIGOUT, packet.payload) == 0x0919
 
@@ -240,8 +240,8 @@ def valid_frames(stream: bytes) -> Iterator[tuple[int, int]]:
     for start in range(len(stream) - 5):
         end = start + stream[start + 2] + 3
         if stream[start : start + 2] == b"\xfa\xfb" and stream[start + 2] >= 3 and end <= len(stream):
-            body, told = stream[start + 3 : end - 2], stream[end - 2 : end]
-            if checksum(body).to_bytes(2, "big") == told:
+            body, expected_sum = stream[start + 3 : end - 2], stream[end - 2 : end]
+            if checksum(body).to_bytes(2, "big") == expected_sum:
                 yield start, end
 
 

@@ -47,7 +47,7 @@ def test_nothing_moves_before_the_motors_are_on():
     assert gate.drive(0.3).velocity.v > 0.0
 
 
-def test_a_base_not_heard_of_late_is_not_given_to_anybody():
+def test_stale_odometry_refuses_the_lease():
     gate = Gate()
     gate.at(0.0, Heard())
     assert gate.enable(0.5).refusal is Reason.ODOMETRY
@@ -124,7 +124,7 @@ FENCE = LIMITS.model_copy(update={"fence": Fence(x_min=-1.0, x_max=2.0, y_min=-1
         (Heard(x=2.5, theta=math.pi / 2), Velocity(0.1, 0.0), False),
     ],
 )
-def test_nobody_drives_out_of_the_fence_but_anybody_back(base, velocity, passes):
+def test_fence_holds_the_way_out_but_not_the_way_back(base, velocity, passes):
     gate = Gate(FENCE).driving()
     gate.at(0.1, base)
     verdict = gate.drive(0.1, velocity)
@@ -132,7 +132,7 @@ def test_nobody_drives_out_of_the_fence_but_anybody_back(base, velocity, passes)
     if not passes:
         assert verdict.velocity == ZERO
         assert gate.state.stops == {Reason.GEOFENCE: 1}
-        assert gate.drive(0.15, ZERO).held is None  # it pauses the drive, it does not end it
+        assert gate.drive(0.15, ZERO).held is None  # a hold, not the end of the lease
 
 
 SONAR = LIMITS.model_copy(update={"sonar_stop_m": 0.4})
@@ -154,7 +154,7 @@ NEARER = math.nextafter(0.4, 0.0)
         (math.inf, math.nan, Velocity(0.1, 0.0), True),
     ],
 )
-def test_nobody_drives_at_what_the_sonars_hear_but_anybody_away(ahead_m, behind_m, velocity, passes):
+def test_sonars_hold_the_way_to_an_obstacle_but_not_the_way_back(ahead_m, behind_m, velocity, passes):
     gate = Gate().driving()
     gate.limits = SONAR
     gate.at(0.1, Heard(clear_ahead_m=ahead_m, clear_behind_m=behind_m))
@@ -164,10 +164,10 @@ def test_nobody_drives_at_what_the_sonars_hear_but_anybody_away(ahead_m, behind_
         assert verdict.velocity == ZERO
         assert not verdict.emergency
         assert gate.state.stops == {Reason.SONAR: 1}
-        assert gate.drive(0.15, Velocity(0.0, 0.2)).held is None  # it pauses the drive, it does not end it
+        assert gate.drive(0.15, Velocity(0.0, 0.2)).held is None  # a hold, not the end of the lease
 
 
-def test_sonars_that_nobody_asked_for_stop_nobody():
+def test_sonars_hold_nothing_without_sonar_stop_m():
     gate = Gate().driving()
     gate.at(0.1, Heard(clear_ahead_m=0.01, clear_behind_m=math.nan))
     assert gate.drive(0.1).held is None

@@ -1,4 +1,4 @@
-"""Whatever arrives at the gate, in whatever order: what comes out is finite, within limits, and allowed."""
+"""Any events in any order: the gate's output is finite, within limits, and allowed."""
 
 import math
 from dataclasses import replace
@@ -107,7 +107,7 @@ def events_of(kind, what, now, sequence):
 
 
 def allowed_to_move(history, limits):
-    """Whether the rover may move now, told from the history alone and by other means than the gate's."""
+    """Whether the rover may move now, computed from the history alone, independently of the gate."""
     now = history[-1][0]
     reported_s, report = next(
         ((t, event) for t, event, _ in reversed(history) if isinstance(event, Heard)), (-math.inf, None)
@@ -155,7 +155,7 @@ def forged(event, state):
 
 @settings(max_examples=300)
 @given(happenings=happenings, limits=all_limits, accept_ros=st.booleans())
-def test_whatever_arrives_what_comes_out_is_finite_within_limits_and_allowed(happenings, limits, accept_ros):
+def test_output_is_always_finite_within_limits_and_allowed(happenings, limits, accept_ros):
     state, now, before = State(), 100.0, (100.0, ZERO)
     history = []
     prelude = [(0.0, ("report", CLEAR)), (0.0, ("enable", (None, 0)))]

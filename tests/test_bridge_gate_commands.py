@@ -1,4 +1,4 @@
-"""The gate: which commands count. Late ones, old ones, those of others, nonsense, plain ROS."""
+"""The gate: which commands it accepts. Stale, replayed, foreign, malformed, plain ROS."""
 
 import math
 
@@ -281,7 +281,7 @@ def test_an_old_plain_command_counts_for_less_long():
     assert gate.at(0.21, Heard()).held is Reason.SILENCE
 
 
-def test_a_plain_lease_is_nobody_elses():
+def test_a_plain_lease_serves_no_other_driver():
     gate = Gate(accept_ros=True)
     gate.at(0.0, Heard())
     gate.at(0.1, Command(SLOW))

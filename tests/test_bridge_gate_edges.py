@@ -1,4 +1,4 @@
-"""The gate: where each of its bounds lies exactly, and a base whose pose stands still while it drives."""
+"""The gate: the exact place of each bound, and frozen odometry."""
 
 import math
 
@@ -76,7 +76,7 @@ def test_a_base_that_comes_back_starts_anew(motion):
 # Who may drive
 
 
-def test_plain_commands_drive_nobody_who_did_not_allow_them():
+def test_plain_commands_are_dropped_unless_allowed():
     gate = Gate()
     gate.at(0.0, Heard())
     assert gate.at(0.1, Command(SLOW)).dropped is Reason.FOREIGN

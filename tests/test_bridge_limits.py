@@ -1,4 +1,4 @@
-"""What a lab may set, and what it may not: no setting undoes the first safety requirement."""
+"""Limits of the gate: no setting undoes the first safety requirement."""
 
 import pytest
 from pydantic import ValidationError

@@ -1,4 +1,4 @@
-"""The line to the base: what its thread hands to the loop, errors included."""
+"""The line to the base: its thread hands bytes and errors to the loop."""
 
 import socket
 import time
@@ -151,7 +151,7 @@ def test_lines_on_which_nothing_arrives_are_opened_again_less_and_less_often(ser
     assert restarted[1] - restarted[0] < 0.2
 
 
-def test_an_error_nobody_thought_of_reaches_the_loop(server, open_line, monkeypatch):
+def test_an_unexpected_error_reaches_the_loop(server, open_line, monkeypatch):
     def explode(*_):
         raise RuntimeError("boom")
 

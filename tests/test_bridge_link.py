@@ -1,4 +1,4 @@
-"""What the bridge's Zenoh session hands to the loop."""
+"""The bridge's Zenoh session: arrivals that it hands to the loop."""
 
 from bridge_bench import client, wait_for
 

@@ -1,4 +1,4 @@
-"""Bridge and mock as real processes on loopback TCP and Zenoh: who may drive, and what stops the rover."""
+"""Bridge and mock as real processes on loopback TCP and Zenoh: the lease, and every cause of a stop."""
 
 import math
 import os
@@ -66,7 +66,7 @@ def test_a_second_driver_is_refused_and_its_commands_do_not_count(rig, driver):
     with Driver(rig.locator) as other:
         reply = other.motors()
         assert (reply.granted, reply.reason) == (False, "another-driver")
-        assert reply.detail == "test has the motors"
+        assert reply.detail == "test holds the lease"
         foreign = driver.gate.dropped.get("foreign", 0)
         for _ in range(5):
             other.send(v=-0.3)
@@ -99,7 +99,7 @@ def test_silence_stops_the_rover(rig, driver):
     assert speed > 0.1
     assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
     wait_for(lambda: driver.gate.stops.get("silence", 0) > stops)
-    # The lease lapses and the motors go off without anybody asking.
+    # The lease lapses and the motors go off without a request.
     wait_for(lambda: driver.gate.lease == 0 and driver.gate.ended == "lease-lapsed")
 
 
@@ -175,9 +175,9 @@ def test_garbage_from_the_driver_stops_the_rover(rig, driver):
     assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
 
 
-def test_odometry_is_reset_when_nobody_drives(rig, driver):
+def test_odometry_is_reset_only_without_a_lease(rig, driver):
     driver.start().drive(0.2)
-    assert b"somebody is driving" in driver.ask("rover/reset_odometry", b"{}")
+    assert b"a driver holds the lease" in driver.ask("rover/reset_odometry", b"{}")
     driver.motors(enable=False)
     rig.stood_after(time.time_ns())
     assert abs(driver.odom.pose.x) > 0.01

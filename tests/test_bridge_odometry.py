@@ -1,4 +1,4 @@
-"""What the driver makes of a robot's packets, held against what third-party clients printed about them."""
+"""Odometry from a robot's recorded packets, compared with the printed output of third-party clients."""
 
 import math
 from collections.abc import Callable
@@ -41,8 +41,14 @@ def states_of(capture: Capture) -> list[BaseState]:
 def agrees(state: BaseState, line: dict[str, str]) -> bool:
     """Compare within the digits that were printed."""
     if "omega" in line:
-        told = [(state.x, "x"), (state.y, "y"), (state.theta, "th"), (state.v, "vel"), (state.omega, "omega")]
-        return all(abs(value - float(line[name])) <= 0.002 for value, name in told)
+        values = [
+            (state.x, "x"),
+            (state.y, "y"),
+            (state.theta, "th"),
+            (state.v, "vel"),
+            (state.omega, "omega"),
+        ]
+        return all(abs(value - float(line[name])) <= 0.002 for value, name in values)
     wheel = state.omega * ROBOTS["p3at-sh"].half_track_m
     told_mm = [(state.x, "x"), (state.y, "y"), (state.v, "vel")]
     # ARIA's parameter files have 0.00153 rad for a heading unit of 2π/4096: 0.26 % less.

@@ -36,11 +36,11 @@ def fails(capsys):
 
 
 @pytest.fixture
-def nobody():
+def free_endpoint():
     """An endpoint where nothing listens."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
-    return endpoint  # noqa: RET504  # only now is nobody there
+    return endpoint  # noqa: RET504  # the port is free only after the block
 
 
 def test_ctrl_c_stops_the_rover_and_says_what_went_over_the_line(tmp_path):
@@ -58,7 +58,7 @@ def test_ctrl_c_stops_the_rover_and_says_what_went_over_the_line(tmp_path):
     assert (result["dropped"], result["stops"], result["reconnects"]) == ({}, {}, 0)
 
 
-def test_a_base_that_restarts_is_found_again_and_stands_until_somebody_asks(tmp_path):
+def test_a_restarted_base_is_found_again_and_stands_until_a_driver_asks(tmp_path):
     with Rig(tmp_path) as rig, Driver(rig.locator) as driver:
         driver.start()
         rig.mock.send_signal(signal.SIGKILL)
@@ -117,12 +117,12 @@ def test_driver_name_neither_clears_screen_nor_forges_line(tmp_path):
         rig.bridge.stop()
     lines = (tmp_path / "bridge.log").read_text().splitlines()
     assert [line for line in lines if line.startswith("ready ")] == lines[1:2]
-    assert "x\\x1b[2J\\nready zenoh=tcp/192.0.2.1:7447 base=tcp/192.0.2.1:8101 has the motors" in lines
+    assert "x\\x1b[2J\\nready zenoh=tcp/192.0.2.1:7447 base=tcp/192.0.2.1:8101 got the lease" in lines
     assert "\x1b" not in "".join(lines)
 
 
-def test_no_robot_is_exit_3(fails, nobody):
-    assert fails(nobody) == (3, f"{nobody}: connection refused: nothing listens there")
+def test_no_robot_is_exit_3(fails, free_endpoint):
+    assert fails(free_endpoint) == (3, f"{free_endpoint}: connection refused: nothing listens there")
 
 
 def test_a_robot_that_answers_nonsense_is_exit_3(fails):
@@ -140,7 +140,7 @@ def test_a_robot_that_answers_nonsense_is_exit_3(fails):
         code, line = fails(address)
     thread.join(5.0)
     assert code == 3
-    assert line.startswith(f"{address}: what answers is no ARCOS base")
+    assert line.startswith(f"{address}: the device that answers is no ARCOS base")
 
 
 def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):
@@ -159,7 +159,7 @@ def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):
     [
         ("--listen", "garbage", "--listen garbage: expected PROTOCOL/HOST:PORT, like tcp/127.0.0.1:7447"),
         ("--listen", "tcp/127.0.0.1", "--listen tcp/127.0.0.1: cannot listen there: invalid socket address"),
-        ("--listen", "tcp/192.0.2.1:0", "whoever reaches it could drive the rover"),
+        ("--listen", "tcp/192.0.2.1:0", "any client that reaches it could drive the rover"),
         ("--namespace", "a*", "namespace 'a*'"),
         ("--model", "hal", "model hal: expected auto, p3at"),
         ("--ros", "corba", "Invalid value for '--ros'"),
@@ -168,8 +168,8 @@ def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):
         ("--zenoh-config", "no.json5", "no.json5: no such file"),
     ],
 )
-def test_a_wrong_option_is_exit_2_and_one_line(fails, nobody, option, value, expected):
-    code, line = fails(nobody, option, value)
+def test_a_wrong_option_is_exit_2_and_one_line(fails, free_endpoint, option, value, expected):
+    code, line = fails(free_endpoint, option, value)
     assert code == 2
     assert expected in line
 
@@ -184,23 +184,25 @@ def test_a_wrong_option_is_exit_2_and_one_line(fails, nobody, option, value, exp
         ("fence: {x_min: 1, x_max: 0, y_min: 0, y_max: 1}", "x_min < x_max"),
     ],
 )
-def test_limits_that_would_undo_the_safety_are_refused(fails, nobody, tmp_path, content, expected):
+def test_limits_that_would_undo_the_safety_are_refused(fails, free_endpoint, tmp_path, content, expected):
     limits = tmp_path / "limits.yaml"
     limits.write_text(content + "\n")
-    code, line = fails(nobody, "--limits", str(limits))
+    code, line = fails(free_endpoint, "--limits", str(limits))
     assert code == 2
     assert line.startswith(f"{limits}: ")
     assert expected in line
 
 
-def test_a_zenoh_configuration_says_where_to_listen_and_garbage_is_refused(fails, nobody, tmp_path, capsys):
+def test_a_zenoh_configuration_says_where_to_listen_and_garbage_is_refused(
+    fails, free_endpoint, tmp_path, capsys
+):
     config = tmp_path / "zenoh.json5"
     config.write_text('{ listen: { endpoints: ["tcp/192.0.2.1:9"] } }')
-    arguments = ["bridge", "--base", nobody, "--zenoh-config", str(config)]
+    arguments = ["bridge", "--base", free_endpoint, "--zenoh-config", str(config)]
     assert cli.run([*arguments, "--insecure"]) == 2
     assert "--listen tcp/192.0.2.1:9: cannot listen there" in capsys.readouterr().err
     config.write_text('{ lissten: { endpoints: ["tcp/192.0.2.1:9"] } }')
-    code, line = fails(nobody, "--zenoh-config", str(config))
+    code, line = fails(free_endpoint, "--zenoh-config", str(config))
     assert code == 2
     assert line.startswith(f"{config}: not a Zenoh configuration: ")
 

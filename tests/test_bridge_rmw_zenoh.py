@@ -238,7 +238,7 @@ class RosDriver:
 
     @property
     def speed(self):
-        """The speed that odom last told, at its place in the bytes."""
+        """The speed of the last odometry message, at its place in the bytes."""
         return struct.unpack_from("<d", self.odom[-1].payload.to_bytes(), 388)[0] if self.odom else 0.0
 
     def __enter__(self):

@@ -1,4 +1,4 @@
-"""What the base says, as ROS messages."""
+"""Base reports as ROS messages."""
 
 import math
 import struct

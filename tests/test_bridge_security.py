@@ -1,4 +1,4 @@
-"""A bridge with the keys of ``rover-ncp keys``: each row of who may do what, over TLS between processes."""
+"""A bridge with the keys of ``rover-ncp keys``: each row of the access rules, over TLS between processes."""
 
 import base64
 import json
@@ -145,7 +145,7 @@ def test_a_localiser_says_where_the_rover_is_and_nothing_else(rig, keys):
             subscriber.undeclare()
 
 
-def test_nobody_speaks_for_the_bridge(rig, keys):
+def test_no_client_can_publish_or_answer_for_the_bridge(rig, keys):
     with User(rig, keys / "driver.json5") as driver, User(rig, keys / "viewer.json5") as viewer:
         wait_for(lambda: "rover/gate" in viewer.heard and driver.may_drive)
         token = driver.session.liveliness().declare_token("rover/alive/bridge")
@@ -232,7 +232,7 @@ def test_deploy_says_not_authorised_and_drives_when_it_is(rig, keys, tmp_path, c
     assert viewer.startswith("rover-ncp: not authorised: the bridge at tls/127.0.0.1")
     assert cli.run(options) == 3
     stranger = capsys.readouterr().err
-    assert stranger.startswith("rover-ncp: not authorised: what listens at tls/127.0.0.1")
+    assert stranger.startswith("rover-ncp: not authorised: the process at tls/127.0.0.1")
     driver = ["--zenoh-config", str(keys / "driver.json5"), "--duration", "0.5"]
     compile_driver()
     done = Process("deploy", [*options[1:], *driver], tmp_path).wait(30.0)
@@ -246,7 +246,7 @@ LAN = ["tcp/0.0.0.0:0", "tcp/[::]:0", "tls/0.0.0.0:0"]
 def test_listening_beyond_this_machine_needs_users(listen, capsys, tmp_path):
     arguments = ["bridge", "--base", "tcp/127.0.0.1:1", "--listen", listen]
     assert cli.run(arguments) == 2
-    assert f"{listen}: whoever reaches it could drive the rover" in capsys.readouterr().err
+    assert f"{listen}: any client that reaches it could drive the rover" in capsys.readouterr().err
     config = tmp_path / "zenoh.json5"
     config.write_text(f'{{ connect: {{ endpoints: ["{listen}"] }} }}')
     assert cli.run([*arguments[:4], "tcp/127.0.0.1:0", "--zenoh-config", str(config)]) == 2

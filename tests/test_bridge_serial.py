@@ -91,7 +91,7 @@ def test_a_silent_serial_line_is_opened_again_and_the_base_found_at_its_rate(bri
         with Driver(zenoh) as driver:
             driver.start()
             for fault in ("mute@0-10", "deaf@0-10"):
-                base.firmware.suffer(parse_fault(fault))
+                base.firmware.inject(parse_fault(fault))
             wait_for(lambda: driver.gate.held == "no-base")
             assert base.client_rate == 38400
             log = tmp_path / "bridge.log"

@@ -1,4 +1,4 @@
-"""The rules at the top of session.py and helm.py, and what a robot may do instead of answering."""
+"""The rules at the top of session.py and setpoints.py, and robots that do not answer as expected."""
 
 import math
 
@@ -134,7 +134,7 @@ def test_the_chosen_model_wins_over_what_the_base_says() -> None:
     assert configured.robot.name == "p3dx"
 
 
-def test_a_model_nobody_knows_is_a_usage_error() -> None:
+def test_an_unknown_model_is_a_usage_error() -> None:
     with pytest.raises(UsageError, match="expected auto, p3at, p3at-sh"):
         Session("roomba")
 

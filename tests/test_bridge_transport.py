@@ -1,4 +1,4 @@
-"""Lines to a base: what goes through them, and the one clear error when they break."""
+"""Lines to a base: bytes both ways, and one clear error when a line breaks."""
 
 import os
 import pty
@@ -85,7 +85,7 @@ def test_commands_leave_at_once() -> None:
         assert option != 0
 
 
-def test_nobody_there_is_no_robot_with_the_reason() -> None:
+def test_refused_connection_is_no_robot_with_the_reason() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         free = server.getsockname()[1]
     for endpoint, reason in [
@@ -154,7 +154,7 @@ def test_an_unplugged_cable_is_no_robot() -> None:
 
 @pytest.mark.parametrize("kind", ["tcp", "serial"])
 def test_a_line_that_takes_no_more_bytes_is_no_robot_and_no_write_waits_for_it(kind: str) -> None:
-    """Nobody reads at the far end: commands must not pile up to be carried out later."""
+    """The far end reads nothing: commands must not pile up to be carried out later."""
     longest_s = 0.0
 
     def flood(line: Transport) -> None:
@@ -185,7 +185,7 @@ def test_the_last_command_arrives_although_sips_lie_unread() -> None:
 
 
 class Base(threading.Thread):
-    """A mock Pioneer behind a pseudo-terminal, in real time; ends when told or when its line is gone."""
+    """A mock Pioneer behind a pseudo-terminal, in real time; ends on request or when its line is gone."""
 
     def __init__(self, far: int, *faults: str) -> None:
         super().__init__()

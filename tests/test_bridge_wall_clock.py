@@ -1,4 +1,4 @@
-"""A wall clock that somebody sets: what the bridge's stamps do, on a virtual clock."""
+"""The bridge's stamps when the wall clock is set, on a virtual clock."""
 
 import pytest
 
@@ -47,7 +47,7 @@ def motors(world):
 
 
 @pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS])
-def test_while_somebody_drives_stamps_do_not_step_and_afterwards_they_are_right_again(world, step_ns):
+def test_stamps_do_not_step_during_a_lease_and_are_right_again_after_it(world, step_ns):
     assert motors(world).granted
     world.set_ns = step_ns
     del world.stamps[:]

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -64,6 +65,24 @@ def test_end_waits_as_long_as_reader_takes_data(pipe):
         writer.put(b"x" * 500_000, keep=True)
         assert writer.drained(0.3)
         assert child.wait(20) == 0
+
+
+def test_end_waits_no_longer_because_a_thread_goes_on_queueing(pipe):
+    _, writer = pipe
+    ended = threading.Event()
+
+    def queue():
+        while not ended.wait(0.05):
+            writer.put(b"more\n", keep=True)
+
+    writer.put(b"x" * 500_000, keep=True)
+    thread = threading.Thread(target=queue)
+    thread.start()
+    threading.Timer(10.0, ended.set).start()
+    assert not writer.drained(0.3)
+    assert not ended.is_set()
+    ended.set()
+    thread.join()
 
 
 SLOW_READER = """

@@ -120,7 +120,7 @@ def test_driven_on_odometry_the_rover_goes_where_exact_poses_take_it(policy):
     assert distance(exact[0], exact[-1]) > 0.3
 
 
-def test_the_same_inputs_give_the_same_bits_whoever_else_runs(policy):
+def test_the_same_inputs_give_the_same_bits_beside_other_policies(policy):
     first = bits(drive(policy, report=as_a_base_reports)[1])
     drive(parking_policy(load_circuit("parking")))
     assert bits(drive(policy, report=as_a_base_reports)[1]) == first

@@ -1,4 +1,4 @@
-"""Recordings that end badly: the driver killed, the disk full. The drive does not care; the file is saved."""
+"""Recordings that end early: the driver killed, the disk full. The drive goes on; the file stays readable."""
 
 import json
 import resource

@@ -185,7 +185,7 @@ def test_what_is_not_finite_never_reaches_the_filter(where, what, others):
 
 
 @given(st.lists(st.tuples(*[st.floats(width=64)] * 5), max_size=8))
-def test_whatever_comes_the_estimate_is_finite(measurements):
+def test_the_estimate_is_always_finite(measurements):
     estimator = started()
     for number, values in enumerate(measurements):
         estimator.odometry(Pose(*values[:3]), Velocity(*values[3:]), 0.1 * number)

@@ -311,7 +311,7 @@ def test_what_is_no_pose_is_refused(pose, covariance):
     assert np.array_equal(after.covariance, before.covariance)
 
 
-def test_a_variance_of_zero_is_one_that_nobody_knows():
+def test_a_variance_of_zero_counts_as_unknown():
     one, other = straight(1.0), straight(1.0)
     seen = Pose(_way(1.0) + 0.01, 0.01, 0.01)
     one.external(seen, np.zeros((3, 3)), 1.0)
@@ -345,7 +345,7 @@ def test_a_gyro_that_was_silent_for_a_while_says_nothing_of_that_while():
     for tick in range(1, 60):
         t = tick * DT
         if not 20 <= tick < 30:
-            # It stands; what the gyro says at once after its silence is of no time that anybody knows.
+            # It stands; the time span of the gyro's first reading after the gap is unknown.
             estimator.gyro(0.5 if tick == 30 else 0.01, t)
         estimator.odometry(Pose(0, 0, 0), Velocity(0, 0), t)
     assert abs(estimator.at(6.0).pose.theta) < 0.002

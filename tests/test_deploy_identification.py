@@ -1,4 +1,4 @@
-"""What a robot's profile says against what its mock was made with."""
+"""Identified robot profiles against the true values of the mock."""
 
 import json
 import math

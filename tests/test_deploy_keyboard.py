@@ -71,7 +71,7 @@ def test_keys_by_name():
 
 
 @given(st.text(max_size=40), st.floats(0, 1))
-def test_whatever_is_typed_the_rover_keeps_to_the_circuits_speeds(text, later):
+def test_any_keys_keep_the_rover_within_the_circuits_speeds(text, later):
     keyboard = Keyboard()
     for number, key in enumerate(presses(text)):
         keyboard.press(key, 0.03 * number)

@@ -1,4 +1,4 @@
-"""What the driver's link notices by itself: here, that it is too slow to drive over."""
+"""The driver's link: detection of a link that is too slow."""
 
 import json
 import time
@@ -60,7 +60,7 @@ def ask():
     return ask
 
 
-def test_nobody_drives_over_a_link_that_is_always_slow(ask):
+def test_a_link_that_is_always_slow_refuses_the_drive(ask):
     late = ROUND_TRIP_S + 0.05
     with pytest.raises(
         SafetyStop, match=r"stopped by slow-link: the bridge at tcp/127.* takes 0.[2-9]"

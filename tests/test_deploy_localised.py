@@ -1,4 +1,4 @@
-"""A lab's localisation beside real processes: the rover starts somewhere, is told where, and parks there."""
+"""A lab's localisation beside real processes: it gives the rover its start pose, and the rover parks."""
 
 import threading
 
@@ -74,7 +74,9 @@ def test_a_rover_that_is_told_where_it_starts_parks_on_the_true_pose(tmp_path, s
     assert done.code == 0, done
     assert done.result["pose"]["used"] > 50
     assert done.result["pose"]["refused"] == 0
-    assert distance(start, Pose(0, 0, 0)) > 0.05  # without being told it would be as far off at the end
+    assert (
+        distance(start, Pose(0, 0, 0)) > 0.05
+    )  # without external poses the final position error would be as large
     assert distance(end, course.goal) < course.parked.position_m / 2
     assert abs(wrap_angle(end.theta - course.goal.theta)) < course.parked.heading_rad
     assert replay(recording).difference is None

@@ -90,16 +90,16 @@ def test_a_signal_stops_the_rover_first(bridge, drive, tmp_path, number):
     assert signal.getsignal(number) is before
 
 
-def seen_once_driving(bridge, spoilt):
-    """Give odometry as it is until the driver drives, then what ``spoilt`` makes of it."""
+def seen_once_driving(bridge, corrupt):
+    """Give odometry as it is until the driver drives, then what ``corrupt`` makes of it."""
 
     def odom(pose, velocity, stamp):
-        return odometry(pose, velocity, stamp) if len(bridge.commands) < 4 else spoilt(pose, velocity, stamp)
+        return odometry(pose, velocity, stamp) if len(bridge.commands) < 4 else corrupt(pose, velocity, stamp)
 
     return odom
 
 
-SPOILT = {
+BAD_ODOMETRY = {
     "silent": ({"odometry-age"}, lambda pose, velocity, stamp: None),
     "garbled": ({"odometry-age"}, lambda pose, velocity, stamp: b"\x00\x01\x00\x00nonsense"),
     "old": (
@@ -112,14 +112,14 @@ SPOILT = {
 }
 
 
-@pytest.mark.parametrize("name", SPOILT)
+@pytest.mark.parametrize("name", BAD_ODOMETRY)
 def test_odometry_that_cannot_be_trusted_stops_the_rover_in_half_a_second(bridge, drive, name):
-    rules, spoilt = SPOILT[name]
+    rules, corrupt = BAD_ODOMETRY[name]
     when = []
 
     def noted(*sample):
         when.append(time.monotonic())
-        return spoilt(*sample)
+        return corrupt(*sample)
 
     bridge.odom = seen_once_driving(bridge, noted)
     bridge.released.clear()

@@ -1,4 +1,4 @@
-"""``check`` against a robot that is well, and against robots that are not: real processes."""
+"""``check`` against a healthy robot and against faulty ones: real processes."""
 
 import json
 

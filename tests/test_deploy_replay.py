@@ -126,7 +126,7 @@ def test_a_recording_recomputes_to_the_same_bits(recorded):
     assert comparison.complete
 
 
-def test_the_same_policy_from_a_file_is_the_same_whatever_it_says_of_its_making(recorded, policy, tmp_path):
+def test_the_same_policy_from_a_file_is_the_same_with_any_provenance(recorded, policy, tmp_path):
     path = tmp_path / "same.yaml"
     save_policy(path, replace(policy, provenance={"command": "by hand"}, courses=()))
     assert replay(recorded, str(path)).difference is None

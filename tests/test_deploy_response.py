@@ -71,4 +71,4 @@ def test_a_rover_that_obeys_is_never_accused(model, request):
 def test_it_says_what_was_asked_and_what_came():
     watch = ResponseWatch()
     words = [watch.tick(Velocity(0.1, 0), Velocity(0.001, 0)) for _ in range(18)]
-    assert words[-1] == "0.001 m where 0.100 m were asked for within a second"
+    assert words[-1] == "0.001 m where 0.100 m were commanded within a second"

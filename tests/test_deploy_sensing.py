@@ -1,4 +1,4 @@
-"""What tells the driver where it is beside odometry: external poses and a gyro, over real Zenoh."""
+"""The driver's measurements beside odometry: external poses and a gyro, over real Zenoh."""
 
 import dataclasses
 import functools
@@ -81,12 +81,10 @@ def test_a_gyros_readings_count_are_recorded_and_recomputed(bridge, drive, tmp_p
     assert difference.quantity.startswith("the gyro reading of stamp")
 
 
-def test_without_anybody_who_says_where_it_stands_the_start_is_the_origin_or_none(
-    bridge, drive, tmp_path, monkeypatch
-):
+def test_without_external_poses_the_start_is_the_origin_or_an_error(bridge, drive, tmp_path, monkeypatch):
     shorter = functools.partial(DriveConfig, still_s=0.15, pose_wait_s=0.5)
     monkeypatch.setattr(node, "DriveConfig", shorter)
-    with pytest.raises(NoPose, match="nobody says on 'pose' where the rover stands") as caught:
+    with pytest.raises(NoPose, match="no external pose of the rover arrived on 'pose'") as caught:
         drive(pose="required")
     assert caught.value.exit_code == 3
     assert bridge.requests == []

@@ -1,4 +1,4 @@
-"""Driving by keyboard over a pseudo-terminal: mock and bridge as real processes, and somebody's keys."""
+"""Driving by keyboard over a pseudo-terminal: mock and bridge as real processes, and simulated keys."""
 
 import contextlib
 import json
@@ -45,7 +45,7 @@ class Person:
                 start_new_session=True,
             )
         if not screen_full:
-            wait_for(lambda: "let go to stop" in self.said, 30.0)
+            wait_for(lambda: "release it to stop" in self.said, 30.0)
         wait_for(lambda: self.settings != self.before, 30.0)
 
     def _fill_screen(self):
@@ -69,7 +69,7 @@ class Person:
         return time.time_ns()
 
     def hold(self, key, seconds):
-        """Hold a key as a terminal tells it; return when it was sent last, in ns."""
+        """Send a held key as a terminal does; return when it was sent last, in ns."""
         end = time.monotonic() + seconds
         last = self.type(key)
         time.sleep(DELAY_S)
@@ -232,5 +232,5 @@ def test_without_a_terminal_it_does_not_begin(capsys):
         check=False,
     )
     assert done.returncode == 2
-    assert "has to be a terminal" in done.stderr
+    assert "expected a terminal as standard input" in done.stderr
     assert done.stderr.count("\n") == 1

@@ -1,4 +1,4 @@
-"""Who may stop, between real processes with the keys of ``rover-ncp keys``."""
+"""Permission to stop, between real processes with the keys of ``rover-ncp keys``."""
 
 import pytest
 from bridge_bench import Rig, wait_for
@@ -61,6 +61,6 @@ def test_the_end_of_the_bridge_is_noticed(tmp_path):
             viewer.stop()
 
 
-def test_nobody_there():
+def test_no_bridge_is_an_error_with_its_address():
     with pytest.raises(NoBridge, match="nothing answers"):
         Viewer("tcp/127.0.0.1:9", "", None, lambda message: None)

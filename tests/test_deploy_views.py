@@ -1,4 +1,4 @@
-"""What a recording holds for viewers, and the layout that ships for them."""
+"""Topics in a recording for viewers, and the layout file for them."""
 
 import json
 import re
@@ -20,15 +20,15 @@ LAYOUT = Path("docs/viewing/rover-ncp.json")
 
 
 def recorded(ticks=3):
-    told = []
-    views = Views(told.append, NAMES, "course")
+    messages = []
+    views = Views(messages.append, NAMES, "course")
     views.start(1_000, Pose(0.5, 0.0, 0.1), Pose(3.0, -2.0, 1.0))
     for k in range(ticks):
         last = k == ticks - 1
         potentials = None if last else np.array([-70.0 - k, -1e-9, -12.25])
         views.tick(2_000 + k, Pose(0.1 * k, 0.2, 0.3), potentials)
     views.finish()
-    return told
+    return messages
 
 
 def test_odometry_lies_where_the_course_says():
@@ -41,9 +41,9 @@ def test_odometry_lies_where_the_course_says():
 
 
 def test_each_neuron_is_a_series_of_its_own_name():
-    told = [message for message in recorded() if message.topic.startswith("neurons/")]
-    assert [message.topic for message in told[:3]] == ["neurons/A", "neurons/B", "neurons/Long_name"]
-    assert [read_neurons(message.data) for message in told] == [
+    messages = [message for message in recorded() if message.topic.startswith("neurons/")]
+    assert [message.topic for message in messages[:3]] == ["neurons/A", "neurons/B", "neurons/Long_name"]
+    assert [read_neurons(message.data) for message in messages] == [
         {"A": -70.0},
         {"B": -1e-9},
         {"Long_name": -12.25},
@@ -54,12 +54,12 @@ def test_each_neuron_is_a_series_of_its_own_name():
 
 
 def test_the_path_is_whole_and_there_from_the_start():
-    told = recorded()
-    path = told[-1]
+    messages = recorded()
+    path = messages[-1]
     assert (path.topic, path.log_ns) == ("deploy/path", 1_000)
     poses = decode(path.type, path.data).poses
     assert [pose.pose.position.x for pose in poses] == pytest.approx([0.0, 0.1, 0.2])
-    assert [m.topic for m in told].count("deploy/pose") == 3
+    assert [m.topic for m in messages].count("deploy/pose") == 3
 
 
 def test_a_drive_without_a_tick_has_no_path():

@@ -1,4 +1,4 @@
-"""The live page among real processes: what it is fed, and its Stop button."""
+"""The live page among real processes: its data and its Stop button."""
 
 import csv
 import http.client
@@ -54,9 +54,9 @@ def joined(parts):
 
 
 def test_news_in_pieces_are_the_whole(short):
-    policy, course, told, simulated = short
+    policy, course, received, simulated = short
     pieces, place, feed = [], Place(), Feed(policy, course)
-    for number, message in enumerate(told):
+    for number, message in enumerate(received):
         feed.take(message)
         if number % 7 == 0:
             pieces.append(json.loads(json.dumps(feed.news(place), allow_nan=False)))
@@ -72,10 +72,10 @@ def test_news_in_pieces_are_the_whole(short):
 
 
 def test_phases_are_told_on_the_way_at_most_once_a_second(short):
-    policy, course, told, _ = short
+    policy, course, received, _ = short
     now, place, found = [0.0], Place(), []
     feed = Feed(policy, course, clock=lambda: now[0])
-    for message in told:
+    for message in received:
         feed.take(message)
         if message.topic == "rover/neurons":
             now[0] += 0.1
@@ -89,38 +89,38 @@ def test_phases_are_told_on_the_way_at_most_once_a_second(short):
 
 
 def test_the_whole_is_told_at_the_end_though_no_tick_came_since_the_last_phases(short):
-    policy, course, told, _ = short
+    policy, course, received, _ = short
     place, feed = Place(), Feed(policy, course)
-    on_the_way = [message for message in told if message.topic != "rover/status"]
-    for message in [status("running", told[0].log_ns), *on_the_way]:
+    on_the_way = [message for message in received if message.topic != "rover/status"]
+    for message in [status("running", received[0].log_ns), *on_the_way]:
         feed.take(message)
     assert set(feed.news(place)["findings"]) == {"phases", "rings"}
-    feed.take(status("fault", told[-1].log_ns))
+    feed.take(status("fault", received[-1].log_ns))
     assert len(feed.news(place)["findings"]["contributions"]) == 132
     assert "findings" not in feed.news(place)
 
 
 def test_a_new_drive_begins_anew(short):
-    policy, course, told, _ = short
+    policy, course, received, _ = short
     feed, place = Feed(policy, course), Place()
-    for message in told:
+    for message in received:
         feed.take(message)
     assert feed.news(place)["ticks"]["t"]
-    after = told[-1].log_ns + 10**9
+    after = received[-1].log_ns + 10**9
     feed.take(status("armed", after))
     fresh = feed.news(place)
     assert fresh["reset"] is True
     assert "ticks" not in fresh
     assert [event["text"] for event in fresh["events"]] == []
-    for message in told:
+    for message in received:
         feed.take(message)
     assert len(feed.news(place)["ticks"]["t"]) == course.ticks
 
 
 def test_waiting_for_a_drive_costs_no_memory(short):
-    policy, course, told, _ = short
+    policy, course, received, _ = short
     feed = Feed(policy, course)
-    sample = next(message for message in told if message.topic == "odom")
+    sample = next(message for message in received if message.topic == "odom")
     for _ in range(1000):
         feed.take(sample)
     assert len(feed._timeline.odometry) <= 50
@@ -135,7 +135,7 @@ def test_neurons_of_another_policy_are_noticed(short):
     assert feed.news(Place())["foreign"] is True
 
 
-def test_nobody_at_the_robots_address(capsys):
+def test_no_bridge_at_the_robots_address(capsys):
     assert run(["watch", "--robot", "tcp/127.0.0.1:9", "--port", "0"]) == 3
     assert "nothing answers at tcp/127.0.0.1:9" in capsys.readouterr().err
 
@@ -166,7 +166,7 @@ class Page:
                     news = json.loads(line[6:])
                     if until(news):
                         return news
-                assert time.monotonic() < deadline, "never told"
+                assert time.monotonic() < deadline, "no matching event"
         raise AssertionError("the stream ended")
 
 
@@ -197,7 +197,7 @@ def test_the_stop_button_stops_a_running_rover(live):
 
     with urllib.request.urlopen(page.address, timeout=5) as answer:
         assert b'id="stop"' in answer.read()
-    # A page of somebody else's in the same browser, and a name that somebody else's DNS made for us.
+    # A foreign page in the same browser, and a name for this machine from a foreign DNS.
     assert page.post("stop", "http://evil.example")[0] == 403
     assert page.post("stop", None)[0] == 403
     line = http.client.HTTPConnection(page.host, timeout=5)

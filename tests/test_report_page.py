@@ -47,18 +47,18 @@ def test_numbers_that_no_drive_has_are_left_out(topic, value, tmp_path, capsys):
         "odom": lambda: messages.odometry(Pose(value, 0, 0), Velocity(value, 0), 1),
         "cmd_vel": lambda: messages.twist_stamped(Velocity(value, value), 1),
     }
-    told = list(drive_messages(policy, course)[0])
-    victim = [number for number, message in enumerate(told) if message.topic == topic][7]
-    told[victim] = replace(told[victim], data=bad[topic]())
+    received = list(drive_messages(policy, course)[0])
+    victim = [number for number, message in enumerate(received) if message.topic == topic][7]
+    received[victim] = replace(received[victim], data=bad[topic]())
     path = tmp_path / "run.mcap"
     with RecordingWriter(path) as writer:
         writer.attach("policy.yaml", policy_to_yaml(policy).encode())
         writer.attach("course.yaml", dump_yaml(course.model_dump(mode="json")).encode())
-        for message in told:
+        for message in received:
             writer.write(message)
     assert run(["report", str(path)]) == 0, capsys.readouterr().err
     feed, place = Feed(policy, course, itertools.count().__next__), Place()
-    for message in told:
+    for message in received:
         feed.take(message)
         json.dumps(feed.news(place), allow_nan=False)
     assert feed.news(place)["foreign"] is False
@@ -122,10 +122,10 @@ def summary_of(tmp_path, **options):
 
 
 def test_the_summary_names_verdict_rates_and_origin(tmp_path):
-    told = summary_of(tmp_path)
-    rows, origin = dict(told.rows), dict(told.origin)
-    assert told.parked is False
-    assert told.headline.startswith("Not parked: ")
+    summary = summary_of(tmp_path)
+    rows, origin = dict(summary.rows), dict(summary.origin)
+    assert summary.parked is False
+    assert summary.headline.startswith("Not parked: ")
     assert "from the goal" in rows["By the true pose"]
     assert rows["Ticks"] == "40 at 10.00 Hz, 0 late, 0 on prediction"
     assert rows["Odometry"] == "10.00 Hz"
@@ -133,7 +133,7 @@ def test_the_summary_names_verdict_rates_and_origin(tmp_path):
     assert rows["Battery"] == "12.8 to 12.8 V"
     assert origin["Driven with"] == "rover-ncp 0.1.0"
     assert "rover-ncp train" in origin["Trained by"]
-    assert "2023-11-14 22:13:20 UTC" in told.subline
+    assert "2023-11-14 22:13:20 UTC" in summary.subline
 
 
 def test_the_summary_tells_a_stop_and_its_reason(tmp_path):
@@ -145,9 +145,9 @@ def test_the_summary_tells_a_stop_and_its_reason(tmp_path):
         Recorded("rover/status", STRING, messages.text(dump_json(status).decode()), late, late),
         Recorded("odom", "nav_msgs/msg/Odometry", b"garbage", late, late),
     ]
-    told = summary_of(tmp_path, more=more)
-    rows = dict(told.rows)
-    assert told.headline == "Not parked: touched an obstacle"
+    summary = summary_of(tmp_path, more=more)
+    rows = dict(summary.rows)
+    assert summary.headline == "Not parked: touched an obstacle"
     assert rows["Ended as"] == "fault: stopped by bumper"
     assert rows["Gate"] == "40 commands accepted, 3 dropped (stale 3), 0 limited, 1 stops (bumper 1)"
     assert rows["Ticks"].endswith("2 late, 0 on prediction")

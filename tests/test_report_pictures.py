@@ -109,10 +109,14 @@ def test_tables_hold_every_pair_neuron_and_phase(short):
             header, next(r for r in found["contributions"] if r.startswith("AVA,RGT")).split(","), strict=True
         )
     )
-    told = analysis.contributions["AVA", "RGT"]
-    assert (row["sign"], int(row["P"]), int(row["Q"])) == (told.sign, told.positive, told.negative)
+    counts = analysis.contributions["AVA", "RGT"]
+    assert (row["sign"], int(row["P"]), int(row["Q"])) == (
+        counts.sign,
+        counts.positive,
+        counts.negative,
+    )
     assert row["paper_sign"] == "positive"
-    assert sum(int(row[f"bin_{k}"]) for k in range(10)) == sum(told.bins)
+    assert sum(int(row[f"bin_{k}"]) for k in range(10)) == sum(counts.bins)
 
 
 def test_a_circuit_without_inter_neurons_is_drawn():

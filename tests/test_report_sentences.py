@@ -103,8 +103,8 @@ def test_a_layer_mixes_the_motors_and_its_limits_hold():
         driven = policy.with_parameters(vector)
         run = rollout(driven, load_course("parking"))
         assert motor_outputs(driven, run.potentials) == pytest.approx(run.commands, abs=1e-12)
-        told = explain(Trace(driven, run.times[:-1], run.poses, run.commands, run.potentials))
-        assert {part.motor.neuron for part in told} <= {"FWD", "REV"}
+        explained = explain(Trace(driven, run.times[:-1], run.poses, run.commands, run.potentials))
+        assert {part.motor.neuron for part in explained} <= {"FWD", "REV"}
 
 
 def test_a_left_turn_is_explained_from_its_numbers():
@@ -127,7 +127,7 @@ def test_a_left_turn_is_explained_from_its_numbers():
     )
 
 
-def test_a_motor_neuron_that_nobody_pulls_acts_on_its_own_leak():
+def test_a_motor_neuron_without_a_pull_acts_on_its_own_leak():
     quiet = [-70, -70, -70, -30, -70, -30]
     policy = small_policy()
     weak = dataclasses.replace(policy.circuit, weight=np.full(4, 0.5))

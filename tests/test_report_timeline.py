@@ -22,13 +22,13 @@ STRING = "std_msgs/msg/String"
 @pytest.fixture(scope="module")
 def short():
     policy, course = load_policy("parking"), load_course(SHORT)
-    told, run = drive_messages(policy, course)
-    return policy, course, told, run
+    received, run = drive_messages(policy, course)
+    return policy, course, received, run
 
 
-def timeline_of(policy, course, told):
+def timeline_of(policy, course, received):
     timeline = Timeline(policy, course)
-    for message in told:
+    for message in received:
         timeline.take(message)
     return timeline
 
@@ -38,8 +38,8 @@ def text(topic, model, ns):
 
 
 def test_a_drive_gives_back_the_run_it_was_recorded_from(short):
-    policy, course, told, run = short
-    trace = timeline_of(policy, course, told).trace()
+    policy, course, received, run = short
+    trace = timeline_of(policy, course, received).trace()
     assert trace.times == pytest.approx(run.times[:-1])
     assert trace.poses == pytest.approx(run.poses)
     assert (trace.potentials == run.potentials).all()
@@ -47,8 +47,8 @@ def test_a_drive_gives_back_the_run_it_was_recorded_from(short):
 
 
 def test_odometry_is_laid_onto_the_course(short):
-    policy, course, told, run = short
-    timeline = timeline_of(policy, course, told)
+    policy, course, received, run = short
+    timeline = timeline_of(policy, course, received)
     assert len(timeline.odometry) == len(run.poses)
     for moved, pose in zip(timeline.odometry, run.poses, strict=True):
         assert timeline.on_course(moved.pose) == pytest.approx(pose, abs=1e-9)
@@ -56,8 +56,8 @@ def test_odometry_is_laid_onto_the_course(short):
 
 
 def test_before_the_first_tick_there_is_no_run(short):
-    policy, course, told, _ = short
-    timeline = timeline_of(policy, course, told[:2])
+    policy, course, received, _ = short
+    timeline = timeline_of(policy, course, received[:2])
     assert timeline.began_ns is None
     assert timeline.on_course(Pose(0, 0, 0)) is None
     with pytest.raises(ValueError, match="without a tick"):
@@ -81,51 +81,51 @@ def test_events_are_the_news_among_the_words_of_driver_and_gate():
     assert watcher.events == [
         (1, "state", "armed"),
         (2, "state", "driving"),
-        (4, "stop", "the gate holds the rover still, bumper"),
-        (6, "gate", "the gate lets commands through again"),
+        (4, "stop", "the gate holds the rover, bumper"),
+        (6, "gate", "the gate passes commands again"),
         (7, "late", "tick 14 was late"),
         (8, "gate", "the gate limited a command for the first time, speed"),
         (9, "gate", "the gate dropped a command for the first time, stale"),
-        (10, "stop", "the gate holds the rover still, stopped: a person"),
-        (11, "stop", "the gate took the motors away, stopped"),
+        (10, "stop", "the gate holds the rover, stopped: a person"),
+        (11, "stop", "the gate revoked the lease, stopped"),
         (12, "stop", "fault: stopped by lease"),
     ]
 
 
 def test_start_signal_and_predicted_ticks_are_events(short):
-    policy, course, told, _ = short
+    policy, course, received, _ = short
     record = messages.text('{"index": 20, "predicted": true}')
     at = BEGAN_NS + 20 * TICK_NS
-    timeline = timeline_of(policy, course, [*told, Recorded("deploy/ticks", STRING, record, at, at)])
+    timeline = timeline_of(policy, course, [*received, Recorded("deploy/ticks", STRING, record, at, at)])
     events = timeline.events
     assert (BEGAN_NS + round(course.start_signal_s * 1e9), "start", "start signal") in events
     assert (at, "late", "no odometry in time: tick 20 ran on prediction") in events
     assert [event.wall_ns for event in events] == sorted(event.wall_ns for event in events)
     assert timeline.predicted == 1
-    assert not any(event.kind == "start" for event in timeline_of(policy, course, told[:20]).events)
+    assert not any(event.kind == "start" for event in timeline_of(policy, course, received[:20]).events)
 
 
 def test_a_rover_held_before_its_first_command_is_no_event(short):
-    policy, course, told, _ = short
-    timeline = timeline_of(policy, course, told)
+    policy, course, received, _ = short
+    timeline = timeline_of(policy, course, received)
     assert [event.kind for event in timeline.events].count("stop") == 0
 
 
 @pytest.mark.parametrize("topic", ["odom", "rover/neurons", "rover/estimate", "cmd_vel", "rover/gate"])
 def test_what_cannot_be_read_is_counted_and_left_out(short, topic):
-    policy, course, told, _ = short
+    policy, course, received, _ = short
     garbage = Recorded(topic, STRING, b"\x00\x01garbage", BEGAN_NS, BEGAN_NS)
-    timeline = timeline_of(policy, course, [garbage, *told])
+    timeline = timeline_of(policy, course, [garbage, *received])
     assert timeline.unreadable == {topic: 1}
     assert len(timeline.ticks) == course.ticks
 
 
 def test_neurons_of_another_circuit_are_not_taken(short):
-    policy, course, told, _ = short
+    policy, course, received, _ = short
     other = Recorded(
         "rover/neurons", "std_msgs/msg/Float64MultiArray", messages.neurons([-70.0], ["X"]), BEGAN_NS, 0
     )
-    timeline = timeline_of(policy, course, [*told[:5], other])
+    timeline = timeline_of(policy, course, [*received[:5], other])
     assert timeline.unreadable == {"rover/neurons": 1}
 
 
@@ -174,7 +174,7 @@ def test_refuses_what_is_no_recorded_drive(tmp_path):
 
 
 def test_covariances_come_through(short):
-    policy, course, told, _ = short
-    tick = timeline_of(policy, course, told).ticks[3]
+    policy, course, received, _ = short
+    tick = timeline_of(policy, course, received).ticks[3]
     assert np.allclose(tick.estimate.covariance, np.diag([4e-6, 8e-6, 4e-6]))
     assert math.isclose(tick.estimate.pose.x, 0.0, abs_tol=1e-9)

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from safety_stack import COURSE, ROWS_FILE, WALL, record
 
-from sim.faults.faults import HAND, MISHAPS
+from sim.faults.faults import FAULTS, SCRIPTED
 from sim.faults.measure import measure
 from sim.faults.rig import SPEED_M_S, Rig, wait_for
 from sim.faults.table import MATRIX, braking_s, row
@@ -39,10 +39,10 @@ def rig_with(tmp_path_factory):
         )
 
 
-# A hand never stops by itself, so where one can drive, what stops the rover is the gate.
+# A scripted driver never stops by itself, so where one can drive, the gate stops the rover.
 @pytest.mark.parametrize("key", [each.key for each in MATRIX if each.outside and not each.outlet])
 def test_the_rover_stands_in_time_and_stays(rig, key):
-    measured = measure(rig, row(key), MISHAPS[key].drivers[0])
+    measured = measure(rig, row(key), FAULTS[key].drivers[0])
     record(measured.row, measured.seconds, measured.braking_s, measured.late_s, measured.note)
     if key in {"odometry-jumps", "odometry-nan"}:  # which the gate lets pass
         assert measured.stopped_by == "estimator"
@@ -53,8 +53,8 @@ def test_the_rover_stands_in_time_and_stays(rig, key):
     [("bumper", "mock"), ("line-reset", "line"), ("bridge-hung", "bridge")],
 )
 def test_fault_is_timed_when_it_begins_and_not_when_it_is_asked_for(rig, monkeypatch, key, late):
-    """The process that brings the fault about runs 0.2 s later than asked; that is not the rover's time."""
-    fault = MISHAPS[key]
+    """The process that injects the fault starts 0.2 s late; that is not the rover's stopping time."""
+    fault = FAULTS[key]
     asked_ns = 0
 
     def act(scene):
@@ -65,8 +65,8 @@ def test_fault_is_timed_when_it_begins_and_not_when_it_is_asked_for(rig, monkeyp
         threading.Timer(0.2, process.send_signal, [signal.SIGCONT]).start()
         return fault.act(scene)
 
-    monkeypatch.setitem(MISHAPS, key, fault._replace(act=act))
-    measured = measure(rig, row(key), HAND)
+    monkeypatch.setitem(FAULTS, key, fault._replace(act=act))
+    measured = measure(rig, row(key), SCRIPTED)
     assert measured.began_ns - asked_ns > 0.19e9
 
 
@@ -100,21 +100,21 @@ def test_a_wall_in_the_way(tmp_path):
     near_m = 1.0 - 0.245 - 0.6 * math.cos(math.radians(10.0))
     options = {"mock": ["--course", str(WALL)], "bridge": ["--limits", str(limits)]}
     with Rig(tmp_path, WALL, **options) as rig:
-        hand = rig.under_way(rig.hand())
+        driver = rig.under_way(rig.scripted_driver())
         wait_for(lambda: rig.truth.read()[-1].x >= near_m, "the rover to come near")
         near = next(motion for motion in rig.truth.read() if motion.x >= near_m)
         stood_s = rig.stood(near.clock_ns)
         record(row("wall"), stood_s, braking_s(near.v), rig.late_s())
-        assert (hand.gate.held, hand.gate.stops["sonar"]) == ("sonar", 1)
-        assert hand.driving
-        rig.under_way(hand, -SPEED_M_S)  # and back is free
+        assert (driver.gate.held, driver.gate.stops["sonar"]) == ("sonar", 1)
+        assert driver.driving
+        rig.under_way(driver, -SPEED_M_S)  # and back is free
 
 
 # One table, and everything that is made from it.
 
 
 def test_every_row_that_can_be_brought_about_from_outside_is():
-    assert set(MISHAPS) == {each.key for each in MATRIX if each.outside}
+    assert set(FAULTS) == {each.key for each in MATRIX if each.outside}
     assert len({each.key for each in MATRIX}) == len(MATRIX)
 
 

@@ -94,7 +94,7 @@ def test_a_recording_is_explained_from_its_potentials_as_its_simulation_is(tmp_p
     recorded, simulated = explain(str(tmp_path / "run.mcap")), explain("parking", SHORT)
     assert recorded.course == simulated.course
     assert recorded.analysis.contributions == simulated.analysis.contributions
-    texts = [[told.text for told in found.analysis.explanations] for found in (recorded, simulated)]
+    texts = [[each.text for each in found.analysis.explanations] for found in (recorded, simulated)]
     assert texts[0] == texts[1]
     assert recorded.knock_outs == simulated.knock_outs
 

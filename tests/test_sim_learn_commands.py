@@ -25,7 +25,7 @@ from sim.learn.search.strategies import STRATEGIES
 COURSE = Path(__file__).parent / "data" / "short_course.yaml"
 TRAIN = ["train", "--course", str(COURSE), "--agents", "2", "--seed", "11", "--iterations", "500"]
 QUICK = ["train", "--course", str(COURSE), "--agents", "2", "--iterations", "20", "--processes", "1"]
-# Somebody may commit while the tests run; without git on the path the record names no commit.
+# A commit during the tests would change the record; without git on the path it names no commit.
 NO_GIT = {**os.environ, "PATH": ""}
 
 
@@ -53,7 +53,7 @@ def content(folder: Path) -> dict[str, bytes]:
 def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
     deadline = time.monotonic() + timeout_s
     while not condition():
-        assert time.monotonic() < deadline, "waited in vain"
+        assert time.monotonic() < deadline, "the condition did not hold in time"
         time.sleep(0.005)
 
 

@@ -134,17 +134,17 @@ def test_one_two_and_three_processes_give_the_same_bits() -> None:
 
 def test_racing_decides_as_running_to_the_end() -> None:
     engine = Engine(POLICY, SHORT)
-    told: list[np.ndarray] = []
+    thresholds: list[np.ndarray] = []
 
     def raced(vectors: np.ndarray, to_beat: np.ndarray) -> np.ndarray:
-        told.append(to_beat)
+        thresholds.append(to_beat)
         return engine.returns(vectors, to_beat)
 
     to_the_end = toy_plan(Deterministic(lambda vectors, to_beat: engine.returns(vectors)))
     full = Team(to_the_end).advance(begin(3).agents, 150)
     assert Team(toy_plan(Deterministic(raced))).advance(begin(3).agents, 150) == full
-    assert np.all(np.isneginf(told[0]))
-    assert np.all(np.isfinite(np.concatenate(told[1:])))
+    assert np.all(np.isneginf(thresholds[0]))
+    assert np.all(np.isfinite(np.concatenate(thresholds[1:])))
 
 
 def test_rounds_are_seen_in_order_and_can_end_the_run() -> None:
@@ -158,13 +158,13 @@ def test_rounds_are_seen_in_order_and_can_end_the_run() -> None:
     with Inline(TOYS["published"]) as workers:
         stopped = run_ensemble(workers, begin(2), 1000, look)
         assert (stopped.iterations, seen) == (200, [0, 100, 200])
-        assert run_ensemble(workers, stopped, 200, look) == stopped  # it has arrived: nobody is called
+        assert run_ensemble(workers, stopped, 200, look) == stopped  # it has arrived: no callback is called
         assert seen == [0, 100, 200]
         ended = run_ensemble(workers, stopped, 250, lambda _: False)
         assert ended.iterations == 250
 
 
-def test_processes_that_are_told_to_stop_ahead_of_time_can_go_on() -> None:
+def test_processes_that_stop_ahead_of_time_can_go_on() -> None:
     plan = parking_plan()
     with Inline(plan) as workers:
         whole = run_ensemble(workers, begin(3), 700, lambda _: False)

@@ -379,7 +379,7 @@ def test_a_climb_that_would_not_overtake_the_best_in_time_ends() -> None:
     window = descents.OVERTAKING_WINDOW
     for gain, goes_on in ((0.026, True), (0.024, False)):
         descent.scores = [-0.5 - gain] + [-0.5] * window
-        assert descent.overtakes(-0.4)  # too young to tell
+        assert descent.overtakes(-0.4)  # too few scores to judge
         descent.scores = [-0.6, *descent.scores]
         assert descent.overtakes(-0.4) == goes_on
         assert descent.overtakes(-0.5)

@@ -20,13 +20,13 @@ SETTINGS = RobustSettings(randomize="mild", seed=5, iterations=4, rollouts=4, wo
 
 @pytest.fixture(autouse=True)
 def _no_git(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Somebody may commit while the tests run; without git the record names no commit."""
+    """Hide git: a commit during the tests would change the record."""
     monkeypatch.setenv("PATH", "")
 
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that nobody disturbed."""
+    """A run without interruption."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PATH", "")
         out = tmp_path_factory.mktemp("reference") / "run"

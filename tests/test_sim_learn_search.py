@@ -121,7 +121,7 @@ def test_speculation_decides_as_one_by_one(name: str, seed: int, ahead: list[int
 
 
 @both
-def test_a_failure_may_be_told_by_any_value_that_is_not_better(name: str) -> None:
+def test_any_value_that_is_not_better_counts_as_failure(name: str) -> None:
     full, raced = begin(name), begin(name)
     advance(full, 500)
 
@@ -231,7 +231,7 @@ def test_the_caps_follow_the_published_rule(outcomes: str, caps: tuple[int, ...]
     assert (state.caps, state.failures) == (caps, failures)
 
 
-def test_the_search_moves_its_caps_by_what_it_is_told() -> None:
+def test_search_adapts_its_caps_to_the_returns() -> None:
     search = begin("published")
     assert isinstance(search, Published)
     judge(search, 0.0)

@@ -1,4 +1,4 @@
-"""What the Gauss-Newton search is made of: its box, its arithmetic, its file."""
+"""Parts of the Gauss-Newton search: its box, its arithmetic, its file."""
 
 import json
 import math

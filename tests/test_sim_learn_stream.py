@@ -79,7 +79,7 @@ def test_an_episode_that_lost_is_stopped_and_holds_up_nobody(engine: Engine) -> 
     first, *_ = answers = stream.collect()
     while more := stream.collect():
         answers += more
-    # Whoever loses at the first checkpoint is answered while the others are still driving.
+    # An agent whose candidates are truncated early gets its answer while the others still drive.
     assert first.agent == 0
     assert np.all((first.values >= whole[:4]) & (first.values < thresholds[:4]))
     assert answers[1].values.tolist() == whole[4:].tolist()

@@ -30,13 +30,13 @@ SETTINGS = TrainSettings(course=str(COURSE), seed=1, agents=2, iterations=150)
 
 @pytest.fixture(autouse=True)
 def _no_git(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Somebody may commit while the tests run; without git the record names no commit."""
+    """Hide git: a commit during the tests would change the record."""
     monkeypatch.setenv("PATH", "")
 
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that nobody disturbed."""
+    """A run without interruption."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PATH", "")
         out = tmp_path_factory.mktemp("reference") / "run"
@@ -100,7 +100,7 @@ def test_the_command_in_a_policy_makes_it_again(reference: Path, tmp_path: Path)
     assert content(tmp_path / "again") == content(reference)
 
 
-def test_a_run_that_was_told_to_stop_names_the_command_that_stops_there(tmp_path: Path) -> None:
+def test_run_that_ended_early_names_the_command_that_ends_there(tmp_path: Path) -> None:
     seen: list[Policy] = []
 
     def enough(snapshot: Snapshot, best: Policy) -> bool:

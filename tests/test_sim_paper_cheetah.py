@@ -62,10 +62,10 @@ def test_each_step_of_an_episode_is_mujocos(pool, cheetah):
         got = step_plant(written, 1, np.tile(action[:, None], 3))
         expected = step_plant(mujocos, 0, action[:, None].copy())
         assert got == (pytest.approx(expected[0], abs=1e-6), 0.0, False)
-        seen, told = np.zeros((17, 3)), np.zeros((17, 1))
+        seen, observed = np.zeros((17, 3)), np.zeros((17, 1))
         observe(written, 1, seen)
-        observe(mujocos, 0, told)
-        np.testing.assert_allclose(seen[:, 1], told[:, 0], rtol=0, atol=1e-6)
+        observe(mujocos, 0, observed)
+        np.testing.assert_allclose(seen[:, 1], observed[:, 0], rtol=0, atol=1e-6)
         # A rolling cheetah is chaotic: what a solver leaves undone would grow from step to step.
         written.state[:, 1] = np.concatenate([data.qpos, data.qvel])
 

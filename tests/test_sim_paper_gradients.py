@@ -1,4 +1,4 @@
-"""What is kept of PPO and A2C, and the environments they learn in; none of it needs torch."""
+"""Stored results of PPO and A2C, and their training environments; none of it needs torch."""
 
 import gymnasium
 import numpy as np

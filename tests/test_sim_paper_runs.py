@@ -196,9 +196,9 @@ def test_runs_in_processes_are_those_of_one_process_and_an_interrupt_ends_them_a
     wait_for(lambda: len(children.read_text().split()) >= 3)  # the resource tracker, and two runs
     started = children.read_text().split()
     os.killpg(process.pid, signal.SIGINT)
-    _, told = process.communicate(timeout=60)
+    _, stderr = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert b"Traceback" not in told
+    assert b"Traceback" not in stderr
     wait_for(lambda: not any(Path(f"/proc/{child}").exists() for child in started))
 
 

@@ -52,7 +52,7 @@ def test_a_sensors_range_matters_and_can_be_given(trained, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--task", "car"], "no task"),
         (["--task", "mountain-car", "--range", "speed=1"], "senses position, velocity"),
@@ -63,11 +63,11 @@ def test_a_sensors_range_matters_and_can_be_given(trained, tmp_path, capsys):
         (["--range", "position=1"], "needs --task"),
     ],
 )
-def test_a_users_mistake_is_one_line(options, told, trained, tmp_path, capsys):
+def test_a_users_mistake_is_one_line(options, message, trained, tmp_path, capsys):
     path = tmp_path / "car.bnn"
     path.write_text(circuit_to_bnn(trained[1]))
     assert run(["eval", str(path), *options]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_a_circuit_without_the_tasks_neurons_is_refused(tmp_path, capsys):

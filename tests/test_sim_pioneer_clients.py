@@ -1,4 +1,4 @@
-"""The mock Pioneer, played to by recorded third-party clients, and by whoever sends anything at all."""
+"""The mock Pioneer with recorded third-party clients, and with arbitrary bytes."""
 
 import math
 
@@ -40,12 +40,12 @@ def set_points_by_hand(chunks: list[tuple[float, bytes]]) -> list[tuple[float, f
 
 
 def plays(capture: Capture) -> bool:
-    """Play a client's side; return whether all was understood and led to the client's set-points."""
-    pioneer, told = Pioneer(capture.model), set_points_by_hand(capture.chunks("c2r"))
+    """Play a client's side; return whether all was understood and led to the client's setpoints."""
+    pioneer, setpoints = Pioneer(capture.model), set_points_by_hand(capture.chunks("c2r"))
     for t, data in capture.chunks("c2r"):
         pioneer.now = t
         pioneer.say(data)
-        wanted = next(((v, omega) for when, v, omega in reversed(told) if when <= t), (0.0, 0.0))
+        wanted = next(((v, omega) for when, v, omega in reversed(setpoints) if when <= t), (0.0, 0.0))
         drive = pioneer.firmware.drive
         if drive.enabled and drive.set_points != pytest.approx(wanted):
             return False

@@ -171,10 +171,10 @@ def test_a_healthy_line_changes_nothing() -> None:
     assert Faults().damage(b"\xfa\xfb", 1.0) == b"\xfa\xfb"
 
 
-def test_a_fault_that_it_is_told_of_counts_from_then() -> None:
+def test_injected_fault_counts_from_its_injection() -> None:
     pioneer = Pioneer("p3at-sh").open()
     for _ in range(2):
-        pioneer.firmware.suffer(parse_fault("bumper@1-2"))
+        pioneer.firmware.inject(parse_fault("bumper@1-2"))
         seen = []
         for _ in range(3):
             pioneer.run(0.8)
@@ -185,6 +185,6 @@ def test_a_fault_that_it_is_told_of_counts_from_then() -> None:
 def test_a_base_can_be_reset_again() -> None:
     pioneer = driven("reset@2-2.1")
     pioneer.open()
-    pioneer.firmware.suffer(parse_fault("reset@1-1.1"))
+    pioneer.firmware.inject(parse_fault("reset@1-1.1"))
     pioneer.run(2.0)
     assert len(pioneer.of_kind(0xFF)) == 2

@@ -84,7 +84,7 @@ def test_connecting_takes_less_than_a_second(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", list(ROBOTS))
-def test_the_rover_drives_as_told_and_the_state_says_so(model: str) -> None:
+def test_rover_follows_setpoints_and_state_reports_its_motion(model: str) -> None:
     pair = Pair(Pioneer(model)).driving(0.16, 0.137)
     pair.run(10.0)
     assert pair.state.v == pytest.approx(0.16, abs=0.001)
@@ -128,7 +128,7 @@ def test_closing_leaves_a_base_that_stands_with_its_motors_off_and_waits() -> No
 
 
 def test_a_base_in_an_old_session_does_not_move_when_a_new_driver_connects() -> None:
-    """Its set-points would go on with the first packet of any kind (watchdog)."""
+    """Its setpoints would go on with the first packet of any kind (watchdog)."""
     pioneer = Pioneer().open()
     pioneer.tell(Command.VEL, 300)
     pioneer.run(6.0, fed=False)
@@ -299,7 +299,7 @@ def test_a_gyro_for_the_client_tells_how_the_rover_truly_turns(has_gyro: int, se
     turning = [event.rate for event in pair.of(GyroHeard)]
     truly = (pair.pioneer.rover.pose.theta - before) / 4.0
     assert truly == pytest.approx(0.15, abs=0.01)
-    # Its offset is for whoever listens to find out while it stands.
+    # The bridge must estimate the gyro's offset while the rover stands.
     offset = sum(rest) / len(rest)
     assert abs(offset) > 0.05
     assert sum(turning) / len(turning) - offset == pytest.approx(truly, abs=0.004)

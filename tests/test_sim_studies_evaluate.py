@@ -103,7 +103,7 @@ def test_people_get_a_sentence(files, capsys):
     ("arguments", "expected"),
     [
         (["missing.bnn"], "missing.bnn: no such file"),
-        (["nobody"], "nobody: no such file, and none of the shipped policies"),
+        (["missing"], "missing: no such file, and none of the shipped policies"),
         (["small.bnn"], "small.bnn: to drive a rover it needs at least 12 neurons"),
         (["damaged.bnn"], "damaged.bnn"),
         (["nan.bnn"], "nan.bnn"),

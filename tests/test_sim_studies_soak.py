@@ -171,14 +171,14 @@ def test_a_recording_cut_off_is_made_whole_and_a_lost_command_is_noticed(tmp_pat
 # What it says.
 
 
-def test_whatever_is_wrong_is_said():
+def test_report_lists_every_failed_check():
     late = Measured(row("bumper"), "hand", 0, 1.2, 0.0, 0.12, 0.0, "", "bumper")
     soaked = Soaked(rounds=[Round(5.0, late.row, "hand", late)], still=False)
-    soaked.rounds.append(Round(9.0, row("stall"), "hand", None, "waited in vain"))
+    soaked.rounds.append(Round(9.0, row("stall"), "hand", None, "timed out"))
     soaked.usage["bridge"] = samples(100, sockets=1)
     said = fields(soaked, 0)
     words = " ".join(said["wrong"])
     assert not said["passed"]
-    for word in ("TOO LATE", "FAILED: waited in vain", "bridge leaks sockets", "does not stand"):
+    for word in ("TOO LATE", "FAILED: timed out", "bridge leaks sockets", "does not stand"):
         assert word in words
     assert "| base | stall | 1 | failed |" in "\n".join(table(soaked))

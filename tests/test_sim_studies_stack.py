@@ -35,7 +35,7 @@ def apart(one, other):
 
 @pytest.fixture(scope="module")
 def parking():
-    """Two trials of robots nobody measured, on the paper's course."""
+    """Two trials of randomised robots, on the paper's course."""
     driven = stack("full", course="parking")
     return driven, drive_all(driven, 2, 1)
 
@@ -45,7 +45,7 @@ def test_trials_park_and_what_went_over_the_line_is_counted(parking):
     for trial in found:
         assert trial.parked
         assert (trial.reason, trial.ticks, trial.overruns) == ("", 320, 0)
-        # A SIP ten times a second, each some 50 bytes; set-points five times a second and more.
+        # A SIP ten times a second, each some 50 bytes; setpoints five times a second and more.
         assert 33 * 10 * 40 < trial.bytes_from_base < 40 * 10 * 80
         assert 32 * 5 * 10 < trial.bytes_to_base < 32 * 50 * 20
 

@@ -82,7 +82,7 @@ def test_commands_beyond_the_box_count_as_its_ends():
     assert far[-1, 0] != 0.0
 
 
-def test_a_collision_is_told_and_ends_nothing():
+def test_collision_is_reported_and_does_not_end_the_episode():
     wall = Obstacle(x=1.0, y=0.0, length=0.2, width=2.0)
     course = load_course("parking").model_copy(update={"obstacles": (wall,)})
     observations, rewards, infos = play(gymnasium.make(ENV_ID, course=course), constant(0.16, 0.0))

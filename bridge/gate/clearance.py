@@ -1,4 +1,4 @@
-"""How much room the sonars hear before and behind the base: the last range of each, while it is not too old.
+"""Clearance before and behind the base: the last range of each sonar, while it is not too old.
 
 The base fires one sonar of each array at a time, so a report holds two or three of them; a round of an array
 takes about a third of a second.
@@ -11,13 +11,13 @@ from typing import NamedTuple
 from bridge.pioneer.robots import RobotParameters
 
 OLD_S = 1.0
-"""After this a range counts no more: three rounds."""
+"""A range expires after this time: three rounds."""
 AHEAD_RAD = math.radians(45.0)
-"""Sonars that look this near to straight ahead or back watch over where the rover goes; others look aside."""
+"""Only sonars within this angle of straight ahead or straight back are used."""
 
 
 class Room(NamedTuple):
-    """Shortest ranges in metres; NaN where a sonar that watches has been silent for too long."""
+    """Shortest ranges in metres; NaN where a used sonar has sent nothing for too long."""
 
     ahead_m: float
     behind_m: float
@@ -33,7 +33,7 @@ class Clearance:
         self._heard: dict[int, tuple[float, float]] = {}
 
     def update(self, ranges: Mapping[int, float], now: float) -> Room:
-        """Take in the ranges (m, by sonar) that a report brought and return what is known now."""
+        """Add the ranges (m, by sonar) of a base report and return the clearance now."""
         self._heard |= {number: (range_m, now) for number, range_m in ranges.items()}
         return Room(self._shortest(self._ahead, now), self._shortest(self._behind, now))
 

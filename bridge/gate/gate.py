@@ -1,17 +1,17 @@
-"""The gate: the one function between what anybody asks for and what the base is told.
+"""The safety gate: the one function between all commands and the setpoint of the base.
 
 Rules of this file:
 
-1. `step` is all there is: state and event in, state and verdict out. No I/O and no clock; ``now`` is the
+1. `step` is the only entry: state and event in, state and verdict out. No I/O and no clock; ``now`` is the
    bridge's monotonic clock in seconds.
-2. Whatever came, the verdict's velocity is finite, within the limits, and what is sent, published, recorded.
+2. The verdict's velocity is always finite and within the limits. It is sent, published and recorded.
 3. The output is zero unless all of these hold: the base reports in time, no stop is latched, no hazard is
    flagged, the motors are on, there is a lease, and its holder sent a command that is fresh, new and finite.
-4. Hazards end the lease: whoever drove has to ask again. Mere lateness (silence, odometry) pauses, and so do
-   fence and sonars: the rover may be driven away from them.
-5. Braking is never slowed down; only growth is.
-6. A message that is not signed with the key of the present lease changes nothing of it but a counter. Digests
-   are verified, and keys are made, by the caller: `step` draws no random numbers.
+4. A hazard revokes the lease: the driver must request it again. Stale commands or odometry only hold the
+   rover. So do fence and sonars: the rover may be driven away from them.
+5. The gate limits only growth of the command, never braking.
+6. A message that is not signed with the key of the current lease changes nothing but a counter. The caller
+   verifies digests and makes keys: `step` draws no random numbers.
 """
 
 import math
@@ -41,7 +41,7 @@ from rover_ncp.core.protocol import CommandTag
 MINIMUM_KEPT_S = 60
 """How long the smallest (arrival − stamp) is remembered: clocks that drift 100 ppm differ by 6 ms in it."""
 ROS_AGE_S = 0.3
-"""A stamped command without a tag counts when its stamp is no farther from our clock than this."""
+"""The gate accepts a stamped command without a tag if its stamp is no farther from our clock than this."""
 LET_GO_S = 1.0
 """How long untagged commands must pause, or be zero, after a lease ended."""
 MOTORS_GRACE_S = 1.0
@@ -51,17 +51,17 @@ COAST_S = 2.0
 STANDING = 0.01
 """Below this, in m/s and rad/s, a reported speed counts as standing."""
 REACT_S = 0.3
-"""From command to first braking, at worst: what the fence reckons with besides braking."""
+"""Longest time from command to first braking; the fence assumes it besides braking."""
 FROZEN_M, FROZEN_RAD = 0.01, 0.02
-"""A base that went so far by its own speeds and reports the same pose does not know where it is."""
+"""Odometry is frozen if the base moved this far by its own speeds and reports the same pose."""
 FROZEN_REPORTS = 2
-"""So many times it reports it again: noisy odometry hits upon the same millimetre once by chance."""
+"""At least this many repeated reports: noisy odometry repeats the same millimetre once by chance."""
 STEP_MAX_S = 0.1
-"""A loop that slept does not earn acceleration for the time it slept."""
+"""A loop that was delayed gains no acceleration for the time of the delay."""
 
 
 def step(state: State, event: Event, now: float, limits: Limits, accept_ros: bool) -> tuple[State, Verdict]:
-    """Take in one event at ``now`` and say what the base is to do from now on."""
+    """Process one event at ``now`` and return the new state and the verdict for the base."""
     elapsed = min(max(now - state.now, 0.0), STEP_MAX_S)
     state = _lapse(replace(state, now=max(now, state.now)))
     refusal = dropped = None
@@ -96,7 +96,7 @@ def step(state: State, event: Event, now: float, limits: Limits, accept_ros: boo
 
 
 def _hazard(state: State, limits: Limits) -> Reason | None:
-    """Return what nobody may drive with, whoever asks."""
+    """Return the active hazard, if any."""
     base, low, lease = state.base, state.low_since_s, state.lease
     if state.latched is not None:
         return Reason.STOPPED
@@ -117,7 +117,7 @@ def _hazard(state: State, limits: Limits) -> Reason | None:
 
 
 def _pause(state: State, limits: Limits) -> Reason | None:
-    """Return what keeps the command from the base for now."""
+    """Return the hold reason, if any."""
     base, target = state.base, state.target
     reason = None
     if base is None or _deaf(state, base, limits):
@@ -138,33 +138,33 @@ def _pause(state: State, limits: Limits) -> Reason | None:
 
 
 def _frozen(state: State) -> bool:
-    """Whether the base reports one and the same pose while it says that it drives."""
+    """Whether odometry is frozen: the base reports the same pose while it reports a speed."""
     went = state.unseen_m >= FROZEN_M or state.unseen_rad >= FROZEN_RAD
     return went and state.same >= FROZEN_REPORTS
 
 
 def _deaf(state: State, base: Heard, limits: Limits) -> bool:
-    """Whether the base was not heard of late, or says no numbers."""
+    """Whether odometry is stale or not finite."""
     numbers = (base.x, base.y, base.theta, base.v, base.omega)
     return state.now - state.base_s > limits.odometry_s or not all(map(math.isfinite, numbers))
 
 
 def _leaves(fence: Fence, base: Heard, v: float, limits: Limits) -> bool:
-    """Whether a base at speed ``v`` would come to stand beyond the fence, no nearer to it than it is now."""
+    """Whether a base at speed ``v`` would stop outside the fence, no nearer to it than it is now."""
     reach = v * REACT_S + v * abs(v) / (2.0 * limits.brake)
     ahead = fence.outside(base.x + reach * math.cos(base.theta), base.y + reach * math.sin(base.theta))
     return v != 0.0 and ahead > 0.0 and ahead >= fence.outside(base.x, base.y)
 
 
 def _clear(base: Heard, v: float, least_m: float) -> bool:
-    """Whether the sonars know that nothing is nearer than ``least_m`` where a speed leads."""
+    """Whether the clearance in the direction of ``v`` is known and at least ``least_m``."""
     ahead = v <= 0.0 or base.clear_ahead_m >= least_m
     behind = v >= 0.0 or base.clear_behind_m >= least_m
     return ahead and behind
 
 
 def _hear(state: State, base: Heard, limits: Limits) -> State:
-    """Take in a report; note since when the battery is low, and how far it came in the same place."""
+    """Store a base report; update the start of low battery and the distance driven at the same pose."""
     before, low_since_s, same, unseen_m, unseen_rad = state.base, None, 0, 0.0, 0.0
     if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
         elapsed = state.now - state.base_s
@@ -185,7 +185,7 @@ def _hear(state: State, base: Heard, limits: Limits) -> State:
 
 
 def _enable(state: State, request: Enable, limits: Limits) -> tuple[State, Reason | None]:
-    """Grant or renew the lease, or say why not. A renewal forgets what was known of the driver's clock."""
+    """Grant or renew the lease, or return the refusal. A renewal resets the driver's clock offset."""
     base, lease = state.base, state.lease
     sequence = -1 if lease is None else request.sequence
     if sequence is None:
@@ -219,7 +219,7 @@ def _enable(state: State, request: Enable, limits: Limits) -> tuple[State, Reaso
 
 
 def _lapse(state: State) -> State:
-    """End a lease whose holder has not been heard for too long."""
+    """End a lease whose holder has sent nothing for too long."""
     if state.lease is not None and state.now > state.lease.expires_s:
         return _end_lease(state, Reason.LEASE_LAPSED)
     return state
@@ -237,7 +237,7 @@ def _end_lease(state: State, reason: Reason | None) -> State:
 
 
 def _switch_motors(state: State) -> State:
-    """Without a lease the motors go off once the rover stands: rolling on without them is no stop."""
+    """Switch the motors off without a lease, once the rover stands: a base that rolls on has not stopped."""
     if state.lease is not None or not state.motors:
         return state
     base = state.base
@@ -246,16 +246,16 @@ def _switch_motors(state: State) -> State:
 
 
 class _Admitted(NamedTuple):
-    """A command whose sender and time are in order; its content is yet to be looked at."""
+    """A command with valid sender and time; its content is not yet checked."""
 
     state: State
     lease: Lease
     sent_s: float
-    """When it was sent, on our clock, as far as can be known."""
+    """Estimated time of sending, on our clock."""
 
 
 def _command(state: State, command: Command, limits: Limits, accept_ros: bool) -> tuple[State, Reason | None]:
-    """Make a command the one in force, or say why it does not count."""
+    """Put a command in force, or return the reason for dropping it."""
     velocity = command.velocity
     admitted: _Admitted | Reason = Reason.FOREIGN
     if command.tag is not None:
@@ -285,10 +285,10 @@ def _command(state: State, command: Command, limits: Limits, accept_ros: bool) -
 
 
 def _tagged(state: State, tag: CommandTag, signed: bool, limits: Limits) -> _Admitted | Reason:
-    """Judge by signature, sequence number and age.
+    """Check signature, sequence number and age.
 
-    The two clocks agree in nothing, but (arrival − stamp) of the quickest command of the last minute is as
-    near to their difference as can be known: what exceeds it is this command's age.
+    The offset between the two clocks is unknown. The smallest (arrival − stamp) of the last minute is the
+    best estimate of it; the excess over it is this command's age.
     """
     lease = state.lease
     if lease is None:
@@ -306,10 +306,10 @@ def _tagged(state: State, tag: CommandTag, signed: bool, limits: Limits) -> _Adm
 
 
 def _untagged(state: State, command: Command, limits: Limits) -> _Admitted | Reason:
-    """Judge a plain ROS command by its stamp, if it has one, on synchronised wall clocks.
+    """Check a plain ROS command by its stamp, if it has one, on synchronised wall clocks.
 
-    It gets its lease by itself; after a lease ended it takes a pause or a zero first, as one lets go of a
-    stick.
+    It gets its lease without a request. After a lease ended, a pause or a zero command must come first, as
+    when a user releases a stick.
     """
     age = 0.0 if command.age_s is None else command.age_s
     if not abs(age) <= ROS_AGE_S:
@@ -340,7 +340,7 @@ def _remember(
 
 
 def _within(target: Velocity, before: Velocity, limits: Limits, elapsed: float) -> Velocity:
-    """Return what of the target is allowed now."""
+    """Return the target within the limits and the allowed acceleration."""
     return Velocity(
         _toward(before.v, _clamp(target.v, limits.v_max), limits.accel * elapsed),
         _toward(before.omega, _clamp(target.omega, limits.omega_max), limits.alpha * elapsed),

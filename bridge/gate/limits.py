@@ -1,6 +1,6 @@
-"""What a lab allows its rover: the gate's settings, from a YAML file or as shipped.
+"""Limits of the safety gate, from a YAML file or the defaults.
 
-Bounds keep a mistake in the file from undoing the first safety requirement: a rover that hears nothing
+Bounds keep a mistake in the file from undoing the first safety requirement: a rover that receives nothing
 stands still within 0.5 s plus braking.
 """
 
@@ -34,7 +34,7 @@ class Limits(StrictModel):
     """SI units: m/s, rad/s, m/s², rad/s², s, V.
 
     The accelerations bound how fast the command may grow; braking is never slowed. They lie above those that
-    the base is told to keep to (0.31 and 1.25), which shape the motion that circuits are trained for.
+    the bridge sets in the base (0.31 and 1.25), which shape the motion that circuits are trained for.
     """
 
     v_max: float = Field(default=0.3, gt=0, le=1.2)
@@ -42,20 +42,20 @@ class Limits(StrictModel):
     accel: float = Field(default=1.0, gt=0, le=5.0)
     alpha: float = Field(default=4.0, gt=0, le=20.0)
     brake: float = Field(default=0.3, gt=0, le=5.0)
-    """How hard the base is sure to brake: what the fence reckons with."""
+    """The least deceleration of the base; the fence assumes it."""
     fence: Fence | None = None
     sonar_stop_m: float | None = Field(default=None, gt=0, le=5)
-    """What the sonars must hear nothing nearer than where the rover is told to go; None = they are not asked.
+    """The least sonar range in the commanded direction; None = no sonar check.
 
-    Counted from the sonars, which sit up to 7 cm (3-AT) behind the bumper. Glass, a thin leg or the edge of a
-    table they do not hear.
+    Measured from the sonars, which sit up to 7 cm (3-AT) behind the bumper. Sonars do not detect glass, a
+    thin leg or the edge of a table.
     """
     silence_s: float = Field(default=0.3, gt=0, le=0.4)
-    """A command counts no longer than this after it was sent. The base's own delay comes on top."""
+    """A command is in force for this long after it was sent. The base's own delay comes on top."""
     stale_s: float = Field(default=0.2, gt=0, le=0.3)
-    """A command older than this on arrival does not count at all."""
+    """The gate drops a command that is older than this on arrival."""
     odometry_s: float = Field(default=0.35, gt=0, le=0.45)
-    """A base not heard for so long is not driven: three SIPs of 0.1 s may be lost."""
+    """The gate holds the rover when odometry is older than this: three SIPs of 0.1 s may be lost."""
     lease_s: float = Field(default=1.0, gt=0, le=5.0)
     battery_min_v: float = Field(default=11.0, ge=0)
     """Pioneer manual: charge below 12 V; the base's own alarm comes at 11.5 V, damage below 11 V."""

@@ -1,4 +1,4 @@
-"""What the gate takes in, remembers and gives out: its vocabulary, without any rule."""
+"""Events, state and verdict of the gate; the rules are in `gate.py`."""
 
 import math
 from collections.abc import Mapping
@@ -13,10 +13,10 @@ ZERO = Velocity(0.0, 0.0)
 
 
 class Reason(StrEnum):
-    """Why the rover is held, a command did not count, or was changed."""
+    """Reason for a hold, a dropped command or a changed command."""
 
     STOPPED = "stopped"
-    """Somebody asked ``rover/stop``, and nobody has released it."""
+    """A stop was requested on ``rover/stop`` and is not yet released."""
     NO_BASE = "no-base"
     STOP_BUTTON = "stop-button"
     BUMPER = "bumper"
@@ -24,9 +24,9 @@ class Reason(StrEnum):
     LOW_BATTERY = "low-battery"
     MOTORS_OFF = "motors-off"
     ODOMETRY = "odometry"
-    """The base was not heard of late, or says where it is in numbers that are none."""
+    """Odometry is stale, or its pose is not finite."""
     FROZEN = "odometry-frozen"
-    """Its pose stands still while it says that it drives."""
+    """Frozen odometry: the base reports the same pose while it reports a speed."""
     NO_LEASE = "no-lease"
     SILENCE = "silence"
     LEASE_LAPSED = "lease-lapsed"
@@ -41,11 +41,11 @@ class Reason(StrEnum):
     TURN = "turn"
     GEOFENCE = "geofence"
     SONAR = "sonar"
-    """Something is near where the rover is told to go, or the sonars there have fallen silent."""
+    """An obstacle is near in the commanded direction, or the sonars there have sent nothing for too long."""
 
 
 EMERGENCIES = frozenset({Reason.STOPPED, Reason.STOP_BUTTON, Reason.BUMPER, Reason.STALL})
-"""Here the base is told to brake harder than it is used to."""
+"""For these reasons the base brakes harder than its own deceleration limit."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Tick:
 class Heard:
     """The base reported: SI units, pose in odom.
 
-    The clearances are the shortest ranges that the sonars heard of late, NaN when they cannot tell.
+    The clearances are the shortest recent sonar ranges, NaN when they are unknown.
     """
 
     x: float = 0.0
@@ -82,10 +82,10 @@ class BaseLost:
 
 @dataclass(frozen=True)
 class Command:
-    """A command for a velocity; None = the bytes were no velocity, or were not read.
+    """A velocity command; None = the bytes were not a velocity, or were not read.
 
-    ``signed`` is whether the tag's digest is valid under the key of the lease that is held. ``age_s`` is only
-    for a command without a tag: how long ago it says it was sent, None if it does not say.
+    ``signed`` is whether the tag's digest is valid under the key of the current lease. ``age_s`` is only for
+    a command without a tag: its age by its own stamp, None without a stamp.
     """
 
     velocity: Velocity | None
@@ -96,10 +96,10 @@ class Command:
 
 @dataclass(frozen=True)
 class Enable:
-    """A driver asks for the motors; ``sent_ns`` is its own monotonic clock.
+    """A driver's request for the lease; ``sent_ns`` is its own monotonic clock.
 
     ``secret`` is the key of the lease if it is a new one, None for plain ROS commands. ``sequence`` is the
-    request's number if it is a renewal, signed with the key of the lease that is held; else None.
+    request's number if it is a renewal, signed with the key of the current lease; else None.
     """
 
     name: str = ""
@@ -110,21 +110,21 @@ class Enable:
 
 @dataclass(frozen=True)
 class Release:
-    """The holder of the lease gives the motors back, in a signed request with this number."""
+    """The holder of the lease releases it, in a signed request with this number."""
 
     sequence: int
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Somebody asks for a stop until it is released."""
+    """A request for a stop that holds until it is released."""
 
     reason: str = ""
 
 
 @dataclass(frozen=True)
 class Unlatch:
-    """Somebody releases the stop."""
+    """A request to release the stop."""
 
 
 Event: TypeAlias = Tick | Heard | BaseLost | Command | Enable | Release | Stop | Unlatch
@@ -132,15 +132,15 @@ Event: TypeAlias = Tick | Heard | BaseLost | Command | Enable | Release | Stop |
 
 @dataclass(frozen=True)
 class Lease:
-    """Who may drive, and until when unless a command comes."""
+    """A driver's lease, and when it expires without a command."""
 
     number: int
     """From 1, in the order of the grants."""
     secret: bytes | None = field(repr=False)
-    """The key that signs; None where plain ROS commands drive, which are not signed."""
+    """The signing key; None for plain ROS commands, which are not signed."""
     name: str
     sent_ns: int
-    """The driver's clock when it asked: a command sent before that is not of this lease."""
+    """The driver's clock at its request: a command sent before that does not belong to this lease."""
     granted_s: float
     expires_s: float
     last_sequence: int = -1
@@ -148,29 +148,29 @@ class Lease:
 
 @dataclass(frozen=True)
 class State:
-    """All that the gate remembers."""
+    """The gate's whole state."""
 
     now: float = -math.inf
     lease: Lease | None = None
     leases: int = 0
-    """How many were granted."""
+    """Number of leases granted so far."""
     ended: Reason | None = None
-    """What ended the last lease; None if it was given back."""
+    """Reason for the end of the last lease; None if its driver released it."""
     latched: str | None = None
-    """The words of a stop that was asked for."""
+    """The text of the stop request; None without one."""
     base: Heard | None = None
     base_s: float = -math.inf
     low_since_s: float | None = None
     same: int = 0
-    """How often the base reported the same pose again."""
+    """Number of repeated reports of the same pose."""
     unseen_m: float = 0.0
     unseen_rad: float = 0.0
-    """How far the base must have come by its own speeds since the pose it reports last changed."""
+    """Distance by the base's reported speeds since its reported pose last changed."""
     target: Velocity | None = None
     """The command in force, until ``target_until_s``."""
     target_until_s: float = -math.inf
     idle: Reason = Reason.SILENCE
-    """Why there is no command in force, if there is none."""
+    """Hold reason while there is no command in force."""
     held: Reason | None = Reason.NO_BASE
     out: Velocity = ZERO
     minima: tuple[tuple[int, float], ...] = ()
@@ -178,30 +178,30 @@ class State:
     motors: bool = False
     motors_until_s: float = -math.inf
     untagged_until_s: float = -math.inf
-    """Untagged commands do not drive before this: after a hazard, let go of the stick first."""
+    """Untagged commands are dropped before this: after a hazard, the user releases the stick first."""
     accepted: int = 0
     dropped: Mapping[Reason, int] = field(default_factory=dict)
-    """Commands that did not count."""
+    """Commands that the gate dropped, by reason."""
     stops: Mapping[Reason, int] = field(default_factory=dict)
-    """How often a command in force was cut off."""
+    """Number of times a command in force was cut off, by reason."""
     limited: Mapping[Reason, int] = field(default_factory=dict)
-    """Commands that were cut down."""
+    """Commands that the gate limited, by reason."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What to do now."""
+    """The gate's decision after one event."""
 
     velocity: Velocity
     motors: bool
     held: Reason | None
-    """Why the rover is held at zero; None while a command is in force."""
+    """Hold reason; None while a command is in force."""
     refusal: Reason | None = None
-    """Why an `Enable` was not granted."""
+    """Reason for refusing an `Enable`."""
     dropped: Reason | None = None
-    """Why a `Command` did not count."""
+    """Reason for dropping a `Command`."""
     lease: Lease | None = None
-    """The lease that is held now."""
+    """The current lease."""
 
     @property
     def emergency(self) -> bool:

@@ -36,7 +36,7 @@ class Packet(NamedTuple):
 
 
 class Argument(Enum):
-    """What follows a command's number."""
+    """Kind of a command's argument."""
 
     NONE = "nothing"
     SIGNED = "integer, 0x1B negates it"
@@ -315,8 +315,8 @@ class Decoder:
         if len(head) < 3 or len(self._buffer) < start + head[2] + 3:
             return 0
         end = start + head[2] + 3
-        told = self._buffer[end - 2] << 8 | self._buffer[end - 1]
-        return end - start if checksum(self._buffer[start + 3 : end - 2]) == told else _WRONG_SUM
+        expected_sum = self._buffer[end - 2] << 8 | self._buffer[end - 1]
+        return end - start if checksum(self._buffer[start + 3 : end - 2]) == expected_sum else _WRONG_SUM
 
 
 _NO_HEADER, _WRONG_SUM = -1, -2

@@ -2,7 +2,7 @@
 
 A base begins at the rate in its FLASH, 9600 as shipped, takes another with HOSTBAUD, and goes back to its own
 with CLOSE. At 9600 a SIP with 16 sonars fills 93 ms of its 100 (Adept Pioneer 3 manual p. 43), so ARIA asks
-for 38400 whenever the CONFIGpac says AUTOBAUD 2; whoever vanished leaves the base there.
+for 38400 whenever the CONFIGpac says AUTOBAUD 2; a client that vanished leaves the base at that rate.
 """
 
 from bridge.pioneer.packets import ConfigPac
@@ -11,7 +11,7 @@ RATES = (9600, 19200, 38400, 57600, 115200)
 """By the argument of HOSTBAUD."""
 
 FAST = 38400
-"""What ARIA's parameter files ask for (SwitchToBaudRate)."""
+"""The rate in ARIA's parameter files (SwitchToBaudRate)."""
 
 CAN_SWITCH = 2
 """AUTOBAUD of a base that takes another rate in a session (ARIA switches only then)."""
@@ -35,7 +35,7 @@ class Rates:
 
     @property
     def tries(self) -> int:
-        """How many more silent tries it takes to look at every rate."""
+        """Number of further tries without an answer until every rate has been tried."""
         return 0 if self.home is None else len(self._search())
 
     def look(self, attempt: int) -> int | None:

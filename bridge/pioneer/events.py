@@ -1,4 +1,4 @@
-"""What a session with a base tells its user."""
+"""Events of a session with a base."""
 
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -10,7 +10,7 @@ from bridge.pioneer.robots import RobotParameters
 
 @dataclass(frozen=True)
 class Connected:
-    """The handshake is done; who answered."""
+    """The handshake is done; the base's names."""
 
     name: str
     robot_class: str
@@ -41,19 +41,19 @@ class GyroHeard:
 
 @dataclass(frozen=True)
 class Lost:
-    """A ready base is no longer; set-points are zero and the motors must be asked for anew."""
+    """A ready base was lost; setpoints are zero and the motors must be requested again."""
 
     reason: str
 
 
 @dataclass(frozen=True)
 class Recovered:
-    """A base that was silent speaks again, in the same session."""
+    """A silent base sends packets again, in the same session."""
 
 
 @dataclass(frozen=True)
 class Failed:
-    """Connecting was given up; only another ``connect`` goes on."""
+    """Connecting failed; only another ``connect`` continues."""
 
     reason: str
 

@@ -14,12 +14,12 @@ from bridge.pioneer.robots import RobotParameters
 COUNTER_BITS, HEADING_BITS = 15, 12
 
 _RESET_NEAR_M, _RESET_NEAR_RAD = 0.1, 0.2
-"""How near to zero the counters must be for a reset that was asked for to have happened."""
+"""A requested reset has happened when the counters are this near to zero."""
 
 
 @dataclass(frozen=True)
 class BaseState:
-    """What one SIP says. SI units; x, y, theta in the frame where the base was at connect or reset."""
+    """The state in one SIP. SI units; x, y, theta in the frame where the base was at connect or reset."""
 
     received_s: float
     """The ``now`` of the SIP's last byte."""
@@ -70,7 +70,7 @@ class Odometer:
 
     @property
     def reset_pending(self) -> bool:
-        """Whether a reset was asked for and no SIP has shown it yet."""
+        """Whether a reset was requested and no SIP has shown it yet."""
         return self._reset_asked
 
     def expect_reset(self) -> None:
@@ -78,7 +78,7 @@ class Odometer:
         self._reset_asked = True
 
     def update(self, sip: Sip, now: float) -> BaseState:
-        """Return the state that a SIP tells."""
+        """Return the state in a SIP."""
         self._accumulate(sip)
         cos, sin = math.cos(self._theta0), math.sin(self._theta0)
         dx, dy = self._x - self._x0, self._y - self._y0
@@ -129,7 +129,7 @@ class Odometer:
         self._last = sip
 
     def _bumpers(self, sip: Sip) -> tuple[int, int]:
-        """A base without bumpers may show all of them pressed: only its CONFIGpac tells."""
+        """Return the bits of the bumpers in the CONFIGpac; a base without them may report all as pressed."""
         if self.config is None:
             return 0, 0
         front, rear = self.config.front_bumps, self.config.rear_bumps

@@ -1,4 +1,4 @@
-"""What a base sends: SIP, CONFIGpac, ENCODERpac, GYROpac, IOpac, SIMSTAT, both ways, in the base's own units.
+"""Packets of a base: SIP, CONFIGpac, ENCODERpac, GYROpac, IOpac, SIMSTAT, both ways, in the base's own units.
 
 Each packet is a dataclass whose fields stand in the order of the wire, each with its wire format: one table
 serves decoding and encoding. Firmware versions end their packets at different fields: a field that did not
@@ -41,7 +41,7 @@ SIP_KINDS = range(0x30, 0x35)
 """Player's p2os accepts all of these as SIPs; ARCOS sends 0x32 and 0x33."""
 
 NO_ECHO_MM = 5000
-"""Range of a sonar that heard nothing (AMRISim)."""
+"""Range of a sonar without an echo (AMRISim)."""
 
 
 class Flag(IntFlag):
@@ -120,7 +120,7 @@ class _WirePacket:
 
 @dataclass(frozen=True)
 class Sip:
-    """Server information packet: what the base tells about itself each cycle (ARCOS section "SIP").
+    """Server information packet (SIP): the base report of each cycle (ARCOS section "SIP").
 
     x and y are counters of 15 bits (AMRISim's have 16) in the model's distance unit, theta has 4096 units a
     turn. ``sonar`` holds (number, range) of the sonars read since the last SIP.
@@ -134,7 +134,7 @@ class Sip:
     battery_dv: int = _wire("B", 0)
     stall_left: int = _wire("B", 0)  # bit 0 stalled, bits 1 to 7 rear bumpers
     stall_right: int = _wire("B", 0)  # bit 0 stalled, bits 1 to 7 front bumpers
-    control: int = _wire("h", 0)  # heading set-point
+    control: int = _wire("h", 0)  # heading setpoint
     flags: int = _wire("H", 0)
     compass: int | None = _wire("B")
     # The sonar readings stand here on the wire: a count, then number and range of each.

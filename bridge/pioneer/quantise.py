@@ -1,8 +1,8 @@
 """Speeds in SI to the whole mm/s and deg/s that a base takes, right on average.
 
-A degree a second is a tenth of the parking turn rate, too coarse to round: what a turn command leaves over is
-carried on, so that the angle turned stays within a fraction of a degree of the angle asked for and the mean
-over a second within 0.002 rad/s. A rover that is to stand is sent zero, and nothing is carried over.
+A degree a second is a tenth of the parking turn rate, too coarse to round. The remainder of a turn command is
+carried over, so that the angle turned stays within a fraction of a degree of the commanded angle and the mean
+over a second within 0.002 rad/s. A zero command sends zero and carries nothing over.
 """
 
 import math
@@ -13,16 +13,16 @@ STANDING_RAD_S = 0.002
 """Dead band: commands within both ask for a standing rover. Its width is the mean error that is allowed."""
 
 HOLD_S = 0.05
-"""How long a turn set-point is held at least, unless the command changes."""
+"""Least duration of a turn setpoint, unless the command changes."""
 
 _MAX_HOLD_S = 0.25
 _EARLY_S = 0.002
-"""A loop at 20 Hz comes now and then a little early; that is not to cost it half its rate."""
+"""Tolerance for a loop at 20 Hz that runs a little early; without it half of its ticks would be lost."""
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What the base is told to keep to: m/s, rad/s, m/s², rad/s². Accelerations: the paper's simulator."""
+    """Limits set in the base: m/s, rad/s, m/s², rad/s². Accelerations: the paper's simulator."""
 
     v: float = 0.3
     omega: float = 0.6
@@ -64,14 +64,14 @@ class SetPoints:
         )
 
     def zero(self) -> None:
-        """Ask for a standing rover and forget what was left over."""
+        """Command zero and drop the remainder."""
         self._command = self._stepped = (0.0, 0.0)
         self._chosen = (0, 0)
         self._owed = 0.0
 
     def step(self, now: float) -> tuple[int, int]:
         """Return VEL (mm/s) and RVEL (deg/s) that stand for the command from ``now`` on."""
-        # What the last step chose has been in force since, for the command that the last step saw.
+        # The last step's setpoint has been in force since then, for the command of the last step.
         elapsed = min(now - self._stepped_s, _MAX_HOLD_S)
         missed = self._stepped[1] - math.radians(self._chosen[1])
         self._owed += missed * elapsed

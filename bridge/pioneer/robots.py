@@ -1,8 +1,8 @@
-"""The Pioneers we know: how their packets turn into metres, their outline, their limits, their sonars.
+"""The known Pioneer models: conversion factors, outline, limits, sonars.
 
 Sources: ARIA's params/p3at.p, p3at-sh.p, p3dx.p, p3dx-sh.p and ArRobotTypes (all numbers but one; Player's
 robot_params has the same conversion factors); heading units as every client uses them, 4096 a turn. Heights
-and wheels are those of the maker's own 3D models, as far as they tell; only pictures depend on them.
+and wheels are those of the maker's own 3D models, where these have them; only pictures depend on them.
 """
 
 import math
@@ -119,9 +119,9 @@ ROBOTS = {
     robot.name: robot
     for robot in (_at("p3at", 0.465), _at("p3at-sh", 1.0), _dx("p3dx", 0.485), _dx("p3dx-sh", 1.0))
 }
-"""By subtype as the base tells it in SYNC2 (``-sh``: the SH2 controller that runs ARCOS)."""
+"""By the subtype that the base reports in SYNC2 (``-sh``: the SH2 controller that runs ARCOS)."""
 
 
 def parameters_for(subtype: str) -> RobotParameters | None:
-    """Return what is known of a subtype, whatever its case; None for a base we do not know."""
+    """Return the model of a subtype, ignoring case; None for an unknown one."""
     return ROBOTS.get(subtype.lower())

@@ -4,10 +4,10 @@ Rules of this file:
 
 1. The state changes only as ``states.TABLE`` says.
 2. Nothing is sent but from ``tick``, ``receive`` and the explicit calls; keep-alives come from ``tick``
-   alone. Whoever calls it from anywhere but the safety gate's own loop defeats the base's watchdog.
-3. A base resumes its old set-points with any packet that reaches it, SYNC0 included. So connecting begins by
-   listening: a base heard then has an open session, and is sent zeros before all else.
-4. Set-points are zero before ENABLE, after a loss, and until the motors were asked for and are on.
+   alone. A call from anywhere but the safety gate's own loop defeats the base's watchdog.
+3. A base resumes its old setpoints with any packet that reaches it, SYNC0 included. So connecting begins by
+   listening: a base that sends packets then has an open session, and gets zero setpoints first.
+4. Setpoints are zero before ENABLE, after a loss, and until the motors were requested and are on.
 
 Sources: AROS manual p. 43 (motors, watchdog); ``states.py`` for the handshake.
 """
@@ -68,10 +68,10 @@ class Session:
             raise UsageError(f"model {model}: expected auto, {', '.join(ROBOTS)}")
         self.state = State.IDLE
         self.decoder = Decoder()
-        """Its counters tell the quality of the link."""
+        """Its counters show the quality of the link."""
         self._model = model
         self._helm = Helm(limits or MotionLimits(), self._send)
-        # Until the base tells its name; then made anew.
+        # Replaced when the base has sent its name.
         self._odometer = Odometer(ROBOTS.get(model, ROBOTS["p3at-sh"]))
         self._sip = Sip()
         self._names = ("", "", "")
@@ -90,17 +90,17 @@ class Session:
     # What the user calls.
 
     def connect(self, now: float, baudrate: int | None = None) -> None:
-        """Begin to connect; events tell how it goes.
+        """Begin to connect; events report the progress.
 
-        A line opened at ``baudrate`` is told by `BaudChanged` when it is to run at another; without one it is
-        never told so.
+        `BaudChanged` asks for another rate of a line opened at ``baudrate``; a line without a rate never gets
+        it.
         """
         self._now = now
         self._rates.begin(baudrate)
         self._dispatch(Input.CONNECT)
 
     def close(self, now: float) -> None:
-        """Stop the base, switch its motors off, end the session. What there is to send then is the last."""
+        """Stop the base, switch its motors off, end the session. Nothing is sent after these packets."""
         self._now = now
         self._dispatch(Input.CLOSE)
 
@@ -112,14 +112,14 @@ class Session:
         return self._drain()
 
     def receive(self, data: bytes, now: float) -> list[Event]:
-        """Take over bytes from the base and return what they mean."""
+        """Parse bytes from the base and return the events."""
         self._now = now
         self._bytes_heard += len(data)
         self._decode(data)
         return self._drain()
 
     def tick(self, now: float) -> list[Event]:
-        """Let time pass: clocks, set-points, keep-alives. Call it from the gate's loop, 20 times a second."""
+        """Let time pass: clocks, setpoints, keep-alives. Call it from the gate's loop, 20 times a second."""
         self._now = now
         self._decode(b"")
         if now - self._began_s >= CONNECT_S:
@@ -137,13 +137,13 @@ class Session:
         return data
 
     def set_motion(self, v: float, omega: float) -> None:
-        """Set the speeds (m/s, rad/s) that the next tick sends; zero unless the motors were asked for.
+        """Set the speeds (m/s, rad/s) that the next tick sends; zero unless the motors were requested.
 
         Raises ValueError when a speed is not finite.
         """
         self._helm.set_motion(v, omega)
 
-    # Only a ready base is asked for anything: nothing moves before the base was heard from.
+    # Only a ready base gets requests: nothing moves before the first packet from the base.
 
     def enable(self, on: bool) -> None:
         """Ask for the motors, or switch them off, standing still either way."""
@@ -161,7 +161,7 @@ class Session:
             self._helm.halt(Command.E_STOP, self._now)
 
     def reset_odometry(self) -> None:
-        """Let the pose count from here; the states show it when the base has done it."""
+        """Reset odometry to zero here; the states show it when the base has done it."""
         if self.state is State.READY:
             self._helm.reset_odometry(self._now)
             self._odometer.expect_reset()
@@ -255,7 +255,7 @@ class Session:
             )
         elif self._bytes_heard:
             reason = (
-                f"what answers is no ARCOS base, or the baud rate is wrong: "
+                f"the device that answers is no ARCOS base, or the baud rate is wrong: "
                 f"{self._bytes_heard} bytes, not one valid packet"
             )
         else:
@@ -315,7 +315,7 @@ class Session:
 
     def _do_switch(self) -> None:
         self._change_baud(self._rates.switch())
-        # Whatever it holds was cut by the change; and the base is to see that we came along.
+        # The change cut all buffered bytes, and the base needs a packet at the new rate.
         self.decoder.drop()
         self._send(Command.PULSE)
 

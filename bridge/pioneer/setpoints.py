@@ -1,9 +1,9 @@
-"""What is asked of a base that is ready: speeds, motors, limits, odometry reset, keep-alives.
+"""Requests to a ready base: speeds, motors, limits, odometry reset, keep-alives.
 
-Nothing that a client says is acknowledged, and links lose packets. So set-points are repeated while they are
-in force, and what the SIPs show (motors, reset counters) is asked for again until they show it. Motors that
-were on and went off by themselves (stop button, stall) are not switched on again: that is for the driver to
-ask. Speeds other than zero go out only while the SIPs say that the motors are on.
+The base acknowledges nothing, and links lose packets. So setpoints are repeated while they are in force, and
+requests whose effect the SIPs show (motors, reset counters) are repeated until they show it. Motors that were
+on and went off by themselves (stop button, stall) are not switched on again: the driver must request that.
+Speeds other than zero are sent only while the SIPs say that the motors are on.
 """
 
 import math
@@ -14,14 +14,14 @@ from bridge.pioneer.odometry import BaseState
 from bridge.pioneer.quantise import MotionLimits, SetPoints
 
 PULSE_S, REFRESH_S = 0.5, 0.2
-"""Rhythm of PULSE while the motors are off (the watchdog waits 2 s), of the set-points while they are on."""
+"""Period of PULSE while the motors are off (the watchdog waits 2 s), of the setpoints while they are on."""
 
 VERIFY_S, ENABLE_TRIES = 0.3, 3
-"""What the SIPs do not show after this time is asked for again; the motors' ENABLE 1 so many times."""
+"""A request that the SIPs do not show after this time is repeated; the motors' ENABLE 1 so many times."""
 
 
 class Send(Protocol):
-    """How a command goes out."""
+    """Sends one command with its argument."""
 
     def __call__(self, command: Command, argument: int | None = None) -> None:
         """Send a command."""
@@ -40,7 +40,7 @@ class Helm:
         self._enable_tries = 0
 
     def take(self, now: float) -> None:
-        """Take over a base that just became ready: limits, sonars, zero set-points, motors off."""
+        """Take over a base that just became ready: limits, sonars, zero setpoints, motors off."""
         self._wanted = False
         self._send_limits()
         self._send(Command.SONAR, 1)
@@ -70,17 +70,17 @@ class Helm:
         self.zero(now)
 
     def zero(self, now: float) -> None:
-        """Send zero set-points and forget the command in force."""
+        """Send zero setpoints and clear the command in force."""
         self._set_points.zero()
         self._send_speeds(0, 0, now)
 
     def let_go(self) -> None:
-        """Forget the command in force and that the motors were asked for; sends nothing."""
+        """Clear the command in force and the request for the motors; sends nothing."""
         self._wanted = False
         self._set_points.zero()
 
     def reset_odometry(self, now: float) -> None:
-        """Ask for counters at zero."""
+        """Request a reset of the counters."""
         self._send(Command.SETO)
         self._reset_s = now
 

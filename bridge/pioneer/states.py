@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 
 class State(Enum):
-    """Where the connection stands."""
+    """The state of a connection to a base."""
 
     IDLE = "not connected"
     LISTENING = "listening for an old session"
@@ -31,7 +31,7 @@ class State(Enum):
 
 
 class Input(Enum):
-    """What can happen to a connection."""
+    """Inputs of the state machine."""
 
     CONNECT = "connect was called"
     CLOSE = "close was called"
@@ -92,7 +92,7 @@ TABLE: dict[State, dict[Input, Entry]] = {
     State.LISTENING: {
         Input.SIP: (State.HANGING_UP, "hang_up"),
         Input.RESET: (State.LISTENING, "nothing"),
-        # An echo that comes late still tells what the base waits for next.
+        # A late echo still shows which packet the base expects next.
         Input.ECHO0: (State.SYNC1, "sync1"),
         Input.ECHO1: (State.SYNC2, "sync2"),
         Input.NAMES: (State.CONFIGURING, "open"),

@@ -1,4 +1,4 @@
-"""How ROS 2 may learn of the bridge's topics, beside the plain keys that it always has."""
+"""Forms in which ROS 2 can discover the bridge's topics, beside the plain keys."""
 
 from enum import StrEnum
 

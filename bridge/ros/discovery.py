@@ -1,4 +1,4 @@
-"""Liveliness tokens by which zenoh-bridge-ros2dds learns of our topics before anybody subscribes to them.
+"""Liveliness tokens by which zenoh-bridge-ros2dds discovers our topics before the first subscription.
 
 Form from zenoh-plugin-ros2dds (liveliness_mgt.rs; facts only): ``@/ZID/@ros2_lv`` for a bridge, and below it
 ``MP`` (publisher) or ``MS`` (subscriber), key, type, QoS, each with § for /. Access control that denies by

@@ -1,4 +1,4 @@
-"""What the base says, as ROS messages: frames of REP-105, axes and units of REP-103. Pure functions.
+"""Base reports as ROS messages: frames of REP-105, axes and units of REP-103. Pure functions.
 
 ``odom`` is where the base was when it was connected or its odometry was reset; ``base_link`` is its centre of
 rotation, on the ground. Sonar echoes are points in ``base_link``; where each sonar sits is in ``tf_static``.
@@ -18,7 +18,7 @@ from rover_ncp.core.imu import imu
 from rover_ncp.core.messages import BASE_FRAME, ODOM_FRAME, Diagnostic, Transform
 from rover_ncp.core.protocol import GateStatus
 
-# What a single reading may be off by from its rounding (uniform: step² / 12), not what odometry drifts by:
+# Variance of a single reading from its rounding (uniform: step² / 12), without the drift of odometry:
 # positions in whole mm, headings in 1/4096 turn, wheel speeds in whole mm/s, turn rates in 0.1 deg/s.
 _POSE_VARIANCE = (0.001**2 / 12, 0.001**2 / 12, (math.tau / 4096) ** 2 / 12)
 _VELOCITY_VARIANCE = (0.001**2 / 12, math.radians(0.1) ** 2 / 12)
@@ -63,7 +63,7 @@ def each_so_often(state: BaseState, robot: RobotParameters, stamp_ns: int) -> di
     charging = None if state.charge_state is None else _CHARGING.get(state.charge_state)
     return {
         "battery_state": messages.battery_state(state.battery_v, stamp_ns, charging=charging),
-        # Sent again and again for those who come late and do not ask for what was sent before.
+        # Repeated for late subscribers that do not query earlier samples.
         "tf_static": messages.transforms(sensor_frames(robot), stamp_ns),
     }
 
@@ -82,7 +82,7 @@ def velocity(command: Velocity, stamp_ns: int) -> bytes:
 
 
 def turn(rate: float, stamp_ns: int) -> bytes:
-    """Return what the base's gyro says: rad/s, counter-clockwise."""
+    """Return the gyro's turn rate: rad/s, counter-clockwise."""
     return imu(rate, _GYRO_VARIANCE, stamp_ns)
 
 

@@ -1,7 +1,7 @@
-"""rmw_zenoh's form: keys of topics, tokens of its graph, what rides with each message. Pure functions.
+"""rmw_zenoh's form: keys of topics, tokens of its graph, the attachment of each message. Pure functions.
 
 Form from rmw_zenoh (docs/design.md, liveliness_utils.cpp, attachment_helpers.cpp; facts only), as of ROS 2
-Jazzy and later: Humble has no type hashes and hears nothing of this. The payloads are the plain keys' own.
+Jazzy and later: Humble has no type hashes and does not receive these. The payloads are the plain keys' own.
 """
 
 import re
@@ -86,10 +86,10 @@ class Graph:
 
 
 class Attachment(NamedTuple):
-    """What rides with each message: 33 bytes, of which one is the length of ``gid``.
+    """The attachment of each message: 33 bytes, of which one is the length of ``gid``.
 
     ``sequence`` counts a publisher's messages from 1, ``stamp_ns`` is its wall clock when it sent this one,
-    ``gid`` says which publisher it is.
+    ``gid`` identifies the publisher.
     """
 
     sequence: int
@@ -115,7 +115,7 @@ def gid(token: str) -> bytes:
 
 
 def domain_id(environment: Mapping[str, str]) -> int:
-    """Return ROS_DOMAIN_ID, 0 without one. Raises UsageError for one that is none."""
+    """Return ROS_DOMAIN_ID, 0 without one. Raises UsageError for an invalid one."""
     value = environment.get("ROS_DOMAIN_ID") or "0"
     if not (value.isascii() and value.isdigit() and int(value) <= _DOMAIN_MAX):
         raise UsageError(f"ROS_DOMAIN_ID={value}: expected a number from 0 to {_DOMAIN_MAX}")

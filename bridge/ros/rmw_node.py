@@ -15,11 +15,11 @@ from rover_ncp.core.key_table import KeySpec, key
 from rover_ncp.core.messages import TWIST, TWIST_STAMPED
 
 HEARTBEAT_S = 0.5
-"""How often, while there is news, subscribers are told how much they should have: rmw_zenoh's own period."""
+"""Period of heartbeats, which give a publisher's last sequence number after a change; as in rmw_zenoh."""
 
 
 def latching_publisher(session: zenoh.Session, key_expr: str) -> Any:
-    """Declare a publisher whose last message reaches also who subscribes later, as ROS bridges ask for it."""
+    """Declare a publisher whose last message also reaches late subscribers, as ROS bridges require it."""
     return zenoh.ext.declare_advanced_publisher(
         session,
         key_expr,
@@ -32,7 +32,7 @@ def latching_publisher(session: zenoh.Session, key_expr: str) -> Any:
 
 
 class RmwNode:
-    """Publishers of ``rows`` and subscribers of ``cmd_vel``; ``commanded`` gets what these hear.
+    """Publishers of ``rows`` and subscribers of ``cmd_vel``; ``commanded`` gets the received commands.
 
     Raises UsageError for a namespace that ROS does not know.
     """
@@ -93,7 +93,7 @@ class _Publisher:
 def sampled(sample: zenoh.Sample) -> Sampled:
     """Return a command as it came from a ROS node: without a tag, as old as its attachment says.
 
-    Without a right attachment it is no message of rmw_zenoh, and becomes one that cannot be read.
+    Without a valid attachment it is not a message of rmw_zenoh, and becomes an unreadable command.
     """
     attachment = sample.attachment
     with contextlib.suppress(FormatError):

@@ -1,7 +1,7 @@
-"""A robot's shape as a URDF: what RViz draws, with the very frames that ``tf_static`` has. Pure functions.
+"""A robot's shape as a URDF for RViz, with the same frames as ``tf_static``. Pure functions.
 
-Body and wheels are all in ``base_link``: the base tells nothing of where its wheels stand, so they get no
-joints that somebody would have to publish.
+Body and wheels are all in ``base_link``: the base does not report its wheel angles, so the wheels get no
+joints, whose states a node would have to publish.
 """
 
 import math
@@ -19,7 +19,7 @@ def urdf(robot: RobotParameters) -> str:
     """Return the XML text."""
     root = ElementTree.Element("robot", name=robot.name)
     base = ElementTree.SubElement(root, "link", name=BASE_FRAME)
-    # The body is drawn between the wheels and from their axles up; what may bump is the whole outline.
+    # The body is drawn between the wheels and from their axles up; the collision shape is the whole outline.
     middle = (robot.front_m - robot.rear_m) / 2
     axle = robot.wheels.radius_m
     between = 2 * min(abs(y) for _, y in robot.wheels.places) - robot.wheels.width_m

@@ -1,10 +1,10 @@
-"""Time without a clock: when ticks are due, and when a sample was measured. All times come in, in ns.
+"""Due times of ticks and measurement times of samples, without a clock. All times are arguments, in ns.
 
 Two plain objects. `RateKeeper` holds the absolute schedule of control ticks: tick k is due at
 ``start + k · period`` whatever happened before, so that lateness never adds up. The first odometry measured
 within half a period of a due time sets the tick off; when that half period is over without one, the tick
 runs on prediction and is counted as an overrun. `StampClock` finds the moment of a measurement on our own
-clock from the sender's stamps, whose zero nobody knows and whose rate is almost ours.
+clock from the sender's stamps, whose zero is unknown and whose rate is almost ours.
 """
 
 from collections import deque

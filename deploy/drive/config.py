@@ -1,4 +1,4 @@
-"""What a drive is: its settings, and the files that go into its recording."""
+"""Settings of a drive, and the files that go into its recording."""
 
 from importlib.metadata import version
 from typing import Literal

@@ -1,11 +1,11 @@
-"""The drive itself: its states in their order, the loop of ticks, and what ends it.
+"""The drive itself: its states in their order, the loop of ticks, and the reasons for its end.
 
 Rules of this file:
 
-1. Whatever ends a drive, the motors are given back before anything else is done about it.
+1. At every end of a drive, the lease is released before anything else.
 2. Odometry sets off the tick; when it does not come in time, the tick runs on prediction and is counted.
-3. Before a tick commands anything: is the bridge there, is the odometry young, does the filter trust itself,
-   is the lease still ours, does the rover follow? If not, the drive ends with the rule's name.
+3. Before each command, a tick checks the bridge, the age of odometry, the estimator, the lease and the
+   rover's response. If a check fails, the drive ends with the rule's name.
 """
 
 import math
@@ -34,7 +34,7 @@ POLL_S = 0.02
 
 
 class Drive:
-    """One drive over an open link. ``run`` returns when it is over; how it went stands in the attributes.
+    """One drive over an open link. ``run`` returns when it is over; the attributes hold the result.
 
     ``period_s`` is how long a tick lasts by the clock; a benchmark lets the course's time run faster.
     """
@@ -75,7 +75,7 @@ class Drive:
         return self._controller.estimator.rejected
 
     def pose_counts(self) -> dict[str, int]:
-        """Return whether external poses placed the rover, and what became of them."""
+        """Return whether external poses placed the rover, and the outcomes of all poses."""
         became = self._controller.estimator.poses
         return {
             "placed": self._placed,
@@ -103,8 +103,8 @@ class Drive:
     def run(self, attachments: dict[str, int]) -> None:
         """Drive, after `wait`. ``attachments`` are the checksums of the recording's files.
 
-        Raises AnotherDriver, NotAuthorised and NoBridge when the motors are refused; what ends a drive later
-        stands in ``state``, ``reason`` and ``stop``.
+        Raises AnotherDriver, NotAuthorised and NoBridge when the motors are refused; ``state``, ``reason``
+        and ``stop`` hold the reason for a later end.
         """
         try:
             try:
@@ -131,7 +131,7 @@ class Drive:
         if config.pose == "required" and not self._guard.until(
             lambda: self._stands(watch) and bool(self._standing_poses), config.pose_wait_s
         ):
-            raise NoPose(f"nobody says on 'pose' where the rover stands within {config.pose_wait_s:g} s")
+            raise NoPose(f"no external pose of the rover arrived on 'pose' within {config.pose_wait_s:g} s")
         sample = self.intake.newest
         assert sample is not None  # it stands, so it was seen
         self._follow(Event.READY)
@@ -139,7 +139,7 @@ class Drive:
         if self._standing_poses:
             self._placed = True
             pose = middle([seen.pose for seen in self._standing_poses])
-            # No surer than the last of them: what is wrong with one is wrong with all.
+            # The covariance of the last one: errors of these poses are not independent.
             covariance = self._standing_poses[-1].covariance
         self._controller.start(sample.pose, 0.0, pose, covariance)
         self._start = sample.ref
@@ -230,7 +230,7 @@ class Drive:
         return sample
 
     def _check(self) -> None:
-        """Raise SafetyStop if a rule of safety is broken, Interrupted if somebody wants an end."""
+        """Raise SafetyStop if a safety rule is broken, Interrupted if a termination signal was received."""
         self._guard.check()
         estimator = self._controller.estimator
         if estimator.fault:
@@ -239,9 +239,9 @@ class Drive:
     def _stands(self, watch: StillWatch) -> bool:
         gate = self._link.gate
         if gate.lease and not self._config.dry_run:
-            # To wait for a rover that somebody else drives would be to wait for them to let go.
+            # A rover that another driver drives does not stand still until that driver releases the lease.
             who = gate.driver_name or "a driver without a name"
-            raise AnotherDriver(f"the bridge at {self._link.robot} refuses the motors: {who} has them")
+            raise AnotherDriver(f"the bridge at {self._link.robot} refuses the motors: {who} holds the lease")
         self._hear_poses()
         sample = self.intake.take(0)
         return sample is not None and watch.see(sample)

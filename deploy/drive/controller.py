@@ -1,4 +1,4 @@
-"""One control tick: from where the rover is to what it shall do. No I/O, no clock.
+"""One control tick: from the estimated pose to the command. No I/O, no clock.
 
 Rules of this file:
 
@@ -30,7 +30,7 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Tick:
-    """What one tick saw and said: ``t`` is the course's time in s, ``potentials`` are in mV."""
+    """Input and output of one tick: ``t`` is the course's time in s, ``potentials`` are in mV."""
 
     index: int
     t: float
@@ -42,7 +42,7 @@ class Tick:
 class Controller:
     """Estimator and circuit of one drive. Times are seconds on one clock, any zero.
 
-    A ``rover`` whose gains are known is asked for so much less or more that it does what the circuit wants.
+    With the known gains of a ``rover``, commands are divided by them, so that it moves as the circuit asks.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Controller:
         self._course = course
         self._reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
         self._runner = PolicyRunner(policy)
-        self._runner.warm_up([0.0] * len(self._signal_at))  # compiles, now and not when the rover waits
+        self._runner.warm_up([0.0] * len(self._signal_at))  # compiles now, before the rover waits for it
         self.estimator = Estimator(settings)
         self._gains = _gains(rover)
         self._times: list[float] = []
@@ -120,7 +120,7 @@ class Controller:
 
 
 def _gains(rover: RoverProfile | None) -> Velocity:
-    """Return what a robot makes of commands, as far as it is known: true speed over commanded speed."""
+    """Return a robot's known gains: true speed over commanded speed."""
     if rover is None:
         return Velocity(1.0, 1.0)
     return Velocity(
@@ -130,7 +130,7 @@ def _gains(rover: RoverProfile | None) -> Velocity:
 
 
 def _misfits(policy: Policy) -> list[str]:
-    """Return why a policy cannot drive a rover tick by tick; empty when it can."""
+    """Return the reason why a policy cannot drive a rover tick by tick; empty if it can."""
     problems = []
     if unknown := [name for name in policy.sensing.inputs if name not in SIGNALS]:
         problems.append(f"its sensing asks for {', '.join(unknown)}; known are {', '.join(SIGNALS)}")

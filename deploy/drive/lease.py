@@ -3,7 +3,7 @@
 Rules of this file:
 
 1. The key stays in this object: it is in no message, log or recording.
-2. A word of the gate may end a drive. It never starts one, and it never replaces the key.
+2. A gate status may end a drive. It never starts one, and it never replaces the key.
 """
 
 from collections import deque
@@ -15,7 +15,7 @@ ACCEPTED_S = 0.4
 """A driver stops when the gate has not accepted a command for so long after it was sent. It checks at least
 every 0.1 s, and so stops within 0.5 s."""
 _REMEMBERED = 1000
-"""Commands to remember at most: nobody sends so many in `ACCEPTED_S`."""
+"""Most commands to remember: no driver sends so many in `ACCEPTED_S`."""
 
 
 class DriverLease:
@@ -29,7 +29,7 @@ class DriverLease:
         self._dropped: dict[str, int] = {}
 
     def grant(self, reply: MotorsReply) -> None:
-        """Take in the answer to a granted request. That to a renewal holds no key and changes nothing."""
+        """Store the lease of a granted request. The answer to a renewal holds no key and changes nothing."""
         if reply.key:
             self.number, self._secret = reply.lease, bytes.fromhex(reply.key)
             self._pending.clear()

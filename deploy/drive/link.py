@@ -1,8 +1,8 @@
-"""The driver's Zenoh session: what comes from the bridge, what goes to it.
+"""The driver's Zenoh session with the bridge.
 
-Samples are taken in by callbacks that only note the moment and put them where they belong: the newest
-odometry into a mailbox of one place (a ring of one that can be waited for, which Zenoh's cannot), everything
-into the recorder's queue. Nothing here blocks the control loop but the queries, which are bounded.
+Callbacks receive samples, note the time and store them: the newest odometry in a mailbox of one place (a ring
+of one that can be waited for, which Zenoh's cannot), everything in the recorder's queue. Only the queries
+block the control loop, and they are bounded.
 """
 
 import contextlib
@@ -45,8 +45,9 @@ from rover_ncp.core.recording import Recorded, header_stamp_ns
 QUERY_TIMEOUT_S = 2.0
 RELEASE_TIMEOUT_S = 1.0
 ROUND_TRIP_S, ASK_TRIES = 0.2, 3
-"""The gate takes the request's own way for the quickest there is: commands that are always as late it could
-not tell from fresh ones. So over a link as slow as that nobody drives; it may be slow by chance twice."""
+"""The gate takes the request's transit time as the shortest one. It could not distinguish commands with a
+constant delay from fresh ones. So a driver refuses to drive over a slower link; two slow answers by chance
+are allowed."""
 ANOTHER_DRIVER = "another-driver"
 """The gate's name for it."""
 
@@ -60,20 +61,20 @@ class Arrival(NamedTuple):
 
 
 class Mailbox:
-    """Keeps the newest arrival only, and wakes who waits for it."""
+    """Keeps the newest arrival only, and wakes the waiting thread."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._newest: Arrival | None = None
 
     def put(self, arrival: Arrival) -> None:
-        """Replace whatever lies there."""
+        """Replace the stored arrival."""
         with self._changed:
             self._newest = arrival
             self._changed.notify()
 
     def take(self, timeout_s: float) -> Arrival | None:
-        """Return and remove what lies there; wait for it at most ``timeout_s``."""
+        """Return and remove the stored arrival; wait for it at most ``timeout_s``."""
         with self._changed:
             if self._newest is None and timeout_s > 0:
                 self._changed.wait(timeout_s)
@@ -94,14 +95,14 @@ class Inbox:
         self._arrivals.append(arrival)
 
     def take(self) -> list[Arrival]:
-        """Return and remove what lies there, in the order of arrival."""
+        """Return and remove all arrivals, in order."""
         return [self._arrivals.popleft() for _ in range(len(self._arrivals))]
 
 
 class Link:
     """One session with one bridge.
 
-    Opening it raises NoBridge when nothing answers at ``robot``, NotAuthorised when it does not take us.
+    Opening it raises NoBridge when nothing answers at ``robot``, NotAuthorised when it rejects the session.
     """
 
     def __init__(
@@ -123,7 +124,7 @@ class Link:
         """External localisation, in the course's frame."""
         self.bridge_alive = False
         self.gate = GateStatus()
-        """The newest word of the gate."""
+        """The newest gate status."""
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -139,7 +140,7 @@ class Link:
             row.name: self._session.declare_publisher(
                 self._key(row.name),
                 encoding=zenoh.Encoding.APPLICATION_CDR,
-                # A command that cannot leave at once is worth nothing later.
+                # A command that cannot leave at once would be stale later.
                 congestion_control=zenoh.CongestionControl.DROP,
             )
             for row in KEYS
@@ -172,16 +173,16 @@ class Link:
         self.close()
 
     def authorised(self) -> bool:
-        """Whether anybody takes our commands: a bridge that we may not command does not."""
+        """Whether a subscriber takes our commands: a bridge without permission for us has none."""
         # The object is truthy whatever it says, and Zenoh's stub takes it for a bool.
         status: Any = self._publishers["cmd_vel"].matching_status
         return bool(status.matching)
 
     def request_motors(self, name: str) -> MotorsReply:
-        """Ask for the motors and with them the lease, or renew the one we have.
+        """Request the motors and with them the lease, or renew the current lease.
 
-        Where the answer takes too long it asks again, then with a signed renewal. After an answer that was
-        lost, the gate refuses every driver, this one too, until that lease lapses.
+        If the answer takes too long, it asks again with a signed renewal. If the answer was lost, the gate
+        refuses every driver, this one too, until that lease lapses.
 
         Raises AnotherDriver, NotAuthorised, NoBridge (no answer), OtherVersion, or SafetyStop when the gate
         has a reason or the link is too slow.
@@ -249,13 +250,13 @@ class Link:
             try:
                 return parse_json(MotorsReply, reply.ok.payload.to_bytes())
             except FormatError as error:
-                raise NoBridge(f"the bridge at {self.robot} answers nonsense: {error}") from error
+                raise NoBridge(f"the bridge at {self.robot} sends an unreadable answer: {error}") from error
         return None
 
     def release(self) -> None:
-        """Stop and give the motors back, if we have them.
+        """Stop and release the lease, if we hold it.
 
-        Never raises: where the bridge does not receive it, its own watch stops the rover.
+        Never raises: if the bridge does not receive it, its own timeout stops the rover.
         """
         if not self.lease.number:
             return
@@ -280,7 +281,7 @@ class Link:
         self._record(Recorded(name, spec(name).type, data, time.time_ns(), wall_ns))
 
     def close(self) -> None:
-        """Give the motors back and end the session."""
+        """Release the lease and end the session."""
         try:
             self.release()
         finally:
@@ -297,7 +298,7 @@ class Link:
         def receive(sample: zenoh.Sample) -> None:
             arrival = Arrival(sample.payload.to_bytes(), time.monotonic_ns(), time.time_ns())
             stamp_ns = header_stamp_ns(ros_type, arrival.data) or arrival.wall_ns
-            # Recorded first, so that a recording has all that its drive went by.
+            # Recorded first, so that a recording has all inputs of its drive.
             self._record(Recorded(name, ros_type, arrival.data, arrival.wall_ns, stamp_ns))
             if hand_on is not None:
                 hand_on(arrival)
@@ -305,7 +306,7 @@ class Link:
         return receive
 
     def _gate_spoke(self, arrival: Arrival) -> None:
-        # A word that cannot be read is no news: what it replaces still stands.
+        # An unreadable status is ignored: the previous one stays valid.
         with contextlib.suppress(FormatError):
             self.gate = parse_json(GateStatus, read_text(arrival.data))
 

@@ -1,4 +1,4 @@
-"""Samples on their way in: from bytes as they came to values with the moment of their measurement."""
+"""Decoding of samples: from received bytes to values with their measurement time."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from rover_ncp.core.messages import COURSE_FRAME, read_odometry, read_pose
 
 @dataclass(frozen=True)
 class Sample:
-    """Odometry in its own frame; its values may be anything, NaN included."""
+    """Odometry in its own frame; its values are not checked and may be NaN."""
 
     pose: Pose
     velocity: Velocity
@@ -36,7 +36,7 @@ class Intake:
         self.newest: Sample | None = None
         self.count = 0
         self.garbled = 0
-        """Samples whose bytes were no odometry."""
+        """Number of samples that could not be decoded."""
 
     def take(self, timeout_s: float) -> Sample | None:
         """Return the newest odometry not yet taken; wait for it at most ``timeout_s``."""
@@ -57,7 +57,7 @@ class Intake:
 
 @dataclass(frozen=True)
 class SeenPose:
-    """An external pose in the course's frame with its covariance (3, 3); its values may be anything."""
+    """An external pose in the course's frame with its covariance (3, 3); its values are not checked."""
 
     pose: Pose
     covariance: NDArray[np.float64]
@@ -95,14 +95,14 @@ class PoseIntake:
 
 @dataclass(frozen=True)
 class Turn:
-    """What the base's gyro said: its rate of turn in rad/s, whatever that may be."""
+    """A gyro reading: turn rate in rad/s, not checked."""
 
     rate: float
     ref: SampleRef
 
 
 class GyroIntake:
-    """Takes a gyro's readings out of an inbox; what cannot be read is as if it had not come."""
+    """Takes a gyro's readings out of an inbox; unreadable ones are ignored."""
 
     def __init__(self, inbox: Inbox) -> None:
         self._inbox = inbox
@@ -128,14 +128,14 @@ def middle(poses: Sequence[Pose]) -> Pose:
 
 
 class StillWatch:
-    """Says when the rover has stood still for long enough, by its odometry alone."""
+    """Detects when the rover has stood still for long enough, by its odometry alone."""
 
     def __init__(self, still_s: float, still_m: float, still_rad: float) -> None:
         self._still_ns, self._still_m, self._still_rad = round(still_s * NS), still_m, still_rad
         self._since: deque[Sample] = deque()
 
     def see(self, sample: Sample) -> bool:
-        """Take in odometry; True once nothing has moved for the whole time."""
+        """Add odometry; return True once nothing has moved for the whole time."""
         self._since.append(sample)
         while len(self._since) > 1 and not self._close(self._since[0].pose, sample.pose):
             self._since.popleft()

@@ -1,47 +1,47 @@
-"""The states of a drive, and what may follow what.
+"""The states of a drive and the transitions between them.
 
 Rules of this file:
 
 1. Everything that changes the state stands in `TRANSITIONS`, a row for every state and event.
 2. Only in DRIVING may a command other than zero leave this process.
-3. A fault wins over everything that is still going on.
+3. A fault overrides every state that is not final.
 4. PARKED, ENDED and FAULT are final: another drive is another process.
-5. Whatever cannot happen raises `Impossible`: it is a mistake in this program, not in the world.
+5. An event that cannot happen in a state raises `Impossible`: it is an error in this program.
 """
 
 from enum import Enum
 
 
 class State(Enum):
-    """Where a drive stands."""
+    """State of a drive."""
 
     WAITING = "waiting"
-    """For the bridge, for the right to command, and for odometry of a rover that stands still."""
+    """Waiting for the bridge, for the right to command, and for odometry of a rover that stands still."""
     ARMED = "armed"
-    """The start pose is known; the motors are being asked for."""
+    """The start pose is known; the driver requests the motors."""
     DRIVING = "driving"
     """The circuit drives, or in a dry run would."""
     PARKED = "parked"
-    """The time is over and the rover stands where it should."""
+    """The time is over and the rover is parked."""
     ENDED = "ended"
-    """Over without being parked: somewhere else, too early, or interrupted."""
+    """The drive ended and the rover is not parked: another place, too early, or interrupted."""
     FAULT = "fault"
     """A safety rule stopped the rover."""
 
 
 class Event(Enum):
-    """What moves a drive on."""
+    """Events that change the state of a drive."""
 
     READY = "ready"
     """Bridge, permission and steady odometry are there."""
     GRANTED = "granted"
-    """The motors are ours; in a dry run nobody is asked."""
+    """The driver holds the lease; in a dry run it makes no request."""
     PARKED = "judged parked"
     """The time is over; the estimate says parked."""
     NOT_PARKED = "judged not parked"
     """The time is over; the estimate says otherwise."""
     INTERRUPTED = "interrupted"
-    """Somebody asked for an end: Ctrl-C, SIGTERM."""
+    """A termination signal was received: Ctrl-C, SIGTERM."""
     FAULT = "fault"
     """A safety rule was broken, or a part of this program failed."""
 
@@ -77,7 +77,7 @@ TRANSITIONS: dict[State, dict[Event, State | None]] = {
         Event.INTERRUPTED: State.ENDED,
         Event.FAULT: State.FAULT,
     },
-    # A final state keeps: what comes while the motors are released and files closed changes no verdict.
+    # A final state stays: events while the lease is released and files are closed change no verdict.
     **{
         final: {
             Event.READY: _IMPOSSIBLE,

@@ -1,10 +1,9 @@
-"""Whether the rover does what it is told, as far as odometry can say.
+"""Whether the rover follows its commands, by odometry.
 
-Odometry that stands still while fresh samples keep coming, wheels that are blocked without the base noticing,
-a gate that holds the rover back: each looks like commands that nothing follows. Judged over a second of
-commands, after the time that the base's delay and acceleration take: 0.15 s and 0.5 s to full speed, or
-hardly any. A short burst of commands may be long over by the end of the longer time, so only what was asked
-for both ways counts.
+Frozen odometry, blocked wheels that the base does not notice, and a hold of the gate all look the same: the
+rover does not follow its commands. The check covers a second of commands, after the time for the base's delay
+and acceleration: 0.15 s and 0.5 s to full speed, or almost none. A short burst of commands may be over long
+before the end of the longer time, so only motion that was commanded under both assumptions counts.
 """
 
 from collections import deque
@@ -17,20 +16,20 @@ LAG_TICKS = round(0.7 / TICK_S)
 SHORTEST_LAG_TICKS = round(0.1 / TICK_S)
 ASKED_MIN_M = 0.05
 ASKED_MIN_RAD = 0.10
-"""Less than these, asked for within the window, may be lost in the base's whole mm/s and deg/s."""
+"""Commanded motion within the window below these may be lost in the base's whole mm/s and deg/s."""
 FOLLOWED_MIN = 0.1
-"""The share of it that must have been driven."""
+"""The share of the commanded motion that the rover must have driven."""
 
 
 class ResponseWatch:
-    """Takes in each tick's command and estimated motion."""
+    """Compares each tick's command with the estimated motion."""
 
     def __init__(self) -> None:
         self._asked: deque[Velocity] = deque(maxlen=WINDOW_TICKS + LAG_TICKS)
         self._driven: deque[Velocity] = deque(maxlen=WINDOW_TICKS)
 
     def tick(self, asked: Velocity, driven: Velocity) -> str:
-        """Return what is not followed, "" if all is well. ``driven`` is the motion before this command."""
+        """Return the motion that is missing, "" if none is. ``driven`` is the motion before this command."""
         self._driven.append(driven)
         complaint = ""
         if len(self._asked) == self._asked.maxlen:
@@ -43,6 +42,6 @@ class ResponseWatch:
                 )
                 got = sum(abs(getattr(motion, name)) for motion in self._driven) * TICK_S
                 if wanted >= least and got < FOLLOWED_MIN * wanted:
-                    complaint = f"{got:.3f} {unit} where {wanted:.3f} {unit} were asked for within a second"
+                    complaint = f"{got:.3f} {unit} where {wanted:.3f} {unit} were commanded within a second"
         self._asked.append(asked)
         return complaint

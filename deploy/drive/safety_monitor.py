@@ -1,4 +1,4 @@
-"""What everybody who drives waits for first, and what they look at before each command."""
+"""Safety checks of a driver: the conditions to start, and the checks before each command."""
 
 import time
 from collections.abc import Callable
@@ -14,7 +14,7 @@ POLL_S = 0.002
 
 
 class Interrupted(Exception):
-    """Somebody asked for an end."""
+    """A termination signal was received."""
 
 
 class Guard:
@@ -46,11 +46,11 @@ class Guard:
             raise NoRobot(f"the bridge at {link.robot} sends no odometry: is its base connected?")
 
     def granted(self) -> None:
-        """The motors are ours from now on; the gate has a while to confirm it."""
+        """Note that the lease is ours from now on; the gate has a limited time to confirm it."""
         self._granted_ns = self._clock.monotonic_ns()
 
     def check(self) -> None:
-        """Raise SafetyStop if a rule of safety is broken, Interrupted if somebody wants an end."""
+        """Raise SafetyStop if a safety rule is broken, Interrupted if a termination signal was received."""
         if self._interrupted():
             raise Interrupted
         if not self._link.bridge_alive:
@@ -68,9 +68,9 @@ class Guard:
         if gate.lease == self._link.lease.number:
             self._lease_seen = True
         elif self._lease_seen:
-            raise SafetyStop(gate.ended or "lease", "the gate took the motors away")
+            raise SafetyStop(gate.ended or "lease", "the gate revoked the lease")
         elif self._clock.monotonic_ns() - granted_ns > self._waits.lease_wait_s * NS:
-            raise SafetyStop("lease", "the gate does not confirm that we may drive")
+            raise SafetyStop("lease", "the gate does not confirm the lease")
         self._link.lease.check(gate, self._clock.monotonic_ns())
 
     def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:

@@ -1,4 +1,4 @@
-"""What the drive tells the world and its recording about each tick."""
+"""Messages that a drive publishes and records for each tick."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -42,7 +42,7 @@ class Reporter:
         self._views.start(wall_ns, Pose(*record.pose), odometry)
 
     def tick(self, record: TickRecord, estimate: Estimate, tick: Tick | None) -> None:
-        """Tell where the rover is, and what the circuit was like if it was asked."""
+        """Publish the estimate, and the potentials if the circuit ran."""
         self._note(TICKS_TOPIC, dump_json(record), record.wall_ns)
         self._link.publish("rover/estimate", estimate_message(estimate, record.wall_ns), record.wall_ns)
         if tick is not None:
@@ -50,11 +50,11 @@ class Reporter:
         self._views.tick(record.wall_ns, estimate.pose, None if tick is None else tick.potentials)
 
     def finish(self) -> None:
-        """Record what can be told only of a whole drive."""
+        """Record the messages that need the whole drive."""
         self._views.finish()
 
     def status(self, status: DriverStatus) -> None:
-        """Tell how the drive stands."""
+        """Publish the drive's status."""
         self._link.publish("rover/status", text(dump_json(status).decode()), self._clock.time_ns())
 
     def _note(self, topic: str, json: bytes, wall_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""How the driver's Zenoh session is set up. Values are measured; see the notes beside them."""
+"""Configuration of the driver's Zenoh session. Values are measured; see the comments beside them."""
 
 import json
 import re
@@ -48,7 +48,7 @@ def locator(robot: str) -> str:
 
 
 def refused(endpoint: str) -> UnreachableError:
-    """Return why no session came about there, as far as it can be seen from outside."""
+    """Return the error for a failed session, as far as its cause shows from outside."""
     match = _LOCATOR.fullmatch(endpoint)
     assert match is not None  # or there would have been no session to open
     try:
@@ -59,7 +59,7 @@ def refused(endpoint: str) -> UnreachableError:
             f"nothing answers at {endpoint}: is 'rover-ncp bridge' running there, listening on that address?"
         )
     return NotAuthorised(
-        f"not authorised: what listens at {endpoint} takes no session from us; it may want a certificate, "
+        f"not authorised: the process at {endpoint} accepts no session from us; it may want a certificate, "
         "user and password (--zenoh-config, see 'rover-ncp keys'), or is no bridge, or hangs"
     )
 

@@ -1,4 +1,4 @@
-"""Where the rover is on its course: dead reckoning whose errors are states, corrected from outside.
+"""The rover's pose on its course: dead reckoning whose errors are states, corrected by external poses.
 
 Rules of this file:
 
@@ -7,7 +7,7 @@ Rules of this file:
    same step turned, but for its bias.
 2. An external pose belongs to the moment at which it was measured. One that comes late is put where it
    belongs in a short history, and what came after is applied again; one that is newer than odometry waits.
-3. Whether a pose is believed is decided once, when it is first weighed: by its NIS.
+3. A pose is accepted or rejected once, when it is first evaluated: by its NIS.
 
 State: x, y, θ in the course's frame, the turn δ of the last step, and the errors of odometry: ``scale`` of
 distances, ``skid`` of turns, ``pull`` in rad per m, ``drift`` in rad/s; then the gyro's ``bias`` in rad/s.
@@ -31,13 +31,13 @@ X, Y, THETA, TURN, SCALE, SKID, PULL, DRIFT, BIAS = range(9)
 SIZE = 9
 POSE = slice(X, TURN)
 WAITING_MAX = 100
-"""Poses that wait for odometry; more than this and something is wrong with their stamps."""
+"""Most poses that wait for odometry; with more than this, their stamps are wrong."""
 
 Array = NDArray[np.float64]
 
 
 class Moment(NamedTuple):
-    """What the base knew at ``t``: its odometry, and how far its gyro has turned (rad; NaN without)."""
+    """The base's measurements at ``t``: its odometry, and the angle of its gyro (rad; NaN without)."""
 
     t: float
     odometry: Pose
@@ -54,7 +54,7 @@ class Seen(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """A moment of the history: what was taken in, and the state after it."""
+    """A moment of the history: the measurement, and the state after it."""
 
     moment: Moment
     seen: Seen | None
@@ -86,11 +86,11 @@ class CourseFilter:
         self._resolution = np.diag([s.position_m**2, s.position_m**2, s.heading_rad**2])
         self._history = [_Entry(moment, None, x, P)]
         self._fresh = 1
-        """So many entries know of all that was put before them; the others are applied again when needed, so
-        that many late poses at once cost hardly more than one."""
+        """Number of entries that include all earlier ones. The others are applied again when needed, so many
+        late poses at once cost little more than one."""
         self._waiting: list[Seen] = []
         self.nis = 0.0
-        """Normalised innovation squared of the last pose that was weighed."""
+        """Normalised innovation squared of the last evaluated pose."""
 
     @property
     def moment(self) -> Moment:
@@ -98,7 +98,7 @@ class CourseFilter:
         return self._history[-1].moment
 
     def odometry(self, moment: Moment) -> list[Outcome]:
-        """Move to a later moment; return what became of the poses that waited for it."""
+        """Move to a later moment; return the outcomes of the poses that waited for it."""
         self._apply_again(len(self._history))
         self._history.append(self._entered(self._history[-1], moment, None))
         self._fresh += 1
@@ -114,7 +114,7 @@ class CourseFilter:
         return outcomes
 
     def pose(self, seen: Seen) -> Outcome:
-        """Take in an external pose where it belongs, unless it cannot be."""
+        """Apply an external pose at its moment, unless it is rejected."""
         if seen.t > self.moment.t:
             if len(self._waiting) >= WAITING_MAX:
                 return Outcome.TOO_OLD
@@ -172,7 +172,7 @@ class CourseFilter:
         return _Entry(moment, seen, ekf.x.copy(), ekf.P.copy())
 
     def seen(self, pose: Pose, covariance: Array, t: float) -> Seen:
-        """Return an external pose as it is weighed: what odometry cannot resolve makes it less sure."""
+        """Return an external pose as it is evaluated: odometry's resolution adds to its covariance."""
         return Seen(t, np.array(pose), covariance + self._resolution)
 
     def _step(self, x: Array, way: Pose, dt: float) -> tuple[Array, Array, Array]:

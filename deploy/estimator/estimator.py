@@ -1,15 +1,15 @@
-"""Where the rover is, from odometry, a gyro where there is one, and external poses when they come.
+"""Pose estimate from odometry, an optional gyro and optional external poses.
 
 Rules of this file:
 
-1. The filters are seeded once, by `Estimator.start`, and never again. What does not fit is refused; refused
-   too often in a row is a fault, which stays.
+1. The filters are seeded once, by `Estimator.start`, and never again. Measurements that do not fit are
+   rejected; too many rejections in a row are a fault, which stays.
 2. Nothing that is not finite reaches a filter.
-3. Asking where the rover is (`Estimator.at`) changes nothing.
+3. Reading the estimate (`Estimator.at`) changes nothing.
 
 Two extended Kalman filters, one after the other: `odometry_filter` follows what the base reports in
-odometry's own frame, refuses jumps and bridges gaps; `course_filter` carries that onto the course, knows how
-wrong odometry may be, and lets external poses and a gyro correct it.
+odometry's own frame, rejects jumps and bridges gaps; `course_filter` transforms that into the course's frame,
+models the errors of odometry, and corrects them with external poses and a gyro.
 """
 
 import math
@@ -26,7 +26,7 @@ from rover_ncp.core.geometry import Pose, Velocity
 Array = NDArray[np.float64]
 
 GYRO_GAP_S = 0.25
-"""A gyro silent for longer than this says nothing of the turn since."""
+"""After a longer gap, a gyro gives no turn for the time of the gap."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ class _Gyro:
         self._t, self._rate = t, rate
 
     def angle(self, t: float) -> float:
-        """Return the angle at ``t``, NaN where nothing is known, and once after each gap.
+        """Return the angle at ``t``, NaN where it is unknown, and once after each gap.
 
-        So what is known before a gap and what is known after it are never held against each other.
+        So angles before and after a gap are never compared.
         """
         if self._torn or abs(t - self._t) > GYRO_GAP_S:
             self._torn = abs(t - self._t) > GYRO_GAP_S
@@ -76,9 +76,9 @@ class Estimator:
         self.rejected = 0
         """Odometry samples refused so far."""
         self.poses = dict.fromkeys(Outcome, 0)
-        """What became of the external poses; those that wait are counted again when they are weighed."""
+        """Outcomes of the external poses; waiting ones are counted again when they are evaluated."""
         self.fault = ""
-        """Why the estimate can no longer be trusted; empty while it can."""
+        """Fault of the estimate; empty without one."""
         self.fault_rule = ""
         """The safety rule of that fault: estimator, or external-pose."""
         self._in_a_row = self._poses_in_a_row = 0
@@ -88,8 +88,8 @@ class Estimator:
     ) -> None:
         """Seed the filters, once: the rover stands at ``pose`` (course frame) at time ``t``.
 
-        ``odometry`` is where its own odometry believes to be, the same if it is not said. ``covariance``
-        (3, 3) says how sure the pose is; by default it defines the course's frame, and so is exact.
+        ``odometry`` is the pose in odometry's own frame, by default the same. ``covariance`` (3, 3) is that
+        of ``pose``; by default the pose defines the course's frame, and so is exact.
         """
         if self._odometry is not None:
             raise RuntimeError("the estimator is seeded once and never again")
@@ -109,7 +109,7 @@ class Estimator:
 
     @property
     def pose_nis(self) -> float:
-        """The same of the last external pose that was weighed."""
+        """The same of the last evaluated external pose."""
         return self._course.nis
 
     def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
@@ -135,7 +135,7 @@ class Estimator:
     def external(self, pose: Pose, covariance: Array, t: float) -> Outcome:
         """Take in a pose (course frame) that was measured from outside at ``t``, however late it comes.
 
-        ``covariance`` (3, 3) is that of (x, y, θ); a variance of 0 is one that nobody knows.
+        ``covariance`` (3, 3) is that of (x, y, θ); a variance of 0 means unknown.
         """
         noise = self._spread(covariance)
         if noise is None or not all(map(math.isfinite, (*pose, t))):
@@ -169,7 +169,7 @@ class Estimator:
         return self._odometry
 
     def _spread(self, covariance: Array) -> Array | None:
-        """Return a covariance with what nobody knows filled in; None if it is none."""
+        """Return a covariance with unknown variances filled in; None if it is invalid."""
         spread = np.array(covariance, dtype=np.float64)
         if not np.isfinite(spread).all() or (np.diag(spread) < 0).any():
             return None

@@ -1,10 +1,10 @@
-"""How the base moves by its own odometry: an extended Kalman filter with a gate before it.
+"""Motion of the base by its own odometry: an extended Kalman filter with a gate before it.
 
 The state is (x, y, θ, v, ω) in odometry's frame. Between measurements v and ω stay as they are but for
 white noise in the two accelerations; the noise is chosen so that one tick at the base's full acceleration
 (0.31 m/s², 1.25 rad/s²) is one standard deviation. Encoders resolve 1 mm and 0.09°, far finer than that, so
-the filter follows odometry almost without lag, bridges missing samples, and refuses impossible ones: a
-circuit trained on exact poses must not be shown late ones.
+the filter follows odometry almost without lag, bridges missing samples, and rejects impossible ones: a
+circuit trained on exact poses must not get late ones.
 """
 
 import math
@@ -47,18 +47,18 @@ class OdometryFilter:
         self._filter.x = np.array([pose.x, pose.y, wrap_angle(pose.theta), 0.0, 0.0])
         self._filter.P = self._noise.copy()
         self.t = t
-        """Of the last measurement that was weighed."""
+        """Of the last evaluated measurement."""
         self.nis = 0.0
         """Normalised innovation squared of the last finite measurement."""
 
     @property
     def pose(self) -> Pose:
-        """Where the base is in odometry's frame at ``t``."""
+        """The pose in odometry's frame at ``t``."""
         x, y, theta = self._filter.x[:V].tolist()
         return Pose(x, y, theta)
 
     def measure(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
-        """Take in what odometry said at ``t``, unless it cannot be."""
+        """Apply an odometry sample of ``t``, unless it is rejected."""
         z = np.array([*pose, *velocity])
         if not (np.isfinite(z).all() and math.isfinite(t)):
             return Outcome.NOT_FINITE

@@ -1,4 +1,4 @@
-"""Noises and limits of the estimator's two filters, and what may become of a measurement."""
+"""Noises and limits of the estimator's two filters, and the outcomes of a measurement."""
 
 from enum import Enum
 
@@ -8,7 +8,7 @@ from rover_ncp.core.config import StrictModel
 
 
 class EstimatorSettings(StrictModel):
-    """SI units. How wrong odometry may be is that of a base nobody measured (standard deviations)."""
+    """SI units. The errors of odometry are those of an unmeasured base (standard deviations)."""
 
     position_m: float = Field(default=0.0005, gt=0, description="odometry, position: steps of 1 mm")
     heading_rad: float = Field(default=0.0007, gt=0, description="odometry, heading: steps of 0.09°")
@@ -30,7 +30,7 @@ class EstimatorSettings(StrictModel):
     gyro_bias_rad_s: float = Field(default=0.2, gt=0, description="what a gyro at rest may say")
     gyro_rad: float = Field(default=0.0007, gt=0, description="a gyro, the turn of one step of 0.1 s")
 
-    pose_m: float = Field(default=0.02, gt=0, description="external pose that does not say how sure it is")
+    pose_m: float = Field(default=0.02, gt=0, description="external pose without a covariance")
     pose_rad: float = Field(default=0.035, gt=0)
     pose_gate: float = Field(default=21.11, gt=0, description="largest NIS: 1 in 10,000 with 3 degrees")
     poses_rejected_in_a_row: int = Field(default=5, ge=1, description="so many are a fault")
@@ -38,7 +38,7 @@ class EstimatorSettings(StrictModel):
 
 
 class Outcome(Enum):
-    """What became of a measurement."""
+    """Outcome of a measurement."""
 
     ACCEPTED = "accepted"
     OUTLIER = "outlier"

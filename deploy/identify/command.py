@@ -50,11 +50,11 @@ def identify(
         rover-ncp eval course --trials 300 --randomize full --profile mine.yaml
         rover-ncp deploy --robot tcp/192.168.1.20 --policy course --profile mine.yaml
 
-    Gains are those that odometry sees. If something publishes 'pose' meanwhile, they are told apart from
-    odometry's own errors, and slip and imbalance are found too.
+    Gains are those that odometry sees. With external poses on 'pose' during the drive, gains are separated
+    from odometry's own errors, and slip and imbalance are found too.
 
-    Ends with 0, 1 when a delay or gain could not be told, 3 no bridge, no robot, not authorised or another
-    driver, 4 stopped by a safety rule, which is named, 130 Ctrl-C.
+    Ends with 0, 1 when a delay or gain could not be determined, 3 no bridge, no robot, not authorised or
+    another driver, 4 stopped by a safety rule, which is named, 130 Ctrl-C.
     """
     from deploy.identify.run import Options, run
 

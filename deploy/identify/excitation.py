@@ -1,9 +1,10 @@
-"""A short drive that shows what a base makes of commands: steps forward and back, left and right, and rests.
+"""A short excitation drive: steps forward and back, left and right, with rests between them.
 
 Rules of this file:
 
 1. It stays within a circle around its start: one step farther than it should, and it stops for good.
-2. What stops a drive stops it: `Guard` looks before each command, and every way out gives the motors back.
+2. It stops for the same reasons as a drive: `Guard` checks before each command, and every exit releases the
+   lease.
 3. Steps are whole mm/s and deg/s, which a Pioneer takes as they are; they last no whole number of reports, so
    that reports fall on all parts of a ramp.
 """
@@ -23,7 +24,7 @@ FENCE_M = 0.8
 """How far from its start the rover may come; the steps take it half as far."""
 PERIOD_S = 0.05
 BRAKE_M_S2 = 0.2
-"""How hard a base is sure to brake, and after which delay: what the fence reckons with."""
+"""Least deceleration of a base and its delay; the fence assumes them."""
 REACT_S = 0.4
 
 _SPEEDS_M_S = (0.150, -0.150, 0.200, -0.200, 0.100, -0.100)
@@ -55,7 +56,7 @@ def excite(link: Link, intake: Intake, guard: Guard, fence_m: float, clock: Cloc
     """Drive the steps, with the motors from the first to the last.
 
     Raises SafetyStop (``geofence``, or what the guard finds), Interrupted, AnotherDriver, NotAuthorised or
-    NoBridge; the motors are given back whatever comes.
+    NoBridge; the lease is always released.
     """
     assert intake.newest is not None  # the guard waited for odometry
     start = intake.newest.pose

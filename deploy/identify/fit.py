@@ -22,13 +22,13 @@ FloatArray = NDArray[np.float64]
 
 STANDING_M_S, STANDING_RAD_S = 0.004, 0.006
 STANDING_S = 0.35
-"""So long the rover stands before its pose counts, and at least so long after."""
+"""The rover stands this long before its pose is used, and at least this long after."""
 STEP_M, STEP_RAD = 0.001, math.tau / 4096
-"""What positions and headings are rounded to."""
+"""Resolution of positions and headings."""
 LEAST_NOISE_SAMPLES = 20
 
 SCALE_STD = 0.0173
-"""Of odometry's scales when no external pose tells them: ±3 %, evenly spread, as for the estimator."""
+"""Of odometry's scales without external poses: ±3 %, evenly spread, as for the estimator."""
 SLIP_STD_S = 0.17
 """Of the slip of a turn: 0 to 0.3 s, evenly spread (preset `harsh`), about 0."""
 
@@ -55,7 +55,7 @@ class _Value(NamedTuple):
 
 
 def identify(log: MotionLog, name: str) -> RoverProfile:
-    """Return the profile of the base that a record is of; what it does not tell well enough is None."""
+    """Return the base's profile from a record; a value that is not known well enough is None."""
     measured: dict[str, Any] = {
         "samples": len(log.odometry.t),
         "seconds": round(float(log.odometry.t[-1]), 1),

@@ -1,4 +1,4 @@
-"""What a drive says of its base: commands that reached it, odometry, external poses, as arrays.
+"""The motion record of a drive as arrays: commands that reached the base, odometry, external poses.
 
 All come from the messages as they were published, by their stamps: both the commands that the gate let
 through (``rover/cmd_out``) and odometry bear the bridge's clock.
@@ -19,7 +19,7 @@ from rover_ncp.core.recording import Recorded
 FloatArray = NDArray[np.float64]
 
 _LEAST = 50
-"""Odometry samples; from fewer nothing can be said."""
+"""Least number of odometry samples for a fit."""
 _LAG = 40
 """Reports over whose time the cycle is first estimated: one that is late matters little then."""
 
@@ -46,7 +46,7 @@ class MotionLog(NamedTuple):
 
 
 def motion_log(messages: Iterable[Recorded]) -> MotionLog:
-    """Read a drive's messages. Raises FileError when they do not say enough; what is garbled is left out."""
+    """Read a drive's messages; skip malformed ones. Raises FileError when there are too few."""
     sent, odometry, external = [], [], []
     for message in messages:
         try:
@@ -65,7 +65,7 @@ def motion_log(messages: Iterable[Recorded]) -> MotionLog:
     if len(odometry) < _LEAST or not sent:
         raise FileError(
             f"nothing can be identified from {len(odometry)} odometry samples and {len(sent)} commands "
-            f"(at least {_LEAST} samples, and what the gate let through on rover/cmd_out)"
+            f"(at least {_LEAST} samples, and the commands that the gate passed, on rover/cmd_out)"
         )
     zero_ns = odometry[0][0]
     commands, samples = _table(sent, zero_ns, 3), _table(odometry, zero_ns, 6)

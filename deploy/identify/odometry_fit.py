@@ -1,6 +1,6 @@
-"""Errors of odometry, from where the rover stood by it and by external poses.
+"""Errors of odometry, from its poses of a standing rover and external poses.
 
-Only poses of a standing rover are compared, so that no clock matters. Way and turn between one stand and the
+Only poses of a standing rover are compared, so clocks do not matter. Way and turn between one stand and the
 next have the noise of both stands' means in them, which the next interval shares: the fits are generalised
 least squares with that covariance. A push between two stands is an outlier: its interval is left out.
 """
@@ -26,7 +26,7 @@ LEAST_POSES = 3
 PUSHED = float(norm.isf(0.0005))
 """An interval whose standardised residual is larger was disturbed: two in 1000 by chance, of two sides."""
 PLAUSIBLE = 0.5, 2.0
-"""Scales of odometry; external poses that ask for others belong to something else."""
+"""Plausible scales of odometry; external poses that give others belong to another object."""
 SLIP_MAX_S = 3.0
 
 

@@ -40,12 +40,12 @@ class Options:
 
 
 def run(options: Options, output: Output) -> int:
-    """Identify, and return the exit code: 1 when delays or gains could not be told.
+    """Identify, and return the exit code: 1 when delays or gains could not be determined.
 
-    Raises RoverNcpError for what kept it from that; a rover that was driven was stopped before.
+    Raises RoverNcpError on failure; a rover that was driven was stopped before.
     """
     if (options.recording is None) == (options.robot is None):
-        raise UsageError("say --robot to drive one, or a recording of a drive: one of the two")
+        raise UsageError("expected either --robot to drive one, or a recording of a drive")
     require_writable(options.out)
     if options.recording is not None:
         if options.record is not None:
@@ -66,7 +66,7 @@ def run(options: Options, output: Output) -> int:
 
 
 def _driven(options: Options, robot: str, output: Output) -> list[Recorded]:
-    """Drive a robot, and return all that was heard. Raises KeyboardInterrupt when somebody wants an end."""
+    """Drive a robot, and return all received messages. Raises KeyboardInterrupt on a termination signal."""
     heard: list[Recorded] = []
     tape = Tape(options.record, overwrite=options.overwrite)
 

@@ -27,11 +27,11 @@ def check(
         bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")
     ] = False,
 ) -> int:
-    """Look a robot over before it drives: on blocks, its wheels free.
+    """Check a robot before it drives: on blocks, its wheels free.
 
-    Looks at odometry, battery, stop button and bumpers, takes the motors, turns the wheels forward and then
-    left for a moment and holds what the robot reports against what it was told, and ends with a rehearsal of
-    the stop: it falls silent and measures how long the wheels go on. Ends with 0 for yes, 1 for no, with the
+    Checks odometry, battery, stop button and bumpers and takes the motors. Turns the wheels forward and then
+    left for a moment and compares the reported motion with the commands. Ends with a test of the stop: it
+    sends no more commands and measures how long the wheels go on. Ends with 0 for yes, 1 for no, with the
     reason.
     """
     if not on_blocks:

@@ -1,7 +1,7 @@
-"""The pre-flight of a robot on blocks: is everything there, does it turn the right way, does silence stop it?
+"""Pre-flight check of a robot on blocks: sensors, direction of motion, stop without commands.
 
-Each look is a function that returns whether all is well, and what it found. The first that fails ends the
-list: later ones would fail for the same cause. The wheels move at walking pace for a few seconds.
+Each check is a function that returns whether it passed, and its finding. The first that fails ends the list:
+later ones would fail for the same cause. The wheels move at walking pace for a few seconds.
 """
 
 import math
@@ -24,9 +24,9 @@ MOVE_S, PERIOD_S = 1.5, 0.05
 RATE_HZ, LISTEN_S = 8.0, 2.0
 """A base reports ten times a second; fewer than eight, and packets are lost."""
 BATTERY_V = 11.5
-"""Where the base's own alarm comes (Pioneer manual); below it a drive may end in the middle."""
+"""The base's own alarm level (Pioneer manual); below it a drive may end in the middle."""
 STOP_S = 0.5
-"""The first safety requirement; what braking and the next report take comes on top."""
+"""The first safety requirement; braking and the time to the next report come on top."""
 BRAKING_S, REPORT_S = 0.15 + V_M_S / 0.3, 0.1
 SCALE = 0.15
 """How far the way by the pose and the way by the speed may differ, as a share."""
@@ -35,7 +35,7 @@ STANDING = 0.01
 
 @dataclass(frozen=True)
 class Finding:
-    """What one look found."""
+    """Result of one check."""
 
     name: str
     ok: bool
@@ -43,14 +43,14 @@ class Finding:
 
 
 class Preflight:
-    """Looks at one robot. However it ends, the motors are given back."""
+    """Checks one robot. At every end, the lease is released."""
 
     def __init__(self) -> None:
         self._battery_v = math.nan
         self._intake: Intake | None = None
 
     def record(self, message: Recorded) -> None:
-        """Take what the link hears; meant as its recorder."""
+        """Receive the link's messages, as its recorder."""
         if message.topic == "battery_state":
             try:
                 self._battery_v = decode(spec("battery_state").type, message.data).voltage
@@ -58,7 +58,7 @@ class Preflight:
                 self._battery_v = math.nan
 
     def run(self, link: Link) -> list[Finding]:
-        """Look at everything, in this order. Raises NoBridge when there is none."""
+        """Run all checks, in this order. Raises NoBridge when there is none."""
         self._link = link
         if not self._until(lambda: link.bridge_alive, 5.0):
             raise NoBridge(f"something answers at {link.robot}, but no bridge shows itself there within 5 s")
@@ -132,7 +132,7 @@ class Preflight:
         return right, moved if right else f"{moved}: {self._gate_since(gate)}"
 
     def _stop(self) -> tuple[bool, str]:
-        """Rehearse the stop that matters most: nobody says anything any more."""
+        """Test the most important stop: no commands arrive any more."""
         self._move(Velocity(V_M_S, 0.0))
         silent = time.monotonic()
         allowed = STOP_S + BRAKING_S + REPORT_S
@@ -143,7 +143,7 @@ class Preflight:
         return ok, f"{words} (at most {allowed:.2f} s)"
 
     def _gate_since(self, before: GateStatus) -> str:
-        """Return in words what the gate did to commands since ``before``, by the gate's names for reasons."""
+        """Return a text on what the gate did to commands since ``before``, with its reasons."""
         gate = self._link.gate
         words = []
         if reason := gate.held or gate.ended:

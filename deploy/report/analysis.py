@@ -1,4 +1,4 @@
-"""All that one run tells about its circuit, in one value: what tables, pictures and pages are made of."""
+"""Analysis of one run's circuit in one value; tables, pictures and pages use it."""
 
 from dataclasses import dataclass
 
@@ -45,7 +45,7 @@ class Analysis:
 def analyse(trace: Trace, threshold: float = THRESHOLD) -> Analysis:
     """Explain a run. The policy's outputs must be v and omega."""
     explanations = explain(trace)
-    moving = [told.phase for told in explanations if any(told.phase.signs)]
+    moving = [each.phase for each in explanations if any(each.phase.signs)]
     potentials = trace.potentials
     driving = potentials[moving[0].first : moving[-1].last] if moving else potentials[:1]
     return Analysis(

@@ -15,7 +15,7 @@ PICTURES = (".png", ".svg")
 
 
 class What(StrEnum):
-    """What to do with a course."""
+    """Actions on a course."""
 
     NEW = "new"
     CHECK = "check"
@@ -41,11 +41,11 @@ def course(
     ] = None,
     json: Json = False,
 ) -> int:
-    """Make a course of your own, or say whether one can be driven, where not, and why.
+    """Make a course, or check whether one can be driven, with place and reason if not.
 
     new takes the poses to drive through, or a drive that was recorded with 'rover-ncp teleop' or 'rover-ncp
     deploy', makes the first pose the origin and chooses deadlines that the motors (0.16 m/s, 0.18 rad/s) can
-    meet. check holds any course against the motors, the rover's size and what stands in its way.
+    meet. check compares any course with the motors, the rover's size and the obstacles.
 
         rover-ncp course new poses.csv --out mine.yaml
         rover-ncp course check mine.yaml --out mine.png

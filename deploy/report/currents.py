@@ -1,7 +1,7 @@
-"""What every synapse does to its neuron at every moment of a run: its current, and its pull in mV.
+"""Effect of every synapse on its neuron at every moment of a run: its current, and its pull in mV.
 
 A current alone misleads: as a neuron rises, the excitation that lifts it gets weaker. The pull of a synapse
-asks what would be without it. At potentials held for the moment, neuron i heads for
+compares with the circuit without it. At potentials held for the moment, neuron i heads for
 
     V_i = (G_i E_L,i + sum_k g_k E_k) / (G_i + sum_k g_k)
 
@@ -33,7 +33,7 @@ class Currents:
 
 
 def synapse_currents(circuit: Circuit, potentials: FloatArray) -> Currents:
-    """Return what the synapses did at potentials (T, n) in mV."""
+    """Return the currents and pulls of the synapses at potentials (T, n) in mV."""
     conductance = np.array([conductances(circuit, row) for row in potentials])
     chemical = np.array([REVERSAL_MV.get(SynapseKind(kind), 0.0) for kind in circuit.kind])
     reversal = np.where(circuit.chemical, chemical, potentials[:, circuit.source])

@@ -1,4 +1,4 @@
-"""What happened in a drive, read off the changing words of driver and gate."""
+"""Events of a drive, from changes in the status of driver and gate."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ class Event(NamedTuple):
 
 
 class Watcher:
-    """Compares each word with the one before and notes what is new."""
+    """Compares each status with the one before and notes the changes."""
 
     def __init__(self) -> None:
         self.status: DriverStatus | None = None
@@ -38,11 +38,11 @@ class Watcher:
         # Before its first command a rover is held by design.
         if now.held and now.held != before.held and now.accepted:
             words = f": {now.stop_reason}" if now.stop_reason else ""
-            self.events.append(Event(wall_ns, "stop", f"the gate holds the rover still, {now.held}{words}"))
+            self.events.append(Event(wall_ns, "stop", f"the gate holds the rover, {now.held}{words}"))
         if before.held and not now.held and before.accepted:
-            self.events.append(Event(wall_ns, "gate", "the gate lets commands through again"))
+            self.events.append(Event(wall_ns, "gate", "the gate passes commands again"))
         if now.ended and now.ended != before.ended:
-            self.events.append(Event(wall_ns, "stop", f"the gate took the motors away, {now.ended}"))
+            self.events.append(Event(wall_ns, "stop", f"the gate revoked the lease, {now.ended}"))
         for what, then, counts in (
             ("dropped a command", before.dropped, now.dropped),
             ("limited a command", before.limited, now.limited),

@@ -1,9 +1,9 @@
-"""What a run tells about a circuit: who contributes to whom, and how fast each neuron is.
+"""Analysis of a run: contributions between neurons, and the time constant of each neuron.
 
 Contributions follow Definition 1 of Hasani et al. (ICRA 2020): two potentials a(t) and b(t) draw a curve in
 the plane (a, b); the slopes between its consecutive points, as angles Omega = arctan(db / da), say whether b
-goes with a or against it. Where a stands still and b moves the slope is vertical, and its sign is that of b's
-movement: such points tell little of a's influence, so they are counted apart as well.
+goes with a or against it. Where a is constant and b moves, the slope is vertical, and its sign is that of b's
+movement. Such points give little evidence of a's influence, so they are also counted apart.
 """
 
 from collections.abc import Sequence
@@ -35,12 +35,12 @@ class Sign(StrEnum):
     ANTAGONISTIC = "antagonistic"
     PHASE_SWITCHING = "phase-switching"
     NONE = "none"
-    """Nothing ever moved up or down: the run says nothing."""
+    """No potential moved up or down: the run gives no evidence."""
 
 
 @dataclass(frozen=True)
 class Contribution:
-    """What a run says about the contribution of ``source`` to ``destination``."""
+    """Contribution of ``source`` to ``destination`` in a run."""
 
     source: str
     destination: str

@@ -1,4 +1,4 @@
-"""Where a drawing of a circuit puts its neurons and synapses, the same for pictures and pages.
+"""Layout of a circuit's drawing, for pictures and pages.
 
 Neurons stand in four rows: sensory, inter, command (what feeds a motor neuron) and motor. Within a row they
 are ordered so that synapses cross little; a synapse is a quadratic curve, bent where a straight line would
@@ -25,7 +25,7 @@ MARGIN = 60.0
 BENDS = (0.0, 0.08, -0.08, 0.15, -0.15, 0.25, -0.25, 0.4, -0.4)
 """How far a curve's middle may lie beside the straight line, in lengths of the line."""
 CLEAR = RADIUS + 12.0
-"""Nearer to a neuron's centre a foreign synapse would be taken for one of its own."""
+"""Nearer to a neuron's centre, a foreign synapse would look like one of its own."""
 SAMPLES = np.linspace(0.0, 1.0, 17)
 
 
@@ -80,7 +80,7 @@ def layers(policy: Policy) -> tuple[Layer, ...]:
 
 
 def labels(policy: Policy) -> dict[str, str]:
-    """Return what sensory neurons sense and what motor neurons do, as in ``omega > 0``."""
+    """Return the inputs of sensory neurons and the outputs of motor neurons, as in ``omega > 0``."""
     return {
         neuron: channel.name if len(channel.sides) == 1 else f"{channel.name} {'>' if end > 0 else '<'} 0"
         for channel in (*policy.sensing.channels, *policy.motors.channels)

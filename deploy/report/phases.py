@@ -1,4 +1,4 @@
-"""The phases of a manoeuvre: when the rover drove straight, turned or stood, as its commands say.
+"""The phases of a manoeuvre: driving straight, turning or standing, by the rover's commands.
 
 A tick is labelled by the signs of its command, where a command below a tenth of the circuit's reach is none;
 phases shorter than half a second belong to their longer neighbour.

@@ -1,4 +1,4 @@
-"""What Hasani et al. (ICRA 2020) report of their parking circuit, to put ours beside it."""
+"""Published results of the parking circuit of Hasani et al. (ICRA 2020), for comparison."""
 
 from deploy.report.interpretation import Sign
 
@@ -12,7 +12,7 @@ CONTRIBUTIONS: dict[tuple[str, str], Sign] = {
     ("DVA", "RGT"): Sign.PHASE_SWITCHING,
     ("AVB", "RGT"): Sign.PHASE_SWITCHING,
 }
-"""To the right-turn neuron (section VI and supplement); of ALM it says nothing."""
+"""To the right-turn neuron (section VI and supplement); none are published for ALM."""
 
 TIME_CONSTANTS_S: dict[str, tuple[float, float]] = {
     "DVA": (0.066, 0.17),

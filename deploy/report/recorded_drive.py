@@ -1,4 +1,4 @@
-"""A recording as a report needs it: its own policy and course, its settings, and the drive."""
+"""A recording for a report: its policy and course, its settings, and the drive."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ from rover_ncp.core.recording import Recording, read_recording
 
 @dataclass(frozen=True)
 class Judged:
-    """How a drive ended, and by which pose that was judged: ``true`` or ``estimated``."""
+    """Verdict on a drive, and the pose that it is based on: ``true`` or ``estimated``."""
 
     verdict: Verdict
     by: str
@@ -54,7 +54,7 @@ def read_drive(path: Path) -> Drive:
 
 
 def judge(timeline: Timeline) -> tuple[Judged, ...]:
-    """Judge a drive by the true pose if it is known, and by the estimate; contact is the gate's to tell."""
+    """Judge a drive by the true pose if it is known, and by the estimate; the gate reports contacts."""
     began = timeline.ticks[0].wall_ns
     course, found = timeline.course, []
     until_ns = began + round((course.horizon_s + TICK_S) * 1e9)

@@ -1,4 +1,4 @@
-"""A sentence for each phase of a manoeuvre: which neurons did it, and which did that to them.
+"""A sentence for each phase of a manoeuvre: the neurons that caused it, and those that drove them.
 
 All from the run's numbers. A phase is explained backwards from its output: the motor neuron that gives most
 of it, the neuron whose synapse pulls most on that one, and the synapses that pull most on that in turn.
@@ -23,9 +23,9 @@ FloatArray = NDArray[np.float64]
 
 V, OMEGA = 0, 1
 LEAST_MV = 1.0
-"""A weaker pull is not worth a word,"""
+"""A weaker pull is left out,"""
 LEAST_SHARE = 0.15
-"""nor is one that is small beside the strongest."""
+"""and so is one that is small beside the strongest."""
 MOST = 2
 """Neurons named on either side."""
 LEAST_CHANGE_MV = 3.0
@@ -59,7 +59,7 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why the rover did what it did in one phase; all in mV are means over the phase."""
+    """Explanation of the rover's motion in one phase; values in mV are means over the phase."""
 
     phase: Phase
     motor: Level
@@ -186,33 +186,40 @@ class _Words:
     """Puts an explanation's numbers into words."""
 
     def __init__(self, policy: Policy) -> None:
-        told = labels(policy)
-        self._senses = {neuron: told[neuron] for neuron in policy.sensing.neurons}
+        meanings = labels(policy)
+        self._senses = {neuron: meanings[neuron] for neuron in policy.sensing.neurons}
 
-    def text(self, told: Explanation) -> str:
+    def text(self, explained: Explanation) -> str:
         """Return the sentence, or two."""
-        parts = [f"{self._head(told.phase)}: "]
-        motor = f"{told.motor.neuron} at {_mv(told.motor.mean_mV)}"
-        if told.by_leak:
+        parts = [f"{self._head(explained.phase)}: "]
+        motor = f"{explained.motor.neuron} at {_mv(explained.motor.mean_mV)}"
+        if explained.by_leak:
             parts.append(f"{motor} by its own leak")
-        if told.behind is not None:
-            parts.append(", " if told.by_leak else "")
-            parts.append(f"{self._name(told.behind.neuron)} {told.activity} ({_mv(told.behind.mean_mV)})")
-            parts.append(self._reasons(told.pulls))
-        if not told.by_leak:
+        if explained.behind is not None:
+            parts.append(", " if explained.by_leak else "")
+            parts.append(
+                f"{self._name(explained.behind.neuron)} {explained.activity} "
+                f"({_mv(explained.behind.mean_mV)})"
+            )
+            parts.append(self._reasons(explained.pulls))
+        if not explained.by_leak:
             parts.append(f"; it puts {motor}")
-        if told.rival is not None:
-            parts.append(f"; against it {told.rival.neuron} at {_mv(told.rival.mean_mV)}")
+        if explained.rival is not None:
+            parts.append(f"; against it {explained.rival.neuron} at {_mv(explained.rival.mean_mV)}")
         parts.append(".")
-        if told.behind is not None and (change := told.change) is not None:
+        if explained.behind is not None and (change := explained.change) is not None:
             verb = "grew" if abs(change.now_mV) > abs(change.before_mV) else "fell"
             parts.append(
-                f" What changed: the pull of {self._name(change.neuron)} on {told.behind.neuron} {verb} "
+                f" What changed: the pull of {self._name(change.neuron)} on {explained.behind.neuron} {verb} "
                 f"from {_mv(change.before_mV, sign=True)} to {_mv(change.now_mV, sign=True)}."
             )
-        if told.swinging:
-            swings = " and ".join(f"{row.neuron} (by {_mv(row.mean_mV)})" for row in told.swinging[:MOST])
-            parts.append(f" From tick to tick {swings} {'swings' if len(told.swinging) == 1 else 'swing'}.")
+        if explained.swinging:
+            swings = " and ".join(
+                f"{row.neuron} (by {_mv(row.mean_mV)})" for row in explained.swinging[:MOST]
+            )
+            parts.append(
+                f" From tick to tick {swings} {'swings' if len(explained.swinging) == 1 else 'swing'}."
+            )
         return "".join(parts)
 
     def _head(self, phase: Phase) -> str:
@@ -225,9 +232,9 @@ class _Words:
 
     def _reasons(self, pulls: Sequence[Pull]) -> str:
         strongest = max((abs(pull.mean_mV) for pull in pulls), default=0.0)
-        told = [p for p in pulls if abs(p.mean_mV) >= max(LEAST_MV, LEAST_SHARE * strongest)]
-        up = [p for p in told if p.mean_mV > 0][:MOST]
-        down = [p for p in told if p.mean_mV < 0][:MOST]
+        strong = [p for p in pulls if abs(p.mean_mV) >= max(LEAST_MV, LEAST_SHARE * strongest)]
+        up = [p for p in strong if p.mean_mV > 0][:MOST]
+        down = [p for p in strong if p.mean_mV < 0][:MOST]
         clauses = []
         if up:
             clauses.append(f"driven by {self._list(up)}")

@@ -1,4 +1,4 @@
-"""The words on top of a report: how it ended, why, at what rates, made with what."""
+"""Summary of a report: result, reason, rates, versions."""
 
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
@@ -11,7 +11,7 @@ from rover_ncp.core.course import Verdict
 
 
 class Summary(NamedTuple):
-    """A headline, rows of what and how much, and rows of where policy and program came from."""
+    """A headline, rows of name and value, and rows of the origin of policy and program."""
 
     parked: bool
     headline: str

@@ -2,8 +2,8 @@
 
 Knows the topics of `rover_ncp.core.key_table`, the true pose that a simulator's judge adds, and of the
 driver's own records only whether a tick ran on prediction. A message that cannot be read is counted and
-left out. Times are ns of one wall clock: of a recording the driver's, which stamps its ticks; live, that of
-whoever listens, and all moments are those of arrival.
+left out. Times are ns of one wall clock. In a recording it is the driver's, which stamps its ticks. Live, it
+is the viewer's, and all times are those of arrival.
 """
 
 import json
@@ -34,7 +34,7 @@ MOST = 1e9
 
 
 class Estimated(NamedTuple):
-    """Where the driver believed to be; the covariance (3, 3) is that of x, y and theta."""
+    """The driver's estimate; the covariance (3, 3) is that of x, y and theta."""
 
     wall_ns: int
     pose: Pose
@@ -50,7 +50,7 @@ class Tick(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """Where the rover was, and how it moved if that is known."""
+    """The rover's pose, and its motion if that is known."""
 
     wall_ns: int
     pose: Pose
@@ -58,14 +58,14 @@ class Moved(NamedTuple):
 
 
 class Command(NamedTuple):
-    """A velocity that was asked for, or that the gate let through."""
+    """A velocity that was commanded, or that the gate passed."""
 
     wall_ns: int
     velocity: Velocity
 
 
 class Timeline:
-    """All that a drive left behind, in order. Poses of ``odometry`` are in its own frame."""
+    """All data of a drive, in order. Poses of ``odometry`` are in its own frame."""
 
     def __init__(self, policy: Policy, course: Course) -> None:
         self.policy, self.course = policy, course
@@ -97,7 +97,7 @@ class Timeline:
         }
 
     def take(self, message: Recorded) -> None:
-        """Take in the next message; what says nothing here is passed over."""
+        """Add the next message; ignore other topics."""
         reader = self._readers.get(message.topic)
         if reader is None:
             return
@@ -113,17 +113,17 @@ class Timeline:
 
     @property
     def status(self) -> DriverStatus | None:
-        """The driver's last word."""
+        """The driver's last status."""
         return self._watcher.status
 
     @property
     def gate(self) -> GateStatus | None:
-        """The gate's last word."""
+        """The gate's last status."""
         return self._watcher.gate
 
     @property
     def events(self) -> list[Event]:
-        """What happened, in order; the start signal among it once a tick has seen it."""
+        """Events in order; the start signal is among them once a tick has seen it."""
         events = list(self._watcher.events)
         if self.ticks:
             signal = self.ticks[0].wall_ns + round(self.course.start_signal_s * 1e9)
@@ -163,7 +163,7 @@ class Timeline:
             raise FormatError(f"neurons {', '.join(potentials)} are not those of the policy")
         _require_sane(list(potentials.values()))
         if self.final is None:
-            return  # somebody joined between a tick's estimate and its neurons
+            return  # the viewer joined between a tick's estimate and its neurons
         if not self.ticks:
             start = self.odometry[-1].pose if self.odometry else Pose(0.0, 0.0, 0.0)
             self._course_odom = compose(self.final.pose, inverse(start))
@@ -201,7 +201,7 @@ class Timeline:
 
 
 def _require_sane(values: Sequence[float]) -> None:
-    """Raise FormatError for numbers that no drive has, and whose squares or sums are no numbers."""
+    """Raise FormatError for numbers that no drive has, and whose squares or sums would overflow."""
     if not (np.abs(values) <= MOST).all():  # NaN is not, either
         raise FormatError(f"numbers from {np.min(values):g} to {np.max(values):g}, expected {MOST:g} at most")
 

@@ -1,4 +1,4 @@
-"""One run as the reports see it, wherever it came from: a simulation or a recording."""
+"""Trace of one run for the reports, from a simulation or a recording."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ class Trace:
     poses: FloatArray
     """(T + 1, 3) x, y in m and theta in rad in the course's frame: at each tick's start, and at the end."""
     commands: FloatArray
-    """(T, outputs) what the circuit asked for."""
+    """(T, outputs) the circuit's commands."""
     potentials: FloatArray
     """(T, n) mV, as the tick left them."""
 

@@ -28,11 +28,11 @@ def teleop(
         bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")
     ] = False,
 ) -> int:
-    """Drive the robot behind a bridge with the keyboard: hold a key to drive, let go to stop.
+    """Drive the robot behind a bridge with the keyboard: hold a key to drive, release it to stop.
 
-    u i o, j k l and m , . drive where they lie around k, which stops; the arrows do as i , j l. A terminal
-    tells of a held key only by repeating it, so a key counts for 0.4 s after it was last sent; a single press
-    is a small step at half speed. q and Ctrl-C stop the rover and give the motors back.
+    u i o, j k l and m , . drive in the direction in which they lie around k, which stops; the arrows do as
+    i , j l. A terminal reports a held key only by repeating it, so a key counts for 0.4 s after it was last
+    sent; a single press is a small step at half speed. q and Ctrl-C stop the rover and release the lease.
 
     It drives through the same lease, gate and limits as 'rover-ncp deploy'. Ends with 0, 3 no bridge, no
     robot, not authorised or another driver, 4 stopped by a safety rule, which is named, 130 Ctrl-C.

@@ -1,14 +1,14 @@
-"""Driving by keyboard, with a dead-man: keys up means stop. No I/O, no clock.
+"""Driving by keyboard, with a dead-man's switch: no key held means stop. No I/O, no clock.
 
-A terminal tells of a held key only by sending it again: once, then nothing for a quarter to two thirds of a
-second, then again 10 to 30 times a second; that a key is let go it never tells. So:
+A terminal reports a held key only by sending it again: once, then nothing for a quarter to two thirds of a
+second, then again 10 to 30 times a second. It never reports the release of a key. So:
 
-1. A key counts for `HOLD_S` from the moment it was last read, and no longer. Then the rover is told to stand.
-2. A key that comes alone drives at `NUDGE` of the speed: a short press is a small step. From its first repeat
-   on it drives at full speed. Where a terminal waits longer than `HOLD_S` before it repeats, the rover
-   pauses until then.
-3. What is no key of ours stops the rover at once.
-4. Keys that waited while nobody read them are nobody's wish any more: they are thrown away (`teleop.py`).
+1. A key counts for `HOLD_S` from the moment it was last read, and no longer. Then the command is zero.
+2. A single key drives at `NUDGE` of the speed: a short press is a small step. From its first repeat on it
+   drives at full speed. Where a terminal waits longer than `HOLD_S` before it repeats, the rover stands until
+   then.
+3. Any other key stops the rover at once.
+4. Keys that were read late are stale: they are discarded (`teleop.py`).
 """
 
 from enum import StrEnum
@@ -21,7 +21,7 @@ V_M_S, OMEGA_RAD_S = 0.12, 0.14
 """Three quarters of what the circuits' motors can do, so that a recorded drive makes a course."""
 STANDSTILL = Velocity(0.0, 0.0)
 
-# Where the keys lie is where the rover goes, as in ROS's teleop_twist_keyboard; the arrows do the same.
+# The place of a key is the direction of the drive, as in ROS's teleop_twist_keyboard; arrows alike.
 KEYS: dict[str, tuple[int, int]] = {
     "u": (1, 1),
     "i": (1, 0),
@@ -39,7 +39,7 @@ KEYS: dict[str, tuple[int, int]] = {
 """Key: share of speed, share of turn rate (left is positive)."""
 QUIT = frozenset("q\x03\x04\x1a")
 """q, and Ctrl-C, Ctrl-D, Ctrl-Z where the terminal hands them on."""
-HELP = """hold a key to drive, let go to stop:
+HELP = """hold a key to drive, release it to stop:
     u i o     forward: left, straight, right
     j k l     turn left, stop, turn right
     m , .     backward: left, straight, right
@@ -49,7 +49,7 @@ _ESCAPE = "\x1b"
 
 
 class Press(StrEnum):
-    """What a key that drives nowhere means."""
+    """Meaning of a key that does not drive."""
 
     STOP = "stop"
     QUIT = "quit"
@@ -57,7 +57,7 @@ class Press(StrEnum):
 
 def presses(text: str) -> list[str]:
     """Split what a terminal sent into keys: `KEYS`, or what they mean by `Press`."""
-    # Some terminals send ESC O A for ESC [ A; whether shift is held is of no consequence.
+    # Some terminals send ESC O A for ESC [ A; the shift key has no effect.
     rest, found = text.lower().replace("\x1bo", "\x1b["), []
     while rest:
         key = rest[:3] if rest.startswith(_ESCAPE) else rest[0]
@@ -81,17 +81,17 @@ class Keyboard:
         if key not in KEYS:
             self.release()
             return
-        # Changing over from one held key to another is going on, not setting out.
+        # Changing from one held key to another continues the drive; it is not a new press.
         self._repeats = now - self._at <= HOLD_S
         self._key, self._at = key, now
         self.count += 1
 
     def release(self) -> None:
-        """Forget the key: the rover stands from now on."""
+        """Clear the key: the rover stands from now on."""
         self._key, self._at, self._repeats = "", float("-inf"), False
 
     def velocity(self, now: float) -> Velocity:
-        """Return what the rover is to do at ``now``."""
+        """Return the commanded velocity at ``now``."""
         if not self._key or not 0.0 <= now - self._at <= HOLD_S:
             return STANDSTILL
         forward, turn = KEYS[self._key]

@@ -2,10 +2,10 @@
 
 Rules of this file:
 
-1. Whatever ends it, the motors are given back first, then the terminal is set back.
-2. Commands go out all the time, zero when no key is held: it is the keyboard that says stop, and silence
-   that stops a driver who hangs.
-3. A loop that was held up throws away the keys that came meanwhile, and stands.
+1. At every end, the lease is released first, then the terminal's settings are restored.
+2. Commands are sent all the time, zero when no key is held. If this process hangs, the commands stop, and the
+   gate stops the rover.
+3. After a delay, the loop discards the keys that arrived meanwhile and commands zero.
 """
 
 import math
@@ -48,7 +48,7 @@ class Options:
 
 @dataclass
 class Driven:
-    """What came of it: seconds, metres and radians by odometry, commands sent."""
+    """Result of a drive: seconds, metres and radians by odometry, commands sent."""
 
     seconds: float = 0.0
     driven_m: float = 0.0
@@ -57,7 +57,7 @@ class Driven:
     _last: Pose | None = field(default=None, repr=False)
 
     def move(self, pose: Pose) -> None:
-        """Take in where odometry stands."""
+        """Add an odometry pose."""
         if not all(map(math.isfinite, pose)):
             return
         if self._last is not None:
@@ -134,7 +134,7 @@ class Teleop:
 
 
 def run(options: Options, output: Output) -> int:
-    """Let a person drive, and return the exit code. Raises RoverNcpError for what kept it from beginning."""
+    """Let a person drive, and return the exit code. Raises RoverNcpError if the drive could not begin."""
     tape = Tape(options.record, overwrite=options.overwrite)
     stop: SafetyStop | None = None
     interrupted = False

@@ -1,4 +1,4 @@
-"""A terminal that hands on single keys at once, and is as it was afterwards whatever happens."""
+"""A terminal that delivers single keys at once; its settings are always restored."""
 
 import contextlib
 import os
@@ -24,7 +24,7 @@ class Terminal:
     def __init__(self) -> None:
         self._fd = sys.stdin.fileno() if sys.stdin is not None else -1
         if self._fd < 0 or not os.isatty(self._fd):
-            raise UsageError("teleop is driven by keys: its standard input has to be a terminal")
+            raise UsageError("teleop reads keys: expected a terminal as standard input")
 
     def __enter__(self) -> Self:
         self._before = termios.tcgetattr(self._fd)
@@ -59,5 +59,5 @@ class Terminal:
         return data.decode(errors="replace") if data else None
 
     def forget(self) -> None:
-        """Throw away keys that nobody has read."""
+        """Discard unread keys."""
         termios.tcflush(self._fd, termios.TCIFLUSH)

@@ -1,8 +1,8 @@
 """The live page: served to this machine alone, fed ten times a second, with a Stop button.
 
-Server-sent events carry what is new; a browser that lost the line asks again by itself and gets everything.
-Only pages of this very server may press its buttons: other pages in the same browser are told apart by their
-origin, other names for this machine by the host they ask for.
+Server-sent events carry new data; a browser that lost the connection reconnects and gets everything.
+Only pages of this server may press its buttons: other pages in the same browser have another origin, and
+other names for this machine another host in the request.
 """
 
 import asyncio
@@ -136,7 +136,7 @@ def _listener(port: int) -> socket.socket:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((HOST, port))
-        listener.listen()  # from now on nobody is turned away, though the server is not there yet
+        listener.listen()  # from now on connections are accepted, before the server runs
     except OSError as error:
         listener.close()
         raise PortInUse(f"--port {port}: {HOST}:{port} cannot be listened on: {error.strerror}") from error

@@ -1,4 +1,4 @@
-"""A look at a robot over Zenoh: hears everything, commands nothing, and may ask for a stop."""
+"""A viewer's Zenoh session: receives everything, commands nothing, and may request a stop."""
 
 import contextlib
 import time
@@ -58,7 +58,7 @@ class Viewer:
 
     @property
     def may_stop(self) -> bool:
-        """Whether somebody takes our stop: a bridge that we may not stop hides that it would."""
+        """Whether a bridge takes our stop: one that we may not stop does not show its queryable."""
         # The object is truthy whatever it says, and Zenoh's stub takes it for a bool.
         status: Any = self._stopper.matching_status
         return bool(status.matching)
@@ -66,8 +66,8 @@ class Viewer:
     def stop(self, release: bool = False) -> StopReply:
         """Stop the rover until released, or release it.
 
-        Raises NotAuthorised when the bridge does not take it from us, NoBridge when there is no bridge or no
-        readable answer.
+        Raises NotAuthorised when the bridge does not accept it from us, NoBridge when there is no bridge or
+        no readable answer.
         """
         request = StopRequest(release=release, reason="" if release else REASON)
         for reply in self._stopper.get(payload=dump_json(request)):
@@ -76,10 +76,10 @@ class Viewer:
             try:
                 return parse_json(StopReply, reply.ok.payload.to_bytes())
             except FormatError as error:
-                raise NoBridge(f"the bridge at {self.robot} answers nonsense: {error}") from error
+                raise NoBridge(f"the bridge at {self.robot} sends an unreadable answer: {error}") from error
         if not self.bridge_alive:
             raise NoBridge(f"no bridge shows itself at {self.robot}: nothing to stop")
-        raise NotAuthorised(f"not authorised to stop: the bridge at {self.robot} takes no stop from us")
+        raise NotAuthorised(f"not authorised to stop: the bridge at {self.robot} accepts no stop from us")
 
     def _key(self, name: str) -> str:
         return key(self._namespace, name)

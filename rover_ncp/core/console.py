@@ -13,6 +13,7 @@ import os
 import select
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Mapping
 from typing import Any, TextIO
@@ -65,10 +66,15 @@ class Writer(io.RawIOBase):
         Gives up when the reader takes nothing for ``blocked_s``; None waits without a limit.
         """
         with self._changed:
+            chunks, since_s = self._chunks, time.monotonic()
             while self._waiting:
-                before = self._chunks
-                if not self._changed.wait(blocked_s) and self._chunks == before:
+                left_s = None if blocked_s is None else since_s + blocked_s - time.monotonic()
+                if left_s is not None and left_s <= 0.0:
                     return False
+                self._changed.wait(left_s)
+                # Only what the reader took counts: a thread that goes on queueing text does not.
+                if self._chunks != chunks:
+                    chunks, since_s = self._chunks, time.monotonic()
             return self.failure is None
 
     def write(self, data: Any) -> int:

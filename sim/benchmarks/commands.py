@@ -13,7 +13,7 @@ from sim.learn.commands import SearchName
 
 
 class What(StrEnum):
-    """What can be measured."""
+    """Measurements of the benchmark."""
 
     TRAIN = "train"
     SEARCH = "search"
@@ -23,7 +23,7 @@ class What(StrEnum):
 def bench(
     what: Annotated[
         What,
-        typer.Argument(help="train: how fast it is. search: how far it gets. deploy: how soon it answers."),
+        typer.Argument(help="train: its speed. search: the returns it reaches. deploy: its response time."),
     ],
     *,
     iterations: Annotated[
@@ -41,11 +41,11 @@ def bench(
         Path | None, typer.Option(help="search: write every agent's returns here.", show_default=False)
     ] = None,
     seconds: Annotated[
-        float, typer.Option(min=2.0, max=86_400.0, help="deploy: how long each rate is measured.")
+        float, typer.Option(min=2.0, max=86_400.0, help="deploy: duration in s of each rate's measurement.")
     ] = 60.0,
     json: Json = False,
 ) -> None:
-    """Measure the training, how fast it is or how far each search gets, or how soon the driver answers.
+    """Measure the training's speed, the returns of each search, or the driver's response time.
 
     train measures episodes and iterations per second, on one core and on all, against the plain environment
     of a single rover, what a substep costs alone and as a lane, and where the time goes. Speeds of one core
@@ -53,8 +53,8 @@ def bench(
     a return of -0.1 (it parks), -0.05 and -0.03; with all its iterations that takes minutes.
 
     deploy measures the time from an odometry sample to its command at 10, 50 and 100 samples a second, beside
-    a bare round trip of the same bytes, the ticks' jitter and the share of a core; what the circuit takes of
-    it, and whether all of it can run 500 times a second.
+    a bare round trip of the same bytes, the ticks' jitter and the share of a core. It also measures the
+    circuit's part of that time, and whether the whole driver can run 500 times a second.
 
         rover-ncp bench train --json
         rover-ncp bench deploy --seconds 10

@@ -58,7 +58,7 @@ def bench_deploy(seconds: float, say: Callable[[str], None]) -> dict[str, Any]:
 
 
 def quantiles(times_ms: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
-    """Return median, 99 % and greatest, and 99.9 % where there are samples enough to tell."""
+    """Return the median, 99 % and maximum; also 99.9 % where there are enough samples."""
     found = {
         "p50": float(np.percentile(times_ms, 50)),
         "p99": float(np.percentile(times_ms, 99)),

@@ -1,6 +1,6 @@
-"""The other end of a bare ping-pong over Zenoh: sends back what it hears, as soon as it can.
+"""Echo end of a bare ping-pong over Zenoh: sends back each message as soon as it can.
 
-Run as ``python -m sim.benchmarks.echo echo ROBOT --json``; ends when it is told to (SIGTERM).
+Run as ``python -m sim.benchmarks.echo echo ROBOT --json``; SIGTERM ends it.
 """
 
 import signal

@@ -1,7 +1,7 @@
-"""A bridge without a base, for the benchmark: odometry at any rate, motors for whoever asks, and a ping.
+"""A bridge without a base, for the benchmark: odometry at any rate, a lease for every request, and a ping.
 
-It drives as it is told, at once and exactly, so that whoever drives has nothing to complain of. Moments are
-those of the system's monotonic clock, which all processes of a machine share.
+It executes commands at once and exactly, so that no safety rule of the driver applies. Times are those of the
+system's monotonic clock, which all processes of a machine share.
 """
 
 import math
@@ -33,7 +33,7 @@ STILL = Velocity(0.0, 0.0)
 
 
 class Moments:
-    """What happened when, in ns: odometry sent, commands handed over by their sender, pings and pongs."""
+    """Times of events, in ns: odometry sent, commands handed over by their sender, pings and pongs."""
 
     def __init__(self) -> None:
         self.odometry: list[int] = []

@@ -143,7 +143,7 @@ def _candidates(policy: Policy, count: int) -> np.ndarray:
 
 
 def _cpu_s(calls: dict[str, Callable[[], object]]) -> dict[str, float]:
-    """Return the median CPU time of each call, after one in vain; in turn, as machines have slow moments."""
+    """Return the median CPU time of each call after a warm-up call; calls alternate, as load varies."""
     times: dict[str, list[float]] = {name: [] for name in calls}
     for repeat in range(_REPEATS + 1):
         for name, run in calls.items():

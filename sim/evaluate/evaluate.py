@@ -1,4 +1,4 @@
-"""Many trials of one policy, and what came of them. What is judged is the true pose."""
+"""Many trials of one policy, and their outcomes. The true pose is judged."""
 
 import math
 from collections import Counter

@@ -64,7 +64,7 @@ LAWS = {
 }
 
 _LEAST_AHEAD_M = 0.02
-"""Nearer than this a carrot says nothing about the direction to it."""
+"""Least distance to the carrot for which its direction is used."""
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""What ``rover-ncp eval --trials`` does: drive random trials one way or another, and say how they ended."""
+"""``rover-ncp eval --trials``: drive random trials in simulation, stack or live, and report the outcomes."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -24,7 +24,7 @@ from sim.world.randomization import ranges_for
 
 
 class TrialOptions(NamedTuple):
-    """What was asked for."""
+    """Options of an evaluation."""
 
     policy: str
     courses: tuple[str, ...]

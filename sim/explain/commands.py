@@ -31,18 +31,22 @@ def explain(
     ] = None,
     threshold: Annotated[
         float,
-        typer.Option(min=1.0, help="A contribution has a sign when one outnumbers the other so many times."),
+        typer.Option(
+            min=1.0,
+            help="Ratio by which one sign must outnumber the other, for a contribution to have a sign.",
+        ),
     ] = 1.5,
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables (CSV) and pictures (SVG and PNG).")
     ] = None,
     json: Json = False,
 ) -> None:
-    """Say why a circuit drives as it does: which neurons did what, and which parts it cannot do without.
+    """Explain how a circuit drives: the effect of each neuron, and the parts that the circuit needs.
 
-    A sentence for each phase of the manoeuvre; how each neuron contributes to each motor neuron (Definition 1
-    of the paper, with its counts); the range of each time constant; the drive simulated again without each
-    neuron and each synapse; and how much the return hangs on each parameter.
+    The output has a sentence for each phase of the manoeuvre, the contribution of each neuron to each motor
+    neuron (Definition 1 of the paper, with its counts), and the range of each time constant. It also has the
+    drive simulated again without each neuron and each synapse, and the sensitivity of the return to each
+    parameter.
     """
     from rover_ncp.core.files import require_writable
     from sim.explain.explain import explain as explain_source
@@ -52,8 +56,8 @@ def explain(
     if out is not None:
         require_writable(out / "explanation.md")
     found = explain_source(source, course, threshold=threshold, on_progress=output.say)
-    for number, told in enumerate(found.analysis.explanations, 1):
-        output.say(f"{number}. {told.text}")
+    for number, explanation in enumerate(found.analysis.explanations, 1):
+        output.say(f"{number}. {explanation.text}")
     for table in _tables(found):
         output.console.print(table)
     written = write(found, out) if out is not None else []
@@ -72,12 +76,12 @@ def report(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Write a page that shows a drive, or a training: one HTML file, to be opened from disk.
+    """Write a page about a drive, or a training: one HTML file, to be opened from disk.
 
-    Of a drive: where it went, what every neuron and synapse did, what was asked and what the gate let
-    through, tied to one time slider, with a sentence for each phase of the manoeuvre. Of a training: the
-    learning curves, the parameters against their bounds, the drives of its policies. The page holds
-    everything it needs and asks the network for nothing.
+    For a drive, the page shows the path, every neuron and synapse, the driver's commands and the gate's
+    setpoints over one time slider, with a sentence for each phase of the manoeuvre. For a training, it shows
+    the learning curves, the parameters against their bounds, and the drives of its policies. The page holds
+    all its data and loads nothing from the network.
     """
     from sim.explain.pages import write_page
 
@@ -108,8 +112,8 @@ def _contributions(analysis: "Analysis") -> "list[Table]":
         "Contributions, P/Q: + positive, − antagonistic, ± phase-switching", "from", *analysis.motors
     )
     for name in analysis.sources:
-        told = [analysis.contributions[name, motor] for motor in analysis.motors]
-        table.add_row(name, *(f"{SYMBOLS[one.sign]} {one.positive}/{one.negative}" for one in told))
+        contributions = [analysis.contributions[name, motor] for motor in analysis.motors]
+        table.add_row(name, *(f"{SYMBOLS[one.sign]} {one.positive}/{one.negative}" for one in contributions))
     tables = [table]
     for motor in analysis.motors:
         pairs = [(name, motor) for name in analysis.sources if (name, motor) in CONTRIBUTIONS]

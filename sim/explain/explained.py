@@ -1,4 +1,4 @@
-"""What is found about one circuit on one course, in one value."""
+"""Findings about one circuit on one course, in one value."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,13 +16,13 @@ from sim.learn.rollout import Rollout
 
 @dataclass(frozen=True, eq=False)
 class Explained:
-    """What ``rover-ncp explain`` found."""
+    """Findings of ``rover-ncp explain``."""
 
     source: str
     policy: Policy
     course: Course
     verdict: Verdict
-    """Of the run that was explained."""
+    """Verdict on the explained run."""
     intact: Rollout
     """The simulated run, against which the what-ifs are held."""
     analysis: Analysis
@@ -43,7 +43,7 @@ class Explained:
                 "error_rad": self.verdict.error_rad,
             },
             "simulated": {"return": self.intact.total, "parked": self.intact.verdict.parked},
-            "phases": [_phase(told) for told in analysis.explanations],
+            "phases": [_phase(explanation) for explanation in analysis.explanations],
             "threshold": analysis.threshold,
             "contributions": [
                 _contribution(analysis.contributions[pair], analysis.driving[pair]) for pair in pairs
@@ -57,22 +57,22 @@ class Explained:
         }
 
 
-def _phase(told: Explanation) -> dict[str, Any]:
-    phase = told.phase
+def _phase(explanation: Explanation) -> dict[str, Any]:
+    phase = explanation.phase
     return {
         "label": phase.label,
         "start_s": phase.start_s,
         "end_s": phase.end_s,
         "driven_m": phase.driven_m,
         "turned_rad": phase.turned_rad,
-        "motor": told.motor._asdict(),
-        "rival": told.rival._asdict() if told.rival else None,
-        "behind": told.behind._asdict() if told.behind else None,
-        "by_leak": told.by_leak,
-        "activity": told.activity,
-        "pulls": [pull._asdict() for pull in told.pulls],
-        "change": told.change._asdict() if told.change else None,
-        "sentence": told.text,
+        "motor": explanation.motor._asdict(),
+        "rival": explanation.rival._asdict() if explanation.rival else None,
+        "behind": explanation.behind._asdict() if explanation.behind else None,
+        "by_leak": explanation.by_leak,
+        "activity": explanation.activity,
+        "pulls": [pull._asdict() for pull in explanation.pulls],
+        "change": explanation.change._asdict() if explanation.change else None,
+        "sentence": explanation.text,
     }
 
 

@@ -1,4 +1,4 @@
-"""What a circuit does without one neuron or one synapse: each drive is simulated again.
+"""Knockouts: the drives of a circuit without one neuron or one synapse, simulated again.
 
 A neuron is taken out by cutting all that leaves it and holding it at the lowest potential, where no motor
 neuron asks for anything; a synapse by a weight of 0.
@@ -54,11 +54,11 @@ def knock_outs(
 
 
 def without_neuron(policy: Policy, neuron: str) -> Policy:
-    """Return a policy whose neuron reaches nobody: neither another neuron nor a motor."""
+    """Return a policy with all outputs of a neuron removed, to other neurons and to motors."""
     circuit = policy.circuit
     index = circuit.index(neuron)
     weight = np.where(circuit.source == index, 0.0, circuit.weight)
-    # A sensory neuron is set from outside whatever else is said of it.
+    # A sensory neuron is driven by its input, whatever its own parameters are.
     held = dict(circuit.held)
     if neuron not in policy.sensing.neurons:
         held[index] = BOUNDS[ParameterKind.LEAK_POTENTIAL].lower

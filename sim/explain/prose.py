@@ -1,4 +1,4 @@
-"""What was found, as a page of Markdown: sentences, tables beside the paper's, the pictures beside it."""
+"""Findings as a page of Markdown: sentences, tables beside the paper's, the pictures beside it."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -37,7 +37,10 @@ def _beginning(found: Explained) -> list[str]:
         f"Made by `rover-ncp explain {found.source} --out FOLDER`.",
         f"This run: {ending}; return in simulation {total}.",
         "",
-        *(f"{number}. {told.text}" for number, told in enumerate(found.analysis.explanations, 1)),
+        *(
+            f"{number}. {explanation.text}"
+            for number, explanation in enumerate(found.analysis.explanations, 1)
+        ),
         "",
         "A pull is how far one synapse moves the potential its neuron is heading for, in mV, as a mean over",
         "the phase.",
@@ -82,7 +85,7 @@ def _beside_the_paper(found: Explained) -> list[str]:
         *_table(["from", "to", "whole run", "vertical", "while driving", "in the paper"], rows),
         "",
         f"{same} of {len(pairs)} signs are the paper's over the whole run, {driving_same} while driving.",
-        "Circuits of one wiring that were trained apart solve the task in different ways: the signs tell of",
+        "Circuits of one wiring that were trained apart solve the task in different ways: the signs describe",
         "one circuit, not of the wiring.",
     ]
 
@@ -129,8 +132,8 @@ def _sensitivities(found: Explained) -> list[str]:
     return [title, "", *_table(header, rows), "", *_pictures("sensitivities")]
 
 
-def _counts(told: Contribution) -> str:
-    return f"{SYMBOLS[told.sign]} {told.positive}/{told.negative}"
+def _counts(contribution: Contribution) -> str:
+    return f"{SYMBOLS[contribution.sign]} {contribution.positive}/{contribution.negative}"
 
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:

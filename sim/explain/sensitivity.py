@@ -1,4 +1,4 @@
-"""How much the return hangs on each parameter: each is moved a little down and up, all others kept.
+"""Sensitivity of the return to each parameter: each is moved a little down and up, all others kept.
 
 "A little" is a hundredth of the range that search may use, less where a bound is nearer.
 """
@@ -13,7 +13,7 @@ from rover_ncp.core.course import Course
 from sim.learn.engine import Engine
 
 STEP = 0.01
-"""Of the range between a parameter's bounds."""
+"""Step, as a fraction of the range between a parameter's bounds."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Sensitivity:
     """By how much it was moved; 0 at a bound."""
     change_down: float
     change_up: float
-    """Of the return."""
+    """Change of the return."""
 
     @property
     def slope(self) -> float:
@@ -39,7 +39,7 @@ class Sensitivity:
 
     @property
     def worst(self) -> float:
-        """What the worse of both directions costs, as a change of the return; positive if none costs."""
+        """Change of the return in the worse of both directions; positive if both improve it."""
         return min(self.change_down, self.change_up)
 
 

@@ -1,6 +1,6 @@
-"""The story of a training run, read from its folder: curves, drives on the way, parameters at the end.
+"""Report on a training run, read from its folder: curves, intermediate drives, final parameters.
 
-The drives are simulated again here; a run that is still going on, or was killed, is told as far as it got.
+The drives are simulated again here. A run that still goes on, or was killed, is reported as far as it got.
 """
 
 import json

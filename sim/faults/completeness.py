@@ -1,4 +1,4 @@
-"""Whether a recording holds all that its driver could hear, but what a mishap explains."""
+"""Check that a recording holds all messages its driver could receive, except losses that a fault explains."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -10,7 +10,7 @@ from rover_ncp.core.recording import Recording, header_stamp_ns, read_recording,
 
 SIP_NS = 100_000_000
 LOST_NS = 500_000_000
-"""What a killed process may lose."""
+"""The time at the end of its recording that a killed process may lose."""
 
 
 class Completeness(NamedTuple):
@@ -20,26 +20,26 @@ class Completeness(NamedTuple):
     recovered: bool
     odometry: int
     missing: int
-    """Odometry messages that others heard."""
+    """Odometry messages that another subscriber received and the recording lacks."""
     gaps: int
-    """SIPs that never became odometry."""
+    """SIPs without an odometry message."""
     skipped: int
-    """Commands between others that are there."""
+    """Missing commands between recorded ones."""
 
     @property
     def lost(self) -> int:
-        """How much is lost that nothing explains."""
+        """The number of messages lost without an explanation."""
         return self.missing + self.gaps + self.skipped
 
 
 def check_recording(
     path: Path, heard_ns: Sequence[int], began_ns: int, *, killed: bool, losing: bool
 ) -> Completeness:
-    """Hold a recording against the stamps ``heard_ns`` of all odometry that somebody else heard.
+    """Compare a recording with the stamps ``heard_ns`` of all odometry that another subscriber received.
 
-    Up to ``began_ns``, when something happened, it must hold all of them; from then on too, unless it was
-    ``losing`` messages. A ``killed`` process may lose its last half second. A recording that was cut off is
-    made whole first. Raises FileError.
+    The recording must hold all of them up to ``began_ns``, when the fault began. It must hold the later ones
+    too, unless the fault is ``losing`` messages. A ``killed`` process may lose its last half second. A
+    recording that was cut off is repaired first. Raises FileError.
     """
     recording = read_recording(path)
     recovered = not recording.complete
@@ -66,9 +66,9 @@ def _stamps(recording: Recording) -> list[int]:
 
 
 def _gaps(stamps: Sequence[int], until_ns: int) -> int:
-    """Return how many SIPs never became odometry before ``until_ns``; they come every 0.1 s.
+    """Return how many SIPs have no odometry message before ``until_ns``; a SIP is due every 0.1 s.
 
-    Stamps are those of arrival: the first or last of them may be late by a part of that.
+    Stamps are those of arrival. The first or last of them may be late by a part of that period.
     """
     before = [stamp for stamp in stamps if stamp <= until_ns]
     if not before:

@@ -1,11 +1,11 @@
-"""A rover-ncp command that hangs when told to, with no hook in the command itself.
+"""A rover-ncp command that hangs on a signal, with no hook in the command itself.
 
 Run as ``python -m sim.faults.hang COMMAND ...``. On SIGUSR1 its main thread sleeps for `HANG_S` in C without
-letting go of the interpreter, as a library that misbehaves would: no other thread of it runs, and its sockets
-stay open. What neither a signal nor a lost connection tells, only silence does.
+releasing the interpreter's lock, as a faulty library would. No other thread of the process runs, and its
+sockets stay open. Other processes can detect the hang only by its silence.
 
 Python runs a signal's handler when the main thread has the interpreter again, which may be long after the
-signal. So the handler itself says on stderr when the hang begins, as ``applied t_ns=… late_ns=0 hang``.
+signal. So the handler itself writes on stderr when the hang begins, as ``applied t_ns=… late_ns=0 hang``.
 """
 
 import ctypes

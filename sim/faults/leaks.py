@@ -1,4 +1,4 @@
-"""What a process holds of the system, and whether it goes on taking more: Linux's /proc."""
+"""Memory, threads, files and sockets of a process, and whether they grow (Linux's /proc)."""
 
 import statistics
 from collections.abc import Sequence
@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 MEMORY_MB, MEMORY_MB_PER_MIN = 4.0, 0.5
-"""More than both is a leak: an allocator settles for a while, and what is lost is lost again and again."""
+"""Growth above both is a leak: an allocator settles after a while, and a leak goes on."""
 MEMORY_SAMPLES = 10
-"""Of fewer nothing is said about memory."""
+"""With fewer samples memory is not judged."""
 SHARE = 0.2
 """The part of all samples, at the beginning and at the end, whose medians are compared."""
 
@@ -34,7 +34,7 @@ class Leaks(NamedTuple):
 
 
 def usage(pid: int, t_s: float) -> Usage:
-    """Return what a process holds now. Raises OSError when there is none."""
+    """Return the present usage of a process. Raises OSError when it does not exist."""
     process = Path("/proc") / str(pid)
     lines = dict(line.split(":", 1) for line in (process / "status").read_text().splitlines())
     links = []
@@ -49,9 +49,9 @@ def usage(pid: int, t_s: float) -> Usage:
 
 
 def leaks(samples: Sequence[Usage], settled: int) -> Leaks:
-    """Compare the last samples of one process, taken while nobody used it, with its first.
+    """Compare the last samples of one process, taken while it was idle, with its first.
 
-    Memory counts from sample ``settled`` on, when everything has happened to the process once.
+    Memory counts from sample ``settled`` on, when the process has met every fault once.
     """
     later = samples[settled:]
     judged = len(later) >= MEMORY_SAMPLES
@@ -64,7 +64,7 @@ def leaks(samples: Sequence[Usage], settled: int) -> Leaks:
     for name in ("threads", "files", "sockets"):
         before, after = _medians(samples, name)
         whole[name] = (round(before), round(after))
-        # One that is just being opened or closed is none; those that stay add up.
+        # One that is just being opened or closed is no leak; leaked ones add up.
         if after > before + 1:
             growing.append(name)
     return Leaks(memory, whole["threads"], whole["files"], whole["sockets"], tuple(growing))

@@ -1,16 +1,17 @@
-"""One row of the safety matrix, measured: let somebody drive, bring the mishap about, see the rover stand.
+"""Measure one row of the safety matrix: start a driver, inject the fault, time the rover's standstill.
 
 Fault and standstill are timed on one clock, the machine's monotonic clock:
 
 - The mock keeps its simulation at that clock and stamps every step with it. A fault of the base begins at the
   stamp of a step.
-- Links and the wrapper that hangs stamp a fault just before it takes effect; signals and what the scripted
-  driver sends are stamped here, just before. Such a fault never looks younger than it is.
-- Simulated time is real time, as the requirement is. When the machine keeps the mock or the line to it from
-  running, what the bridge sent lies in a buffer, and the base receives it later than a real one would. That
-  delay is the measurement's, not the bridge's. Both report the longest, and it is part of the resolution.
-- A resolution worse than `MOST_LATE_S` could hide a stop that is late. Such a measurement is repeated, and
-  none that is so bad is ever in time.
+- Links and the hang wrapper stamp a fault just before it takes effect. Signals and the scripted driver's
+  messages are stamped here, just before they are sent. Such a fault never looks younger than it is.
+- Simulated time is real time, as in the requirement. When the machine keeps the mock or the line to it from
+  running, the bridge's bytes lie in a buffer, and the base receives them later than a real one would. That
+  delay belongs to the measurement, not to the bridge. Mock and line report the longest, and it is part of the
+  resolution.
+- A resolution worse than `MOST_LATE_S` could hide a late stop. Such a measurement is repeated, and never
+  counts as in time.
 """
 
 import time
@@ -19,9 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sim.faults.faults import CIRCUIT, MISHAPS, Mishap, Scene
-from sim.faults.rig import CREEP_M_S, InVain, Rig, Unsafe, wait_for
-from sim.faults.scripted_driver import Hand
+from sim.faults.faults import CIRCUIT, FAULTS, Fault, Scene
+from sim.faults.rig import CREEP_M_S, Rig, TimedOut, Unsafe, wait_for
+from sim.faults.scripted_driver import ScriptedDriver
 from sim.faults.standstill import SAMPLE_S
 from sim.faults.table import Row, braking_s
 
@@ -31,16 +32,16 @@ TRIES = 5
 STAND_TIMEOUT_S = 8.0
 DEPLOY_TIMEOUT_S = 20.0
 STOPPED = 4
-"""What a deploy ends with that a safety rule stopped."""
-CIRCUIT_WAIT_S, HAND_WAIT_S = 4.0, 1.0
-"""How long the rover may be under way before it happens."""
+"""Exit code of a deploy that a safety rule stopped."""
+CIRCUIT_WAIT_S, SCRIPTED_WAIT_S = 4.0, 1.0
+"""The longest time that the rover moves before the fault."""
 
 
 class Measured(NamedTuple):
-    """How a row went: times in s, ``began_ns`` since the epoch; ``v`` and ``omega`` are the fastest since.
+    """Result of a row: times in s, ``began_ns`` since the epoch; ``v`` and ``omega`` are the fastest since.
 
-    ``seconds`` may be too long by ``late_s``, the longest that the machine kept mock and line from running,
-    and by a sample.
+    ``seconds`` may be too long by one sample and by ``late_s``, the longest time for which the machine kept
+    mock and line from running.
     """
 
     row: Row
@@ -52,23 +53,23 @@ class Measured(NamedTuple):
     omega: float
     note: str
     stopped_by: str
-    """What stopped the driver, by its own words or the gate's."""
+    """The reason for the driver's stop, as the driver or the gate reported it."""
 
     @property
     def braking_s(self) -> float:
-        """What braking from that speed takes."""
+        """The time in s for braking from that speed."""
         return braking_s(self.v, self.omega)
 
     @property
     def in_time(self) -> bool:
-        """Whether the rover stood as soon as it has to, by the shortest time that fits the measurement."""
+        """Whether the rover stood in time, by the shortest time consistent with the measurement."""
         return in_time(self.row, self.seconds, self.braking_s, self.late_s)
 
 
 def in_time(row: Row, seconds: float, braking_s: float, late_s: float) -> bool:
     """Whether a measured time fits the requirement: the row's bound, braking, and the resolution.
 
-    The resolution is one sample, in which the rover came to stand, and ``late_s`` (see `Measured`). A time
+    The resolution is one sample, in which the rover stopped, and ``late_s`` (see `Measured`). A time
     with a ``late_s`` above `MOST_LATE_S` fits no requirement.
     """
     return late_s <= MOST_LATE_S and seconds <= row.bound_s + braking_s + SAMPLE_S + late_s
@@ -79,8 +80,8 @@ def measure(
 ) -> Measured:
     """Measure a row under ``driver``, a circuit's drive recorded to ``record``; ``chance`` picks the moment.
 
-    Repeats a measurement whose resolution is too bad. Raises InVain when all are, Unsafe when the rover moves
-    once all is mended, and what `Rig` raises.
+    A measurement whose resolution is too bad is repeated. Raises TimedOut when every try was too bad, Unsafe
+    when the rover moves after the fault was removed, and the errors of `Rig`.
     """
     for _ in range(TRIES):
         measured = _measure(rig, row, driver, record, chance)
@@ -88,39 +89,41 @@ def measure(
             return measured
         if record is not None:
             record.unlink(missing_ok=True)
-    raise InVain(
+    raise TimedOut(
         f"the machine kept mock or line from running for more than {MOST_LATE_S} s in each of {TRIES} "
-        "measurements: measure on a machine that does less beside"
+        "measurements; repeat on a machine with less load"
     )
 
 
 def _measure(
     rig: Rig, row: Row, driver: str, record: Path | None, chance: np.random.Generator | None
 ) -> Measured:
-    mishap = MISHAPS[row.key]
-    robot = rig.spoilt if mishap.spoilt else rig.robot
-    scene = _under_circuit(rig, robot, record) if driver == CIRCUIT else _under_hand(rig, robot, mishap)
+    fault = FAULTS[row.key]
+    robot = rig.through_proxy if fault.link_fault else rig.robot
+    scene = (
+        _under_circuit(rig, robot, record) if driver == CIRCUIT else _under_scripted_driver(rig, robot, fault)
+    )
     try:
-        if chance is not None and not mishap.from_rest:
-            time.sleep(chance.uniform(0.0, CIRCUIT_WAIT_S if driver == CIRCUIT else HAND_WAIT_S))
-            wait_for(lambda: abs(rig.speed()) > CREEP_M_S, "the rover under way")
-        if isinstance(scene.driver, Hand):
-            scene.driver.greedy = mishap.greedy
+        if chance is not None and not fault.from_rest:
+            time.sleep(chance.uniform(0.0, CIRCUIT_WAIT_S if driver == CIRCUIT else SCRIPTED_WAIT_S))
+            wait_for(lambda: abs(rig.speed()) > CREEP_M_S, "the rover to move")
+        if isinstance(scene.driver, ScriptedDriver):
+            scene.driver.requests_lease = fault.requests_lease
         rig.late_s()
         called_ns = time.monotonic_ns()
-        began_ns = mishap.act(scene) or called_ns
+        began_ns = fault.act(scene) or called_ns
         seconds = rig.stood(began_ns, STAND_TIMEOUT_S)
         late_s = rig.late_s()
         v, omega = _fastest(rig, began_ns, row.bound_s)
-        if isinstance(scene.driver, Hand):
-            scene.driver.greedy = False
-            if mishap.ended:
-                wait_for(lambda: rig.watcher.gate.ended == mishap.ended, f"the gate to say {mishap.ended}")
+        if isinstance(scene.driver, ScriptedDriver):
+            scene.driver.requests_lease = False
+            if fault.ended:
+                wait_for(lambda: rig.watcher.gate.ended == fault.ended, f"the gate to report {fault.ended}")
         mended_ns = time.monotonic_ns()
-        mishap.mend(scene)
+        fault.mend(scene)
         ended = _ends(scene)
         if rig.stood(mended_ns, STAND_TIMEOUT_S) > 0.0:
-            raise Unsafe("the rover moved again when all was mended")
+            raise Unsafe("the rover moved again after the fault was removed")
     except BaseException:
         _leave(scene)
         raise
@@ -135,12 +138,12 @@ def _under_circuit(rig: Rig, robot: str, record: Path | None) -> Scene:
     return scene
 
 
-def _under_hand(rig: Rig, robot: str, mishap: Mishap) -> Scene:
-    scene = Scene(rig, rig.hand(robot, mishap.lease_s))
-    if mishap.from_rest:
-        scene.hand.silent = True
+def _under_scripted_driver(rig: Rig, robot: str, fault: Fault) -> Scene:
+    scene = Scene(rig, rig.scripted_driver(robot, fault.lease_s))
+    if fault.from_rest:
+        scene.scripted.silent = True
     else:
-        rig.under_way(scene.hand)
+        rig.under_way(scene.scripted)
     return scene
 
 
@@ -150,8 +153,8 @@ def _fastest(rig: Rig, began_ns: int, within_s: float) -> tuple[float, float]:
 
 
 def _ends(scene: Scene) -> str:
-    """Return what stopped the driver; a circuit has to have noticed, unless it was killed."""
-    if isinstance(scene.driver, Hand):
+    """Return the reason for the driver's stop; a circuit must report one, unless it was killed."""
+    if isinstance(scene.driver, ScriptedDriver):
         return scene.rig.watcher.gate.ended
     done = scene.driver.wait(DEPLOY_TIMEOUT_S)
     result: dict[str, Any] = done.result
@@ -163,7 +166,7 @@ def _ends(scene: Scene) -> str:
 
 
 def _leave(scene: Scene) -> None:
-    if isinstance(scene.driver, Hand):
+    if isinstance(scene.driver, ScriptedDriver):
         scene.rig.leave(scene.driver)
     else:
         scene.rig.ended(scene.driver)

@@ -1,10 +1,11 @@
-"""A link that can be spoilt: a TCP proxy that holds back, slows down or cuts what goes through it.
+"""Link faults: a TCP proxy that holds, throttles or cuts the bytes that pass through it.
 
-A process of its own (``python -m sim.faults.proxy proxy HOST:PORT``), told what to do by lines on its
-standard input; `Proxy` starts one. It ends with that input. Towards the server bytes may be held (nothing
-passes until ``release``, then all of it does), throttled, or cut; towards the client they pass freely unless
-cut, or held both ways. ``silence`` cuts the server off from its clients, whose connections stay open. It
-answers each line by ``applied t_ns=… late_ns=…``, as the mock does; an empty line asks for the answer alone.
+The proxy is a process of its own (``python -m sim.faults.proxy proxy HOST:PORT``), which `Proxy` starts. It
+reads one command per line from its standard input, and ends with that input. Bytes towards the server may be
+held (none pass until ``release``, then all do), throttled, or cut. Bytes towards the client pass unless the
+link is cut or held both ways. ``silence`` cuts the server off from its clients, whose connections stay open.
+The proxy answers each line by ``applied t_ns=… late_ns=…``, as the mock does. An empty line requests only the
+answer.
 """
 
 import selectors
@@ -30,27 +31,27 @@ class Proxy(Process):
     """A proxy to ``target``, a HOST:PORT; clients connect to ``address``."""
 
     def __init__(self, target: str, folder: Path, name: str) -> None:
-        super().__init__(name, [target], folder, "sim.faults.proxy", told=True)
+        super().__init__(name, [target], folder, "sim.faults.proxy", reads_lines=True)
 
     @cached_property
     def address(self) -> str:
-        """Where it listens, HOST:PORT, once it does. Raises ProcessError."""
+        """The address HOST:PORT, once the proxy listens. Raises ProcessError."""
         return self.wait_for_line("listening on ")
 
     def hold(self) -> Applied:
-        """Let nothing more through to the server; it is kept."""
+        """Buffer all bytes to the server until ``release``."""
         return self.tell("hold")
 
     def hold_both_ways(self) -> Applied:
-        """Let nothing through in either direction, as if the cable were pulled."""
+        """Buffer all bytes in both directions, as if the cable were pulled."""
         return self.tell("hold_both_ways")
 
     def silence(self) -> Applied:
-        """Leave the clients there are connected to nothing; new connections pass."""
+        """Cut present clients off from the server, with their connections open; new connections pass."""
         return self.tell("silence")
 
     def throttle(self, bytes_s: int) -> Applied:
-        """Let so many bytes a second through to the server."""
+        """Limit the bytes per second to the server."""
         return self.tell(f"throttle {bytes_s}")
 
     def cut(self) -> Applied:
@@ -58,11 +59,11 @@ class Proxy(Process):
         return self.tell("cut")
 
     def reset(self) -> Applied:
-        """Break all connections by a TCP reset; new ones are taken."""
+        """Break all connections by a TCP reset; accept new ones."""
         return self.tell("reset")
 
     def release(self) -> Applied:
-        """Pass on all that was held, and be a good link again."""
+        """Pass on all held bytes, and end every fault of the link."""
         return self.tell("release")
 
 
@@ -105,7 +106,7 @@ class _Server:
         threading.Thread(target=self._run, name="proxy", daemon=True).start()
 
     def obey(self, line: str) -> Applied:
-        """Do what a line says. The moment returned lies before it has an effect: no fault looks younger."""
+        """Apply a command line. The time returned is from before its effect: no fault looks younger."""
         word, _, number = line.strip().partition(" ")
         with self._lock:
             applied = Applied(time.monotonic_ns(), round(self._late_s * 1e9))
@@ -164,7 +165,7 @@ class _Server:
                 client.close()
 
     def _turn(self, pair: _Pair) -> bool:
-        """Move what there is to move; False when an end is gone."""
+        """Move available bytes; return False when an end is closed."""
         ends = ((pair.client, pair.up), (pair.server, pair.down))
         open_ = [_read(end, buffer) for end, buffer in ends] == [True, True]
         allowance = len(pair.up)
@@ -182,12 +183,12 @@ class _Server:
         except OSError:
             return False
         self._credit -= sent
-        # What was sent before an end was closed still arrives, as it does on a network.
+        # Bytes sent before an end was closed still arrive, as on a network.
         return open_ or bool(pair.up and self._held)
 
 
 def _read(end: socket.socket, buffer: bytearray) -> bool:
-    """Read what there is; False at the end of the stream."""
+    """Read available bytes; return False at the end of the stream."""
     try:
         data = end.recv(CHUNK_BYTES)
     except BlockingIOError:
@@ -199,7 +200,7 @@ def _read(end: socket.socket, buffer: bytearray) -> bool:
 
 
 def _write(end: socket.socket, buffer: bytearray, size: int) -> int:
-    """Write up to ``size`` bytes; return how many went. Raises OSError when the end is gone."""
+    """Write up to ``size`` bytes; return how many were sent. Raises OSError when the end is closed."""
     if size <= 0:
         return 0
     try:
@@ -213,10 +214,10 @@ def _write(end: socket.socket, buffer: bytearray, size: int) -> int:
 if __name__ == "__main__":
     server = _Server(sys.argv[2])
     print(f"listening on 127.0.0.1:{server.port}", file=sys.stderr, flush=True)
-    for told in sys.stdin:
-        applied = server.obey(told)
+    for line in sys.stdin:
+        applied = server.obey(line)
         print(
-            f"applied t_ns={applied.t_ns} late_ns={applied.late_ns} {told.rstrip()}",
+            f"applied t_ns={applied.t_ns} late_ns={applied.late_ns} {line.rstrip()}",
             file=sys.stderr,
             flush=True,
         )

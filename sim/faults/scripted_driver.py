@@ -1,7 +1,7 @@
-"""A driver that is no circuit: a steady hand at constant speed, and what a hostile or broken one would send.
+"""Scripted driver: drives at constant speed, and can send the messages of a hostile or broken driver.
 
-It speaks as ``rover-ncp deploy`` does, in a few lines, and never gives up: whenever it has no motors it asks
-for them again, and it drives on whatever the gate says. So what stops the rover is the gate, never the hand.
+It uses the protocol of ``rover-ncp deploy``. Whenever it has no lease it requests one again, and it sends
+commands whatever the gate's state is. So the gate stops the rover, never the driver.
 """
 
 import threading
@@ -32,8 +32,8 @@ ASK_S = 0.25
 STOP_TIMEOUT_S = 2.0
 
 
-class Hand:
-    """Drives at ``velocity`` until told otherwise; ``lease_s`` is how long the link may be silent."""
+class ScriptedDriver:
+    """Drives at ``velocity``; ``lease_s`` is the Zenoh lease, the time for which the link may be silent."""
 
     def __init__(self, robot: str, lease_s: float = 1.0) -> None:
         config, _ = client_config(robot, None)
@@ -42,12 +42,12 @@ class Hand:
         self.lease = DriverLease()
         self.velocity = Velocity(0.0, 0.0)
         self.payload: bytes | None = None
-        """Sent instead of the velocity, if there is one."""
-        self.greedy = True
-        """Whether it asks for the motors when it has none."""
+        """Sent instead of the velocity, if not None."""
+        self.requests_lease = True
+        """Whether it requests the lease when it has none."""
         self.silent = False
         self.age_s = 0.0
-        """How much older than it is each command says to be."""
+        """How much older each command's stamp is than its true time, in s."""
         self.gate = GateStatus()
         self.last_sent_ns = 0
         """When the last command was sent, in ns of the monotonic clock."""
@@ -60,16 +60,16 @@ class Hand:
             hear("rover/gate", self._gate),
         ]
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="scripted-driver", daemon=True)
         self._thread.start()
 
     @property
     def driving(self) -> bool:
-        """Whether the gate gave us the motors."""
+        """Whether the gate granted the lease to this driver."""
         return 0 < self.lease.number == self.gate.lease
 
     def send(self, payload: bytes, age_s: float = 0.0, tagged: bool = True) -> None:
-        """Send one command of our own making."""
+        """Send one command with any payload."""
         tag = None
         if tagged:
             stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
@@ -77,17 +77,17 @@ class Hand:
         self._session.put("cmd_vel", payload, attachment=tag)
 
     def publish(self, name: str, payload: bytes) -> None:
-        """Send anything on any key, whoever may."""
+        """Send any payload on any key, permitted or not."""
         self._session.put(name, payload)
 
     def stop(self, release: bool = False) -> bool:
-        """Ask for a stop, or for its release; return whether the bridge answers."""
+        """Request a stop, or its release; return whether the bridge answers."""
         request = StopRequest(release=release, reason="" if release else "hand")
         replies = self._session.get("rover/stop", payload=dump_json(request), timeout=STOP_TIMEOUT_S)
         return any(reply.ok is not None for reply in replies)
 
     def close(self) -> None:
-        """Fall silent and leave, without a word."""
+        """Stop sending and close the session, without releasing the lease."""
         self._closing.set()
         self._thread.join()
         self._session.close()  # type: ignore[no-untyped-call]
@@ -103,7 +103,7 @@ class Hand:
     def _run(self) -> None:
         while not self._closing.wait(PERIOD_S):
             now = time.monotonic()
-            if self.greedy and not self.driving and now - self._asked_s > ASK_S:
+            if self.requests_lease and not self.driving and now - self._asked_s > ASK_S:
                 self._asked_s = now
                 self._ask()
             if not self.silent:
@@ -113,7 +113,7 @@ class Hand:
     def _ask(self) -> None:
         now_ns = time.monotonic_ns()
         payload = dump_json(MotorsRequest(enable=True, name="hand", sent_ns=now_ns))
-        # Without a lease the bridge takes the signature of the last one for none.
+        # Without a lease, the bridge treats the signature of the last one as missing.
         tag = self.lease.sign(Signed.MOTORS, "rover/motors", payload, now_ns).pack()
         for reply in self._session.get("rover/motors", payload=payload, attachment=tag, timeout=0.5):
             if reply.ok is not None:

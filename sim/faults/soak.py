@@ -1,9 +1,8 @@
-"""Hours of mishaps in minutes: every row of the safety matrix at random moments, on processes that live on.
+"""Soak test: inject every row of the safety matrix at random moments, in processes that keep running.
 
-Mock and bridge run from beginning to end, so that what they lose shows. The rows come in a random order, all
-once before any comes again; killing the bridge comes last, for it ends a long life. What follows from the
-seed is that order, who drives and how long the rover is under way before it happens; times follow the
-machine.
+Mock and bridge run from beginning to end, so that leaks show. The rows come in a random order, each once
+before any comes again. Killing the bridge comes last, as it ends the long-running process. The seed decides
+the order, the drivers and how long the rover moves before each fault. Times depend on the machine.
 """
 
 import os
@@ -22,7 +21,7 @@ from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import write_atomic
 from sim.faults.completeness import Completeness, check_recording
-from sim.faults.faults import CIRCUIT, MISHAPS
+from sim.faults.faults import CIRCUIT, FAULTS
 from sim.faults.leaks import Usage, usage
 from sim.faults.measure import Measured, measure
 from sim.faults.rig import Rig, wait_for
@@ -31,16 +30,16 @@ from sim.live.processes import compile_driver
 
 LAST = "bridge-killed"
 ROUND_S, LAST_S = 15.0, 25.0
-"""What a round takes, at most as a rule, and what the last one and the end take."""
+"""The usual upper bound of a round, and that of the last round with the end of the soak."""
 START_SIGNAL_S = 0.2
 QUIET_S = 1.0
 STILL_S = 2.0
-"""How long the rover is looked at in the end."""
+"""How long the rover must stand at the end."""
 
 
 @dataclass(frozen=True)
 class Round:
-    """One mishap: when (s since the start), and what came of it or what failed."""
+    """One fault: its time (s since the start), and its measurement or failure."""
 
     at_s: float
     row: Row
@@ -50,19 +49,19 @@ class Round:
 
     @property
     def passed(self) -> bool:
-        """Whether the rover stood in time, and stayed so, and its driver said so."""
+        """Whether the rover stopped in time, stayed stopped, and its driver reported the stop."""
         return self.measured is not None and self.measured.in_time
 
 
 @dataclass
 class Soaked:
-    """All that a soak saw."""
+    """Results of a soak."""
 
     rounds: list[Round] = field(default_factory=list)
     recordings: list[Completeness] = field(default_factory=list)
     usage: dict[str, list[Usage]] = field(default_factory=lambda: {"bridge": [], "mock": []})
     settled: int = 0
-    """After so many rounds every row that the first processes live through came once."""
+    """The number of rounds after which every row that leaves the first processes running came once."""
     not_reached: list[Row] = field(default_factory=list)
     still: bool = False
     wall_s: float = 0.0
@@ -74,16 +73,16 @@ def soak(
     seconds: float,
     seed: int,
     folder: Path,
-    tell: Callable[[Soaked, str], None],
+    on_round: Callable[[Soaked, str], None],
     rows: Sequence[Row] = MATRIX,
 ) -> Soaked:
-    """Bring about mishaps for so many seconds; ``tell`` hears of each round that begins and that ended.
+    """Inject faults for ``seconds``; call ``on_round`` at the beginning and the end of each round.
 
-    Recordings, logs and the mock's truth land in ``folder``. Raises RoverNcpError when the processes do not
+    Recordings, logs and the mock's truth go to ``folder``. Raises RoverNcpError when the processes do not
     start or the rover cannot be driven at the end.
     """
     course = _prompt_course(folder)
-    compile_driver()  # else the first round, and no other, would take that long
+    compile_driver()  # else the compilation would delay the first round
     order, moments = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     soaked, began_s = Soaked(), time.monotonic()
     rows = [row for row in rows if row.outside]
@@ -93,7 +92,7 @@ def soak(
 
         def one(row: Row, driver: str) -> None:
             soaked.load = max(soaked.load, os.getloadavg()[0])
-            tell(soaked, f"{row.layer}: {row.fault}")
+            on_round(soaked, f"{row.layer}: {row.fault}")
             at_s = time.monotonic() - began_s
             record = folder / "drives" / f"{len(soaked.rounds) + 1:03d}-{row.key}.mcap"
             measured, failure = _try(lambda: _measured(rig, row, driver, record, moments))
@@ -104,7 +103,7 @@ def soak(
             for name, process in (("bridge", rig.bridge), ("mock", rig.mock)):
                 if row.key != LAST:
                     soaked.usage[name].append(usage(process.pid, time.monotonic() - began_s))
-            tell(soaked, "")
+            on_round(soaked, "")
 
         soaked.settled = len(rows) - len(last)
         plan = _plan([row for row in rows if row.key != LAST], order)
@@ -112,7 +111,7 @@ def soak(
             one(*next(plan))
         for row in last:
             one(row, CIRCUIT)
-        rig.leave(rig.under_way(rig.hand()))
+        rig.leave(rig.under_way(rig.scripted_driver()))
         rig.stood(time.monotonic_ns())
         stands_ns = time.monotonic_ns()
         time.sleep(STILL_S)
@@ -124,7 +123,7 @@ def soak(
 
 
 def _prompt_course(folder: Path) -> Path:
-    """Write the parking course with a start signal that comes at once."""
+    """Write the parking course with an early start signal."""
     course = load_course("parking").model_copy(update={"start_signal_s": START_SIGNAL_S})
     path = folder / "course.yaml"
     write_atomic(path, dump_yaml(course.model_dump(mode="json")))
@@ -132,10 +131,10 @@ def _prompt_course(folder: Path) -> Path:
 
 
 def _plan(rows: Sequence[Row], order: np.random.Generator) -> Iterator[tuple[Row, str]]:
-    """Yield rows and who drives, for ever: all rows once in random order, and again in another one."""
+    """Yield rows and drivers without end: all rows once in random order, then again in another order."""
     while True:
         for place in order.permutation(len(rows)):
-            drivers = MISHAPS[rows[place].key].drivers
+            drivers = FAULTS[rows[place].key].drivers
             yield rows[place], drivers[int(order.integers(len(drivers)))]
 
 
@@ -147,7 +146,7 @@ def _try(find: Callable[[], Measured]) -> tuple[Measured | None, str]:
 
 
 def _measured(rig: Rig, row: Row, driver: str, record: Path, moments: np.random.Generator) -> Measured:
-    """Measure a row; one that spoils the bridge's output for good has mock and bridge of its own."""
+    """Measure a row; a row that blocks the bridge's output for good gets its own mock and bridge."""
     if not row.outlet:
         return measure(rig, row, driver, record, moments)
     with Rig(rig.folder / row.key, rig.course, outlet=row.outlet) as own:
@@ -155,17 +154,17 @@ def _measured(rig: Rig, row: Row, driver: str, record: Path, moments: np.random.
 
 
 def _complete(record: Path, heard_ns: list[int], measured: Measured) -> Completeness:
-    mishap = MISHAPS[measured.row.key]
+    fault = FAULTS[measured.row.key]
     try:
         return check_recording(
-            record, heard_ns, measured.began_ns, killed=measured.stopped_by == "killed", losing=mishap.losing
+            record, heard_ns, measured.began_ns, killed=measured.stopped_by == "killed", losing=fault.losing
         )
     except RoverNcpError:
         return Completeness(record, False, 0, 1, 0, 0)
 
 
 def _settle(rig: Rig) -> None:
-    """Mend what a failed round left behind, and wait until nobody drives."""
+    """Remove the faults that a failed round left, and wait until no driver has the lease."""
     rig.link.release()
     rig.line.release()
     rig.bridge.send_signal(signal.SIGCONT)

@@ -1,4 +1,4 @@
-"""What a soak says in the end: fields for programs, a table for the documentation."""
+"""Report of a soak: JSON fields for programs, a table for the documentation."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -23,7 +23,7 @@ def line(done: Round) -> str:
 
 
 def verdict(soaked: Soaked) -> list[str]:
-    """Return everything that is wrong, in words; empty when all is well."""
+    """Return every failed check in words; empty when all passed."""
     wrong = [line(done).strip() for done in soaked.rounds if not done.passed]
     for name, found in _leaks(soaked).items():
         wrong += [f"{name} leaks {what}: {getattr(found, _FIELD[what])}" for what in found.leaking]
@@ -87,7 +87,7 @@ def _round_fields(done: Round) -> dict[str, Any]:
 
 
 def table(soaked: Soaked) -> Iterator[str]:
-    """Yield the rows as Markdown: how often each came, and the time of that which had least to spare."""
+    """Yield the rows as Markdown: how often each occurred, and the time with the least margin."""
     yield "| layer | fault | times | slowest stands after | allowed |"
     yield "|---|---|---:|---:|---|"
     for row in MATRIX:

@@ -1,4 +1,4 @@
-"""The ``soak`` command: shows how far it is, tells what it found."""
+"""The ``soak`` command: shows its progress, reports its findings."""
 
 from pathlib import Path
 
@@ -15,10 +15,10 @@ TABLE = "soak.md"
 
 
 def run_soak(minutes: float, seed: int, out: Path, output: Output, *, overwrite: bool) -> int:
-    """See ``soak_commands.soak``. Raises RoverNcpError when it cannot begin or end."""
+    """Run ``soak_commands.soak``. Raises RoverNcpError when it cannot begin or end."""
     earlier = [*(out / "log").glob(TRUTH), *(out / "drives").glob("*.mcap")]
     if earlier and not overwrite:
-        raise FileError(f"{earlier[0]}: exists already; choose another --out, or say --overwrite")
+        raise FileError(f"{earlier[0]}: exists already; choose another --out, or add --overwrite")
     require_writable(out / TABLE)
     for old in earlier:
         old.unlink()
@@ -33,7 +33,7 @@ def run_soak(minutes: float, seed: int, out: Path, output: Output, *, overwrite:
     task = bar.add_task("starting", total=minutes * 60.0)
     said = 0
 
-    def tell(soaked: Soaked, doing: str) -> None:
+    def on_round(soaked: Soaked, doing: str) -> None:
         nonlocal said
         bar.update(task, description=doing, completed=soaked.rounds[-1].at_s if soaked.rounds else 0.0)
         for done in soaked.rounds[said:]:
@@ -41,7 +41,7 @@ def run_soak(minutes: float, seed: int, out: Path, output: Output, *, overwrite:
         said = len(soaked.rounds)
 
     with bar:
-        soaked = soak(minutes * 60.0, seed, out, tell)
+        soaked = soak(minutes * 60.0, seed, out, on_round)
     rows = out / TABLE
     write_atomic(rows, "\n".join(table(soaked)) + "\n")
     wrong = verdict(soaked)

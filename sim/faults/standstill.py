@@ -1,4 +1,4 @@
-"""How long a rover took to come to rest, from what its mock wrote of its true motion."""
+"""The time a rover took to stop, from the true motion that its mock wrote."""
 
 import csv
 import time
@@ -17,7 +17,7 @@ SAMPLE_S = 0.01
 
 
 class NotStill(RoverNcpError):
-    """The rover goes on although it should stand."""
+    """The rover still moves although it should stand."""
 
     exit_code = 1
 
@@ -35,7 +35,7 @@ class Motion(NamedTuple):
 
     @property
     def moving(self) -> bool:
-        """Whether it moves."""
+        """Whether the rover moves."""
         return abs(self.v) > STILL_M_S or abs(self.omega) > STILL_RAD_S
 
 
@@ -49,7 +49,7 @@ class TruthReader:
         self.rows: list[Motion] = []
 
     def read(self) -> list[Motion]:
-        """Take in what was written meanwhile, and return all rows."""
+        """Read new rows, and return all rows."""
         text = self._rest + self._file.read()
         whole = text.rfind("\n") + 1
         self._rest = text[whole:]
@@ -68,14 +68,14 @@ class TruthReader:
         return rows[bisect_left(rows, clock_ns, key=lambda row: row.clock_ns) :]
 
     def moving(self) -> bool:
-        """Whether it moves, by the newest row."""
+        """Whether the rover moves, by the newest row."""
         rows = self.read()
         return bool(rows) and rows[-1].moving
 
     def stood_after(self, since_ns: int, timeout_s: float, still_s: float = 0.3) -> float:
-        """Wait until it has stood for ``still_s``; return how long after ``since_ns`` it came to stand.
+        """Wait until the rover has stood for ``still_s``; return how long after ``since_ns`` it stopped.
 
-        Both moments are of the simulation clock, which the mock keeps at the machine's monotonic clock. The
+        Both times are of the simulation clock, which follows the machine's monotonic clock. The
         rover stands from the first sample on in which it does not move: at most `SAMPLE_S` too late. Zero
         when it never moved. Raises NotStill after ``timeout_s``.
         """
@@ -90,5 +90,5 @@ class TruthReader:
             time.sleep(0.02)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()

@@ -31,8 +31,8 @@ def load_agent(path: Path, number: int, plan: Plan) -> AgentState:
         data = _AgentFile.model_validate(json.loads(read_text(path)))
         agent = AgentState(number, data.search, data.improvements)
         search = revive(plan, agent)
-        told = agent.improvements[-1] if agent.improvements else (search.iterations, search.value)
-        if data.agent != number or told[0] > search.iterations or told[1] != search.value:
+        last = agent.improvements[-1] if agent.improvements else (search.iterations, search.value)
+        if data.agent != number or last[0] > search.iterations or last[1] != search.value:
             raise ValueError("it does not fit together")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise FileError(

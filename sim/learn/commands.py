@@ -33,7 +33,7 @@ def train(
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, max=MOST_SEED, help="Root seed: all randomness comes from it.", show_default="0"),
+        typer.Option(min=0, max=MOST_SEED, help="Root seed of all random numbers.", show_default="0"),
     ] = None,
     agents: Annotated[
         int | None,
@@ -65,7 +65,9 @@ def train(
     ] = None,
     worst: Annotated[
         int | None,
-        typer.Option(min=1, max=100_000, help="Average so many worst ones.", show_default="all rollouts"),
+        typer.Option(
+            min=1, max=100_000, help="Number of worst rollouts in the average.", show_default="all rollouts"
+        ),
     ] = None,
     random_courses: Annotated[
         int | None,
@@ -74,7 +76,7 @@ def train(
     profile: Annotated[
         Path | None,
         typer.Option(
-            help="What was measured of the rover, as 'identify' writes it; the rest is drawn.",
+            help="Rover profile, as 'identify' writes it; values not in it are drawn.",
             show_default=False,
         ),
     ] = None,
@@ -82,11 +84,14 @@ def train(
         Path | None,
         typer.Option(help="Folder of the run, missing or empty.", show_default="the next free runs/train-N"),
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False,
     processes: Annotated[
         int | None,
         typer.Option(
-            min=1, max=1000, help="Changes the speed, never the result.", show_default="one for each core"
+            min=1,
+            max=1000,
+            help="Processes; the result does not depend on them.",
+            show_default="one for each core",
         ),
     ] = None,
     cluster: Annotated[
@@ -100,14 +105,14 @@ def train(
 ) -> None:
     """Train circuits in simulation until one drives a course.
 
-    Agents start from the same untuned wiring, shaken a little, and search independently: each keeps the best
-    parameters found so far and tries others near them. A return is the sum of minus the squared misses of
-    the checkpoints (1 rad counting as 1 m): 0 would be perfect, about -0.1 parks.
+    Agents start from the same untuned wiring, slightly perturbed, and search independently. Each keeps the
+    best parameters found so far and tries others near them. A return is minus the sum of the squared misses
+    of the checkpoints (1 rad counts as 1 m): 0 would be perfect, about -0.1 parks.
 
     In the folder: policy.yaml (the best agent's circuit, ready for deploy and eval), curve.csv and curve.png
-    (best return so far of each agent), settings.yaml, agents/. The same settings give the same bytes, on
-    however many processes. Interrupt it whenever you like: with --resume it ends in the same files, and
-    needs none of the options again.
+    (best return so far of each agent), settings.yaml, agents/. The same settings give the same bytes, for
+    any number of processes. A run can be interrupted at any time: with --resume it ends in the same files,
+    and needs none of the options again.
 
         rover-ncp train --seed 1 --out runs/mine
         rover-ncp train --out runs/mine --resume
@@ -117,10 +122,10 @@ def train(
 
         rover-ncp train --cluster tcp://192.168.1.5:8786
 
-    With --randomize, a circuit learns to follow any course on robots nobody measured: what it senses is
-    where it is relative to the course (the circuit, tracking unless told otherwise, needs the neurons FWD
-    and REV), a candidate's score is the mean over many random trials, and the search is CMA-ES; iterations
-    are its generations, of which those before 2000 drive a part of the rollouts.
+    With --randomize, a circuit learns to follow any course on randomised robots. It senses its pose relative
+    to the course. The circuit, by default tracking, needs the neurons FWD and REV. A candidate's score is the
+    mean over many random trials, and the search is CMA-ES. Iterations are its generations; those before 2000
+    drive a part of the rollouts.
 
         rover-ncp train --randomize full --out runs/robust
         rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine

@@ -185,7 +185,7 @@ class Engine:
 
     @property
     def setting(self) -> tuple[Program, IntArray, Tasks, Trials]:
-        """What all episodes have in common, as kernels take it."""
+        """Common arguments of all episodes, in the order of the kernels."""
         return self._program, self._signal_at, self._tasks, self._trials
 
     @property
@@ -200,7 +200,7 @@ class Engine:
         return self._teams[width, ground]
 
     def build_team(self, width: int, ground: int = 0) -> tuple[Fleet, Lanes]:
-        """Return new lanes and rovers of a width, for the first course's obstacles unless told otherwise."""
+        """Return new lanes and rovers of a width, by default for the first course's obstacles."""
         lanes = Lanes(
             parameters=allocate_lanes(self._program, self.policy, width),
             potentials=resting_potentials(self.policy, width),

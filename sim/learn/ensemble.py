@@ -1,8 +1,8 @@
 """Independent agents that search at the same time, round by round, spread over workers.
 
-All agents do the same number of iterations a round. Whoever looks at a round's end (progress, checkpoint, the
-question whether to stop) sees everyone at the same iteration, so the same picture for a seed, however many
-processes there are and however fast they run; the agents themselves need not wait for each other.
+All agents do the same number of iterations a round. At a round's end, progress, checkpoint and the stop
+condition see all agents at the same iteration. So they see the same state for a seed, for any number and
+speed of processes. The agents themselves need not wait for each other.
 """
 
 from collections.abc import Callable
@@ -58,8 +58,8 @@ def run_ensemble(
 ) -> Snapshot:
     """Advance all agents to ``iterations``; ``after_round`` sees every round's end and may stop there.
 
-    Agents that are ahead (a run that was killed while it saved them) wait for the others. Nothing is done
-    and nobody called if all have arrived.
+    Agents that are ahead (a run that was killed while it saved them) wait for the others. If all have
+    arrived, nothing is done and ``after_round`` is not called.
     """
     snapshot = start
     if snapshot.arrived(iterations):

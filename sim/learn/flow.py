@@ -10,8 +10,7 @@ from sim.learn.search.base import Vector
 
 
 class Answer(NamedTuple):
-    """What became of the n candidates that an agent had submitted; its arrays may change when it submits
-    again."""
+    """Results of the n candidates that an agent submitted; the arrays may change when it submits again."""
 
     agent: int
     values: Vector
@@ -26,7 +25,7 @@ class Flow(Protocol):
     room: int
     """The most candidates that an agent may submit at once."""
     enough: int
-    """So many of each agent keep everything busy."""
+    """The number of candidates of each agent that keeps all lanes busy."""
 
     def submit(self, agent: int, vectors: Vector, to_beat: Vector, keys: Sequence[tuple[int, ...]]) -> None:
         """Take candidates (n, P) of an agent that waits for no answer; the rest as in ``Objective``."""

@@ -112,7 +112,7 @@ class RunFolder:
 
     def save_progress(self, snapshot: Snapshot) -> None:
         """Write the agents, the best policy and the table of the curves. Raises FileError."""
-        # First, and always: who resumes from these agents does not come by this iteration again.
+        # First, and always: a run that resumes from these agents does not reach this iteration again.
         self.save_milestone(snapshot)
         for agent in snapshot.agents:
             save_agent(self._agents / f"{agent.number:02}.json", agent)
@@ -129,7 +129,7 @@ class RunFolder:
         write_atomic(self.path / "curve.png", curve_png(snapshot.agents, snapshot.iterations, title))
 
     def policy(self, agent: AgentState, snapshot: Snapshot) -> Policy:
-        """Return an agent's incumbent as a policy that tells how it was made."""
+        """Return an agent's incumbent as a policy with its provenance."""
         if agent.search is None:
             raise ValueError(f"agent {agent.number} has not begun")
         provenance = self._record.provenance(

@@ -1,7 +1,7 @@
 """Small neural networks in place of a circuit: a multilayer perceptron and an LSTM, many of them in lanes.
 
-They see and do what a policy's circuit does. An input is what its sensors would tell: the part of the
-sensor's range, which ends at the range's ends; where the policy has an input layer, the raw input over its
+They have the inputs and outputs of a policy's circuit. An input is the sensor's value as a part of its
+range, clamped to it; where the policy has an input layer, the raw input over its
 range. An output reaches from the motors' minimum to their maximum and stays there.
 
 mlp     tanh cells on the inputs, outputs linear in the cells

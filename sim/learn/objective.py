@@ -1,4 +1,4 @@
-"""What a search maximises: the return of one rollout, or an estimate from several.
+"""The objective that a search maximises: the return of one rollout, or an estimate from several.
 
 Section IV of the paper: N rollouts, of which all, or the worst k, are averaged. Rollouts that are random
 take a seed each from the stream (agent, evaluation), so that a candidate's estimate depends neither on the
@@ -40,10 +40,10 @@ class Objective(Protocol):
 
 
 class Deterministic:
-    """A task without chance: one rollout says it all.
+    """A deterministic task: one rollout gives the return.
 
     ``returns`` takes vectors (k, P) and the thresholds (k,) below which a rollout may stop; it gives (k,).
-    ``traces`` is what ``trace`` says, for strategies that need it. ``stream``, if there is one, opens a
+    ``traces`` is the result of ``trace``, for strategies that need it. ``stream``, if there is one, opens a
     flow that does both for so many agents.
     """
 

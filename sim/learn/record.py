@@ -1,4 +1,4 @@
-"""What a training run is: its settings, the circuit and course they name, and what it was made with.
+"""Record of a training run: its settings, the circuit and course they name, and the software versions.
 
 The record is written before the first iteration and never changes. All that ends up in a policy's
 provenance comes from it, so that a run that was killed and resumed ends in the same bytes.
@@ -37,7 +37,7 @@ class _Settings(StrictModel):
 
 
 class TrainSettings(_Settings):
-    """What decides a training run's result; how many processes it takes does not."""
+    """Settings that decide a training run's result; the number of processes does not."""
 
     course: str = "parking"
     circuit: str = "parking"
@@ -48,7 +48,7 @@ class TrainSettings(_Settings):
 
 
 class RobustSettings(_Settings):
-    """What decides the result of a training on random trials."""
+    """Settings that decide the result of a training on random trials."""
 
     course: str = "parking"
     circuit: str = "tracking"
@@ -64,7 +64,7 @@ class RobustSettings(_Settings):
 
 
 class Task(NamedTuple):
-    """What is trained on what: the course, and the policy whose parameters are the untuned start."""
+    """The course, and the policy whose parameters are the untuned start."""
 
     course: Course
     policy: Policy
@@ -144,7 +144,7 @@ def _commit() -> str | None:
     here = Path(__file__)
     git = ["git", "--no-optional-locks", "-C", str(here.parent)]
     try:
-        # An environment may lie inside somebody's repository without being part of it.
+        # An environment may lie inside another repository without being part of it.
         _run([*git, "ls-files", "--error-unmatch", here.name])
         return _run([*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"])
     except (OSError, subprocess.SubprocessError):

@@ -1,14 +1,14 @@
-"""Training on robots nobody measured: CMA-ES on the mean of a smooth cost over random trials and courses.
+"""Training on randomised robots: CMA-ES on the mean of a smooth cost over random trials and courses.
 
-A generation's candidates all drive the same trials (common random numbers), so that what tells them apart is
-not luck; the next generation drives others, so that none is learned by heart. Early generations drive fewer
-trials: far from the goal a rough estimate will do, and close to it only a good one shows the way. What a
-generation does depends on its number, never on how many are to come. The winner is the average of the
-distribution's last means, which no single lucky trial made.
+A generation's candidates all drive the same trials (common random numbers), so that chance does not separate
+them. The next generation drives other trials, which prevents overfitting. Early generations drive fewer
+trials: far from the goal a rough estimate suffices, and close to it a good one is needed. A generation
+depends on its number, never on the number of later ones. The winner is the average of the distribution's last
+means, which depends on no single lucky trial.
 
-Numbers are searched in the unit cube, at whose walls the search is reflected: conductances of leaks and
-capacitances, which span decades, by their logarithm, all else linearly. Those of neurons that are driven
-decide nothing and stay.
+Parameters are searched in the unit cube, at whose walls the search is reflected. Leak conductances and
+capacitances, which span decades, are scaled by their logarithm, all others linearly. The parameters of
+sensory neurons are dead and stay.
 """
 
 import math
@@ -44,7 +44,7 @@ class Stage(NamedTuple):
     failure: float
     limit: float
     blur: float
-    """What failing costs, from which m and rad on, and how far that limit is blurred."""
+    """The cost of a failure, its limit in m and rad, and the width of the smooth limit."""
     rounded: bool
     """Whether commands come in whole steps, in trials that have them, every other generation."""
 
@@ -57,30 +57,32 @@ _STAGES = (
     Stage(2000, 1, 0.004, 20.0, 0.095, 0.004, False),
     Stage(2400, 1, 0.004, 20.0, 0.095, 0.004, True),
 )
-"""First to come near, then to park always, then to park the last few of a hundred, which takes many trials to
-see and small steps. Whole steps come last, and not always: they swallow the small twitches of a motor neuron
-that should be silent, so that who trains with nothing else twitches on bases that have none."""
+"""The first stages reach the goal's neighbourhood, the next ones park always, and the last ones park the last
+few of a hundred, which takes many trials to see and small steps. Quantised commands come last, and only in
+some generations: they hide the small twitches of a motor neuron that should be at rest. A policy trained with
+nothing else twitches on bases without quantisation."""
 
 Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stage: the costs (k, trials)."""
 
 _FIRST_SPREAD, _MOST_SPREAD = 0.04, 0.1
-"""Where all is equally good, noise lets a spread grow beyond the cube."""
+"""First and greatest spread. Where all costs are equal, noise would let it grow beyond the cube."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
 _STILL = (0.003, 0.0006)
-"""From which m and rad on who should stand still has failed, and how far that is blurred: well within the
-5 mm and 5 mrad of parked, as large twitches are rare, and small ones, which tell of them, are not."""
+"""Motion in m and rad above which a rover that should stand has failed, and the width of the smooth limit:
+well within the 5 mm and 5 mrad of parked, as large twitches are rare, and the small ones that indicate them
+are not."""
 _AVERAGED, _AVERAGED_SHARE = 100, 4
 """The winner is the average of so many last means, yet of no more than that fraction of all."""
 _COURSES_APART = 10**9
 """Training courses have seeds from here on, evaluations smaller ones: no course is in both."""
 _RANDOM_BETWEEN = 2
-"""So many random courses follow each turn of the given one, which goes to the left and to the right."""
+"""The number of random courses after each turn of the given one, which goes to the left and to the right."""
 
 
 class Generation(NamedTuple):
-    """Where a search stands: after how many generations, the winner (P,), the spread, the best cost in it."""
+    """State of a search: the number of generations, the winner (P,), the spread, the best cost."""
 
     number: int
     winner: FloatArray
@@ -89,7 +91,7 @@ class Generation(NamedTuple):
 
 
 class Cube(Protocol):
-    """What is searched, as numbers in 0..1."""
+    """Search space, scaled to 0..1."""
 
     @property
     def start(self) -> FloatArray:

@@ -124,12 +124,12 @@ class _Run:
 
     @property
     def last(self) -> Generation:
-        """Where the search stands."""
+        """The newest generation."""
         best, spread = self._curve[-1]
         return Generation(self.search.number, self.search.winner, spread, best)
 
     def advance(self, drive: Drive, on_generation: Callable[[Generation], None]) -> None:
-        """Search to the end; whatever ends this early, what is known is saved."""
+        """Search to the end; save the state if the run ends early."""
         saved_s = save_cost_s = 0.0
         # What an interrupt in the middle of a generation leaves is no state to go on from.
         state = self.search.state()

@@ -42,7 +42,7 @@ OUTPUTS = ("v", "omega")
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """What happened in T ticks of 0.1 s; poses are true, in the course's frame (m, m, rad)."""
+    """Trace of T ticks of 0.1 s; poses are true, in the course's frame (m, m, rad)."""
 
     times: FloatArray
     """(T + 1,) s, from 0."""
@@ -76,7 +76,7 @@ def require_driver(policy: Policy) -> None:
 
 
 class _Odometry:
-    """What a rover sees of its own pose in a trial."""
+    """A rover's observation of its own pose in a trial."""
 
     def __init__(self, trials: Trials, row: int) -> None:
         self._trials, self._row = trials, row

@@ -156,7 +156,7 @@ class Stream:
         self._submitted[agent] = count
 
     def collect(self) -> list[Answer]:
-        """Return what became of all candidates of one agent or more; nothing if nobody waits."""
+        """Return the results of all candidates of one agent or more; nothing if no candidates wait."""
         run_until_answer(*self._engine.setting, self._lanes, self._fleet.arrays, self._queue, self._slots)
         answers = []
         for agent, left in enumerate(self._slots.left.tolist()):

@@ -19,7 +19,7 @@ from sim.learn.search.base import SearchState, Strategy, Vector
 from sim.learn.search.strategies import STRATEGIES, start_search
 
 _MOST_AHEAD = 4
-"""Rounds that an agent may be ahead of the slowest; who waits leaves lanes idle."""
+"""Rounds that an agent may be ahead of the slowest; an agent that waits leaves lanes idle."""
 
 # Second element of an agent's spawn keys: what the stream is for.
 _SEARCH, _ROLLOUTS = 0, 1
@@ -27,7 +27,7 @@ _SEARCH, _ROLLOUTS = 0, 1
 
 @dataclass(frozen=True)
 class Plan:
-    """What every process needs to know; it travels between processes by pickle."""
+    """Data that every process needs; it is passed between processes by pickle."""
 
     root_seed: int
     strategy: str
@@ -104,13 +104,13 @@ class Team:
     def rounds(self, agents: Sequence[AgentState], targets: Sequence[int]) -> Rounds:
         """Give the agents after each of these numbers of candidates, which rise.
 
-        Meanwhile who is quicker goes on to the next rounds, so that no lane waits for the slowest; nothing
-        shows of that.
+        Faster agents go on to the next rounds meanwhile, so that no lane waits for the slowest. The results
+        do not depend on that.
         """
         runners = [
             _Runner(agent.number, revive(self._plan, agent), list(agent.improvements)) for agent in agents
         ]
-        # Who stops listening leaves candidates behind, which no other run must meet.
+        # A consumer that stops early leaves candidates in the flow, which no other run must receive.
         flow = self._flows.pop(len(agents), None) or self._new_flow(len(agents))
         paused = list(range(len(agents)))
         for given in range(len(targets)):
@@ -158,7 +158,7 @@ def _ask(search: Strategy, iterations: int, flow: Flow) -> Vector:
 
 
 def _tell(search: Strategy, values: Vector, misses: Vector | None) -> list[tuple[int, float]]:
-    """Tell a search; return the iterations at which its incumbent's return changed, and to what."""
+    """Pass values to a search; return the iterations and values of changes of its incumbent's return."""
     value, evaluations = search.value, search.evaluations
     changes = []
     for number in range(search.tell(values, misses)):

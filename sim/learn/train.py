@@ -98,7 +98,7 @@ def _workers(plan: Plan, count: int, cluster: str | None) -> Inline | LocalProce
 
 
 class _Rounds:
-    """What happens at the end of each round: display, checkpoint, the question whether to stop."""
+    """Actions at the end of each round: display, checkpoint, stop condition."""
 
     def __init__(
         self,
@@ -116,7 +116,7 @@ class _Rounds:
         self._clock: tuple[float, int] | None = None
 
     def run(self, workers: Workers, iterations: int) -> None:
-        """Advance the agents to ``iterations``; whatever ends this early, what is known is saved."""
+        """Advance the agents to ``iterations``; save the state if the run ends early."""
         try:
             run_ensemble(workers, self.snapshot, iterations, self._after_round)
         except (KeyboardInterrupt, RoverNcpError):

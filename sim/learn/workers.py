@@ -33,14 +33,14 @@ class WorkerDied(RoverNcpError):
 
 
 class _Failure(NamedTuple):
-    """What a worker answers when it cannot go on; errors themselves do not all survive a pipe."""
+    """Answer of a worker that cannot go on; errors themselves do not all survive a pipe."""
 
     text: str
     is_users: bool
 
 
 class _End:
-    """What a worker sends after the last of several answers."""
+    """Message of a worker after the last of several answers."""
 
 
 class Workers(Protocol):
@@ -133,8 +133,8 @@ class Processes:
     def stream(self, calls: Sequence[tuple[Any, ...]]) -> Generator[list[Any], None, None]:
         """Call the function, which gives an iterator, once in each process; give what comes back together.
 
-        The processes do not wait for each other, nor for whoever listens, until they are some answers
-        ahead. Whoever stops listening closes the iterator and can then call again. Raises as ``call`` does.
+        The processes do not wait for each other. They wait for the consumer only when they are some answers
+        ahead. A consumer that stops early closes the iterator and can then call again. Raises as ``call``.
         """
         processes = {ours: process for (process, ours), _ in zip(self._workers, calls, strict=False)}
         for (connection, process), arguments in zip(processes.items(), calls, strict=True):
@@ -234,7 +234,7 @@ def _work(connection: Connection, make: Callable[[], Callable[..., Any]]) -> Non
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             arguments = connection.recv()
-            if arguments is None:  # it wanted to hear no more when all had been said
+            if arguments is None:  # the parent cancelled a stream that had ended
                 continue
             answer: Any
             try:
@@ -252,7 +252,7 @@ def _work(connection: Connection, make: Callable[[], Callable[..., Any]]) -> Non
 
 
 def _stream(connection: Connection, answers: Generator[Any, None, None]) -> _End:
-    """Send all answers, unless the parent wants to hear no more."""
+    """Send all answers, until the parent cancels."""
     with closing(answers):
         for answer in answers:
             connection.send(answer)

@@ -30,7 +30,7 @@ TRUTH = "truth.csv"
 
 
 class ProcessError(RoverNcpError):
-    """A process of the run failed; carries its last words and hands on its exit code."""
+    """A process of the run failed; carries its last line and its exit code."""
 
     def __init__(self, name: str, code: int, words: str) -> None:
         super().__init__(f"{name}: {words}" if words else f"{name} ended with exit code {code}")
@@ -53,7 +53,7 @@ def compile_driver() -> None:
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Put off Ctrl-C and SIGTERM: who starts a process must get to know it before anything ends."""
+    """Defer Ctrl-C and SIGTERM, so that a started process is registered before the run ends."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -89,8 +89,8 @@ class Applied(NamedTuple):
 class Process:
     """A ``rover-ncp`` command as a child process. Its output goes to files, so that no pipe can fill up.
 
-    ``module`` is what Python runs to get it, when something is to be wrapped around it; ``told``, whether
-    it is given lines by `tell`; ``outlet`` is the kind of `Outlet` that takes its output.
+    ``module`` is the module that Python runs, for example a wrapper around the command; ``reads_lines`` opens
+    its standard input for `tell`; ``outlet`` is the kind of `Outlet` that takes its output.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Process:
         log_dir: Path,
         module: str = "rover_ncp",
         *,
-        told: bool = False,
+        reads_lines: bool = False,
         outlet: str = "",
     ) -> None:
         self.command = command
@@ -111,7 +111,7 @@ class Process:
             self._child = subprocess.Popen(
                 # -P: the user's folder may hold a sim/ or a numba.py of its own.
                 [sys.executable, "-P", "-m", module, command, *arguments, "--json"],
-                stdin=subprocess.PIPE if told else subprocess.DEVNULL,
+                stdin=subprocess.PIPE if reads_lines else subprocess.DEVNULL,
                 stdout=self.outlet.fd if self.outlet else out,
                 stderr=self.outlet.fd if self.outlet else err,
                 # A terminal's Ctrl-C must reach the parent alone: it ends the driver first, then the others.
@@ -153,7 +153,7 @@ class Process:
     def tell(self, line: str) -> Applied:
         """Write a line to its standard input, and wait for its answer. Raises ProcessError without one."""
         stdin = self._child.stdin
-        assert stdin is not None  # or it was not started to be told anything
+        assert stdin is not None  # started with reads_lines
 
         def write() -> None:
             with contextlib.suppress(BrokenPipeError):
@@ -163,7 +163,7 @@ class Process:
         return self.answer_to(write)
 
     def answer_to(self, action: Callable[[], None]) -> Applied:
-        """Wait until it says when it applied an action. Raises ProcessError when it does not."""
+        """Wait for the process's answer to an action. Raises ProcessError without one."""
         known = len(self._answers())
         action()
         deadline = time.monotonic() + APPLIED_TIMEOUT_S

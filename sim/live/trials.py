@@ -1,7 +1,7 @@
 """Random trials as real processes: mock, bridge and deploy, over TCP and Zenoh, in real time.
 
 Each trial has a folder: ``course.yaml``, ``driver.yaml`` (all that the driver knows of the robot),
-``run.mcap`` (with the true pose merged in) and ``log/``. What is judged is the true pose.
+``run.mcap`` (with the true pose merged in) and ``log/``. The true pose is judged.
 """
 
 from collections.abc import Callable
@@ -58,7 +58,7 @@ class LiveTrials:
 
 
 class _LiveTrial(LiveRun):
-    """The processes of one trial, and somebody who tells the driver where the rover stands."""
+    """The processes of one trial, and the external localisation of its start pose."""
 
     def __init__(self, trials: LiveTrials, number: int) -> None:
         self._trials, self._number = trials, number
@@ -75,7 +75,7 @@ class _LiveTrial(LiveRun):
         self._placed = ExitStack()
 
     def start(self) -> None:
-        """Start the driver, and tell it where the rover stands."""
+        """Publish the rover's start pose, and start the driver."""
         start = Pose(*self._trials.stack.trials(self._number).start[0].tolist())
         self._placed.enter_context(Placed(self.robot, start))
         self._driver: Process = self.deploy(
@@ -85,7 +85,7 @@ class _LiveTrial(LiveRun):
         )
 
     def finish(self) -> Driven:
-        """Wait for the driver's end, and judge."""
+        """Wait for the driver's end, and score the trial."""
         course = self._course
         done = self._driver.wait(course.horizon_s + _EXTRA_S)
         self._placed.close()

@@ -1,4 +1,4 @@
-"""The true pose, which only the judge may see: the mock writes it, nobody who drives reads it."""
+"""The true pose, for scoring only: the mock writes it, and no driver reads it."""
 
 import csv
 from bisect import bisect_left, bisect_right

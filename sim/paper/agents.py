@@ -1,4 +1,4 @@
-"""Who is compared on a task: circuits of one wiring or another, and networks of their size.
+"""Agents compared on a task: circuits of several wirings, and networks of their size.
 
 circuit    the tap-withdrawal circuit, untuned
 random     a random wiring of its size, another one for each seed

@@ -74,7 +74,7 @@ class Arena:
     def run(self, vectors: ArrayLike, seeds: Seeds, *, horizon: int | None = None) -> FloatArray:
         """Run one episode for each vector (n, P) and seed (n,); returns (n, 3), see ``RESULTS``.
 
-        ``steps`` counts what the environments have done. The horizon is the task's unless told.
+        ``steps`` counts what the environments have done. The default horizon is the task's.
         """
         rows = np.ascontiguousarray(vectors, np.float64)
         results = np.zeros((len(rows), RESULTS))

@@ -1,7 +1,7 @@
-"""What steers a plant, many lanes at once: circuits of one wiring, or networks of one kind.
+"""Controllers of a plant, many lanes at once: circuits of one wiring, or networks of one kind.
 
-A kernel is compiled for the types it is given, not for the meaning of a number in them: so that one kernel
-serves both, a brain holds a program of either kind, of which it runs one.
+A kernel is compiled for the types of its arguments, not for their values. A brain holds a program of either
+kind and runs one of them, so one kernel serves both.
 """
 
 from typing import NamedTuple

@@ -20,7 +20,7 @@ SHIPPED = Path(__file__).parent / "results"
 
 
 class Name(StrictModel):
-    """Where a run stands in the grid."""
+    """Coordinates of a run in the grid."""
 
     task: str
     agent: str
@@ -47,7 +47,7 @@ class Cell(StrictModel):
     cpu_s: float
     evaluations: int
     steps: int
-    """Of the environment, all episodes together."""
+    """Environment steps of all episodes together."""
     ended: str
     """By enough, plateau, steps or evaluations."""
     curve: tuple[tuple[int, float], ...]

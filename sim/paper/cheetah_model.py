@@ -15,11 +15,11 @@ TRUNK, LEG = 3, 3
 _MOST_ROWS = 54
 """Three of each of 16 ends of capsules, and a hinge is at one of its limits at most."""
 _LEAST_IMPEDANCE = 1e-4
-"""What MuJoCo makes of less."""
+"""MuJoCo raises smaller values to this."""
 
 
 class Softness(NamedTuple):
-    """Of a constraint: solref and solimp, with the power 2 and midpoint 0.5 that this model has."""
+    """A constraint's parameters: solref and solimp, with this model's power of 2 and midpoint of 0.5."""
 
     stiffness: float
     damping: float
@@ -59,7 +59,7 @@ class Cheetah(NamedTuple):
 
 
 class CheetahWork(NamedTuple):
-    """Where a step works; only positions and velocities are its input and its result."""
+    """Work arrays of a step; only positions and velocities are its input and its result."""
 
     position: FloatArray
     velocity: FloatArray
@@ -117,7 +117,7 @@ NO_CHEETAH = Cheetah(
     at_limit=_HARD,
     at_floor=_HARD,
 )
-"""Where there is none."""
+"""Placeholder for plants without a half-cheetah."""
 
 
 def cheetah_work() -> CheetahWork:

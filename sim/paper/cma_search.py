@@ -1,10 +1,11 @@
 """The search of the pendulums' runs: CMA-ES, every candidate from the same few starts that lie far apart.
 
-What a pendulum does follows from its start alone. So candidates are compared by their mean return from one
-set of starts, without luck, and a few that cover the environment's own tell nearly as much as many drawn at
-random; who is the best so far must be so from some more. Such a return has many steps and cliffs, over which
-a distribution sees where single changes get stuck. The first searches each begin at one of the best untuned
-agents, the others at the best candidate so far; where for long no candidate is better, the next one begins.
+A pendulum's motion follows from its start alone. So candidates are compared by their mean return from one
+set of starts, without noise. A few starts that cover the environment's own give nearly as much information as
+many random ones. A new best candidate must be best from some more starts too. Such a return has many steps
+and cliffs; a distribution averages over them where single changes get stuck. The first searches begin at the
+best untuned agents, the others at the best candidate so far. A search without improvement for long ends, and
+the next one begins.
 
 A covariance of some hundred parameters costs more than their episodes: above that it is a diagonal.
 """
@@ -32,7 +33,7 @@ _DRAW, _SEARCH, _TRIALS = range(10, 13)
 _POPULATION, _SPREAD, _SPREADS = 16, 0.05, (0.003, 0.2)
 _TRIED_FROM, _CHECKED_FROM, _POOL = 8, 32, 1000
 _EXPLORED, _SHARE = 4, 0.1
-"""So many searches begin at untuned agents, and take at most that share of a run's steps each."""
+"""The number of searches that begin at untuned agents, and the largest share of a run's steps for each."""
 _STALE = 40
 """Generations without a better candidate."""
 _MOST_ROTATED = 200
@@ -44,7 +45,7 @@ CMA: dict[str, Any] = {
     "explored": _EXPLORED,
     "stale": _STALE,
 }
-"""What a run tells of how it was searched."""
+"""The search settings that a run records."""
 
 
 def search_by_cma(

@@ -12,7 +12,7 @@ from rover_ncp.core.options import Json
 
 
 class What(StrEnum):
-    """What can be asked of the paper's experiments."""
+    """Actions on the paper's experiments."""
 
     RUN = "run"
     STATUS = "status"
@@ -27,7 +27,7 @@ class What(StrEnum):
 
 
 class Budget(StrEnum):
-    """How much a run may take; listed here so that --help need not import the tasks."""
+    """Budgets of a run; listed here so that --help need not import the tasks."""
 
     QUICK = "quick"
     DEFAULT = "default"
@@ -64,10 +64,15 @@ def paper(
         "runs/paper"
     ),
     out: Annotated[Path, typer.Option(help="curves: the picture.")] = Path("runs/paper/curves.png"),
-    again: Annotated[bool, typer.Option("--again", help="Make runs anew that are made already.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Repeat runs that exist already.")] = False,
     processes: Annotated[
         int | None,
-        typer.Option(min=1, max=1000, help="Runs at a time; none changes.", show_default="one for each core"),
+        typer.Option(
+            min=1,
+            max=1000,
+            help="Runs at the same time; results do not depend on it.",
+            show_default="one for each core",
+        ),
     ] = None,
     cluster: Annotated[
         str | None,
@@ -115,7 +120,7 @@ def paper(
     progress = Progress(console=console, transient=True, disable=not console.is_terminal)
     bar = progress.add_task("runs", total=len(left))
 
-    def tell(cell: Any) -> None:
+    def on_cell(cell: Any) -> None:
         made.append({"path": str(cell.name.path(runs)), **_summary(cell)})
         progress.advance(bar)
         output.say(
@@ -128,7 +133,7 @@ def paper(
         count = processes or available_processes()
         with progress:
             make_runs(
-                left, shelf, BudgetName(budget), circuit, processes=count, cluster=cluster, on_cell=tell
+                left, shelf, BudgetName(budget), circuit, processes=count, cluster=cluster, on_cell=on_cell
             )
     output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
     return 0
@@ -191,6 +196,6 @@ def _replay(output: Output, shelf: Any, names: list[Any], circuit: Path | None) 
         if any(getattr(cell, field) != value for field, value in found.items()):
             differ.append({**name.model_dump(), "stored": cell.mean, "replayed": found["mean"]})
     if not count:
-        raise UsageError("there are no such runs to replay; rover-ncp paper status says which are made")
+        raise UsageError("there are no such runs to replay; rover-ncp paper status lists the runs that exist")
     output.result({"replayed": count, "differ": differ}, f"{count} runs replayed, {len(differ)} differ")
     return 1 if differ else 0

@@ -15,7 +15,7 @@ _POINTS = 200
 _WIDE = 100.0
 """An axis that spans this needs no labels between the powers of ten."""
 _LEAST_RETURN = -6.0
-"""Of parking: what lies below drives anywhere but to the goal."""
+"""Lowest return shown for parking; agents with a lower one do not drive to the goal."""
 _COLORS = dict(zip(AGENTS, ("tab:blue", "tab:orange", "tab:green", "tab:red", "0.4", "0.7"), strict=True))
 
 

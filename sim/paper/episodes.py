@@ -35,7 +35,7 @@ class Queue(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Where L lanes work."""
+    """Work arrays of L lanes."""
 
     observations: FloatArray
     commands: FloatArray

@@ -1,11 +1,11 @@
 """The search of the half-cheetah's runs: evolution strategies that race, first by short episodes.
 
-What a half-cheetah earns comes evenly over an episode and depends little on chance: short episodes tell which
-candidates are better, and a population can follow them. Each of the best starts begins a search. After every
-stage the better half of these goes on, with longer episodes and more of them for each candidate. At first
-what counts is how fast one runs if it does not fall; by the end who falls from some starts is found out. All
-candidates of a generation begin their episodes alike. The winner is that mean of a distribution which does
-best in fresh whole episodes.
+A half-cheetah's reward comes evenly over an episode and depends little on chance. So short episodes show
+which candidates are better, and a population can follow them. Each of the best starts begins a search. After
+every stage the better half of the searches goes on, with longer and more episodes for each candidate. Early
+stages reward speed without a fall; the last ones show which candidates fall from some starts. All candidates
+of a generation begin their episodes alike. The winner is the mean of a distribution with the best return in
+fresh whole episodes.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ _SPREAD, _POPULATION = 0.06, 24
 
 
 class Stage(NamedTuple):
-    """So many searches, until that share of a run's steps, by episodes of a length and number."""
+    """Number of searches, share of a run's steps at the end, and length and number of episodes."""
 
     searches: int
     until: float
@@ -52,7 +52,7 @@ EVOLUTION = {
     "population": _POPULATION,
     "stages": [stage._asdict() for stage in STAGES],
 }
-"""What a run tells of how it was searched."""
+"""The search settings that a run records."""
 _START_TICKS, _SECOND_LOOKS, _SECOND_SHARE = 200, 4, 10
 _CHECK_EVERY, _CHECK_EPISODES = 10, 4
 _FINALISTS, _FINAL_EPISODES = 6, 20
@@ -71,7 +71,7 @@ class Contender:
         self.generations = 0
         self.checked: list[tuple[float, Vector]] = []
         self.standing = -np.inf
-        """What its mean does of late where it does not fall."""
+        """Recent return of its mean in episodes without a fall."""
 
     def advance(self, arena: Arena, stage: Stage) -> None:
         """Do one generation."""
@@ -80,7 +80,7 @@ class Contender:
         self.generations += 1
 
     def check(self, arena: Arena) -> float:
-        """Note what the mean does in fresh episodes."""
+        """Record the return of the mean in fresh episodes."""
         vectors = self._vectors(self._search.mean[None])
         seeds = draw_seeds(self._seed, (_CHECKS, self.generations), _CHECK_EPISODES)
         [returns] = _returns(arena, vectors, seeds)

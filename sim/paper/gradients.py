@@ -90,7 +90,7 @@ class PaperEnvironment(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 @dataclass(frozen=True, eq=False)
 class Actor:
-    """What is kept of a training: means and variances of observations, weights of cells and of the output."""
+    """Result of a training: means and variances of observations, weights of cells and of the output."""
 
     center: FloatArray
     variance: FloatArray

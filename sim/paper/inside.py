@@ -1,4 +1,4 @@
-"""What the trained parking circuits are like inside: time constants and contributions, beside the paper's."""
+"""Inside the trained parking circuits: time constants and contributions, beside the paper's."""
 
 from collections import Counter
 from typing import Any

@@ -3,7 +3,7 @@
 From Python a step of the inverted pendulum costs more in calls than in physics, and all lanes' circuits would
 wait for it one by one. ``mj_step`` is plain C, so a kernel calls it directly.
 
-Whoever runs a kernel on these lanes must keep the ``MujocoPool`` alive: it owns the memory.
+The caller of a kernel on these lanes must keep the ``MujocoPool`` alive: it owns the memory.
 """
 
 import ctypes
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from rover_ncp.core.errors import RoverNcpError
 from sim.paper.plants import MujocoLanes
 
-# Without a handler a warning, such as that of an outdated attribute in Gymnasium's half-cheetah, ends in a
-# file in whatever folder one is in. An unstable simulation, which a warning could also tell of, shows in its
-# return.
+# Without a handler, MuJoCo writes a warning, such as that of an outdated attribute in Gymnasium's
+# half-cheetah, to a file in the current folder. Other warnings report an unstable simulation, which shows in
+# its return too.
 mujoco.set_mju_user_warning(lambda _: None)
 
 

@@ -31,7 +31,7 @@ _CREEP = 5.0
 
 
 class ParkingOutcome(NamedTuple):
-    """How the one drive ends, which has no chance in it."""
+    """Outcome of the one drive, which is deterministic."""
 
     total: float
     parked: bool
@@ -84,7 +84,8 @@ def search_parking(
 ) -> Found:
     """Search an agent's parameters on the parking course. The same arguments give the same bits.
 
-    A return tells little of whether the rover stands in the end: found is the best that parks, if one does.
+    A return says little about whether the rover stands at the end. So the result is the best candidate that
+    parks, if any does.
     """
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(0,))))
     first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)

@@ -43,7 +43,7 @@ _CART_KG, _ = _capsule(0.1, 0.2)
 _POLE_KG, _POLE_ACROSS = _capsule(0.049, math.hypot(*_POLE_TOP_M))
 _TOTAL_KG = _CART_KG + _POLE_KG
 _INERTIA = _POLE_ACROSS + _POLE_KG * (_MIDDLE_X_M**2 + _MIDDLE_Z_M**2)
-"""Of the pole about the hinge."""
+"""Moment of inertia of the pole about the hinge."""
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""What Hasani et al. (ICRA 2020) report, to put ours beside it: ten runs a cell."""
+"""Results of Hasani et al. (ICRA 2020), for comparison with ours: ten runs a cell."""
 
 from typing import NamedTuple
 

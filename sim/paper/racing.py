@@ -1,10 +1,10 @@
-"""Estimates of a return from several rollouts, most candidates of which are out after the first.
+"""Estimates of a return from several rollouts, with most candidates pruned after the first.
 
-The paper takes N rollouts and averages the worst k. Most candidates are far worse than what they must beat,
-which one rollout shows. So rollouts come in heats: who is not ahead after a heat, judged by the same share of
-worst ones, is out, and what is returned for it is what it had. A candidate that stays in all heats gets the
-paper's estimate. A search asks only whether a candidate beats its incumbent, so racing loses it some lucky
-candidates late, and no others.
+The paper takes N rollouts and averages the worst k. One rollout shows that most candidates are far worse than
+their incumbent. So rollouts come in heats. A candidate that is not ahead after a heat, judged by the same
+share of worst rollouts, is pruned, and its estimate is that of the heats it had. A candidate that stays in
+all heats gets the paper's estimate. A search compares a candidate only with its incumbent, so racing loses
+only candidates that would have won by late luck.
 """
 
 from collections.abc import Sequence

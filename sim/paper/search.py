@@ -32,7 +32,7 @@ _CONFIRMATIONS = 100
 
 @dataclass(frozen=True)
 class Budget:
-    """How much a run may take; ``evaluations`` and ``steps`` each end it."""
+    """Budget of a run; ``evaluations`` and ``steps`` each end it."""
 
     rollouts: int
     worst: int
@@ -47,7 +47,7 @@ class Budget:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a search came to."""
+    """Result of a search."""
 
     vector: Vector
     evaluations: int

@@ -97,7 +97,7 @@ class Benchmark(Task):
     environment: str = ""
     mujoco: MujocoModel | None = None
     stand_in: StandIn | None = None
-    """What candidates are tried on in place of MuJoCo; results are MuJoCo's."""
+    """A plant that replaces MuJoCo in the search; results are MuJoCo's."""
     search: SearchName = SearchName.PUBLISHED
     bonus: float = 0.0
     starts: int = 3000

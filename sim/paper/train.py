@@ -31,11 +31,11 @@ _FINAL = 99
 _CURVE_POINTS = 60
 _UNLIMITED = 10**12
 _QUICK_STEPS = 400_000
-"""Of a quick run: a few seconds."""
+"""Steps of a quick run: a few seconds."""
 
 
 class BudgetName(StrEnum):
-    """How much a run may take."""
+    """Budget of a run."""
 
     QUICK = "quick"
     DEFAULT = "default"
@@ -119,10 +119,10 @@ def train_cell(
 
 
 def _settings(task: Task, limits: Budget) -> dict[str, Any]:
-    told: dict[str, Any] | None = {SearchName.CMA: CMA, SearchName.EVOLUTION: EVOLUTION}.get(
+    search: dict[str, Any] | None = {SearchName.CMA: CMA, SearchName.EVOLUTION: EVOLUTION}.get(
         _search_name(task, limits)
     )
-    return vars(limits) if told is None else {"steps": limits.steps, "starts": limits.starts, **told}
+    return vars(limits) if search is None else {"steps": limits.steps, "starts": limits.starts, **search}
 
 
 def _search_name(task: Task, limits: Budget) -> SearchName:
@@ -134,7 +134,7 @@ def _train_by_gradients(name: Name, task: Task, budget: BudgetName, began: tuple
     from sim.paper.gradients import CELLS, train_actor, training_of
 
     if budget is BudgetName.PUBLISHED:
-        raise UsageError(f"the paper tells no budget of {name.agent}")
+        raise UsageError(f"the paper states no budget for {name.agent}")
     actor, steps = train_actor(task, name.agent, name.seed, quick=budget is BudgetName.QUICK)
     assert isinstance(task, Benchmark)
     training = training_of(task, name.agent)

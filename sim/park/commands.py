@@ -98,7 +98,7 @@ def _clear_own(folder: Path, *, overwrite: bool) -> None:
     if not folder.exists():
         return
     if not overwrite:
-        raise FileError(f"{folder}: exists already; choose another --out, or say --overwrite")
+        raise FileError(f"{folder}: exists already; choose another --out, or add --overwrite")
     if not (folder / "settings.yaml").is_file() and any(folder.iterdir()):
         raise FileError(f"{folder}: is not empty and holds no training of an earlier park")
     shutil.rmtree(folder)
@@ -115,12 +115,12 @@ def evaluate(
     course: Annotated[
         list[str] | None,
         typer.Option(
-            help="Course to drive, by name or YAML file; again for more, which trials take in turn.",
+            help="Course to drive, by name or YAML file; repeat for more, which trials take in turn.",
             show_default="parking",
         ),
     ] = None,
     trials: Annotated[
-        int | None, typer.Option(min=1, max=10**6, help="Drive so many random trials.", show_default="1")
+        int | None, typer.Option(min=1, max=10**6, help="Number of random trials.", show_default="1")
     ] = None,
     seed: Annotated[
         int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the trials and random courses.")
@@ -132,7 +132,7 @@ def evaluate(
     random_courses: Annotated[
         int | None,
         typer.Option(
-            min=1, max=10_000, help="Drive so many random courses in turn instead.", show_default=False
+            min=1, max=10_000, help="Number of random courses, driven in turn instead.", show_default=False
         ),
     ] = None,
     stack: Annotated[
@@ -144,14 +144,14 @@ def evaluate(
         typer.Option(
             min=1,
             max=10_000,
-            help="Drive so many of the trials as real processes, in real time.",
+            help="Number of trials that are driven as real processes, in real time.",
             show_default=False,
         ),
     ] = None,
     profile: Annotated[
         Path | None,
         typer.Option(
-            help="What was measured of the rover, as 'identify' writes it; the rest is drawn.",
+            help="Rover profile, as 'identify' writes it; values not in it are drawn.",
             show_default=False,
         ),
     ] = None,
@@ -160,7 +160,7 @@ def evaluate(
         typer.Option(
             min=1,
             max=1000,
-            help="With --stack: changes the speed, never the result. With --live: so many runs at once.",
+            help="Processes. With --stack they change the speed, not the result. With --live: runs at once.",
             show_default="one for each core; 1 live",
         ),
     ] = None,
@@ -176,38 +176,39 @@ def evaluate(
     range_: Annotated[
         list[str] | None,
         typer.Option(
-            "--range", help="With --task: how far a sensor reaches, as NAME=LIMIT.", show_default=False
+            "--range", help="With --task: limit of a sensor's range, as NAME=LIMIT.", show_default=False
         ),
     ] = None,
     json: Json = False,
 ) -> int:
     """Drive a course in simulation with a policy, and score it.
 
-    Without --trials or --randomize, once, on the rover as it is modelled:
+    Without --trials or --randomize, the policy drives once, on the nominal rover model:
 
     The return is the paper's: minus the squared misses of all checkpoints, 1 rad counting as 1 m; 0 is out of
     reach, doing nothing on the parking course scores -14.18. A .bnn circuit gets the sensors it was trained
     with, which are not clamped.
 
-    With them, on rovers that nobody measured: each trial has its own delays, gains, noise and start, which
-    follow from the seed and the trial's number alone. What is counted is what truly happened.
+    With one of them, the policy drives randomised rovers. Each trial has its own delays, gains, noise and
+    start, which follow from the seed and the trial's number alone. The true motion is scored.
 
         rover-ncp eval course --trials 1000 --randomize full
         rover-ncp eval course --trials 1000 --randomize full --random-courses 200
 
     --stack drives the same trials as encoded bytes through the firmware of a mock Pioneer, the bridge with
-    its gate, and the driver with its estimator; all but sockets and waiting is what drives a robot.
+    its gate, and the driver with its estimator. Only sockets and waiting differ from driving a robot.
 
         rover-ncp eval course --trials 300 --randomize full --stack
 
-    --live drives them as three real processes each, over TCP and Zenoh, on mock robots whose errors nobody
-    who drives knows; with --stack too, both ways, and says how far apart they end.
+    --live drives each of them as three real processes, over TCP and Zenoh. The driver does not know the mock
+    robot's errors. With --stack too, trials are driven both ways, and the distance between their ends is
+    printed.
 
         rover-ncp eval course --live 4 --randomize full --course parking --course bay
 
     Without --stack, kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws.
 
-    --task plays episodes (--trials, 100) of a benchmark that the paper has beside parking; see 'paper'.
+    --task plays episodes (--trials, 100) of one of the paper's other benchmarks; see 'paper'.
 
         rover-ncp eval mine.bnn --task mountain-car --range position=1.0 --range velocity=0.02
 

@@ -42,7 +42,7 @@ _DEPLOY_EXTRA_S = 60.0
 
 @dataclass(frozen=True)
 class Parked:
-    """What ``rover-ncp park`` reports; errors are to the last checkpoint, in m and rad."""
+    """Report of ``rover-ncp park``; errors are to the last checkpoint, in m and rad."""
 
     verdict: Verdict
     estimate: dict[str, Any]

@@ -24,37 +24,42 @@ def mock(
     fault: Annotated[
         list[str] | None,
         typer.Option(
-            help="NAME[=VALUE][@START[-END]], again for more; seconds count from when the motors are first "
-            "enabled. mute, deaf, corrupt, drop, noise, freeze-odometry, jump-odometry, bumper, stall, "
-            "stop-button, low-battery, reset. '-' reads more of them from standard input, a line each, whose "
-            "seconds count from then."
+            help="Inject a fault, NAME[=VALUE][@START[-END]]; repeat for more. Seconds count from when "
+            "the motors are first enabled. Names: mute, deaf, corrupt, drop, noise, freeze-odometry, "
+            "jump-odometry, bumper, stall, stop-button, low-battery, reset. '-' reads more faults from "
+            "standard input, one a line; their seconds count from when the line is read."
         ),
     ] = None,
     randomize: Annotated[
-        str, typer.Option(help="Be a robot nobody measured: ranges none, mild, full, harsh or YAML file.")
+        str,
+        typer.Option(help="Simulate a randomised robot: preset none, mild, full or harsh, or a YAML file."),
     ] = "none",
     trial: Annotated[
         int,
-        typer.Option(min=0, max=MOST_SEED, help="Which of them: the one of that number in 'eval --trials'."),
+        typer.Option(min=0, max=MOST_SEED, help="Number of the random trial, as in 'eval --trials'."),
     ] = 0,
     profile: Annotated[
         Path | None,
-        typer.Option(help="Be this robot: a rover profile, as 'identify' writes it.", show_default=False),
+        typer.Option(
+            help="Simulate this robot: a rover profile, as 'identify' writes it.", show_default=False
+        ),
     ] = None,
     seed: Annotated[
         int,
-        typer.Option(min=0, max=MOST_SEED, help="Of the trial, and of which packets random faults damage."),
+        typer.Option(
+            min=0, max=MOST_SEED, help="Seed of the trial and of the packets that random faults damage."
+        ),
     ] = 0,
     json: Json = False,
 ) -> None:
-    """Pretend to be a Pioneer: its firmware on a simulated rover, on TCP, in real time.
+    """Simulate a Pioneer: its firmware on a simulated rover, over TCP, in real time.
 
-    Whatever drives a Pioneer can drive this: rover-ncp bridge, ARIA, Player, Soar. The rover starts at the
-    origin and obeys delays, acceleration limits, the watchdog and walls as a real one does. When it is ready,
-    the line "listening on HOST:PORT" is printed; Ctrl-C or SIGTERM ends it.
+    Every program that drives a Pioneer can drive the mock: rover-ncp bridge, ARIA, Player, Soar. The rover
+    starts at the origin. Delays, acceleration limits, the watchdog and walls act as on a real one. When the
+    mock is ready, it prints the line "listening on HOST:PORT"; Ctrl-C or SIGTERM ends it.
 
-    With --randomize it has the errors of one random trial: its delays, gains, noise and start, lost commands
-    and a push, for as long as the --course lasts. They begin when the motors are first enabled.
+    With --randomize the mock has the errors of one random trial: its delays, gains, noise and start, lost
+    commands and a push, for as long as the --course lasts. They begin when the motors are first enabled.
     """
     from sim.pioneer.run import run_mock
     from sim.world.randomization import ranges_for

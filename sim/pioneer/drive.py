@@ -1,4 +1,4 @@
-"""How a base turns set-points into motion, and motion into odometry.
+"""How a base turns setpoints into motion, and motion into odometry.
 
 Translation follows a speed or a distance (MOVE), rotation a rate or a heading (HEAD); the latest command of
 each kind wins, VEL2 replaces both. Speeds are held within SETV and SETRV, the rover keeps the acceleration
@@ -92,7 +92,7 @@ class Drive:
             self._omega, self._heading = 0.0, wrap_angle(heading)
 
     def stop(self) -> None:
-        """STOP: zero set-points."""
+        """STOP: zero setpoints."""
         self._v = self._omega = 0.0
         self._way_left = self._heading = None
 
@@ -103,7 +103,7 @@ class Drive:
         self.rover.change_limits(decel=E_STOP_DECEL, alpha_decel=E_STOP_ALPHA)
 
     def enable(self, on: bool) -> None:
-        """ENABLE: set-points never outlive it."""
+        """ENABLE: setpoints never outlive it."""
         self.enabled = on
         self.stop()
 
@@ -151,7 +151,7 @@ class Drive:
         return self.enabled and not self._braking
 
     def _real(self, limits: dict[str, float]) -> dict[str, float]:
-        """Return the accelerations that the rover keeps when told to keep to ``limits``."""
+        """Return the rover's real accelerations under the commanded ``limits``."""
         trial = self._trial
         return {
             name: limit * (trial.effort_omega if name.startswith("alpha") else trial.effort_v)
@@ -164,7 +164,7 @@ class Drive:
     # Time.
 
     def substep(self, halted: bool) -> None:
-        """Advance by 0.01 s. While ``halted``, the set-points wait (watchdog)."""
+        """Advance by 0.01 s. While ``halted``, the setpoints wait (watchdog)."""
         idle = halted or not self.enabled or self._resting_s > 0.0
         wanted = (0.0, 0.0) if idle else (self._speed(), self._turn())
         if wanted != self._commanded:

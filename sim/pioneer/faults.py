@@ -1,7 +1,7 @@
-"""Faults that a mock can be told to have: ``NAME[=VALUE][@START[-END]]``, as in ``mute@12-14``.
+"""Faults that a mock can inject: ``NAME[=VALUE][@START[-END]]``, as in ``mute@12-14``.
 
-Times are seconds since the motors were first enabled, or since the mock was told of the fault while it runs;
-a fault without a time is there from the beginning.
+Times are seconds since the motors were first enabled, or since the mock received the fault while it runs. A
+fault without a time is active from the beginning.
 """
 
 import math
@@ -13,7 +13,7 @@ from rover_ncp.core.errors import UsageError
 
 FAULTS: dict[str, tuple[float, float, float] | None] = {
     "mute": None,  # the base sends nothing
-    "deaf": None,  # the base hears nothing
+    "deaf": None,  # the base receives nothing
     "corrupt": (0.1, 0.0, 1.0),  # this share of packets, both ways, has a bit flipped
     "drop": (0.1, 0.0, 1.0),  # this share of packets, both ways, loses a byte
     "noise": (0.1, 0.0, 1.0),  # this share of packets, both ways, has bytes before it that belong to none
@@ -40,7 +40,7 @@ class Fault:
     end_s: float = math.inf
 
     def active(self, enabled_s: float | None) -> bool:
-        """Return whether it is there, so many seconds after the motors were first enabled (None: not yet)."""
+        """Return whether it is active ``enabled_s`` after the motors were first enabled (None: not yet)."""
         if self.start_s is None:
             return True
         return enabled_s is not None and self.start_s <= enabled_s < self.end_s
@@ -83,7 +83,7 @@ class Faults:
         self._random = random.Random(seed)
 
     def add(self, fault: Fault, enabled_s: float | None) -> None:
-        """Have one more from now on; its times count from now, if the motors were ever enabled."""
+        """Add a fault; its times count from now, if the motors were ever enabled."""
         began_s = enabled_s or 0.0
         if fault.start_s is not None:
             fault = replace(fault, start_s=fault.start_s + began_s, end_s=fault.end_s + began_s)
@@ -91,7 +91,7 @@ class Faults:
         self._faults.append(fault)
 
     def value(self, name: str, enabled_s: float | None) -> float | None:
-        """Return the value of a fault that is there now, None when it is not."""
+        """Return the value of a fault that is active now, else None."""
         for fault in self._faults:
             if fault.name == name and fault.active(enabled_s):
                 return fault.value
@@ -99,18 +99,18 @@ class Faults:
 
     def damage(self, data: bytes, enabled_s: float | None) -> bytes:
         """Return a packet as the line delivers it."""
-        spoilt = bytearray(data)
+        damaged = bytearray(data)
         draw = self._random
         for fault in self._faults:
-            if fault.name not in _DAMAGE or not fault.active(enabled_s) or not spoilt:
+            if fault.name not in _DAMAGE or not fault.active(enabled_s) or not damaged:
                 continue
             if draw.random() >= fault.value:
                 continue
-            place = draw.randrange(len(spoilt))
+            place = draw.randrange(len(damaged))
             if fault.name == "corrupt":
-                spoilt[place] ^= 1 << draw.randrange(8)
+                damaged[place] ^= 1 << draw.randrange(8)
             elif fault.name == "drop":
-                del spoilt[place]
+                del damaged[place]
             else:
-                spoilt[:0] = draw.randbytes(draw.randint(1, 20))
-        return bytes(spoilt)
+                damaged[:0] = draw.randbytes(draw.randint(1, 20))
+        return bytes(damaged)

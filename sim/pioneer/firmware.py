@@ -7,7 +7,7 @@ Rules of this file:
 2. Waiting for a client, SYNC0, SYNC1 and SYNC2 are echoed in order; a repeated one is echoed again, one out
    of order starts over, all else is ignored. In a session the same numbers are PULSE, OPEN and CLOSE.
 3. Any valid packet feeds the watchdog. When it has starved for 2 s the base halts; motors, session and
-   set-points stay, and the next packet of any kind lets the set-points go on.
+   setpoints stay, and the next packet of any kind lets the setpoints go on.
 4. No byte, packet or argument can do anything but what is written here: what is unknown, cut short or of the
    wrong type is counted and ignored. Commands that a mock has nothing to show for change nothing.
 5. The session belongs to the base, not to the line: a client that vanishes leaves it open.
@@ -64,8 +64,8 @@ class Firmware:
     """One base: ``model`` is a key of ``ROBOTS``, ``rover`` is what it drives, from where that stands.
 
     ``observe`` is called after each substep with its time in s, on the clock that ``start_s`` is of.
-    ``config`` holds the FLASH values if they are not those of the model; ``trial`` says what is wrong with
-    the base today.
+    ``config`` holds the FLASH values if they are not those of the model; ``trial`` has the
+    errors of the base.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Firmware:
         """The rate of its serial line: HOSTBAUD changes it, the end of a session restores FLASH's."""
         self.link = Link.WAITING
         self.sip_due_s = self._measure_due_s = math.inf
-        """When the next SIP will be sent, and when what it says will be measured."""
+        """When the next SIP will be sent, and when its content will be measured."""
         self._expected = 0
         self._out = bytearray()
         self._start_s, self._substeps = start_s, 0
@@ -137,7 +137,7 @@ class Firmware:
         self.decoder.drop()
         self._out.clear()
 
-    def suffer(self, fault: Fault) -> None:
+    def inject(self, fault: Fault) -> None:
         """Have one more fault from now on; its times count from now, if the motors were ever enabled."""
         self._faults.add(fault, self._enabled_s)
 

@@ -1,7 +1,7 @@
 """The Pioneers that the mock can be: rover, FLASH values, names.
 
 Factors and outlines are those of ``bridge.pioneer.robots``; FLASH values from real and simulated CONFIGpacs
-(AriaCoda issue 15, AMRISim). What no source tells is chosen and says so.
+(AriaCoda issue 15, AMRISim). Values without a source are chosen, and are marked so.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""What the base tells about itself, as packets: SIP, CONFIGpac, ENCODERpac, IOpac, SIMSTAT."""
+"""Report packets of the base: SIP, CONFIGpac, ENCODERpac, IOpac, SIMSTAT."""
 
 import math
 from dataclasses import dataclass, replace
@@ -55,7 +55,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class _Motion:
-    """What odometry and encoders say."""
+    """Motion as odometry and encoders report it."""
 
     odometry: Pose
     heading_set_point: float
@@ -92,7 +92,7 @@ class Reporter:
         )
 
     def measure(self) -> None:
-        """Take the motion that the next packets tell of."""
+        """Store the motion that the next packets report."""
         if not self.odometry_frozen:
             self._last = self._motion()
 

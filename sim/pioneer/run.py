@@ -1,4 +1,4 @@
-"""The ``mock`` command: reads its options, serves until a signal comes, reports."""
+"""The ``mock`` command: reads its options, serves until a signal arrives, reports."""
 
 import io
 import signal
@@ -21,9 +21,9 @@ from sim.world.bay import Bay
 from sim.world.randomization import Randomization, draw_trials
 
 TRIAL_TICKS = 600
-"""How long a trial lasts without a course; its noise then begins anew."""
-TOLD = "-"
-"""In place of a fault: more of them come on standard input."""
+"""Length of a trial without a course; its noise then begins again."""
+FROM_STDIN = "-"
+"""In place of a fault: read more faults from standard input."""
 
 
 def run_mock(
@@ -44,9 +44,9 @@ def run_mock(
     host, port = parse_listen(listen)
     if model not in ROBOTS:
         raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}")
-    suffering = Faults([parse_fault(text) for text in faults if text != TOLD], seed)
-    # Unbuffered, so that the server sees whatever line is left to read.
-    told = io.FileIO(sys.stdin.fileno(), closefd=False) if TOLD in faults else None
+    injected = Faults([parse_fault(text) for text in faults if text != FROM_STDIN], seed)
+    # Unbuffered, so that the server's selector sees every line that is left to read.
+    fault_lines = io.FileIO(sys.stdin.fileno(), closefd=False) if FROM_STDIN in faults else None
     known = load_course(course) if course else None
     ideal = rover_model_of(ROBOTS[model])
     ticks = known.ticks if known else TRIAL_TICKS
@@ -54,13 +54,13 @@ def run_mock(
     rover = rover_of(trials, ideal, Bay(known.obstacles if known else ()))
 
     def make(start_s: float, observe: Callable[[float], None]) -> Firmware:
-        return Firmware(model, rover, suffering, start_s, observe, trial=BaseTrial(trials))
+        return Firmware(model, rover, injected, start_s, observe, trial=BaseTrial(trials))
 
     server = Server(host, port, make, TruthFile(truth, overwrite=overwrite) if truth else None, output.say)
     try:
         with _until_signal() as wake:
             output.announce(f"listening on {server.host}:{server.port}")
-            server.serve(wake, told)
+            server.serve(wake, fault_lines)
     finally:
         server.close()
     firmware, pose = server.firmware, rover.pose

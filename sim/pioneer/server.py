@@ -104,8 +104,8 @@ class Server:
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
-    def serve(self, wake: socket.socket, told: FileIO | None = None) -> None:
-        """Serve until ``wake`` has something to read; each line of ``told`` is one more fault.
+    def serve(self, wake: socket.socket, fault_lines: FileIO | None = None) -> None:
+        """Serve until ``wake`` has something to read; each line of ``fault_lines`` is one more fault.
 
         Each line is answered by ``applied t_ns=… late_ns=…``: the simulation clock when the fault began, and
         how late the loop ended a turn at worst since the line before. An empty line asks only for the answer.
@@ -117,8 +117,8 @@ class Server:
             stop = True
 
         self._selector.register(wake, selectors.EVENT_READ, wake_up)
-        if told is not None:
-            self._selector.register(told, selectors.EVENT_READ, lambda: self._hear(told))
+        if fault_lines is not None:
+            self._selector.register(fault_lines, selectors.EVENT_READ, lambda: self._read_fault(fault_lines))
         while not stop:
             began_s = time.monotonic()
             sleep_s = max(min(self.firmware.sip_due_s - began_s, PERIOD_S), 0.0)
@@ -138,10 +138,10 @@ class Server:
         if self._truth:
             self._truth.close()
 
-    def _hear(self, told: FileIO) -> None:
-        line = told.readline()
+    def _read_fault(self, fault_lines: FileIO) -> None:
+        line = fault_lines.readline()
         if not line:
-            self._selector.unregister(told)
+            self._selector.unregister(fault_lines)
             return
         text = line.decode(errors="replace").strip()
         try:
@@ -151,7 +151,7 @@ class Server:
             return
         self.firmware.advance(time.monotonic())
         if fault is not None:
-            self.firmware.suffer(fault)
+            self.firmware.inject(fault)
         self._say(
             f"applied t_ns={clock_ns(self.firmware.now)} late_ns={clock_ns(self._late_s)} {text}".rstrip()
         )

@@ -1,7 +1,7 @@
-"""The base's sonars: which of them fire when, and what they hear in the bay.
+"""The base's sonars: their firing order, and their echoes from the obstacles.
 
 Two arrays, front (0 to 7) and rear (8 to 15), fire one sonar each per sonar cycle, in turn (POLLING changes
-the order). A reading is the distance along the sonar's axis; a real cone hears more, and later.
+the order). A reading is the distance along the sonar's axis; a real cone has more echoes, and later ones.
 """
 
 import math
@@ -69,7 +69,7 @@ class Sonars:
                 self._heard[number] = self._range_mm(rover, number)
 
     def take(self) -> tuple[tuple[int, int], ...]:
-        """Return (number, mm) of what was heard since the last call."""
+        """Return (number, mm) of the readings since the last call."""
         heard, self._heard = self._heard, {}
         return tuple(sorted(heard.items()))
 

@@ -1,9 +1,9 @@
-"""A random trial as one base lives through it: what its wheels make of commands, what its encoders see.
+"""The errors of a random trial in one base: those of its wheels and of its encoders.
 
-The simulator counts a trial in control ticks. A base knows none, but each of its SIPs sets one off in whoever
-drives: so a base counts the SIPs since its motors were first enabled. With the first of them the trial's
-noise begins; while the window of a lost tick is open, set-points do not arrive; a SIP is as late as the pose
-seen in that tick is old. Commands in whole steps are not among a trial's errors here: ARCOS has its own.
+The simulator counts a trial in control ticks. A base has no ticks, but each of its SIPs triggers one in the
+driver. So a base counts the SIPs since its motors were first enabled. The trial's noise begins with the first
+of them. While the window of a lost tick is open, setpoints do not arrive. A SIP's delay is the age of the
+pose in that tick. Quantised commands are not among a trial's errors here: ARCOS has its own steps.
 """
 
 from bridge.pioneer.arcos import Command
@@ -30,12 +30,12 @@ class BaseTrial:
             distance_scale, heading_scale, imbalance, slip, float(trials.drift[row])
         )
         self.effort_v, self.effort_omega = trials.acceleration[row].tolist()
-        """Factors on the accelerations that the base is told to keep to."""
+        """Factors on the acceleration limits that are set in the base."""
         self.tick = -1
         """Before the first; and after the last there is neither loss nor push."""
 
     def driven(self, v: float, omega: float) -> tuple[float, float]:
-        """Return what a set-point (m/s, rad/s) leads to."""
+        """Return the motion that a setpoint (m/s, rad/s) leads to."""
         return driven(v, omega, self._base)
 
     def measured(self, motion: Velocity) -> Velocity:
@@ -47,7 +47,7 @@ class BaseTrial:
 
     @property
     def noise(self) -> Pose:
-        """What is added to the pose of the SIP that begins this tick."""
+        """Offset of the pose in the SIP that begins this tick."""
         if self.tick < 0 or self._trials.exact:
             return ORIGIN
         rows = self._trials.noise[self._row]
@@ -61,13 +61,13 @@ class BaseTrial:
 
     @property
     def lost(self) -> bool:
-        """Whether set-points get lost."""
+        """Whether setpoints get lost."""
         lost = self._trials.lost[self._row]
         return 0 <= self.tick < len(lost) and bool(lost[self.tick])
 
     @property
     def push(self) -> Pose | None:
-        """Where the rover is pushed at the start of this tick."""
+        """Displacement of the rover by a push at the start of this tick."""
         when, *push = self._trials.bump[self._row].tolist()
         return Pose(*push) if self.tick == when and any(push) else None
 

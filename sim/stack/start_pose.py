@@ -1,4 +1,4 @@
-"""External localisation of a mock: tells on ``pose`` where it stands until it is driven."""
+"""External localisation of a mock: publishes its start pose on ``pose`` until a driver has the lease."""
 
 import threading
 import time
@@ -19,14 +19,14 @@ PERIOD_S = 0.1
 
 
 def known_pose(pose: Pose, wall_ns: int) -> bytes:
-    """Return the external pose of a rover that somebody placed to the millimetre."""
+    """Return the external pose of a rover that was placed to the millimetre."""
     return pose_with_covariance(
         pose, np.diag(np.square([KNOWN_M, KNOWN_M, KNOWN_RAD])), wall_ns, COURSE_FRAME
     )
 
 
 class Placed:
-    """Says to whoever listens at a bridge that the rover stands at ``pose``, until it has a driver."""
+    """Publishes at a bridge that the rover stands at ``pose``, until a driver has the lease."""
 
     def __init__(self, robot: str, pose: Pose) -> None:
         self._robot, self._pose = robot, pose
@@ -37,7 +37,7 @@ class Placed:
         self._session = zenoh.open(config)
         self._publisher = self._session.declare_publisher(key("", "pose"))
         self._gate = self._session.declare_subscriber(key("", "rover/gate"), self._gate_spoke)
-        self._thread = threading.Thread(target=self._tell, name="placed", daemon=True)
+        self._thread = threading.Thread(target=self._publish, name="placed", daemon=True)
         self._thread.start()
         return self
 
@@ -49,7 +49,7 @@ class Placed:
         closing: Any = self._session
         closing.close()
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         while not self._over.wait(PERIOD_S):
             self._publisher.put(known_pose(self._pose, time.time_ns()))
 

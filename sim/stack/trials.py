@@ -1,8 +1,8 @@
 """Random trials through the whole stack: firmware, bridge and driver as they are, on a virtual clock.
 
 The trials are those of `evaluate`, drawn from the same seeds. Here their errors act where a robot has them,
-at the base; what the driver knows is what its packets tell, where it stands at the start, and how noisy its
-odometry is. What is judged is the true pose.
+at the base. The driver knows the content of its packets, its start pose and the noise of its odometry. The
+true pose is judged.
 """
 
 import copy
@@ -50,7 +50,7 @@ class Driven(NamedTuple):
 
 @dataclass(frozen=True)
 class Stack:
-    """What is driven: trial i of a seed on course i modulo their number."""
+    """Settings of the trials: trial i of a seed on course i modulo their number."""
 
     policy: Policy
     courses: tuple[Course, ...]
@@ -64,7 +64,7 @@ class Stack:
 
     @cached_property
     def known(self) -> RoverProfile:
-        """What the driver knows of the robot: how noisy its odometry is, and the profile if there is one."""
+        """The driver's robot profile: the noise of its odometry, and the given profile, if any."""
         ranges = self.ranges
         rover = ranges.rover or RoverProfile(name=f"a robot of {ranges.name}")
         noises = {"noise_m": ranges.noise_m, "noise_rad": ranges.noise_rad}
@@ -132,7 +132,7 @@ class Stack:
 
 
 class _Truth:
-    """Where the rover truly was, every substep."""
+    """True poses of the rover at every substep."""
 
     def __init__(self, rover: Rover, watch: bool) -> None:
         self._rover, self._watch = rover, watch

@@ -1,9 +1,9 @@
-"""The base, the bridge and the air on a virtual clock: everything real but sockets, Zenoh and waiting.
+"""Stack simulation: base, bridge and network on a virtual clock, without sockets, Zenoh and waiting.
 
-Firmware and bridge loop are those of the processes, and exchange the very bytes they would. Whoever drives
-uses `Air` in place of its Zenoh session; time passes only while it waits, and then in the order of events:
-bytes reach the bridge when the base sends them, the bridge's loop turns when something arrives or its time is
-up. What takes a live run a millisecond takes no time here.
+Firmware and bridge loop are those of the processes, and exchange the same bytes. The driver uses `Air` in
+place of its Zenoh session. Time passes only while the driver waits, in the order of events: bytes reach the
+bridge when the base sends them, and the bridge's loop turns when something arrives or its timer expires. A
+delay of a millisecond in a live run is zero here.
 """
 
 import math
@@ -153,11 +153,11 @@ class World:
         return name
 
     def publish(self, name: str, data: bytes) -> None:
-        """Let the driver hear a message."""
+        """Deliver a message to the driver."""
         self.hear(name, data)
 
     def answer(self, asked: Asked, reply: BaseModel) -> None:
-        """Keep the answer for who asks."""
+        """Store the reply for the requester."""
         self._reply = reply
 
 
@@ -180,10 +180,10 @@ class _Mailbox(Mailbox):
 
 
 class Air:
-    """What a driver has in place of `deploy.drive.link.Link`.
+    """Replacement of the driver's `deploy.drive.link.Link`.
 
-    Until the motors are asked for, external localisation says that the rover stands at ``start``. What is
-    heard goes to ``record``.
+    Until the driver requests the lease, external localisation reports that the rover stands at ``start``.
+    Received messages go to ``record``.
     """
 
     robot = "virtual"
@@ -202,7 +202,7 @@ class Air:
         world.hear = self._hear
 
     def authorised(self) -> bool:
-        """Nobody is kept from driving."""
+        """Return True: the simulation authorises every driver."""
         return True
 
     def request_motors(self, name: str) -> MotorsReply:
@@ -232,7 +232,7 @@ class Air:
         return tag.sequence
 
     def publish(self, name: str, data: bytes, wall_ns: int) -> None:
-        """Nobody listens to what the driver says of itself."""
+        """Discard a message: the simulation has no subscriber to the driver's own topics."""
 
     def _motors(self, enable: bool, name: str) -> MotorsRefusal:
         payload = dump_json(MotorsRequest(enable=enable, name=name, sent_ns=self._world.now_ns))

@@ -51,7 +51,7 @@ _PROGRESS_GENERATIONS = 25
 
 
 class Agent(NamedTuple):
-    """What is searched, how it drives, and whether it can follow any course."""
+    """The search space, its engine, and whether the agent can follow any course."""
 
     cube: Cube
     engine: Callable[..., Engine]

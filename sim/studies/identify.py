@@ -58,10 +58,10 @@ class Error(NamedTuple):
 
 
 class Coverage(NamedTuple):
-    """Of one value over many robots."""
+    """Coverage of one value over many robots."""
 
     share: float
-    """Of 95 % intervals that hold the truth."""
+    """Share of the 95 % intervals that hold the truth."""
     robots: int
     std: float
     """Median."""

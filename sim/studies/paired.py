@@ -2,7 +2,7 @@
 
     python -m sim.studies.paired POLICY LAW RANGES TRIALS SEED [UNSEEN]
 
-prints one JSON object; with UNSEEN, on so many courses that nobody trained on instead of the paper's.
+prints one JSON object; with UNSEEN, on so many courses outside the training set instead of the paper's.
 """
 
 import json
@@ -61,7 +61,7 @@ def parked(
 
 
 def paired(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Paired:
-    """Count what became of the same trials (n,) under two drivers."""
+    """Count the outcomes of the same trials (n,) under two drivers."""
     return Paired(
         both=int(np.count_nonzero(first & second)),
         first_only=int(np.count_nonzero(first & ~second)),

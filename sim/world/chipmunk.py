@@ -7,7 +7,7 @@ and where a body's fields lie in memory. Neither is taken on trust: ``find_layou
 body through pymunk's public properties, looks where they appear, writes others there, lets Chipmunk step,
 and refuses to go on when anything is not as expected.
 
-Whoever holds an address must keep the pymunk object alive: dropping it frees the memory.
+The holder of an address must keep the pymunk object alive: dropping it frees the memory.
 """
 
 import math
@@ -155,8 +155,8 @@ def _contacts_offset(space: pymunk.Space, body: pymunk.Body) -> int:
 def leave_velocities(space: pymunk.Space, body: pymunk.Body) -> None:
     """Let Chipmunk's steps change a velocity by contacts alone, as they do without gravity and damping.
 
-    The bits are the same and a step is quicker: damping of 0, which nobody reads any more, spares it a
-    power function.
+    The bits are the same and a step is quicker: a damping of 0, which is not used any more, saves a power
+    function.
     """
     # It takes a body first, as an update does, and changes nothing.
     getter = ffi.addressof(lib, "cpBodyGetUserData")

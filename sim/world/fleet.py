@@ -47,7 +47,7 @@ SUBSTEPS = 10
 
 
 class FleetArrays(NamedTuple):
-    """What the kernels work on; L rovers, as many lanes. Speeds in m/s and rad/s."""
+    """Arrays of the kernels; L rovers, as many lanes. Speeds in m/s and rad/s."""
 
     layout: chipmunk.Layout
     spaces: IntArray

@@ -1,8 +1,8 @@
-"""Courses nobody drew: random drives of a rover that keeps to the motors' limits, so drivable as they are.
+"""Random courses: random drives of a rover within the motors' limits, so that each course is drivable.
 
-A drive is a few pieces of constant speed and turn rate, joined over half a second, from rest to rest, a third
-of them straight and a third of them nearly as sharp as the motors turn; the
-course's checkpoints are where it is each second. Course 7 of a seed is the same whatever else is drawn.
+A drive is a few pieces of constant speed and turn rate, joined over half a second, from rest to rest. A third
+of the pieces are straight, and a third are nearly as sharp as the motors turn. The course's checkpoints are
+the rover's poses at each second. Course 7 of a seed does not depend on the other courses drawn.
 """
 
 from typing import Any
@@ -21,7 +21,7 @@ _REST_S = 9.0
 _SPEED_M_S = (0.05, 0.14)
 _SHARP_RAD_S = 0.15
 _SHARE = 1.0 / 3.0
-"""Of straight pieces, and of sharp ones."""
+"""The share of straight pieces, and of sharp ones."""
 _DECIMALS = 6
 
 

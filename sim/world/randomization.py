@@ -1,8 +1,8 @@
-"""Robots nobody measured: what a trial changes about rover, odometry and commands, drawn ahead.
+"""Randomization of trials: perturbations of rover, odometry and commands, drawn before the trial.
 
-A trial has a random stream of its own, from the root seed and its number, and takes from it in a fixed order
-whatever it needs: so trial 7 of seed 1 is the same robot on the same day whoever drives it, in whatever
-company, and harder ranges stretch the same draws. Parameters are uniform in their ranges, noise is Gaussian.
+A trial has a random stream of its own, from the root seed and its number, and draws from it in a fixed order.
+So trial 7 of seed 1 is the same perturbed robot for every driver and every set of trials. Harder presets
+stretch the same draws. Parameters are uniform in their ranges; noise is Gaussian.
 """
 
 import math
@@ -25,7 +25,7 @@ IntArray = NDArray[np.int64]
 
 
 class Randomization(StrictModel):
-    """How far a trial may be from the model; ± unless it is said otherwise. The defaults change nothing."""
+    """Ranges of deviations from the model; ± unless stated otherwise. The defaults change nothing."""
 
     format: Literal[1] = 1
     name: str = Field(min_length=1)
@@ -230,7 +230,7 @@ def trial_model(model: RoverModel, trials: Trials, row: int) -> RoverModel:
 
 
 class BaseErrors(NamedTuple):
-    """What turns a command into another motion; gains, rad/m, s."""
+    """Errors between command and motion; gains, rad/m, s."""
 
     gain_v: float
     gain_omega: float
@@ -239,7 +239,7 @@ class BaseErrors(NamedTuple):
 
 
 class OdometryErrors(NamedTuple):
-    """What turns a motion into a belief; scales, rad/m, s, rad/s."""
+    """Errors between motion and odometry; scales, rad/m, s, rad/s."""
 
     distance_scale: float
     heading_scale: float

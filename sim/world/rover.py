@@ -68,7 +68,7 @@ class RoverModel(StrictModel):
 
 @dataclass(frozen=True)
 class Limits:
-    """What a base lets its user change while it runs; same units as RoverModel."""
+    """Limits that a user can change while the base runs; same units as RoverModel."""
 
     accel: float
     decel: float
@@ -197,7 +197,7 @@ class Rover:
 
     @property
     def target(self) -> Velocity:
-        """What the rover is accelerating toward now: the delayed command within the speed limits."""
+        """The velocity that the rover accelerates toward: the delayed command within the speed limits."""
         v_max, omega_max = self.limits.v_max, self.limits.omega_max
         return Velocity(
             min(max(self._v_target, -v_max), v_max), min(max(self._omega_target, -omega_max), omega_max)

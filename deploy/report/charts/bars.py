@@ -1,4 +1,4 @@
-"""Pictures of what-ifs: a row for each part that was changed, and what the drive was like then."""
+"""Bar charts of ablations and sensitivities: a row for each changed part, with the result of the drive."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""The circuit as a drawing: who reaches whom, how strongly on average, and how fast each neuron is."""
+"""Drawing of the circuit: its synapses, their mean strength, and each neuron's time constants."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -36,14 +36,14 @@ def circuit(trace: Trace, taus: Sequence[TimeConstant]) -> Picture:
     axes.set_aspect("equal")
     axes.axis("off")
     ranges = {row.neuron: row for row in taus}
-    told = labels(policy)
+    meanings = labels(policy)
     for curve, kind, mean in zip(layout.curves, policy.circuit.kind, current, strict=True):
         _synapse(axes, curve, SynapseKind(kind), 0.5 + 4.0 * float(np.sqrt(mean / strongest)))
     for name, (x, y) in zip(policy.circuit.neurons, layout.places, strict=True):
         _neuron(axes, name, x, y, ranges.get(name))
-        if name in told:
+        if name in meanings:
             above = name in policy.sensing.neurons
-            _label(axes, x, y - RADIUS - 16 if above else y + ring_radius(10.0) + 8, told[name])
+            _label(axes, x, y - RADIUS - 16 if above else y + ring_radius(10.0) + 8, meanings[name])
     for number, row in enumerate(Layer):
         if row in layout.layers:
             axes.text(

@@ -1,4 +1,4 @@
-"""A course from above: its checkpoints, the drive that comes nearest to them, and what stands in the way."""
+"""A course from above: its checkpoints, the drive that comes nearest to them, and the obstacles."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""How a matplotlib figure becomes files: the same numbers give the same bytes, on any machine."""
+"""Output of matplotlib figures to files: the same numbers give the same bytes, on any machine."""
 
 import io
 from typing import TYPE_CHECKING, NamedTuple

@@ -17,7 +17,7 @@ from rover_ncp.core.course import Course
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a CSV file: numbers with all their digits, nothing for what there is not."""
+    """Return a CSV file: numbers with all their digits, empty cells for missing values."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(header)
@@ -53,13 +53,13 @@ def tables(analysis: Analysis) -> dict[str, str]:
             ],
             (
                 [
-                    *_figures(told.phase),
-                    told.motor.neuron,
-                    told.behind.neuron if told.behind else None,
-                    told.activity,
-                    told.text,
+                    *_figures(each.phase),
+                    each.motor.neuron,
+                    each.behind.neuron if each.behind else None,
+                    each.activity,
+                    each.text,
                 ]
-                for told in analysis.explanations
+                for each in analysis.explanations
             ),
         ),
     }
@@ -70,7 +70,7 @@ def pictures(analysis: Analysis, course: Course) -> dict[str, Picture]:
     trace, found = analysis.trace, analysis.contributions
     return {
         "trajectory": picture_trajectory.trajectory(
-            trace, course, [told.phase for told in analysis.explanations]
+            trace, course, [each.phase for each in analysis.explanations]
         ),
         "activity": picture_trajectory.activity(trace, course),
         "circuit": picture_circuit.circuit(trace, analysis.time_constants),
@@ -93,8 +93,14 @@ def _contributions(analysis: Analysis) -> str:
     return table([*header, *(f"bin_{number}" for number in range(BINS))], rows)
 
 
-def _counts(told: Contribution) -> list[Any]:
-    return [str(told.sign), told.positive, told.negative, told.flat, told.vertical]
+def _counts(one: Contribution) -> list[Any]:
+    return [
+        str(one.sign),
+        one.positive,
+        one.negative,
+        one.flat,
+        one.vertical,
+    ]
 
 
 def _figures(phase: Phase) -> list[Any]:

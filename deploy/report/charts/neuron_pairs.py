@@ -51,17 +51,17 @@ def slope_histograms(
     return render(drawn)
 
 
-def _histogram(axes: "Axes", told: Contribution, column: int, row: int, small: bool) -> None:
+def _histogram(axes: "Axes", one: Contribution, column: int, row: int, small: bool) -> None:
     """Draw one histogram into the unit cell whose corner is at (column, row), y down."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Rectangle
 
-    tint = _TINTS[told.sign]
+    tint = _TINTS[one.sign]
     axes.add_patch(Rectangle((column + 0.04, row + 0.05), 0.92, 0.88, facecolor=tint, linewidth=0))
     lefts = column + 0.06 + 0.88 * np.arange(BINS) / BINS
-    counts = np.array(told.bins, float)
+    counts = np.array(one.bins, float)
     flat = np.zeros(BINS)
-    flat[BINS // 2] = told.flat
+    flat[BINS // 2] = one.flat
     # Roots: the steepest slopes, where one of the two hardly moves, are by far the most.
     scale = 0.66 / np.sqrt(max(counts.max(), 1.0))
     colors = [VERMILLION if number < BINS // 2 else BLUE for number in range(BINS)]
@@ -75,7 +75,7 @@ def _histogram(axes: "Axes", told: Contribution, column: int, row: int, small: b
     ]
     axes.add_collection(PolyCollection(bars, facecolors=[GREY] * BINS + colors, linewidths=0), autolim=False)
     axes.plot([column + 0.5] * 2, [row + 0.05, row + 0.93], color=GREY, linewidth=0.7)
-    words = SYMBOLS[told.sign] if small else f"{SYMBOLS[told.sign]}  P {told.positive}, Q {told.negative}"
+    words = SYMBOLS[one.sign] if small else f"{SYMBOLS[one.sign]}  P {one.positive}, Q {one.negative}"
     axes.text(column + 0.07, row + 0.08, words, fontsize=9, weight="bold", color=INK, va="top")
 
 

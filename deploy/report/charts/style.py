@@ -1,7 +1,7 @@
-"""Colours and scales that pictures and pages share: safe for colour-blind eyes, and never alone.
+"""Colours and scales of pictures and pages: safe for colour-blind readers, and never the only sign.
 
-Whatever a colour says is also said by a shape, a dash, a number or a word. The qualitative colours are those
-of Okabe and Ito; potentials use matplotlib's viridis, whose lightness rises all the way.
+A shape, a dash, a number or a word repeats the meaning of each colour. The qualitative colours are those of
+Okabe and Ito; potentials use matplotlib's viridis, whose lightness rises all the way.
 """
 
 import math
@@ -12,7 +12,7 @@ INK, GREY = "#1B1F24", "#6B7280"
 
 POTENTIAL_MAP = "viridis"
 POTENTIAL_LOW_MV, POTENTIAL_HIGH_MV = -90.0, 0.0
-"""All that a circuit can reach; colours mean the same in every picture."""
+"""Range of all potentials; colours mean the same in every picture."""
 
 _RING_FROM_S, _RING_INNER, _RING_DECADE = 1e-4, 34.0, 6.0
 

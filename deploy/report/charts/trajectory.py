@@ -1,4 +1,4 @@
-"""The way of the rover from above, plain and painted with the activity of each neuron."""
+"""The rover's path from above, plain and coloured by the activity of each neuron."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -44,13 +44,13 @@ def trajectory(trace: Trace, course: Course, found: Sequence[Phase]) -> Picture:
         axes.plot(*placed(OUTLINE, pose).T, color=GREY, linewidth=1, linestyle=dash)
         nose = placed(np.array([[LENGTH_M / 2, 0.0]]), pose)[0]
         axes.annotate(words, nose, xytext=(3, 3), textcoords="offset points", fontsize=8, color=GREY)
-    told = set()
+    in_legend = set()
     for number, phase in enumerate(found, 1):
         way = trace.poses[phase.first : phase.last + 1]
         color, words = _TURNS[phase.signs[1]]
         dash = "solid" if phase.signs[1] >= 0 else (0, (5, 1))
-        label = None if words in told or phase.signs == (0, 0) else words
-        told.add(words if label else None)
+        label = None if words in in_legend or phase.signs == (0, 0) else words
+        in_legend.add(words if label else None)
         axes.plot(way[:, 0], way[:, 1], color=color, linewidth=3, linestyle=dash, label=label, zorder=4)
         if phase.driven_m > 0.02:
             middle = way[len(way) // 2]
@@ -79,7 +79,7 @@ def activity(trace: Trace, course: Course) -> Picture:
     # Where the rover stood nothing new would be painted: the last potential lies on top.
     moved = np.append(np.hypot(*np.diff(way, axis=0).T)[:-1] > STOOD_M, True)
     segments = np.stack([way[:-1], way[1:]], axis=1)[moved]
-    told = labels(trace.policy)
+    meanings = labels(trace.policy)
     for number, row in enumerate(rows):
         for place in range(columns):
             axes = grid[number, place]
@@ -96,7 +96,7 @@ def activity(trace: Trace, course: Course) -> Picture:
             axes.update_datalim(way)
             axes.plot(*course.goal[:2], marker="x", color=INK, markersize=6, zorder=5)
             low, high = trace.of(row[place]).min(), trace.of(row[place]).max()
-            sensed = f" [{told[row[place]]}]" if row[place] in trace.policy.sensing.neurons else ""
+            sensed = f" [{meanings[row[place]]}]" if row[place] in trace.policy.sensing.neurons else ""
             axes.set_title(f"{row[place]}{sensed}", loc="left", fontsize=10, color=INK)
             axes.text(
                 0.03,
@@ -119,7 +119,7 @@ def activity(trace: Trace, course: Course) -> Picture:
 
 
 def setting(axes: "Axes", course: Course) -> None:
-    """Draw what does not move: obstacles and the goal with its tolerance."""
+    """Draw obstacles and the goal with its tolerance."""
     from matplotlib.patches import Circle, Polygon
 
     quiet(axes)
@@ -158,7 +158,7 @@ def _badge(axes: "Axes", where: Any, number: int, color: str) -> None:
 
 
 def _checkpoints(axes: "Axes", trace: Trace, course: Course) -> None:
-    """Draw where the rover should have been, how far off it was at each deadline, and the deadlines."""
+    """Draw the checkpoints, the rover's distance from each at its deadline, and the deadlines."""
     points = np.array([point.pose for point in course.checkpoints])
     times = np.append(trace.times, trace.times[-1] + trace.policy.tick_s)
     above: dict[tuple[float, float], bool] = {}
@@ -185,11 +185,11 @@ def _checkpoints(axes: "Axes", trace: Trace, course: Course) -> None:
     places: dict[tuple[float, float], list[float]] = {}
     for point in course.checkpoints:
         places.setdefault((round(point.x, 3), round(point.y, 3)), []).append(point.t)
-    told: list[tuple[float, float]] = []
+    labelled: list[tuple[float, float]] = []
     # Those that wait in one place first: of labels that would lie on each other only one is written.
     for (x, y), when in sorted(places.items(), key=lambda item: -len(item[1])):
-        if all(np.hypot(x - other[0], y - other[1]) > LABEL_M for other in told):
-            told.append((x, y))
+        if all(np.hypot(x - other[0], y - other[1]) > LABEL_M for other in labelled):
+            labelled.append((x, y))
             words = f"{when[0]:.0f} s" if len(when) == 1 else f"{when[0]:.0f} to {when[-1]:.0f} s"
             right = not above[x, y] or len(when) > 1
             beside = (6 if right else -5, 6 if above[x, y] else -12)

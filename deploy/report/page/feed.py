@@ -1,7 +1,7 @@
-"""A drive as it comes in: what is new since a viewer was last told, ready to be sent to its page.
+"""Live data of a drive: the changes since a viewer's last request, ready for its page.
 
-One feed serves any number of viewers, each with a place of its own (`Place`); who is new, or asks after a new
-drive has begun, gets everything. Messages come from one thread, viewers ask from another.
+One feed serves any number of viewers, each with its own place (`Place`). A new viewer, or one that asks after
+a new drive has begun, gets everything. Messages come from one thread, requests of viewers from another.
 """
 
 import threading
@@ -20,24 +20,24 @@ from rover_ncp.core.recording import Recorded
 
 FINAL = frozenset({"parked", "ended", "fault"})
 BEFORE = 50
-"""Odometry and commands kept while no drive has begun; a page has no use for more."""
+"""Odometry and commands kept while no drive has begun; a page needs no more."""
 EXPLAIN_EVERY_S = 1.0
 
 
-Told = tuple[int, bool]
-"""What an explanation covers: so many ticks, and whether it is that of the drive's end."""
+Coverage = tuple[int, bool]
+"""Range of an explanation: its number of ticks, and whether it is that of the drive's end."""
 
 
 @dataclass
 class Place:
-    """How far a viewer has been told; nothing at first."""
+    """How much of the drive a viewer has received; nothing at first."""
 
     generation: int = -1
     ticks: int = 0
     odometry: int = 0
     asked: int = 0
     let_through: int = 0
-    explained: Told = (0, False)
+    explained: Coverage = (0, False)
 
 
 class Feed:
@@ -50,7 +50,7 @@ class Feed:
         self._timeline = Timeline(policy, course)
         self._over = False
         self._explained: dict[str, Any] = {}
-        self._explained_of: Told = (0, False)
+        self._explained_of: Coverage = (0, False)
         self._explained_at = -EXPLAIN_EVERY_S
 
     def take(self, message: Recorded) -> None:
@@ -58,7 +58,7 @@ class Feed:
         with self._lock:
             timeline = self._timeline
             if self._over and message.topic not in {"rover/status", "rover/gate"}:
-                return  # what a drive left behind stays as it is until the next one begins
+                return  # the data of a finished drive stay unchanged until the next one begins
             timeline.take(message)
             if message.topic == "rover/status" and timeline.status is not None:
                 state = timeline.status.state
@@ -69,15 +69,15 @@ class Feed:
                 del timeline.odometry[:-BEFORE], timeline.asked[:-BEFORE], timeline.let_through[:-BEFORE]
 
     def news(self, place: Place) -> dict[str, Any]:
-        """Return what is new for a viewer, and move its place on."""
+        """Return the new data for a viewer, and move its place on."""
         with self._lock:
             reset = place.generation != self._generation
             if reset:
                 place.__dict__.update(vars(Place(generation=self._generation)))
-            told: dict[str, Any] = {"reset": reset, **self._state()}
+            news: dict[str, Any] = {"reset": reset, **self._state()}
             if self._timeline.began_ns is not None:
-                told |= self._columns(place)
-            return told
+                news |= self._columns(place)
+            return news
 
     def _begin(self, message: Recorded) -> None:
         self._generation += 1
@@ -125,7 +125,7 @@ class Feed:
             return
         if not self._over and now - self._explained_at < EXPLAIN_EVERY_S:
             return
-        told = findings(analyse(self._timeline.trace()))
+        explained = findings(analyse(self._timeline.trace()))
         if not self._over:
-            told = {name: told[name] for name in ("phases", "rings")}
-        self._explained, self._explained_of, self._explained_at = told, (count, self._over), now
+            explained = {name: explained[name] for name in ("phases", "rings")}
+        self._explained, self._explained_of, self._explained_at = explained, (count, self._over), now

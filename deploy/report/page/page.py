@@ -1,4 +1,4 @@
-"""The page: one self-contained HTML file that asks nobody for anything."""
+"""The page: one self-contained HTML file without external requests."""
 
 import json
 import re
@@ -28,16 +28,16 @@ _ASSETS = resources.files("deploy.report.page") / "assets"
 
 def drive_page(drive: Drive) -> str:
     """Return the report of a recorded drive as HTML."""
-    told = summarise(drive)
+    summary = summarise(drive)
     return html(
-        f"{told.headline}: {drive.policy.circuit.name} on {drive.course.name}",
+        f"{summary.headline}: {drive.policy.circuit.name} on {drive.course.name}",
         {
             "live": False,
-            "parked": told.parked,
-            "headline": told.headline,
-            "subline": told.subline,
-            "summary": told.rows,
-            "origin": told.origin,
+            "parked": summary.parked,
+            "headline": summary.headline,
+            "subline": summary.subline,
+            "summary": summary.rows,
+            "origin": summary.origin,
             "course": course_data(drive.course),
             "circuit": circuit_data(drive.policy),
             "drive": drive_data(drive.timeline),
@@ -47,7 +47,7 @@ def drive_page(drive: Drive) -> str:
 
 
 def html(title: str, data: dict[str, Any], template: Template = DRIVE, connect: str = "'none'") -> str:
-    """Return a page that shows ``data``; ``connect`` is whom its script may talk to, as a CSP source.
+    """Return a page that shows ``data``; ``connect`` is the CSP source to which its script may connect.
 
     Everything is in the file, and its content security policy forbids the browser to fetch anything else.
     """

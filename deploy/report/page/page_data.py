@@ -1,4 +1,4 @@
-"""What a page shows, as plain values for its script: one drawing, and columns over time.
+"""Data of a page as plain values for its script: one drawing, and columns over time.
 
 Columns are rounded to what a screen can show: a page of a drive of 32 s stays well under a megabyte without
 its plotting library.
@@ -44,7 +44,7 @@ def course_data(course: Course) -> dict[str, Any]:
 def circuit_data(policy: Policy) -> dict[str, Any]:
     """Return a circuit as it is drawn."""
     circuit, layout = policy.circuit, lay_out(policy)
-    told = labels(policy)
+    meanings = labels(policy)
     return {
         "name": circuit.name,
         "size": [WIDTH, HEIGHT, RADIUS],
@@ -54,7 +54,7 @@ def circuit_data(policy: Policy) -> dict[str, Any]:
                 "layer": str(layer),
                 "x": round(x, 1),
                 "y": round(y, 1),
-                "label": told.get(name, ""),
+                "label": meanings.get(name, ""),
             }
             for name, layer, (x, y) in zip(circuit.neurons, layout.layers, layout.places, strict=True)
         ],
@@ -143,17 +143,17 @@ def drive_data(timeline: Timeline) -> dict[str, Any]:
 
 
 def findings(analysis: Analysis) -> dict[str, Any]:
-    """Return what the run says about its circuit: phases, contributions, time constants."""
+    """Return the findings of a run: phases, contributions, time constants."""
     return {
         "phases": [
             {
-                "label": told.phase.label,
-                "start": round(told.phase.start_s, 2),
-                "end": round(told.phase.end_s, 2),
-                "text": told.text,
-                "neurons": [level.neuron for level in (told.behind, told.motor) if level is not None],
+                "label": each.phase.label,
+                "start": round(each.phase.start_s, 2),
+                "end": round(each.phase.end_s, 2),
+                "text": each.text,
+                "neurons": [level.neuron for level in (each.behind, each.motor) if level is not None],
             }
-            for told in analysis.explanations
+            for each in analysis.explanations
         ],
         "rings": {
             row.neuron: [round(ring_radius(row.lowest_s), 1), round(ring_radius(row.highest_s), 1)]
@@ -181,7 +181,7 @@ def _since(timeline: Timeline, moments: Iterable[int]) -> list[float]:
 
 
 def _rounded(values: ArrayLike, digits: int = 4) -> list[float | None]:
-    """Return numbers as JSON can hold them: rounded, and nothing for what is not finite."""
+    """Return numbers for JSON: rounded, and None for a value that is not finite."""
     return [
         round(value, digits) if math.isfinite(value) else None
         for value in np.asarray(values, np.float64).tolist()

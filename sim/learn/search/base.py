@@ -1,4 +1,4 @@
-"""What all strategies share: one incumbent, candidates near it, and the question whether one is better.
+"""Common parts of all strategies: one incumbent, candidates near it, and their comparison.
 
 Rules of this file
   * A strategy knows a vector, its bounds and a random generator; neither circuit nor simulator nor clock.
@@ -27,16 +27,16 @@ SearchState = Mapping[str, Any]
 
 
 class Strategy(Protocol):
-    """What a search is to those who run it."""
+    """Interface of a search."""
 
     needs_misses: ClassVar[bool]
     """Whether returns are not enough, see ``Objective.trace``."""
     most_ahead: ClassVar[int]
     """How many candidates to ask for at once, at most."""
     speculates: ClassVar[bool]
-    """Whether, of several asked for at once, those after the first success are in vain."""
+    """Whether ``tell`` discards those after the first success, of several asked for at once."""
     value: float | None
-    """The incumbent's return; None before the first was told."""
+    """The incumbent's return; None before the first ``tell``."""
     evaluations: int
     """Returns taken."""
 
@@ -66,7 +66,7 @@ class Strategy(Protocol):
 
 
 class Adaptation(Protocol):
-    """What a strategy changes about itself as it goes: a frozen dataclass that follows the outcomes."""
+    """The adaptive state of a strategy: a frozen dataclass that follows the outcomes."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
@@ -97,7 +97,7 @@ class Search(ABC, Generic[AdaptationT]):
     """
 
     needs_misses: ClassVar[bool] = False
-    # A lane or two for each agent, and one candidate that waits: more would only be drawn in vain.
+    # A lane or two for each agent, and one candidate that waits: more would be drawn and discarded.
     most_ahead: ClassVar[int] = 3
     speculates: ClassVar[bool] = True
 

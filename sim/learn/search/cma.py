@@ -17,12 +17,12 @@ from rover_ncp.kernels.jit import kernel
 FloatArray = NDArray[np.float64]
 
 _SWEEPS = 30
-"""Of Jacobi's method, at most: it converges quadratically, in eight or so."""
+"""The most sweeps of Jacobi's method: it converges quadratically, in eight or so."""
 _LEAST_EIGENVALUE = 1e-20
 
 
 class Constants(NamedTuple):
-    """What the tutorial's Table 1 makes of dimension and population."""
+    """Constants of the tutorial's Table 1 for a dimension and population."""
 
     weights: FloatArray
     """(population,) of the places from the best to the worst; eq. 49 to 53."""

@@ -47,7 +47,7 @@ FAR = (0.05, 0.15, 0.4)
 FAIR_PRICE = 0.1
 """Share of the checkpoints not yet survived that may be lost for an effect."""
 MOST_SILENT = 16
-"""So many are moved, at most: those whose slopes are the least."""
+"""The most that are moved: those with the smallest slopes."""
 MOST_WOKEN = 2
 """How often a descent looks for silent parameters."""
 
@@ -74,7 +74,7 @@ def stopped(outcome: Outcome, to_beat: float) -> Outcome:
 
 @dataclass
 class Descent:
-    """A climb from point to point, and what it knows of the way."""
+    """A climb from point to point, with its history."""
 
     at: Outcome
     survives: bool
@@ -109,7 +109,7 @@ class Descent:
 
     @property
     def to_beat(self) -> float:
-        """What a step's return must exceed, at each checkpoint; minus infinity where none is ever lost."""
+        """The threshold for a step's return, at each checkpoint; minus infinity where no step is pruned."""
         episodes, _, _ = self.at.misses.shape
         return -math.inf if self.survives or episodes > 1 else self.at.value
 
@@ -161,7 +161,7 @@ class Descent:
         return self._goes_on()
 
     def _goes_on(self) -> bool:
-        """Return whether it gained enough of late; a climb of the survival may become one of the return."""
+        """Return whether recent steps gained enough; a climb of the survival may become one of the return."""
         _, checkpoints, _ = self.at.misses.shape
         loss = -self.at.value / checkpoints
         if self.survives and loss < CLOSE_M2:

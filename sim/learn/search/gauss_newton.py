@@ -1,7 +1,7 @@
 """Damped Gauss-Newton descents on the misses of every checkpoint, from many starts.
 
-A return is one number; the misses it is made of are three for each checkpoint, and tell a search which way
-each of them goes. So: draw samples around the untuned start, take the best, measure how every parameter moves
+A return is one number. Its misses are three numbers for each checkpoint; they show the search the direction
+of each error. So: draw samples around the untuned start, take the best, measure how every parameter moves
 the misses (finite differences), and descend by damped Gauss-Newton steps. From then on every batch is a
 bold step, close to the goal also a careful one, and the finite difference of one parameter, each in its turn;
 what a step taught corrects the other slopes (Broyden). Damping follows success and failure (Levenberg,
@@ -86,7 +86,7 @@ class _Phase(StrEnum):
 
 @dataclass
 class _Base:
-    """Where hops go from."""
+    """Start of hops."""
 
     point: Vector
     value: float
@@ -121,7 +121,7 @@ class GaussNewton:
         self._best = box.start
         self._phase = _Phase.START
         self._batch = self._best[None].copy()
-        self._told: list[Outcome] = []
+        self._outcomes: list[Outcome] = []
         self._asked = 0
         self._descent: Descent | None = None
         self._base = _Base(self._best, -math.inf)
@@ -145,7 +145,7 @@ class GaussNewton:
 
     def _to_beat(self) -> list[float]:
         """Return what each candidate that was handed out must exceed."""
-        told = len(self._told)
+        taken = len(self._outcomes)
         if self._hops is not None:
             episodes, _, _ = self._hops.best.misses.shape
             return [self._hops.best.value if episodes == 1 else -math.inf] * self._asked
@@ -153,7 +153,7 @@ class GaussNewton:
             return [-math.inf] * self._asked
         steps = len(self._batch) - 1
         to_beat = self._descent.to_beat
-        return [to_beat if number < steps else -math.inf for number in range(told, told + self._asked)]
+        return [to_beat if number < steps else -math.inf for number in range(taken, taken + self._asked)]
 
     def ask(self, count: int = 1) -> Vector:
         """Return the next candidates (n, P), 1 <= n <= count, at most what is left of the batch."""
@@ -161,7 +161,7 @@ class GaussNewton:
             raise RuntimeError("ask() again before tell()")
         if count < 1:
             raise ValueError(f"at least one candidate must be asked for, got {count}")
-        points = self._batch[len(self._told) :][:count]
+        points = self._batch[len(self._outcomes) :][:count]
         self._asked = len(points)
         return self._box.vectors(points)
 
@@ -174,18 +174,18 @@ class GaussNewton:
         numbers = np.asarray(values, np.float64).tolist()
         if any(map(math.isnan, numbers)):
             raise ValueError("a return is not a number")
-        to_beat, points = self._to_beat(), self._batch[len(self._told) :]
+        to_beat, points = self._to_beat(), self._batch[len(self._outcomes) :]
         for point, value, row, least in zip(points, numbers, np.array(misses), to_beat, strict=False):
             outcome = stopped(Outcome(point, value, row), least)
-            self._told.append(outcome)
+            self._outcomes.append(outcome)
             self.evaluations += 1
             if self.value is None or outcome.value > self.value:
                 self.value, self._best = outcome.value, outcome.point
-        told, self._asked = self._asked, 0
-        if len(self._told) == len(self._batch):
-            outcomes, self._told = self._told, []
+        asked, self._asked = self._asked, 0
+        if len(self._outcomes) == len(self._batch):
+            outcomes, self._outcomes = self._outcomes, []
             self._decide(outcomes)
-        return told
+        return asked
 
     def _decide(self, outcomes: list[Outcome]) -> None:
         """Take in a batch and draw the next one."""
@@ -331,8 +331,8 @@ class GaussNewton:
             "generator": self._generator.bit_generator.state,
             "phase": str(self._phase),
             "batch": pack(self._batch),
-            "values": [outcome.value for outcome in self._told],
-            "misses": pack(np.array([outcome.misses for outcome in self._told])),
+            "values": [outcome.value for outcome in self._outcomes],
+            "misses": pack(np.array([outcome.misses for outcome in self._outcomes])),
             "hops": self._hops and {**_packed(self._hops.best), "races": self._hops.races},
             "base": None if self.value is None else {**asdict(self._base), "point": pack(self._base.point)},
             "descent": descent
@@ -365,10 +365,10 @@ class GaussNewton:
             _Phase.FAR: None,
         }
         batch = unpack(state["batch"], (sizes[phase], self._box.size))
-        values = [float(told) for told in state["values"]]
+        values = [float(value) for value in state["values"]]
         misses = unpack(state["misses"], (None, None, None, 3) if values else (0,))
         if len(misses) != len(values) or len(values) >= len(batch):
-            raise ValueError(f"{len(values)} of a batch of {len(batch)} cannot have been told")
+            raise ValueError(f"{len(values)} of a batch of {len(batch)} cannot have been evaluated")
         descent = self._restored_descent(state["descent"])
         if (descent is None) == (phase in (_Phase.SLOPES, _Phase.STEPS, _Phase.FAR)):
             raise ValueError(f"a descent does not go with the phase {phase}")
@@ -384,7 +384,7 @@ class GaussNewton:
         self.value, self.evaluations, self._best = value, evaluations, best
         self._phase, self._batch, self._descent, self._asked = phase, batch, descent, 0
         self._base, self._hops = base or _Base(best, -math.inf), hops
-        self._told = [Outcome(*told) for told in zip(batch, values, misses, strict=False)]
+        self._outcomes = [Outcome(*fields) for fields in zip(batch, values, misses, strict=False)]
 
     def _restored_outcome(self, state: Mapping[str, Any]) -> Outcome:
         point, misses = unpack(state["point"], (self._box.size,)), unpack(state["misses"], (None, None, 3))

@@ -86,7 +86,7 @@ class Circuit {
     });
   }
 
-  // Show tick i of the columns; before the first tick nothing is known.
+  // Show tick i of the columns; before the first tick all values are unknown.
   update(ticks, i) {
     const r = this.radius;
     this.neurons.forEach((neuron, index) => {
@@ -109,7 +109,7 @@ class Circuit {
     });
   }
 
-  // What drives a neuron at tick i, the strongest pull first.
+  // The pulls on a neuron at tick i, the strongest first.
   words(ticks, i, index) {
     const neuron = this.circuit.neurons[index];
     const start = `${neuron.name} ${number(ticks.potentials[index][i])} mV`;
@@ -119,7 +119,7 @@ class Circuit {
       .filter((row) => row.to === index && Math.abs(row.pull) >= 0.5)
       .sort((a, b) => Math.abs(b.pull) - Math.abs(a.pull))
       .map((row) => `${row.from} ${signed(row.pull)} mV`);
-    return pulls.length ? `${start}, pulled by ${pulls.join(", ")}` : `${start}, left to its own leak`;
+    return pulls.length ? `${start}, pulled by ${pulls.join(", ")}` : `${start}, pulled by its own leak only`;
   }
 }
 

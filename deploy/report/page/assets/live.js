@@ -1,4 +1,4 @@
-// The page while a rover drives: what is new comes as server-sent events, a stop goes the other way.
+// The page while a rover drives: server-sent events bring new data; a request sends a stop.
 const REDRAW_MS = 500;
 
 class Live {
@@ -74,8 +74,8 @@ class Live {
     const state = !news.bridge ? "no bridge" : status ? status.state : "waiting";
     const good = state === "parked" ? true : state === "fault" || state === "no bridge" ? false : null;
     if (status) notes.push(`policy ${status.policy} on course ${status.course}`);
-    if (gate) notes.push(gate.lease ? `${gate.driver_name || "somebody"} has the motors` : "nobody has the motors");
-    if (gate && gate.held && gate.lease) notes.push(`the gate holds the rover still: ${gate.held}`);
+    if (gate) notes.push(gate.lease ? `${gate.driver_name || "a driver without a name"} holds the lease` : "no driver holds the lease");
+    if (gate && gate.held && gate.lease) notes.push(`the gate holds the rover: ${gate.held}`);
     if (news.foreign) notes.push("the driver's neurons are not those of this page's policy: start watch with --policy");
     headline(`${state}: ${[status && status.reason, news.verdict].filter(Boolean).join(", ")}`, good, notes.join("; "));
     definitions($("summary"), this.facts(news));
@@ -106,7 +106,7 @@ class Live {
       const said = await answer.json();
       $("stopnote").textContent = said.error || (said.stopped ? "Stopped until released." : "Released.");
     } catch (error) {
-      $("stopnote").textContent = `The stop did not get through: ${error.message}`;
+      $("stopnote").textContent = `The stop failed: ${error.message}`;
     }
     setTimeout(() => (this.asking = false), 3000);
   }

@@ -1,4 +1,4 @@
-// The page: builds what the data say, ties everything to one time.
+// The page: builds all parts from the data and ties them to one time.
 const EMPTY = { t: [], x: [], y: [], theta: [], v: [], omega: [], ellipse: [] };
 const model = JSON.parse($("data").textContent);
 model.findings = model.findings || {};
@@ -94,7 +94,7 @@ eventList(model.drive.events);
 definitions($("summary"), model.summary || []);
 definitions($("origin"), model.origin || []);
 $("origin-box").hidden = !(model.origin || []).length;
-// What is known of the circuit's doings: all of it at the end of a drive, the phases also on the way.
+// Findings about the circuit: all of them at the end of a drive, the phases also during it.
 function showFindings() {
   const { findings } = model;
   phaseList(findings.phases || []);

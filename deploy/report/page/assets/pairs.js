@@ -5,16 +5,16 @@ const SIGN = { positive: "+", antagonistic: "−", "phase-switching": "±", none
 
 function signTable(table, findings, onPair) {
   const { sources, motors, contributions, driving, paper } = findings;
-  const told = motors.filter((motor) => sources.some((source) => paper[`${source} ${motor}`]));
+  const columns = motors.filter((motor) => sources.some((source) => paper[`${source} ${motor}`]));
   const head = element("tr", {}, element("th", { scope: "col" }, "from"), ...motors.flatMap((motor) => [
-    element("th", { scope: "col" }, `to ${motor}`), ...(told.includes(motor) ? [element("th", { scope: "col" }, "paper")] : [])]));
+    element("th", { scope: "col" }, `to ${motor}`), ...(columns.includes(motor) ? [element("th", { scope: "col" }, "paper")] : [])]));
   const rows = sources.map((source) => element("tr", {}, element("th", { scope: "row" }, source), ...motors.flatMap((motor) => {
     const key = `${source} ${motor}`, [sign, up, down] = contributions[key], moving = driving[key][0];
     const words = `${source} to ${motor}: ${sign}, P ${up}, Q ${down}; while driving ${moving}`;
     const button = element("button", { type: "button", "aria-label": words, title: words }, element("span", { class: "sign" }, SIGN[sign]), ` ${up}/${down} `, element("small", {}, SIGN[moving]));
     button.addEventListener("click", () => onPair(source, motor));
     const cells = [element("td", { class: sign }, button)];
-    if (told.includes(motor)) cells.push(element("td", { title: paper[key] || "" }, element("span", { class: "sign" }, paper[key] ? SIGN[paper[key]] : "")));
+    if (columns.includes(motor)) cells.push(element("td", { title: paper[key] || "" }, element("span", { class: "sign" }, paper[key] ? SIGN[paper[key]] : "")));
     return cells;
   })));
   table.replaceChildren(element("thead", {}, head), element("tbody", {}, ...rows));

@@ -1,4 +1,4 @@
-// Time: one slider, play and pause, and who is told when it moves.
+// The time slider, play and pause. Calls `onTime` when the time changes.
 class Player {
   constructor(model, onTime) {
     this.model = model;

@@ -1,9 +1,9 @@
-// The plots over time and the path from above. Plotly draws what stays; what moves with the slider is little.
+// The plots over time and the path from above. Plotly draws the static parts; few parts move with the slider.
 const PLOT_FONT = { family: "system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif", size: 12, color: COLOR.ink };
 const PLOT_CONFIG = { displayModeBar: false, responsive: true, scrollZoom: false, doubleClick: false };
 const GRID = "#e4e6ea";
 const ELLIPSE_SIGMAS = 3;
-// Columns grow in place while a rover drives; Plotly looks at them again only when told that they are others.
+// Columns grow in place while a rover drives; Plotly draws them again only when `datarevision` changes.
 let revision = 0;
 const narrow = () => window.innerWidth < 560;
 
@@ -109,11 +109,11 @@ class PathPlot {
       if (!places.has(key)) places.set(key, { x, y, times: [] });
       places.get(key).times.push(t);
     }
-    const told = [];
+    const labelled = [];
     for (const place of [...places.values()].sort((a, b) => b.times.length - a.times.length)) {
-      if (told.every((other) => Math.hypot(place.x - other.x, place.y - other.y) > (narrow() ? 0.16 : 0.07))) told.push(place);
+      if (labelled.every((other) => Math.hypot(place.x - other.x, place.y - other.y) > (narrow() ? 0.16 : 0.07))) labelled.push(place);
     }
-    return told.map(({ x, y, times }) => ({
+    return labelled.map(({ x, y, times }) => ({
       x, y, text: times.length > 1 ? `${number(times[0])} to ${number(times.at(-1))} s` : `${number(times[0])} s`,
       showarrow: false, xanchor: "left", yanchor: "top", xshift: 7, yshift: -3, font: { size: 11 },
     }));
@@ -137,7 +137,7 @@ class PathPlot {
     Plotly.restyle(this.holder, { x: all.map((points) => points.map((p) => p[0])), y: all.map((points) => points.map((p) => p[1])) }, this.moving);
   }
 
-  // One line of numbers for those who do not see the plot.
+  // One line of numbers, for screen readers.
   words(i, t) {
     if (i < 0) return "No tick yet.";
     const { course, drive } = this.model, { ticks, truth } = drive, j = locate(truth.t, t);

@@ -90,7 +90,7 @@ def _fail(message: str, kind: str, code: int, as_json: bool) -> int:
 
 
 def _file_error(error: OSError) -> FileError:
-    """Return what the system did not allow, such as the use of a folder that is gone."""
+    """Return a system error as a FileError, such as the use of a deleted folder."""
     place = f"{error.filename}: " if error.filename else ""
     return FileError(f"{place}{error.strerror or error}")
 
@@ -123,7 +123,7 @@ def run(arguments: list[str]) -> int:
             raise
         missing = MissingExtra(library, _extras(arguments, _EXTRAS[library]))
         return _fail(str(missing), "MissingExtra", missing.exit_code, as_json)
-    # Typer turns Ctrl-C into this code and says nothing; a command that took care of it has said its own.
+    # Typer turns Ctrl-C into this code without a message; a command that handles Ctrl-C prints its own.
     if result == INTERRUPTED and not Output.ended:
         return _fail("interrupted", "Interrupted", INTERRUPTED, as_json)
     return result if isinstance(result, int) else 0

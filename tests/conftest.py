@@ -1,4 +1,4 @@
-"""Settings of all tests."""
+"""What holds for all tests."""
 
 import os
 import signal
@@ -18,10 +18,10 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 # How long an example takes says more about the machine's other work than about the code.
 settings.register_profile("rover-ncp", deadline=None)
 settings.load_profile("rover-ncp")
-# A mutant (tests/mutate_gate.py) only has to fail: the smallest example is not needed.
+# Mutants (tests/mutate_gate.py) only have to fail: no one reads their smallest example.
 settings.register_profile("mutants", deadline=None, database=None, phases=[Phase.explicit, Phase.generate])
 
-# The tests that wait longest for real processes begin first, so that no worker waits for them at the end.
+# Files that wait longest for real processes begin first, so that they do not run alone at the end.
 LONGEST = ["test_safety_matrix.py", "test_deploy_teleop.py", "test_sim_studies_soak.py"]
 
 

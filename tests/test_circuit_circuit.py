@@ -60,7 +60,7 @@ def test_shipped_circuit_files_are_the_tables(build):
     value=st.floats(),
     place=st.integers(0, 11),
 )
-def test_takes_just_what_is_in_bounds(kind, value, place):
+def test_accepts_only_values_within_bounds(kind, value, place):
     circuit = parking_circuit()
     values = getattr(circuit, kind).copy()
     values[place] = value
@@ -88,7 +88,7 @@ def test_takes_just_what_is_in_bounds(kind, value, place):
         ({"held": {8: 1.0}}, "DVA: held at 1 mV, outside -90..0 mV"),
     ],
 )
-def test_refuses_what_cannot_be(changes, problem):
+def test_rejects_impossible_circuits(changes, problem):
     with pytest.raises(ConfigError) as caught:
         replace(parking_circuit(), **changes)
     assert problem in caught.value.problems
@@ -96,7 +96,7 @@ def test_refuses_what_cannot_be(changes, problem):
 
 def test_refuses_the_same_synapse_twice():
     row = (SynapseKind.GAP, 0, 1, 0.5)
-    with pytest.raises(ConfigError, match="the synapse gap a -> b stands twice"):
+    with pytest.raises(ConfigError, match="the synapse gap a -> b appears twice"):
         build_circuit("double", ("a", "b"), (row, row))
 
 

@@ -99,18 +99,18 @@ def test_refuses_a_channel_that_cannot_be(fields, problem):
         Channel(name="x", **fields)
 
 
-def test_refuses_what_stands_twice():
+def test_rejects_duplicate_names():
     def channel(name, neuron):
         return Channel(name=name, positive=neuron, maximum=1.0)
 
     for inputs, channels, problem in (
-        (("x", "x"), (channel("x", "A"), channel("y", "B")), "input 'x' stands twice"),
-        (("x", "y"), (channel("x", "A"), channel("x", "B")), "channel 'x' stands twice"),
-        (("x", "y"), (channel("x", "A"), channel("y", "A")), "sensory neuron 'A' stands twice"),
+        (("x", "x"), (channel("x", "A"), channel("y", "B")), "input 'x' appears twice"),
+        (("x", "y"), (channel("x", "A"), channel("x", "B")), "channel 'x' appears twice"),
+        (("x", "y"), (channel("x", "A"), channel("y", "A")), "sensory neuron 'A' appears twice"),
     ):
         with pytest.raises(ValidationError, match=problem):
             Sensing(name="test", inputs=inputs, channels=channels)
-    with pytest.raises(ValidationError, match="output 'v' stands twice"):
+    with pytest.raises(ValidationError, match="output 'v' appears twice"):
         Motors(outputs=("v", "v"), channels=(channel("v", "A"), channel("w", "B")))
 
 

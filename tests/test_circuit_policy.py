@@ -109,7 +109,7 @@ def test_refuses_parts_that_do_not_fit(changes, problem):
     value=st.sampled_from([math.nan, math.inf, -math.inf]),
     place=st.integers(0, 3),
 )
-def test_runner_refuses_what_is_not_finite_and_stays_as_it_was(value, place):
+def test_runner_rejects_non_finite_observations_and_keeps_its_state(value, place):
     runner = PolicyRunner(PARKING)
     runner.tick([0.1, 0.2, 0.3, 1.0])
     before = runner.potentials

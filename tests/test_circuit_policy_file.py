@@ -135,8 +135,8 @@ def test_bnn_without_motor_neurons_is_a_circuit_but_no_policy():
         ("size 2\nex 0 2 1\n", "line 2: neuron '2' is not in 0..1"),
         ("size 2\nex 0 1 1_0\n", "line 2: weight must be a number in 0..3 S, got '1_0'"),
         ("size 2\ngj 0 1 1 0.1\n", "line 2: expected 'gj source destination weight', got 4 values"),
-        ("size 2\nex 0 1 1\nex 0 1 2\n", "line 3: ex 0 1 stands twice"),
-        ("size 2\ncm 0 0.1\ncm 0 0.1\n", "line 3: cm 0 stands twice"),
+        ("size 2\nex 0 1 1\nex 0 1 2\n", "line 3: ex 0 1 appears twice"),
+        ("size 2\ncm 0 0.1\ncm 0 0.1\n", "line 3: cm 0 appears twice"),
         (
             "size 2\ncm 0 9\nex 5 0 1\n",
             "line 2: cm 9 is outside 0.001..1 F; line 3: neuron '5' is not in 0..1",
@@ -181,7 +181,7 @@ NEURON, SYNAPSE = ("circuit", "neurons", 3), ("circuit", "synapses", 2)
         ([((*NEURON, "leak"), 5.5)], ["$.circuit.neurons[3].leak: input should be less than or equal to 5"]),
         ([((*NEURON, "leak"), float("nan"))], ["$.circuit.neurons[3].leak: input should be a finite number"]),
         ([((*NEURON, "capacitance"), "much")], ["$.circuit.neurons[3].capacitance: input should be a valid"]),
-        ([((*NEURON, "name"), "PVD")], ["$.circuit.neurons[3].name: 'PVD' stands twice"]),
+        ([((*NEURON, "name"), "PVD")], ["$.circuit.neurons[3].name: 'PVD' appears twice"]),
         ([((*NEURON, "held_mV"), 1)], ["$.circuit.neurons[3].held_mV: input should be less than"]),
         ([((*SYNAPSE, "weight"), -1)], ["$.circuit.synapses[2].weight: input should be greater than"]),
         ([((*SYNAPSE, "source"), "XYZ")], ["$.circuit.synapses[2].source: there is no neuron 'XYZ'"]),
@@ -190,7 +190,7 @@ NEURON, SYNAPSE = ("circuit", "neurons", 3), ("circuit", "synapses", 2)
         ([((*SYNAPSE, "kind"), "magic")], ["$.circuit.synapses[2].kind: input should be 'excitatory'"]),
         (
             [((*SYNAPSE, "source"), "PVD"), ((*SYNAPSE, "kind"), "inhibitory")],
-            ["$.circuit: the synapse inhibitory PVD -> AVA stands twice"],
+            ["$.circuit: the synapse inhibitory PVD -> AVA appears twice"],
         ),
         ([(("motors", "low_mV"), -10)], ["$.motors: low_mV must be below high_mV"]),
         (

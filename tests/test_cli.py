@@ -89,7 +89,7 @@ def test_errors_become_one_line_an_exit_code_and_one_json_object(raised, code, c
     assert fields["error"] in err
 
 
-def test_a_missing_extra_names_what_to_install(capsys, monkeypatch):
+def test_missing_extra_names_the_extras_to_install(capsys, monkeypatch):
     app = typer.Typer()
     app.callback()(lambda: None)
 

@@ -45,7 +45,7 @@ def test_every_problem_is_reported_at_once_with_its_path():
     [
         ("wheels: [", "not valid YAML at line 2"),
         ("- a\n- b\n", "expected a mapping"),
-        ("wheels: []\nwheels: []\n", "stands twice"),
+        ("wheels: []\nwheels: []\n", "appears twice"),
         ("wheels: []\nspeed: .nan\n", "$.speed"),
         ("wheels: []\nspeed: .inf\n", "$.speed"),
         ("wheels: !!python/object/apply:os.system ['true']\n", "not valid YAML"),

@@ -36,7 +36,7 @@ def read_to(reader, ending):
     return data.decode()
 
 
-def test_full_pipe_delays_nobody_and_every_dropped_line_is_counted(pipe):
+def test_full_pipe_delays_no_writer_and_every_dropped_line_is_counted(pipe):
     reader, writer = pipe
     lines = [f"line {number} {'x' * 80}\n" for number in range(5000)]
     began = time.monotonic()

@@ -47,7 +47,7 @@ def test_obstacles_come_along():
     assert found.clearance_m == pytest.approx(1.6 - 0.1 - 1.0 - 0.313, abs=0.003)
 
 
-def test_what_no_time_makes_drivable_is_said():
+def test_problems_that_no_deadline_solves_are_reported():
     course, found = make_course("aside", "aside.csv", places((0, 0, 0), (0, 0.5, 0)))
     assert {problem.cause for problem in found.problems} == {Cause.SIDEWAYS}
     assert course.horizon_s < 60
@@ -93,7 +93,7 @@ def test_a_drive_to_and_fro_keeps_its_turning_point(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "error", "words"),
     [
-        ("a.csv", "x,y\n1,2\n", FileError, "names no theta"),
+        ("a.csv", "x,y\n1,2\n", FileError, "lacks theta"),
         ("a.csv", "x,y,theta\n1,2,three\n", FileError, "line 2: expected three numbers"),
         ("a.csv", "x,y,theta\n1,2\n", FileError, "line 2: expected three numbers"),
         ("a.csv", "x,y,theta\n1,2,nan\n", FileError, "line 2: expected finite numbers"),

@@ -19,7 +19,7 @@ def test_each_is_noted_and_all_is_as_before_afterwards(number):
     assert signal.getsignal(number) is before
 
 
-def test_what_was_ignored_stays_ignored():
+def test_ignored_signals_stay_ignored():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with Interrupts() as interrupts:

@@ -21,7 +21,7 @@ def test_a_namespace_goes_in_front(namespace, expected):
 
 
 @pytest.mark.parametrize("namespace", ["a//b", "*", "a/**", "a b", "@ros", "a/$*", "a#b", "a?b", "ä", "a\n"])
-def test_what_zenoh_would_read_otherwise_is_refused(namespace):
+def test_namespace_with_reserved_characters_is_rejected(namespace):
     with pytest.raises(UsageError, match="namespace"):
         key(namespace, "odom")
 
@@ -31,7 +31,7 @@ def test_a_key_outside_the_table_does_not_exist():
         key("", "cmd_vell")
 
 
-def test_each_key_stands_once_and_says_who_may_send():
+def test_each_key_has_one_row_with_its_senders():
     assert len({row.name for row in KEYS}) == len(KEYS)
     for row in KEYS:
         assert row.senders
@@ -39,7 +39,7 @@ def test_each_key_stands_once_and_says_who_may_send():
         assert row.about
 
 
-def test_nobody_but_the_driver_moves_the_rover_and_nobody_but_the_bridge_speaks_for_it():
+def test_only_driver_commands_and_only_bridge_reports():
     assert spec("cmd_vel").senders == {Role.DRIVER}
     for row in KEYS:
         if row.kind is Kind.QUERYABLE:

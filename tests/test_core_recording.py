@@ -43,7 +43,7 @@ def written(tmp_path):
     return path
 
 
-def test_what_was_written_is_read(written):
+def test_written_messages_are_read(written):
     recording = read_recording(written)
     assert recording.complete
     assert recording.attachment("policy.yaml") == POLICY
@@ -54,7 +54,7 @@ def test_what_was_written_is_read(written):
         recording.attachment("course.yaml")
 
 
-def test_what_other_software_recorded_is_made_whole_as_bytes(tmp_path):
+def test_recovery_keeps_messages_of_other_software_as_bytes(tmp_path):
     path = tmp_path / "other.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
@@ -183,7 +183,7 @@ def test_a_damaged_file_is_refused_with_its_name_or_read_to_the_damage(written, 
         (b"\x89MCAP0\r\n" + b"\x01" + struct.pack("<Q", 4) + b"\xff\xff\xff\x7f", "cut off"),
     ],
 )
-def test_what_is_no_recording_is_said_in_one_line(tmp_path, content, message):
+def test_file_that_is_no_recording_is_a_one_line_error(tmp_path, content, message):
     path = tmp_path / "x.mcap"
     path.write_bytes(content)
     with pytest.raises(FileError, match=message) as caught:

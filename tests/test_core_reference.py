@@ -143,7 +143,7 @@ angle = st.floats(-math.pi, math.pi, exclude_min=True)
 
 
 @given(finite, finite, angle, finite, finite, angle)
-def test_what_is_seen_leads_back_to_where_it_is(x, y, theta, x_r, y_r, theta_r):
+def test_observation_determines_the_pose(x, y, theta, x_r, y_r, theta_r):
     ahead, left, turn = seen_from(Pose(x, y, theta), Pose(x_r, y_r, theta_r))
     assert x + ahead * math.cos(theta) - left * math.sin(theta) == pytest.approx(x_r, abs=1e-12)
     assert y + ahead * math.sin(theta) + left * math.cos(theta) == pytest.approx(y_r, abs=1e-12)

@@ -43,13 +43,13 @@ def corrupted(draw, samples):
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_what_it_is_meant_for_is_read(name):
+def test_each_reader_reads_its_samples(name):
     for sample in READERS[name].samples():
         survives(READERS[name], sample)
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_whatever_comes_is_read_or_refused(name):
+def test_any_bytes_are_read_or_rejected(name):
     reader = READERS[name]
     samples = list(reader.samples())
 

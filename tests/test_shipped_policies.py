@@ -18,7 +18,7 @@ from sim.world.randomization import load_randomization
         ("bay", "full", 0.97),
     ],
 )
-def test_the_course_relative_circuit_parks_robots_nobody_measured(course, ranges, least):
+def test_course_relative_circuit_parks_unmeasured_robots(course, ranges, least):
     policy = load_policy("course")
     found = evaluate(policy, [load_course(course)], load_randomization(ranges), trials=300, seed=2024)
     assert found.success_rate >= least
@@ -32,7 +32,7 @@ def test_it_drives_courses_it_never_saw():
     assert found.success_rate >= 0.96
 
 
-def test_what_makes_the_circuit_again_is_written_in_it():
+def test_policy_contains_the_command_that_reproduces_it():
     policy = load_policy("course")
     assert policy.provenance["command"].startswith("rover-ncp train")
     assert policy.provenance["made_with"]["commit"]

@@ -20,7 +20,7 @@ def test_it_backs_into_the_bay_and_touches_nothing():
     assert np.ptp(run.poses[:, 2]) > 0.9
 
 
-def test_what_makes_it_again_is_written_in_it():
+def test_policy_contains_the_command_that_reproduces_it():
     provenance = load_policy("reverse").provenance
     assert provenance["command"].startswith("rover-ncp train --course reverse --circuit four_dof")
     assert provenance["made_with"]["commit"]

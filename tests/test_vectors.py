@@ -89,7 +89,7 @@ def test_numbers_behind_addresses_are_gathered_and_scattered():
     assert np.array_equal(memory[:, 1], expected)
 
 
-def test_what_is_lent_to_a_kernel_is_what_it_was():
+def test_borrowed_array_is_unchanged():
     row = np.arange(4.0)
     assert add_up(((row, row + 1.0), 5), 0.25) == 15.25
     assert row.tolist() == [0.0, 1.0, 2.0, 3.0]

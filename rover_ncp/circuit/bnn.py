@@ -190,5 +190,5 @@ def _number(what: str, text: str, bounds: Bounds) -> float:
 
 def _once(table: dict[Any, Any], key: Any, value: Any, what: str) -> None:
     if key in table:
-        raise _Wrong(f"{what} stands twice")
+        raise _Wrong(f"{what} appears twice")
     table[key] = value

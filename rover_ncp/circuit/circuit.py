@@ -207,7 +207,7 @@ class Circuit:
         ]
         triples = list(zip(self.kind, self.source, self.destination, strict=True))
         problems += [
-            f"the synapse {self.label(triples.index(triple))} stands twice" for triple in _repeated(triples)
+            f"the synapse {self.label(triples.index(triple))} appears twice" for triple in _repeated(triples)
         ]
         return problems
 

@@ -265,7 +265,7 @@ class PolicyRunner:
             raise UsageError(f"an observation needs {len(inputs)} values ({', '.join(inputs)})")
         for name, value in zip(inputs, observation, strict=True):
             if not math.isfinite(value):
-                raise UsageError(f"the observation {name} is {value}, which is no finite number")
+                raise UsageError(f"the observation {name} is {value}, expected a finite number")
         self._observation[:, 0] = observation
         self._tick_lanes(self._program, self._lanes, self._potentials, self._observation, self._command)
         return tuple(self._command[:, 0].tolist())

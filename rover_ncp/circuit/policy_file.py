@@ -170,7 +170,7 @@ def _circuit(file: _Circuit, source: str, where: str) -> Circuit:
     """Turn names into indices; every problem with the path of its value."""
     neurons = [neuron.name for neuron in file.neurons]
     problems = [
-        f"{where}.neurons[{i}].name: {name!r} stands twice"
+        f"{where}.neurons[{i}].name: {name!r} appears twice"
         for i, name in enumerate(neurons)
         if name in neurons[:i]
     ]

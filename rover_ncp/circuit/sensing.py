@@ -113,10 +113,10 @@ class Sensing(StrictModel):
 
 
 def require_distinct(what: str, names: Sequence[str]) -> None:
-    """Raise ValueError when a name stands twice."""
+    """Raise ValueError when a name appears twice."""
     for name in names:
         if list(names).count(name) > 1:
-            raise ValueError(f"{what} {name!r} stands twice")
+            raise ValueError(f"{what} {name!r} appears twice")
 
 
 def parking_sensing(clamp: bool = True, downward: Collection[str] = ()) -> Sensing:

@@ -16,7 +16,7 @@ def keys(
     out: Annotated[Path, typer.Option(help="Folder for the files; it must not hold keys already.")],
     host: Annotated[
         list[str] | None,
-        typer.Option(help="Name or IP address of the bridge's machine, as drivers call it; again for more."),
+        typer.Option(help="Name or IP address of the bridge's machine, as drivers use it; repeat for more."),
     ] = None,
     namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
     json: Json = False,
@@ -35,7 +35,8 @@ def keys(
 
     taken = [name.name for name in out.glob("*") if name.suffix in {".pem", ".json5"}] if out.is_dir() else []
     if taken:
-        raise UsageError(f"--out {out}: holds keys already ({', '.join(sorted(taken))}); say another folder")
+        names = ", ".join(sorted(taken))
+        raise UsageError(f"--out {out}: holds keys already ({names}); choose another folder")
     require_writable(out / "ca.pem")
     hosts = list(dict.fromkeys([*(host or []), "127.0.0.1", "localhost", socket.gethostname()]))
     files = make_credentials(hosts, namespace)

@@ -25,7 +25,7 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]  # the C loader is optional
-    """A safe loader that refuses what YAML would silently merge: the same key twice."""
+    """A safe loader that rejects duplicate keys, which YAML would silently merge."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
@@ -33,7 +33,7 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
             if isinstance(key_node, yaml.ScalarNode):
                 if key_node.value in seen:
                     raise yaml.constructor.ConstructorError(
-                        None, None, f"key {key_node.value!r} stands twice", key_node.start_mark
+                        None, None, f"key {key_node.value!r} appears twice", key_node.start_mark
                     )
                 seen.add(key_node.value)
         return super().construct_mapping(node, deep)  # type: ignore[no-any-return]
@@ -62,12 +62,12 @@ _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 100
 
 
 MOST_CHARACTERS, MOST_DEEP = 1 << 20, 100
-"""Of a YAML file and of the lists and mappings in each other. libyaml's C code ends the process when it is to
-build 100,000 of them in each other; our own files have 5."""
+"""Limits of a YAML file: characters, and nesting of lists and mappings. libyaml's C code ends the process
+on a nesting of 100,000; our own files have 5."""
 
 
 def read_yaml(text: str, source: str) -> Any:
-    """Return what YAML text stands for, not validated. Raises ConfigError naming ``source``."""
+    """Return the content of YAML text, not validated. Raises ConfigError naming ``source``."""
     if len(text) > MOST_CHARACTERS:
         raise ConfigError(source, [f"{len(text)} characters, expected {MOST_CHARACTERS} at most"])
     try:

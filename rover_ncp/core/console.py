@@ -25,7 +25,7 @@ ROOM_BYTES = 1 << 16
 CHUNK_BYTES = 1024
 """The most that one system call writes: a pipe takes it as a whole, a slow terminal within a second."""
 BLOCKED_S = 0.4
-"""How long the end of a process waits for a reader that takes nothing: for stdout and again for stderr."""
+"""Wait in s at the end of a process for a reader that takes nothing: for stdout and again for stderr."""
 
 
 class Writer(io.RawIOBase):
@@ -45,7 +45,7 @@ class Writer(io.RawIOBase):
         self._waiting: deque[bytes] = deque()
         self._bytes = self._dropped = self._chunks = 0
         self.failure: OSError | None = None
-        """Why the last write failed, if it did."""
+        """Error of the last write, if it failed."""
         threading.Thread(target=self._run, name=f"output-{fd}", daemon=True).start()
 
     def put(self, data: bytes, keep: bool = False) -> None:
@@ -164,12 +164,12 @@ def printable(text: str) -> str:
 
 
 class Output:
-    """The two channels of a command. ``controls`` says that a rover depends on this process."""
+    """The two channels of a command. ``controls`` means that a rover depends on this process."""
 
     ended = False
     """Whether a command of this process has printed its result; it must not get a second one."""
     blocked_s: float | None = None
-    """How long the end of this process waits for a reader that takes nothing; None is for ever."""
+    """Wait in s at the end of this process for a reader that takes nothing; None is without limit."""
 
     def __init__(self, as_json: bool, *, controls: bool = False) -> None:
         self.as_json = as_json

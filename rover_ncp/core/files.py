@@ -11,7 +11,7 @@ from typing import IO
 from rover_ncp.core.errors import FileError
 
 _RECORDING = b"\x89MCAP0\r\n"
-"""How a recording begins, a damaged or unfinished one too."""
+"""First bytes of a recording, also of a damaged or unfinished one."""
 _DATA = resources.files("rover_ncp") / "data"
 
 
@@ -50,7 +50,7 @@ def existing_file(path: Path) -> Path:
 
 
 def _exists(path: Path) -> bool:
-    """Whether there is anything at a path. Raises FileError where the system cannot say."""
+    """Whether a path exists. Raises FileError if the system cannot determine it."""
     try:
         return path.exists()
     except OSError as error:  # a name too long, or a folder that may not be searched
@@ -159,5 +159,5 @@ def _make_folder(folder: Path) -> None:
 
 def _not_created(path: Path, error: OSError) -> FileError:
     if isinstance(error, FileExistsError) and path.is_file():
-        return FileError(f"{path}: exists already; choose another file, or say --overwrite")
+        return FileError(f"{path}: exists already; choose another file, or use --overwrite")
     return FileError(f"{path}: cannot be written: {error.strerror}")

@@ -1,4 +1,4 @@
-"""A gyro's rate of turn as sensor_msgs/Imu in base_link. It says nothing of orientation or acceleration."""
+"""A gyro's rate of turn as sensor_msgs/Imu in base_link. Orientation and acceleration are not given."""
 
 from typing import NamedTuple
 
@@ -10,12 +10,12 @@ from rover_ncp.core.messages import BASE_FRAME
 IMU = "sensor_msgs/msg/Imu"
 _SECOND_NS = 1_000_000_000
 _UNKNOWN = 1e6
-# REP-145: a first element of -1 says that there is no such measurement.
+# REP-145: a first element of -1 means that there is no such measurement.
 _NONE = np.array([-1.0, *[0.0] * 8])
 
 
 class TurnSample(NamedTuple):
-    """A rate of turn in rad/s, counter-clockwise; nothing says that it is finite."""
+    """A rate of turn in rad/s, counter-clockwise; it may be not finite."""
 
     stamp_ns: int
     rate: float

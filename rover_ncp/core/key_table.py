@@ -1,7 +1,7 @@
 """The table of all Zenoh keys: the content of each, its senders and its receivers.
 
-Messages are ROS 2 types in CDR on plain keys, so that ROS bridges see them with no glue. The namespace is put
-in front by `key`, not by Zenoh's own setting, which would also prefix the ``@`` tokens of ROS bridges.
+Messages are ROS 2 types in CDR on plain keys, so that ROS bridges need no adapter. `key` prefixes the
+namespace, not Zenoh's own setting, which would also prefix the ``@`` tokens of ROS bridges.
 Access control and documentation are made from this table.
 """
 
@@ -29,7 +29,7 @@ class Kind(Enum):
     QUERYABLE = "queryable"
     """Senders ask, the one receiver answers; JSON both ways (`rover_ncp.core.protocol`)."""
     TOKEN = "token"
-    """A liveliness token: there as long as its sender is."""
+    """A liveliness token: it exists as long as its sender."""
 
 
 ALL = frozenset({Role.BRIDGE, Role.DRIVER, Role.VIEWER})
@@ -39,7 +39,7 @@ ALL = frozenset({Role.BRIDGE, Role.DRIVER, Role.VIEWER})
 class KeySpec:
     """A row: ``type`` is a ROS type or names JSON models; payloads over ``max_bytes`` are refused.
 
-    Who subscribes to a ``latched`` one gets its last message although it was sent before.
+    Late subscribers to a ``latched`` key receive its last message.
     """
 
     name: str
@@ -73,7 +73,7 @@ KEYS: tuple[KeySpec, ...] = (
     ),
     _from_bridge("tf", "tf2_msgs/msg/TFMessage", 4096, "odom → base_link, each SIP"),
     _from_bridge(
-        "tf_static", "tf2_msgs/msg/TFMessage", 1 << 16, "where the sensors sit on the base", latched=True
+        "tf_static", "tf2_msgs/msg/TFMessage", 1 << 16, "poses of the sensors on the base", latched=True
     ),
     _from_bridge("battery_state", "sensor_msgs/msg/BatteryState", 4096, "once a second"),
     _from_bridge("sonar", "sensor_msgs/msg/PointCloud2", 1 << 16, "the echoes of one SIP, in base_link"),
@@ -81,9 +81,9 @@ KEYS: tuple[KeySpec, ...] = (
         "bumpers", "std_msgs/msg/UInt8MultiArray", 4096, "front and rear bits, 1 = pressed, each SIP"
     ),
     _from_bridge("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 1 << 16, "base, link and gate"),
-    # The next two are the gate's last word: what reached the base, and why nothing did.
+    # The gate's output: the command that reached the base, and the reasons for dropped ones.
     _from_bridge(
-        "rover/cmd_out", "geometry_msgs/msg/TwistStamped", 512, "the command that the gate let through"
+        "rover/cmd_out", "geometry_msgs/msg/TwistStamped", 512, "the command that the gate accepted"
     ),
     _from_bridge("rover/gate", "std_msgs/msg/String", 4096, "GateStatus as JSON: driver, stop, counters"),
     KeySpec(
@@ -93,7 +93,7 @@ KEYS: tuple[KeySpec, ...] = (
         frozenset({Role.DRIVER}),
         ALL,
         512,
-        "what the driver wants; the attachment is a CommandTag, signed",
+        "the driver's command; the attachment is a signed CommandTag",
     ),
     KeySpec(
         "pose",
@@ -116,12 +116,12 @@ KEYS: tuple[KeySpec, ...] = (
     ),
     _asked("rover/stop", "StopRequest → StopReply", "stop, latched until released"),
     _asked("rover/reset_odometry", "ResetRequest → ResetReply", "make the present pose odom's origin"),
-    KeySpec("rover/alive/bridge", Kind.TOKEN, "", frozenset({Role.BRIDGE}), ALL, 0, "the bridge is there"),
-    KeySpec("rover/alive/driver", Kind.TOKEN, "", frozenset({Role.DRIVER}), ALL, 0, "a driver is there"),
+    KeySpec("rover/alive/bridge", Kind.TOKEN, "", frozenset({Role.BRIDGE}), ALL, 0, "the bridge runs"),
+    KeySpec("rover/alive/driver", Kind.TOKEN, "", frozenset({Role.DRIVER}), ALL, 0, "a driver runs"),
 )
 
 _BY_NAME = {row.name: row for row in KEYS}
-# Zenoh gives meaning to * $ # ? and to chunks that begin with @; ROS knows letters, digits, _ and /.
+# Zenoh reserves * $ # ? and chunks that begin with @; ROS allows letters, digits, _ and /.
 _NAMESPACE = re.compile(r"[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*")
 
 
@@ -133,7 +133,7 @@ def spec(name: str) -> KeySpec:
 def key(namespace: str, name: str) -> str:
     """Return the full key of a row: ``key("bot1", "odom")`` is ``bot1/odom``; "" is no namespace.
 
-    Slashes around the namespace, as ROS writes them, fall off. Raises UsageError for one that is no key.
+    Slashes around the namespace, as ROS writes them, are removed. Raises UsageError for an invalid one.
     """
     row = _BY_NAME[name]
     stripped = namespace.strip("/")

@@ -37,7 +37,7 @@ _PLANAR = (0, 1, 5)
 
 
 class OdometrySample(NamedTuple):
-    """An Odometry as plain values; nothing says that they are finite."""
+    """An Odometry as plain values, which may be not finite."""
 
     stamp_ns: int
     pose: Pose

@@ -39,7 +39,7 @@ class Signed(IntEnum):
 
     COMMAND = 1
     MOTORS = 2
-    """A renewal or a release: the signed payload says which."""
+    """A renewal or a release, by the signed payload."""
 
 
 class CommandTag(NamedTuple):
@@ -144,7 +144,7 @@ def requested_version(payload: bytes) -> int:
 
 
 def other_version(bridge: int, driver: int) -> str:
-    """Return the words for a driver and a bridge of different versions."""
+    """Return the error text for a driver and a bridge of different versions."""
     return (
         f"the bridge uses protocol version {bridge}, the driver version {driver}: "
         "install the same version of rover-ncp on both"
@@ -170,7 +170,7 @@ class ResetRequest(StrictModel):
 
 
 class ResetReply(StrictModel):
-    """Whether it was done; ``reason`` says why not."""
+    """Whether it was done; ``reason`` is the cause if not."""
 
     ok: bool
     reason: str = ""
@@ -194,7 +194,7 @@ class GateStatus(StrictModel):
     held: str = ""
     ended: str = ""
     stop_reason: str = ""
-    """The words of a latched stop."""
+    """The text of a latched stop."""
     accepted: int = 0
     dropped: dict[str, int] = Field(default_factory=dict)
     limited: dict[str, int] = Field(default_factory=dict)

@@ -35,11 +35,11 @@ _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".bnn"
 CDR_ORDERS = (b"\x00\x00", b"\x00\x01")
 CDR_STAMP, CDR_STAMP_BIG = struct.Struct("<iI"), struct.Struct(">iI")
 RECORD_LIMIT = 1 << 30
-"""No record of ours comes near; a longer one means a damaged length."""
+"""Our records are far shorter; a longer one means a damaged length."""
 
 
 class Layout(NamedTuple):
-    """How the bytes of a channel are to be read, as its file says: MCAP's Channel, with its Schema."""
+    """Encoding of a channel's bytes as its file declares it: MCAP's Channel, with its Schema."""
 
     encoding: str
     metadata: tuple[tuple[str, str], ...]

@@ -28,12 +28,12 @@ EASE = 0.6
 SLOWER, SLOWER_MAX = 1.3, 4
 """Deadlines are stretched by this much, so many times, while the course cannot be driven in time."""
 START_S, JOIN_S, REST_S = 3.0, 2.0, 8.0
-"""Start signal; what setting off and stopping take beside; rest at the end."""
+"""Times in s: start signal; starting and stopping; rest at the end."""
 NO_MATTER_OF_TIME = frozenset({Cause.SIDEWAYS, Cause.OBSTACLE})
 STEP_M, STEP_RAD = 0.10, 0.20
 """How far apart the checkpoints of a recorded drive are."""
 MOVED_M, MOVED_RAD = 0.01, 0.02
-"""Less than this is no motion."""
+"""Smaller motion counts as standing."""
 _DECIMALS = 4
 
 
@@ -69,7 +69,7 @@ def read_poses(path: Path) -> PoseList:
 
 
 def make_course(name: str, source: str, places: PoseList) -> tuple[Course, Drivability]:
-    """Return a course through poses with deadlines that can be met, as far as that goes, and how it is."""
+    """Return a course through poses, with deadlines that can be met if possible, and its feasibility."""
     first = _pose(places.poses[0])
     poses = [relative(first, _pose(place)) for place in places.poses]
     obstacles = tuple(_moved(obstacle, first) for obstacle in places.obstacles)
@@ -127,7 +127,7 @@ def _checkpoint(t: float, pose: Pose) -> Checkpoint:
 def _from_csv(path: Path) -> PoseList:
     rows = csv.DictReader(io.StringIO(read_text(path)), skipinitialspace=True)
     if missing := [name for name in ("x", "y", "theta") if name not in (rows.fieldnames or ())]:
-        raise FileError(f"{path}: its first line names no {', '.join(missing)} (expected x, y, theta)")
+        raise FileError(f"{path}: its first line lacks {', '.join(missing)} (expected x, y, theta)")
     places = []
     for row in rows:
         try:

@@ -23,13 +23,13 @@ LENGTH_M, WIDTH_M = 0.626, 0.505
 """A Pioneer 3-AT (its manual, table of specifications)."""
 GOAL_SHARE = 0.25
 SIDEWAYS = 0.5
-"""Off its heading by more than this, as a tangent, is no bend any more but a way to the side."""
+"""A way whose tangent to the heading exceeds this is sideways, not a bend."""
 SIDEWAYS_M = 0.02
 _UNIT = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
 
 
 class Cause(StrEnum):
-    """Why a checkpoint cannot be driven to."""
+    """Reason why a checkpoint cannot be reached."""
 
     FAST = "too fast"
     TURN = "turns too fast"
@@ -70,7 +70,7 @@ class Drivability:
 
 
 def check_course(course: Course) -> Drivability:
-    """Plan a course's reference and look it over."""
+    """Plan a course's reference and check it."""
     reference = plan_reference(course)
     misses = tuple(deviations(course, reference))
     problems = [*_start(course), *_missed(course, misses), *_rest(course, reference)]
@@ -85,7 +85,7 @@ def _start(course: Course) -> list[Problem]:
     away, turned = distance(first.pose, Pose(0, 0, 0)), abs(first.theta)
     if first.t > 0 or (away <= rule.position_m and turned <= rule.heading_rad):
         return []
-    detail = f"it is {away:.2f} m and {turned:.2f} rad from the origin, where the rover begins"
+    detail = f"it is {away:.2f} m and {turned:.2f} rad from the origin, where the rover starts"
     return [Problem(1, 0.0, Cause.START, detail)]
 
 
@@ -108,7 +108,7 @@ def _missed(course: Course, misses: tuple[Deviation, ...]) -> list[Problem]:
 
 
 def _demands(course: Course) -> list[tuple[int, Cause, str]]:
-    """Return which checkpoints ask for more than the motors can, from the one before each."""
+    """Return the checkpoints that need more than the motors can, from the previous one."""
     found = []
     points = list(course.checkpoints)
     if points[0].t > 0:

@@ -272,7 +272,7 @@ def test_steps_are_what_the_base_takes_as_it_is():
 
 def test_identify_says_what_is_wrong_in_one_line(tmp_path, capsys):
     assert run(["identify"]) == 2
-    assert "one of the two" in capsys.readouterr().err
+    assert "expected either --robot" in capsys.readouterr().err
     assert run(["identify", str(tmp_path / "none.mcap"), "--robot", "tcp/127.0.0.1"]) == 2
     capsys.readouterr()
     assert run(["identify", str(tmp_path / "none.mcap")]) == 2

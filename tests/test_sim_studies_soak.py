@@ -41,6 +41,12 @@ def test_a_few_faults_in_a_row_and_nothing_is_lost(tmp_path):
         assert each.odometry > 10
 
 
+def test_row_with_its_own_mock_can_come_twice(tmp_path):
+    soaked = soak(26.0, 1, tmp_path, lambda soaked, doing: None, [row("gone-bumper")])
+    assert [each.failure for each in soaked.rounds] == [""] * len(soaked.rounds)
+    assert len(soaked.rounds) >= 2
+
+
 @pytest.mark.parametrize(
     ("number", "command"),
     [

@@ -146,7 +146,7 @@ def _try(find: Callable[[], Measured]) -> tuple[Measured | None, str]:
 
 
 def _measured(rig: Rig, row: Row, driver: str, record: Path, moments: np.random.Generator) -> Measured:
-    """Measure a row; a row that blocks the bridge's output for good gets its own mock and bridge each time."""
+    """Measure a row. One that blocks the bridge's output for good gets a mock and a bridge of its own."""
     if not row.outlet:
         return measure(rig, row, driver, record, moments)
     with Rig(rig.folder / record.stem, rig.course, outlet=row.outlet) as own:

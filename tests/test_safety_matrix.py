@@ -70,6 +70,17 @@ def test_fault_is_timed_when_it_begins_and_not_when_it_is_asked_for(rig, monkeyp
     assert measured.began_ns - asked_ns > 0.19e9
 
 
+@pytest.mark.parametrize("late", ["mock", "line"])
+def test_delay_before_a_line_does_not_count_after_it(rig, late):
+    for _ in range(5):
+        process = getattr(rig, late)
+        process.tell("")
+        process.send_signal(signal.SIGSTOP)
+        threading.Timer(0.2, process.send_signal, [signal.SIGCONT]).start()
+        assert process.tell("").late_ns > 0.15e9
+        assert process.tell("").late_ns < 0.15e9
+
+
 # Here every outlet and every fault occurs; `make safety` measures all combinations.
 SAMPLE = {"terminal-bumper", "terminal-stop-query", "pipe-stall", "pipe-silence", "gone-stop-button"}
 

@@ -8,6 +8,7 @@ The proxy answers each line by ``applied t_ns=… late_ns=…``, as the mock doe
 answer.
 """
 
+import math
 import selectors
 import socket
 import struct
@@ -102,15 +103,17 @@ class _Server:
         self._held = self._held_back = self._cut = False
         self._bytes_s: float | None = None
         self._credit, self._credit_s = 0.0, time.monotonic()
-        self._late_s = 0.0
+        self._due_s, self._late_s = math.inf, 0.0
         threading.Thread(target=self._run, name="proxy", daemon=True).start()
 
     def obey(self, line: str) -> Applied:
         """Apply a command line. The time returned is from before its effect: no fault looks younger."""
         word, _, number = line.strip().partition(" ")
         with self._lock:
-            applied = Applied(time.monotonic_ns(), round(self._late_s * 1e9))
-            self._late_s = 0.0
+            # The delay of the turn under way was before this line, not after it.
+            late_s = max(self._late_s, time.monotonic() - self._due_s)
+            self._due_s, self._late_s = time.monotonic() + TURN_S, 0.0
+            applied = Applied(time.monotonic_ns(), round(late_s * 1e9))
             if word in {"hold", "hold_both_ways"}:
                 self._held, self._held_back = True, word == "hold_both_ways"
             elif word == "silence":
@@ -144,7 +147,7 @@ class _Server:
                 for end in waiting:
                     with suppress(ValueError, OSError):  # closed meanwhile
                         selector.register(end, selectors.EVENT_READ)
-                began_s = time.monotonic()
+                self._due_s = time.monotonic() + TURN_S
                 selector.select(TURN_S)
             with self._lock:
                 self._accept()
@@ -152,7 +155,7 @@ class _Server:
                     if not self._turn(pair):
                         pair.close()
                         self._pairs.remove(pair)
-                self._late_s = max(self._late_s, time.monotonic() - began_s - TURN_S)
+                self._late_s = max(self._late_s, time.monotonic() - self._due_s)
 
     def _accept(self) -> None:
         with suppress(BlockingIOError):

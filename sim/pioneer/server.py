@@ -4,6 +4,7 @@ One thread: it sleeps until a client speaks or the next SIP is due, then lets th
 """
 
 import errno
+import math
 import selectors
 import socket
 import time
@@ -96,7 +97,7 @@ class Server:
         self.touched = False
         """Whether the rover ever touched anything."""
         self._truth, self._say = truth, say
-        self._late_s = 0.0
+        self._due_s, self._late_s = math.inf, 0.0
         self._start_s = time.monotonic()
         self.firmware = make(self._start_s, self._observe)
         self._client: socket.socket | None = None
@@ -120,15 +121,16 @@ class Server:
         if fault_lines is not None:
             self._selector.register(fault_lines, selectors.EVENT_READ, lambda: self._read_fault(fault_lines))
         while not stop:
-            began_s = time.monotonic()
-            sleep_s = max(min(self.firmware.sip_due_s - began_s, PERIOD_S), 0.0)
+            now_s = time.monotonic()
+            sleep_s = max(min(self.firmware.sip_due_s - now_s, PERIOD_S), 0.0)
+            self._due_s = now_s + sleep_s
             for key, _ in self._selector.select(sleep_s):
                 key.data()
             self.firmware.advance(time.monotonic())
             self._send()
             if self._truth:
                 self._truth.flush()
-            self._late_s = max(self._late_s, time.monotonic() - began_s - sleep_s)
+            self._late_s = max(self._late_s, time.monotonic() - self._due_s)
 
     def close(self) -> None:
         """Hang up and close everything."""
@@ -152,10 +154,10 @@ class Server:
         self.firmware.advance(time.monotonic())
         if fault is not None:
             self.firmware.inject(fault)
-        self._say(
-            f"applied t_ns={clock_ns(self.firmware.now)} late_ns={clock_ns(self._late_s)} {text}".rstrip()
-        )
-        self._late_s = 0.0
+        # The delay of the turn under way was before this line, not after it.
+        late_s = max(self._late_s, time.monotonic() - self._due_s, 0.0)
+        self._due_s, self._late_s = time.monotonic(), 0.0
+        self._say(f"applied t_ns={clock_ns(self.firmware.now)} late_ns={clock_ns(late_s)} {text}".rstrip())
 
     def _observe(self, now: float) -> None:
         contact = self.firmware.drive.rover.in_contact

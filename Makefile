@@ -24,7 +24,7 @@ check: lint types contracts test
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python tests/prose.py
+	$(BIN)/python tests/tools/prose.py
 
 types: $(STAMP)
 	$(BIN)/mypy
@@ -34,7 +34,7 @@ contracts: $(STAMP)
 
 # Measures the safety matrix and writes it into docs/safety.md.
 safety: $(STAMP)
-	$(BIN)/python tests/safety_table.py
+	$(BIN)/python tests/tools/safety_table.py
 
 # A run of seconds for every task of the paper: the circuit and a network, each checked by a replay.
 paper-quick: $(STAMP)
@@ -52,17 +52,17 @@ paper-gradients: $(GRADIENTS_STAMP)
 # The gate's own tests must run every line and branch of it.
 coverage-gate: $(STAMP)
 	$(BIN)/coverage run --branch --include='bridge/gate/*.py' --data-file=.coverage-gate \
-		-m pytest -q tests/test_bridge_gate*.py tests/test_bridge_limits.py
+		-m pytest -q tests/unit/bridge/test_gate*.py tests/unit/bridge/test_limits.py
 	$(BIN)/coverage report --data-file=.coverage-gate --show-missing --fail-under=100
 
 # The gate's tests must fail on every mutant of it, except those in tests/data/gate_survivors.yaml. Takes minutes.
 mutate: $(STAMP)
-	$(BIN)/python tests/mutate_gate.py
+	$(BIN)/python tests/tools/mutate_gate.py
 
 # Fuzz the readers of external data for FUZZ_S seconds, guided by branch coverage (atheris).
 fuzz: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,fuzz]'
-	$(BIN)/python tests/fuzz_atheris.py
+	$(BIN)/python tests/tools/fuzz_atheris.py
 
 .PHONY: coverage-gate mutate fuzz
 

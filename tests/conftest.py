@@ -18,11 +18,11 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 # How long an example takes says more about the machine's other work than about the code.
 settings.register_profile("rover-ncp", deadline=None)
 settings.load_profile("rover-ncp")
-# Mutants (tests/mutate_gate.py) only have to fail: no one reads their smallest example.
+# Mutants (tests/tools/mutate_gate.py) only have to fail: no one reads their smallest example.
 settings.register_profile("mutants", deadline=None, database=None, phases=[Phase.explicit, Phase.generate])
 
 # Files that wait longest for real processes begin first, so that they do not run alone at the end.
-LONGEST = ["test_safety_matrix.py", "test_deploy_teleop.py", "test_sim_studies_soak.py"]
+LONGEST = ["test_safety_matrix.py", "test_deploy_teleop.py", "test_soak.py"]
 
 
 def pytest_collection_modifyitems(items):

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from paths import DATA
 from recorded_drives import write_drive
 
 from rover_ncp import cli
@@ -14,7 +15,7 @@ from rover_ncp.core.recording import read_recording
 
 pytestmark = pytest.mark.browser
 
-COURSE = Path(__file__).parent / "data" / "short_course.yaml"
+COURSE = DATA / "short_course.yaml"
 
 
 def checked(recording):

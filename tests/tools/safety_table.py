@@ -1,4 +1,4 @@
-"""Run the safety matrix and write what it measured into docs/safety.md: ``python tests/safety_table.py``."""
+"""Run the safety matrix and write its figures into docs/safety.md: ``python tests/tools/safety_table.py``."""
 
 import json
 import os
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sim.faults.table import MATRIX
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "safety.md"
 BEGIN, END = "<!-- measured: make safety -->\n", "<!-- end -->\n"
 
@@ -32,7 +32,7 @@ def main():
         rows = Path(folder) / "rows.jsonl"
         environment = {**os.environ, "ROVER_NCP_SAFETY_ROWS": str(rows)}
         # All but the test of what is about to be written.
-        matrix = ["-m", "pytest", "-q", "tests/test_safety_matrix.py", "-k", "not page"]
+        matrix = ["-m", "pytest", "-q", "tests/system/test_safety_matrix.py", "-k", "not page"]
         code = subprocess.run([sys.executable, *matrix], cwd=ROOT, env=environment, check=False).returncode
         lines = rows.read_text().splitlines() if rows.exists() else []
     found = {line["row"]: line for line in map(json.loads, lines)}

@@ -2,10 +2,10 @@
 
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import DATA
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
@@ -20,7 +20,7 @@ from sim.stack.trials import Stack
 from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials, ranges_for
 from sim.world.rover import RoverModel
 
-SHORT = str(Path(__file__).parent / "data" / "short_course.yaml")
+SHORT = str(DATA / "short_course.yaml")
 
 
 def stack(ranges="none", seed=1, course=SHORT):

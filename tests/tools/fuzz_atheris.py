@@ -1,4 +1,4 @@
-"""Fuzzing led by the code's own branches: ``python tests/fuzz_atheris.py [READER...]``, or ``make fuzz``.
+"""Fuzzing guided by branch coverage: ``python tests/tools/fuzz_atheris.py [READER...]``, or ``make fuzz``.
 
 Each reader of ``fuzz_readers.py`` runs in a process of its own, all together for FUZZ_S seconds (60), and
 begins with its samples. What it finds, and what crashed, stays in ``runs/fuzz``; the next run goes on from
@@ -12,10 +12,11 @@ from pathlib import Path
 
 import atheris
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "kit"))
 with atheris.instrument_imports(include=["bridge", "deploy", "rover_ncp"]):
     from fuzz_readers import READERS, survives
 
-FOLDER = Path(__file__).parent.parent / "runs" / "fuzz"
+FOLDER = Path(__file__).parents[2] / "runs" / "fuzz"
 LONGEST = 20_000
 HANGS_S, MEMORY_MB = 20, 2048
 

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from paths import DATA
 from recorded_drives import write_drive
 
 from rover_ncp.cli import run
@@ -15,7 +16,7 @@ LONG = "x" * 300
 HUGE = "99999999999999999999"
 ROBOT = "--robot tcp/127.0.0.1:1"
 BASE = "--base tcp/127.0.0.1:1"
-SHORT = Path(__file__).parent / "data" / "short_course.yaml"
+SHORT = DATA / "short_course.yaml"
 
 # Where a file is read: {} is in the place of its name.
 READERS = [

@@ -9,8 +9,8 @@ from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
+from paths import ROOT
 
-ROOT = Path(__file__).parent.parent
 PACKAGES = ("sim", "bridge", "deploy")
 MODULES = ("numba", "yaml", "pickle")
 """The last is the first that a spawned process imports."""

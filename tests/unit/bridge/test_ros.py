@@ -5,32 +5,17 @@ import struct
 from dataclasses import replace
 
 import pytest
+from base_report import STAMP, STATE
 
 from bridge.gate.state import Lease, Reason, State
 from bridge.pioneer.arcos import Decoder
-from bridge.pioneer.odometry import BaseState
 from bridge.pioneer.robots import ROBOTS
 from bridge.ros import messages as ros
 from rover_ncp.core.key_table import spec
 from rover_ncp.core.messages import decode, read_odometry, text
 from rover_ncp.core.protocol import dump_json
 
-STAMP = 1_700_000_000_123_456_789
 ROBOT = ROBOTS["p3at-sh"]
-STATE = BaseState(
-    received_s=1.0,
-    x=1.0,
-    y=-2.0,
-    theta=7.0,  # more than a turn: the base counts on
-    v=0.16,
-    omega=-0.18,
-    moving=True,
-    motors_enabled=True,
-    stop_pressed=False,
-    stalled=(False, False),
-    bumpers=(0b10, 0b1),
-    battery_v=12.5,
-)
 
 
 def sent(state):

@@ -1,14 +1,15 @@
 """A random trial as real processes, beside the same on a virtual clock."""
 
 import json
-from pathlib import Path
+
+from paths import DATA
 
 from deploy.replay import replay
 from rover_ncp.cli import run
 from rover_ncp.core.recording import read_recording
 from rover_ncp.core.robot_profile import load_profile
 
-SHORT = str(Path(__file__).parent / "data" / "short_course.yaml")
+SHORT = str(DATA / "short_course.yaml")
 
 
 def test_a_live_trial_ends_where_the_virtual_one_does(tmp_path, capsys):

@@ -5,10 +5,10 @@ import math
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from bridge_bench import Driver, wait_for
+from paths import ROOT
 from serial_base import SerialBase
 
 from bridge.pioneer.arcos import Command
@@ -19,7 +19,7 @@ from sim.pioneer.firmware import Link
 
 def test_soar_connects_drives_and_leaves_in_its_own_manner() -> None:
     with SerialBase() as base:
-        peer = Path(__file__).with_name("soar_peer.py")
+        peer = ROOT / "tests/kit/soar_peer.py"
         done = subprocess.run(
             [sys.executable, str(peer), base.port], capture_output=True, text=True, timeout=60, check=False
         )

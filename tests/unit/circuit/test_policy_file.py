@@ -9,6 +9,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from paths import DATA
 
 import rover_ncp
 from rover_ncp.circuit.bnn import circuit_from_bnn, circuit_to_bnn
@@ -25,7 +26,7 @@ from rover_ncp.circuit.sensing import Sensing, parking_sensing
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.core.errors import ConfigError, FileError, RoverNcpError
 
-GOLDEN = Path(__file__).parent / "data" / "golden"
+GOLDEN = DATA / "golden"
 CIRCUITS = Path(rover_ncp.__file__).parent / "data" / "circuits"
 PLAIN = replace(parking_policy(parking_circuit()), provenance={"seed": 3, "command": "train --seed 3"})
 LAYERED = Policy(

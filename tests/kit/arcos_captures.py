@@ -4,9 +4,10 @@ import json
 import re
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
-FOLDER = Path(__file__).parent / "data" / "arcos"
+from paths import DATA
+
+FOLDER = DATA / "arcos"
 VECTORS = json.loads((FOLDER / "vectors.json").read_text())
 
 ARIA_LINE = re.compile(

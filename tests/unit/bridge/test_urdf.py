@@ -6,7 +6,7 @@ from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
-from test_bridge_ros import STAMP, STATE
+from base_report import STAMP, STATE
 
 from bridge.pioneer.robots import ROBOTS
 from bridge.ros import messages as ros

@@ -11,9 +11,9 @@ import signal
 import threading
 import time
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
+from paths import ROOT
 from safety_stack import COURSE, ROWS_FILE, WALL, record
 
 from sim.faults.faults import FAULTS, SCRIPTED
@@ -21,7 +21,7 @@ from sim.faults.measure import measure
 from sim.faults.rig import SPEED_M_S, Rig, wait_for
 from sim.faults.table import MATRIX, braking_s, row
 
-PAGE = Path(__file__).parent.parent / "docs" / "safety.md"
+PAGE = ROOT / "docs" / "safety.md"
 
 
 @pytest.fixture(scope="module")

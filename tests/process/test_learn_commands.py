@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from paths import DATA
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
@@ -22,7 +23,7 @@ from sim.learn.engine import Engine
 from sim.learn.progress import TrainProgress
 from sim.learn.search.strategies import STRATEGIES
 
-COURSE = Path(__file__).parent / "data" / "short_course.yaml"
+COURSE = DATA / "short_course.yaml"
 TRAIN = ["train", "--course", str(COURSE), "--agents", "2", "--seed", "11", "--iterations", "500"]
 QUICK = ["train", "--course", str(COURSE), "--agents", "2", "--iterations", "20", "--processes", "1"]
 # A commit during the tests would change the record; without git on the path it names no commit.

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from paths import DATA
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
@@ -24,7 +25,7 @@ from sim.learn.record import TrainSettings
 from sim.learn.team import AgentState
 from sim.learn.train import TrainResult, train
 
-COURSE = Path(__file__).parent / "data" / "short_course.yaml"
+COURSE = DATA / "short_course.yaml"
 SETTINGS = TrainSettings(course=str(COURSE), seed=1, agents=2, iterations=150)
 
 

@@ -6,17 +6,17 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 from bridge_bench import Rig, wait_for
 from mcap.reader import make_reader
+from paths import DATA
 
 from rover_ncp import cli
 from rover_ncp.core.recording import read_recording
 from sim.live.processes import compile_driver
 
-COURSE = Path(__file__).parent / "data" / "prompt_course.yaml"
+COURSE = DATA / "prompt_course.yaml"
 LOST_S = 0.5
 SMALL_BYTES = 40_000
 

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 from dask_cluster import Cluster, start, wait_for
+from paths import DATA
 
 from rover_ncp.cli import run
 
-COURSE = Path(__file__).parent / "data" / "short_course.yaml"
+COURSE = DATA / "short_course.yaml"
 TRAIN = ["train", "--course", str(COURSE), "--agents", "4", "--seed", "3"]
 
 

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import DATA
 
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
@@ -18,7 +18,7 @@ from sim.learn.team import AgentState, Plan, Team
 
 POLICY = parking_policy(load_circuit("parking"))
 LAYOUT = POLICY.layout()
-SHORT = load_course(Path(__file__).parent / "data" / "short_course.yaml")
+SHORT = load_course(DATA / "short_course.yaml")
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Mutation testing of the gate: ``python tests/mutate_gate.py [FIRST LAST]``, or ``make mutate``.
+"""Mutation testing of the gate: ``python tests/tools/mutate_gate.py [FIRST LAST]``, or ``make mutate``.
 
 Every mutant differs from ``bridge/gate/gate.py`` in one place: a comparison, an operator, a constant, a
 condition, a keyword of a call, a statement. Each is run against the gate's tests in a process of its own,
@@ -21,10 +21,10 @@ import yaml
 
 import bridge
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 GATE = ROOT / "bridge" / "gate" / "gate.py"
 SURVIVORS = ROOT / "tests" / "data" / "gate_survivors.yaml"
-TESTS = [f"test_bridge_gate{part}.py" for part in ("", "_commands", "_edges", "_anything")]
+TESTS = [f"test_gate{part}.py" for part in ("", "_commands", "_edges", "_anything")]
 TIMEOUT_S = 30
 
 COMPARISONS = {
@@ -127,7 +127,7 @@ def _without(node):
 
 def run_tests(*more):
     """Run the gate's tests against the module in place; return whether one failed."""
-    tests = [str(ROOT / "tests" / name) for name in TESTS]
+    tests = [str(ROOT / "tests" / "unit" / "bridge" / name) for name in TESTS]
     options = ["-x", "-q", "--tb=no", "-p", "no:cacheprovider", f"--timeout={TIMEOUT_S}"]
     options += ["--hypothesis-seed=0", "--hypothesis-profile=mutants"]
     options += ["-W", "ignore::pytest.PytestAssertRewriteWarning", "-W", "ignore::pytest.PytestConfigWarning"]
@@ -137,7 +137,9 @@ def run_tests(*more):
 def forget():
     """Let the next import of the gate and of what uses it be a new one."""
     for name in list(sys.modules):
-        if "gate" in name and name.startswith(("bridge.gate.gate", "tests.test_bridge_gate", "gate_bench")):
+        if "gate" in name and name.startswith(
+            ("bridge.gate.gate", "tests.unit.bridge.test_gate", "gate_bench")
+        ):
             del sys.modules[name]
 
 

@@ -1,15 +1,17 @@
 """The rows of the safety matrix as tests measure them.
 
-Every row ends in ``docs/safety.md`` when ``python tests/safety_table.py`` runs the matrix.
+Every row ends in ``docs/safety.md`` when ``python tests/tools/safety_table.py`` runs the matrix.
 """
 
 import json
 import os
 from pathlib import Path
 
+from paths import DATA
+
 from sim.faults.measure import in_time
 
-COURSE = Path(__file__).parent / "data" / "prompt_course.yaml"
+COURSE = DATA / "prompt_course.yaml"
 WALL = COURSE.with_name("wall_course.yaml")
 ROWS_FILE = os.environ.get("ROVER_NCP_SAFETY_ROWS")
 

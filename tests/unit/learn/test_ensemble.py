@@ -5,12 +5,12 @@ import os
 import signal
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from paths import DATA
 
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
@@ -26,7 +26,7 @@ from sim.learn.train import training_plan
 from sim.learn.workers import Inline, LocalProcesses, WorkerDied
 
 POLICY = parking_policy(load_circuit("parking"))
-SHORT = load_course(Path(__file__).parent / "data" / "short_course.yaml")
+SHORT = load_course(DATA / "short_course.yaml")
 WIDTH = POLICY.layout().upper - POLICY.layout().lower
 
 

@@ -1,9 +1,8 @@
 """Traces of the paper's published simulator (float32, C++), see data/golden/README.md."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from paths import DATA
 
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, PolicyRunner
@@ -11,7 +10,7 @@ from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
 from rover_ncp.circuit.tap_withdrawal import SENSORY
 
-GOLDEN = Path(__file__).parent / "data" / "golden"
+GOLDEN = DATA / "golden"
 
 BENCHMARK_SENSING = Sensing(
     name="benchmark",

@@ -8,12 +8,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rover_ncp.circuit.lanes import allocate_lanes, make_program, resting_potentials
-from rover_ncp.circuit.program import LaneParameters, Program
 
 from rover_ncp.circuit.circuit import RESTING_MV
+from rover_ncp.circuit.compiled import (
+    LaneParameters,
+    Program,
+    allocate_lanes,
+    fill_lane,
+    make_program,
+    resting_potentials,
+)
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.solver import fill_lane, tick_lanes
+from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.kernels.jit import inlined_kernel
 
 FloatArray = NDArray[np.float64]
@@ -27,7 +33,7 @@ class Commander(NamedTuple):
     allocate: Callable[[int], Any]
     """Return the arrays of so many lanes, a named tuple."""
     start_lane: Any
-    """Kernel (arrays, lane, vector): set a lane's parameters (P,) and its state at the start of an episode."""
+    """Kernel (arrays, lane, vector): set a lane's parameters (P,) and its state at an episode's start."""
     tick_lanes: Any
     """Kernel (arrays, observations, commands): one control tick, (inputs, L) to (2, L)."""
 

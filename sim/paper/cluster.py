@@ -1,15 +1,11 @@
 """Runs of the grid on the workers of a Dask cluster: each a task of its own, and the same bits anywhere."""
 
-import threading
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from concurrent.futures import as_completed
 
-from sim.learn.cluster import RETRIES, connect, require_versions, told_plainly, versions
+from sim.learn.cluster import DaskCluster
 from sim.paper.cell import Cell, Name
 from sim.paper.train import BudgetName, train_cell
-
-# A worker may have several threads; a run's time is that of its process.
-_one_run = threading.Lock()
 
 
 def make_on_cluster(
@@ -19,25 +15,6 @@ def make_on_cluster(
 
     Raises UsageError where there is no cluster or none that can make the same runs, and ClusterLost.
     """
-    from distributed import as_completed
-
-    completed: Any = as_completed
-    client = connect(address)
-    try:
-        with told_plainly(address):
-            wanted = versions()
-            runs = [
-                client.submit(_run, name, budget, wanted, pure=False, retries=RETRIES, priority=-number)
-                for number, name in enumerate(names)
-            ]
-            for run in completed(runs, loop=client.loop):
-                on_cell(run.result())
-    finally:
-        client.close()
-
-
-def _run(name: Name, budget: BudgetName, wanted: Mapping[str, str]) -> Cell:
-    """Make a run, on a worker."""
-    require_versions(wanted)
-    with _one_run:
-        return train_cell(name, budget)
+    with DaskCluster(address) as cluster:
+        for run in as_completed([cluster.submit(train_cell, name, budget) for name in names]):
+            on_cell(run.result())

@@ -17,8 +17,7 @@ import numpy as np
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
-from sim.learn.net_engine import NetEngine
-from sim.learn.networks import Net
+from sim.learn.networks import Net, network_commander
 from sim.learn.search.base import Vector
 from sim.learn.search.strategies import start_search
 from sim.paper.agents import inert
@@ -46,7 +45,7 @@ class ParkingArena:
         self.engine = (
             Evaluator(agent, course)
             if isinstance(agent, Policy)
-            else NetEngine(agent, task.policy(task.circuit()), course)
+            else Evaluator(task.policy(task.circuit()), course, commander=network_commander(agent))
         )
 
     def outcome(self, vector: Vector) -> ParkingOutcome:
@@ -57,7 +56,7 @@ class ParkingArena:
     def traces(self, vectors: Vector) -> tuple[Vector, Vector]:
         """Return the returns (k,) and misses of vectors (k, P), counting steps."""
         self.steps += len(vectors) * self.task.horizon
-        return self.engine.traces(vectors)
+        return self.engine.run(vectors)
 
     def traces_standing(self, vectors: Vector) -> tuple[Vector, Vector, Vector]:
         """Return the returns (k,), and what the search is to climb: a return (k,) and its misses.

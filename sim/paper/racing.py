@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.learn.objective import mean_of_worst
+from sim.learn.robust import mean_of_worst
 from sim.learn.search.base import Vector
 from sim.paper.arena import Arena, draw_seeds
 

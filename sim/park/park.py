@@ -23,7 +23,7 @@ from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import read_text
 from rover_ncp.core.recording import Recording, read_recording, rewrite
 from rover_ncp.course.course import Course, Verdict, load_course
-from sim.learn.ensemble import Snapshot
+from sim.learn.agents import Snapshot
 from sim.learn.record import TrainSettings
 from sim.learn.rollout import rollout
 from sim.learn.train import TrainResult, train

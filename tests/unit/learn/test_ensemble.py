@@ -11,17 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paths import DATA
+from sim.learn.flow import Answer, Flow
+from sim.learn.objective import Deterministic, Objective, Sampled
 
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import Course, load_course
-from sim.learn.ensemble import Snapshot, run_ensemble
+from sim.learn.agents import AgentState, Plan, Snapshot, Team, run_ensemble
 from sim.learn.evaluator import Evaluator
-from sim.learn.flow import Answer, Flow
-from sim.learn.objective import Deterministic, Objective, Sampled
 from sim.learn.record import Task, TrainSettings
-from sim.learn.team import AgentState, Plan, Team
 from sim.learn.train import training_plan
 from sim.learn.workers import Inline, LocalProcesses, WorkerDied
 

@@ -73,7 +73,7 @@ def test_a_lane_returns_what_the_environment_returns():
 
 def test_misses_are_those_of_a_rover_alone_and_make_up_the_return():
     vectors = candidates(10, seed=8)
-    returns, misses = Evaluator(POLICY, FENCED).traces(vectors)
+    returns, misses = Evaluator(POLICY, FENCED).run(vectors)
     due = due_checkpoints(FENCED)
     assert misses.shape == (10, 1, len(FENCED.checkpoints), 3)
     for vector, total, episode in zip(vectors, returns, misses[:, 0], strict=True):

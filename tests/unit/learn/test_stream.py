@@ -6,15 +6,15 @@ from functools import partial
 import numpy as np
 import pytest
 from paths import DATA
+from sim.learn.flow import Lockstep
+from sim.learn.objective import Deterministic
+from sim.learn.stream import Stream
 
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.course.course import load_course
+from sim.learn.agents import AgentState, Plan, Team
 from sim.learn.evaluator import Evaluator
-from sim.learn.flow import Lockstep
-from sim.learn.objective import Deterministic
-from sim.learn.stream import Stream
-from sim.learn.team import AgentState, Plan, Team
 
 POLICY = parking_policy(load_circuit("parking"))
 LAYOUT = POLICY.layout()

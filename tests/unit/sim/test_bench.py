@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 from sim.benchmarks import train as bench_train
 from sim.benchmarks.commands import bench
 from sim.benchmarks.search import MARKS, PASSED
+from sim.learn.agents import AgentState, Team
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.search import least_squares
 from sim.learn.search.strategies import STRATEGIES
-from sim.learn.team import AgentState, Team
 from sim.learn.train import training_plan
 
 ITERATIONS = 60

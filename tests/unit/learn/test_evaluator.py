@@ -150,6 +150,11 @@ def test_courses_and_trials_in_one_batch_as_each_alone():
     trials = draw_trials(load_randomization("full"), model, 6, count=4, ticks=COURSE.ticks)
     engine, vectors = Evaluator(TRACKER, courses, model, trials, references), candidates(12, 6, TRACKER)
     found = engine.outcomes(vectors)
+    engine.change_trials(trials, first_course=1)
+    assert np.array_equal(
+        engine.outcomes(vectors).total[:, :1],
+        Evaluator(TRACKER, courses[1:], model, trials, references[1:]).outcomes(vectors).total[:, :1],
+    )
     for j in range(4):
         course, drive = courses[j % 2], references[j % 2]
         policy = TRACKER.with_parameters(vectors[3])
@@ -246,10 +251,11 @@ from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
-from sim.learn.episode import run_episodes
+from sim.learn.commander import start_circuit, tick_circuits
+from sim.learn.episode import episode_kernel
 policy = parking_policy(parking_circuit())
 returned = Evaluator(policy, load_course("parking")).returns(policy.parameters())[0]
-print(float(returned).hex(), sum(run_episodes.stats.cache_hits.values()))
+print(float(returned).hex(), sum(episode_kernel(start_circuit, tick_circuits).stats.cache_hits.values()))
 """
 
 

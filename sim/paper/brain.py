@@ -17,7 +17,7 @@ from rover_ncp.circuit.program import LaneParameters, Program
 from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.circuit.solver import fill_lane, tick_lanes
 from rover_ncp.kernels.jit import kernel
-from sim.learn.nets import (
+from sim.learn.networks import (
     Net,
     NetKind,
     NetLanes,

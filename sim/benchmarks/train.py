@@ -24,8 +24,8 @@ from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.course.course import TICK_S
 from rover_ncp.kernels.jit import kernel
 from sim.learn import stream
-from sim.learn.engine import Engine
 from sim.learn.ensemble import Snapshot, run_ensemble
+from sim.learn.evaluator import Evaluator
 from sim.learn.flow import Answer, Flow
 from sim.learn.objective import Deterministic, Objective
 from sim.learn.record import Task, TrainSettings, resolve_task
@@ -97,7 +97,7 @@ def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
 
 def _parts(task: Task) -> dict[str, Any]:
     """Measure whole episodes and their parts, so that they can be compared: all in turn, again and again."""
-    engine, vectors = Engine(task.policy, task.course), _candidates(task.policy, _EPISODES)
+    engine, vectors = Evaluator(task.policy, task.course), _candidates(task.policy, _EPISODES)
     alone = [task.policy.with_parameters(vector) for vector in vectors[:2]]
     runner = PolicyRunner(task.policy)
     rover = PymunkRover(RoverModel(), Ground(()), task.course.checkpoints[0].pose)

@@ -130,9 +130,9 @@ def train(
         rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine
     """
     from rover_ncp.course.course import load_course
-    from sim.learn.folder import new_run_path, saved_settings
     from sim.learn.progress import TrainProgress
     from sim.learn.record import RobustSettings, TrainSettings, resolve_task
+    from sim.learn.run_folder import new_run_path, saved_settings
     from sim.learn.train import train as run_training
     from sim.learn.workers import WorkerDied
 

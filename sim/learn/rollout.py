@@ -4,7 +4,7 @@ An episode, as the paper's simulator runs it: every neuron at rest, one warm-up 
 start observation without the start signal, its motors ignored. Then in each control tick the circuit sees the
 pose at its start, its command is sent, ten physics substeps follow, and at its end the checkpoint that is due
 is judged. In a trial (``sim/world/randomization.py``) the circuit sees what odometry believes, the command
-may get lost, and the base makes of it what it can. ``engine.py`` does the same for many candidates at once
+may get lost, and the base makes of it what it can. ``evaluator.py`` does the same for many candidates at once
 and gives the same bits.
 """
 

@@ -23,7 +23,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.kernels.jit import kernel
-from sim.learn.nets import (
+from sim.learn.networks import (
     Net,
     NetKind,
     NetLanes,

@@ -59,14 +59,14 @@ def test_walls_are_mirrors() -> None:
 
 def test_inert_parameters_change_no_return_and_all_others_do() -> None:
     from rover_ncp.course.course import load_course
-    from sim.learn.engine import Engine
+    from sim.learn.evaluator import Evaluator
 
     rng = np.random.default_rng(1)
     base = np.clip(DEFAULTS + 0.05 * WIDTH * rng.standard_normal(LAYOUT.size), LAYOUT.lower, LAYOUT.upper)
     vectors = np.tile(base, (LAYOUT.size + 1, 1))
     for i in range(LAYOUT.size):
         vectors[i, i] += 0.01 * WIDTH[i] * (1 if base[i] < LAYOUT.upper[i] - 0.02 * WIDTH[i] else -1)
-    _, misses = Engine(POLICY, load_course("parking")).traces(vectors)
+    _, misses = Evaluator(POLICY, load_course("parking")).traces(vectors)
     same = np.array([np.array_equal(row, misses[-1]) for row in misses[:-1]])
     assert same.tolist() == INERT.tolist()
 

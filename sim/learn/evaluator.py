@@ -49,7 +49,7 @@ class Outcomes(NamedTuple):
     a course has fewer: a return is minus the sum of their squares."""
 
 
-class Engine:
+class Evaluator:
     """Scores parameter vectors of one kind of policy. Not for several threads at once.
 
     With ``trials``, trial i is driven on course i modulo the number of courses; without, each course once

@@ -14,7 +14,7 @@ from bridge.ros.discovery import Convention
 from bridge.zenoh_link import ZenohLink
 from rover_ncp.core.config import load_yaml
 from rover_ncp.core.console import Output
-from rover_ncp.core.signals import Interrupts
+from rover_ncp.core.process import Interrupts
 
 INTERRUPTED = 130
 

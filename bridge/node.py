@@ -31,9 +31,9 @@ from bridge.gate.state import BaseLost, GateEvent, GateState, Reason, Tick, Velo
 from bridge.inbox import CommandMessage, Query, ThreadError
 from bridge.queries import Answers
 from bridge.ros import messages as ros
-from rover_ncp.core.clock import Clock
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.messages import read_twist, text, twist_stamped
+from rover_ncp.core.process import Clock
 from rover_ncp.core.protocol import Signed, dump_json
 
 TICK_S = 0.02

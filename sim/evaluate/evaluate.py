@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course, ParkedRule, Verdict
 from rover_ncp.core.errors import UsageError
+from rover_ncp.course.course import Course, ParkedRule, Verdict
+from rover_ncp.course.random_course import random_course
 from sim.evaluate.laws import LAWS, LawEngine
 from sim.learn.evaluator import Evaluator, Outcomes
-from sim.world.random_course import random_course
 from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import RoverModel
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.tap_withdrawal import tap_withdrawal_circuit
-from rover_ncp.core.course import Course
+from rover_ncp.course.course import Course
 from rover_ncp.course.reference import Reference
 from rover_ncp.kernels.jit import kernel
 from sim.learn.episode import IDLE, Lanes, Queue, Tasks, drive_tick, start_episode

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
+from rover_ncp.course.course import Course
 from rover_ncp.kernels.jit import borrowed, kernel
 from sim.learn.episode import IDLE, Lanes, Queue, Tasks, drive_tick, start_episode
 from sim.learn.evaluator import Evaluator

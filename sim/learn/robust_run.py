@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
-from rover_ncp.core.course import Course, load_course
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import read_text, write_atomic
+from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.evaluator import Evaluator
 from sim.learn.record import Record, RobustSettings, Task

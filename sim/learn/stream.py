@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.program import Program
-from rover_ncp.circuit.solver import fill_lane, tick_lanes
+from rover_ncp.circuit.compiled import Program, fill_lane
+from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.kernels.jit import borrowed, kernel
 from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, finish_tick, pass_commands, start_episode
 from sim.learn.evaluator import Evaluator

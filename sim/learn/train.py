@@ -6,10 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from rover_ncp.circuit.lanes import inert_parameters
+from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
 from rover_ncp.core.errors import RoverNcpError
+from rover_ncp.course.course import Course
 from sim.learn.cluster import DaskCluster
 from sim.learn.ensemble import Snapshot, run_ensemble
 from sim.learn.objective import Deterministic, Objective

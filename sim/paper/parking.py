@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
 from sim.learn.net_engine import NetEngine
 from sim.learn.networks import Net

@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
-from rover_ncp.circuit.random_wiring import random_circuit
 from rover_ncp.circuit.sensing import shifted_sensing
-from rover_ncp.core.course import Course, load_course
+from rover_ncp.circuit.tap_withdrawal import random_circuit
+from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate.evaluate import unseen_courses
 from sim.evaluate.laws import LAWS, GainCube, LawEngine

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.course import Course, load_course
+from rover_ncp.course.course import Course, load_course
 from sim.evaluate.evaluate import unseen_courses
 from sim.evaluate.laws import LAWS, LawEngine
 from sim.learn.evaluator import Evaluator

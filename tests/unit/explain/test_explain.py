@@ -9,7 +9,7 @@ from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from sim.explain.explain import explain
 from sim.explain.knockout import knock_outs, without_neuron, without_synapse
 from sim.explain.sensitivity import parameter_names, sensitivities

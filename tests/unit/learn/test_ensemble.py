@@ -14,8 +14,8 @@ from paths import DATA
 
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
-from rover_ncp.core.course import Course, load_course
 from rover_ncp.core.errors import UsageError
+from rover_ncp.course.course import Course, load_course
 from sim.learn.ensemble import Snapshot, run_ensemble
 from sim.learn.evaluator import Evaluator
 from sim.learn.flow import Answer, Flow

@@ -9,17 +9,16 @@ import pytest
 
 from rover_ncp.circuit.policy import PolicyRunner, course_policy, parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
-from rover_ncp.core.course import Obstacle, load_course
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import wrap_angle
+from rover_ncp.course.course import Obstacle, due_checkpoints, load_course
+from rover_ncp.course.random_course import mirrored, random_course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.evaluator import Evaluator
 from sim.learn.rollout import rollout
 from sim.world.env import ENV_ID
-from sim.world.random_course import mirrored, random_course
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
-from sim.world.scoring import due_checkpoints
 
 COURSE = load_course("parking")
 POLICY = parking_policy(parking_circuit())

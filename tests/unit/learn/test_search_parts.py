@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rover_ncp.circuit.circuit import ParameterKind
-from rover_ncp.circuit.lanes import inert_parameters
+from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import ParameterLayout, parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from sim.learn.search.least_squares import (
@@ -58,7 +58,7 @@ def test_walls_are_mirrors() -> None:
 
 
 def test_inert_parameters_change_no_return_and_all_others_do() -> None:
-    from rover_ncp.core.course import load_course
+    from rover_ncp.course.course import load_course
     from sim.learn.evaluator import Evaluator
 
     rng = np.random.default_rng(1)

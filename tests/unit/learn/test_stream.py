@@ -9,7 +9,7 @@ from paths import DATA
 
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
 from sim.learn.flow import Lockstep
 from sim.learn.objective import Deterministic

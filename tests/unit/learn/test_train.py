@@ -15,8 +15,8 @@ from paths import DATA
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core import files
-from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
+from rover_ncp.course.course import load_course
 from sim.learn.curve import curve_csv, curve_iterations, curve_png
 from sim.learn.ensemble import Snapshot
 from sim.learn.evaluator import Evaluator

@@ -71,10 +71,10 @@ def test_a_bridge_on_a_serial_line_asks_for_a_faster_rate_and_drives(bridge_on) 
         # A process killed leaves the base fast and its session open; the next one begins slow, and finds it.
         process.send_signal(signal.SIGKILL)
         process.wait(5.0)
-        assert (base.firmware.link, base.firmware.baudrate) == (ClientState.OPEN, 38400)
+        assert (base.firmware.client, base.firmware.baudrate) == (ClientState.OPEN, 38400)
         process, zenoh = bridge_on(base, 9600)
         process.stop()
-        assert (base.firmware.link, base.firmware.baudrate) == (ClientState.WAITING, 9600)
+        assert (base.firmware.client, base.firmware.baudrate) == (ClientState.WAITING, 9600)
     assert base.rates == [9600, 38400, 9600, 38400]
 
 

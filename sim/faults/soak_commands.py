@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rover_ncp.core.console import Output
-from rover_ncp.core.options import MOST_SEED, Json, Overwrite
+from rover_ncp.core.console import MOST_SEED, Json, Output, Overwrite
 
 if TYPE_CHECKING:
     from sim.faults.soak import Soaked

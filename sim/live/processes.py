@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import Any, NamedTuple, Self, TypeVar
 
 from rover_ncp.core.errors import RoverNcpError
-from rover_ncp.core.signals import Interrupts
+from rover_ncp.core.process import Interrupts
 
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 5.0
@@ -63,7 +63,7 @@ def compile_driver() -> None:
     from deploy.drive.controller import Controller
     from deploy.estimator.settings import EstimatorSettings
     from rover_ncp.circuit.policy_file import load_policy
-    from rover_ncp.core.course import load_course
+    from rover_ncp.course.course import load_course
 
     Controller(load_policy("parking"), load_course("parking"), EstimatorSettings())
 

@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from bnn_text import circuit_to_bnn
+
 from bridge.gate.limits import Limits
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command, encode_frame
 from bridge.pioneer.packets import ConfigPac, GyroPac, Sip, decode_names, encode_names
@@ -18,7 +20,7 @@ from deploy.drive.config import CONFIG_FILE, COURSE_FILE, POLICY_FILE, DriveConf
 from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.replay import replay
 from deploy.report.recorded_drive import read_drive
-from rover_ncp.circuit.bnn import circuit_from_bnn, circuit_to_bnn
+from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
 from rover_ncp.core import protocol as lease
 from rover_ncp.core.config import dump_yaml, parse_yaml

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from rich.progress import track
 
-from bridge.pioneer.quantise import MotionLimits
 from bridge.pioneer.robots import ROBOTS
+from bridge.pioneer.setpoints import MotionLimits
 from deploy.drive.link import Link
 from deploy.drive.measurements import Intake
 from deploy.drive.safety_monitor import Guard

@@ -13,10 +13,6 @@ from hypothesis.extra import numpy as hnp
 from rover_ncp.circuit import solver_reference as reference
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
 from rover_ncp.circuit.compiled import allocate_lanes, fill_lane, make_program, resting_potentials
-    allocate_lanes,
-    make_program,
-    resting_potentials,
-)
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing

@@ -86,7 +86,7 @@ class Firmware:
         self._reporter = Reporter(self.robot, self._config, self.drive, self._sonars)
         self._gyro = Gyro(rover)
         self._faults = faults or Faults()
-        self._observe = observe
+        self.observe = observe
         self._home = rover.pose
         self.baudrate = RATES[0]
         """The rate of its serial line: HOSTBAUD changes it, the end of a session restores FLASH's."""
@@ -144,8 +144,8 @@ class Firmware:
         self._substeps += 1
         self._decode(b"", self.now)
         self._sonars.listen(self.drive.rover, self.now)
-        if self._observe:
-            self._observe(self.now)
+        if self.observe:
+            self.observe(self.now)
         if self.client is ClientState.OPEN and self.now >= self._measure_due_s - 1e-9:
             self._measure_due_s += self._config.sip_cycle / 1000
             self._reporter.measure()

@@ -42,7 +42,7 @@ class Panel:
     front_bumpers: int = 0
     """Bit 0 is the left-most segment."""
     blocked: bool = False
-    """Both motors stall whatever the wheels do."""
+    """Both motors stall, even if the wheels turn."""
     analog_port: int = 0
     digout: int = 0
 

@@ -1,6 +1,6 @@
-"""The mock's line to the world: one client at a time on TCP, in real time, and the true pose into a file.
+"""The mock's TCP server: one client at a time on TCP, in real time, and the true pose into a file.
 
-One thread: it sleeps until a client speaks or the next SIP is due, then lets the firmware catch up.
+One thread: it sleeps until bytes arrive or the next SIP is due, then advances the firmware to the present.
 """
 
 import errno

@@ -26,7 +26,7 @@ from sim.learn.search.cma import Cma
 from sim.learn.search.unit_box import UnitBox, reflected
 from sim.paper.agents import dead_parameters, untuned
 from sim.paper.evaluator import Evaluator, Seeds, draw_seeds
-from sim.paper.random_search import Budget, Found, OnProgress, best_starts, confirmed
+from sim.paper.random_search import Budget, Found, best_starts, confirmed
 
 # Streams of random numbers; others are those of ``random_search.py``.
 _DRAW, _SEARCH, _TRIALS, _CHECKS, _FINALS = range(10, 15)
@@ -95,8 +95,7 @@ class Search:
     @property
     def mean(self) -> Vector:
         """Parameters (P,) at the mean of the distribution."""
-        [vector] = self._box.vectors(reflected(self._cma.mean[None]))
-        return vector
+        return self._box.vectors(reflected(self._cma.mean[None])).ravel()
 
     def ask(self) -> Vector:
         """Return the candidates (population, P) of the next generation."""
@@ -108,7 +107,7 @@ class Search:
 
 
 def search_by_cma(
-    evaluator: Evaluator, judge: Evaluator, agent: Policy | Net, seed: int, budget: Budget, on_progress: OnProgress
+    evaluator: Evaluator, judge: Evaluator, agent: Policy | Net, seed: int, budget: Budget
 ) -> Found:
     """Search an agent's parameters on a pendulum. The same arguments give the same bits.
 
@@ -144,7 +143,6 @@ def search_by_cma(
             if value >= evaluator.task.enough:
                 value = confirmed(judge, winner, seed, evaluations)
             curve.append((evaluator.steps, value))
-            on_progress(evaluator.steps, value)
             if value >= evaluator.task.enough:
                 return Found(winner, evaluations, tuple(curve), "enough")
     return Found(winner, evaluations, tuple(curve), "steps")
@@ -193,9 +191,7 @@ class Contender(Search):
         return float(returns.mean())
 
 
-def search_by_halving(
-    evaluator: Evaluator, agent: Policy | Net, seed: int, budget: Budget, on_progress: OnProgress
-) -> Found:
+def search_by_halving(evaluator: Evaluator, agent: Policy | Net, seed: int, budget: Budget) -> Found:
     """Search an agent's parameters on the half-cheetah. The same arguments give the same bits."""
     starts = _draw_starts(agent, seed, budget.starts)
     starts = best_starts(evaluator, starts, seed, keep=STAGES[0].searches, horizon=_START_TICKS)
@@ -212,7 +208,6 @@ def search_by_halving(
             value = contender.check(evaluator)
             if not curve or value > curve[-1][1]:
                 curve.append((evaluator.steps, value))
-                on_progress(evaluator.steps, value)
     [winner] = left
     finalists = sorted(winner.checked, key=lambda pair: -pair[0])[:_FINALISTS]
     vectors = np.array([vector for _, vector in finalists])
@@ -225,7 +220,7 @@ def _search_seed(seed: int, number: int) -> int:
 
 
 def _draw_starts(agent: Policy | Net, seed: int, count: int) -> Vector:
-    """Draw untuned agents (count, P), with layers at random: a few changes of layers of zeros move nothing."""
+    """Draw untuned agents (count, P), layers at random: a few changes of layers of zeros move nothing."""
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_DRAW,))))
     starts = untuned(agent, generator, count)
     if isinstance(agent, Policy):

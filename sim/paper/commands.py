@@ -108,7 +108,11 @@ def paper(
         raise UsageError("--cluster goes with neither --processes nor --circuit, a file of this machine")
     names = select(task, agent, seed, circuit)
     left = [name for name in names if again or store.find(name) is None]
-    made = _make(output, store, left, budget, circuit, processes, cluster) if left else []
+    made = []
+    if left:
+        made = _make(
+            output, store, left, budget=budget, circuit=circuit, processes=processes, cluster=cluster
+        )
     output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
     return 0
 
@@ -117,6 +121,7 @@ def _make(
     output: Output,
     store: Any,
     names: list[Any],
+    *,
     budget: Budget,
     circuit: Path | None,
     processes: int | None,

@@ -4,6 +4,8 @@ Episodes wait in a queue for a free lane. The result of an episode depends neith
 other episodes.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -66,6 +68,29 @@ def run_episodes(
                 running -= 1
 
 
+def make_plants(task: Benchmark, count: int, *, for_search: bool = False) -> tuple[Plants, Any]:
+    """Return ``count`` plants, and the owner of their memory in MuJoCo, to be kept alive beside them.
+
+    ``for_search`` takes the task's faster plant where it has one.
+    """
+    kind = task.search_plant if for_search and task.search_plant is not None else task.plant
+    pool = None
+    if task.model is not None and kind == task.plant:
+        from sim.paper.plants.mujoco import MujocoPool  # an extra that the other tasks do without
+
+        pool = MujocoPool(task.model.file, task.model.step_s, count)
+    plants = Plants(
+        kind=kind,
+        bonus=task.bonus,
+        step_s=task.model.step_s if task.model else 0.0,
+        frames=task.model.frames if task.model else 1,
+        state=np.zeros((len(task.start(np.random.default_rng(0))), count)),
+        fresh=np.zeros(count, np.bool_),
+        mujoco=pool.lanes if pool else NO_MUJOCO,
+    )
+    return plants, pool
+
+
 def draw_seeds(root: int, key: tuple[int, ...], count: int) -> Seeds:
     """Return the seeds (count,) of a stream."""
     sequence = np.random.SeedSequence(root, spawn_key=key)
@@ -75,33 +100,17 @@ def draw_seeds(root: int, key: tuple[int, ...], count: int) -> Seeds:
 class Evaluator:
     """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time.
 
-    ``for_search`` takes the task's faster plant where it has one.
+    ``for_search``: see ``make_plants``.
     """
 
     def __init__(
         self, task: Benchmark, agent: Policy | Net, lanes: int | None = None, *, for_search: bool = False
     ) -> None:
         self.task, self.steps = task, 0
-        kind = task.search_plant if for_search and task.search_plant is not None else task.plant
-        uses_mujoco = task.model is not None and kind == task.plant
+        uses_mujoco = task.model is not None and not (for_search and task.search_plant is not None)
         count = lanes or (_MUJOCO_LANES if uses_mujoco else _LANES)
-        mujoco = NO_MUJOCO
-        if uses_mujoco:
-            from sim.paper.plants.mujoco import MujocoPool  # an extra that the other tasks do without
-
-            assert task.model is not None
-            self._pool = MujocoPool(task.model.file, task.model.step_s, count)
-            mujoco = self._pool.lanes
+        self._plants, self._pool = make_plants(task, count, for_search=for_search)
         self._controller = make_controller(agent, count)
-        self._plants = Plants(
-            kind=kind,
-            bonus=task.bonus,
-            step_s=task.model.step_s if task.model else 0.0,
-            frames=task.model.frames if task.model else 1,
-            state=np.zeros((len(task.start(np.random.default_rng(0))), count)),
-            fresh=np.zeros(count, np.bool_),
-            mujoco=mujoco,
-        )
 
     def starts(self, seeds: Seeds) -> FloatArray:
         """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""

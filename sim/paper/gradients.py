@@ -155,12 +155,12 @@ def score_actor(task: Benchmark, vector: Vector, seeds: NDArray[np.uint64]) -> t
     low, high = world.action_space.low, world.action_space.high  # type: ignore[attr-defined]
     actor = Actor.of(vector, observations, actions)
     returns = np.zeros((len(seeds), 2))
-    for row, seed in zip(returns, seeds, strict=True):
+    for number, seed in enumerate(seeds):
         seen, _ = world.reset(seed=int(seed))
         over = False
         while not over:
             action = np.clip(actor.act(np.asarray(seen, np.float64)), low, high).astype(np.float64)
             seen, reward, terminated, truncated, info = world.step(action)
             over = terminated or truncated
-            row += reward, reward - info["bonus"]
+            returns[number] += reward, reward - info["bonus"]
     return returns[:, 0], returns[:, 1]

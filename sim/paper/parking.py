@@ -20,7 +20,7 @@ from sim.learn.nets import Net
 from sim.learn.search.base import Vector
 from sim.learn.search.strategies import start_search
 from sim.paper.agents import dead_parameters
-from sim.paper.random_search import Budget, Found, OnProgress
+from sim.paper.random_search import Budget, Found
 from sim.paper.tasks import Task
 
 _CREEP = 5.0
@@ -61,9 +61,7 @@ class ParkingEvaluator:
         return self.engine.returns(vectors, to_beat)
 
 
-def search_parking(
-    evaluator: ParkingEvaluator, agent: Policy | Net, seed: int, budget: Budget, on_progress: OnProgress
-) -> Found:
+def search_parking(evaluator: ParkingEvaluator, agent: Policy | Net, seed: int, budget: Budget) -> Found:
     """Search an agent's parameters on the parking course. The same arguments give the same bits.
 
     A return says little about whether the rover stands at the end. So the result is the best candidate that
@@ -91,7 +89,6 @@ def search_parking(
             continue
         best = float(values[int(np.argmax(counted))])
         curve.append((evaluator.steps, best))
-        on_progress(evaluator.steps, best)
         if best >= evaluator.task.success and evaluator.outcome(search.incumbent)[1]:
             parks = search.incumbent
             if best >= evaluator.task.enough and not budget.published:

@@ -12,7 +12,6 @@ With the published budget it deviates only in the repeated estimates.
 """
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +21,7 @@ from sim.learn.nets import Net
 from sim.learn.search.base import Vector
 from sim.learn.search.published import FAILURES_TO_WIDEN, Caps, Published
 from sim.paper.agents import untuned
-from sim.paper.evaluator import Evaluator, draw_seeds
+from sim.paper.evaluator import Evaluator, Seeds, draw_seeds
 
 # Streams of random numbers.
 _SEARCH, _ROLLOUTS, _STARTS, _CONFIRM = range(4)
@@ -30,9 +29,6 @@ _LEAST_AHEAD, _MOST_AHEAD = 4, 48
 _START_ROUNDS = (1, 2, 4, 8, 16)
 """Episodes of each start in a round; a quarter of the starts goes on to the next round."""
 _CONFIRMATIONS = 100
-
-OnProgress = Callable[[int, float], None]
-"""Called with steps of the environment and the best estimate so far."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +70,7 @@ class Reestimating(Published):
 
 
 def search_randomly(
-    evaluator: Evaluator, judge: Evaluator, agent: Policy | Net, seed: int, budget: Budget, on_progress: OnProgress
+    evaluator: Evaluator, judge: Evaluator, agent: Policy | Net, seed: int, budget: Budget
 ) -> Found:
     """Search an agent's parameters on a benchmark. The same arguments give the same bits.
 
@@ -93,14 +89,14 @@ def search_randomly(
             break
         ahead = min(_LEAST_AHEAD + search.adaptation.failures, _MOST_AHEAD)
         vectors = search.ask(min(ahead, budget.evaluations - search.evaluations))
-        numbers = range(search.evaluations, search.evaluations + len(vectors))
-        search.tell(estimate(evaluator, vectors, search.to_beat, seed, numbers, budget))
+        keys = [(_ROLLOUTS, search.evaluations + number) for number in range(len(vectors))]
+        seeds = np.array([draw_seeds(seed, key, budget.rollouts) for key in keys])
+        search.tell(estimate(evaluator, vectors, seeds, search.to_beat, budget))
         assert search.value is not None
         if search.value >= enough:
             search.value = confirmed(judge, search.incumbent, seed, search.evaluations)
         if not curve or curve[-1][1] != search.value:
             curve.append((evaluator.steps, search.value))
-            on_progress(evaluator.steps, search.value)
         if search.value >= enough:
             ended = "enough"
             break
@@ -112,21 +108,19 @@ def search_randomly(
     return Found(search.incumbent, search.evaluations, tuple(curve), ended)
 
 
-def estimate(
-    evaluator: Evaluator, vectors: Vector, to_beat: Vector, seed: int, numbers: Sequence[int], budget: Budget
-) -> Vector:
-    """Return the estimates (k,) of vectors (k, P), each with its number of a candidate.
+def estimate(evaluator: Evaluator, vectors: Vector, seeds: Seeds, to_beat: Vector, budget: Budget) -> Vector:
+    """Return the estimates (k,) of vectors (k, P), each in the episodes of its seeds (k, rollouts).
 
     The estimate of a candidate that is pruned is that of the rollouts that it had. Minus infinity in
     ``to_beat`` (k,) asks for all rollouts.
     """
     rounds = [3**n for n in range(10) if 3**n < budget.rollouts and not budget.published]
-    seeds = np.array([draw_seeds(seed, (_ROLLOUTS, number), budget.rollouts) for number in numbers])
     returns = np.full((len(vectors), budget.rollouts), np.nan)
     estimates = np.full(len(vectors), -np.inf)
     left, done = np.arange(len(vectors)), 0
     for rollouts in (*rounds, budget.rollouts):
-        found = evaluator.run(np.repeat(vectors[left], rollouts - done, axis=0), seeds[left, done:rollouts].ravel())
+        repeated = np.repeat(vectors[left], rollouts - done, axis=0)
+        found = evaluator.run(repeated, seeds[left, done:rollouts].ravel())
         returns[left, done:rollouts] = found[:, :2].sum(axis=1).reshape(len(left), -1)
         worst = max(round(budget.worst * rollouts / budget.rollouts), 1)
         lowest = np.sort(returns[left, :rollouts], axis=1)[:, :worst]

@@ -76,7 +76,6 @@ def train_run(
     name: RunName,
     budget: BudgetName = BudgetName.DEFAULT,
     circuit: Path | None = None,
-    on_progress: Callable[[int, float], None] = lambda steps, value: None,
 ) -> Result:
     """Make one run. The same name and budget give the same parameters and returns, to the last bit.
 
@@ -89,12 +88,13 @@ def train_run(
         libraries = ["stable-baselines3", "torch"]
     else:
         agent = build_agent(task, name.agent, name.seed, circuit)
-        found, steps, settings = _search(task, agent, name.seed, budget_for(task, budget), on_progress)
+        found, steps, settings = _search(task, agent, name.seed, budget_for(task, budget))
         libraries = []
     if isinstance(task, Benchmark):
         libraries += ["gymnasium", "mujoco"] if task.model else ["gymnasium"]
     command = ["rover-ncp", "paper", "run", "--task", name.task, "--agent", name.agent]
-    command += ["--seed", str(name.seed), "--budget", budget, *(["--circuit", str(circuit)] if circuit else [])]
+    command += ["--seed", str(name.seed), "--budget", budget]
+    command += ["--circuit", str(circuit)] if circuit else []
     episodes = _QUICK_EPISODES if budget is BudgetName.QUICK else _FINAL_EPISODES
     return Result(
         name=name,
@@ -114,25 +114,23 @@ def train_run(
     )
 
 
-def _search(
-    task: Task, agent: Policy | Net, seed: int, budget: Budget, on_progress: Callable[[int, float], None]
-) -> tuple[Found, int, dict[str, Any]]:
+def _search(task: Task, agent: Policy | Net, seed: int, budget: Budget) -> tuple[Found, int, dict[str, Any]]:
     """Return what the task's search found, the steps it took, and the settings to record."""
     if not isinstance(task, Benchmark):
         parking = ParkingEvaluator(task, agent)
-        found = search_parking(parking, agent, seed, budget, on_progress)
+        found = search_parking(parking, agent, seed, budget)
         return found, parking.steps, vars(budget)
     judge = Evaluator(task, agent)
     evaluator = judge if task.search_plant is None else Evaluator(task, agent, for_search=True)
     limits = {"steps": budget.steps, "starts": budget.starts}
     if budget.published or task.search is SearchName.RANDOM:
-        found = search_randomly(evaluator, judge, agent, seed, budget, on_progress)
+        found = search_randomly(evaluator, judge, agent, seed, budget)
         settings = vars(budget)
     elif task.search is SearchName.CMA:
-        found = search_by_cma(evaluator, judge, agent, seed, budget, on_progress)
+        found = search_by_cma(evaluator, judge, agent, seed, budget)
         settings = limits | CMA
     else:
-        found = search_by_halving(evaluator, agent, seed, budget, on_progress)
+        found = search_by_halving(evaluator, agent, seed, budget)
         settings = limits | HALVING
     return found, evaluator.steps + (0 if judge is evaluator else judge.steps), settings
 
@@ -281,7 +279,9 @@ def _make_on_cluster(
         with told_plainly(address):
             wanted = versions()
             runs = [
-                client.submit(_run_on_worker, name, budget, wanted, pure=False, retries=RETRIES, priority=-number)
+                client.submit(
+                    _run_on_worker, name, budget, wanted, pure=False, retries=RETRIES, priority=-number
+                )
                 for number, name in enumerate(names)
             ]
             for run in completed(runs, loop=client.loop):

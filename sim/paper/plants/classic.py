@@ -54,7 +54,7 @@ def step_mountain_car(
 
 @kernel
 def step_cart_pole(state: FloatArray, lane: int, action: float) -> bool:
-    """Step CartPole-v1 by a part of its force; returns termination: the pole fell or the cart left its rail."""
+    """Step CartPole-v1; returns termination: the pole fell or the cart left its rail."""
     x, x_dot, theta, theta_dot = state[0, lane], state[1, lane], state[2, lane], state[3, lane]
     cosine, sine = math.cos(theta), math.sin(theta)
     pushed = (_FORCE_N * action + _POLE_KG_M * (theta_dot * theta_dot) * sine) / _TOTAL_KG

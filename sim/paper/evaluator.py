@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH
-from sim.learn.nets import Net
+from sim.learn.networks import Net
 from sim.paper.controller import Controller, make_controller, start_lane, tick_controller
 from sim.paper.plants.lanes import NO_MUJOCO, Plants, observe, reset_plant, step_plant
 from sim.paper.tasks import Benchmark

@@ -20,7 +20,7 @@ import numpy as np
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.core.errors import UsageError
-from sim.learn.nets import Net
+from sim.learn.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector
 from sim.learn.workers import WorkerDied, starting_processes
@@ -270,7 +270,7 @@ def _make_on_cluster(
     names: Sequence[RunName], budget: BudgetName, address: str, on_result: Callable[[Result], None]
 ) -> None:
     """Make runs on a cluster's workers. Runs of a worker that dies are made by another one."""
-    from distributed import as_completed as completed  # an extra that one machine does without
+    import distributed  # an extra that one machine does without
 
     from sim.learn.cluster import RETRIES, connect, told_plainly, versions
 
@@ -284,7 +284,8 @@ def _make_on_cluster(
                 )
                 for number, name in enumerate(names)
             ]
-            for run in completed(runs, loop=client.loop):
+            as_completed: Any = distributed.as_completed
+            for run in as_completed(runs, loop=client.loop):
                 on_result(run.result())
     finally:
         client.close()

@@ -58,7 +58,7 @@ def test_halving_gives_the_same_bits_again():
     found = [search_by_halving(*evaluator("half-cheetah", "mlp"), seed, budget) for seed in (3, 3, 4)]
     assert found[0].vector.tolist() == found[1].vector.tolist() != found[2].vector.tolist()
     assert found[0].curve == found[1].curve
-    assert found[0].curve[-1][1] > found[0].curve[0][1] + 50.0
+    assert found[0].curve[-1][1] > 100.0  # an untuned network gets about 0
 
 
 def test_a_return_that_the_judge_does_not_confirm_is_not_enough(monkeypatch):

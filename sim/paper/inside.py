@@ -3,8 +3,12 @@
 from collections import Counter
 from typing import Any
 
-from deploy.report.interpretation import contributions, time_constant_ranges
-from deploy.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
+from deploy.report.interpretation import (
+    PUBLISHED_SIGNS,
+    PUBLISHED_TIME_CONSTANTS_S,
+    contributions,
+    time_constant_ranges,
+)
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import UsageError
@@ -46,7 +50,7 @@ def parking_time_constants(shelf: Shelf) -> dict[str, Any]:
             "neuron": neuron,
             "best": ranges[0][neuron],
             "all": (min(r[neuron][0] for r in ranges), max(r[neuron][1] for r in ranges)),
-            "published": TIME_CONSTANTS_S.get(neuron),
+            "published": PUBLISHED_TIME_CONSTANTS_S.get(neuron),
         }
         for neuron in ranges[0]
     ]
@@ -56,12 +60,12 @@ def parking_time_constants(shelf: Shelf) -> dict[str, Any]:
 def parking_contributions(shelf: Shelf) -> dict[str, Any]:
     """Return Definition 1 for the neuron that turns right: signs by neuron, of how many circuits."""
     course = load_course("parking")
-    signs: dict[str, Counter[str]] = {source: Counter() for source, _ in CONTRIBUTIONS}
+    signs: dict[str, Counter[str]] = {source: Counter() for source, _ in PUBLISHED_SIGNS}
     best: dict[str, dict[str, Any]] = {}
     runs = _runs(shelf)
     for number, (_, policy) in enumerate(runs):
         found = contributions(policy.circuit.neurons, rollout(policy, course).potentials)
-        for source, target in CONTRIBUTIONS:
+        for source, target in PUBLISHED_SIGNS:
             one = found[source, target]
             signs[source][one.sign] += 1
             if number == 0:
@@ -75,6 +79,6 @@ def parking_contributions(shelf: Shelf) -> dict[str, Any]:
             "published": sign,
             "agree": signs[source][sign],
         }
-        for (source, target), sign in CONTRIBUTIONS.items()
+        for (source, target), sign in PUBLISHED_SIGNS.items()
     ]
     return {"runs": len(runs), "contributions": rows}

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from bridge.ros.conventions import Convention
-from rover_ncp.core.options import Json
+from bridge.ros.discovery import Convention
+from rover_ncp.core.console import Json
 
 
 def bridge(

@@ -5,8 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from rover_ncp.core.console import Output
-from rover_ncp.core.options import Json, Overwrite
+from rover_ncp.core.console import Json, Output, Overwrite
 
 
 def deploy(

@@ -30,8 +30,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.imu import read_imu
-from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read_text, read_twist
+from rover_ncp.core.messages import read_imu, read_neurons, read_odometry, read_pose, read_text, read_twist
 from rover_ncp.core.protocol import parse_json
 from rover_ncp.core.recording import Recording, read_recording
 

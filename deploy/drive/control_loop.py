@@ -25,10 +25,10 @@ from deploy.drive.safety_monitor import Guard, Interrupted
 from deploy.drive.status_publisher import Reporter
 from deploy.drive_records import SampleRef, StartRecord, TickRecord, numbers, seconds
 from deploy.estimator.settings import Outcome
-from rover_ncp.core.clock import Clock
-from rover_ncp.core.course import TICK_S, Verdict
 from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
+from rover_ncp.core.process import Clock
 from rover_ncp.core.protocol import DriverStatus
+from rover_ncp.course.course import TICK_S, Verdict
 
 POLL_S = 0.02
 

@@ -3,7 +3,7 @@
 Rules of this file:
 
 1. The same inputs give the same bits: `replay` runs a recording through this very class.
-2. The circuit sees the signals its sensing names (`core/signals.py`) and nothing else of the world: they
+2. The circuit sees the signals its sensing names (`course/reference.py`) and nothing else of the world: they
    come from the estimate, predicted to the moment of the tick, and from the course.
 3. Before the first tick the circuit makes one tick on the start pose with the start signal at 0, its motors
    ignored, as it did in the simulator.
@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import Policy, PolicyRunner
-from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.observation import SIGNALS, needs_reference, see
 from rover_ncp.core.robot_profile import RoverProfile
-from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.course import TICK_S, Course, Verdict
+from rover_ncp.course.reference import SIGNALS, needs_reference, plan_reference, see
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 
@@ -54,7 +53,7 @@ class Controller:
         self._course = course
         self._reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
         self._runner = PolicyRunner(policy)
-        self._runner.warm_up([0.0] * len(self._signal_at))  # compiles now, before the rover waits for it
+        self._runner.tick([0.0] * len(self._signal_at))  # compiles now, before the rover waits for it
         self.estimator = Estimator(settings)
         self._gains = _gains(rover)
         self._times: list[float] = []
@@ -73,7 +72,7 @@ class Controller:
         """
         self.estimator.start(pose, t, odometry, covariance)
         self._runner.reset()
-        self._runner.warm_up(self._observation(pose, 0, 0.0))
+        self._runner.tick(self._observation(pose, 0, 0.0))
 
     def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
         """Take in odometry, in its own frame, measured at time ``t``."""

@@ -13,8 +13,7 @@ from deploy.drive.link import Inbox, Mailbox
 from deploy.drive_records import SampleRef
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
-from rover_ncp.core.imu import read_imu
-from rover_ncp.core.messages import COURSE_FRAME, read_odometry, read_pose
+from rover_ncp.core.messages import COURSE_FRAME, read_imu, read_odometry, read_pose
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ before the end of the longer time, so only motion that was commanded under both 
 
 from collections import deque
 
-from rover_ncp.core.course import TICK_S
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.course.course import TICK_S
 
 WINDOW_TICKS = round(1.0 / TICK_S)
 LAG_TICKS = round(0.7 / TICK_S)

@@ -7,8 +7,8 @@ from deploy.drive.clock import NS
 from deploy.drive.link import Link
 from deploy.drive.measurements import Intake
 from deploy.drive.waits import Waits
-from rover_ncp.core.clock import Clock
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
+from rover_ncp.core.process import Clock
 
 POLL_S = 0.002
 

@@ -8,9 +8,9 @@ from deploy.drive.link import Link
 from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.estimator.estimator import Estimate
 from deploy.viewer_topics import Views
-from rover_ncp.core.clock import Clock
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import COURSE_FRAME, neurons, pose_with_covariance, text
+from rover_ncp.core.process import Clock
 from rover_ncp.core.protocol import DriverStatus, dump_json
 from rover_ncp.core.recording import Recorded
 

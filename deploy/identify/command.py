@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import Output
-from rover_ncp.core.options import Overwrite
+from rover_ncp.core.console import Output, Overwrite
 
 
 def identify(

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from deploy.report.trace import Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.cdr import decode
-from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read_text, read_twist
 from rover_ncp.core.protocol import DriverStatus, GateStatus, parse_json
 from rover_ncp.core.recording import Recorded
+from rover_ncp.course.course import TICK_S, Course, Verdict
 
 FloatArray = NDArray[np.float64]
 

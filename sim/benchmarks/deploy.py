@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy import PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.course import TICK_S, load_course
 from rover_ncp.core.files import write_atomic
+from rover_ncp.course.course import TICK_S, load_course
 from sim.benchmarks.peer import BenchPeer, Moments
 from sim.live.processes import Process
 
@@ -128,7 +128,7 @@ def latencies(moments: Moments, rate_hz: float) -> dict[str, Any]:
 def _circuit_us() -> float:
     """Return the median CPU time of a tick of the shipped circuit, called as the driver calls it."""
     runner, seen = PolicyRunner(load_policy("parking")), np.array([0.3, 0.3, 0.3, 1.0])
-    runner.warm_up(seen)
+    runner.tick(seen)
     times = []
     for _ in range(CIRCUIT_REPEATS):
         began = time.thread_time()

@@ -14,7 +14,7 @@ from deploy.report.recorded_drive import read_drive
 from deploy.report.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.course import Course, Verdict, load_course
+from rover_ncp.course.course import Course, Verdict, load_course
 from sim.explain.what_if import Knockout, Sensitivity, knock_outs, sensitivities
 from sim.learn.rollout import Rollout, rollout
 

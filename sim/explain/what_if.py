@@ -7,8 +7,8 @@ import numpy as np
 
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
-from sim.learn.engine import Engine
+from rover_ncp.course.course import Course
+from sim.learn.evaluator import Evaluator
 from sim.learn.rollout import Rollout, rollout
 
 STEP = 0.01
@@ -112,7 +112,7 @@ def sensitivities(policy: Policy, course: Course, step: float = STEP) -> tuple[S
     span = step * (layout.upper - layout.lower)
     down, up = np.minimum(span, intact - layout.lower), np.minimum(span, layout.upper - intact)
     vectors = np.concatenate([[intact], intact - np.diag(down), intact + np.diag(up)])
-    returns = Engine(policy, course).returns(np.clip(vectors, layout.lower, layout.upper))
+    returns = Evaluator(policy, course).returns(np.clip(vectors, layout.lower, layout.upper))
     lower, higher = (returns[1:] - returns[0]).reshape(2, -1)
     return tuple(
         Sensitivity(str(kind), name, BOUNDS[kind].unit, *map(float, numbers))

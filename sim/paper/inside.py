@@ -10,8 +10,8 @@ from deploy.report.interpretation import (
     time_constant_ranges,
 )
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import UsageError
+from rover_ncp.course.course import load_course
 from sim.learn.rollout import rollout
 from sim.paper.agents import build_agent
 from sim.paper.cell import Cell, Shelf

@@ -17,18 +17,19 @@ from deploy.report.page.page import drive_page
 from deploy.report.recorded_drive import read_drive
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.course import Course, Verdict, load_course
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.files import require_creatable, write_atomic
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import read_text
 from rover_ncp.core.recording import Recording, read_recording, rewrite
+from rover_ncp.course.course import Course, Verdict, load_course
 from sim.learn.ensemble import Snapshot
 from sim.learn.record import TrainSettings
 from sim.learn.rollout import rollout
 from sim.learn.train import TrainResult, train
-from sim.live.processes import TRUTH, LiveRun, ProcessError
-from sim.live.truth import TrueState, judge_truth, read_truth, recorded_truth
+from sim.live.live_run import LiveRun
+from sim.live.processes import ProcessError
+from sim.live.truth import TRUTH, judge_truth, recorded_truth
 from sim.park.picture import trajectory_png
 
 TRAIN_LIMIT_S = 100.0
@@ -106,17 +107,20 @@ def park(
             driver.send_signal(signal.SIGINT)
             driver.wait(_DEPLOY_EXTRA_S)
             raise
-        pids = {name: process.pid for name, process in run.processes.items()}
-        bridge = run.processes["bridge"].stop()
-        run.processes["mock"].stop()
+        pids = {process.command: process.pid for process in run.processes}
+        bridge = run.bridge.stop()
+        run.mock.stop()
     if done.code not in (0, 1) or not done.result:
         raise ProcessError("deploy", done.code, done.last_line)
     recorded = read_recording(recording)
-    truth = read_truth(run.truth)
+    truth = run.truth.read()
     began_ns, estimates = estimated_path(recorded)
     rewrite(recorded, recording, recorded_truth(truth))
     picture = out / "trajectory.png"
-    write_atomic(picture, trajectory_png(course, _true_path(truth, began_ns), estimates))
+    write_atomic(
+        picture,
+        trajectory_png(course, [state.pose for state in truth if state.wall_ns >= began_ns], estimates),
+    )
     report = out / "run.html"
     write_atomic(report, drive_page(read_drive(recording)))
     return Parked(
@@ -140,7 +144,3 @@ def estimated_path(recording: Recording) -> tuple[int, list[Pose]]:
     except ValueError as error:
         raise FormatError(f"{recording.path}: damaged tick: {error}") from error
     return records[0].wall_ns, [Pose(*record.estimate[:3]) for record in records]
-
-
-def _true_path(truth: list[TrueState], began_ns: int) -> list[Pose]:
-    return [state.pose for state in truth if state.wall_ns >= began_ns]

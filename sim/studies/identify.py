@@ -20,8 +20,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from rich.progress import track
 
-from bridge.pioneer.quantise import MotionLimits
 from bridge.pioneer.robots import ROBOTS
+from bridge.pioneer.setpoints import MotionLimits
 from deploy.drive.link import Link
 from deploy.drive.measurements import Intake
 from deploy.drive.safety_monitor import Guard
@@ -38,7 +38,7 @@ from sim.pioneer.models import rover_model_of
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.trials import MODEL
 from sim.stack.virtual import Air, World
-from sim.world.bay import Bay
+from sim.world.pymunk_rover import Ground
 from sim.world.randomization import Randomization, Trials, draw_trials, load_randomization
 from sim.world.rover import SUBSTEP_S
 
@@ -77,7 +77,7 @@ def robot(ranges: Randomization, seed: int, number: int) -> Trials:
 
 def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Recorded]:
     """Drive a robot as `identify` does, through firmware, bridge and driver's code on a virtual clock."""
-    rover = rover_of(trials, rover_model_of(ROBOTS[MODEL]), Bay(()))
+    rover = rover_of(trials, rover_model_of(ROBOTS[MODEL]), Ground(()))
     world = World(Firmware(MODEL, rover, trial=BaseTrial(trials)))
     heard: list[Recorded] = []
     look = _camera(rover, world, heard, np.random.default_rng(seed)) if outside else lambda: None
@@ -104,7 +104,7 @@ def identified(trials: Trials, *, outside: bool = False, seed: int = 0) -> Rover
 def _camera(
     rover: Any, world: World, heard: list[Recorded], noise: np.random.Generator
 ) -> Callable[[], None]:
-    """Return a camera above the bay, which publishes where the rover is when it is called."""
+    """Return a camera above the ground, which publishes where the rover is when it is called."""
     spread = np.diag(np.square([OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]))
 
     def look() -> None:

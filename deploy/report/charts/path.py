@@ -27,7 +27,7 @@ from deploy.report.charts.figure import (
 from deploy.report.layout import LAYERS, labels, layers
 from deploy.report.phases import Phase
 from deploy.report.trace import Trace
-from rover_ncp.core.course import TICK_S, Course
+from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.feasibility import Drivability
 
 if TYPE_CHECKING:

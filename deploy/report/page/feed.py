@@ -19,8 +19,8 @@ from deploy.report.page.page_data import columns, event_rows
 from deploy.report.recorded_drive import facts
 from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
 from rover_ncp.core.recording import Recorded
+from rover_ncp.course.course import Course
 
 FINAL = frozenset({"parked", "ended", "fault"})
 """States of a driver whose drive has ended."""

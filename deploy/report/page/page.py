@@ -16,7 +16,7 @@ from deploy.report.page.page_data import circuit_data, columns, course_data, eve
 from deploy.report.recorded_drive import Drive, summarise
 from deploy.report.sentences import number
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
+from rover_ncp.course.course import Course
 
 _ASSETS = resources.files("deploy.report.page") / "assets"
 _TEMPLATES = Environment(

@@ -19,8 +19,8 @@ from deploy.report.timeline import Command, Moved, Tick, Timeline
 from deploy.report.trace import synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
 from rover_ncp.core.geometry import Pose
+from rover_ncp.course.course import Course
 
 TRUTH_STEP_NS = 50_000_000
 """A mock records the true pose at 100 Hz; a page shows 20 Hz."""

@@ -8,15 +8,14 @@ from deploy.drive.controller import Controller
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import PolicyRunner, course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
-from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative, wrap_angle
-from rover_ncp.core.observation import SIGNALS, see
-from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.course import load_course
+from rover_ncp.course.reference import SIGNALS, plan_reference, see
 from sim.learn.rollout import rollout
-from sim.world.bay import Bay
+from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import nominal_trials
-from sim.world.rover import Rover, RoverModel
+from sim.world.rover import RoverModel
 
 GOLDEN = "tests/data/golden/parking.bnn"
 COURSE = load_course("parking")
@@ -41,7 +40,8 @@ def as_a_base_reports(pose, velocity):
 
 def drive(policy, odom=ORIGIN, pose=ORIGIN, report=lambda p, v: (p, v), latency=0.003, lose=()):
     """A whole course in simulation; returns the true poses (course frame), the ticks, the controller."""
-    rover, controller = Rover(RoverModel(), Bay(), pose), Controller(policy, COURSE, EstimatorSettings())
+    rover = PymunkRover(RoverModel(), Ground(), pose)
+    controller = Controller(policy, COURSE, EstimatorSettings())
     to_odom = compose(odom, relative(pose, ORIGIN))  # the course's origin as odometry calls it
     start, _ = report(compose(to_odom, rover.pose), Velocity(0, 0))
     controller.start(start, -DT, pose)
@@ -69,7 +69,7 @@ def bits(ticks):
 def test_the_circuit_is_run_as_in_the_simulator(policy):
     _, ticks, _ = drive(policy, latency=0.0)
     runner = PolicyRunner(policy)
-    runner.warm_up((0.0, 0.0, 0.0, 0.0))
+    runner.tick((0.0, 0.0, 0.0, 0.0))
     for tick in ticks:
         start = 1.0 if tick.index >= 30 else 0.0
         command = runner.tick((*tick.estimate.pose, start))
@@ -89,7 +89,7 @@ def test_a_circuit_that_follows_the_course_sees_its_reference_as_in_the_simulato
         signals = see(pose, 0.0, reference.tick(index))
         return [signals[i] for i in chosen]
 
-    runner.warm_up(seen(there, 0))
+    runner.tick(seen(there, 0))
     for tick in ticks:
         assert tick.command == runner.tick(seen(tick.estimate.pose, tick.index))
     # And it drives there, as the engine's rover does.
@@ -104,8 +104,8 @@ def started_at(pose):
 
 
 def test_driven_on_odometry_the_rover_goes_where_exact_poses_take_it(policy):
-    rover, runner, exact = Rover(RoverModel(), Bay()), PolicyRunner(policy), []
-    runner.warm_up((0.0, 0.0, 0.0, 0.0))
+    rover, runner, exact = PymunkRover(RoverModel(), Ground()), PolicyRunner(policy), []
+    runner.tick((0.0, 0.0, 0.0, 0.0))
     for index in range(COURSE.ticks):
         exact.append(rover.pose)
         rover.command(*runner.tick((*rover.pose, COURSE.start_signal(index * DT))))

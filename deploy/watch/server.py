@@ -24,8 +24,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingR
 from starlette.routing import Route
 
 from deploy.report.page.feed import Feed, Place
-from deploy.report.page.page import html
-from deploy.report.page.page_data import circuit_data, course_data
+from deploy.report.page.page import watch_page
 from deploy.watch.viewer import Viewer
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
@@ -56,11 +55,7 @@ def run(options: Options, output: Output) -> int:
     feed = Feed(policy, course)
     listener = _listener(options.port)
     address = f"http://{HOST}:{listener.getsockname()[1]}/"
-    page = html(
-        f"Watching {options.robot}",
-        {"live": True, "course": course_data(course), "circuit": circuit_data(policy)},
-        connect="'self'",
-    )
+    page = watch_page(options.robot, policy, course)
     with (
         listener,
         Viewer(options.robot, options.namespace, options.zenoh_config, feed.take) as viewer,
@@ -114,8 +109,9 @@ async def _events(feed: Feed, viewer: Viewer, ending: Callable[[], bool]) -> Asy
     place = Place()
     yield "retry: 500\n\n"
     while not ending():
-        news: dict[str, Any] = await run_in_threadpool(feed.news, place)
-        news |= {"bridge": viewer.bridge_alive, "mayStop": viewer.may_stop}
+        bridge = viewer.bridge_alive
+        news: dict[str, Any] = await run_in_threadpool(feed.news, place, bridge)
+        news |= {"bridge": bridge, "mayStop": viewer.may_stop}
         yield f"data: {json.dumps(news, allow_nan=False, separators=(',', ':'))}\n\n"
         await asyncio.sleep(PERIOD_S)
 

@@ -19,7 +19,7 @@ HEARTBEAT_S = 0.5
 
 
 def publisher(session: zenoh.Session, key_expr: str, latched: bool) -> Any:
-    """Declare a publisher that never waits. Late subscribers receive the last message if it is ``latched``."""
+    """Declare a publisher that never waits. Late subscribers receive a ``latched`` one's last message."""
     if not latched:
         return session.declare_publisher(
             key_expr,

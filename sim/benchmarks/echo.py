@@ -8,7 +8,7 @@ import sys
 
 import zenoh
 
-from deploy.drive.zenoh_config import client_config
+from deploy.zenoh_client import client_config
 
 PING, PONG = "bench/ping", "bench/pong"
 

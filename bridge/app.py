@@ -15,7 +15,7 @@ from bridge.ros.conventions import Convention
 from bridge.zenoh_link import Link
 from rover_ncp.core.config import load_yaml
 from rover_ncp.core.console import Output
-from rover_ncp.core.signals import Interrupts
+from rover_ncp.core.process import Interrupts
 
 INTERRUPTED = 130
 

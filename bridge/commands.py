@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from bridge.ros.conventions import Convention
-from rover_ncp.core.options import Json
+from rover_ncp.core.console import Json
 
 
 def bridge(

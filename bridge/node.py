@@ -37,9 +37,9 @@ from bridge.pioneer.session import Session
 from bridge.queries import Answers
 from bridge.ros import messages as ros
 from bridge.zenoh_link import Link
-from rover_ncp.core.clock import Clock
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.messages import read_twist, text
+from rover_ncp.core.process import Clock
 from rover_ncp.core.protocol import Signed, dump_json
 
 TICK_S = 0.02

@@ -18,7 +18,6 @@ from deploy.recorder import Recorder
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output, printable
-from rover_ncp.core.course import TICK_S, load_course
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.messages import (
@@ -30,8 +29,9 @@ from rover_ncp.core.messages import (
     text,
     twist_stamped,
 )
+from rover_ncp.core.process import Interrupts
 from rover_ncp.core.robot_profile import load_profile
-from rover_ncp.core.signals import Interrupts
+from rover_ncp.course.course import TICK_S, load_course
 
 SWITCH_INTERVAL_S = 0.0005
 """How long another thread may keep the interpreter from the control loop (Python's default is 5 ms)."""

@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from deploy.options import Namespace, Robot, ZenohConfig
-from rover_ncp.core.console import Output
-from rover_ncp.core.options import Json, Overwrite
+from rover_ncp.core.console import Json, Output, Overwrite
 
 
 def deploy(

@@ -2,7 +2,8 @@
 
 A package contributes a command by an entry point in the group ``rover_ncp.commands`` whose object is a
 plain function with typer annotations, in a module that imports nothing heavy at its top. The function
-returns its exit code, or None for 0.
+returns its exit code, or None for 0. Only the module of the command that runs is imported; ``--help`` imports
+all of them for their first lines.
 """
 
 import json
@@ -14,6 +15,8 @@ from importlib.metadata import entry_points
 from typing import Any
 
 import typer
+from typer.core import TyperGroup
+from typer.main import get_command
 
 from rover_ncp.core.console import BLOCKED_S, Output, Writer, install, keep, printable
 from rover_ncp.core.errors import FileError, MissingExtra, RoverNcpError
@@ -65,8 +68,29 @@ _ORDER = ["park", "train", "eval", "mock", "bridge", "deploy", "replay"]
 _WrongCommandLine: type[Exception] = typer.BadParameter.__mro__[2]
 
 
+class _Commands(TyperGroup):
+    """The installed commands, each imported when it is used."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self._points = {point.name: point for point in entry_points(group=GROUP)}
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return sorted(
+            self._points, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name)
+        )
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name not in self._points:
+            return None
+        app = typer.Typer(add_completion=False)
+        app.command(cmd_name)(self._points[cmd_name].load())
+        return get_command(app)
+
+
 def _app() -> typer.Typer:
     app = typer.Typer(
+        cls=_Commands,
         name="rover-ncp",
         help="Train a tiny worm circuit to park a rover in simulation, then drive a real Pioneer with it.",
         no_args_is_help=True,
@@ -74,9 +98,6 @@ def _app() -> typer.Typer:
         pretty_exceptions_enable=False,
     )
     app.callback()(lambda: None)
-    points = {point.name: point for point in entry_points(group=GROUP)}
-    for name in sorted(points, key=lambda n: (_ORDER.index(n) if n in _ORDER else len(_ORDER), n)):
-        app.command(name)(points[name].load())
     return app
 
 

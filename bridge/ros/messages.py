@@ -14,8 +14,7 @@ from bridge.pioneer.packets import GYRO_RAD_S, NO_ECHO_MM
 from bridge.pioneer.robots import RobotParameters
 from rover_ncp.core import messages
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.imu import imu
-from rover_ncp.core.messages import BASE_FRAME, ODOM_FRAME, Diagnostic, Transform
+from rover_ncp.core.messages import BASE_FRAME, ODOM_FRAME, Diagnostic, Transform, imu
 from rover_ncp.core.protocol import GateStatus
 
 # Variance of a single reading from its rounding (uniform: step² / 12), without the drift of odometry:

@@ -10,10 +10,10 @@ from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
 from rover_ncp.core.config import dump_yaml, parse_yaml
-from rover_ncp.core.course import Course
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording
 from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.course.course import Course
 
 POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
 

@@ -24,11 +24,11 @@ from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
 from deploy.drive_records import StartRecord, TickRecord, numbers
 from deploy.estimator.settings import Outcome
-from rover_ncp.core.clock import Clock
-from rover_ncp.core.course import TICK_S, Verdict
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.messages import OdometrySample
+from rover_ncp.core.process import Clock
 from rover_ncp.core.protocol import DriverStatus
+from rover_ncp.course.course import TICK_S, Verdict
 
 POLL_S = 0.02
 

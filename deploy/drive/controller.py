@@ -3,7 +3,7 @@
 Rules of this file:
 
 1. The same inputs give the same bits: `replay` runs a recording through this very class.
-2. The circuit sees the signals that its sensing names (`core/observation.py`) and nothing else. They come
+2. The circuit sees the signals that its sensing names (`course/reference.py`) and nothing else. They come
    from the estimate, predicted to the moment of the tick, and from the course.
 3. Before the first tick the circuit makes one tick on the start pose with the start signal at 0, its motors
    ignored, as it did in the simulator.
@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import Policy, PolicyRunner
-from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.imu import TurnSample
-from rover_ncp.core.messages import OdometrySample, PoseSample
-from rover_ncp.core.observation import SIGNALS, needs_reference, see
+from rover_ncp.core.messages import OdometrySample, PoseSample, TurnSample
 from rover_ncp.core.robot_profile import RoverProfile
-from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.course import TICK_S, Course, Verdict
+from rover_ncp.course.reference import SIGNALS, needs_reference, plan_reference, see
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 

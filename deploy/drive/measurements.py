@@ -11,8 +11,15 @@ from collections.abc import Callable
 from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.imu import TurnSample, read_imu
-from rover_ncp.core.messages import COURSE_FRAME, OdometrySample, PoseSample, read_odometry, read_pose
+from rover_ncp.core.messages import (
+    COURSE_FRAME,
+    OdometrySample,
+    PoseSample,
+    TurnSample,
+    read_imu,
+    read_odometry,
+    read_pose,
+)
 
 NS = 1_000_000_000
 """Nanoseconds in a second."""

@@ -16,7 +16,6 @@ from deploy.drive.controller import Tick
 from deploy.drive.link import Link
 from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.estimator.estimator import Estimate
-from rover_ncp.core.clock import Clock
 from rover_ncp.core.geometry import Pose, compose, inverse
 from rover_ncp.core.messages import (
     COURSE_FRAME,
@@ -29,6 +28,7 @@ from rover_ncp.core.messages import (
     text,
     transforms,
 )
+from rover_ncp.core.process import Clock
 from rover_ncp.core.protocol import DriverStatus, dump_json
 from rover_ncp.core.recording import Recorded
 

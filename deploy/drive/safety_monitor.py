@@ -12,11 +12,11 @@ from pydantic import Field
 
 from deploy.drive.link import Link
 from deploy.drive.measurements import NS, Measurements
-from rover_ncp.core.clock import Clock
 from rover_ncp.core.config import StrictModel
-from rover_ncp.core.course import TICK_S
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.process import Clock
+from rover_ncp.course.course import TICK_S
 
 POLL_S = 0.002
 

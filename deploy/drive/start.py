@@ -11,10 +11,10 @@ from deploy.drive.controller import ORIGIN
 from deploy.drive.link import Link
 from deploy.drive.measurements import NS, Measurement, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
-from rover_ncp.core.clock import Clock
 from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.core.messages import OdometrySample, PoseSample
+from rover_ncp.core.process import Clock
 
 
 class StartDetector:

@@ -6,9 +6,8 @@ from typing import Annotated
 import typer
 
 from deploy.options import Namespace, ZenohConfig
-from rover_ncp.core.console import Output
+from rover_ncp.core.console import Json, Output, Overwrite
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.options import Json, Overwrite
 
 
 def identify(

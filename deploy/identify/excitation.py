@@ -16,10 +16,10 @@ from typing import NamedTuple
 from deploy.drive.link import Link
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
-from rover_ncp.core.clock import Clock
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance
 from rover_ncp.core.messages import OdometrySample
+from rover_ncp.core.process import Clock
 
 FENCE_M = 0.8
 """How far from its start the rover may come; the steps take it half as far."""

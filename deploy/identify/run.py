@@ -17,9 +17,9 @@ from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import require_writable, write_atomic
+from rover_ncp.core.process import Interrupts
 from rover_ncp.core.recording import Recorded, read_recording
 from rover_ncp.core.robot_profile import RoverProfile
-from rover_ncp.core.signals import Interrupts
 
 SETTINGS_FILE = "identify.yaml"
 

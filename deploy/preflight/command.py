@@ -5,9 +5,8 @@ from typing import Annotated
 import typer
 
 from deploy.options import Namespace, Robot, ZenohConfig
-from rover_ncp.core.console import Output, printable
+from rover_ncp.core.console import Json, Output, printable
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.options import Json
 
 
 def check(

@@ -18,9 +18,9 @@ from rover_ncp.core.cdr import decode
 from rover_ncp.core.errors import FormatError, RoverNcpError, SafetyStop
 from rover_ncp.core.geometry import Velocity, relative
 from rover_ncp.core.messages import OdometrySample
+from rover_ncp.core.process import Interrupts
 from rover_ncp.core.protocol import GateStatus
 from rover_ncp.core.recording import Recorded
-from rover_ncp.core.signals import Interrupts
 
 V_M_S, OMEGA_RAD_S = 0.1, 0.2
 """Slow, and still well above the noise of wheels in the air."""

@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from rover_ncp.core.console import Output
+from rover_ncp.core.console import Json, Output
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.options import Json
 
 PICTURES = (".png", ".svg")
 
@@ -52,8 +51,8 @@ def course(
 
     Ends with 1 if the course cannot be driven; new writes its file all the same.
     """
-    from rover_ncp.core.course import load_course
     from rover_ncp.core.files import require_writable
+    from rover_ncp.course.course import load_course
     from rover_ncp.course.feasibility import check_course
 
     output = Output(json)

@@ -8,9 +8,9 @@ from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml
 from rover_ncp.core.config import parse_yaml, read_yaml
-from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording, read_recording
+from rover_ncp.course.course import TICK_S, Course, Verdict
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deploy.report.recorded_drive import Drive, Judged, judge
-from rover_ncp.core.course import Verdict
+from rover_ncp.course.course import Verdict
 
 
 class Summary(NamedTuple):

@@ -18,12 +18,12 @@ from deploy.report.drive_events import Event, Watcher
 from deploy.report.trace import Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.cdr import decode
-from rover_ncp.core.course import Course
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read_text, read_twist
 from rover_ncp.core.protocol import DriverStatus, GateStatus, parse_json
 from rover_ncp.core.recording import Recorded
+from rover_ncp.course.course import Course
 
 FloatArray = NDArray[np.float64]
 

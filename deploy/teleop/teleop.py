@@ -26,7 +26,7 @@ from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output, printable
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.core.signals import Interrupts
+from rover_ncp.core.process import Interrupts
 
 PERIOD_S = 0.05
 LONGEST_LOOP_S = 0.25

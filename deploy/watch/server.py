@@ -28,9 +28,9 @@ from deploy.watch.viewer import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
-from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import PortInUse, UnreachableError
-from rover_ncp.core.signals import Interrupts
+from rover_ncp.core.process import Interrupts
+from rover_ncp.course.course import load_course
 
 HOST = "127.0.0.1"
 INTERRUPTED = 130

@@ -16,7 +16,7 @@ from rover_ncp.circuit.sensing import Channel, require_distinct
 from rover_ncp.core.config import StrictModel
 
 
-class Pull(NamedTuple):
+class MotorMap(NamedTuple):
     """Motor neurons as arrays (q,): channel += end * clip((potential - low) / (high - low), 0, 1)."""
 
     neuron: NDArray[np.int64]
@@ -50,7 +50,7 @@ class Motors(StrictModel):
         require_distinct("channel", [channel.name for channel in self.channels])
         return self
 
-    def pull(self, circuit: Circuit) -> Pull:
+    def map_from(self, circuit: Circuit) -> MotorMap:
         """Return the mapping as arrays for a circuit; raises ConfigError when it lacks a neuron."""
         rows = [
             (circuit.index(neuron), number, end)
@@ -58,7 +58,7 @@ class Motors(StrictModel):
             for neuron, end in channel.sides
         ]
         neuron, channel, end = zip(*rows, strict=True)
-        return Pull(np.array(neuron, np.int64), np.array(channel, np.int64), np.array(end, np.float64))
+        return MotorMap(np.array(neuron, np.int64), np.array(channel, np.int64), np.array(end, np.float64))
 
 
 def parking_motors() -> Motors:

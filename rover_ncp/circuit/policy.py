@@ -1,7 +1,7 @@
 """A policy: a circuit with its sensing and motors, all that turns an observation into a command.
 
 The parameter vector of a policy holds every number that a search may change, block after block in the order
-of ``ParameterKind``. ``PolicyRunner`` runs one policy tick by tick; many at once run on ``lanes.py``.
+of ``ParameterKind``. ``PolicyRunner`` runs one policy tick by tick; many at once run on ``compiled.py``.
 """
 
 import math
@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from rover_ncp.circuit.circuit import BOUNDS, RESTING_MV, Circuit, ParameterKind
 from rover_ncp.circuit.motors import Motors, course_motors, four_dof_motors, parking_motors
 from rover_ncp.circuit.sensing import Sensing, course_sensing, parking_sensing
-from rover_ncp.core.course import Course
 from rover_ncp.core.errors import ConfigError, UsageError
+from rover_ncp.course.course import Course
 
 FloatArray = NDArray[np.float64]
 
@@ -228,7 +228,7 @@ class PolicyRunner:
 
     def __init__(self, policy: Policy) -> None:
         # Only here, so that policies can be read and judged where numba is not installed.
-        from rover_ncp.circuit.lanes import allocate_lanes, make_program
+        from rover_ncp.circuit.compiled import allocate_lanes, make_program
         from rover_ncp.circuit.solver import tick_lanes
 
         self.policy = policy
@@ -256,7 +256,7 @@ class PolicyRunner:
     def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:
         """Run one control tick on an observation (inputs,) and return the outputs.
 
-        For driving: the sensing's signals (``core/signals.py``) to (v, omega) in m/s and rad/s. Raises
+        For driving: the sensing's signals (``course/reference.py``) to (v, omega) in m/s and rad/s. Raises
         UsageError for an observation of another length or with a number that is not finite; the state is
         then unchanged.
         """

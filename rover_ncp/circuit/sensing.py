@@ -51,7 +51,7 @@ class Channel(StrictModel):
         return [(neuron, end) for neuron, end in both if neuron is not None and end is not None]
 
 
-class Drive(NamedTuple):
+class SensorMap(NamedTuple):
     """Sensory neurons as arrays (s,): potential = clip(base + gain * channel, lower, upper), in mV."""
 
     neuron: NDArray[np.int64]
@@ -90,10 +90,10 @@ class Sensing(StrictModel):
 
     @property
     def neurons(self) -> tuple[str, ...]:
-        """The sensory neurons in the order of ``drive``."""
+        """The sensory neurons in the order of ``map_onto``."""
         return tuple(neuron for channel in self.channels for neuron, _ in channel.sides)
 
-    def drive(self, circuit: Circuit) -> Drive:
+    def map_onto(self, circuit: Circuit) -> SensorMap:
         """Return the mapping as arrays for a circuit; raises ConfigError when it lacks a neuron."""
         rows = []
         for number, channel in enumerate(self.channels):
@@ -105,7 +105,7 @@ class Sensing(StrictModel):
                 base = LOW_MV - gain * (channel.origin or 0.0)
                 rows.append((circuit.index(neuron), number, base, gain, lower, upper))
         columns = list(zip(*rows, strict=True))
-        return Drive(
+        return SensorMap(
             np.array(columns[0], np.int64),
             np.array(columns[1], np.int64),
             *(np.array(column, np.float64) for column in columns[2:]),

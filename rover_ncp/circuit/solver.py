@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import MIDPOINT_MV
-from rover_ncp.circuit.program import Chemical, Gaps, LaneParameters, Program
+from rover_ncp.circuit.compiled import LaneParameters, Program
 from rover_ncp.kernels.jit import inlined_kernel, kernel
 from rover_ncp.kernels.vectors import (
     WIDTH,
@@ -29,7 +29,6 @@ from rover_ncp.kernels.vectors import (
 
 FloatArray = NDArray[np.float64]
 
-LOG2_E = 1.4426950408889634
 INHIBITORY_MV = -90.0  # circuit.REVERSAL_MV; the excitatory reversal potential is 0 and drops out
 
 # 2**f on [-1/2, 1/2], interpolated at Chebyshev nodes in 60 digits: relative error below 5e-18.
@@ -95,7 +94,7 @@ def set_sensory_neurons(
     program: Program, lanes: LaneParameters, block: int, observations: FloatArray
 ) -> None:
     """Set a block's driven neurons from its observations."""
-    neurons, channels, bases, gains, lowers, uppers = program.drive
+    neurons, channels, bases, gains, lowers, uppers = program.sensors
     entries, potentials = lanes.input_layer, lanes.potential
     columns = program.input_layer_at.shape[1]
     for s in range(len(neurons)):
@@ -167,7 +166,7 @@ def run_substeps(program: Program, lanes: LaneParameters, block: int) -> None:
 @inlined_kernel
 def read_motors(program: Program, lanes: LaneParameters, block: int, commands: FloatArray) -> None:
     """Read a block's commands from its motor neurons."""
-    neurons, targets, ends = program.pull
+    neurons, targets, ends = program.motors
     low, scale = program.motor_low, program.motor_scale
     entries, potentials, channels = lanes.output_layer, lanes.potential, lanes.channel
     outputs, columns = program.output_layer_at.shape
@@ -187,49 +186,3 @@ def read_motors(program: Program, lanes: LaneParameters, block: int, commands: F
             if len(limits) > 0:
                 value = limits[o] * smaller(larger(value, -1.0), 1.0)
         store_lanes(commands, o, block * WIDTH, value)
-
-
-@kernel
-def fill_lane(program: Program, lanes: LaneParameters, lane: int, vector: FloatArray) -> None:
-    """Set the numbers of one lane from a parameter vector (P,), which must lie in bounds."""
-    block, place = lane // WIDTH, lane % WIDTH
-    fill_synapses(program.settled, lanes.settled_weight, lanes.settled_slope, vector, lane)
-    fill_synapses(program.active, lanes.active_weight, lanes.active_slope, vector, lane)
-    neurons, leak_potential_at, leak_at, capacitance_at = program.stepped
-    rates, leak_currents, conductances = lanes.rate, lanes.leak_current, lanes.conductance
-    for d in range(len(neurons)):
-        rate = vector[capacitance_at[d]] / program.dt_s
-        leak = vector[leak_at[d]]
-        rates[block, d, place] = rate
-        leak_currents[block, d, place] = leak * vector[leak_potential_at[d]]
-        conductances[block, d, place] = rate + leak
-    fill_gaps(program.settled_gaps, lanes.settled_gap, lanes.conductance, vector, lane)
-    fill_gaps(program.active_gaps, lanes.active_gap, lanes.conductance, vector, lane)
-    ranges = program.input_range
-    for i, at in enumerate(program.input_layer_at.flat):
-        lanes.input_layer[block, i, place] = vector[at] / ranges[i % len(ranges)]
-    for i, at in enumerate(program.output_layer_at.flat):
-        lanes.output_layer[block, i, place] = vector[at]
-
-
-@kernel
-def fill_synapses(
-    synapses: Chemical, weight: FloatArray, slope: FloatArray, vector: FloatArray, lane: int
-) -> None:
-    """Set one lane's chemical synapses."""
-    block, place = lane // WIDTH, lane % WIDTH
-    weight_at, sigma_at = synapses.weight_at, synapses.sigma_at
-    for s in range(len(weight_at)):
-        weight[block, s, place] = vector[weight_at[s]]
-        slope[block, s, place] = -LOG2_E * vector[sigma_at[s]]
-
-
-@kernel
-def fill_gaps(gaps: Gaps, weight: FloatArray, total: FloatArray, vector: FloatArray, lane: int) -> None:
-    """Set one lane's gap junctions, and add them to the conductances of their slots."""
-    block, place = lane // WIDTH, lane % WIDTH
-    first, weight_at = gaps.first, gaps.weight_at
-    for d in range(len(first) - 1):
-        for s in range(first[d], first[d + 1]):
-            weight[block, s, place] = vector[weight_at[s]]
-            total[block, d, place] += vector[weight_at[s]]

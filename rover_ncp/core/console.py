@@ -1,6 +1,6 @@
-"""The output of commands: one JSON object on stdout with ``--json``, otherwise text for people.
+"""The output of commands, and the options that they share.
 
-Under ``--json`` all text for people goes to stderr, which leaves stdout machine-readable.
+With ``--json`` a command prints one JSON object on stdout, and all text for people goes to stderr.
 
 No output delays the process that writes it. `install` replaces ``sys.stdout`` and ``sys.stderr`` of a command
 by streams that end in a `Writer`. That covers all Python code: rich, logging, warnings and tracebacks too.
@@ -17,9 +17,15 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, TextIO
+from typing import Annotated, Any, TextIO
 
+import typer
 from rich.console import Console
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]
+MOST_SEED = 2**63 - 1
+"""Of a seed, or of the number of a trial."""
 
 ROOM_BYTES = 1 << 16
 """A `Writer` drops text beyond this."""

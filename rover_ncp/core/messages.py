@@ -26,6 +26,7 @@ POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 STRING = "std_msgs/msg/String"
 FLOATS = "std_msgs/msg/Float64MultiArray"
+IMU = "sensor_msgs/msg/Imu"
 
 TWIST_BYTES = 52
 """A Twist is six float64 behind the CDR header; a TwistStamped is always longer."""
@@ -34,6 +35,8 @@ _SECOND_NS = 1_000_000_000
 _UNKNOWN = 1e6
 _PLANAR = (0, 1, 5)
 """Rows of x, y and yaw in ROS's 6 × 6 covariances."""
+# REP-145: a first element of -1 means that there is no such measurement.
+_NONE = np.array([-1.0, *[0.0] * 8])
 
 
 class OdometrySample(NamedTuple):
@@ -49,6 +52,13 @@ class TwistSample(NamedTuple):
 
     velocity: Velocity
     stamp_ns: int | None
+
+
+class TurnSample(NamedTuple):
+    """A rate of turn in rad/s, counter-clockwise; it may be not finite."""
+
+    stamp_ns: int
+    rate: float
 
 
 class PoseSample(NamedTuple):
@@ -188,6 +198,28 @@ def transforms(items: Sequence[Transform], stamp_ns: int) -> bytes:
         for item in items
     ]
     return encode(make("tf2_msgs/msg/TFMessage", transforms=stamped))
+
+
+def imu(rate: float, variance: float, stamp_ns: int) -> bytes:
+    """Return an Imu in base_link whose only measurement is the rate of turn; variance in (rad/s)²."""
+    return encode(
+        make(
+            IMU,
+            header=_header(stamp_ns, BASE_FRAME),
+            orientation=_rotation(0.0),
+            orientation_covariance=_NONE,
+            angular_velocity=_vector(0.0, 0.0, rate),
+            angular_velocity_covariance=np.diag([_UNKNOWN, _UNKNOWN, variance]).ravel(),
+            linear_acceleration=_vector(0.0, 0.0, 0.0),
+            linear_acceleration_covariance=_NONE,
+        )
+    )
+
+
+def read_imu(data: bytes) -> TurnSample:
+    """Read the rate of turn of an Imu. Raises FormatError."""
+    message = decode(IMU, data)
+    return TurnSample(_stamp_ns(message.header), message.angular_velocity.z)
 
 
 def battery_state(

@@ -14,12 +14,20 @@ from pathlib import Path
 from pydantic import Field
 
 from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, validated
-from rover_ncp.core.course import MOST_CHECKPOINTS, TICK_S, Angle, Checkpoint, Coordinate, Course, Obstacle
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.core.geometry import Pose, distance, relative, wrap_angle
 from rover_ncp.core.messages import read_odometry, read_pose
 from rover_ncp.core.recording import Recording, read_recording
+from rover_ncp.course.course import (
+    MOST_CHECKPOINTS,
+    TICK_S,
+    Angle,
+    Checkpoint,
+    Coordinate,
+    Course,
+    Obstacle,
+)
 from rover_ncp.course.feasibility import Cause, Drivability, check_course
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
 

@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Deviation, Reference, deviations, plan_reference
 
 FloatArray = NDArray[np.float64]

@@ -5,6 +5,14 @@ than its motors' and for headings that are not those of the path. The reference 
 v and ω linear between knots 0.5 s apart and within the motors' limits, that comes nearest to the checkpoints
 in the sense of least squares and ends on the goal. So it is smooth and drivable by construction, and how far
 it stays away from a checkpoint says how far the course is from drivable.
+
+A policy observes signals by name, the same numbers in the simulator and on the robot:
+
+    x, y, theta                       the rover's pose in the course's frame, m and rad
+    start                             the start signal, 0 or 1
+    longitudinal, lateral, heading    where the reference is, seen from the rover: m ahead, m to the left,
+                                      rad to the left
+    speed, turn                       the reference's motion, m/s and rad/s
 """
 
 import math
@@ -16,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.course import TICK_S, Course
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
+from rover_ncp.course.course import TICK_S, Course
 
 FloatArray = NDArray[np.float64]
 
@@ -25,6 +33,11 @@ V_MAX = 0.16
 """Fastest reference in m/s: the paper's motors."""
 OMEGA_MAX = 0.18
 """Fastest turn of a reference in rad/s: the paper's motors."""
+
+REFERENCE_SIGNALS = ("longitudinal", "lateral", "heading", "speed", "turn")
+"""Signals that need a course's reference."""
+SIGNALS = ("x", "y", "theta", "start", *REFERENCE_SIGNALS)
+"""In the order of ``see``."""
 
 _KNOT_TICKS = 5
 _DECIMALS = 5
@@ -235,3 +248,31 @@ def _hat(places: FloatArray, count: int) -> FloatArray:
     matrix[np.arange(len(places)), below] = 1 - (places - below)
     matrix[np.arange(len(places)), below + 1] = places - below
     return matrix
+
+
+def needs_reference(names: tuple[str, ...]) -> bool:
+    """Whether any of these signals comes from the reference."""
+    return any(name in REFERENCE_SIGNALS for name in names)
+
+
+def seen_from(pose: Pose, reference: Pose) -> Pose:
+    """Return the reference's pose in the rover's frame: ahead and to the left in m, turned left in rad.
+
+    Headings are within (−π, π]. Kernels compile this very function: it calls but ``math`` and Pose.
+    """
+    dx, dy = reference.x - pose.x, reference.y - pose.y
+    cos, sin = math.cos(pose.theta), math.sin(pose.theta)
+    turned = reference.theta - pose.theta
+    if turned > math.pi:
+        turned -= math.tau
+    elif turned <= -math.pi:
+        turned += math.tau
+    return Pose(cos * dx + sin * dy, cos * dy - sin * dx, turned)
+
+
+def see(pose: Pose, start: float, reference: tuple[Pose, Velocity] | None) -> tuple[float, ...]:
+    """Return all signals, in the order of ``SIGNALS``; without a reference its signals are 0."""
+    if reference is None:
+        return (*pose, start, 0.0, 0.0, 0.0, 0.0, 0.0)
+    where, motion = reference
+    return (*pose, start, *seen_from(pose, where), *motion)

@@ -1,8 +1,8 @@
 """The compiler of the numerical kernels: numba, strict IEEE arithmetic, machine code kept on disk.
 
-numba's own cache asks only whether the file of a function has changed, not the files of the functions that
-were compiled into it. After an update of one of them it would go on running the old code, silently. Here
-every kernel carries a stamp of all it is made of: its file, the kernels it calls, the constants it reads.
+numba's own cache checks only the file of a function, not those of the functions that were compiled into it.
+After an update of one of them it would silently run the old code. Here every kernel has a stamp of all that
+it is made of: its file, the kernels it calls, its constants and, if a factory made it, its free variables.
 Processes that start together compile each kernel once: the first locks it, the others wait and load it.
 
 Arithmetic: no fastmath, so LLVM neither reorders nor fuses operations and a kernel gives the same bits on
@@ -12,6 +12,7 @@ would make by default keeps loops from being vectorised.
 
 import contextlib
 import fcntl
+import functools
 import hashlib
 import inspect
 import time
@@ -20,6 +21,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
 
+import numpy as np
 from numba import njit
 from numba.core import types
 from numba.core.compiler_lock import global_compiler_lock
@@ -80,25 +82,24 @@ def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 def _compiled(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     try:
         compiled: Any = njit(cache=True, **options)(function)
-        _stamp_when_used(compiled._cache, function)
+        _stamp_the_key(compiled._cache, function)
         _compile_once(compiled)
     except (RuntimeError, AttributeError):
-        # No writable folder for the cache, or a numba that keeps its stamp elsewhere: compile each time.
+        # No writable folder for the cache, or a numba whose cache works in another way: compile each time.
         compiled = njit(**options)(function)
     return compiled
 
 
-def _stamp_when_used(cache: Any, function: Callable[..., Any]) -> None:
-    """Add the stamp when the kernel is first looked for: what it calls may stand further down in its file."""
-    cache_file, load = cache._cache_file, cache.load_overload
-    of_the_file = cache_file._source_stamp
+def _stamp_the_key(cache: Any, function: Callable[..., Any]) -> None:
+    """Look for machine code by the stamp of its kernel.
 
-    def load_overload(*arguments: Any) -> Any:
-        if cache_file._source_stamp is of_the_file:
-            cache_file._source_stamp = (of_the_file, stamp(function))
-        return load(*arguments)
-
-    cache.load_overload = load_overload
+    The stamp is taken at the first look: what the kernel calls may be further down in its file. numba's own
+    key has the free variables of a function, too, but a compiled one among them differs in each process.
+    """
+    if not hasattr(cache, "_index_key"):
+        raise AttributeError("numba's cache has no _index_key")
+    cached_stamp = functools.cache(stamp)
+    cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple(), cached_stamp(function))
 
 
 def _compile_once(compiled: Any) -> None:
@@ -144,32 +145,56 @@ def _wait_for(file: int) -> None:
 
 
 def stamp(function: Callable[..., Any]) -> str:
-    """Return a digest of the sources and constants that are compiled into a kernel."""
+    """Return a digest of the sources and constants that are compiled into a kernel.
+
+    Covers the kernels that it calls, and the free variables of a kernel that was made by a factory.
+    TypeError for a free variable of another type than function, class, number, text, tuple or array.
+    """
     digest = hashlib.sha256()
-    _collect(function, digest, set())
+    _add_function(function, digest, set())
     return digest.hexdigest()
 
 
-def _collect(function: Callable[..., Any], digest: Any, seen: set[str]) -> None:
-    source = inspect.getfile(function)
-    # Not the path: the same source elsewhere, or by another link, is the same machine code.
-    name = f"{function.__module__}:{function.__qualname__}"
-    if name in seen:
+def _add_function(function: Callable[..., Any], digest: Any, seen: set[Callable[..., Any]]) -> None:
+    if function in seen:
         return
-    seen.add(name)
-    digest.update(name.encode())
-    with open(source, "rb") as file:  # noqa: PTH123  # a Path costs more than the read
+    seen.add(function)
+    # Not the path: the same source elsewhere, or by another link, is the same machine code.
+    digest.update(f"{function.__module__}:{function.__qualname__}".encode())
+    with open(inspect.getfile(function), "rb") as file:  # noqa: PTH123  # a Path costs more than the read
         digest.update(file.read())
-    names = _names(function.__code__)
-    found = [function.__globals__[key] for key in names if key in function.__globals__]
+    code, used = function.__code__, function.__globals__
+    names = _names(code)
+    found = [used[key] for key in names if key in used]
     modules = [item for item in found if isinstance(item, ModuleType)]
-    found += [getattr(module, key) for module in modules for key in names if hasattr(module, key)]
-    for item in found:
-        called = getattr(item, "py_func", None) or getattr(item, "_defn", None)
-        if called is not None:
-            _collect(called, digest, seen)
-        elif isinstance(item, int | float | str | tuple):
-            digest.update(repr(item).encode())
+    for item in (
+        *found,
+        *(getattr(module, key) for module in modules for key in names if hasattr(module, key)),
+    ):
+        _add_value(item, digest, seen)
+    for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
+        if not _add_value(cell.cell_contents, digest, seen):
+            kind = type(cell.cell_contents).__name__
+            raise TypeError(f"kernel {function.__qualname__}: the stamp does not cover {name}, a {kind}")
+
+
+def _add_value(value: Any, digest: Any, seen: set[Callable[..., Any]]) -> bool:
+    """Add a value that a kernel uses; return whether it could be added."""
+    called = getattr(value, "py_func", None) or getattr(value, "_defn", None)
+    if called is not None:
+        _add_function(called, digest, seen)
+    elif isinstance(value, np.ndarray):
+        digest.update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
+    elif isinstance(value, tuple):
+        added = [_add_value(item, digest, seen) for item in value]
+        return all(added)
+    elif isinstance(value, type):
+        digest.update(value.__qualname__.encode())
+    elif value is None or isinstance(value, int | float | str | np.generic):
+        digest.update(repr(value).encode())
+    else:
+        return False
+    return True
 
 
 def _names(code: CodeType) -> list[str]:

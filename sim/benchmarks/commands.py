@@ -6,9 +6,8 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import Output
+from rover_ncp.core.console import MOST_SEED, Json, Output
 from rover_ncp.core.files import require_writable, write_atomic
-from rover_ncp.core.options import MOST_SEED, Json
 from sim.learn.commands import SearchName
 
 

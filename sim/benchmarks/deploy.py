@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy import PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.course import TICK_S, load_course
 from rover_ncp.core.files import write_atomic
+from rover_ncp.course.course import TICK_S, load_course
 from sim.benchmarks.peer import BenchPeer, Moments
 from sim.live.processes import Process
 

@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from rover_ncp.circuit.lanes import allocate_lanes, make_program, resting_potentials
+from rover_ncp.circuit.compiled import allocate_lanes, make_program, resting_potentials
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.circuit.solver import tick_lanes
-from rover_ncp.core.course import TICK_S
+from rover_ncp.course.course import TICK_S
 from rover_ncp.kernels.jit import kernel
 from sim.learn import stream
-from sim.learn.engine import Engine
 from sim.learn.ensemble import Snapshot, run_ensemble
+from sim.learn.evaluator import Evaluator
 from sim.learn.flow import Answer, Flow
 from sim.learn.objective import Deterministic, Objective
 from sim.learn.record import Task, TrainSettings, resolve_task
@@ -34,9 +34,9 @@ from sim.learn.search.strategies import STRATEGIES
 from sim.learn.team import AgentState, Plan, Rounds, Team
 from sim.learn.train import training_plan
 from sim.learn.workers import Processes, available_processes, split
-from sim.world.bay import Bay
-from sim.world.fleet import SUBSTEPS, Fleet, advance, send
-from sim.world.rover import Rover, RoverModel
+from sim.world.fleet import Fleet, advance, send
+from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.world.rover import SUBSTEPS, RoverModel
 
 LANES = tuple(2**n for n in range(13))
 """1 to 4096."""
@@ -97,9 +97,10 @@ def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
 
 def _parts(task: Task) -> dict[str, Any]:
     """Measure whole episodes and their parts, so that they can be compared: all in turn, again and again."""
-    engine, vectors = Engine(task.policy, task.course), _candidates(task.policy, _EPISODES)
+    engine, vectors = Evaluator(task.policy, task.course), _candidates(task.policy, _EPISODES)
     alone = [task.policy.with_parameters(vector) for vector in vectors[:2]]
-    runner, rover = PolicyRunner(task.policy), Rover(RoverModel(), Bay(()), task.course.checkpoints[0].pose)
+    runner = PolicyRunner(task.policy)
+    rover = PymunkRover(RoverModel(), Ground(()), task.course.checkpoints[0].pose)
     rover.command(0.1, 0.1)
     calls: dict[str, Callable[[], object]] = {
         "episodes": lambda: engine.returns(vectors),
@@ -266,7 +267,7 @@ def _tick_rovers(fleet, commands, ticks):  # type: ignore[no-untyped-def]  # num
         advance(fleet)
 
 
-def _substep(rover: Rover, times: int) -> None:
+def _substep(rover: PymunkRover, times: int) -> None:
     for _ in range(times):
         rover.substep()
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course, ParkedRule, Verdict
 from rover_ncp.core.errors import UsageError
+from rover_ncp.course.course import Course, ParkedRule, Verdict
+from rover_ncp.course.random_course import random_course
 from sim.evaluate.laws import LAWS, LawEngine
-from sim.learn.engine import Engine, Outcomes
-from sim.world.random_course import random_course
+from sim.learn.evaluator import Evaluator, Outcomes
 from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import RoverModel
 
@@ -95,10 +95,10 @@ def evaluate(
     )
 
 
-def _engine(driver: Policy | str, courses: Sequence[Course], model: RoverModel, trials: Trials) -> Engine:
+def _engine(driver: Policy | str, courses: Sequence[Course], model: RoverModel, trials: Trials) -> Evaluator:
     if isinstance(driver, str):
         return LawEngine(driver, courses, trials)
-    return Engine(driver, courses, model, trials)
+    return Evaluator(driver, courses, model, trials)
 
 
 def summarize(found: Outcomes, limits: NDArray[np.float64]) -> Evaluation:

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.tap_withdrawal import tap_withdrawal_circuit
-from rover_ncp.core.course import Course
+from rover_ncp.course.course import Course
 from rover_ncp.course.reference import Reference
 from rover_ncp.kernels.jit import kernel
-from sim.learn.engine import Engine
 from sim.learn.episode import IDLE, Lanes, Queue, Tasks, drive_tick, start_episode
+from sim.learn.evaluator import Evaluator
 from sim.learn.search.unit_box import reflected
 from sim.world.fleet import Fleet, FleetArrays, wrapped
 from sim.world.randomization import Trials
@@ -132,7 +132,7 @@ def run_law(  # noqa: PLR0917  # as run_episodes
         running -= drive_tick(signal_at, tasks, trials, lanes, fleet, queue)
 
 
-class LawEngine(Engine):
+class LawEngine(Evaluator):
     """An engine whose vectors are a law's gains."""
 
     def __init__(

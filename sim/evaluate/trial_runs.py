@@ -12,9 +12,9 @@ from rich.progress import Progress
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
-from rover_ncp.core.course import Course, load_course
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import distance, wrap_angle
+from rover_ncp.course.course import Course, load_course
 from sim.evaluate.evaluate import Evaluation, Spread, evaluate, tally, unseen_courses
 from sim.evaluate.laws import LAWS
 from sim.live.trials import LiveTrials

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rover_ncp.core.console import Output
-from rover_ncp.core.options import Json
+from rover_ncp.core.console import Json, Output
 
 if TYPE_CHECKING:
     from rich.table import Table

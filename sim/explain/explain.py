@@ -15,8 +15,8 @@ from deploy.report.recorded_drive import judge, read_drive
 from deploy.report.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.course import load_course
 from rover_ncp.core.files import write_atomic
+from rover_ncp.course.course import load_course
 from sim.explain.explained import Explained
 from sim.explain.knockout import knock_outs
 from sim.explain.prose import prose

@@ -8,7 +8,7 @@ from deploy.report.interpretation import Contribution
 from deploy.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
 from deploy.report.sentences import Explanation
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course, Verdict
+from rover_ncp.course.course import Course, Verdict
 from sim.explain.knockout import Knockout
 from sim.explain.sensitivity import Sensitivity
 from sim.learn.rollout import Rollout

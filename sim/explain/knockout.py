@@ -11,7 +11,7 @@ import numpy as np
 
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
+from rover_ncp.course.course import Course
 from sim.learn.rollout import Rollout, rollout
 
 

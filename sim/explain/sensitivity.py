@@ -9,8 +9,8 @@ import numpy as np
 
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
-from sim.learn.engine import Engine
+from rover_ncp.course.course import Course
+from sim.learn.evaluator import Evaluator
 
 STEP = 0.01
 """Step, as a fraction of the range between a parameter's bounds."""
@@ -52,7 +52,7 @@ def sensitivities(policy: Policy, course: Course, step: float = STEP) -> tuple[S
     every = np.arange(layout.size)
     vectors[1 + every, every] = intact - down
     vectors[1 + layout.size + every, every] = intact + up
-    returns = Engine(policy, course).returns(np.clip(vectors, layout.lower, layout.upper))
+    returns = Evaluator(policy, course).returns(np.clip(vectors, layout.lower, layout.upper))
     base, lower, higher = returns[0], returns[1 : 1 + layout.size], returns[1 + layout.size :]
     return tuple(
         Sensitivity(

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import load_yaml
-from rover_ncp.core.course import Course
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text
+from rover_ncp.course.course import Course
 from sim.explain.sensitivity import parameter_names
 from sim.learn.curve import curve_iterations
 from sim.learn.record import Record, TrainSettings

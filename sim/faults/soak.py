@@ -17,9 +17,9 @@ import numpy as np
 import zenoh
 
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import write_atomic
+from rover_ncp.course.course import load_course
 from sim.faults.completeness import Completeness, check_recording
 from sim.faults.faults import CIRCUIT, FAULTS
 from sim.faults.leaks import Usage, usage

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rover_ncp.core.console import Output
+from rover_ncp.core.console import MOST_SEED, Json, Output
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.options import MOST_SEED, Json
 
 if TYPE_CHECKING:
     from sim.learn.record import RobustSettings
@@ -130,10 +129,10 @@ def train(
         rover-ncp train --randomize full --out runs/robust
         rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine
     """
-    from rover_ncp.core.course import load_course
-    from sim.learn.folder import new_run_path, saved_settings
+    from rover_ncp.course.course import load_course
     from sim.learn.progress import TrainProgress
     from sim.learn.record import RobustSettings, TrainSettings, resolve_task
+    from sim.learn.run_folder import new_run_path, saved_settings
     from sim.learn.train import train as run_training
     from sim.learn.workers import WorkerDied
 

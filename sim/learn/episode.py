@@ -12,13 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import RESTING_MV
-from rover_ncp.circuit.program import LaneParameters, Program
-from rover_ncp.circuit.solver import fill_lane, tick_lanes
+from rover_ncp.circuit.compiled import LaneParameters, Program, fill_lane
+from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.observation import seen_from
+from rover_ncp.course.reference import seen_from
 from rover_ncp.kernels.jit import borrowed, inlined_kernel, kernel
 from sim.world.fleet import FleetArrays, advance, place, push, read_pose, read_poses, send, wrapped
-from sim.world.randomization import BaseErrors, OdometryErrors, Trials, driven, reckoned, stepped
+from sim.world.randomization import (
+    BaseErrors,
+    OdometryErrors,
+    Trials,
+    apply_base_errors,
+    dead_reckon,
+    quantise,
+)
 from sim.world.rover import SUBSTEP_S
 
 FloatArray = NDArray[np.float64]
@@ -101,9 +108,9 @@ class Queue(NamedTuple):
 
 
 _seen_from = kernel(seen_from)
-_driven = kernel(driven)
-_reckoned = kernel(reckoned)
-_stepped = kernel(stepped)
+_driven = kernel(apply_base_errors)
+_reckoned = kernel(dead_reckon)
+_stepped = kernel(quantise)
 
 
 @kernel

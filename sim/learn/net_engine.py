@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
+from rover_ncp.course.course import Course
 from rover_ncp.kernels.jit import borrowed, kernel
-from sim.learn.engine import Engine
 from sim.learn.episode import IDLE, Lanes, Queue, Tasks, drive_tick, start_episode
-from sim.learn.nets import (
+from sim.learn.evaluator import Evaluator
+from sim.learn.networks import (
     Net,
     NetLanes,
     NetProgram,
@@ -54,11 +54,11 @@ def run_nets(  # noqa: PLR0917  # as run_episodes
         running -= drive_tick(signal_at, tasks, trials, lanes, fleet, queue)
 
 
-class NetEngine(Engine):
+class NetEngine(Evaluator):
     """An engine whose vectors are a network's parameters. Of the policy, its mappings count."""
 
     def __init__(self, net: Net, policy: Policy, course: Course | Sequence[Course], **options: Any) -> None:
-        """``options`` as ``Engine``'s: model, trials, references."""
+        """``options`` as ``Evaluator``'s: model, trials, references."""
         super().__init__(policy, course, **options)
         self._net, self._net_program = net, net.program()
         self._net_lanes: dict[int, NetLanes] = {}

@@ -17,9 +17,10 @@ from pydantic import Field
 from rover_ncp.circuit.policy import Policy, absolute_policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.core.config import StrictModel
-from rover_ncp.core.course import Course, load_course
 from rover_ncp.core.errors import ConfigError
-from sim.world.rover import RoverModel, require_free_start
+from rover_ncp.course.course import Course, load_course
+from sim.world.pymunk_rover import require_free_start
+from sim.world.rover import RoverModel
 
 _LIBRARIES = ("rover-ncp", "numpy", "numba", "pymunk")
 _GIT_TIMEOUT_S = 5.0

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
+from rover_ncp.course.course import Course
+from rover_ncp.course.random_course import mirrored, mirrored_reference, random_course
 from rover_ncp.course.reference import Reference
-from sim.learn.engine import Engine, Outcomes
+from sim.learn.evaluator import Evaluator, Outcomes
 from sim.learn.objective import mean_of_worst
 from sim.learn.search.cma import Cma, default_population
 from sim.learn.search.unit_box import reflected
-from sim.world.random_course import mirrored, mirrored_reference, random_course
 from sim.world.randomization import Randomization, draw_trials
 from sim.world.rover import RoverModel
 
@@ -188,7 +188,7 @@ def training_courses(
     return [course for course, _ in pairs], [reference for _, reference in pairs]
 
 
-def drive_trials(engine: Engine, ranges: Randomization, model: RoverModel, seed: int) -> Drive:
+def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, seed: int) -> Drive:
     """Return what drives the trials of a search on an engine."""
     ticks = max(course.ticks for course in engine.courses)
     unrounded = ranges.model_copy(update={"speed_step_m_s": 0.0, "turn_step_rad_s": 0.0})

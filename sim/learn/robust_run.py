@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
-from rover_ncp.core.course import Course, load_course
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import read_text, write_atomic
+from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
-from sim.learn.engine import Engine
-from sim.learn.folder import open_folder
+from sim.learn.evaluator import Evaluator
 from sim.learn.record import Record, RobustSettings, Task
 from sim.learn.robust import (
     Drive,
@@ -35,6 +34,7 @@ from sim.learn.robust import (
     drive_trials,
     training_courses,
 )
+from sim.learn.run_folder import open_folder
 from sim.learn.workers import Processes, available_processes
 from sim.world.randomization import Randomization, draw_trials, ranges_for
 from sim.world.rover import RoverModel
@@ -60,7 +60,7 @@ def _drive(settings: RobustSettings, start: Policy, course: Course, ranges: Rand
     )
     model, ticks = RoverModel(), max(each.ticks for each in courses)
     nothing_yet = draw_trials(ranges, model, settings.seed, count=1, ticks=ticks)
-    engine = Engine(start, courses, model, nothing_yet, references)
+    engine = Evaluator(start, courses, model, nothing_yet, references)
     return drive_trials(engine, ranges, model, settings.seed)
 
 

@@ -4,7 +4,7 @@ An episode, as the paper's simulator runs it: every neuron at rest, one warm-up 
 start observation without the start signal, its motors ignored. Then in each control tick the circuit sees the
 pose at its start, its command is sent, ten physics substeps follow, and at its end the checkpoint that is due
 is judged. In a trial (``sim/world/randomization.py``) the circuit sees what odometry believes, the command
-may get lost, and the base makes of it what it can. ``engine.py`` does the same for many candidates at once
+may get lost, and the base makes of it what it can. ``evaluator.py`` does the same for many candidates at once
 and gives the same bits.
 """
 
@@ -15,25 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy, PolicyRunner
-from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.core.observation import SIGNALS, needs_reference, see
-from rover_ncp.course.reference import Reference, plan_reference
-from sim.world.bay import Bay
-from sim.world.fleet import SUBSTEPS
+from rover_ncp.course.course import TICK_S, Course, Verdict, due_checkpoints, reward
+from rover_ncp.course.reference import SIGNALS, Reference, needs_reference, plan_reference, see
+from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.randomization import (
     BaseErrors,
     OdometryErrors,
     Trials,
-    driven,
+    apply_base_errors,
+    dead_reckon,
     nominal_trials,
-    reckoned,
-    stepped,
+    quantise,
     trial_model,
 )
-from sim.world.rover import Rover, RoverModel, require_free_start
-from sim.world.scoring import due_checkpoints, reward
+from sim.world.rover import SUBSTEPS, RoverModel
 
 FloatArray = NDArray[np.float64]
 
@@ -90,7 +87,7 @@ class _Odometry:
             self._now = pose
         else:
             errors = *trials.odometry[row], trials.imbalance[row], trials.slip[row], trials.drift[row]
-            self._now = reckoned(self._now, self._true, pose, OdometryErrors(*map(float, errors)))
+            self._now = dead_reckon(self._now, self._true, pose, OdometryErrors(*map(float, errors)))
         self._true = pose
 
     def pushed(self, pose: Pose) -> None:
@@ -131,7 +128,8 @@ def rollout(
         reference = plan_reference(course)
     chosen = [SIGNALS.index(name) for name in policy.sensing.inputs]
     start, odometry = Pose(*trials.start[row].tolist()), _Odometry(trials, row)
-    rover, runner = Rover(trial_model(model, trials, row), Bay(course.obstacles), start), PolicyRunner(policy)
+    rover = PymunkRover(trial_model(model, trials, row), Ground(course.obstacles), start)
+    runner = PolicyRunner(policy)
 
     def observation(tick: int, signal: float) -> list[float]:
         signals = see(odometry.seen(tick), signal, reference.tick(tick) if reference else None)
@@ -147,8 +145,8 @@ def rollout(
         seen.append(odometry.seen(tick))
         v, omega = runner.tick(observation(tick, course.start_signal(TICK_S * tick)))
         if not trials.lost[row, tick]:
-            held = stepped(v, float(trials.step[0])), stepped(omega, float(trials.step[1]))
-        rover.command(*driven(*held, base))
+            held = quantise(v, float(trials.step[0])), quantise(omega, float(trials.step[1]))
+        rover.command(*apply_base_errors(*held, base))
         for _ in range(SUBSTEPS):
             rover.substep()
             touched = touched or rover.in_contact

@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.program import Program
-from rover_ncp.circuit.solver import fill_lane, tick_lanes
+from rover_ncp.circuit.compiled import Program, fill_lane
+from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.kernels.jit import borrowed, kernel
-from sim.learn.engine import Engine
 from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, finish_tick, pass_commands, start_episode
+from sim.learn.evaluator import Evaluator
 from sim.learn.flow import Answer
 from sim.learn.search.base import Vector
 from sim.world.fleet import FleetArrays, advance, read_poses, send
@@ -123,7 +123,7 @@ class Stream:
     ``room`` is how many candidates an agent may submit at once, ``enough`` how many keep all lanes busy.
     """
 
-    def __init__(self, engine: Engine, agents: int) -> None:
+    def __init__(self, engine: Evaluator, agents: int) -> None:
         self.room = max(_LEAST_ROOM, -(-_ROOM // agents))
         self.enough = -(-_IN_FLIGHT // agents)
         self._engine = engine

@@ -6,15 +6,15 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from rover_ncp.circuit.lanes import inert_parameters
+from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
 from rover_ncp.core.errors import RoverNcpError
+from rover_ncp.course.course import Course
 from sim.learn.cluster import DaskCluster
 from sim.learn.ensemble import Snapshot, run_ensemble
-from sim.learn.folder import RunFolder, open_run
 from sim.learn.objective import Deterministic, Objective
 from sim.learn.record import Task, TrainSettings
+from sim.learn.run_folder import RunFolder, open_run
 from sim.learn.team import Plan
 from sim.learn.workers import Inline, LocalProcesses, Workers, available_processes
 
@@ -47,10 +47,10 @@ def training_plan(settings: TrainSettings, task: Task) -> Plan:
 
 
 def _objective(policy: Policy, course: Course) -> Objective:
-    from sim.learn.engine import Engine
+    from sim.learn.evaluator import Evaluator
     from sim.learn.stream import Stream
 
-    engine = Engine(policy, course)
+    engine = Evaluator(policy, course)
     return Deterministic(engine.returns, engine.traces, partial(Stream, engine))
 
 

@@ -46,7 +46,7 @@ def compile_driver() -> None:
     from deploy.drive.controller import Controller
     from deploy.estimator.settings import EstimatorSettings
     from rover_ncp.circuit.policy_file import load_policy
-    from rover_ncp.core.course import load_course
+    from rover_ncp.course.course import load_course
 
     Controller(load_policy("parking"), load_course("parking"), EstimatorSettings())
 

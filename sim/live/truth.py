@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from rover_ncp.core.course import TICK_S, Course, Verdict
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import pose_stamped
 from rover_ncp.core.recording import Recorded
+from rover_ncp.course.course import TICK_S, Course, Verdict
 
 TRUTH_TOPIC = "truth/pose"
 TRUTH_FRAME = "course"

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import Circuit
-from rover_ncp.circuit.lanes import inert_parameters
+from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_circuit
-from rover_ncp.circuit.random_wiring import random_circuit
+from rover_ncp.circuit.tap_withdrawal import random_circuit
 from rover_ncp.core.errors import UsageError
-from sim.learn.nets import Net, NetKind, net_for
+from sim.learn.networks import Net, NetKind, net_for
 from sim.learn.search.base import Vector
 from sim.learn.search.published import shake
 from sim.paper.tasks import Task

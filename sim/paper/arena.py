@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.kernels.vectors import WIDTH
-from sim.learn.nets import Net
+from sim.learn.networks import Net
 from sim.paper.brain import make_brain
 from sim.paper.cheetah_model import NO_CHEETAH, load_cheetah
 from sim.paper.episodes import IDLE, RESULTS, Queue, Room, run_episodes

@@ -10,14 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import RESTING_MV, SynapseKind, build_circuit
-from rover_ncp.circuit.lanes import allocate_lanes, make_program, resting_potentials
+from rover_ncp.circuit.compiled import (
+    LaneParameters,
+    Program,
+    allocate_lanes,
+    fill_lane,
+    make_program,
+    resting_potentials,
+)
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.program import LaneParameters, Program
 from rover_ncp.circuit.sensing import Channel, Sensing
-from rover_ncp.circuit.solver import fill_lane, tick_lanes
+from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.kernels.jit import kernel
-from sim.learn.nets import (
+from sim.learn.networks import (
     Net,
     NetKind,
     NetLanes,

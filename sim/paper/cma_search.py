@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
-from sim.learn.nets import Net
+from sim.learn.networks import Net
 from sim.learn.search.base import Vector
 from sim.learn.search.cma import Cma
 from sim.learn.search.unit_box import UnitBox, reflected

@@ -6,9 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from rover_ncp.core.console import Output
+from rover_ncp.core.console import Json, Output
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.options import Json
 
 
 class What(StrEnum):

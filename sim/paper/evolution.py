@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import Policy
-from sim.learn.nets import Net
+from sim.learn.networks import Net
 from sim.learn.search.base import Vector
 from sim.learn.search.unit_box import UnitBox, reflected
 from sim.paper.agents import inert, untuned

@@ -6,8 +6,8 @@ from typing import Any
 from deploy.report.interpretation import contributions, time_constant_ranges
 from deploy.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import UsageError
+from rover_ncp.course.course import load_course
 from sim.learn.rollout import rollout
 from sim.paper.agents import build_agent
 from sim.paper.cell import Cell, Shelf

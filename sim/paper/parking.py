@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import load_course
-from sim.learn.engine import Engine
+from rover_ncp.course.course import load_course
+from sim.learn.evaluator import Evaluator
 from sim.learn.net_engine import NetEngine
-from sim.learn.nets import Net
+from sim.learn.networks import Net
 from sim.learn.search.base import Vector
 from sim.learn.search.strategies import start_search
 from sim.paper.agents import inert
@@ -44,7 +44,7 @@ class ParkingArena:
         course = load_course("parking")
         self.task, self.steps = task, 0
         self.engine = (
-            Engine(agent, course)
+            Evaluator(agent, course)
             if isinstance(agent, Policy)
             else NetEngine(agent, task.policy(task.circuit()), course)
         )

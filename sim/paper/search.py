@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rover_ncp.circuit.policy import Policy
-from sim.learn.nets import Net
+from sim.learn.networks import Net
 from sim.learn.search.base import Vector
 from sim.learn.search.published import FAILURES_TO_WIDEN, Caps, Published
 from sim.paper.agents import untuned

@@ -14,7 +14,7 @@ import numpy as np
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.core.errors import UsageError
-from sim.learn.nets import Net
+from sim.learn.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector
 from sim.learn.search.packed import pack

@@ -5,9 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from rover_ncp.core.console import Output
+from rover_ncp.core.console import MOST_SEED, Json, Output, Overwrite
 from rover_ncp.core.errors import FileError, UsageError
-from rover_ncp.core.options import MOST_SEED, Json, Overwrite
 
 
 def park(
@@ -32,7 +31,7 @@ def park(
     processes that drive a real one, and talk over Zenoh. Whether it parked is judged on the true pose, which
     the driver never sees. Ends with 0 parked, 1 not parked, or with the exit code of what failed.
     """
-    from rover_ncp.core.course import load_course
+    from rover_ncp.course.course import load_course
     from sim.learn.progress import TrainProgress
     from sim.learn.rollout import rollout
     from sim.park.park import PARK_ITERATIONS, require_free, train_until_parked
@@ -215,7 +214,7 @@ def evaluate(
     Ends with 1 if a single trial was driven and did not park, else with 0.
     """
     from rover_ncp.circuit.policy_file import load_policy
-    from rover_ncp.core.course import load_course
+    from rover_ncp.course.course import load_course
     from sim.learn.rollout import rollout
 
     output = Output(json)

@@ -17,12 +17,12 @@ from deploy.report.page.page import drive_page
 from deploy.report.recorded_drive import read_drive
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.course import Course, Verdict, load_course
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.files import require_creatable, write_atomic
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import read_text
 from rover_ncp.core.recording import Recording, read_recording, rewrite
+from rover_ncp.course.course import Course, Verdict, load_course
 from sim.learn.ensemble import Snapshot
 from sim.learn.record import TrainSettings
 from sim.learn.rollout import rollout

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rover_ncp.core.course import Course
 from rover_ncp.core.geometry import Pose
+from rover_ncp.course.course import Course
 
 # The outline of a Pioneer 3-AT in m (arcos.md's table of physical parameters: 626 by 505 mm).
 _LENGTH, _WIDTH = 0.626, 0.505

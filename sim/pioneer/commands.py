@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.options import MOST_SEED, Json, Overwrite
+from rover_ncp.core.console import MOST_SEED, Json, Overwrite
 
 
 def mock(

@@ -19,12 +19,12 @@ class Gyro:
 
     def __init__(self, rover: Rover, seed: int = 0) -> None:
         self._rover, self._random = rover, random.Random(seed)
-        self._angle, self._at = rover.body.angle, 0.0
+        self._angle, self._at = rover.turned, 0.0
         self.on = False
 
     def packet(self, now: float) -> Packet:
         """Return the readings since the last packet."""
-        angle, seconds = self._rover.body.angle, now - self._at
+        angle, seconds = self._rover.turned, now - self._at
         rate = (angle - self._angle) / seconds if seconds > 0 else 0.0
         self._angle, self._at = angle, now
         mean = GYRO_REST + OFFSET - rate / GYRO_RAD_S

@@ -10,14 +10,14 @@ from pathlib import Path
 
 from bridge.pioneer.robots import ROBOTS
 from rover_ncp.core.console import Output
-from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import UsageError
+from rover_ncp.course.course import load_course
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.server import Server, TruthFile, parse_listen
 from sim.pioneer.trial import BaseTrial, rover_of
-from sim.world.bay import Bay
+from sim.world.pymunk_rover import Ground
 from sim.world.randomization import Randomization, draw_trials
 
 TRIAL_TICKS = 600
@@ -51,7 +51,7 @@ def run_mock(
     ideal = rover_model_of(ROBOTS[model])
     ticks = known.ticks if known else TRIAL_TICKS
     trials = draw_trials(ranges, ideal, seed, count=1, ticks=ticks, first=trial)
-    rover = rover_of(trials, ideal, Bay(known.obstacles if known else ()))
+    rover = rover_of(trials, ideal, Ground(known.obstacles if known else ()))
 
     def make(start_s: float, observe: Callable[[float], None]) -> Firmware:
         return Firmware(model, rover, injected, start_s, observe, trial=BaseTrial(trials))

@@ -4,16 +4,12 @@ Two arrays, front (0 to 7) and rear (8 to 15), fire one sonar each per sonar cyc
 the order). A reading is the distance along the sonar's axis; a real cone has more echoes, and later ones.
 """
 
-import math
-
 from bridge.pioneer.packets import NO_ECHO_MM, Flag
 from bridge.pioneer.robots import RobotParameters
 from rover_ncp.core.geometry import compose
-from sim.world.bay import ROVER_FILTER
 from sim.world.rover import Rover
 
 ARRAY = 8
-RANGE_M = NO_ECHO_MM / 1000
 
 
 class Sonars:
@@ -74,7 +70,5 @@ class Sonars:
         return tuple(sorted(heard.items()))
 
     def _range_mm(self, rover: Rover, number: int) -> int:
-        x, y, theta = compose(rover.pose, self._poses[number])
-        end = (x + RANGE_M * math.cos(theta), y + RANGE_M * math.sin(theta))
-        hit = rover.bay.space.segment_query_first((x, y), end, 0.0, ROVER_FILTER)
-        return NO_ECHO_MM if hit is None else round(hit.alpha * NO_ECHO_MM)
+        echo_m = rover.range_along(compose(rover.pose, self._poses[number]), NO_ECHO_MM / 1000)
+        return NO_ECHO_MM if echo_m is None else round(1000 * echo_m)

@@ -7,11 +7,11 @@ pose in that tick. Quantised commands are not among a trial's errors here: ARCOS
 """
 
 from bridge.pioneer.arcos import Command
-from rover_ncp.core.course import TICK_S
 from rover_ncp.core.geometry import Pose, Velocity
-from sim.world.bay import Bay
-from sim.world.randomization import BaseErrors, OdometryErrors, Trials, driven
-from sim.world.rover import SUBSTEP_S, Rover, RoverModel
+from rover_ncp.course.course import TICK_S
+from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.world.randomization import BaseErrors, OdometryErrors, Trials, apply_base_errors
+from sim.world.rover import SUBSTEP_S, RoverModel
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 SET_POINTS = frozenset({Command.VEL, Command.RVEL})
@@ -36,7 +36,7 @@ class BaseTrial:
 
     def driven(self, v: float, omega: float) -> tuple[float, float]:
         """Return the motion that a setpoint (m/s, rad/s) leads to."""
-        return driven(v, omega, self._base)
+        return apply_base_errors(v, omega, self._base)
 
     def measured(self, motion: Velocity) -> Velocity:
         """Return the motion that encoders and gyro see."""
@@ -72,8 +72,8 @@ class BaseTrial:
         return Pose(*push) if self.tick == when and any(push) else None
 
 
-def rover_of(trials: Trials, model: RoverModel, bay: Bay, row: int = 0) -> Rover:
+def rover_of(trials: Trials, model: RoverModel, ground: Ground, row: int = 0) -> PymunkRover:
     """Return the rover of a trial at its start, with its delays; what else is wrong is a `BaseTrial`'s."""
     delay_v, delay_omega = (trials.delay[row] * SUBSTEP_S).tolist()
     slow = model.model_copy(update={"delay_v_s": delay_v, "delay_omega_s": delay_omega})
-    return Rover(slow, bay, Pose(*trials.start[row].tolist()))
+    return PymunkRover(slow, ground, Pose(*trials.start[row].tolist()))

@@ -17,17 +17,17 @@ from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course, Verdict
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.course.course import Course, Verdict
 from sim.evaluate.evaluate import cause
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.virtual import Air, World
-from sim.world.bay import Bay
+from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import Randomization, Trials, draw_trials
-from sim.world.rover import Rover, RoverModel
+from sim.world.rover import RoverModel
 
 MODEL = "p3at-sh"
 
@@ -88,7 +88,7 @@ class Stack:
         """Drive a trial from power-up to the motors' release."""
         course, trials = self.course(number), self.trials(number)
         start = Pose(*trials.start[0].tolist())
-        rover = rover_of(trials, self.model, Bay(course.obstacles))
+        rover = rover_of(trials, self.model, Ground(course.obstacles))
         truth = _Truth(rover, watch=bool(course.obstacles))
         world = World(Firmware(MODEL, rover, observe=truth.note, trial=BaseTrial(trials)))
         air = Air(world, start)
@@ -132,7 +132,7 @@ class Stack:
 class _Truth:
     """True poses of the rover at every substep."""
 
-    def __init__(self, rover: Rover, watch: bool) -> None:
+    def __init__(self, rover: PymunkRover, watch: bool) -> None:
         self._rover, self._watch = rover, watch
         self._times: list[float] = []
         self._poses: list[Pose] = []

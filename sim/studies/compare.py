@@ -28,15 +28,15 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
-from rover_ncp.circuit.random_wiring import random_circuit
 from rover_ncp.circuit.sensing import shifted_sensing
-from rover_ncp.core.course import Course, load_course
+from rover_ncp.circuit.tap_withdrawal import random_circuit
+from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate.evaluate import unseen_courses
 from sim.evaluate.laws import LAWS, GainCube, LawEngine
-from sim.learn.engine import Engine
+from sim.learn.evaluator import Evaluator
 from sim.learn.net_engine import NetEngine
-from sim.learn.nets import Net, NetKind, net_for
+from sim.learn.networks import Net, NetKind, net_for
 from sim.learn.record import RobustSettings, made_with
 from sim.learn.robust import Cube, RobustSearch, UnitCube, drive_trials, training_courses
 from sim.learn.search.unit_box import reflected
@@ -54,7 +54,7 @@ class Agent(NamedTuple):
     """The search space, its engine, and whether the agent can follow any course."""
 
     cube: Cube
-    engine: Callable[..., Engine]
+    engine: Callable[..., Evaluator]
     any_course: bool
 
 
@@ -98,7 +98,7 @@ def find_agent(name: str, seed: int) -> Agent:
 
 
 def _circuit(policy: Policy, any_course: bool) -> Agent:
-    return Agent(UnitCube(policy), partial(Engine, policy), any_course)
+    return Agent(UnitCube(policy), partial(Evaluator, policy), any_course)
 
 
 def _network(net: Net, policy: Policy, seed: int) -> Agent:

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.course import Course, load_course
+from rover_ncp.course.course import Course, load_course
 from sim.evaluate.evaluate import unseen_courses
 from sim.evaluate.laws import LAWS, LawEngine
-from sim.learn.engine import Engine
+from sim.learn.evaluator import Evaluator
 from sim.world.randomization import Randomization, draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
@@ -55,7 +55,7 @@ def parked(
         found = LawEngine(driver, courses, drawn).outcomes(LAWS[driver].tuned)
     else:
         policy = load_policy(driver)
-        found = Engine(policy, courses, trials=drawn).outcomes(policy.parameters())
+        found = Evaluator(policy, courses, trials=drawn).outcomes(policy.parameters())
     hits: NDArray[np.bool_] = found.parked[0]
     return hits
 

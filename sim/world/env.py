@@ -6,11 +6,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.course import TICK_S, Course, load_course
-from sim.world.bay import Bay
-from sim.world.fleet import SUBSTEPS
-from sim.world.rover import Rover, RoverModel, require_free_start
-from sim.world.scoring import due_checkpoints, reward
+from rover_ncp.course.course import TICK_S, Course, due_checkpoints, load_course, reward
+from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
+from sim.world.rover import SUBSTEPS, RoverModel
 
 ENV_ID = "RoverParking-v0"
 
@@ -39,9 +37,9 @@ class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
     | 0     | forward speed v | -0.16 | 0.16 | m/s   |
     | 1     | rate of turn ω  | -0.18 | 0.18 | rad/s |
 
-    A step is a control tick of 0.1 s. The reward is that of ``scoring.reward`` at the checkpoints and 0
-    between; doing nothing on the paper's course returns -14.18. ``info`` holds ``time_s`` and ``touched``
-    (something was touched since the reset).
+    A step is a control tick of 0.1 s. The reward is the paper's (``reward`` in ``rover_ncp/course``) at the
+    checkpoints and 0 between; doing nothing on the paper's course returns -14.18. ``info`` holds ``time_s``
+    and ``touched`` (something was touched since the reset).
 
     *Terminated*: the course's horizon is reached, so all there is to judge has been judged. *Truncated*:
     never by this environment; a collision ends nothing, as the rover stays where it is and pays for it.
@@ -63,7 +61,7 @@ class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._start()
 
     def _start(self) -> None:
-        self.rover = Rover(self.model, Bay(self.course.obstacles))
+        self.rover = PymunkRover(self.model, Ground(self.course.obstacles))
         self.tick = 0
         self.touched = False
 

@@ -1,4 +1,4 @@
-"""Many rovers stepped together from inside a kernel, each to the last bit as ``rover.Rover`` would go.
+"""Many rovers stepped together from inside a kernel, each to the last bit as ``PymunkRover`` would go.
 
 The rules are those of ``rover.py``, repeated on arrays. Every substep of every rover is Chipmunk's own step.
 An integrator of our own would be a second simulator.
@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.course import Obstacle
 from rover_ncp.core.geometry import Pose
+from rover_ncp.course.course import Obstacle
 from rover_ncp.kernels.jit import inlined_kernel, kernel
 from rover_ncp.kernels.vectors import (
     WIDTH,
@@ -34,16 +34,14 @@ from rover_ncp.kernels.vectors import (
     where_less,
 )
 from sim.world import chipmunk
-from sim.world.bay import Bay
-from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, RoverModel, own_axes, rover_body
+from sim.world.pymunk_rover import Ground, rover_body
+from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, SUBSTEPS, RoverModel, own_axes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SHARING_OPEN, SHARING_OBSTACLES = 24, 4
 """Rovers that share a space, at most: without obstacles and with them. Multiples or divisors of WIDTH."""
-SUBSTEPS = 10
-"""Physics steps in a control tick."""
 
 
 class FleetArrays(NamedTuple):
@@ -83,29 +81,29 @@ class FleetArrays(NamedTuple):
 
 
 class Fleet:
-    """Rovers on copies of one bay; ``arrays`` is for the kernels of this module."""
+    """Rovers on copies of one ground; ``arrays`` is for the kernels of this module."""
 
     def __init__(self, models: Sequence[RoverModel], obstacles: Sequence[Obstacle] = ()) -> None:
         sharing, lanes = SHARING_OBSTACLES if obstacles else SHARING_OPEN, len(models)
         # The kernels use the addresses of these objects, which must therefore live as long.
-        self.bays = [Bay(obstacles) for _ in range(0, lanes, sharing)]
+        self.grounds = [Ground(obstacles) for _ in range(0, lanes, sharing)]
         self.bodies = [
-            rover_body(model, self.bays[lane // sharing], has_shape=bool(obstacles))
+            rover_body(model, self.grounds[lane // sharing], has_shape=bool(obstacles))
             for lane, model in enumerate(models)
         ]
         for lane, body in enumerate(self.bodies):
-            chipmunk.leave_velocities(self.bays[lane // sharing].space, body)
+            chipmunk.leave_velocities(self.grounds[lane // sharing].space, body)
         if not obstacles:
-            for bay in self.bays:
-                bay.space.iterations = 1  # there will be no contact to solve
-                bay.space.collision_bias = 0.0
+            for ground in self.grounds:
+                ground.space.iterations = 1  # there will be no contact to solve
+                ground.space.collision_bias = 0.0
         limits = [_limits(model) for model in models]
         rise, fall, top, delay = (np.array(rows).T.copy() for rows in zip(*limits, strict=True))
         ticks_kept = int(delay.max()) // SUBSTEPS + 2
         bodies = np.array([chipmunk.body_address(body) for body in self.bodies])
         self.arrays = FleetArrays(
             layout=chipmunk.find_layout(),
-            spaces=np.array([chipmunk.space_address(bay.space) for bay in self.bays]),
+            spaces=np.array([chipmunk.space_address(ground.space) for ground in self.grounds]),
             sharing=sharing,
             bodies=bodies,
             shapes=np.array(

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rover_ncp.core.config import StrictModel, load_yaml
-from rover_ncp.core.course import TICK_S
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile, load_profile
+from rover_ncp.course.course import TICK_S
 from sim.world.rover import SUBSTEP_S, RoverModel
 
 FloatArray = NDArray[np.float64]
@@ -251,19 +251,19 @@ class OdometryErrors(NamedTuple):
 # The functions below are compiled into the engine's kernel as they are, and called by the plain rollout.
 
 
-def stepped(value: float, step: float) -> float:
+def quantise(value: float, step: float) -> float:
     """Return the nearest whole multiple of ``step``; the value itself if that is 0."""
     return value if step == 0.0 else step * math.floor(value / step + 0.5)
 
 
-def driven(v: float, omega: float, base: BaseErrors) -> tuple[float, float]:
+def apply_base_errors(v: float, omega: float, base: BaseErrors) -> tuple[float, float]:
     """Return what a base makes of a command (m/s, rad/s): the motion it then accelerates to."""
     forward = base.gain_v * v
     turn = base.gain_omega * omega
     return forward, turn * (1.0 - base.slip * abs(turn)) + base.imbalance * forward
 
 
-def reckoned(believed: Pose, before: Pose, after: Pose, errors: OdometryErrors) -> Pose:
+def dead_reckon(believed: Pose, before: Pose, after: Pose, errors: OdometryErrors) -> Pose:
     """Return where odometry believes to be after a tick, its heading not wrapped.
 
     It measures the motion in the rover's frame: distances and turn with their scales, the turn also with

@@ -16,8 +16,7 @@ from bridge.pioneer.robots import ROBOTS
 from sim.pioneer.firmware import Firmware, Link
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.server import Server
-from sim.world.bay import Bay
-from sim.world.rover import Rover
+from sim.world.pymunk_rover import Ground, PymunkRover
 
 MODEL = "p3at-sh"
 CAPTURE = next(capture for capture in CAPTURES if capture.name == "aria_simpleConnect_p3at-sh")
@@ -57,7 +56,7 @@ class AmriSimServer:
     """One on TCP, turned by a thread until ``close``."""
 
     def __init__(self):
-        self.rover = Rover(rover_model_of(ROBOTS[MODEL]), Bay())
+        self.rover = PymunkRover(rover_model_of(ROBOTS[MODEL]), Ground())
         flash = ConfigPac.decode(RECORDED[Kind.CONFIG].payload)
 
         def make(start_s, observe):

@@ -39,7 +39,6 @@ from rover_ncp.circuit.bnn import circuit_from_bnn, circuit_to_bnn
 from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
 from rover_ncp.core import protocol as lease
 from rover_ncp.core.config import dump_yaml, parse_yaml
-from rover_ncp.core.course import Course
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import read_bytes, resolve, shipped_names
 from rover_ncp.core.geometry import Pose, Velocity
@@ -58,10 +57,11 @@ from rover_ncp.core.messages import (
 )
 from rover_ncp.core.recording import Recorded, RecordingWriter, header_stamp_ns, read_recording
 from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.course.course import Course
 from sim.pioneer.firmware import Firmware
-from sim.world.bay import Bay
+from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import Randomization
-from sim.world.rover import Rover, RoverModel
+from sim.world.rover import RoverModel
 
 STILL = Velocity(0.0, 0.0)
 HERE = Pose(0.1, 0.2, 0.3)
@@ -126,7 +126,7 @@ def _driver(data):
 def _base(data):
     """The base's side, before and in a session."""
     for greeting in (b"", b"".join(encode_frame(kind) for kind in (0, 1, 2, 1))):
-        firmware = Firmware("p3at-sh", Rover(RoverModel(), Bay(())))
+        firmware = Firmware("p3at-sh", PymunkRover(RoverModel(), Ground(())))
         firmware.receive(greeting + data, 0.1)
         firmware.advance(0.3)
 
@@ -140,7 +140,7 @@ def _lines():
         encode_command(Command.SETO, (0, 0, 0)),
         encode_command(Command.OPEN),
     ]
-    firmware = Firmware("p3at-sh", Rover(RoverModel(), Bay(())))
+    firmware = Firmware("p3at-sh", PymunkRover(RoverModel(), Ground(())))
     firmware.receive(b"".join(encode_frame(kind) for kind in (0, 1, 2, 1, 18)), 0.1)
     firmware.advance(0.5)
     return [*commands, b"".join(commands), firmware.data_to_send()]

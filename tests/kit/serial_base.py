@@ -15,8 +15,7 @@ from bridge.pioneer.baud import RATES
 from bridge.pioneer.robots import ROBOTS
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of, rover_model_of
-from sim.world.bay import Bay
-from sim.world.rover import Rover
+from sim.world.pymunk_rover import Ground, PymunkRover
 
 SPEEDS = {getattr(termios, f"B{rate}"): rate for rate in (9600, 19200, 38400, 57600, 115200)}
 
@@ -45,7 +44,7 @@ class SerialBase:
         )  # ours stays open: without it, reading ends when a client leaves
         tty.setraw(self._near)
         self.port = os.ttyname(self._near)
-        self.rover = Rover(rover_model_of(ROBOTS[model]), Bay())
+        self.rover = PymunkRover(rover_model_of(ROBOTS[model]), Ground())
         self._start_s = time.monotonic()
         flash = replace(config_of(model), host_baud=RATES.index(rate))
         self.firmware = Listening(model, self.rover, start_s=self._start_s, config=flash)

@@ -13,7 +13,7 @@ from bridge_bench import Rig, wait_for
 from deploy.drive.lease import DriverLease
 from deploy.zenoh_client import client_config
 from rover_ncp import cli
-from rover_ncp.core.access_control import access_control
+from rover_ncp.core.credentials import access_control
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.key_table import KEYS, Kind, Role
 from rover_ncp.core.messages import read_text, twist_stamped

@@ -14,34 +14,45 @@ NO_BRIDGE = "--robot tcp/127.0.0.1:1"
 HEAVY = ["numba", "pymunk", "filterpy", "gymnasium", "matplotlib", "plotly", "zenoh", "rosbags", "scipy"]
 
 
-# Prints, for each command line, the exit code, the help, and the heavy modules that are loaded by then.
+# Prints, for each command line, the exit code, the help, and the modules that are loaded by then.
 HELP = """
 import contextlib, io, json, sys
 from rover_ncp.cli import run
-commands, heavy = json.loads(sys.argv[1])
-for command in commands:
+for command in json.loads(sys.argv[1]):
     with contextlib.redirect_stdout(io.StringIO()) as out:
         code = run([*command, "--help"])
-    print(json.dumps([command, code, out.getvalue(), [name for name in heavy if name in sys.modules]]))
+    print(json.dumps([code, out.getvalue(), sorted(sys.modules)]))
 """
 
 
-def test_help_teaches_and_imports_nothing_heavy():
-    commands = [[], *[[name] for name in COMMANDS]]
+def help_of(commands):
+    """Ask for help on command lines, in one process; return (exit code, help, loaded modules) of each."""
     done = subprocess.run(
-        [sys.executable, "-c", HELP, json.dumps([commands, HEAVY])],
+        [sys.executable, "-c", HELP, json.dumps(commands)],
         capture_output=True,
         text=True,
         timeout=100,
         check=True,
     )
     assert done.stderr == ""
-    answers = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [answer[0] for answer in answers] == commands
-    for command, code, said, loaded in answers:
-        assert (code, loaded) == (0, []), command
-        assert "Usage: rover-ncp" in said
-        assert "--json" in said or not command
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def test_help_teaches_and_imports_nothing_heavy():
+    answers = help_of([[], *[[name] for name in COMMANDS]])
+    assert len(answers) == 1 + len(COMMANDS)
+    for name, (code, text, loaded) in zip(["", *COMMANDS], answers, strict=True):
+        assert (code, [module for module in HEAVY if module in loaded]) == (0, []), name
+        assert "Usage: rover-ncp" in text
+        assert "--json" in text or not name
+
+
+@pytest.mark.parametrize("name", ["park", "train", "deploy"])
+def test_a_command_imports_no_other_commands_module(name):
+    modules = {point.name: point.module for point in entry_points(group=cli.GROUP)}
+    [(_, _, loaded)] = help_of([[name]])
+    assert modules[name] in loaded
+    assert set(modules.values()) & set(loaded) == {modules[name]}
 
 
 @pytest.mark.parametrize(

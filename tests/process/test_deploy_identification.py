@@ -24,7 +24,7 @@ from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.virtual import Air, World
 from sim.studies.identify import driven, errors, identified, robot, truth
-from sim.world.bay import Bay
+from sim.world.pymunk_rover import Ground
 from sim.world.randomization import load_randomization
 from sim.world.rover import RoverModel
 
@@ -222,7 +222,7 @@ def test_a_record_that_says_nothing_is_refused():
 
 def excited(trials, fence_m):
     """Drive the steps on a virtual clock; return the farthest from the start, what stopped it, the base."""
-    rover = rover_of(trials, RoverModel(), Bay(()))
+    rover = rover_of(trials, RoverModel(), Ground(()))
     start, farthest = rover.pose, [0.0]
     firmware = Firmware(
         "p3at-sh",

@@ -7,10 +7,10 @@ import pytest
 from bridge_bench import client
 
 from deploy.replay import replay
-from rover_ncp.core.course import load_course
 from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
 from rover_ncp.core.key_table import key
 from rover_ncp.core.messages import pose_with_covariance
+from rover_ncp.course.course import load_course
 from sim.live.processes import LiveRun
 from sim.live.truth import read_truth
 

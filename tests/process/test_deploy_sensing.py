@@ -14,9 +14,8 @@ from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import NoPose
 from rover_ncp.core.geometry import Pose, compose, distance, inverse
-from rover_ncp.core.imu import imu
 from rover_ncp.core.key_table import key
-from rover_ncp.core.messages import odometry, pose_with_covariance, read_pose, read_text
+from rover_ncp.core.messages import imu, odometry, pose_with_covariance, read_pose, read_text
 from rover_ncp.core.protocol import parse_json
 from rover_ncp.core.recording import read_recording, rewrite
 

@@ -16,8 +16,8 @@ from bridge_bench import MACHINE_S, Rig, braking_s, wait_for
 
 from deploy.teleop.keyboard import HOLD_S, V_M_S
 from rover_ncp import cli
-from rover_ncp.core.course import load_course
 from rover_ncp.core.recording import read_recording
+from rover_ncp.course.course import load_course
 
 REPEAT_S, DELAY_S = 0.033, 0.3
 # As in a shell: the terminal is the process's own, so that Ctrl-C is a signal.

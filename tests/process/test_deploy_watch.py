@@ -16,9 +16,9 @@ from deploy.report.page.feed import Feed, Place
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core import messages
-from rover_ncp.core.course import load_course
 from rover_ncp.core.protocol import DriverStatus, dump_json
 from rover_ncp.core.recording import Recorded
+from rover_ncp.course.course import load_course
 from sim.live.processes import LiveRun, Process
 
 SHORT = "tests/data/short_course.yaml"

@@ -26,18 +26,30 @@ def middle(x):
 @kernel
 def last(x):
     return inner(x)
+def make(called, offset):
+    @kernel
+    def made(x):
+        return called(x) + offset
+    return made
 if __name__ == "__main__":
     print("ready", flush=True)
     input()
     print(outer(10.0), sum(outer.stats.cache_hits.values()))
 """
+FACTORY = (
+    CALLER.replace("outer(10.0)", "made(10.0) + twice(10.0)")
+    .replace("outer.stats", "made.stats")
+    .replace(
+        'print("ready"', 'made, twice = make(inner, FACTOR), make(make(inner, 1.0), 2.0)\n    print("ready"'
+    )
+)
 COMMAND = [sys.executable, "-c", "import runpy; runpy.run_path('caller.py', run_name='__main__')"]
 
 
-def run(folder, factor, environment=None, count=1):
+def run(folder, factor, environment=None, count=1, caller=CALLER):
     """Run the kernels in so many processes that begin together; return (value, cache hits) of each."""
     (folder / "callee.py").write_text(CALLEE.format(factor=factor))
-    (folder / "caller.py").write_text(CALLER)
+    (folder / "caller.py").write_text(caller)
     path = {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
     processes = [
         subprocess.Popen(
@@ -72,6 +84,17 @@ def test_machine_code_is_kept_until_something_in_it_changes(tmp_path):
     assert run(tmp_path, 2.0) == [(42.0, 1)]
     # The caller's own file is the same, but what it calls and the constant it reads are not.
     assert run(tmp_path, 3.0) == [(63.0, 0)]
+
+
+def test_kernels_of_a_factory_are_kept_until_a_free_variable_changes(tmp_path):
+    def run_made(factor):
+        return run(tmp_path, factor, caller=FACTORY)
+
+    # 10 f + f, and 10 f + 1 + 2
+    assert run_made(2.0) == [(45.0, 0)]
+    assert run_made(2.0) == [(45.0, 1)]
+    assert run_made(3.0) == [(66.0, 0)]
+    assert run_made(2.0) == [(45.0, 1)]
 
 
 def test_kernels_run_where_nothing_can_be_written(tmp_path):

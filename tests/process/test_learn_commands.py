@@ -17,9 +17,9 @@ from paths import DATA
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from sim.learn.commands import SearchName
-from sim.learn.engine import Engine
+from sim.learn.evaluator import Evaluator
 from sim.learn.progress import TrainProgress
 from sim.learn.search.strategies import STRATEGIES
 
@@ -94,7 +94,7 @@ def test_json_is_one_object_with_the_documented_fields(
     assert fields["iterations_per_s"] > 0
     assert 0 < fields["wall_s"] < 120
     policy = load_policy(fields["policy"])
-    score = Engine(policy, load_course(COURSE)).returns(policy.parameters()[None])[0]
+    score = Evaluator(policy, load_course(COURSE)).returns(policy.parameters()[None])[0]
     assert score == fields["best_return"]
 
 

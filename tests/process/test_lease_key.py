@@ -6,15 +6,15 @@ from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.protocol import MotorsReply
 from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import Air, World
-from sim.world.bay import Bay
-from sim.world.rover import Rover, RoverModel
+from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.world.rover import RoverModel
 
 
 class OpenWorld(World):
     """A world that keeps all that the bridge publishes and all that it answers."""
 
     def __init__(self):
-        super().__init__(Firmware("p3at-sh", Rover(RoverModel(), Bay(()))))
+        super().__init__(Firmware("p3at-sh", PymunkRover(RoverModel(), Ground(()))))
         self.published, self.answered = [], []
 
     def publish(self, name, data):

@@ -6,7 +6,7 @@ from deploy.report.charts.figure import Picture, figure, render
 from deploy.report.charts.shapes import OUTLINE, placed
 from deploy.report.charts.style import BLUE, GREEN, GREY, INK, VERMILLION
 from deploy.report.charts.trajectory import setting
-from rover_ncp.core.course import Course
+from rover_ncp.course.course import Course
 from rover_ncp.course.feasibility import Drivability
 
 ARROW_M = 0.06

@@ -13,7 +13,7 @@ from deploy.report.charts.figure import Picture
 from deploy.report.interpretation import BINS, Contribution
 from deploy.report.phases import Phase
 from deploy.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
-from rover_ncp.core.course import Course
+from rover_ncp.course.course import Course
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

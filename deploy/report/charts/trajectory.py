@@ -21,7 +21,7 @@ from deploy.report.charts.style import (
 from deploy.report.layout import Layer, labels, layers
 from deploy.report.phases import Phase
 from deploy.report.trace import Trace
-from rover_ncp.core.course import Course
+from rover_ncp.course.course import Course
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

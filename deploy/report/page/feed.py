@@ -15,8 +15,8 @@ from deploy.report.page.page_data import command_columns, event_rows, findings, 
 from deploy.report.recorded_drive import judge
 from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
 from rover_ncp.core.recording import Recorded
+from rover_ncp.course.course import Course
 
 FINAL = frozenset({"parked", "ended", "fault"})
 BEFORE = 50

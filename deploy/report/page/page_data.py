@@ -20,7 +20,7 @@ from deploy.report.published import CONTRIBUTIONS
 from deploy.report.timeline import Command, Moved, Tick, Timeline
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.course import Course
+from rover_ncp.course.course import Course
 
 TRUTH_STEP_NS = 50_000_000
 """A mock writes the true pose at 100 Hz; a picture needs no more than 20."""

@@ -7,8 +7,8 @@ from rover_ncp.core.messages import read_odometry
 from rover_ncp.core.protocol import MotorsRequest, dump_json
 from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import WALL_NS, World
-from sim.world.bay import Bay
-from sim.world.rover import Rover, RoverModel
+from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.world.rover import RoverModel
 
 HOUR_NS = 3600 * 1_000_000_000
 SECOND_NS = 1_000_000_000
@@ -25,7 +25,7 @@ class SetWorld(World):
 
 @pytest.fixture
 def world():
-    world = SetWorld(Firmware("p3at-sh", Rover(RoverModel(), Bay(()))))
+    world = SetWorld(Firmware("p3at-sh", PymunkRover(RoverModel(), Ground(()))))
     world.stamps = []
 
     def hear(name, data):

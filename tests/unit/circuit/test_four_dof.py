@@ -8,7 +8,7 @@ from rover_ncp.circuit.policy import Policy, PolicyRunner, absolute_policy, park
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
 from rover_ncp.circuit.tap_withdrawal import four_dof_circuit, parking_circuit
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 
 MOTORS = ("FWD", "REV", "LFT", "RGT")
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from rover_ncp.circuit.circuit import SynapseKind
-from rover_ncp.circuit.random_wiring import random_circuit
-from rover_ncp.circuit.tap_withdrawal import PARKING_NEURONS, SENSORY
+from rover_ncp.circuit.tap_withdrawal import PARKING_NEURONS, SENSORY, random_circuit
 from rover_ncp.core.errors import UsageError
 
 

@@ -12,11 +12,11 @@ from hypothesis.extra import numpy as hnp
 
 from rover_ncp.circuit import solver_reference as reference
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
-from rover_ncp.circuit.lanes import allocate_lanes, lane_parameters, make_program, resting_potentials
+from rover_ncp.circuit.compiled import allocate_lanes, fill_lane, make_program, resting_potentials
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
-from rover_ncp.circuit.solver import exp2, fill_lane, tick_lanes
+from rover_ncp.circuit.solver import exp2, tick_lanes
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.kernels.jit import kernel
 
@@ -144,7 +144,10 @@ def run_lanes(policy, vectors, observations):
     """Run lanes (L, P) over observations (ticks, inputs, L); return potentials (n, L) and commands (o, L)."""
     potentials = resting_potentials(policy, len(vectors))
     commands = np.empty((len(policy.motors.outputs), len(vectors)))
-    lanes, program = lane_parameters(policy, vectors), make_program(policy)
+    program = make_program(policy)
+    lanes = allocate_lanes(program, policy, len(vectors))
+    for lane, vector in enumerate(vectors):
+        fill_lane(program, lanes, lane, vector)
     for observation in observations:
         tick_lanes(program, lanes, potentials, observation, commands)
     return potentials, commands

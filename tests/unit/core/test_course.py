@@ -3,9 +3,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.course import Course, load_course
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose
+from rover_ncp.course.course import Course, load_course
 
 
 @pytest.fixture(scope="module")

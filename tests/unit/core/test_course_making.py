@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from rover_ncp.core.config import parse_yaml
-from rover_ncp.core.course import Course
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative
 from rover_ncp.core.messages import odometry
 from rover_ncp.core.recording import Recorded, RecordingWriter
 from rover_ncp.course.builder import Place, PoseList, course_yaml, make_course, read_poses
+from rover_ncp.course.course import Course
 from rover_ncp.course.feasibility import Cause
 from rover_ncp.course.reference import drive_profile
 

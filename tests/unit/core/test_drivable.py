@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_ncp.core.course import Checkpoint, Course, Obstacle, load_course
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.course.course import Checkpoint, Course, Obstacle, load_course
 from rover_ncp.course.feasibility import Cause, check_course
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
-from sim.world.bay import Bay
-from sim.world.rover import RoverModel, rover_body
+from sim.world.pymunk_rover import Ground, rover_body
+from sim.world.rover import RoverModel
 
 
 def course_of(*points, horizon_s=20.0, obstacles=()):
@@ -35,8 +35,8 @@ def test_the_clearance_is_that_of_the_simulators_rover():
     course = load_course("bay")
     found = check_course(course)
     assert 0.05 < found.clearance_m < 0.12
-    bay = Bay(course.obstacles)
-    body = rover_body(RoverModel(), bay)
+    ground = Ground(course.obstacles)
+    body = rover_body(RoverModel(), ground)
     (shape,) = body.shapes
     for wider, touches in ((-0.001, False), (0.001, True)):
         # The simulator's own collision detection, with every obstacle grown by the clearance.
@@ -44,9 +44,9 @@ def test_the_clearance_is_that_of_the_simulators_rover():
         touched = False
         for x, y, theta in found.reference.poses:
             body.position, body.angle = (x, y), theta
-            bay.space.reindex_shapes_for_body(body)
+            ground.space.reindex_shapes_for_body(body)
             near = [
-                other for other in bay.space.shapes if other is not shape and _apart(shape, other) < margin
+                other for other in ground.space.shapes if other is not shape and _apart(shape, other) < margin
             ]
             touched |= bool(near)
         assert touched == touches

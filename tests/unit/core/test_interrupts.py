@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from rover_ncp.core.signals import Interrupts
+from rover_ncp.core.process import Interrupts
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -5,10 +5,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_ncp.core.course import TICK_S, Checkpoint, Course, load_course
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.core.observation import SIGNALS, see, seen_from
-from rover_ncp.course.reference import OMEGA_MAX, V_MAX, deviations, drive_profile, plan_reference
+from rover_ncp.course.course import TICK_S, Checkpoint, Course, load_course
+from rover_ncp.course.reference import (
+    OMEGA_MAX,
+    SIGNALS,
+    V_MAX,
+    deviations,
+    drive_profile,
+    plan_reference,
+    see,
+    seen_from,
+)
 
 
 def course_of(*points, horizon_s=20.0):

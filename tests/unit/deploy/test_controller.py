@@ -8,15 +8,14 @@ from deploy.drive.controller import Controller
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import PolicyRunner, course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
-from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative, wrap_angle
-from rover_ncp.core.observation import SIGNALS, see
-from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.course import load_course
+from rover_ncp.course.reference import SIGNALS, plan_reference, see
 from sim.learn.rollout import rollout
-from sim.world.bay import Bay
+from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import nominal_trials
-from sim.world.rover import Rover, RoverModel
+from sim.world.rover import RoverModel
 
 GOLDEN = "tests/data/golden/parking.bnn"
 COURSE = load_course("parking")
@@ -41,7 +40,8 @@ def as_a_base_reports(pose, velocity):
 
 def drive(policy, odom=ORIGIN, pose=ORIGIN, report=lambda p, v: (p, v), latency=0.003, lose=()):
     """A whole course in simulation; returns the true poses (course frame), the ticks, the controller."""
-    rover, controller = Rover(RoverModel(), Bay(), pose), Controller(policy, COURSE, EstimatorSettings())
+    rover = PymunkRover(RoverModel(), Ground(), pose)
+    controller = Controller(policy, COURSE, EstimatorSettings())
     to_odom = compose(odom, relative(pose, ORIGIN))  # the course's origin as odometry calls it
     start, _ = report(compose(to_odom, rover.pose), Velocity(0, 0))
     controller.start(start, -DT, pose)
@@ -104,7 +104,7 @@ def started_at(pose):
 
 
 def test_driven_on_odometry_the_rover_goes_where_exact_poses_take_it(policy):
-    rover, runner, exact = Rover(RoverModel(), Bay()), PolicyRunner(policy), []
+    rover, runner, exact = PymunkRover(RoverModel(), Ground()), PolicyRunner(policy), []
     runner.warm_up((0.0, 0.0, 0.0, 0.0))
     for index in range(COURSE.ticks):
         exact.append(rover.pose)

@@ -10,15 +10,15 @@ from deploy.estimator.course_filter import CourseFilter
 from deploy.estimator.estimator import Estimator
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, inverse, relative, wrap_angle
+from rover_ncp.course.random_course import random_course
 from sim.world.fleet import Fleet
-from sim.world.random_course import random_course
 from sim.world.randomization import (
     BaseErrors,
     OdometryErrors,
     Randomization,
+    apply_base_errors,
+    dead_reckon,
     draw_trials,
-    driven,
-    reckoned,
     trial_model,
 )
 from sim.world.rover import RoverModel
@@ -76,7 +76,7 @@ class Drives:
         self.odometry = [believed]
         for tick in range(TICKS):
             commands = [
-                driven(
+                apply_base_errors(
                     *asked[row][tick],
                     BaseErrors(*trials.gain[row], trials.imbalance[row], trials.slip[row]),
                 )
@@ -89,7 +89,7 @@ class Drives:
                 errors = OdometryErrors(
                     *odometry[row], trials.imbalance[row], trials.slip[row], trials.drift[row]
                 )
-                after = reckoned(believed[row], poses[-2][row], poses[-1][row], errors)
+                after = dead_reckon(believed[row], poses[-2][row], poses[-1][row], errors)
                 way = relative(poses[-2][row], poses[-1][row])
                 length, n = math.hypot(way.x, way.y), rng.normal(size=3)
                 stray = Pose(

@@ -16,7 +16,6 @@ from deploy.replay import replay
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml, save_policy
 from rover_ncp.cli import run as shell
-from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity, compose
 from rover_ncp.core.messages import (
@@ -29,6 +28,7 @@ from rover_ncp.core.messages import (
     twist_stamped,
 )
 from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording, rewrite
+from rover_ncp.course.course import load_course
 
 MS = 1_000_000
 T0 = 1_700_000_000_000_000_000

@@ -4,10 +4,10 @@ from deploy.drive.controller import Controller
 from deploy.drive.safety_monitor import ResponseCheck
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.course import load_course
 from rover_ncp.core.geometry import Pose, Velocity
-from sim.world.bay import Bay
-from sim.world.rover import Rover, RoverModel
+from rover_ncp.course.course import load_course
+from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.world.rover import RoverModel
 
 STILL = Velocity(0.0, 0.0)
 
@@ -54,7 +54,7 @@ def test_a_burst_of_commands_is_not_judged_when_it_is_long_over(lag, ticks):
 @pytest.mark.parametrize("model", [RoverModel(), RoverModel(accel=0.21, delay_v_s=0.3, delay_omega_s=0.3)])
 def test_a_rover_that_obeys_is_never_accused(model, request):
     """A whole manoeuvre, on the base as it is and on a sluggish one (delays 300 ms, acceleration −30 %)."""
-    course, rover = load_course("parking"), Rover(model, Bay())
+    course, rover = load_course("parking"), PymunkRover(model, Ground())
     for policy in ("parking", str(request.config.rootpath / "tests/data/golden/parking.bnn")):
         controller, watch = Controller(load_policy(policy), course, EstimatorSettings()), ResponseCheck()
         controller.start(Pose(0, 0, 0), -0.1)

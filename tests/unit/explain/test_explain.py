@@ -9,11 +9,11 @@ from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from sim.explain.explain import explain
 from sim.explain.knockout import knock_outs, without_neuron, without_synapse
 from sim.explain.sensitivity import parameter_names, sensitivities
-from sim.learn.engine import Engine
+from sim.learn.evaluator import Evaluator
 from sim.learn.rollout import rollout
 
 SHORT = "tests/data/short_course.yaml"
@@ -73,7 +73,7 @@ def test_sensitivities_are_the_returns_of_moved_parameters(parking):
     found = sensitivities(parking, course, step=0.01)
     vector = parking.parameters()
     assert len(found) == len(vector)
-    engine = Engine(parking, course)
+    engine = Evaluator(parking, course)
     base = engine.returns(vector)[0]
     for i in (0, 40, 93):
         row = found[i]

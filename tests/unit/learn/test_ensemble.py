@@ -14,10 +14,10 @@ from paths import DATA
 
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
-from rover_ncp.core.course import Course, load_course
 from rover_ncp.core.errors import UsageError
-from sim.learn.engine import Engine
+from rover_ncp.course.course import Course, load_course
 from sim.learn.ensemble import Snapshot, run_ensemble
+from sim.learn.evaluator import Evaluator
 from sim.learn.flow import Answer, Flow
 from sim.learn.objective import Deterministic, Objective, Sampled
 from sim.learn.record import Task, TrainSettings
@@ -133,7 +133,7 @@ def test_one_two_and_three_processes_give_the_same_bits() -> None:
 
 
 def test_racing_decides_as_running_to_the_end() -> None:
-    engine = Engine(POLICY, SHORT)
+    engine = Evaluator(POLICY, SHORT)
     thresholds: list[np.ndarray] = []
 
     def raced(vectors: np.ndarray, to_beat: np.ndarray) -> np.ndarray:

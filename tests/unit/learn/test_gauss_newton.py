@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_ncp.circuit.lanes import inert_parameters
+from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from sim.learn.search import descent as descents

@@ -9,12 +9,12 @@ import yaml
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.cli import run
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
+from rover_ncp.course.random_course import random_course
 from rover_ncp.course.reference import plan_reference
-from sim.learn.engine import Engine, Outcomes
+from sim.learn.evaluator import Evaluator, Outcomes
 from sim.learn.robust import RobustSearch, UnitCube, costs, drive_trials, training_courses
 from sim.learn.search.unit_box import reflected
-from sim.world.random_course import random_course
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
@@ -25,7 +25,7 @@ FULL = load_randomization("full")
 
 def engine():
     trials = draw_trials(FULL, MODEL, 0, count=1, ticks=COURSE.ticks)
-    return Engine(START, COURSE, MODEL, trials)
+    return Evaluator(START, COURSE, MODEL, trials)
 
 
 def searching(seed=3):
@@ -202,7 +202,7 @@ def test_commands_are_rounded_from_their_stage_on_every_other_generation():
 def test_all_courses_take_their_turn_once_all_rollouts_are_driven(number, count, turning):
     mine = [COURSE.model_copy(update={"name": str(i)}) for i in range(150)]
     trials = draw_trials(FULL, MODEL, 3, count=1, ticks=COURSE.ticks)
-    judge = Engine(START, mine, MODEL, trials, [plan_reference(COURSE)] * 150)
+    judge = Evaluator(START, mine, MODEL, trials, [plan_reference(COURSE)] * 150)
     drive, going, driven = drive_trials(judge, FULL, MODEL, 3), searching(), []
     run = judge._run
 

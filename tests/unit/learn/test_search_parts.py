@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rover_ncp.circuit.circuit import ParameterKind
-from rover_ncp.circuit.lanes import inert_parameters
+from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import ParameterLayout, parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from sim.learn.search.least_squares import (
@@ -58,15 +58,15 @@ def test_walls_are_mirrors() -> None:
 
 
 def test_inert_parameters_change_no_return_and_all_others_do() -> None:
-    from rover_ncp.core.course import load_course
-    from sim.learn.engine import Engine
+    from rover_ncp.course.course import load_course
+    from sim.learn.evaluator import Evaluator
 
     rng = np.random.default_rng(1)
     base = np.clip(DEFAULTS + 0.05 * WIDTH * rng.standard_normal(LAYOUT.size), LAYOUT.lower, LAYOUT.upper)
     vectors = np.tile(base, (LAYOUT.size + 1, 1))
     for i in range(LAYOUT.size):
         vectors[i, i] += 0.01 * WIDTH[i] * (1 if base[i] < LAYOUT.upper[i] - 0.02 * WIDTH[i] else -1)
-    _, misses = Engine(POLICY, load_course("parking")).traces(vectors)
+    _, misses = Evaluator(POLICY, load_course("parking")).traces(vectors)
     same = np.array([np.array_equal(row, misses[-1]) for row in misses[:-1]])
     assert same.tolist() == INERT.tolist()
 

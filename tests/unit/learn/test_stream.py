@@ -9,8 +9,8 @@ from paths import DATA
 
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
-from rover_ncp.core.course import load_course
-from sim.learn.engine import Engine
+from rover_ncp.course.course import load_course
+from sim.learn.evaluator import Evaluator
 from sim.learn.flow import Lockstep
 from sim.learn.objective import Deterministic
 from sim.learn.stream import Stream
@@ -22,8 +22,8 @@ SHORT = load_course(DATA / "short_course.yaml")
 
 
 @pytest.fixture(scope="module")
-def engine() -> Engine:
-    return Engine(POLICY, SHORT)
+def engine() -> Evaluator:
+    return Evaluator(POLICY, SHORT)
 
 
 def candidates(count: int, seed: int = 1) -> np.ndarray:
@@ -32,13 +32,13 @@ def candidates(count: int, seed: int = 1) -> np.ndarray:
     return np.clip(vectors, LAYOUT.lower, LAYOUT.upper)
 
 
-def plan(engine: Engine, strategy: str, stream: Callable[[int], Stream] | None = None) -> Plan:
+def plan(engine: Evaluator, strategy: str, stream: Callable[[int], Stream] | None = None) -> Plan:
     objective = Deterministic(engine.returns, engine.traces, stream)
     return Plan(5, strategy, LAYOUT, POLICY.parameters(), lambda: objective)
 
 
 @pytest.mark.parametrize(("strategy", "iterations"), [("gauss-newton", 400), ("published", 200)])
-def test_a_stream_decides_as_batches_do(engine: Engine, strategy: str, iterations: int) -> None:
+def test_a_stream_decides_as_batches_do(engine: Evaluator, strategy: str, iterations: int) -> None:
     begin = [AgentState(number) for number in range(7)]  # too many to draw three candidates ahead
     in_batches = Team(plan(engine, strategy)).advance(begin, iterations)
     streamed = Team(plan(engine, strategy, partial(Stream, engine)))
@@ -46,7 +46,7 @@ def test_a_stream_decides_as_batches_do(engine: Engine, strategy: str, iteration
     assert streamed.advance(half, iterations) == in_batches
 
 
-def test_answers_are_those_of_the_engine_in_any_order(engine: Engine) -> None:
+def test_answers_are_those_of_the_engine_in_any_order(engine: Evaluator) -> None:
     stream, lockstep = (
         Stream(engine, 4),
         Lockstep(Deterministic(engine.returns, engine.traces), True),
@@ -69,7 +69,7 @@ def test_answers_are_those_of_the_engine_in_any_order(engine: Engine) -> None:
     assert lockstep.collect() == []
 
 
-def test_truncated_episode_does_not_delay_the_others(engine: Engine) -> None:
+def test_truncated_episode_does_not_delay_the_others(engine: Evaluator) -> None:
     stream, vectors = Stream(engine, 2), candidates(8)
     whole = engine.returns(vectors)
     thresholds = np.where(np.arange(8) < 4, np.inf, whole)
@@ -85,7 +85,7 @@ def test_truncated_episode_does_not_delay_the_others(engine: Engine) -> None:
     assert answers[1].values.tolist() == whole[4:].tolist()
 
 
-def test_an_agent_that_waits_cannot_submit_again_nor_more_than_there_is_room(engine: Engine) -> None:
+def test_an_agent_that_waits_cannot_submit_again_nor_more_than_there_is_room(engine: Evaluator) -> None:
     stream = Stream(engine, 2)
     many = np.zeros(stream.room + 1)
     with pytest.raises(ValueError, match="agent 0 cannot submit"):

@@ -15,13 +15,13 @@ from paths import DATA
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core import files
-from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
+from rover_ncp.course.course import load_course
 from sim.learn.curve import curve_csv, curve_iterations, curve_png
-from sim.learn.engine import Engine
 from sim.learn.ensemble import Snapshot
-from sim.learn.folder import is_milestone
+from sim.learn.evaluator import Evaluator
 from sim.learn.record import TrainSettings
+from sim.learn.run_folder import is_milestone
 from sim.learn.team import AgentState
 from sim.learn.train import TrainResult, train
 
@@ -82,7 +82,7 @@ def test_the_policy_scores_what_its_provenance_says_to_the_last_bit(reference: P
     rows = list(csv.reader((reference / "curve.csv").read_text().splitlines()))
     for name, column in (("00", 1), ("01", 2)):
         policy = load_policy(reference / "agents" / f"{name}.yaml")
-        score = Engine(policy, course).returns(policy.parameters()[None])[0]
+        score = Evaluator(policy, course).returns(policy.parameters()[None])[0]
         assert score == policy.provenance["return"] == float(rows[-1][column])
         assert policy.courses == ("short",)
     best = load_policy(reference / "policy.yaml")
@@ -145,7 +145,7 @@ def test_dying_before_any_single_write_changes_nothing(
 ) -> None:
     """With a checkpoint every round: the death comes before the first write, the second, ... the last."""
     monkeypatch.setattr("sim.learn.train._CHECKPOINT_SHARE", float("inf"))
-    monkeypatch.setattr("sim.learn.folder.curve_png", lambda *_: b"drawing takes longest")
+    monkeypatch.setattr("sim.learn.run_folder.curve_png", lambda *_: b"drawing takes longest")
     left = 0
 
     def dying_write(path: Path, data: bytes | str) -> None:
@@ -155,7 +155,7 @@ def test_dying_before_any_single_write_changes_nothing(
             raise _Died
         files.write_atomic(path, data)
 
-    for module in ("sim.learn.agent_file", "sim.learn.folder", "rover_ncp.circuit.policy_file"):
+    for module in ("sim.learn.agent_file", "sim.learn.run_folder", "rover_ncp.circuit.policy_file"):
         monkeypatch.setattr(f"{module}.write_atomic", dying_write)
     expected, deaths = content(reference) | {"curve.png": b"drawing takes longest"}, 0
     while True:

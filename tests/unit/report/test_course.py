@@ -5,7 +5,7 @@ import json
 import pytest
 
 from rover_ncp import cli
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 
 POSES = "x,y,theta\n1.0,1.0,1.5708\n1.0,1.6,1.5708\n"
 

@@ -16,10 +16,10 @@ from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.cli import run
 from rover_ncp.core import messages
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.course import load_course
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.protocol import DriverStatus, GateStatus, dump_json
 from rover_ncp.core.recording import Recorded, RecordingWriter
+from rover_ncp.course.course import load_course
 
 SHORT = "tests/data/short_course.yaml"
 STRING = "std_msgs/msg/String"

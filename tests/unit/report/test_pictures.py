@@ -11,7 +11,7 @@ from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.sensing import parking_sensing
 from rover_ncp.circuit.tap_withdrawal import PARKING_NEURONS, parking_circuit
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from sim.explain.explain import traced
 from sim.learn.rollout import rollout
 

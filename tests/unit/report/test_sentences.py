@@ -12,7 +12,7 @@ from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, course_policy, parking_policy
 from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from sim.learn.rollout import rollout
 
 EX, IN = SynapseKind.EXCITATORY, SynapseKind.INHIBITORY

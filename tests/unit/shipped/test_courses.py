@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from rover_ncp.core.course import load_course
 from rover_ncp.core.files import shipped_names
+from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import deviations, plan_reference
-from sim.world.bay import Bay
-from sim.world.rover import RoverModel, rover_body
+from sim.world.pymunk_rover import Ground, rover_body
+from sim.world.rover import RoverModel
 
 
 @pytest.mark.parametrize("name", shipped_names("courses"))
@@ -31,12 +31,12 @@ def test_the_way_into_the_bay_is_free_and_narrow():
     poses = plan_reference(course).poses
 
     def touches(shift_y):
-        bay = Bay(course.obstacles)
-        body = rover_body(RoverModel(), bay)
+        ground = Ground(course.obstacles)
+        body = rover_body(RoverModel(), ground)
         for x, y, theta in poses:
             body.position, body.angle = (x, y + shift_y), theta
-            bay.space.reindex_shapes_for_body(body)
-            if any(bay.space.shape_query(shape) for shape in body.shapes):
+            ground.space.reindex_shapes_for_body(body)
+            if any(ground.space.shape_query(shape) for shape in body.shapes):
                 return True
         return False
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from sim.evaluate.evaluate import evaluate, unseen_courses
 from sim.world.randomization import load_randomization
 

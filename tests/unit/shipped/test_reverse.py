@@ -4,7 +4,7 @@ import numpy as np
 
 from rover_ncp.circuit.motors import four_dof_motors
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from sim.learn.rollout import rollout
 
 

@@ -14,7 +14,7 @@ from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
 from rover_ncp.cli import run
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate import evaluate
 from sim.evaluate.evaluate import unseen_courses, wilson

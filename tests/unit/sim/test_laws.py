@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate.evaluate import evaluate
 from sim.evaluate.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, GainCube, LawEngine, law_command

@@ -9,10 +9,10 @@ from paths import DATA
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
-from rover_ncp.core.course import load_course
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, distance
 from rover_ncp.core.robot_profile import RoverProfile, load_profile
+from rover_ncp.course.course import load_course
 from sim.learn.rollout import rollout
 from sim.pioneer.trial import BaseTrial
 from sim.stack.parallel import drive_all

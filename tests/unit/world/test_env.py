@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from rover_ncp.core.course import Checkpoint, Course, Obstacle, load_course
 from rover_ncp.core.errors import ConfigError
+from rover_ncp.course.course import Checkpoint, Course, Obstacle, due_checkpoints, load_course
 from sim.world.env import ENV_ID
 from sim.world.rover import RoverModel
-from sim.world.scoring import due_checkpoints
 
 
 def play(env, action_at):

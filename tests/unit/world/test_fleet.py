@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_ncp.core.course import Obstacle
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.course.course import Obstacle
 from sim.world import chipmunk
-from sim.world.bay import Bay
 from sim.world.fleet import Fleet, wrapped
-from sim.world.rover import Rover, RoverModel
+from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.world.rover import RoverModel
 
 BOX = (
     Obstacle(x=0.7, y=0.0, length=0.2, width=2.0),
@@ -47,7 +47,7 @@ def random_commands(seed, ticks, lanes, v, omega):
 
 def drive_alone(model, obstacles, start, commands):
     """Return the poses (ticks, 3) and whether anything was touched."""
-    rover = Rover(model, Bay(obstacles), start)
+    rover = PymunkRover(model, Ground(obstacles), start)
     poses, touched = [], False
     for v, omega in commands.tolist():
         rover.command(v, omega)

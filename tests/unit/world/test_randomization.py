@@ -7,17 +7,17 @@ from hypothesis import strategies as st
 
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose, compose, inverse
-from sim.world.random_course import random_course
+from rover_ncp.course.random_course import random_course
 from sim.world.randomization import (
     BaseErrors,
     OdometryErrors,
     Randomization,
+    apply_base_errors,
+    dead_reckon,
     draw_trials,
-    driven,
     load_randomization,
     nominal_trials,
-    reckoned,
-    stepped,
+    quantise,
     trial_model,
 )
 from sim.world.rover import RoverModel
@@ -96,7 +96,7 @@ poses = st.builds(Pose, place, place, angle)
 
 @given(poses, poses, poses)
 def test_odometry_without_errors_follows_every_motion(believed, before, after):
-    found = reckoned(believed, before, after, OdometryErrors(1.0, 1.0, 0.0, 0.0, 0.0))
+    found = dead_reckon(believed, before, after, OdometryErrors(1.0, 1.0, 0.0, 0.0, 0.0))
     expected = compose(believed, compose(inverse(before), after))
     assert found[:2] == pytest.approx(expected[:2], abs=1e-9)
     assert math.remainder(found[2] - expected[2], math.tau) == pytest.approx(0.0, abs=1e-9)
@@ -106,7 +106,7 @@ def test_odometry_has_the_errors_it_is_given():
     there, further = Pose(0.0, 0.0, 0.0), Pose(0.02, 0.0, 0.01)
 
     def odometry(*errors):
-        return reckoned(there, there, further, OdometryErrors(*errors))
+        return dead_reckon(there, there, further, OdometryErrors(*errors))
 
     assert odometry(1.03, 1.0, 0.0, 0.0, 0.0) == pytest.approx((0.0206, 0, 0.01))
     assert odometry(1.0, 0.97, 0.0, 0.0, 0.0) == pytest.approx((0.02, 0, 0.0097))
@@ -116,12 +116,12 @@ def test_odometry_has_the_errors_it_is_given():
 
 
 def test_what_a_base_makes_of_a_command():
-    assert driven(0.1, -0.2, BaseErrors(1.1, 0.9, 0.0, 0.0)) == pytest.approx((0.11, -0.18))
-    assert driven(0.1, 0.0, BaseErrors(1.0, 1.0, 0.03, 0.0)) == pytest.approx((0.1, 0.003))
-    assert driven(0.0, 0.2, BaseErrors(1.0, 1.0, 0.0, 0.3))[1] == pytest.approx(0.2 * (1 - 0.06))
-    assert stepped(0.1234567, 0.001) == pytest.approx(0.123)
-    assert stepped(-0.03, 0.0174533) == pytest.approx(-2 * 0.0174533)
-    assert stepped(0.1234567, 0.0) == 0.1234567
+    assert apply_base_errors(0.1, -0.2, BaseErrors(1.1, 0.9, 0.0, 0.0)) == pytest.approx((0.11, -0.18))
+    assert apply_base_errors(0.1, 0.0, BaseErrors(1.0, 1.0, 0.03, 0.0)) == pytest.approx((0.1, 0.003))
+    assert apply_base_errors(0.0, 0.2, BaseErrors(1.0, 1.0, 0.0, 0.3))[1] == pytest.approx(0.2 * (1 - 0.06))
+    assert quantise(0.1234567, 0.001) == pytest.approx(0.123)
+    assert quantise(-0.03, 0.0174533) == pytest.approx(-2 * 0.0174533)
+    assert quantise(0.1234567, 0.0) == 0.1234567
 
 
 def test_ranges_that_cannot_be_are_refused(tmp_path):

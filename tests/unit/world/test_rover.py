@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_ncp.core.course import Obstacle
 from rover_ncp.core.geometry import Pose, Velocity
-from sim.world.bay import Bay
-from sim.world.rover import Rover, RoverModel
+from rover_ncp.course.course import Obstacle
+from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.world.rover import RoverModel
 
 WALL = Obstacle(x=1.0, y=0.0, length=0.2, width=4.0)
 WALL_FACE_X = 0.9
@@ -61,7 +61,7 @@ def drives(draw):
 @settings(max_examples=40, deadline=None)
 @given(drives())
 def test_follows_the_papers_kinematics_in_open_ground(commands):
-    driven = drive(Rover(RoverModel(), Bay()), commands.tolist())
+    driven = drive(PymunkRover(RoverModel(), Ground()), commands.tolist())
     expected = papers_kinematics(commands.tolist())
     assert np.abs(driven[:, :2] - expected[:, :2]).max() < 1e-4
     turned = np.array([math.remainder(a, math.tau) for a in driven[:, 2] - expected[:, 2]])
@@ -71,7 +71,7 @@ def test_follows_the_papers_kinematics_in_open_ground(commands):
 @pytest.mark.parametrize(("delay_v", "delay_omega"), [(0, 0), (1, 9), (15, 10), (23, 40)])
 def test_a_command_is_obeyed_after_exactly_its_delay(delay_v, delay_omega):
     model = RoverModel(delay_v_s=delay_v / 100, delay_omega_s=delay_omega / 100)
-    rover = Rover(model, Bay())
+    rover = PymunkRover(model, Ground())
     for _ in range(3):
         rover.substep()
     rover.command(0.16, 0.18)
@@ -86,12 +86,12 @@ def test_a_command_is_obeyed_after_exactly_its_delay(delay_v, delay_omega):
 def test_delays_that_are_no_multiple_of_a_tick_follow_the_kinematics():
     rng = np.random.default_rng(5)
     commands = rng.uniform((0, -0.18), (0.16, 0.18), (320, 2)).tolist()
-    driven = drive(Rover(RoverModel(delay_v_s=0.03, delay_omega_s=0.27), Bay()), commands)
+    driven = drive(PymunkRover(RoverModel(delay_v_s=0.03, delay_omega_s=0.27), Ground()), commands)
     assert np.abs(driven - papers_kinematics(commands, 3, 27)).max() < 1e-4
 
 
 def test_limits_may_change_while_driving():
-    rover = Rover(RoverModel(delay_v_s=0.0, delay_omega_s=0.0), Bay())
+    rover = PymunkRover(RoverModel(delay_v_s=0.0, delay_omega_s=0.0), Ground())
     rover.change_limits(accel=0.5, decel=0.1, alpha=2.0, alpha_decel=1.0)
     rover.command(10.0, -10.0)
     rover.substep()
@@ -107,7 +107,7 @@ def test_limits_may_change_while_driving():
 
 
 def test_starts_at_its_pose_and_slides_no_further_sideways():
-    rover = Rover(RoverModel(), Bay(), Pose(3.0, -2.0, 0.5))
+    rover = PymunkRover(RoverModel(), Ground(), Pose(3.0, -2.0, 0.5))
     assert rover.pose == pytest.approx(Pose(3.0, -2.0, 0.5))
     rover.body.velocity = pymunk.Vec2d(0.0, 0.5).rotated(0.5)  # as after a push from the side
     for _ in range(200):
@@ -121,7 +121,7 @@ def test_starts_at_its_pose_and_slides_no_further_sideways():
 
 @pytest.mark.parametrize("command", [(math.nan, 0.0), (0.0, math.inf)])
 def test_refuses_a_command_that_is_no_number(command):
-    rover = Rover(RoverModel(), Bay())
+    rover = PymunkRover(RoverModel(), Ground())
     with pytest.raises(ValueError, match="finite"):
         rover.command(*command)
 
@@ -133,12 +133,12 @@ def farthest_corner_x(rover):
 
 def without_shapes(rover):
     for shape in list(rover.body.shapes):
-        rover.bay.space.remove(shape)
+        rover.ground.space.remove(shape)
 
 
 def drive_at_the_wall(start, solid=True, v=0.16, omega=0.0):
     """Return the deepest overlap (m), whether contact was reported, and the rover after 20 s."""
-    rover = Rover(RoverModel(), Bay([WALL]), start)
+    rover = PymunkRover(RoverModel(), Ground([WALL]), start)
     corners = next(iter(rover.body.shapes)).get_vertices()
     if not solid:
         without_shapes(rover)
@@ -197,16 +197,16 @@ def test_placing_a_rover_forgets_its_contact_and_its_commands():
 
 def push_a_box(mass, solid=True):
     """Drive at a box that stands on the ground with friction 0.6; return how far it moved in 20 s."""
-    bay = Bay()
+    ground = Ground()
     size = (0.3, 0.6)
     box = pymunk.Body(mass, pymunk.moment_for_box(mass, size))
     box.position = (0.6, 0.0)
-    slip = pymunk.PivotJoint(bay.space.static_body, box, (0.6, 0.0), (0.0, 0.0))
+    slip = pymunk.PivotJoint(ground.space.static_body, box, (0.6, 0.0), (0.0, 0.0))
     slip.max_bias, slip.max_force = 0.0, 0.6 * mass * 9.81
-    turn = pymunk.GearJoint(bay.space.static_body, box, 0.0, 1.0)
+    turn = pymunk.GearJoint(ground.space.static_body, box, 0.0, 1.0)
     turn.max_bias, turn.max_force = 0.0, 0.6 * mass * 9.81 * 0.2
-    bay.space.add(box, pymunk.Poly.create_box(box, size), slip, turn)
-    rover = Rover(RoverModel(), bay)
+    ground.space.add(box, pymunk.Poly.create_box(box, size), slip, turn)
+    rover = PymunkRover(RoverModel(), ground)
     if not solid:
         without_shapes(rover)
     rover.command(0.16, 0.0)

@@ -1,8 +1,7 @@
 """A course: checkpoints with deadlines, the start signal, obstacles, and what counts as parked.
 
 Poses are those of the base in the course's frame; times count from the run's start. The paper's course and
-its reward are in section VI and the published simulator; a checkpoint is judged at the first tick at or
-after its deadline, at most one a tick.
+its reward are in section VI and the published simulator.
 """
 
 from dataclasses import dataclass
@@ -10,6 +9,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from rover_ncp.core.config import StrictModel, load_yaml
@@ -148,3 +149,29 @@ class Course(StrictModel):
 def load_course(name_or_path: str | Path) -> Course:
     """Load a shipped course by name or a course file by path. Raises FileError or ConfigError."""
     return load_yaml(resolve("courses", name_or_path), Course)
+
+
+def due_checkpoints(course: Course) -> NDArray[np.int64]:
+    """Return (ticks,): the index of the checkpoint that is judged at the end of each tick, or -1.
+
+    That is the next one whose deadline has come, at most one a tick. Tick k ends at 0.1 (k + 1) s; the
+    tolerance keeps a deadline at a tick's end there whatever its last bit.
+    """
+    due = np.full(course.ticks, -1, np.int64)
+    following = 0
+    for tick in range(course.ticks):
+        end_s = TICK_S * (tick + 1)
+        if following < len(course.checkpoints) and course.checkpoints[following].t <= end_s + 1e-9:
+            due[tick] = following
+            following += 1
+    return due
+
+
+def reward(pose: Pose, checkpoint: Pose) -> float:
+    """Return the paper's reward for ``pose`` at the deadline of ``checkpoint``: minus the squared miss.
+
+    1 rad counts as 1 m.
+    """
+    dx, dy = pose.x - checkpoint.x, pose.y - checkpoint.y
+    dtheta = wrap_angle(pose.theta - checkpoint.theta)
+    return -(dx * dx + dy * dy + dtheta * dtheta)

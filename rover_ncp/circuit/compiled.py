@@ -11,18 +11,107 @@ to parameter vectors and ticks them, all of it from Python or from a kernel of i
 """
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import RESTING_MV, Circuit, ParameterKind, SynapseKind
+from rover_ncp.circuit.motors import MotorMap
 from rover_ncp.circuit.policy import ParameterLayout, Policy
-from rover_ncp.circuit.program import Chemical, Gaps, LaneParameters, Program, Stepped
-from rover_ncp.circuit.sensing import Drive
-from rover_ncp.circuit.solver import fill_lane
+from rover_ncp.circuit.sensing import SensorMap
+from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH, aligned_zeros
 
+FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+LOG2_E = 1.4426950408889634
+
+
+class Stepped(NamedTuple):
+    """The d neurons that are not driven; a neuron's place here is its slot. ``*_at``: in the vector."""
+
+    neuron: IntArray
+    leak_potential_at: IntArray
+    leak_at: IntArray
+    capacitance_at: IntArray
+
+
+class Chemical(NamedTuple):
+    """Chemical synapses, those of a slot together, its excitatory ones before its inhibitory ones."""
+
+    source: IntArray
+    weight_at: IntArray
+    sigma_at: IntArray
+    first: IntArray
+    """(d + 1,) where a slot's synapses begin; the next slot's entry is where they end."""
+    first_inhibitory: IntArray
+    """(d,) where its inhibitory ones begin."""
+
+
+class Gaps(NamedTuple):
+    """Gap junctions, those of a slot together."""
+
+    source: IntArray
+    weight_at: IntArray
+    first: IntArray
+    """(d + 1,) where a slot's junctions begin."""
+
+
+class Program(NamedTuple):
+    """The structure that all lanes share. Settled synapses come from driven neurons, active ones do not."""
+
+    dt_s: float
+    substeps: int
+    sensors: SensorMap
+    stepped: Stepped
+    settled: Chemical
+    active: Chemical
+    settled_gaps: Gaps
+    active_gaps: Gaps
+    motors: MotorMap
+    motor_low: float
+    motor_scale: float
+    """1 / (high - low) of the motors, 1/mV."""
+    input_layer_at: IntArray
+    output_layer_at: IntArray
+    """(channels, inputs) and (outputs, channels): places in the vector; without a layer of shape (0, 0)."""
+    input_range: FloatArray
+    """(inputs,) what a layer's inputs are divided by."""
+    output_limit: FloatArray
+    """(outputs,) what a layer's outputs are parts of; of shape (0,) without limits."""
+
+
+class LaneParameters(NamedTuple):
+    """The numbers of all lanes and room to work in, so: one thread at a time.
+
+    B blocks of WIDTH lanes. The contents of spare lanes in the last block are not used.
+    """
+
+    settled_weight: FloatArray
+    settled_slope: FloatArray
+    active_weight: FloatArray
+    active_slope: FloatArray
+    """(B, synapses, WIDTH) each; a slope is -sigma log2 e."""
+    settled_gap: FloatArray
+    active_gap: FloatArray
+    """(B, junctions, WIDTH) each."""
+    rate: FloatArray
+    leak_current: FloatArray
+    conductance: FloatArray
+    """(B, d, WIDTH) each: C / dt; G E_L; and C / dt + G + the sum of gap junctions."""
+    input_layer: FloatArray
+    output_layer: FloatArray
+    """(B, channels * inputs, WIDTH) and (B, outputs * channels, WIDTH)."""
+    potential: FloatArray
+    """(1, n, WIDTH) the block at work, mV."""
+    current: FloatArray
+    total: FloatArray
+    stepped: FloatArray
+    """(1, d, WIDTH) each: what is constant over a tick, and the next potentials."""
+    channel: FloatArray
+    """(1, sensory or motor channels, WIDTH)."""
 
 
 def make_program(policy: Policy) -> Program:
@@ -31,10 +120,10 @@ def make_program(policy: Policy) -> Program:
     Synapses into driven neurons drop out: what drives a neuron overrides them.
     """
     circuit, layout = policy.circuit, policy.layout()
-    drive = _with_held(policy.sensing.drive(circuit), circuit)
-    stepped = np.setdiff1d(np.arange(circuit.size), drive.neuron)
+    sensors = _with_held(policy.sensing.map_onto(circuit), circuit)
+    stepped = np.setdiff1d(np.arange(circuit.size), sensors.neuron)
     live = np.isin(circuit.destination, stepped)
-    settled = np.isin(circuit.source, drive.neuron)
+    settled = np.isin(circuit.source, sensors.neuron)
     chemical = circuit.chemical
 
     def neurons_at(kind: ParameterKind) -> IntArray:
@@ -44,7 +133,7 @@ def make_program(policy: Policy) -> Program:
     return Program(
         dt_s=policy.dt_s,
         substeps=policy.substeps,
-        drive=drive,
+        sensors=sensors,
         stepped=Stepped(
             neuron=stepped,
             leak_potential_at=neurons_at(ParameterKind.LEAK_POTENTIAL),
@@ -55,7 +144,7 @@ def make_program(policy: Policy) -> Program:
         active=_chemical(circuit, layout, stepped, live & chemical & ~settled),
         settled_gaps=_gaps(circuit, stepped, live & ~chemical & settled),
         active_gaps=_gaps(circuit, stepped, live & ~chemical & ~settled),
-        pull=policy.motors.pull(circuit),
+        motors=policy.motors.map_from(circuit),
         motor_low=policy.motors.low_mV,
         motor_scale=1.0 / (policy.motors.high_mV - policy.motors.low_mV),
         input_layer_at=_layer_at(policy, layout, ParameterKind.INPUT_LAYER),
@@ -115,16 +204,6 @@ def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParamete
     return lanes
 
 
-def lane_parameters(policy: Policy, vectors: ArrayLike) -> LaneParameters:
-    """Return lanes set to parameter vectors (L, P), which must lie in bounds."""
-    rows = np.asarray(vectors, np.float64)
-    program = make_program(policy)
-    lanes = allocate_lanes(program, policy, len(rows))
-    for lane, vector in enumerate(rows):
-        fill_lane(program, lanes, lane, vector)
-    return lanes
-
-
 def resting_potentials(policy: Policy, count: int) -> NDArray[np.float64]:
     """Return the potentials (n, count) in mV at the start of a run."""
     potentials = aligned_zeros(policy.circuit.size, count)
@@ -132,18 +211,64 @@ def resting_potentials(policy: Policy, count: int) -> NDArray[np.float64]:
     return potentials
 
 
-def _with_held(drive: Drive, circuit: Circuit) -> Drive:
-    """Return the drive with the held neurons added: constant, whatever is observed."""
-    held = [i for i in sorted(circuit.held) if i not in drive.neuron]
+@kernel
+def fill_lane(program: Program, lanes: LaneParameters, lane: int, vector: FloatArray) -> None:
+    """Set the numbers of one lane from a parameter vector (P,), which must lie in bounds."""
+    block, place = lane // WIDTH, lane % WIDTH
+    fill_synapses(program.settled, lanes.settled_weight, lanes.settled_slope, vector, lane)
+    fill_synapses(program.active, lanes.active_weight, lanes.active_slope, vector, lane)
+    neurons, leak_potential_at, leak_at, capacitance_at = program.stepped
+    rates, leak_currents, conductances = lanes.rate, lanes.leak_current, lanes.conductance
+    for d in range(len(neurons)):
+        rate = vector[capacitance_at[d]] / program.dt_s
+        leak = vector[leak_at[d]]
+        rates[block, d, place] = rate
+        leak_currents[block, d, place] = leak * vector[leak_potential_at[d]]
+        conductances[block, d, place] = rate + leak
+    fill_gaps(program.settled_gaps, lanes.settled_gap, lanes.conductance, vector, lane)
+    fill_gaps(program.active_gaps, lanes.active_gap, lanes.conductance, vector, lane)
+    ranges = program.input_range
+    for i, at in enumerate(program.input_layer_at.flat):
+        lanes.input_layer[block, i, place] = vector[at] / ranges[i % len(ranges)]
+    for i, at in enumerate(program.output_layer_at.flat):
+        lanes.output_layer[block, i, place] = vector[at]
+
+
+@kernel
+def fill_synapses(
+    synapses: Chemical, weight: FloatArray, slope: FloatArray, vector: FloatArray, lane: int
+) -> None:
+    """Set one lane's chemical synapses."""
+    block, place = lane // WIDTH, lane % WIDTH
+    weight_at, sigma_at = synapses.weight_at, synapses.sigma_at
+    for s in range(len(weight_at)):
+        weight[block, s, place] = vector[weight_at[s]]
+        slope[block, s, place] = -LOG2_E * vector[sigma_at[s]]
+
+
+@kernel
+def fill_gaps(gaps: Gaps, weight: FloatArray, total: FloatArray, vector: FloatArray, lane: int) -> None:
+    """Set one lane's gap junctions, and add them to the conductances of their slots."""
+    block, place = lane // WIDTH, lane % WIDTH
+    first, weight_at = gaps.first, gaps.weight_at
+    for d in range(len(first) - 1):
+        for s in range(first[d], first[d + 1]):
+            weight[block, s, place] = vector[weight_at[s]]
+            total[block, d, place] += vector[weight_at[s]]
+
+
+def _with_held(sensors: SensorMap, circuit: Circuit) -> SensorMap:
+    """Return the sensors with the held neurons added: constant, whatever is observed."""
+    held = [i for i in sorted(circuit.held) if i not in sensors.neuron]
     held_mV = np.array([circuit.held[i] for i in held], np.float64)
     zeros = np.zeros(len(held))
-    return Drive(
-        neuron=np.concatenate([drive.neuron, np.array(held, np.int64)]),
-        channel=np.concatenate([drive.channel, zeros.astype(np.int64)]),
-        base=np.concatenate([drive.base, zeros]),
-        gain=np.concatenate([drive.gain, zeros]),
-        lower=np.concatenate([drive.lower, held_mV]),
-        upper=np.concatenate([drive.upper, held_mV]),
+    return SensorMap(
+        neuron=np.concatenate([sensors.neuron, np.array(held, np.int64)]),
+        channel=np.concatenate([sensors.channel, zeros.astype(np.int64)]),
+        base=np.concatenate([sensors.base, zeros]),
+        gain=np.concatenate([sensors.gain, zeros]),
+        lower=np.concatenate([sensors.lower, held_mV]),
+        upper=np.concatenate([sensors.upper, held_mV]),
     )
 
 

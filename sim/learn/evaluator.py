@@ -10,18 +10,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rover_ncp.circuit.lanes import allocate_lanes, make_program, resting_potentials
+from rover_ncp.circuit.compiled import Program, allocate_lanes, make_program, resting_potentials
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.program import Program
-from rover_ncp.core.course import TICK_S, Course
-from rover_ncp.core.observation import SIGNALS, needs_reference
-from rover_ncp.course.reference import Reference, plan_reference
+from rover_ncp.course.course import TICK_S, Course, due_checkpoints
+from rover_ncp.course.reference import SIGNALS, Reference, needs_reference, plan_reference
 from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, run_episodes
 from sim.learn.rollout import require_driver
 from sim.world.fleet import Fleet
+from sim.world.pymunk_rover import require_free_start
 from sim.world.randomization import Trials, nominal_trials
-from sim.world.rover import SUBSTEP_S, RoverModel, require_free_start
-from sim.world.scoring import due_checkpoints
+from sim.world.rover import SUBSTEP_S, RoverModel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -51,7 +49,7 @@ class Outcomes(NamedTuple):
     a course has fewer: a return is minus the sum of their squares."""
 
 
-class Engine:
+class Evaluator:
     """Scores parameter vectors of one kind of policy. Not for several threads at once.
 
     With ``trials``, trial i is driven on course i modulo the number of courses; without, each course once

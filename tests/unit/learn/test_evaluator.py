@@ -9,17 +9,16 @@ import pytest
 
 from rover_ncp.circuit.policy import PolicyRunner, course_policy, parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
-from rover_ncp.core.course import Obstacle, load_course
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import wrap_angle
+from rover_ncp.course.course import Obstacle, due_checkpoints, load_course
+from rover_ncp.course.random_course import mirrored, random_course
 from rover_ncp.course.reference import plan_reference
-from sim.learn.engine import Engine
+from sim.learn.evaluator import Evaluator
 from sim.learn.rollout import rollout
 from sim.world.env import ENV_ID
-from sim.world.random_course import mirrored, random_course
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
-from sim.world.scoring import due_checkpoints
 
 COURSE = load_course("parking")
 POLICY = parking_policy(parking_circuit())
@@ -51,7 +50,7 @@ def alone(vector, course=COURSE, model=None):
 def test_a_lane_returns_what_a_rover_alone_returns(course):
     vectors = candidates(40)  # more than lanes, so lanes are used again, after collisions, too
     runs = [alone(vector, course) for vector in vectors]
-    assert Engine(POLICY, course).returns(vectors).tolist() == [run.total for run in runs]
+    assert Evaluator(POLICY, course).returns(vectors).tolist() == [run.total for run in runs]
     assert any(run.touched for run in runs) == bool(course.obstacles)
     assert len({run.total for run in runs}) > 30
 
@@ -69,12 +68,12 @@ def test_a_lane_returns_what_the_environment_returns():
             observation, reward, terminated, _, _ = env.step(runner.tick(observation))
             total += reward
         returns.append(total)
-    assert Engine(POLICY, COURSE).returns(vectors).tolist() == returns
+    assert Evaluator(POLICY, COURSE).returns(vectors).tolist() == returns
 
 
 def test_misses_are_those_of_a_rover_alone_and_make_up_the_return():
     vectors = candidates(10, seed=8)
-    returns, misses = Engine(POLICY, FENCED).traces(vectors)
+    returns, misses = Evaluator(POLICY, FENCED).traces(vectors)
     due = due_checkpoints(FENCED)
     assert misses.shape == (10, 1, len(FENCED.checkpoints), 3)
     for vector, total, episode in zip(vectors, returns, misses[:, 0], strict=True):
@@ -89,16 +88,16 @@ def test_misses_are_those_of_a_rover_alone_and_make_up_the_return():
 
 
 def test_company_and_place_change_no_bit():
-    engine, vectors = Engine(POLICY, FENCED), candidates(50, seed=2)
+    engine, vectors = Evaluator(POLICY, FENCED), candidates(50, seed=2)
     returns = engine.returns(vectors)
     assert np.array_equal(engine.returns(vectors[::-1])[::-1], returns)
     assert np.array_equal(engine.returns(vectors[7:12]), returns[7:12])
     assert [engine.returns(vector)[0] for vector in vectors[:5]] == returns[:5].tolist()
-    assert np.array_equal(Engine(POLICY, FENCED).returns(vectors[20:]), returns[20:])
+    assert np.array_equal(Evaluator(POLICY, FENCED).returns(vectors[20:]), returns[20:])
 
 
 def test_a_lost_race_is_stopped_and_no_other_is_touched():
-    engine, vectors = Engine(POLICY, COURSE), candidates(60, seed=3)
+    engine, vectors = Evaluator(POLICY, COURSE), candidates(60, seed=3)
     returns = engine.returns(vectors)
     thresholds = np.where(np.arange(60) % 3 == 0, returns, np.median(returns))  # its own return is no loss
     raced = engine.returns(vectors, thresholds)
@@ -113,9 +112,9 @@ def test_a_lost_race_is_stopped_and_no_other_is_touched():
 def test_other_rovers_other_returns():
     model = RoverModel(delay_v_s=0.32, delay_omega_s=0.05, accel=0.1, decel=0.2, alpha=0.5)
     vectors = candidates(4, seed=4)
-    returns = Engine(POLICY, COURSE, model).returns(vectors)
+    returns = Evaluator(POLICY, COURSE, model).returns(vectors)
     assert returns.tolist() == [alone(vector, model=model).total for vector in vectors]
-    assert not np.array_equal(returns, Engine(POLICY, COURSE).returns(vectors))
+    assert not np.array_equal(returns, Evaluator(POLICY, COURSE).returns(vectors))
 
 
 @pytest.mark.parametrize("policy", [POLICY, TRACKER], ids=["absolute", "course"])
@@ -124,7 +123,7 @@ def test_trials_end_as_a_rover_alone_does(policy, level):
     model = RoverModel()
     trials = draw_trials(load_randomization(level), model, 5, count=3, ticks=COURSE.ticks)
     vectors = candidates(3, seed=5, policy=policy)
-    found = Engine(policy, COURSE, model, trials).outcomes(vectors)
+    found = Evaluator(policy, COURSE, model, trials).outcomes(vectors)
     reference = plan_reference(COURSE)
     for i, vector in enumerate(vectors):
         for j in range(trials.size):
@@ -149,7 +148,7 @@ def test_courses_and_trials_in_one_batch_as_each_alone():
     short = pairs[0][0].model_copy(update={"horizon_s": 30.0, "checkpoints": pairs[0][0].checkpoints[:-1]})
     courses, references = [short, pairs[1][0]], [drive for _, drive in pairs]
     trials = draw_trials(load_randomization("full"), model, 6, count=4, ticks=COURSE.ticks)
-    engine, vectors = Engine(TRACKER, courses, model, trials, references), candidates(12, 6, TRACKER)
+    engine, vectors = Evaluator(TRACKER, courses, model, trials, references), candidates(12, 6, TRACKER)
     found = engine.outcomes(vectors)
     for j in range(4):
         course, drive = courses[j % 2], references[j % 2]
@@ -169,15 +168,15 @@ def test_courses_and_trials_in_one_batch_as_each_alone():
 
 def test_a_reference_is_planned_from_the_course_if_none_is_given():
     vectors = candidates(2, 7, TRACKER)
-    planned = Engine(TRACKER, COURSE, references=[plan_reference(COURSE)]).outcomes(vectors)
-    assert np.array_equal(Engine(TRACKER, COURSE).outcomes(vectors).total, planned.total)
+    planned = Evaluator(TRACKER, COURSE, references=[plan_reference(COURSE)]).outcomes(vectors)
+    assert np.array_equal(Evaluator(TRACKER, COURSE).outcomes(vectors).total, planned.total)
     assert rollout(TRACKER.with_parameters(vectors[1]), COURSE).total == planned.total[1, 0]
 
 
 def test_courses_with_and_without_obstacles_are_driven_together():
     vectors, courses = candidates(4, seed=11), [COURSE, FENCED, mirrored(FENCED)]
     trials = draw_trials(load_randomization("full"), RoverModel(), 5, count=6, ticks=320)
-    found = Engine(POLICY, courses, trials=trials).outcomes(vectors)
+    found = Evaluator(POLICY, courses, trials=trials).outcomes(vectors)
     runs = [
         [
             rollout(POLICY.with_parameters(vector), courses[row % 3], trials=trials, row=row)
@@ -189,18 +188,18 @@ def test_courses_with_and_without_obstacles_are_driven_together():
     assert found.touched.tolist() == [[run.touched for run in row] for row in runs]
     assert found.touched.any()
     assert not found.touched[:, ::3].any()
-    nominal = Engine(POLICY, courses).outcomes(vectors).total
-    assert nominal.T.tolist() == [Engine(POLICY, course).returns(vectors).tolist() for course in courses]
+    nominal = Evaluator(POLICY, courses).outcomes(vectors).total
+    assert nominal.T.tolist() == [Evaluator(POLICY, course).returns(vectors).tolist() for course in courses]
 
 
 def test_blocked_start_of_a_later_course_is_rejected():
     blocked = COURSE.model_copy(update={"obstacles": (Obstacle(x=0.2, y=0.0, length=0.2, width=0.2),)})
     with pytest.raises(ConfigError, match="an obstacle stands where the rover starts"):
-        Engine(POLICY, [COURSE, blocked])
+        Evaluator(POLICY, [COURSE, blocked])
 
 
 def test_no_candidates_no_returns():
-    assert Engine(POLICY, COURSE).returns(np.empty((0, POLICY.layout().size))).shape == (0,)
+    assert Evaluator(POLICY, COURSE).returns(np.empty((0, POLICY.layout().size))).shape == (0,)
 
 
 def test_the_untuned_wiring_scores_as_in_the_published_simulator():
@@ -229,7 +228,7 @@ def test_a_rollout_shows_what_happened():
 def test_a_policy_that_cannot_drive_is_refused():
     bench = tap_withdrawal_circuit()
     odd = POLICY.sensing.model_copy(update={"inputs": ("warmth", "x", "theta", "start")})
-    for build in (Engine, rollout):
+    for build in (Evaluator, rollout):
         with pytest.raises(ConfigError, match=r"no neuron 'LFT'"):
             build(parking_policy(bench), COURSE)
         with pytest.raises(ConfigError, match="its sensing asks for warmth; known are x, y, theta, start"):
@@ -246,10 +245,10 @@ OTHER_PROCESS = """
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.core.course import load_course
-from sim.learn.engine import Engine
+from sim.learn.evaluator import Evaluator
 from sim.learn.episode import run_episodes
 policy = parking_policy(parking_circuit())
-returned = Engine(policy, load_course("parking")).returns(policy.parameters())[0]
+returned = Evaluator(policy, load_course("parking")).returns(policy.parameters())[0]
 print(float(returned).hex(), sum(run_episodes.stats.cache_hits.values()))
 """
 
@@ -257,7 +256,7 @@ print(float(returned).hex(), sum(run_episodes.stats.cache_hits.values()))
 def test_an_engine_from_the_cache_agrees_with_one_compiled_here():
     expected = rollout(POLICY, COURSE).total
     # If this process does not compile the engine now, an earlier one did.
-    assert Engine(POLICY, COURSE).returns(POLICY.parameters()).tolist() == [expected]
+    assert Evaluator(POLICY, COURSE).returns(POLICY.parameters()).tolist() == [expected]
     done = subprocess.run(
         [sys.executable, "-c", OTHER_PROCESS], capture_output=True, text=True, check=True, timeout=100
     )

@@ -1,8 +1,24 @@
-"""Termination signals, for processes that have to stop a rover first."""
+"""What a process that drives a rover needs of the system: a clock, and termination signals that wait."""
 
 import signal
 from types import FrameType, TracebackType
-from typing import Any, Self
+from typing import Any, Protocol, Self
+
+
+class Clock(Protocol):
+    """Python's ``time`` module, or a virtual clock that has its methods."""
+
+    def monotonic(self) -> float:
+        """Return s, from any zero."""
+
+    def monotonic_ns(self) -> int:
+        """Return the same in ns."""
+
+    def time_ns(self) -> int:
+        """Return ns since the epoch."""
+
+    def sleep(self, seconds: float, /) -> None:
+        """Wait."""
 
 
 class Interrupts:

@@ -5,9 +5,9 @@ import pytest
 
 from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from sim.learn.net_engine import NetEngine
-from sim.learn.nets import NetKind, allocate_net_lanes, fill_net_lane, net_for, tick_net_lanes
+from sim.learn.networks import NetKind, allocate_net_lanes, fill_net_lane, net_for, tick_net_lanes
 
 PARKING = parking_policy(parking_circuit())
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from rover_ncp.core.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.course.reference import OMEGA_MAX, Reference, drive_profile
 
 HORIZON_S = 32.0

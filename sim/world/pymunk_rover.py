@@ -1,0 +1,161 @@
+"""One rover on pymunk, and the ground that it drives on."""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pymunk
+
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
+from rover_ncp.course.course import Course, Obstacle
+from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, Limits, RoverModel, own_axes, toward
+
+COLLISION_SLOP_M = 0.001
+"""How deep shapes may rest in each other. Chipmunk's default of 0.1 would be 10 cm in our metres."""
+OBSTACLE_FRICTION = 0.5
+_ROVERS = pymunk.ShapeFilter(group=1)
+"""Shapes of one group never collide with each other."""
+_ORIGIN = Pose(0.0, 0.0, 0.0)
+
+
+class Ground:
+    """Level ground with obstacles (course frame, metres), which are static: nothing can push them.
+
+    Rovers pass through each other: several of them may share one ground only to be stepped together.
+    """
+
+    def __init__(self, obstacles: Sequence[Obstacle] = ()) -> None:
+        self.space = pymunk.Space()
+        self.space.collision_slop = COLLISION_SLOP_M
+        for obstacle in obstacles:
+            self.add(obstacle)
+
+    def add(self, obstacle: Obstacle) -> pymunk.Shape:
+        """Put a rectangle onto the ground and return its shape."""
+        body = pymunk.Body(body_type=pymunk.Body.STATIC)
+        body.position = (obstacle.x, obstacle.y)
+        body.angle = obstacle.theta
+        shape = pymunk.Poly.create_box(body, (obstacle.length, obstacle.width))
+        shape.friction = OBSTACLE_FRICTION
+        self.space.add(body, shape)
+        return shape
+
+
+def rover_body(
+    model: RoverModel, ground: Ground, pose: Pose = _ORIGIN, *, has_shape: bool = True
+) -> pymunk.Body:
+    """Put a rover's body onto the ground, standing still; without a shape it touches nothing."""
+    size = (model.length, model.width)
+    body = pymunk.Body(model.mass, pymunk.moment_for_box(model.mass, size))
+    body.position, body.angle = (pose.x, pose.y), pose.theta
+    ground.space.add(body)
+    if has_shape:
+        shape = pymunk.Poly.create_box(body, size)
+        shape.filter = _ROVERS
+        shape.friction = model.shell_friction
+        ground.space.add(shape)
+    return body
+
+
+def require_free_start(model: RoverModel, course: Course) -> None:
+    """Raise ConfigError when the rover stands in an obstacle at the start of a course, the origin."""
+    ground = Ground(course.obstacles)
+    body = rover_body(model, ground)
+    if any(ground.space.shape_query(shape) for shape in body.shapes):
+        size = f"{model.length} m by {model.width} m"
+        raise ConfigError(f"course {course.name}", [f"an obstacle stands where the rover starts ({size})"])
+
+
+class PymunkRover:
+    """A ``Rover`` alone on its ground. A command that is not finite is a ValueError."""
+
+    def __init__(self, model: RoverModel, ground: Ground, pose: Pose = _ORIGIN) -> None:
+        self.model = model
+        self.ground = ground
+        self.limits = Limits(
+            model.accel, model.decel, model.alpha, model.alpha_decel, model.v_max, model.omega_max
+        )
+        self.body = rover_body(model, ground, pose)
+        self.substeps = 0
+        self._v_target = self._omega_target = 0.0
+        # (first substep that obeys it, value)
+        self._v_queue: deque[tuple[int, float]] = deque()
+        self._omega_queue: deque[tuple[int, float]] = deque()
+
+    def command(self, v: float, omega: float) -> None:
+        if not (math.isfinite(v) and math.isfinite(omega)):
+            raise ValueError(f"a command must be finite, got v={v}, omega={omega}")
+        self._v_queue.append((self.substeps + self.model.delay_v_substeps, v))
+        self._omega_queue.append((self.substeps + self.model.delay_omega_substeps, omega))
+
+    def change_limits(self, **limits: float) -> None:
+        self.limits = replace(self.limits, **limits)
+
+    def set_pose(self, pose: Pose) -> None:
+        # A new body, because the old one would carry the last contact's correction into its next step.
+        self.ground.space.remove(self.body, *self.body.shapes)
+        self.body = rover_body(self.model, self.ground, pose)
+        self._v_queue.clear()
+        self._omega_queue.clear()
+        self._v_target = self._omega_target = 0.0
+
+    def push(self, shift: Pose) -> None:
+        x, y = self.body.position
+        self.body.position = (x + shift.x, y + shift.y)
+        self.body.angle += shift.theta
+
+    def substep(self) -> None:
+        while self._v_queue and self._v_queue[0][0] <= self.substeps:
+            self._v_target = self._v_queue.popleft()[1]
+        while self._omega_queue and self._omega_queue[0][0] <= self.substeps:
+            self._omega_target = self._omega_queue.popleft()[1]
+        self._accelerate()
+        self.ground.space.step(SUBSTEP_S)
+        self.substeps += 1
+
+    def _accelerate(self) -> None:
+        limits, target, body = self.limits, self.target, self.body
+        cos, sin = body.rotation_vector
+        forward, sideways = own_axes(cos, sin, *body.velocity, body.angular_velocity)
+        forward = toward(forward, target.v, limits.accel * SUBSTEP_S, limits.decel * SUBSTEP_S)
+        grip = self.model.friction * GRAVITY_M_S2 * SUBSTEP_S
+        sideways = toward(sideways, 0.0, grip, grip)
+        body.velocity = (cos * forward - sin * sideways, sin * forward + cos * sideways)
+        body.angular_velocity = toward(
+            body.angular_velocity, target.omega, limits.alpha * SUBSTEP_S, limits.alpha_decel * SUBSTEP_S
+        )
+
+    def range_along(self, ray: Pose, most_m: float) -> float | None:
+        end = (ray.x + most_m * math.cos(ray.theta), ray.y + most_m * math.sin(ray.theta))
+        hit = self.ground.space.segment_query_first((ray.x, ray.y), end, 0.0, _ROVERS)
+        return None if hit is None else hit.alpha * most_m
+
+    @property
+    def target(self) -> Velocity:
+        v_max, omega_max = self.limits.v_max, self.limits.omega_max
+        return Velocity(
+            min(max(self._v_target, -v_max), v_max), min(max(self._omega_target, -omega_max), omega_max)
+        )
+
+    @property
+    def pose(self) -> Pose:
+        x, y = self.body.position
+        return Pose(x, y, wrap_angle(self.body.angle))
+
+    @property
+    def turned(self) -> float:
+        return self.body.angle
+
+    @property
+    def velocity(self) -> Velocity:
+        cos, sin = self.body.rotation_vector
+        vx, vy = self.body.velocity
+        return Velocity(cos * vx + sin * vy, self.body.angular_velocity)
+
+    @property
+    def in_contact(self) -> bool:
+        touching: list[bool] = []
+        self.body.each_arbiter(lambda _arbiter: touching.append(True))
+        return bool(touching)

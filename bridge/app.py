@@ -4,15 +4,14 @@ import signal
 from collections.abc import Collection
 from pathlib import Path
 
-from bridge.base_connection import Line
+from bridge.base_connection import BaseConnection
 from bridge.gate.limits import Limits
 from bridge.inbox import Inbox
 from bridge.node import Node
-from bridge.pioneer.quantise import MotionLimits
-from bridge.pioneer.session import Session
+from bridge.pioneer.base import ArcosBase
 from bridge.ros import messages as ros_messages
-from bridge.ros.conventions import Convention
-from bridge.zenoh_link import Link
+from bridge.ros.discovery import Convention
+from bridge.zenoh_link import ZenohLink
 from rover_ncp.core.config import load_yaml
 from rover_ncp.core.console import Output
 from rover_ncp.core.process import Interrupts
@@ -36,23 +35,22 @@ def run_bridge(
     """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
     output = Output(as_json, controls=True)
     allowed = Limits() if limits is None else load_yaml(limits, Limits)
-    session = Session(model, MotionLimits(v=allowed.v_max, omega=allowed.omega_max))
     inbox = Inbox()
     with (
         Interrupts() as interrupts,
-        Link(listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros) as link,
+        ZenohLink(listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros) as link,
     ):
-        line = Line(base, inbox)
+        line = BaseConnection(base, inbox)
+        robot = ArcosBase(line, model, allowed.v_max, allowed.omega_max)
 
         def ready() -> None:
             link.announce()
             output.announce(f"ready zenoh={link.locator} base={base}")
 
         node = Node(
-            line,
+            robot,
             link,
             inbox,
-            session,
             limits=allowed,
             accept_ros=accept_ros,
             say=output.say,

@@ -6,8 +6,10 @@ time, and after the loop has dropped the line, because the loop may be writing.
 """
 
 import threading
+from collections.abc import Callable
+from dataclasses import dataclass
 
-from bridge.inbox import Broken, Crashed, Inbox, Opened, Received
+from bridge.inbox import Inbox, ThreadError
 from bridge.transport import Transport, open_transport
 from rover_ncp.core.errors import NoRobot
 
@@ -16,13 +18,35 @@ RETRY_S, MAX_RETRY_S = 0.1, 0.5
 """Wait before opening a line again. It doubles with each line on which nothing arrives, up to the maximum."""
 
 
-class Line:
+@dataclass(frozen=True)
+class Opened:
+    """A line is open; ``use`` it. ``baudrate`` is None for a line without a rate."""
+
+    baudrate: int | None = None
+
+
+@dataclass(frozen=True)
+class Received:
+    """Bytes from the base."""
+
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Broken:
+    """The line, or the attempt to open it, failed; ``drop`` it."""
+
+    error: NoRobot
+
+
+class BaseConnection:
     """Opens at once: raises UsageError for an endpoint of no known form, NoRobot when nothing answers."""
 
     def __init__(self, endpoint: str, inbox: Inbox) -> None:
         self.endpoint = endpoint
         self._inbox = inbox
         self._current: Transport | None = None
+        """The line that the loop writes to."""
         self._all: list[Transport] = []
         self._bytes_in = self._bytes_out = 0
         """Of the lines that are closed."""
@@ -43,9 +67,9 @@ class Line:
         """Bytes to the base, over all lines so far."""
         return self._bytes_out + sum(transport.bytes_out for transport in self._all)
 
-    def use(self, transport: Transport) -> None:
-        """Write to this line from now on; the loop says so when it knows of it."""
-        self._current = transport
+    def use(self) -> None:
+        """Write to the line that was opened last, from now on."""
+        self._current = self._all[-1]
 
     def drop(self) -> None:
         """Answer `Broken`: write no more to that line. The thread then closes it and opens another."""
@@ -58,32 +82,32 @@ class Line:
 
     def write(self, data: bytes) -> None:
         """Send bytes to the base; without a line they are lost. A failure arrives as `Broken`."""
-        if self._current is not None and data:
-            try:
-                self._current.write(data)
-            except NoRobot as error:
-                self._current, self._broken = None, error
+        if data:
+            self._try(lambda line: line.write(data))
 
     def set_baudrate(self, baudrate: int) -> None:
         """Let the line run at another rate. A failure arrives as `Broken`."""
-        if self._current is not None:
-            try:
-                self._current.set_baudrate(baudrate)
-            except NoRobot as error:
-                self._current, self._broken = None, error
+        self._try(lambda line: line.set_baudrate(baudrate))
 
     def close(self) -> None:
         """End the thread, then all lines, once what was written has gone out."""
         self._closing.set()
         self._dropped.set()
         self._thread.join(2 * READ_S)
-        for transport in self._all:  # also one that the loop never got to know of
+        for transport in self._all:  # also a line that the loop did not use yet
             transport.close()
+
+    def _try(self, action: Callable[[Transport], None]) -> None:
+        if self._current is not None:
+            try:
+                action(self._current)
+            except NoRobot as error:
+                self._current, self._broken = None, error
 
     def _open(self) -> Transport:
         transport = open_transport(self.endpoint)
         self._all.append(transport)
-        self._inbox.put(Opened(transport))
+        self._inbox.put(Opened(transport.baudrate))
         return transport
 
     def _run(self, first: Transport) -> None:
@@ -107,7 +131,7 @@ class Line:
                         self._inbox.put(Received(data))
                         wait_s = RETRY_S
         except BaseException as error:
-            self._inbox.put(Crashed(error))
+            self._inbox.put(ThreadError(error))
 
     def _give_up(self, transport: Transport | None, error: NoRobot) -> None:
         """Report a line that failed, or could not be opened, and close it once the loop has dropped it."""

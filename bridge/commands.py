@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from bridge.ros.conventions import Convention
+from bridge.ros.discovery import Convention
 from rover_ncp.core.console import Json
 
 

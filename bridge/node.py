@@ -2,43 +2,37 @@
 
 Rules of this file:
 
-1. One loop does it all: arrivals go to the session and the gate, the gate's verdict goes to the base.
+1. One loop does it all: arrivals go to the base and the gate, the gate's verdict goes to the base.
    The base's keep-alives come from this loop, so a loop that hangs stops the rover.
 2. Only the gate's verdict is sent to the base as a speed, and the same value is published.
-3. Every exit stops the rover, switches its motors off and closes the session.
+3. Every exit stops the rover, switches its motors off and closes the connection.
 """
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
 
-from bridge.base_connection import Line
-from bridge.gate.clearance import Clearance, Room
+from bridge.base import (
+    Base,
+    BaseEvent,
+    BaseReport,
+    Failed,
+    Lost,
+    Ready,
+    Recovered,
+    RobotShape,
+    Setpoint,
+    TurnRate,
+)
 from bridge.gate.gate import step
 from bridge.gate.limits import Limits
-from bridge.gate.signatures import is_signed, read_tag
-from bridge.gate.state import BaseLost, Command, Heard, Reason, State, Tick, Verdict
-from bridge.gate.state import Event as GateEvent
-from bridge.inbox import Arrival, Asked, Broken, Crashed, Inbox, Opened, Received, Sampled
-from bridge.pioneer.events import (
-    BaudChanged,
-    Configured,
-    Connected,
-    Event,
-    Failed,
-    GyroHeard,
-    Lost,
-    Recovered,
-    StateReceived,
-)
-from bridge.pioneer.odometry import BaseState
-from bridge.pioneer.robots import RobotParameters
-from bridge.pioneer.session import Session
+from bridge.gate.state import BaseLost, GateEvent, GateState, Reason, Tick, VelocityCommand, Verdict, read_tag
+from bridge.inbox import CommandMessage, Query, ThreadError
 from bridge.queries import Answers
 from bridge.ros import messages as ros
-from bridge.zenoh_link import Link
 from rover_ncp.core.errors import FormatError, NoRobot
-from rover_ncp.core.messages import read_twist, text
+from rover_ncp.core.messages import read_twist, text, twist_stamped
 from rover_ncp.core.process import Clock
 from rover_ncp.core.protocol import Signed, dump_json
 
@@ -50,15 +44,31 @@ STATUS_S = 0.1
 SLOW_S = 1.0
 
 
+class Arrivals(Protocol):
+    """A queue of arrivals, as `bridge.inbox.Inbox`."""
+
+    def take(self, timeout_s: float) -> list[tuple[float, object]]:
+        """Return all arrivals with their times; wait at most ``timeout_s`` for the first."""
+
+
+class Publisher(Protocol):
+    """A Zenoh session, as `bridge.zenoh_link.ZenohLink`."""
+
+    def key(self, name: str) -> str:
+        """Return the key expression of a row of the key table."""
+
+    def publish(self, name: str, data: bytes) -> None:
+        """Send a message without waiting."""
+
+
 class Node:
     """The loop and its state. ``say`` logs events for people; ``ready`` is called once."""
 
     def __init__(
         self,
-        line: Line,
-        link: Link,
-        inbox: Inbox,
-        session: Session,
+        base: Base,
+        link: Publisher,
+        inbox: Arrivals,
         *,
         limits: Limits,
         accept_ros: bool,
@@ -66,23 +76,21 @@ class Node:
         ready: Callable[[], None],
         clock: Clock = time,
     ) -> None:
-        self._clock = clock
-        self._line, self._link, self._inbox, self._session = line, link, inbox, session
+        self._base, self._link, self._inbox, self._clock = base, link, inbox, clock
         self._limits, self._accept_ros, self._say = limits, accept_ros, say
         self._ready = ready
-        self._answers = Answers(link, session, limits, self._judge)
-        self.gate = State()
+        self._answers = Answers(limits, link.key, self._judge, base.reset_odometry)
+        self.gate = GateState()
         self.reconnects = -1
         """Number of reconnections of the base; −1 until the first connection."""
         self._verdict = self._sent = Verdict(self.gate.out, motors=False, held=self.gate.held)
-        self._base: BaseState | None = None
-        self._robot: RobotParameters | None = None
-        self._clearance: Clearance | None = None
+        self._report: BaseReport | None = None
+        self._robot: RobotShape | None = None
         self._hardware = ""
-        self._stopping = self._commanded = self._reopening = False
-        self._unsaid: list[str] = []
-        """Events of the gate to log after the base has got its commands."""
-        self._look_at_the_wall_clock()
+        self._act_now = self._commanded = False
+        self._log: list[str] = []
+        """Events of the gate to log after the base has got its setpoint."""
+        self._set_wall_clock()
         self._acted_s = self._status_due_s = self._slow_due_s = -math.inf
 
     def run(self, stopping: Callable[[], bool]) -> None:
@@ -91,10 +99,8 @@ class Node:
             while not stopping():
                 self.turn()
         finally:
-            self._session.close(self._clock.monotonic())
-            self._line.write(self._session.data_to_send())
-            self._line.close()
-            self._say_news()
+            self._base.close(self._clock.monotonic())
+            self._flush_log()
 
     @property
     def due_s(self) -> float:
@@ -109,162 +115,136 @@ class Node:
             # The base gets its setpoint in time, even when many messages have arrived.
             if (now := self._clock.monotonic()) - self._acted_s >= 2 * TICK_S:
                 self._act(now)
-                self._line.write(self._session.data_to_send())
         now = self._clock.monotonic()
         waited = now - self._acted_s
-        if self._stopping or waited >= TICK_S or (self._commanded and waited >= APART_S):
+        if self._act_now or waited >= TICK_S or (self._commanded and waited >= APART_S):
             self._act(now)
-        self._line.write(self._session.data_to_send())
-        self._say_news()
+        self._flush_log()
         if now >= self._status_due_s:
-            self._publish_gate(now)
+            self._status_due_s = now + STATUS_S
+            self._link.publish("rover/gate", text(dump_json(ros.gate_status(self.gate)).decode()))
         if now >= self._slow_due_s:
             self._publish_slowly(now)
 
     # What arrives.
 
-    def _take(self, arrival: Arrival, arrived_s: float) -> None:
+    def _take(self, arrival: object, arrived_s: float) -> None:
         match arrival:
-            case Received(data):
-                self._handle(self._session.receive(data, self._clock.monotonic()), arrived_s)
-            case Sampled():
+            case CommandMessage():
                 self._judge(self._command(arrival), arrived_s)
-            case Asked():
+            case Query():
                 self._answers.give(arrival, arrived_s, self.gate)
-            case Opened(transport):
-                self._line.use(transport)
-                self._session.connect(self._clock.monotonic(), transport.baudrate)
-            case Broken(error):
-                if self.reconnects < 0:
-                    raise error
-                self._line.drop()
-                self._handle(self._session.link_down(str(error), self._clock.monotonic()), arrived_s)
-            case Crashed(error):
+            case ThreadError(error):
                 raise error
+            case _:
+                self._handle(self._base.receive(arrival, self._clock.monotonic()), arrived_s)
 
-    def _command(self, sample: Sampled) -> Command:
+    def _command(self, message: CommandMessage) -> VelocityCommand:
         """Read a command; the gate also gets commands that cannot be read, and drops them.
 
         Only the tag of a command without a valid signature is parsed.
         """
-        tag = read_tag(sample.attachment)
+        tag, lease = read_tag(message.attachment), self.gate.lease
         key = self._link.key("cmd_vel")
-        signed = is_signed(tag, self.gate.lease, Signed.COMMAND, key, sample.payload)
+        signed = lease is not None and lease.signed(tag, Signed.COMMAND, key, message.payload)
         if not (signed or (tag is None and self._accept_ros)):
-            return Command(None, tag)
+            return VelocityCommand(None, tag)
         try:
-            velocity, stamp_ns = read_twist(sample.payload)
+            velocity, stamp_ns = read_twist(message.payload)
         except FormatError:
-            return Command(None, tag, signed=signed)
-        sent_ns = stamp_ns if stamp_ns is not None else sample.sent_ns
+            return VelocityCommand(None, tag, signed=signed)
+        sent_ns = stamp_ns if stamp_ns is not None else message.sent_ns
         age_s = (self._clock.time_ns() - sent_ns) * 1e-9 if sent_ns is not None and tag is None else None
-        return Command(velocity, tag, age_s, signed)
+        return VelocityCommand(velocity, tag, age_s, signed)
 
-    def _handle(self, events: list[Event], arrived_s: float) -> None:
+    def _handle(self, events: Sequence[BaseEvent], arrived_s: float) -> None:
         for event in events:
             match event:
-                case StateReceived(state):
-                    self._base = state
-                    assert self._clearance is not None  # a base is configured before it reports
-                    self._judge(_heard(state, self._clearance.update(state.sonar, arrived_s)), arrived_s)
-                    self._publish_sip(state, arrived_s)
-                case GyroHeard(rate):
-                    self._link.publish("imu", ros.turn(rate, self._wall_ns(arrived_s)))
-                case Connected(name, robot_class, subtype):
-                    self._hardware = f"{robot_class} {subtype} {name}"
-                case Configured(_, robot):
-                    self._robot, self._clearance = robot, Clearance(robot)
-                    self._reopening = False
+                case BaseReport():
+                    self._report = event
+                    self._judge(event, arrived_s)
+                    self._publish_report(event, arrived_s)
+                case TurnRate(rate):
+                    self._link.publish("imu", ros.turn_rate(rate, self._wall_ns(arrived_s)))
+                case Ready(hardware, robot):
+                    self._hardware, self._robot = hardware, robot
                     self.reconnects += 1
-                    self._say(f"the base is there: {self._hardware}")
+                    self._say(f"the base is connected: {hardware}")
                     if self.reconnects == 0:
                         self._ready()
-                case BaudChanged(baudrate):
-                    self._line.set_baudrate(baudrate)
                 case Recovered():
                     self._say("the base sends packets again")
                 case Lost(reason):
-                    self._base = None
+                    self._report = None
                     self._judge(BaseLost(), arrived_s)
                     self._say(f"the base is lost: {reason}")
                 case Failed(reason):
                     if self.reconnects < 0:
-                        raise NoRobot(f"{self._line.endpoint}: {reason}")
-                    if not self._reopening:
-                        self._say(
-                            f"{self._line.endpoint}: {reason}; the bridge closes and reopens the line until "
-                            "the base answers: check its power, its cable or its network"
-                        )
-                    self._reopening = True
-                    self._line.reopen(reason)
+                        raise NoRobot(reason)
+                    self._say(
+                        f"{reason}; the bridge closes and reopens the line until the base answers: "
+                        "check its power, its cable or its network"
+                    )
 
     def _judge(self, event: GateEvent, now: float) -> Verdict:
         """Pass an event through the gate."""
         before = self.gate
         self.gate, self._verdict = step(before, event, now, self._limits, self._accept_ros)
-        # Neither a stop nor a command that counts waits for the next tick.
-        self._stopping |= self._verdict.held is not None and before.held is None
+        # Neither a stop nor an accepted command waits for the next tick.
+        self._act_now |= self._verdict.held is not None and before.held is None
         self._commanded |= self.gate.accepted > before.accepted
         if _public(self.gate) != _public(before):
             self._status_due_s = -math.inf
-            self._unsaid += _news(before, self.gate)
+            self._log += _log_lines(before, self.gate)
         return self._verdict
 
-    def _say_news(self) -> None:
-        for line in self._unsaid:
+    def _flush_log(self) -> None:
+        for line in self._log:
             self._say(line)
-        self._unsaid.clear()
+        self._log.clear()
 
     # What follows from it.
 
     def _act(self, now: float) -> None:
-        """Pass the gate's verdict to the session. Its tick sends the setpoint and the keep-alives."""
+        """Pass the gate's verdict to the base, which also sends its keep-alives then."""
         verdict = self._judge(Tick(), now)
         last, self._sent = self._sent, verdict
-        self._stopping = self._commanded = False
+        self._act_now = self._commanded = False
         self._acted_s = now
-        if verdict.motors != last.motors:
-            self._session.enable(verdict.motors)
-        if verdict.emergency and not last.emergency:
-            self._session.emergency_stop()
-        self._session.set_motion(*verdict.velocity)
-        self._handle(self._session.tick(now), now)
+        setpoint = Setpoint(verdict.velocity, verdict.motors, verdict.emergency)
+        self._handle(self._base.drive(setpoint, now), now)
         if verdict.velocity != last.velocity:
-            self._link.publish("rover/cmd_out", ros.velocity(verdict.velocity, self._wall_ns(now)))
+            self._link.publish("rover/cmd_out", twist_stamped(verdict.velocity, self._wall_ns(now)))
 
-    def _publish_sip(self, state: BaseState, arrived_s: float) -> None:
-        assert self._robot is not None  # a base is configured before it reports
+    def _publish_report(self, report: BaseReport, arrived_s: float) -> None:
+        assert self._robot is not None  # a base is ready before it reports
         stamp_ns = self._wall_ns(arrived_s)
-        for name, data in ros.each_sip(state, self._robot, stamp_ns).items():
+        for name, data in ros.each_report(report, self._robot, stamp_ns).items():
             self._link.publish(name, data)
-        self._link.publish("rover/cmd_out", ros.velocity(self._sent.velocity, stamp_ns))
-
-    def _publish_gate(self, now: float) -> None:
-        self._status_due_s = now + STATUS_S
-        self._link.publish("rover/gate", text(dump_json(ros.gate_status(self.gate)).decode()))
+        self._link.publish("rover/cmd_out", twist_stamped(self._sent.velocity, stamp_ns))
 
     def _publish_slowly(self, now: float) -> None:
         self._slow_due_s = now + SLOW_S
-        self._look_at_the_wall_clock()
+        self._set_wall_clock()
         stamp_ns = self._wall_ns(now)
         health = ros.diagnostics(
-            self._base,
+            self._report,
             self.gate,
-            self._session.decoder,
+            self._base.health(),
             reconnects=max(self.reconnects, 0),
             hardware=self._hardware,
             stamp_ns=stamp_ns,
         )
         self._link.publish("diagnostics", health)
-        if self._base is not None and self._robot is not None:
-            for name, data in ros.each_so_often(self._base, self._robot, stamp_ns).items():
+        if self._report is not None and self._robot is not None:
+            for name, data in ros.each_second(self._report, self._robot, stamp_ns).items():
                 self._link.publish(name, data)
 
     def _wall_ns(self, monotonic_s: float) -> int:
         """Return the time of a moment on the monotonic clock, in ns since the epoch."""
         return self._epoch_ns + round(monotonic_s * 1e9)
 
-    def _look_at_the_wall_clock(self) -> None:
+    def _set_wall_clock(self) -> None:
         """Set the stamps to the wall clock again, unless a driver holds the lease.
 
         A driver would take samples whose stamps step back for samples that were delayed by that much.
@@ -273,30 +253,13 @@ class Node:
             self._epoch_ns = self._clock.time_ns() - self._clock.monotonic_ns()
 
 
-def _heard(state: BaseState, room: Room) -> Heard:
-    return Heard(
-        x=state.x,
-        y=state.y,
-        theta=state.theta,
-        v=state.v,
-        omega=state.omega,
-        battery_v=state.battery_v,
-        motors_on=state.motors_enabled,
-        stop_pressed=state.stop_pressed,
-        stalled=any(state.stalled),
-        bumped=any(state.bumpers),
-        clear_ahead_m=room.ahead_m,
-        clear_behind_m=room.behind_m,
-    )
-
-
-def _public(gate: State) -> tuple[object, ...]:
+def _public(gate: GateState) -> tuple[object, ...]:
     """Return the fields whose change is published at once."""
     return gate.lease.number if gate.lease else None, gate.held, gate.ended, gate.latched
 
 
-def _news(before: State, after: State) -> Iterator[str]:
-    """Yield log lines: the driver that holds the lease, and the reason for a stop."""
+def _log_lines(before: GateState, after: GateState) -> Iterator[str]:
+    """Yield the log's lines: the driver that holds the lease, and the reason for a stop."""
     old, new = before.lease, after.lease
     if new is not None and (old is None or old.number != new.number):
         yield f"{new.name or 'a driver without a name'} got the lease"

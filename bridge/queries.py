@@ -7,12 +7,22 @@ digest is verified before the request is parsed. The key is in the answer to a n
 import secrets
 from collections.abc import Callable
 
+from pydantic import BaseModel
+
 from bridge.gate.limits import Limits
-from bridge.gate.signatures import is_signed, read_tag
-from bridge.gate.state import Enable, Event, Lease, Reason, Release, State, Stop, Unlatch, Verdict
-from bridge.inbox import Asked
-from bridge.pioneer.session import Session
-from bridge.zenoh_link import Link
+from bridge.gate.state import (
+    Enable,
+    GateEvent,
+    GateState,
+    Lease,
+    Reason,
+    Release,
+    Stop,
+    Unlatch,
+    Verdict,
+    read_tag,
+)
+from bridge.inbox import Query
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.protocol import (
     KEY_BYTES,
@@ -26,12 +36,13 @@ from rover_ncp.core.protocol import (
     Signed,
     StopReply,
     StopRequest,
+    dump_json,
     other_version,
     parse_json,
     requested_version,
 )
 
-_WORDS = {
+_DETAILS = {
     Reason.NO_BASE: "the base is not connected",
     Reason.STOP_BUTTON: "the STOP button is pressed",
     Reason.BUMPER: "a bumper is pressed",
@@ -44,36 +55,46 @@ _WORDS = {
 
 
 class Answers:
-    """Answers for the loop, which passes requests on to the gate by ``judge(event, now)``."""
+    """Answers for the loop, which passes requests on to the gate by ``judge(event, now)``.
+
+    ``key`` is the key expression of a name, ``reset_odometry`` resets that of the base.
+    """
 
     def __init__(
-        self, link: Link, session: Session, limits: Limits, judge: Callable[[Event, float], Verdict]
+        self,
+        limits: Limits,
+        key: Callable[[str], str],
+        judge: Callable[[GateEvent, float], Verdict],
+        reset_odometry: Callable[[], None],
     ) -> None:
-        self._link, self._session, self._limits, self._judge = link, session, limits, judge
+        self._limits, self._key, self._judge, self._reset_odometry = limits, key, judge, reset_odometry
 
-    def give(self, asked: Asked, now: float, gate: State) -> None:
+    def give(self, query: Query, now: float, gate: GateState) -> None:
         """Answer one query that arrived at ``now``; ``gate`` is the state before it."""
         try:
-            match asked.name:
-                case "rover/motors":
-                    self._link.answer(asked, self._motors(asked, now, gate))
-                case "rover/stop":
-                    self._link.answer(asked, self._stop(parse_json(StopRequest, asked.payload), now))
-                case _:
-                    parse_json(ResetRequest, asked.payload)
-                    self._link.answer(asked, self._reset(gate))
+            query.reply(dump_json(self._answer(query, now, gate)))
         except FormatError as error:
-            self._link.refuse(asked, str(error))
+            query.refuse(str(error))
 
-    def _motors(self, asked: Asked, now: float, gate: State) -> MotorsRefusal:
-        """Answer a request for the motors. Raises FormatError for one that cannot be read."""
-        tag = read_tag(asked.attachment)
-        signed = is_signed(tag, gate.lease, Signed.MOTORS, self._link.key(asked.name), asked.payload)
-        if gate.lease is not None and not signed:
+    def _answer(self, query: Query, now: float, gate: GateState) -> BaseModel:
+        """Return the answer. Raises FormatError for a request that cannot be read."""
+        match query.name:
+            case "rover/motors":
+                return self._motors(query, now, gate)
+            case "rover/stop":
+                return self._stop(parse_json(StopRequest, query.payload), now)
+            case _:
+                parse_json(ResetRequest, query.payload)
+                return self._reset(gate)
+
+    def _motors(self, query: Query, now: float, gate: GateState) -> MotorsRefusal:
+        tag, lease = read_tag(query.attachment), gate.lease
+        signed = lease is not None and lease.signed(tag, Signed.MOTORS, self._key(query.name), query.payload)
+        if lease is not None and not signed:
             return _refusal(Reason.ANOTHER_DRIVER, gate)
-        if (version := requested_version(asked.payload)) != PROTOCOL:
+        if (version := requested_version(query.payload)) != PROTOCOL:
             return MotorsRefusal(reason=VERSION_REASON, detail=other_version(PROTOCOL, version))
-        request = parse_json(MotorsRequest, asked.payload)
+        request = parse_json(MotorsRequest, query.payload)
         sequence = tag.sequence if tag is not None and signed else None
         if not request.enable:
             if sequence is not None:
@@ -106,20 +127,20 @@ class Answers:
         self._judge(Unlatch() if request.release else Stop(request.reason), now)
         return StopReply(stopped=not request.release, reason="" if request.release else request.reason)
 
-    def _reset(self, gate: State) -> ResetReply:
+    def _reset(self, gate: GateState) -> ResetReply:
         if gate.base is None:
-            return ResetReply(ok=False, reason=_WORDS[Reason.NO_BASE])
+            return ResetReply(ok=False, reason=_DETAILS[Reason.NO_BASE])
         if gate.lease is not None:
             return ResetReply(
                 ok=False,
                 reason="a driver holds the lease: its pose would jump; reset odometry after the drive",
             )
-        self._session.reset_odometry()
+        self._reset_odometry()
         return ResetReply(ok=True)
 
 
-def _refusal(refusal: Reason, gate: State) -> MotorsRefusal:
-    detail = _WORDS.get(refusal, "")
+def _refusal(refusal: Reason, gate: GateState) -> MotorsRefusal:
+    detail = _DETAILS.get(refusal, "")
     if refusal is Reason.ANOTHER_DRIVER and gate.lease is not None:
         detail = f"{gate.lease.name or 'a driver without a name'} holds the lease"
     elif refusal is Reason.STOPPED:

@@ -7,25 +7,23 @@ dropped.
 import json
 import os
 from collections.abc import Callable, Collection
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import zenoh
-from pydantic import BaseModel
 
-from bridge.inbox import Asked, Crashed, Inbox, Sampled
-from bridge.ros.conventions import Convention
-from bridge.ros.discovery import bridge_token, topic_token
+from bridge.inbox import CommandMessage, Inbox, Query, ThreadError
+from bridge.ros.discovery import Convention, bridge_token, topic_token
 from bridge.ros.rmw import domain_id
-from bridge.ros.rmw_node import RmwNode, latching_publisher, sampled
+from bridge.ros.rmw_node import RmwNode, latching_publisher, read_command
 from bridge.zenoh_config import any_port, configured, reason
 from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key, spec
-from rover_ncp.core.protocol import dump_json
 
 
-class Link:
+class ZenohLink:
     """An open session, listening. Raises UsageError, FileError (``config``) or PortInUse.
 
     Beyond this machine it requires authentication, unless ``insecure``. ``ros`` selects the form in which ROS
@@ -95,16 +93,6 @@ class Link:
         if self._rmw is not None:
             self._rmw.publish(name, data)
 
-    def answer(self, asked: Asked, reply: BaseModel) -> None:
-        """Answer a query; a client that is gone is ignored."""
-        with asked.query as query:
-            query.reply(self.key(asked.name), dump_json(reply), encoding=zenoh.Encoding.APPLICATION_JSON)
-
-    def refuse(self, asked: Asked, reason: str) -> None:
-        """Answer a query that cannot be read."""
-        with asked.query as query:
-            query.reply_err(reason)
-
     def close(self) -> None:
         """End the session; the token goes with it."""
         self._session.close()  # type: ignore[no-untyped-call]
@@ -116,13 +104,13 @@ class Link:
     def _declare(self) -> None:
         ours = [row for row in KEYS if row.senders == {Role.BRIDGE} and row.kind is Kind.MESSAGE]
         self._publishers = {row.name: self._publisher(row) for row in ours}
-        self._held.append(self._session.declare_subscriber(self.key("cmd_vel"), self._guard(self._sampled)))
+        self._held.append(self._session.declare_subscriber(self.key("cmd_vel"), self._guard(self._command)))
         for row in KEYS:
             if row.kind is Kind.QUERYABLE:
-                asked = self._guard(self._asking(row.name, row.max_bytes))
-                self._held.append(self._session.declare_queryable(self.key(row.name), asked))
+                on_query = self._guard(partial(self._query, row))
+                self._held.append(self._session.declare_queryable(self.key(row.name), on_query))
         if Convention.RMW_ZENOH in self._ros:
-            commanded = self._guard(lambda sample: self._inbox.put(sampled(sample)))
+            commanded = self._guard(lambda sample: self._inbox.put(read_command(sample)))
             self._rmw = RmwNode(self._session, domain_id(os.environ), self._namespace, ours, commanded)
 
     def _publisher(self, row: KeySpec) -> Any:
@@ -141,14 +129,14 @@ class Link:
             try:
                 callback(item)
             except Exception as error:
-                self._inbox.put(Crashed(error))
+                self._inbox.put(ThreadError(error))
 
         return guarded
 
-    def _sampled(self, sample: zenoh.Sample) -> None:
+    def _command(self, sample: zenoh.Sample) -> None:
         stamp = sample.timestamp
         self._inbox.put(
-            Sampled(
+            CommandMessage(
                 # One byte too many, and the digest is not valid: the loop digests no megabytes.
                 sample.payload.to_bytes()[: spec("cmd_vel").max_bytes + 1],
                 _bytes(sample.attachment),
@@ -156,14 +144,19 @@ class Link:
             )
         )
 
-    def _asking(self, name: str, max_bytes: int) -> Callable[[zenoh.Query], None]:
-        def asked(query: zenoh.Query) -> None:
-            payload = query.payload
-            # One byte too many is enough for the reader to refuse it.
-            data = b"{}" if payload is None else payload.to_bytes()[: max_bytes + 1]
-            self._inbox.put(Asked(name, query, data, _bytes(query.attachment)))
+    def _query(self, row: KeySpec, query: zenoh.Query) -> None:
+        def reply(answer: bytes) -> None:
+            with query:  # a client that is gone is ignored
+                query.reply(self.key(row.name), answer, encoding=zenoh.Encoding.APPLICATION_JSON)
 
-        return asked
+        def refuse(reason: str) -> None:
+            with query:
+                query.reply_err(reason)
+
+        payload = query.payload
+        # One byte too many is enough for the reader to refuse it.
+        data = b"{}" if payload is None else payload.to_bytes()[: row.max_bytes + 1]
+        self._inbox.put(Query(row.name, data, _bytes(query.attachment), reply, refuse))
 
     def _locator(self, endpoints: list[str]) -> str:
         """Return the first endpoint; for port 0, ask the session which one it got."""

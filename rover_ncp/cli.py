@@ -50,8 +50,6 @@ _NEEDS = {
     "bench": {"train"},
     "mock": {"train"},
     "deploy": {"drive"},
-    "check": {"drive"},
-    "teleop": {"drive"},
     "replay": {"drive"},
     "identify": {"drive"},
     "explain": {"train"},

@@ -19,20 +19,20 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
+from bridge.base import BaseReport
 from bridge.gate.limits import Fence, Limits
 from bridge.gate.state import (
     ZERO,
     BaseLost,
-    Command,
     Enable,
-    Event,
-    Heard,
+    GateEvent,
+    GateState,
     Lease,
     Reason,
     Release,
-    State,
     Stop,
     Unlatch,
+    VelocityCommand,
     Verdict,
 )
 from rover_ncp.core.geometry import Velocity
@@ -60,14 +60,16 @@ STEP_MAX_S = 0.1
 """A loop that was delayed gains no acceleration for the time of the delay."""
 
 
-def step(state: State, event: Event, now: float, limits: Limits, accept_ros: bool) -> tuple[State, Verdict]:
+def step(
+    state: GateState, event: GateEvent, now: float, limits: Limits, accept_ros: bool
+) -> tuple[GateState, Verdict]:
     """Process one event at ``now`` and return the new state and the verdict for the base."""
     elapsed = min(max(now - state.now, 0.0), STEP_MAX_S)
     state = _lapse(replace(state, now=max(now, state.now)))
     refusal = dropped = None
     match event:
-        case Heard():
-            state = _hear(state, event, limits)
+        case BaseReport():
+            state = _take_report(state, event, limits)
         case BaseLost():
             state = replace(state, base=None, low_since_s=None)
         case Enable():
@@ -78,14 +80,14 @@ def step(state: State, event: Event, now: float, limits: Limits, accept_ros: boo
             state = replace(state, latched=reason)
         case Unlatch():
             state = replace(state, latched=None)
-        case Command():
+        case VelocityCommand():
             state, dropped = _command(state, event, limits, accept_ros)
         case _:  # time alone, or a release that was repeated or came after the lease ended
             pass
     hazard = _hazard(state, limits)
     if hazard is not None and state.lease is not None:
         state = _end_lease(state, hazard)
-    held = hazard or _pause(state, limits)
+    held = hazard or _hold_reason(state, limits)
     if state.held is None and held not in {None, Reason.NO_LEASE}:
         state = replace(state, stops=_count(state.stops, held))
     velocity = ZERO
@@ -95,7 +97,7 @@ def step(state: State, event: Event, now: float, limits: Limits, accept_ros: boo
     return state, Verdict(velocity, state.motors, held, refusal, dropped, state.lease)
 
 
-def _hazard(state: State, limits: Limits) -> Reason | None:
+def _hazard(state: GateState, limits: Limits) -> Reason | None:
     """Return the active hazard, if any."""
     base, low, lease = state.base, state.low_since_s, state.lease
     if state.latched is not None:
@@ -104,8 +106,8 @@ def _hazard(state: State, limits: Limits) -> Reason | None:
         return Reason.NO_BASE
     for flagged, reason in (
         (base.stop_pressed, Reason.STOP_BUTTON),
-        (base.bumped, Reason.BUMPER),
-        (base.stalled, Reason.STALL),
+        (any(base.bumpers), Reason.BUMPER),
+        (any(base.stalled), Reason.STALL),
         (low is not None and state.now - low >= limits.battery_low_s, Reason.LOW_BATTERY),
         (_frozen(state), Reason.FROZEN),
     ):
@@ -116,11 +118,11 @@ def _hazard(state: State, limits: Limits) -> Reason | None:
     return None
 
 
-def _pause(state: State, limits: Limits) -> Reason | None:
+def _hold_reason(state: GateState, limits: Limits) -> Reason | None:
     """Return the hold reason, if any."""
     base, target = state.base, state.target
     reason = None
-    if base is None or _deaf(state, base, limits):
+    if base is None or _odometry_stale(state, base, limits):
         reason = Reason.ODOMETRY
     elif state.lease is None:
         reason = Reason.NO_LEASE
@@ -137,40 +139,40 @@ def _pause(state: State, limits: Limits) -> Reason | None:
     return reason
 
 
-def _frozen(state: State) -> bool:
+def _frozen(state: GateState) -> bool:
     """Whether odometry is frozen: the base reports the same pose while it reports a speed."""
-    went = state.unseen_m >= FROZEN_M or state.unseen_rad >= FROZEN_RAD
-    return went and state.same >= FROZEN_REPORTS
+    moved = state.frozen_m >= FROZEN_M or state.frozen_rad >= FROZEN_RAD
+    return moved and state.repeats >= FROZEN_REPORTS
 
 
-def _deaf(state: State, base: Heard, limits: Limits) -> bool:
+def _odometry_stale(state: GateState, base: BaseReport, limits: Limits) -> bool:
     """Whether odometry is stale or not finite."""
     numbers = (base.x, base.y, base.theta, base.v, base.omega)
     return state.now - state.base_s > limits.odometry_s or not all(map(math.isfinite, numbers))
 
 
-def _leaves(fence: Fence, base: Heard, v: float, limits: Limits) -> bool:
+def _leaves(fence: Fence, base: BaseReport, v: float, limits: Limits) -> bool:
     """Whether a base at speed ``v`` would stop outside the fence, no nearer to it than it is now."""
     reach = v * REACT_S + v * abs(v) / (2.0 * limits.brake)
     ahead = fence.outside(base.x + reach * math.cos(base.theta), base.y + reach * math.sin(base.theta))
     return v != 0.0 and ahead > 0.0 and ahead >= fence.outside(base.x, base.y)
 
 
-def _clear(base: Heard, v: float, least_m: float) -> bool:
+def _clear(base: BaseReport, v: float, least_m: float) -> bool:
     """Whether the clearance in the direction of ``v`` is known and at least ``least_m``."""
     ahead = v <= 0.0 or base.clear_ahead_m >= least_m
     behind = v >= 0.0 or base.clear_behind_m >= least_m
     return ahead and behind
 
 
-def _hear(state: State, base: Heard, limits: Limits) -> State:
+def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateState:
     """Store a base report; update the start of low battery and the distance driven at the same pose."""
-    before, low_since_s, same, unseen_m, unseen_rad = state.base, None, 0, 0.0, 0.0
+    before, low_since_s, repeats, frozen_m, frozen_rad = state.base, None, 0, 0.0, 0.0
     if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
         elapsed = state.now - state.base_s
-        same = state.same + 1
-        unseen_m = state.unseen_m + min(abs(before.v), abs(base.v)) * elapsed
-        unseen_rad = state.unseen_rad + min(abs(before.omega), abs(base.omega)) * elapsed
+        repeats = state.repeats + 1
+        frozen_m = state.frozen_m + min(abs(before.v), abs(base.v)) * elapsed
+        frozen_rad = state.frozen_rad + min(abs(before.omega), abs(base.omega)) * elapsed
     if 0.0 < base.battery_v < limits.battery_min_v:
         low_since_s = state.now if state.low_since_s is None else state.low_since_s
     return replace(
@@ -178,13 +180,13 @@ def _hear(state: State, base: Heard, limits: Limits) -> State:
         base=base,
         base_s=state.now,
         low_since_s=low_since_s,
-        same=same,
-        unseen_m=unseen_m,
-        unseen_rad=unseen_rad,
+        repeats=repeats,
+        frozen_m=frozen_m,
+        frozen_rad=frozen_rad,
     )
 
 
-def _enable(state: State, request: Enable, limits: Limits) -> tuple[State, Reason | None]:
+def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateState, Reason | None]:
     """Grant or renew the lease, or return the refusal. A renewal resets the driver's clock offset."""
     base, lease = state.base, state.lease
     sequence = -1 if lease is None else request.sequence
@@ -195,7 +197,7 @@ def _enable(state: State, request: Enable, limits: Limits) -> tuple[State, Reaso
     hazard = _hazard(state, limits)
     if hazard is not None or base is None:
         return state, hazard
-    if _deaf(state, base, limits):
+    if _odometry_stale(state, base, limits):
         return state, Reason.ODOMETRY
     granted = Lease(
         number=state.leases + 1 if lease is None else lease.number,
@@ -218,14 +220,14 @@ def _enable(state: State, request: Enable, limits: Limits) -> tuple[State, Reaso
     ), None
 
 
-def _lapse(state: State) -> State:
+def _lapse(state: GateState) -> GateState:
     """End a lease whose holder has sent nothing for too long."""
     if state.lease is not None and state.now > state.lease.expires_s:
         return _end_lease(state, Reason.LEASE_LAPSED)
     return state
 
 
-def _end_lease(state: State, reason: Reason | None) -> State:
+def _end_lease(state: GateState, reason: Reason | None) -> GateState:
     return replace(
         state,
         lease=None,
@@ -236,7 +238,7 @@ def _end_lease(state: State, reason: Reason | None) -> State:
     )
 
 
-def _switch_motors(state: State) -> State:
+def _switch_motors(state: GateState) -> GateState:
     """Switch the motors off without a lease, once the rover stands: a base that rolls on has not stopped."""
     if state.lease is not None or not state.motors:
         return state
@@ -248,13 +250,15 @@ def _switch_motors(state: State) -> State:
 class _Admitted(NamedTuple):
     """A command with valid sender and time; its content is not yet checked."""
 
-    state: State
+    state: GateState
     lease: Lease
     sent_s: float
     """Estimated time of sending, on our clock."""
 
 
-def _command(state: State, command: Command, limits: Limits, accept_ros: bool) -> tuple[State, Reason | None]:
+def _command(
+    state: GateState, command: VelocityCommand, limits: Limits, accept_ros: bool
+) -> tuple[GateState, Reason | None]:
     """Put a command in force, or return the reason for dropping it."""
     velocity = command.velocity
     admitted: _Admitted | Reason = Reason.FOREIGN
@@ -284,7 +288,7 @@ def _command(state: State, command: Command, limits: Limits, accept_ros: bool) -
     ), None
 
 
-def _tagged(state: State, tag: CommandTag, signed: bool, limits: Limits) -> _Admitted | Reason:
+def _tagged(state: GateState, tag: CommandTag, signed: bool, limits: Limits) -> _Admitted | Reason:
     """Check signature, sequence number and age.
 
     The offset between the two clocks is unknown. The smallest (arrival − stamp) of the last minute is the
@@ -305,7 +309,7 @@ def _tagged(state: State, tag: CommandTag, signed: bool, limits: Limits) -> _Adm
     return _Admitted(replace(state, lease=lease, minima=minima), lease, state.now - age)
 
 
-def _untagged(state: State, command: Command, limits: Limits) -> _Admitted | Reason:
+def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Admitted | Reason:
     """Check a plain ROS command by its stamp, if it has one, on synchronised wall clocks.
 
     It gets its lease without a request. After a lease ended, a pause or a zero command must come first, as

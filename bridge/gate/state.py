@@ -6,8 +6,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TypeAlias
 
+from bridge.base import BaseReport
+from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.protocol import CommandTag
+from rover_ncp.core.protocol import CommandTag, Signed
 
 ZERO = Velocity(0.0, 0.0)
 
@@ -54,34 +56,12 @@ class Tick:
 
 
 @dataclass(frozen=True)
-class Heard:
-    """The base reported: SI units, pose in odom.
-
-    The clearances are the shortest recent sonar ranges, NaN when they are unknown.
-    """
-
-    x: float = 0.0
-    y: float = 0.0
-    theta: float = 0.0
-    v: float = 0.0
-    omega: float = 0.0
-    battery_v: float = 0.0
-    """0 = not reported."""
-    motors_on: bool = True
-    stop_pressed: bool = False
-    stalled: bool = False
-    bumped: bool = False
-    clear_ahead_m: float = math.nan
-    clear_behind_m: float = math.nan
-
-
-@dataclass(frozen=True)
 class BaseLost:
     """The link to the base is gone, or it was set up anew."""
 
 
 @dataclass(frozen=True)
-class Command:
+class VelocityCommand:
     """A velocity command; None = the bytes were not a velocity, or were not read.
 
     ``signed`` is whether the tag's digest is valid under the key of the current lease. ``age_s`` is only for
@@ -127,7 +107,7 @@ class Unlatch:
     """A request to release the stop."""
 
 
-Event: TypeAlias = Tick | Heard | BaseLost | Command | Enable | Release | Stop | Unlatch
+GateEvent: TypeAlias = Tick | BaseReport | BaseLost | VelocityCommand | Enable | Release | Stop | Unlatch
 
 
 @dataclass(frozen=True)
@@ -145,9 +125,25 @@ class Lease:
     expires_s: float
     last_sequence: int = -1
 
+    def signed(self, tag: CommandTag | None, kind: Signed, key_expr: str, payload: bytes) -> bool:
+        """Return whether a message's digest is valid under the key of this lease."""
+        if tag is None or self.secret is None or tag.lease != self.number:
+            return False
+        return tag.verify(self.secret, kind, key_expr, payload)
+
+
+def read_tag(attachment: bytes | None) -> CommandTag | None:
+    """Return the tag of a message; None only without an attachment."""
+    if attachment is None:
+        return None
+    try:
+        return CommandTag.unpack(attachment)
+    except FormatError:
+        return CommandTag(0, 0, 0)  # no lease has the number 0, so this tag is valid under none
+
 
 @dataclass(frozen=True)
-class State:
+class GateState:
     """The gate's whole state."""
 
     now: float = -math.inf
@@ -158,13 +154,13 @@ class State:
     """Reason for the end of the last lease; None if its driver released it."""
     latched: str | None = None
     """The text of the stop request; None without one."""
-    base: Heard | None = None
+    base: BaseReport | None = None
     base_s: float = -math.inf
     low_since_s: float | None = None
-    same: int = 0
+    repeats: int = 0
     """Number of repeated reports of the same pose."""
-    unseen_m: float = 0.0
-    unseen_rad: float = 0.0
+    frozen_m: float = 0.0
+    frozen_rad: float = 0.0
     """Distance by the base's reported speeds since its reported pose last changed."""
     target: Velocity | None = None
     """The command in force, until ``target_until_s``."""
@@ -199,7 +195,7 @@ class Verdict:
     refusal: Reason | None = None
     """Reason for refusing an `Enable`."""
     dropped: Reason | None = None
-    """Reason for dropping a `Command`."""
+    """Reason for dropping a `VelocityCommand`."""
     lease: Lease | None = None
     """The current lease."""
 

@@ -6,55 +6,28 @@ and wheels are those of the maker's own 3D models, where these have them; only p
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from bridge.base import RobotShape, Wheels
 from rover_ncp.core.geometry import Pose
 
 
 @dataclass(frozen=True)
-class Wheels:
-    """Driven wheels, all alike; ``places`` are their (x, y) in the base's frame. Metres."""
+class RobotParameters(RobotShape):
+    """Factors from packet units to SI, and limits in m/s and rad/s."""
 
-    radius_m: float
-    width_m: float
-    places: tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True)
-class RobotParameters:
-    """Factors from packet units to SI, and dimensions in m, m/s, rad/s."""
-
-    name: str
     distance_m: float
     """Metres per unit of XPOS and YPOS."""
     half_track_m: float
     """Half the difference of wheel speeds over this is the turn rate; a skid-steered base's is effective."""
-    front_m: float
-    rear_m: float
-    """How far the outline reaches before and behind the centre of rotation, bumpers included."""
-    width_m: float
-    height_m: float
     v_max: float
     omega_max: float
-    sonars: tuple[Pose, ...]
-    """Sonar poses in the base's frame; the place is the sonar's number."""
-    sonar_height_m: float
-    wheels: Wheels
 
-    @property
-    def length_m(self) -> float:
-        """Length of the outline."""
-        return self.front_m + self.rear_m
 
-    @property
-    def theta_rad(self) -> float:
-        """Radians per unit of THPOS."""
-        return math.tau / 4096
-
-    @property
-    def velocity_m_s(self) -> float:
-        """Metres per second per unit of wheel speed."""
-        return 0.001
+HEADING_RAD = math.tau / 4096
+"""Radians per unit of THPOS."""
+WHEEL_SPEED_M_S = 0.001
+"""Metres per second per unit of wheel speed."""
 
 
 def _sonars(*poses_mm_deg: tuple[int, int, int]) -> tuple[Pose, ...]:
@@ -79,49 +52,38 @@ _AT_WHEELS = Wheels(0.111, 0.075, tuple((x, y) for x in (0.135, -0.135) for y in
 _DX_WHEELS = Wheels(0.0975, 0.0475, ((0.0, 0.165), (0.0, -0.165)))
 
 
-def _at(name: str, distance_mm: float) -> RobotParameters:
-    """Pioneer 3-AT: DiffConvFactor 0.0034, 626 mm by 505 mm, 1200 mm/s, 300 deg/s."""
-    return RobotParameters(
-        name,
-        distance_m=distance_mm / 1000,
-        half_track_m=0.001 / 0.0034,
-        front_m=0.313,
-        rear_m=0.313,
-        width_m=0.505,
-        height_m=0.277,
-        v_max=1.2,
-        omega_max=math.radians(300),
-        sonars=_AT_SONARS,
-        sonar_height_m=0.25,
-        wheels=_AT_WHEELS,
-    )
-
-
-def _dx(name: str, distance_mm: float) -> RobotParameters:
-    """Pioneer 3-DX: DiffConvFactor 0.0056, 511 mm by 425 mm, 2200 mm/s, 500 deg/s."""
-    return RobotParameters(
-        name,
-        distance_m=distance_mm / 1000,
-        half_track_m=0.001 / 0.0056,
-        front_m=0.210,
-        rear_m=0.301,
-        width_m=0.425,
-        height_m=0.237,
-        v_max=2.2,
-        omega_max=math.radians(500),
-        sonars=_DX_SONARS,
-        sonar_height_m=0.208,
-        wheels=_DX_WHEELS,
-    )
-
-
+_P3AT = RobotParameters(  # DiffConvFactor 0.0034, 626 mm by 505 mm, 1200 mm/s, 300 deg/s
+    "p3at",
+    distance_m=0.465e-3,
+    half_track_m=0.001 / 0.0034,
+    front_m=0.313,
+    rear_m=0.313,
+    width_m=0.505,
+    height_m=0.277,
+    v_max=1.2,
+    omega_max=math.radians(300),
+    sonars=_AT_SONARS,
+    sonar_height_m=0.25,
+    wheels=_AT_WHEELS,
+)
+_P3DX = RobotParameters(  # DiffConvFactor 0.0056, 511 mm by 425 mm, 2200 mm/s, 500 deg/s
+    "p3dx",
+    distance_m=0.485 / 1000,
+    half_track_m=0.001 / 0.0056,
+    front_m=0.210,
+    rear_m=0.301,
+    width_m=0.425,
+    height_m=0.237,
+    v_max=2.2,
+    omega_max=math.radians(500),
+    sonars=_DX_SONARS,
+    sonar_height_m=0.208,
+    wheels=_DX_WHEELS,
+)
 ROBOTS = {
-    robot.name: robot
-    for robot in (_at("p3at", 0.465), _at("p3at-sh", 1.0), _dx("p3dx", 0.485), _dx("p3dx-sh", 1.0))
+    "p3at": _P3AT,
+    "p3at-sh": replace(_P3AT, name="p3at-sh", distance_m=1e-3),
+    "p3dx": _P3DX,
+    "p3dx-sh": replace(_P3DX, name="p3dx-sh", distance_m=1e-3),
 }
 """By the subtype that the base reports in SYNC2 (``-sh``: the SH2 controller that runs ARCOS)."""
-
-
-def parameters_for(subtype: str) -> RobotParameters | None:
-    """Return the model of a subtype, ignoring case; None for an unknown one."""
-    return ROBOTS.get(subtype.lower())

@@ -12,26 +12,19 @@ Rules of this file:
 Sources: AROS manual p. 43 (motors, watchdog); ``states.py`` for the handshake.
 """
 
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from bridge.base import BaseEvent, BaseReport, Failed, Lost, Ready, Recovered, TurnRate
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command
 from bridge.pioneer.baud import Rates
-from bridge.pioneer.events import (
-    BaudChanged,
-    Configured,
-    Connected,
-    Event,
-    Failed,
-    GyroHeard,
-    Lost,
-    Recovered,
-    StateReceived,
-)
-from bridge.pioneer.odometry import BaseState, Odometer
+from bridge.pioneer.odometry import Odometer
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, GyroPac, Kind, Sip, decode_names
-from bridge.pioneer.quantise import MotionLimits
-from bridge.pioneer.robots import ROBOTS, RobotParameters, parameters_for
-from bridge.pioneer.setpoints import Helm
-from bridge.pioneer.states import LOSS_S, PATIENCE_S, TABLE, Input, State
+from bridge.pioneer.robots import ROBOTS, RobotParameters
+from bridge.pioneer.setpoints import MotionLimits, Setpoints
+from bridge.pioneer.states import LOSS_S, PATIENCE_S, TABLE, Input, SessionState
 from rover_ncp.core.errors import UsageError
+from rover_ncp.core.geometry import Velocity
 
 CONFIG_S, OPEN_S = 1.0, 2.0
 """How long to wait for a CONFIGpac, which is optional, and for the first SIP, which is not."""
@@ -57,6 +50,16 @@ _PACKET_INPUTS: dict[int, Input] = {
 }
 
 
+@dataclass(frozen=True)
+class BaudChanged:
+    """The serial line must run at this rate before anything more is sent."""
+
+    baudrate: int
+
+
+SessionEvent: TypeAlias = BaseEvent | BaudChanged
+
+
 class Session:
     """One base on one line. ``model`` is a name of ``ROBOTS``, or ``auto`` to go by what the base says.
 
@@ -66,25 +69,25 @@ class Session:
     def __init__(self, model: str = "auto", limits: MotionLimits | None = None) -> None:
         if model != "auto" and model not in ROBOTS:
             raise UsageError(f"model {model}: expected auto, {', '.join(ROBOTS)}")
-        self.state = State.IDLE
+        self.state = SessionState.IDLE
         self.decoder = Decoder()
         """Its counters show the quality of the link."""
         self._model = model
-        self._helm = Helm(limits or MotionLimits(), self._send)
+        self._setpoints = Setpoints(limits or MotionLimits(), self._send)
         # Replaced when the base has sent its name.
         self._odometer = Odometer(ROBOTS.get(model, ROBOTS["p3at-sh"]))
         self._sip = Sip()
         self._names = ("", "", "")
-        self._base: BaseState | None = None
+        self._report: BaseReport | None = None
         self._config: ConfigPac | None = None
         self._out = bytearray()
-        self._events: list[Event] = []
+        self._events: list[SessionEvent] = []
         self._reason = ""
         self._now = self._deadline = self._opened_s = 0.0
         self._began_s = 0.0
         self._tries = self._silent_tries = 0
         self._silent_limit = SILENT_TRIES
-        self._bytes_heard = self._packets_before = 0
+        self._bytes_in = self._packets_before = 0
         self._rates = Rates()
 
     # What the user calls.
@@ -104,21 +107,21 @@ class Session:
         self._now = now
         self._dispatch(Input.CLOSE)
 
-    def link_down(self, reason: str, now: float) -> list[Event]:
+    def link_down(self, reason: str, now: float) -> list[SessionEvent]:
         """Take note that the line is gone, and why; ``connect`` begins anew on the next one."""
         self._now, self._reason = now, reason
         self._dispatch(Input.LINK_DOWN)
         self._out.clear()
         return self._drain()
 
-    def receive(self, data: bytes, now: float) -> list[Event]:
+    def receive(self, data: bytes, now: float) -> list[SessionEvent]:
         """Parse bytes from the base and return the events."""
         self._now = now
-        self._bytes_heard += len(data)
+        self._bytes_in += len(data)
         self._decode(data)
         return self._drain()
 
-    def tick(self, now: float) -> list[Event]:
+    def tick(self, now: float) -> list[SessionEvent]:
         """Let time pass: clocks, setpoints, keep-alives. Call it from the gate's loop, 20 times a second."""
         self._now = now
         self._decode(b"")
@@ -126,8 +129,8 @@ class Session:
             self._dispatch(Input.GAVE_UP)
         if now >= self._deadline:
             self._dispatch(Input.EXPIRED)
-        if self.state is State.READY:
-            self._helm.tick(self._base, self._odometer.reset_pending, now)
+        if self.state is SessionState.READY:
+            self._setpoints.tick(self._report, self._odometer.reset_pending, now)
         return self._drain()
 
     def data_to_send(self) -> bytes:
@@ -136,35 +139,27 @@ class Session:
         self._out.clear()
         return data
 
-    def set_motion(self, v: float, omega: float) -> None:
-        """Set the speeds (m/s, rad/s) that the next tick sends; zero unless the motors were requested.
-
-        Raises ValueError when a speed is not finite.
-        """
-        self._helm.set_motion(v, omega)
+    def set_motion(self, velocity: Velocity) -> None:
+        """Set the speeds that the next tick sends; zero unless the motors were requested."""
+        self._setpoints.set_motion(velocity)
 
     # Only a ready base gets requests: nothing moves before the first packet from the base.
 
     def enable(self, on: bool) -> None:
         """Ask for the motors, or switch them off, standing still either way."""
-        if self.state is State.READY:
-            self._helm.enable(on, self._base is not None and self._base.motors_enabled, self._now)
-
-    def stop(self) -> None:
-        """Stop within the deceleration limit; the motors stay as they are."""
-        if self.state is State.READY:
-            self._helm.halt(Command.STOP, self._now)
+        if self.state is SessionState.READY:
+            self._setpoints.enable(on, self._report is not None and self._report.motors_on, self._now)
 
     def emergency_stop(self) -> None:
         """Stop at once, beyond the deceleration limit."""
-        if self.state is State.READY:
-            self._helm.halt(Command.E_STOP, self._now)
+        if self.state is SessionState.READY:
+            self._setpoints.emergency_stop(self._now)
 
     def reset_odometry(self) -> None:
         """Reset odometry to zero here; the states show it when the base has done it."""
-        if self.state is State.READY:
-            self._helm.reset_odometry(self._now)
-            self._odometer.expect_reset()
+        if self.state is SessionState.READY:
+            self._setpoints.reset_odometry(self._now)
+            self._odometer.reset_pending = True
 
     # The machine.
 
@@ -185,7 +180,7 @@ class Session:
             self._deadline = self._now + PATIENCE_S[state]
         getattr(self, "_do_" + action)()
 
-    def _drain(self) -> list[Event]:
+    def _drain(self) -> list[SessionEvent]:
         events, self._events = self._events, []
         return events
 
@@ -203,16 +198,14 @@ class Session:
             return Input.STRANGER if self._robot() is None else Input.NAMES
         if packet.kind == Kind.CONFIG:
             self._config = ConfigPac.decode(packet.payload)
-        if packet.kind == Kind.GYRO and self.state is State.READY:
-            self._hear_gyro(GyroPac.decode(packet.payload).rate)
+        if packet.kind == Kind.GYRO and self.state is SessionState.READY:
+            rate = GyroPac.decode(packet.payload).rate
+            if rate is not None:
+                self._events.append(TurnRate(rate))
         return _PACKET_INPUTS.get(packet.kind)
 
-    def _hear_gyro(self, rate: float | None) -> None:
-        if rate is not None:
-            self._events.append(GyroHeard(rate))
-
     def _robot(self) -> RobotParameters | None:
-        return parameters_for(self._names[2] if self._model == "auto" else self._model)
+        return ROBOTS.get(self._names[2].lower() if self._model == "auto" else self._model)
 
     # Actions.
 
@@ -220,12 +213,12 @@ class Session:
         pass
 
     def _do_listen(self) -> None:
-        self._helm.clear()
+        self._setpoints.clear()
         self._out.clear()
         self.decoder.drop()
         self._began_s = self._now
         self._tries = self._silent_tries = 0
-        self._bytes_heard, self._packets_before = 0, self.decoder.packets
+        self._bytes_in, self._packets_before = 0, self.decoder.packets
 
     def _do_sync0(self) -> None:
         self._tries += 1
@@ -253,10 +246,10 @@ class Session:
             reason = (
                 f"the base answers, but no handshake was completed within {self._now - self._began_s:.0f} s"
             )
-        elif self._bytes_heard:
+        elif self._bytes_in:
             reason = (
                 f"the device that answers is no ARCOS base, or the baud rate is wrong: "
-                f"{self._bytes_heard} bytes, not one valid packet"
+                f"{self._bytes_in} bytes, not one valid packet"
             )
         else:
             reason = f"no answer to {self._tries} handshake{'s' if self._tries > 1 else ''}"
@@ -270,9 +263,8 @@ class Session:
         robot = self._robot()
         assert robot is not None  # or this was a STRANGER
         self._odometer = Odometer(robot)
-        self._base = self._config = None
+        self._report = self._config = None
         self._opened_s = self._now
-        self._events.append(Connected(*self._names))
         self._send(Command.OPEN)
         self._send(Command.CONFIG)
 
@@ -284,18 +276,18 @@ class Session:
         )
 
     def _do_first_sip(self) -> None:
-        self._base = self._odometer.update(self._sip, self._now)
+        self._report = self._odometer.update(self._sip, self._now)
         if self._config is not None:
             self._settle()
 
     def _do_configure(self) -> None:
         self._odometer.config = self._config
-        if self._base is not None:
+        if self._report is not None:
             self._settle()
 
     def _do_ask_again(self) -> None:
         waited = self._now - self._opened_s
-        if self._base is None:
+        if self._report is None:
             if waited > OPEN_S:
                 self._dispatch(Input.GAVE_UP)
                 return
@@ -330,23 +322,24 @@ class Session:
 
     def _do_be_ready(self) -> None:
         self._silent_limit = TRIES_WHEN_LOST
-        self._events.append(Configured(self._config, self._odometer.robot))
-        self._helm.take(self._now)
+        name, robot_class, subtype = self._names
+        self._events.append(Ready(f"{robot_class} {subtype} {name}", self._odometer.robot))
+        self._setpoints.take(self._now)
         if self._config is not None and self._config.has_gyro == GYRO_CLIENT_SIDE:
             self._send(Command.GYRO, 1)
 
     def _do_publish(self) -> None:
-        self._base = self._odometer.update(self._sip, self._now)
-        self._events.append(StateReceived(self._base))
+        self._report = self._odometer.update(self._sip, self._now)
+        self._events.append(self._report)
 
     def _do_lose(self) -> None:
-        self._helm.clear()
+        self._setpoints.clear()
         self._send_zeros()
         self._events.append(Lost(f"no odometry from the base for {LOSS_S} s"))
 
     def _do_recover(self) -> None:
         self._events.append(Recovered())
-        self._helm.take(self._now)
+        self._setpoints.take(self._now)
         self._do_publish()
 
     def _do_lose_to_reset(self) -> None:
@@ -354,11 +347,11 @@ class Session:
         self._events.append(Lost("the base was reset"))
 
     def _do_lose_line(self) -> None:
-        self._helm.clear()
+        self._setpoints.clear()
         self._events.append(Lost(self._reason))
 
     def _do_leave(self) -> None:
-        self._helm.clear()
+        self._setpoints.clear()
         self._send_zeros()
         self._send(Command.ENABLE, 0)
         self._send(Command.CLOSE)

@@ -7,17 +7,78 @@ Speeds other than zero are sent only while the SIPs say that the motors are on.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Protocol
 
+from bridge.base import BaseReport
 from bridge.pioneer.arcos import Command
-from bridge.pioneer.odometry import BaseState
-from bridge.pioneer.quantise import MotionLimits, Setpoints
+from rover_ncp.core.geometry import Velocity
 
 PULSE_S, REFRESH_S = 0.5, 0.2
 """Period of PULSE while the motors are off (the watchdog waits 2 s), of the setpoints while they are on."""
 
 VERIFY_S, ENABLE_TRIES = 0.3, 3
 """A request that the SIPs do not show after this time is repeated; the motors' ENABLE 1 so many times."""
+
+STANDING = 0.002
+"""Dead band in m/s and rad/s: commands within both ask for a standing rover. It is the allowed mean error."""
+
+HOLD_S, MAX_HOLD_S = 0.05, 0.25
+"""Least duration of a turn setpoint, unless the command changes, and the longest that is accounted for."""
+
+_EARLY_S = 0.002
+"""Tolerance for a loop at 20 Hz that runs a little early; without it half of its ticks would be lost."""
+
+_ZERO = Velocity(0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Limits set in the base: m/s, rad/s, m/s², rad/s². Accelerations: the paper's simulator."""
+
+    v: float = 0.3
+    omega: float = 0.6
+    accel: float = 0.31
+    decel: float = 0.31
+    alpha: float = 1.25
+    alpha_decel: float = 1.25
+
+
+class Quantiser:
+    """Speeds in SI to the whole mm/s and deg/s that a base takes, right on average.
+
+    A degree a second is a tenth of the parking turn rate, too coarse to round. So each turn setpoint is one
+    of the two whole degrees next to the command, and the remainder is carried over: the mean over a second is
+    within 0.002 rad/s of the command. A zero command sends zero and carries nothing over.
+    """
+
+    def __init__(self) -> None:
+        self._command = _ZERO
+        self._chosen = (0, 0)
+        self._chosen_s = self._stepped_s = -math.inf
+        self._owed = 0.0
+        """Angle that was commanded but not sent, in rad."""
+
+    def zero(self) -> None:
+        """Command zero and drop the remainder."""
+        self._command, self._chosen, self._owed = _ZERO, (0, 0), 0.0
+
+    def step(self, command: Velocity, now: float) -> tuple[int, int]:
+        """Return VEL (mm/s) and RVEL (deg/s) that stand for a finite command from ``now`` on."""
+        # The last step's setpoint has been in force since then, for the command of the last step.
+        missed = self._command.omega - math.radians(self._chosen[1])
+        self._owed += missed * min(now - self._stepped_s, MAX_HOLD_S)
+        changed = command != self._command
+        self._command, self._stepped_s = command, now
+        if abs(command.v) < STANDING and abs(command.omega) < STANDING:
+            self.zero()
+        elif changed or now - self._chosen_s >= HOLD_S - _EARLY_S:
+            hold = min(max(now - self._chosen_s, HOLD_S), MAX_HOLD_S)
+            deg_s = math.degrees(command.omega)
+            wanted = round(math.degrees(command.omega + self._owed / hold))
+            self._chosen = round(command.v * 1000), min(max(wanted, math.floor(deg_s)), math.ceil(deg_s))
+            self._chosen_s = now
+        return self._chosen
 
 
 class Send(Protocol):
@@ -27,13 +88,14 @@ class Send(Protocol):
         """Send a command."""
 
 
-class Helm:
-    """The commands to one base. Its session calls what sends only while the base is ready."""
+class Setpoints:
+    """The requests to one base. Its session calls what sends only while the base is ready."""
 
     def __init__(self, limits: MotionLimits, send: Send) -> None:
         self._limits = limits
         self._send = send
-        self._setpoints = Setpoints(limits)
+        self._quantiser = Quantiser()
+        self._velocity = _ZERO
         self._sent = (0, 0)
         self._sent_s = self._motors_s = self._reset_s = -math.inf
         self._wanted = False
@@ -47,11 +109,9 @@ class Helm:
         self.zero(now)
         self._send_enable(now)
 
-    def set_motion(self, v: float, omega: float) -> None:
-        """Set the speeds the next tick sends. Raises ValueError when one is not finite."""
-        self._setpoints.command(v, omega)
-        if not self._wanted:
-            self._setpoints.zero()
+    def set_motion(self, velocity: Velocity) -> None:
+        """Set the speeds that the next tick sends."""
+        self._velocity = velocity if self._wanted else _ZERO
 
     def enable(self, on: bool, motors_on: bool, now: float) -> None:
         """Ask for the motors or switch them off, standing still. They stay on if they are already."""
@@ -64,44 +124,48 @@ class Helm:
         self.zero(now)
         self._send_enable(now)
 
-    def halt(self, how: Command, now: float) -> None:
-        """Stop now, with STOP or E_STOP."""
-        self._send(how)
+    def emergency_stop(self, now: float) -> None:
+        """Stop now, beyond the deceleration limit."""
+        self._send(Command.E_STOP)
         self.zero(now)
 
     def zero(self, now: float) -> None:
         """Send zero setpoints and clear the command in force."""
-        self._setpoints.zero()
+        self._clear_motion()
         self._send_speeds(0, 0, now)
 
     def clear(self) -> None:
         """Clear the command in force and the request for the motors; sends nothing."""
         self._wanted = False
-        self._setpoints.zero()
+        self._clear_motion()
 
     def reset_odometry(self, now: float) -> None:
         """Request a reset of the counters."""
         self._send(Command.SETO)
         self._reset_s = now
 
-    def tick(self, state: BaseState | None, reset_pending: bool, now: float) -> None:
-        """Send what is due. ``state`` is the base's latest; a reset is pending until its counters show it."""
-        if state is not None and now - self._motors_s >= VERIFY_S:
-            if state.motors_enabled and self._wanted:
+    def tick(self, report: BaseReport | None, reset_pending: bool, now: float) -> None:
+        """Send what is due. ``report`` is the newest; a reset is pending until the counters show it."""
+        if report is not None and now - self._motors_s >= VERIFY_S:
+            if report.motors_on and self._wanted:
                 self._enable_tries = ENABLE_TRIES
-            elif state.motors_enabled or (self._wanted and self._enable_tries < ENABLE_TRIES):
+            elif report.motors_on or (self._wanted and self._enable_tries < ENABLE_TRIES):
                 self.zero(now)
                 self._send_enable(now)
         if reset_pending and now - self._reset_s >= VERIFY_S:
             self.reset_odometry(now)
-        if state is None or not state.motors_enabled:
-            self._setpoints.zero()
-        speeds = self._setpoints.step(now)
+        if report is None or not report.motors_on:
+            self._clear_motion()
+        speeds = self._quantiser.step(self._velocity, now)
         if speeds != self._sent or (self._wanted and now - self._sent_s >= REFRESH_S):
             self._send_speeds(*speeds, now)
         elif now - self._sent_s >= PULSE_S:
             self._send(Command.PULSE)
             self._sent_s = now
+
+    def _clear_motion(self) -> None:
+        self._velocity = _ZERO
+        self._quantiser.zero()
 
     def _send_speeds(self, v_mm_s: int, omega_deg_s: int, now: float) -> None:
         self._send(Command.VEL, v_mm_s)
@@ -115,9 +179,10 @@ class Helm:
 
     def _send_limits(self) -> None:
         limits = self._limits
-        self._send(Command.SETV, limits.v_mm_s)
+        # Rounded up, so that the base does not change a setpoint within the limits.
+        self._send(Command.SETV, math.ceil(limits.v * 1000 - 1e-6))
         self._send(Command.SETA, round(limits.accel * 1000))
         self._send(Command.SETA, -round(limits.decel * 1000))
-        self._send(Command.SETRV, limits.omega_deg_s)
+        self._send(Command.SETRV, math.ceil(math.degrees(limits.omega) - 1e-6))
         self._send(Command.SETRA, round(math.degrees(limits.alpha)))
         self._send(Command.SETRA, -round(math.degrees(limits.alpha_decel)))

@@ -14,7 +14,7 @@ from enum import Enum
 from typing import TypeAlias
 
 
-class State(Enum):
+class SessionState(Enum):
     """The state of a connection to a base."""
 
     IDLE = "not connected"
@@ -25,7 +25,7 @@ class State(Enum):
     HANGING_UP = "closing an old session"
     CONFIGURING = "open, waiting for SIP and CONFIGpac"
     READY = "ready"
-    LOST = "the base went silent"
+    LOST = "no reports from the base"
     ASKING_FASTER = "asked for a faster line"
     FASTER = "at the faster rate, not heard yet"
 
@@ -53,112 +53,112 @@ LOSS_S = 0.5
 """Without a SIP for this long a base counts as lost (design, safety requirement 1)."""
 
 PATIENCE_S = {
-    State.IDLE: math.inf,
-    State.LISTENING: 0.25,  # an open session speaks each 0.1 s
-    State.SYNC0: 0.7,  # AMRISim takes up to 0.5 s
-    State.SYNC1: 0.7,
-    State.SYNC2: 0.7,
-    State.HANGING_UP: 0.4,  # as long as Player's p2os waits after CLOSE
-    State.CONFIGURING: 0.2,  # ARIA's rhythm of asking for the CONFIGpac
-    State.READY: LOSS_S,
-    State.LOST: 1.8,  # with LOSS_S more than the base's watchdog, 2 s: a base cut off has halted before SYNC0
-    State.ASKING_FASTER: 0.05,  # ARIA waits 10 ms; HOSTBAUD's 9 bytes take that long at 9600 alone
-    State.FASTER: 0.9,  # as long as ARIA waits for a packet
+    SessionState.IDLE: math.inf,
+    SessionState.LISTENING: 0.25,  # an open session speaks each 0.1 s
+    SessionState.SYNC0: 0.7,  # AMRISim takes up to 0.5 s
+    SessionState.SYNC1: 0.7,
+    SessionState.SYNC2: 0.7,
+    SessionState.HANGING_UP: 0.4,  # as long as Player's p2os waits after CLOSE
+    SessionState.CONFIGURING: 0.2,  # ARIA's rhythm of asking for the CONFIGpac
+    SessionState.READY: LOSS_S,
+    SessionState.LOST: 1.8,  # with LOSS_S longer than the base's watchdog of 2 s: it halts before SYNC0
+    SessionState.ASKING_FASTER: 0.05,  # ARIA waits 10 ms; HOSTBAUD's 9 bytes take that long at 9600 alone
+    SessionState.FASTER: 0.9,  # as long as ARIA waits for a packet
 }
 """How long a state lasts by itself, in seconds."""
 
-Entry: TypeAlias = tuple[State | None, str]
+Entry: TypeAlias = tuple[SessionState | None, str]
 
 _ENDING: dict[Input, Entry] = {
-    Input.CLOSE: (State.IDLE, "say_close"),
-    Input.LINK_DOWN: (State.IDLE, "nothing"),
+    Input.CLOSE: (SessionState.IDLE, "say_close"),
+    Input.LINK_DOWN: (SessionState.IDLE, "nothing"),
 }
 _SYNCING: dict[Input, Entry] = _ENDING | {
-    Input.SIP: (State.HANGING_UP, "hang_up"),
-    Input.RESET: (State.LISTENING, "nothing"),
-    Input.EXPIRED: (State.LISTENING, "try_again"),
-    Input.GAVE_UP: (State.IDLE, "give_up"),
+    Input.SIP: (SessionState.HANGING_UP, "hang_up"),
+    Input.RESET: (SessionState.LISTENING, "nothing"),
+    Input.EXPIRED: (SessionState.LISTENING, "try_again"),
+    Input.GAVE_UP: (SessionState.IDLE, "give_up"),
 }
 _OPEN: dict[Input, Entry] = {
-    Input.RESET: (State.LISTENING, "nothing"),
-    Input.CLOSE: (State.IDLE, "leave"),
-    Input.LINK_DOWN: (State.IDLE, "nothing"),
+    Input.RESET: (SessionState.LISTENING, "nothing"),
+    Input.CLOSE: (SessionState.IDLE, "leave"),
+    Input.LINK_DOWN: (SessionState.IDLE, "nothing"),
 }
-# The wrong echo starts over; that of an earlier try, come late, is passed over.
-_WRONG: Entry = (State.LISTENING, "nothing")
+# The wrong echo starts over. A late echo of an earlier try is ignored.
+_WRONG: Entry = (SessionState.LISTENING, "nothing")
 
-TABLE: dict[State, dict[Input, Entry]] = {
-    State.IDLE: {Input.CONNECT: (State.LISTENING, "listen")},
-    State.LISTENING: {
-        Input.SIP: (State.HANGING_UP, "hang_up"),
-        Input.RESET: (State.LISTENING, "nothing"),
+TABLE: dict[SessionState, dict[Input, Entry]] = {
+    SessionState.IDLE: {Input.CONNECT: (SessionState.LISTENING, "listen")},
+    SessionState.LISTENING: {
+        Input.SIP: (SessionState.HANGING_UP, "hang_up"),
+        Input.RESET: (SessionState.LISTENING, "nothing"),
         # A late echo still shows which packet the base expects next.
-        Input.ECHO0: (State.SYNC1, "sync1"),
-        Input.ECHO1: (State.SYNC2, "sync2"),
-        Input.NAMES: (State.CONFIGURING, "open"),
-        Input.STRANGER: (State.IDLE, "refuse"),
-        Input.EXPIRED: (State.SYNC0, "sync0"),
-        Input.GAVE_UP: (State.IDLE, "give_up"),
-        Input.CLOSE: (State.IDLE, "nothing"),
-        Input.LINK_DOWN: (State.IDLE, "nothing"),
+        Input.ECHO0: (SessionState.SYNC1, "sync1"),
+        Input.ECHO1: (SessionState.SYNC2, "sync2"),
+        Input.NAMES: (SessionState.CONFIGURING, "open"),
+        Input.STRANGER: (SessionState.IDLE, "refuse"),
+        Input.EXPIRED: (SessionState.SYNC0, "sync0"),
+        Input.GAVE_UP: (SessionState.IDLE, "give_up"),
+        Input.CLOSE: (SessionState.IDLE, "nothing"),
+        Input.LINK_DOWN: (SessionState.IDLE, "nothing"),
     },
-    State.SYNC0: _SYNCING
+    SessionState.SYNC0: _SYNCING
     | {
-        Input.ECHO0: (State.SYNC1, "sync1"),
+        Input.ECHO0: (SessionState.SYNC1, "sync1"),
         Input.ECHO1: _WRONG,
         Input.NAMES: _WRONG,
         Input.STRANGER: _WRONG,
     },
-    State.SYNC1: _SYNCING
+    SessionState.SYNC1: _SYNCING
     | {
-        Input.ECHO1: (State.SYNC2, "sync2"),
+        Input.ECHO1: (SessionState.SYNC2, "sync2"),
         Input.NAMES: _WRONG,
         Input.STRANGER: _WRONG,
     },
-    State.SYNC2: _SYNCING
+    SessionState.SYNC2: _SYNCING
     | {
         Input.ECHO0: _WRONG,
-        Input.NAMES: (State.CONFIGURING, "open"),
-        Input.STRANGER: (State.IDLE, "refuse"),
+        Input.NAMES: (SessionState.CONFIGURING, "open"),
+        Input.STRANGER: (SessionState.IDLE, "refuse"),
     },
-    State.HANGING_UP: _ENDING
+    SessionState.HANGING_UP: _ENDING
     | {
-        Input.RESET: (State.LISTENING, "nothing"),
-        Input.EXPIRED: (State.SYNC0, "sync0"),
-        Input.GAVE_UP: (State.IDLE, "give_up"),
+        Input.RESET: (SessionState.LISTENING, "nothing"),
+        Input.EXPIRED: (SessionState.SYNC0, "sync0"),
+        Input.GAVE_UP: (SessionState.IDLE, "give_up"),
     },
-    State.CONFIGURING: _OPEN
+    SessionState.CONFIGURING: _OPEN
     | {
         Input.SIP: (None, "first_sip"),
         Input.CONFIG: (None, "configure"),
-        Input.EXPIRED: (State.CONFIGURING, "ask_again"),
-        Input.SETTLED: (State.READY, "be_ready"),
-        Input.SLOW: (State.ASKING_FASTER, "ask_faster"),
-        Input.GAVE_UP: (State.LISTENING, "nothing"),
+        Input.EXPIRED: (SessionState.CONFIGURING, "ask_again"),
+        Input.SETTLED: (SessionState.READY, "be_ready"),
+        Input.SLOW: (SessionState.ASKING_FASTER, "ask_faster"),
+        Input.GAVE_UP: (SessionState.LISTENING, "nothing"),
     },
-    State.ASKING_FASTER: _OPEN | {Input.EXPIRED: (State.FASTER, "switch")},
-    State.FASTER: _OPEN
+    SessionState.ASKING_FASTER: _OPEN | {Input.EXPIRED: (SessionState.FASTER, "switch")},
+    SessionState.FASTER: _OPEN
     | {
-        Input.SIP: (State.READY, "be_ready"),
-        Input.EXPIRED: (State.READY, "switch_back"),
+        Input.SIP: (SessionState.READY, "be_ready"),
+        Input.EXPIRED: (SessionState.READY, "switch_back"),
     },
-    State.READY: {
-        Input.SIP: (State.READY, "publish"),
+    SessionState.READY: {
+        Input.SIP: (SessionState.READY, "publish"),
         Input.CONFIG: (None, "configure"),
-        Input.EXPIRED: (State.LOST, "lose"),
-        Input.RESET: (State.LISTENING, "lose_to_reset"),
+        Input.EXPIRED: (SessionState.LOST, "lose"),
+        Input.RESET: (SessionState.LISTENING, "lose_to_reset"),
         # Only a base that waits for a client echoes: it took our PULSE for SYNC0.
-        Input.ECHO0: (State.LISTENING, "lose_to_reset"),
-        Input.CLOSE: (State.IDLE, "leave"),
-        Input.LINK_DOWN: (State.IDLE, "lose_line"),
+        Input.ECHO0: (SessionState.LISTENING, "lose_to_reset"),
+        Input.CLOSE: (SessionState.IDLE, "leave"),
+        Input.LINK_DOWN: (SessionState.IDLE, "lose_line"),
     },
-    State.LOST: {
-        Input.SIP: (State.READY, "recover"),
-        Input.EXPIRED: (State.LISTENING, "listen"),
-        Input.RESET: (State.LISTENING, "listen"),
-        Input.ECHO0: (State.LISTENING, "listen"),
-        Input.CLOSE: (State.IDLE, "leave"),
-        Input.LINK_DOWN: (State.IDLE, "nothing"),
+    SessionState.LOST: {
+        Input.SIP: (SessionState.READY, "recover"),
+        Input.EXPIRED: (SessionState.LISTENING, "listen"),
+        Input.RESET: (SessionState.LISTENING, "listen"),
+        Input.ECHO0: (SessionState.LISTENING, "listen"),
+        Input.CLOSE: (SessionState.IDLE, "leave"),
+        Input.LINK_DOWN: (SessionState.IDLE, "nothing"),
     },
 }
 """state: {input: (next state or None, action)}; the session's method ``_do_ACTION`` is what is done."""

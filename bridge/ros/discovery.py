@@ -1,12 +1,24 @@
-"""Liveliness tokens by which zenoh-bridge-ros2dds discovers our topics before the first subscription.
+"""Forms in which ROS 2 can discover the bridge's topics, beside the plain keys, and the tokens of the first.
 
-Form from zenoh-plugin-ros2dds (liveliness_mgt.rs; facts only): ``@/ZID/@ros2_lv`` for a bridge, and below it
-``MP`` (publisher) or ``MS`` (subscriber), key, type, QoS, each with § for /. Access control that denies by
-default lets no token of the bridge out but its own: there ``ros2 topic list`` shows a topic once subscribed.
+zenoh-bridge-ros2dds discovers topics by liveliness tokens before the first subscription. Form from
+zenoh-plugin-ros2dds (liveliness_mgt.rs; facts only): ``@/ZID/@ros2_lv`` for a bridge, and below it ``MP``
+(publisher) or ``MS`` (subscriber), key, type, QoS, each with § for /. Access control that denies by default
+lets no token of the bridge out but its own: there ``ros2 topic list`` shows a topic once subscribed.
 """
+
+from enum import StrEnum
 
 # No keys; reliable; volatile or transient local; keep the last 10 or 1 (Cyclone DDS' numbers).
 _KEEP_10, _LATCHED = ":1:0:0,10", ":1:1:0,1"
+
+
+class Convention(StrEnum):
+    """A name for ``--ros``."""
+
+    ROS2DDS = "ros2dds"
+    """zenoh-bridge-ros2dds: the plain keys, and a token for each."""
+    RMW_ZENOH = "rmw-zenoh"
+    """ROS 2 nodes whose own middleware is Zenoh (RMW_IMPLEMENTATION=rmw_zenoh_cpp)."""
 
 
 def bridge_token(zid: str) -> str:

@@ -7,11 +7,9 @@ rotation, on the ground. Sonar echoes are points in ``base_link``; where each so
 import math
 from collections.abc import Mapping
 
-from bridge.gate.state import Reason, State
-from bridge.pioneer.arcos import Decoder
-from bridge.pioneer.odometry import BaseState
+from bridge.base import BaseReport, LinkHealth, RobotShape
+from bridge.gate.state import GateState, Reason
 from bridge.pioneer.packets import GYRO_RAD_S, NO_ECHO_MM
-from bridge.pioneer.robots import RobotParameters
 from rover_ncp.core import messages
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.messages import BASE_FRAME, ODOM_FRAME, Diagnostic, Transform, imu
@@ -25,29 +23,27 @@ _VELOCITY_VARIANCE = (0.001**2 / 12, math.radians(0.1) ** 2 / 12)
 _GYRO_VARIANCE = (GYRO_RAD_S / 4) ** 2 / 12
 """Of the mean of four readings, from their rounding."""
 
-_CHARGING = {0: False, 1: True, 2: True, 3: True}
-"""CHARGESTATE: not charging, bulk, overcharge, float; anything else is not known."""
 OK, WARNING, ERROR = 0, 1, 2
 
 
-def each_sip(state: BaseState, robot: RobotParameters, stamp_ns: int) -> dict[str, bytes]:
-    """Return the messages that go out with each SIP, by key."""
-    pose = Pose(state.x, state.y, state.theta)
+def each_report(report: BaseReport, robot: RobotShape, stamp_ns: int) -> dict[str, bytes]:
+    """Return the messages that go out with each report, by key."""
+    pose = Pose(report.x, report.y, report.theta)
     sent = {
         "odom": messages.odometry(
-            pose, Velocity(state.v, state.omega), stamp_ns, _POSE_VARIANCE, _VELOCITY_VARIANCE
+            pose, Velocity(report.v, report.omega), stamp_ns, _POSE_VARIANCE, _VELOCITY_VARIANCE
         ),
         "tf": messages.transforms(
-            [Transform(ODOM_FRAME, BASE_FRAME, state.x, state.y, 0.0, state.theta)], stamp_ns
+            [Transform(ODOM_FRAME, BASE_FRAME, report.x, report.y, 0.0, report.theta)], stamp_ns
         ),
-        "bumpers": messages.bumpers(*state.bumpers),
+        "bumpers": messages.bumpers(*report.bumpers),
     }
-    if state.sonar:
-        sent["sonar"] = messages.point_cloud(_echoes(state.sonar, robot), stamp_ns)
+    if report.sonar:
+        sent["sonar"] = messages.point_cloud(_echoes(report.sonar, robot), stamp_ns)
     return sent
 
 
-def _echoes(ranges: Mapping[int, float], robot: RobotParameters) -> list[tuple[float, float, float]]:
+def _echoes(ranges: Mapping[int, float], robot: RobotShape) -> list[tuple[float, float, float]]:
     points = []
     for number, range_m in ranges.items():
         if number < len(robot.sonars) and 0.0 < range_m < NO_ECHO_MM / 1000:
@@ -57,17 +53,16 @@ def _echoes(ranges: Mapping[int, float], robot: RobotParameters) -> list[tuple[f
     return points
 
 
-def each_so_often(state: BaseState, robot: RobotParameters, stamp_ns: int) -> dict[str, bytes]:
+def each_second(report: BaseReport, robot: RobotShape, stamp_ns: int) -> dict[str, bytes]:
     """Return the messages that go out once a second, by key."""
-    charging = None if state.charge_state is None else _CHARGING.get(state.charge_state)
     return {
-        "battery_state": messages.battery_state(state.battery_v, stamp_ns, charging=charging),
+        "battery_state": messages.battery_state(report.battery_v, stamp_ns, charging=report.charging),
         # Repeated for late subscribers that do not query earlier samples.
         "tf_static": messages.transforms(sensor_frames(robot), stamp_ns),
     }
 
 
-def sensor_frames(robot: RobotParameters) -> list[Transform]:
+def sensor_frames(robot: RobotShape) -> list[Transform]:
     """Return where each sensor sits on the base."""
     return [
         Transform(BASE_FRAME, f"sonar_{number}", sonar.x, sonar.y, robot.sonar_height_m, sonar.theta)
@@ -75,17 +70,12 @@ def sensor_frames(robot: RobotParameters) -> list[Transform]:
     ]
 
 
-def velocity(command: Velocity, stamp_ns: int) -> bytes:
-    """Return the command that was let through."""
-    return messages.twist_stamped(command, stamp_ns)
-
-
-def turn(rate: float, stamp_ns: int) -> bytes:
+def turn_rate(rate: float, stamp_ns: int) -> bytes:
     """Return the gyro's turn rate: rad/s, counter-clockwise."""
     return imu(rate, _GYRO_VARIANCE, stamp_ns)
 
 
-def gate_status(state: State) -> GateStatus:
+def gate_status(state: GateState) -> GateStatus:
     """Return the gate's state as it goes out on ``rover/gate``."""
     lease = state.lease
     held = state.held
@@ -108,29 +98,29 @@ def _named(counts: Mapping[Reason, int]) -> dict[str, int]:
 
 
 def diagnostics(
-    base: BaseState | None, gate: State, decoder: Decoder, *, reconnects: int, hardware: str, stamp_ns: int
+    base: BaseReport | None,
+    gate: GateState,
+    link: LinkHealth,
+    *,
+    reconnects: int,
+    hardware: str,
+    stamp_ns: int,
 ) -> bytes:
     """Return the health of link, base and gate."""
-    return messages.diagnostics([_link(decoder, reconnects), _base(base), _gate(gate)], stamp_ns, hardware)
+    return messages.diagnostics([_link(link, reconnects), _base(base), _gate(gate)], stamp_ns, hardware)
 
 
-def _link(decoder: Decoder, reconnects: int) -> Diagnostic:
-    values = {
-        "packets": decoder.packets,
-        "bad_checksums": decoder.bad_checksums,
-        "skipped_bytes": decoder.skipped_bytes,
-        "reconnects": reconnects,
-    }
-    damaged = decoder.bad_checksums > 0
+def _link(link: LinkHealth, reconnects: int) -> Diagnostic:
+    values = {**link.counters, "reconnects": reconnects}
     return Diagnostic(
         "bridge: link to the base",
-        WARNING if damaged else OK,
-        "packets were damaged" if damaged else "clean",
+        WARNING if link.damaged else OK,
+        "packets were damaged" if link.damaged else "clean",
         {name: str(value) for name, value in values.items()},
     )
 
 
-def _base(base: BaseState | None) -> Diagnostic:
+def _base(base: BaseReport | None) -> Diagnostic:
     if base is None:
         return Diagnostic("bridge: base", ERROR, "not connected", {})
     troubles = {
@@ -142,7 +132,7 @@ def _base(base: BaseState | None) -> Diagnostic:
     found = ", ".join(trouble for trouble, there in troubles.items() if there)
     values = {
         "battery_v": f"{base.battery_v:.1f}",
-        "motors": "on" if base.motors_enabled else "off",
+        "motors": "on" if base.motors_on else "off",
         "flags": f"{base.flags:#06x}",
         "faults": f"{base.faults:#06x}",
         "stalled_left_right": f"{base.stalled[0]:d}{base.stalled[1]:d}",
@@ -151,7 +141,7 @@ def _base(base: BaseState | None) -> Diagnostic:
     return Diagnostic("bridge: base", ERROR if found else OK, found or "fine", values)
 
 
-def _gate(gate: State) -> Diagnostic:
+def _gate(gate: GateState) -> Diagnostic:
     status = gate_status(gate)
     values = {"driver": status.driver_name, "lease": str(status.lease), "accepted": str(status.accepted)}
     for name in ("dropped", "limited", "stops"):

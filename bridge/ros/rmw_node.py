@@ -8,7 +8,7 @@ from typing import Any
 import zenoh
 import zenoh.ext
 
-from bridge.inbox import Sampled
+from bridge.inbox import CommandMessage
 from bridge.ros.rmw import Attachment, Graph, Topic, gid
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.key_table import KeySpec, key
@@ -90,7 +90,7 @@ class _Publisher:
         self._publisher.put(data, attachment=Attachment(self._sequence, time.time_ns(), self._gid).pack())
 
 
-def sampled(sample: zenoh.Sample) -> Sampled:
+def read_command(sample: zenoh.Sample) -> CommandMessage:
     """Return a command as it came from a ROS node: without a tag, as old as its attachment says.
 
     Without a valid attachment it is not a message of rmw_zenoh, and becomes an unreadable command.
@@ -99,5 +99,5 @@ def sampled(sample: zenoh.Sample) -> Sampled:
     with contextlib.suppress(FormatError):
         if attachment is not None:
             stamp_ns = Attachment.unpack(attachment.to_bytes()).stamp_ns
-            return Sampled(sample.payload.to_bytes(), None, stamp_ns)
-    return Sampled(b"", None, None)
+            return CommandMessage(sample.payload.to_bytes(), None, stamp_ns)
+    return CommandMessage(b"")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from bridge.pioneer.arcos import Packet
 from bridge.pioneer.odometry import COUNTER_BITS, HEADING_BITS
 from bridge.pioneer.packets import ConfigPac, EncoderPac, Flag, IoPac, SimStat, Sip
-from bridge.pioneer.robots import RobotParameters
+from bridge.pioneer.robots import WHEEL_SPEED_M_S, RobotParameters
 from rover_ncp.core.geometry import Pose
 from sim.pioneer.drive import Drive
 from sim.pioneer.models import TICKS_PER_MM
@@ -99,7 +99,7 @@ class Reporter:
     def sip(self) -> Packet:
         """Return the SIP of the motion last measured; sonar readings are those since the last SIP."""
         motion, panel, robot = self._last, self.panel, self._robot
-        left, right = (round(speed / robot.velocity_m_s) for speed in motion.wheel_speeds)
+        left, right = (round(speed / WHEEL_SPEED_M_S) for speed in motion.wheel_speeds)
         stalled = (True, True) if panel.blocked else self._drive.stalled
         return Sip(
             x=_counter((motion.odometry.x + self.noise.x + self.odometry_jump_m) / robot.distance_m),

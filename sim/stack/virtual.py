@@ -8,20 +8,12 @@ delay of a millisecond in a live run is zero here.
 
 import math
 from collections.abc import Callable
-from typing import Any, cast
 
-from pydantic import BaseModel
-
-from bridge.base_connection import Line
+from bridge.base_connection import Opened, Received
 from bridge.gate.limits import Limits
-from bridge.inbox import Arrival as BridgeArrival
-from bridge.inbox import Asked, Opened, Received, Sampled
-from bridge.inbox import Inbox as BridgeInbox
+from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
-from bridge.pioneer.quantise import MotionLimits
-from bridge.pioneer.session import Session
-from bridge.transport import Transport
-from bridge.zenoh_link import Link as BridgeLink
+from bridge.pioneer.base import ArcosBase
 from deploy.drive.lease import DriverLease
 from deploy.drive.measurements import Arrival, Inbox, Mailbox
 from rover_ncp.core.errors import SafetyStop
@@ -30,7 +22,6 @@ from rover_ncp.core.key_table import spec
 from rover_ncp.core.messages import read_text, twist_stamped
 from rover_ncp.core.protocol import (
     GateStatus,
-    MotorsRefusal,
     MotorsReply,
     MotorsRequest,
     Signed,
@@ -58,13 +49,11 @@ class World:
         self.hear: Callable[[str, bytes], None] = lambda name, data: None
         """Called with all that the bridge publishes: its key and the CDR bytes."""
         allowed = limits or Limits()
-        self._inbox: list[BridgeArrival] = [Opened(cast(Transport, _Wire()))]
-        self._reply: BaseModel | None = None
+        self._inbox: list[object] = [Opened()]
         self._node = Node(
-            cast(Line, self),
-            cast(BridgeLink, self),
-            cast(BridgeInbox, self),
-            Session("auto", MotionLimits(v=allowed.v_max, omega=allowed.omega_max)),
+            ArcosBase(self, "auto", allowed.v_max, allowed.omega_max),
+            self,
+            self,
             limits=allowed,
             accept_ros=False,
             say=lambda words: None,
@@ -115,32 +104,41 @@ class World:
 
     def command(self, data: bytes, attachment: bytes) -> None:
         """Bring a command to the bridge, which takes it in before any more time passes."""
-        self._inbox.append(Sampled(data, attachment, None))
+        self._inbox.append(CommandMessage(data, attachment))
 
-    def ask(self, name: str, payload: bytes, attachment: bytes | None = None) -> BaseModel:
+    def ask(self, name: str, payload: bytes, attachment: bytes | None = None) -> bytes:
         """Ask the bridge, and return its answer. Raises RuntimeError when it cannot read the question."""
-        self._inbox.append(Asked(name, cast(Any, None), payload, attachment))
-        self._reply = None
+        replies: list[bytes] = []
+        self._inbox.append(Query(name, payload, attachment, replies.append, lambda reason: None))
         self._turn()
-        if self._reply is None:
+        if not replies:
             raise RuntimeError(f"the bridge does not answer {name}")
-        return self._reply
+        return replies[0]
 
     # What the bridge's loop calls: its inbox, its line to the base, its Zenoh session.
 
     endpoint = "virtual"
 
-    def take(self, timeout_s: float) -> list[tuple[float, BridgeArrival]]:
+    def take(self, timeout_s: float) -> list[tuple[float, object]]:
         """Return what arrived; time passes elsewhere."""
         arrived, self._inbox = self._inbox, []
         return [(self.monotonic(), arrival) for arrival in arrived]
 
-    def use(self, transport: Transport) -> None:
+    def use(self) -> None:
         """There is but one line."""
+
+    def drop(self) -> None:
+        """It never breaks."""
+
+    def close(self) -> None:
+        """It stays open."""
+
+    def set_baudrate(self, baudrate: int) -> None:
+        """It has no rate."""
 
     def reopen(self, reason: str) -> None:
         """Begin a new connection on the one line."""
-        self._inbox.append(Opened(cast(Transport, _Wire())))
+        self._inbox.append(Opened())
 
     def write(self, data: bytes) -> None:
         """Bring bytes to the base."""
@@ -155,16 +153,6 @@ class World:
     def publish(self, name: str, data: bytes) -> None:
         """Deliver a message to the driver."""
         self.hear(name, data)
-
-    def answer(self, asked: Asked, reply: BaseModel) -> None:
-        """Store the reply for the requester."""
-        self._reply = reply
-
-
-class _Wire:
-    """A line that is open; it has no rate."""
-
-    baudrate = None
 
 
 class _Mailbox(Mailbox):
@@ -209,7 +197,7 @@ class Air:
         """Ask for the motors. Raises SafetyStop when they are refused."""
         self._asked = True
         reply = self._motors(enable=True, name=name)
-        if not isinstance(reply, MotorsReply):
+        if not reply.granted:
             raise SafetyStop(reply.reason or "gate", reply.detail)
         self.lease.grant(reply)
         return reply
@@ -234,12 +222,12 @@ class Air:
     def publish(self, name: str, data: bytes, wall_ns: int) -> None:
         """Discard a message: the simulation has no subscriber to the driver's own topics."""
 
-    def _motors(self, enable: bool, name: str) -> MotorsRefusal:
+    def _motors(self, enable: bool, name: str) -> MotorsReply:
         payload = dump_json(MotorsRequest(enable=enable, name=name, sent_ns=self._world.now_ns))
         tag = None
         if self.lease.number:
             tag = self.lease.sign(Signed.MOTORS, "rover/motors", payload, self._world.now_ns).pack()
-        return cast(MotorsRefusal, self._world.ask("rover/motors", payload, tag))
+        return parse_json(MotorsReply, self._world.ask("rover/motors", payload, tag))
 
     def _hear(self, name: str, data: bytes) -> None:
         wall_ns = self._world.time_ns()

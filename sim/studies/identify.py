@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.progress import track
 
-from bridge.pioneer.quantise import MotionLimits
 from bridge.pioneer.robots import ROBOTS
+from bridge.pioneer.setpoints import MotionLimits
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify.excitation import FENCE_M, excite

@@ -2,8 +2,8 @@
 
 from bridge.pioneer.arcos import COMMANDS, Command, Decoder, Packet, decode_argument, encode_frame
 from bridge.pioneer.packets import ConfigPac, Sip, encode_names
-from bridge.pioneer.session import Event, Session, State
-from bridge.pioneer.states import PATIENCE_S, Input
+from bridge.pioneer.session import Session, SessionEvent
+from bridge.pioneer.states import PATIENCE_S, Input, SessionState
 
 Sent = list[tuple[Command, object]]
 
@@ -40,7 +40,7 @@ class Bench:
         self.session = Session(model)
         self.now = 100.0
         self.baudrate: int | None = None
-        self.events: list[Event] = []
+        self.events: list[SessionEvent] = []
         self._decoder = Decoder()
 
     def connect(self) -> None:
@@ -60,29 +60,29 @@ class Bench:
     def commands(self) -> list[Command]:
         return [command for command, _ in self.sent()]
 
-    def go_to(self, state: State) -> None:
+    def go_to(self, state: SessionState) -> None:
         """Come into a state the way a robot would bring us there."""
-        way: list[tuple[State, bytes | float]] = [
-            (State.LISTENING, PATIENCE_S[State.LISTENING]),
-            (State.SYNC0, ECHO0),
-            (State.SYNC1, ECHO1),
-            (State.SYNC2, NAMES),
-            (State.CONFIGURING, CONFIG + sip()),
-            (State.READY, PATIENCE_S[State.READY]),
+        way: list[tuple[SessionState, bytes | float]] = [
+            (SessionState.LISTENING, PATIENCE_S[SessionState.LISTENING]),
+            (SessionState.SYNC0, ECHO0),
+            (SessionState.SYNC1, ECHO1),
+            (SessionState.SYNC2, NAMES),
+            (SessionState.CONFIGURING, CONFIG + sip()),
+            (SessionState.READY, PATIENCE_S[SessionState.READY]),
         ]
-        if state in {State.ASKING_FASTER, State.FASTER}:
+        if state in {SessionState.ASKING_FASTER, SessionState.FASTER}:
             self.baudrate = 9600
             way[-2:] = [
-                (State.CONFIGURING, FAST_CONFIG + sip()),
-                (State.ASKING_FASTER, PATIENCE_S[State.ASKING_FASTER]),
+                (SessionState.CONFIGURING, FAST_CONFIG + sip()),
+                (SessionState.ASKING_FASTER, PATIENCE_S[SessionState.ASKING_FASTER]),
             ]
-        if state is not State.IDLE:
+        if state is not SessionState.IDLE:
             self.connect()
-        if state is State.HANGING_UP:
+        if state is SessionState.HANGING_UP:
             self.hear(sip())
         else:
             for here, step in way:
-                if self.session.state is state or state is State.IDLE:
+                if self.session.state is state or state is SessionState.IDLE:
                     break
                 assert self.session.state is here
                 self.wait(step) if isinstance(step, float) else self.hear(step)

@@ -3,9 +3,10 @@
 Digests are verified before the gate: here a command or a request says whether it is signed by the holder.
 """
 
+from bridge.base import BaseReport
 from bridge.gate.gate import step
 from bridge.gate.limits import Limits
-from bridge.gate.state import Command, Enable, Heard, Release, State
+from bridge.gate.state import Enable, GateState, Release, VelocityCommand
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.protocol import CommandTag
 
@@ -18,7 +19,7 @@ class Gate:
     """A gate with its state. Times are the bridge's; the driver's clock differs by ``ahead_s``."""
 
     def __init__(self, limits=LIMITS, accept_ros=False, ahead_s=1234.5):
-        self.state, self.limits, self.accept_ros, self.ahead_s = State(), limits, accept_ros, ahead_s
+        self.state, self.limits, self.accept_ros, self.ahead_s = GateState(), limits, accept_ros, ahead_s
         self.sequence = 0
 
     def at(self, now, event):
@@ -34,7 +35,7 @@ class Gate:
             self.sequence += 1
             sequence = self.sequence
         tag = CommandTag(1, sequence, self.stamp(now - age))
-        return self.at(now, Command(velocity, tag, signed=signed))
+        return self.at(now, VelocityCommand(velocity, tag, signed=signed))
 
     def enable(self, now, secret=SECRET, age=0.0):
         """A request for the motors by a new driver."""
@@ -56,11 +57,11 @@ class Gate:
 
     def driving(self, now=0.0):
         """Bring the gate to where a command is in force since ``now``, at full size."""
-        self.at(now - 0.3, Heard(motors_on=False))
+        self.at(now - 0.3, BaseReport(motors_on=False))
         assert self.enable(now - 0.3).refusal is None
-        self.at(now - 0.2, Heard())
+        self.at(now - 0.2, BaseReport())
         for k in (2, 1, 0):
             verdict = self.drive(now - 0.05 * k)
-        self.at(now, Heard())
+        self.at(now, BaseReport())
         assert verdict.velocity == SLOW
         return self

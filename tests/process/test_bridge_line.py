@@ -7,8 +7,8 @@ from itertools import pairwise
 import pytest
 
 from bridge import base_connection as line_module
-from bridge.base_connection import Line
-from bridge.inbox import ROOM, Broken, Crashed, Inbox, Opened, Received, Sampled
+from bridge.base_connection import BaseConnection, Broken, Opened, Received
+from bridge.inbox import MAX_MESSAGES, CommandMessage, Inbox, ThreadError
 from bridge.transport import TcpTransport
 from rover_ncp.core.errors import NoRobot, UsageError
 
@@ -27,7 +27,7 @@ def open_line(server):
 
     def open_it():
         inbox = Inbox()
-        lines.append(Line(f"tcp/127.0.0.1:{server.getsockname()[1]}", inbox))
+        lines.append(BaseConnection(f"tcp/127.0.0.1:{server.getsockname()[1]}", inbox))
         return lines[-1], inbox
 
     yield open_it
@@ -50,7 +50,8 @@ def test_bytes_go_both_ways_and_are_counted(server, open_line):
     line, inbox = open_line()
     peer, _ = server.accept()
     with peer:
-        line.use(next_of(inbox, Opened).transport)
+        next_of(inbox, Opened)
+        line.use()
         line.write(b"hello")
         assert peer.recv(100) == b"hello"
         peer.sendall(b"wombat")
@@ -73,7 +74,8 @@ def test_arrivals_carry_their_moment_in_order(server, open_line):
 def test_a_broken_line_is_reported_and_opened_again(server, open_line):
     line, inbox = open_line()
     first, _ = server.accept()
-    line.use(next_of(inbox, Opened).transport)
+    next_of(inbox, Opened)
+    line.use()
     line.write(b"12345")
     first.recv(5)
     first.close()
@@ -82,7 +84,8 @@ def test_a_broken_line_is_reported_and_opened_again(server, open_line):
     line.write(b"lost")
     second, _ = server.accept()
     with second:
-        line.use(next_of(inbox, Opened).transport)
+        next_of(inbox, Opened)
+        line.use()
         line.write(b"678")
         assert second.recv(100) == b"678"
     assert line.bytes_out == 8
@@ -92,13 +95,13 @@ def test_a_write_that_fails_breaks_the_line(server, open_line, monkeypatch):
     line, inbox = open_line()
     peer, _ = server.accept()
     with peer:
-        transport = next_of(inbox, Opened).transport
-        line.use(transport)
+        next_of(inbox, Opened)
+        line.use()
 
-        def fail(_):
+        def fail(*_):
             raise NoRobot("the line takes no more bytes")
 
-        monkeypatch.setattr(transport, "write", fail)
+        monkeypatch.setattr(TcpTransport, "write", fail)
         line.write(b"x")
         monkeypatch.undo()
         line.write(b"y")  # nothing more goes out on a line that has failed
@@ -112,7 +115,8 @@ def test_a_line_that_is_reopened_is_closed_by_the_thread_and_the_loop_never_wait
     line, inbox = open_line()
     first, _ = server.accept()
     with first:
-        line.use(next_of(inbox, Opened).transport)
+        next_of(inbox, Opened)
+        line.use()
         line.reopen("no answer")
         line.write(b"last words")
         assert str(next_of(inbox, Broken).error) == f"{line.endpoint}: no answer"
@@ -124,7 +128,8 @@ def test_a_line_that_is_reopened_is_closed_by_the_thread_and_the_loop_never_wait
         assert first.recv(100) == b""
         second, _ = server.accept()
         with second:
-            line.use(next_of(inbox, Opened).transport)
+            next_of(inbox, Opened)
+            line.use()
             line.write(b"again")
             assert second.recv(100) == b"again"
     assert line.bytes_out == len(b"last words" + b"again")
@@ -157,7 +162,7 @@ def test_an_unexpected_error_reaches_the_loop(server, open_line, monkeypatch):
 
     monkeypatch.setattr(TcpTransport, "read", explode)
     _, inbox = open_line()
-    error = next_of(inbox, Crashed).error
+    error = next_of(inbox, ThreadError).error
     assert isinstance(error, RuntimeError)
     assert str(error) == "boom"
 
@@ -166,19 +171,19 @@ def test_a_line_that_cannot_be_opened_says_so_at_once(server):
     port = server.getsockname()[1]
     server.close()
     with pytest.raises(NoRobot, match="refused"):
-        Line(f"tcp/127.0.0.1:{port}", Inbox())
+        BaseConnection(f"tcp/127.0.0.1:{port}", Inbox())
     with pytest.raises(UsageError, match="expected tcp/HOST"):
-        Line("carrier pigeon", Inbox())
+        BaseConnection("carrier pigeon", Inbox())
 
 
 def test_a_flood_of_commands_does_not_fill_the_memory_nor_push_out_bytes():
     inbox = Inbox()
-    command = Sampled(b"", None, None)
-    for _ in range(ROOM + 100):
+    command = CommandMessage(b"")
+    for _ in range(MAX_MESSAGES + 100):
         inbox.put(command)
     inbox.put(Received(b"sip"))
     arrivals = [arrival for _, arrival in inbox.take(0.0)]
-    assert arrivals == [command] * ROOM + [Received(b"sip")]
+    assert arrivals == [command] * MAX_MESSAGES + [Received(b"sip")]
     assert inbox.flooded == 100
 
 

@@ -10,10 +10,10 @@ import zenoh
 import zenoh.ext
 from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, client, wait_for
 
-from bridge.inbox import Inbox, Sampled
-from bridge.ros.conventions import Convention
+from bridge.inbox import CommandMessage, Inbox
+from bridge.ros.discovery import Convention
 from bridge.ros.rmw import Attachment, Graph, Topic, domain_id, gid
-from bridge.zenoh_link import Link
+from bridge.zenoh_link import ZenohLink
 from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.key_table import KEYS, Kind, Role, spec
 from rover_ncp.core.messages import Transform, decode, transforms
@@ -93,7 +93,7 @@ class Link5:
 
     def __init__(self, *conventions):
         self.inbox = Inbox()
-        self.link = Link("tcp/127.0.0.1:0", "bot1", None, self.inbox, ros=conventions)
+        self.link = ZenohLink("tcp/127.0.0.1:0", "bot1", None, self.inbox, ros=conventions)
         self.link.announce()
         self.session = client(self.link.locator)
 
@@ -184,8 +184,8 @@ def test_a_ros_nodes_command_is_as_old_as_its_attachment_says(domain_5):
         arrived = []
         wait_for(lambda: arrived.extend(bridge.inbox.take(0.1)) or len(arrived) >= 3)
     # What rmw_zenoh would not take is a command that cannot be read: a tag of ours buys nothing here.
-    unreadable = Sampled(b"", None, None)
-    assert [what for _, what in arrived] == [Sampled(twist, None, 123_456_789), unreadable, unreadable]
+    unreadable = CommandMessage(b"", None, None)
+    assert [what for _, what in arrived] == [CommandMessage(twist, None, 123_456_789), unreadable, unreadable]
 
 
 def test_ros_nodes_find_each_other_through_the_bridge(domain_5):

@@ -13,11 +13,13 @@ from contextlib import closing, contextmanager
 import pytest
 from pioneer_bench import Pioneer
 
+from bridge.base import BaseReport, Lost
 from bridge.pioneer.arcos import Command, encode_command
-from bridge.pioneer.events import Lost, StateReceived
-from bridge.pioneer.session import Session, State
+from bridge.pioneer.session import Session
+from bridge.pioneer.states import SessionState
 from bridge.transport import DEFAULT_PORT, Transport, open_transport
 from rover_ncp.core.errors import NoRobot, UsageError
+from rover_ncp.core.geometry import Velocity
 
 
 @contextmanager
@@ -216,13 +218,17 @@ def base_on_a_serial_line(*faults: str) -> Iterator[tuple[Transport, Base]]:
             base.join()
 
 
-def turn(session: Session, line: Transport, until: object, timeout: float = 10.0) -> list[object]:
+def turn(
+    session: Session, line: Transport, until: object, timeout: float = 10.0
+) -> list[tuple[float, object]]:
+    """Let a session run until ``until()``; return its events and when they came."""
     deadline, happened = time.monotonic() + timeout, []
     while not until():  # type: ignore[operator]
         assert time.monotonic() < deadline, "timed out"
         data = line.read(0.02)
-        happened += session.receive(data, time.monotonic()) if data else []
-        happened += session.tick(time.monotonic())
+        events = session.receive(data, time.monotonic()) if data else []
+        events += session.tick(time.monotonic())
+        happened += [(time.monotonic(), event) for event in events]
         line.write(session.data_to_send())
     return happened
 
@@ -232,10 +238,12 @@ def test_a_base_on_a_serial_line_is_connected_driven_and_left() -> None:
         session = Session()
         session.connect(time.monotonic())
         line.write(b"WMS2\r")  # what ARIA sends first
-        turn(session, line, lambda: session.state is State.READY)
+        turn(session, line, lambda: session.state is SessionState.READY)
         session.enable(True)
         turn(session, line, lambda: base.pioneer.firmware.drive.enabled)
-        turn(session, line, lambda: session.set_motion(0.3, 0.0) or base.pioneer.rover.pose.x > 0.02)
+        turn(
+            session, line, lambda: session.set_motion(Velocity(0.3, 0.0)) or base.pioneer.rover.pose.x > 0.02
+        )
         session.close(time.monotonic())
         line.write(session.data_to_send())
         deadline = time.monotonic() + 5
@@ -248,12 +256,14 @@ def test_a_base_on_a_bad_serial_line_that_falls_silent_is_lost_in_time() -> None
     with base_on_a_serial_line("corrupt=0.05", "drop=0.05", "noise=0.05", "mute@0.7") as (line, _):
         session = Session()
         session.connect(time.monotonic())
-        turn(session, line, lambda: session.state is State.READY, timeout=30)
+        turn(session, line, lambda: session.state is SessionState.READY, timeout=30)
         session.enable(True)
-        happened = turn(session, line, lambda: session.state is State.LOST)
-        heard = [event.state.received_s for event in happened if isinstance(event, StateReceived)]
-        assert time.monotonic() - heard[-1] < 0.7
-        assert isinstance(happened[-1], Lost)
+        happened = turn(session, line, lambda: session.state is SessionState.LOST)
+        (reported_s, _), (lost_s, lost) = [
+            item for item in happened if isinstance(item[1], BaseReport | Lost)
+        ][-2:]
+        assert lost_s - reported_s < 0.7
+        assert isinstance(lost, Lost)
 
 
 def test_a_serial_line_behind_a_url_of_pyserial_carries_bytes_both_ways():

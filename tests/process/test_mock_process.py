@@ -13,10 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bridge.pioneer.events import StateReceived
-from bridge.pioneer.session import Session, State
+from bridge.base import BaseReport
+from bridge.pioneer.session import Session
+from bridge.pioneer.states import SessionState
 from bridge.transport import Transport, open_transport
 from rover_ncp.core.errors import NoRobot
+from rover_ncp.core.geometry import Velocity
 from sim.pioneer.server import TRUTH_COLUMNS
 
 COMMAND = [sys.executable, "-c", "from rover_ncp.cli import main; main()", "mock"]
@@ -48,16 +50,16 @@ class Client:
     def __init__(self, transport: Transport) -> None:
         self.transport = transport
         self.session = Session()
-        self.states: list[StateReceived] = []
-        self.motion = (0.0, 0.0)
+        self.states: list[BaseReport] = []
+        self.motion = Velocity(0.0, 0.0)
         self.session.connect(time.monotonic())
 
     def turn(self) -> None:
         data = self.transport.read(0.02)
         events = self.session.receive(data, time.monotonic()) if data else []
-        self.session.set_motion(*self.motion)
+        self.session.set_motion(self.motion)
         events += self.session.tick(time.monotonic())
-        self.states += [event for event in events if isinstance(event, StateReceived)]
+        self.states += [event for event in events if isinstance(event, BaseReport)]
         out = self.session.data_to_send()
         if out:
             self.transport.write(out)
@@ -70,12 +72,12 @@ class Client:
 
     @property
     def x(self) -> float:
-        return self.states[-1].state.x if self.states else 0.0
+        return self.states[-1].x if self.states else 0.0
 
     def drive(self, v: float, to_x: float) -> None:
-        self.turn_until(lambda: self.session.state is State.READY)
+        self.turn_until(lambda: self.session.state is SessionState.READY)
         self.session.enable(True)
-        self.motion = (v, 0.0)
+        self.motion = Velocity(v, 0.0)
         self.turn_until(lambda: self.x > to_x)
 
     def leave(self) -> None:
@@ -139,8 +141,8 @@ def test_a_client_that_vanishes_leaves_the_rover_to_the_watchdog_and_can_come_ba
         reset_connection(client.transport)
         with closing(open_transport(f"tcp/127.0.0.1:{port}")) as line:
             again = Client(line)
-            again.turn_until(lambda: again.session.state is State.READY)
-            again.turn_until(lambda: again.states and not again.states[-1].state.moving)
+            again.turn_until(lambda: again.session.state is SessionState.READY)
+            again.turn_until(lambda: again.states and again.states[-1].v == 0.0)
             assert again.x < 0.3
         # A kill leaves whole lines behind.
         process.kill()
@@ -160,9 +162,9 @@ def test_faults_courses_and_models_reach_the_base() -> None:
     with mock("--fault", "mute@0.5", "--model", "p3dx", "--course", "parking") as (process, port):
         with closing(open_transport(f"tcp/127.0.0.1:{port}")) as line:
             client = Client(line)
-            client.turn_until(lambda: client.session.state is State.READY)
+            client.turn_until(lambda: client.session.state is SessionState.READY)
             client.session.enable(True)
-            client.turn_until(lambda: client.session.state is State.LOST)
+            client.turn_until(lambda: client.session.state is SessionState.LOST)
         process.send_signal(signal.SIGINT)
         out, _ = process.communicate(timeout=10)
     assert process.returncode == 0

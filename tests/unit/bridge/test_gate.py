@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 from gate_bench import LIMITS, SLOW, Gate
 
+from bridge.base import BaseReport
 from bridge.gate.limits import Fence
 from bridge.gate.state import (
     ZERO,
     BaseLost,
-    Heard,
     Reason,
     Stop,
     Tick,
@@ -31,7 +31,7 @@ def test_nothing_moves_before_the_base_was_heard():
 
 def test_nothing_moves_before_a_driver_asked():
     gate = Gate()
-    gate.at(0.0, Heard(motors_on=True))
+    gate.at(0.0, BaseReport(motors_on=True))
     verdict = gate.drive(0.1)
     assert (verdict.velocity, verdict.motors) == (ZERO, False)
     assert (verdict.held, verdict.dropped) == (Reason.NO_LEASE, Reason.NO_LEASE)
@@ -39,19 +39,19 @@ def test_nothing_moves_before_a_driver_asked():
 
 def test_nothing_moves_before_the_motors_are_on():
     gate = Gate()
-    gate.at(0.0, Heard(motors_on=False))
+    gate.at(0.0, BaseReport(motors_on=False))
     assert gate.enable(0.1).motors
     verdict = gate.drive(0.2)
     assert (verdict.velocity, verdict.held) == (ZERO, Reason.MOTORS_OFF)
-    gate.at(0.25, Heard())
+    gate.at(0.25, BaseReport())
     assert gate.drive(0.3).velocity.v > 0.0
 
 
 def test_stale_odometry_refuses_the_lease():
     gate = Gate()
-    gate.at(0.0, Heard())
+    gate.at(0.0, BaseReport())
     assert gate.enable(0.5).refusal is Reason.ODOMETRY
-    gate.at(0.6, Heard())
+    gate.at(0.6, BaseReport())
     assert gate.enable(0.7).refusal is None
 
 
@@ -98,7 +98,7 @@ def test_speeds_grow_no_faster_than_allowed_and_brake_at_once():
 def test_a_loop_that_slept_earns_no_acceleration():
     gate = Gate(LIMITS.model_copy(update={"silence_s": 0.4}))
     gate.driving()
-    gate.at(0.25, Heard())
+    gate.at(0.25, BaseReport())
     gate.state = replace(gate.state, now=0.0, out=ZERO)
     assert gate.drive(0.3, Velocity(0.3, 0.0)).velocity.v == pytest.approx(0.1)
 
@@ -109,19 +109,19 @@ FENCE = LIMITS.model_copy(update={"fence": Fence(x_min=-1.0, x_max=2.0, y_min=-1
 @pytest.mark.parametrize(
     ("base", "velocity", "passes"),
     [
-        (Heard(x=0.0), Velocity(0.1, 0.0), True),
+        (BaseReport(x=0.0), Velocity(0.1, 0.0), True),
         # 0.1 m/s reaches 0.03 m while it reacts and 0.01 m while it brakes.
-        (Heard(x=1.95), Velocity(0.1, 0.0), True),
-        (Heard(x=1.965), Velocity(0.1, 0.0), False),
-        (Heard(x=1.965), Velocity(-0.1, 0.0), True),
-        (Heard(x=1.965), Velocity(0.0, 0.3), True),
-        (Heard(x=1.965, theta=math.pi), Velocity(0.1, 0.0), True),
-        (Heard(x=-0.99, theta=math.pi), Velocity(0.1, 0.0), False),
-        (Heard(y=0.99, theta=math.pi / 2), Velocity(0.1, 0.0), False),
-        (Heard(y=-0.99, theta=math.pi / 2), Velocity(-0.1, 0.0), False),
-        (Heard(x=2.5), Velocity(0.1, 0.0), False),
-        (Heard(x=2.5), Velocity(-0.1, 0.0), True),
-        (Heard(x=2.5, theta=math.pi / 2), Velocity(0.1, 0.0), False),
+        (BaseReport(x=1.95), Velocity(0.1, 0.0), True),
+        (BaseReport(x=1.965), Velocity(0.1, 0.0), False),
+        (BaseReport(x=1.965), Velocity(-0.1, 0.0), True),
+        (BaseReport(x=1.965), Velocity(0.0, 0.3), True),
+        (BaseReport(x=1.965, theta=math.pi), Velocity(0.1, 0.0), True),
+        (BaseReport(x=-0.99, theta=math.pi), Velocity(0.1, 0.0), False),
+        (BaseReport(y=0.99, theta=math.pi / 2), Velocity(0.1, 0.0), False),
+        (BaseReport(y=-0.99, theta=math.pi / 2), Velocity(-0.1, 0.0), False),
+        (BaseReport(x=2.5), Velocity(0.1, 0.0), False),
+        (BaseReport(x=2.5), Velocity(-0.1, 0.0), True),
+        (BaseReport(x=2.5, theta=math.pi / 2), Velocity(0.1, 0.0), False),
     ],
 )
 def test_fence_holds_the_way_out_but_not_the_way_back(base, velocity, passes):
@@ -157,7 +157,7 @@ NEARER = math.nextafter(0.4, 0.0)
 def test_sonars_hold_the_way_to_an_obstacle_but_not_the_way_back(ahead_m, behind_m, velocity, passes):
     gate = Gate().driving()
     gate.limits = SONAR
-    gate.at(0.1, Heard(clear_ahead_m=ahead_m, clear_behind_m=behind_m))
+    gate.at(0.1, BaseReport(clear_ahead_m=ahead_m, clear_behind_m=behind_m))
     verdict = gate.drive(0.1, velocity)
     assert verdict.held is (None if passes else Reason.SONAR)
     if not passes:
@@ -169,7 +169,7 @@ def test_sonars_hold_the_way_to_an_obstacle_but_not_the_way_back(ahead_m, behind
 
 def test_sonars_hold_nothing_without_sonar_stop_m():
     gate = Gate().driving()
-    gate.at(0.1, Heard(clear_ahead_m=0.01, clear_behind_m=math.nan))
+    gate.at(0.1, BaseReport(clear_ahead_m=0.01, clear_behind_m=math.nan))
     assert gate.drive(0.1).held is None
 
 
@@ -177,9 +177,9 @@ def test_sonars_hold_nothing_without_sonar_stop_m():
 
 
 HAZARDS = [
-    (Heard(stop_pressed=True), Reason.STOP_BUTTON),
-    (Heard(bumped=True), Reason.BUMPER),
-    (Heard(stalled=True), Reason.STALL),
+    (BaseReport(stop_pressed=True), Reason.STOP_BUTTON),
+    (BaseReport(bumpers=(1, 0)), Reason.BUMPER),
+    (BaseReport(stalled=(False, True)), Reason.STALL),
 ]
 
 
@@ -193,7 +193,7 @@ def test_a_hazard_stops_and_ends_the_lease(event, reason):
     assert gate.state.stops == {reason: 1}
     assert gate.drive(0.02).dropped is reason
     assert gate.enable(0.03).refusal is reason
-    assert gate.at(0.1, Heard()).velocity == ZERO
+    assert gate.at(0.1, BaseReport()).velocity == ZERO
     assert gate.drive(0.11).dropped is Reason.NO_LEASE
     assert gate.enable(0.12).refusal is None
     assert gate.drive(0.2).velocity != ZERO
@@ -213,7 +213,7 @@ def test_a_hazard_stops_and_ends_the_lease(event, reason):
 def test_only_what_may_have_hurt_brakes_harder_than_usual(reason, emergency):
     gate = Gate().driving()
     events = {value: event for event, value in HAZARDS} | {Reason.STOPPED: Stop("now")}
-    verdict = gate.at(0.35, Heard())
+    verdict = gate.at(0.35, BaseReport())
     if reason is Reason.NO_LEASE:
         verdict = gate.release(0.35)
     elif reason in events:
@@ -226,7 +226,7 @@ def test_a_stop_is_latched_until_released_and_the_driver_asks_again():
     gate = Gate().driving()
     assert gate.at(0.0, Stop("child on the floor")).velocity == ZERO
     assert gate.state.latched == "child on the floor"
-    gate.at(0.1, Heard())
+    gate.at(0.1, BaseReport())
     assert gate.drive(0.1).dropped is Reason.STOPPED
     assert gate.enable(0.2).refusal is Reason.STOPPED
     assert gate.at(0.2, Unlatch()).velocity == ZERO
@@ -237,14 +237,14 @@ def test_a_stop_is_latched_until_released_and_the_driver_asks_again():
 def test_a_hazard_ends_no_lease_that_was_given_back_before():
     gate = Gate().driving()
     gate.release(0.05)
-    assert gate.at(0.1, Heard(bumped=True)).held is Reason.BUMPER
+    assert gate.at(0.1, BaseReport(bumpers=(1, 0))).held is Reason.BUMPER
     assert gate.state.ended is None
     assert gate.state.stops == {}
 
 
 def test_a_low_battery_counts_when_it_lasts():
     gate = Gate().driving()
-    low, fine = Heard(battery_v=10.9), Heard(battery_v=11.0)
+    low, fine = BaseReport(battery_v=10.9), BaseReport(battery_v=11.0)
     for k, report in enumerate([low] * 19 + [fine] + [low] * 20):
         gate.at(0.1 * k, report)
         assert gate.drive(0.1 * k).held is None
@@ -256,28 +256,28 @@ def test_a_low_battery_counts_when_it_lasts():
 def test_a_base_that_reports_no_voltage_is_not_low():
     gate = Gate().driving()
     for k in range(40):
-        gate.at(0.1 * k, Heard(battery_v=0.0))
+        gate.at(0.1 * k, BaseReport(battery_v=0.0))
         assert gate.drive(0.1 * k).held is None
 
 
 def test_motors_that_go_off_by_themselves_end_the_lease():
     gate = Gate().driving()
     for k in range(1, 10):
-        gate.at(0.1 * k, Heard())
+        gate.at(0.1 * k, BaseReport())
         gate.drive(0.1 * k)
-    verdict = gate.at(1.0, Heard(motors_on=False))
+    verdict = gate.at(1.0, BaseReport(motors_on=False))
     assert (verdict.velocity, verdict.held, verdict.motors) == (ZERO, Reason.MOTORS_OFF, False)
     assert gate.state.ended is Reason.MOTORS_OFF
 
 
 def test_motors_that_never_come_on_end_the_lease():
     gate = Gate()
-    gate.at(0.0, Heard(motors_on=False))
+    gate.at(0.0, BaseReport(motors_on=False))
     gate.enable(0.0)
     for k in range(1, 11):
-        gate.at(0.1 * k, Heard(motors_on=False))
+        gate.at(0.1 * k, BaseReport(motors_on=False))
         assert gate.drive(0.1 * k).dropped is None
-    gate.at(1.05, Heard(motors_on=False))
+    gate.at(1.05, BaseReport(motors_on=False))
     assert gate.drive(1.05).dropped is Reason.NO_LEASE
     assert gate.state.ended is Reason.MOTORS_OFF
 
@@ -287,16 +287,16 @@ def test_motors_that_never_come_on_end_the_lease():
 
 def test_motors_stay_on_until_the_rover_stands():
     gate = Gate().driving()
-    gate.at(0.05, Heard(v=0.2))
+    gate.at(0.05, BaseReport(v=0.2))
     assert gate.release(0.1).motors
-    assert gate.at(0.2, Heard(omega=-0.05)).motors
-    assert not gate.at(0.3, Heard(v=0.005)).motors
-    assert not gate.at(0.4, Heard(v=0.2)).motors
+    assert gate.at(0.2, BaseReport(omega=-0.05)).motors
+    assert not gate.at(0.3, BaseReport(v=0.005)).motors
+    assert not gate.at(0.4, BaseReport(v=0.2)).motors
 
 
 def test_motors_do_not_wait_for_ever():
     gate = Gate().driving()
-    gate.at(0.0, Heard(v=0.2))
+    gate.at(0.0, BaseReport(v=0.2))
     gate.release(0.0)
-    assert gate.at(1.9, Heard(v=0.2)).motors
-    assert not gate.at(2.1, Heard(v=0.2)).motors
+    assert gate.at(1.9, BaseReport(v=0.2)).motors
+    assert not gate.at(2.1, BaseReport(v=0.2)).motors

@@ -6,19 +6,19 @@ from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bridge.base import BaseReport
 from bridge.gate.gate import step
 from bridge.gate.limits import Fence, Limits
 from bridge.gate.state import (
     ZERO,
     BaseLost,
-    Command,
     Enable,
-    Heard,
+    GateState,
     Release,
-    State,
     Stop,
     Tick,
     Unlatch,
+    VelocityCommand,
 )
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.protocol import CommandTag
@@ -33,7 +33,7 @@ sequences = st.integers(0, 40) | st.integers(0, 2**64 - 1)
 stamp_errors = st.sampled_from([0, 0, 0, 10_000_000, -10_000_000, 10**9, -(10**9), 2**62, -(2**62)])
 numbers = st.floats(-5, 5) | st.sampled_from([0.0, math.nan, math.inf, 1e308])
 reports = st.builds(
-    Heard,
+    BaseReport,
     x=numbers,
     y=numbers,
     theta=numbers,
@@ -42,12 +42,12 @@ reports = st.builds(
     battery_v=st.sampled_from([0.0, 12.0, 12.0, 10.0, math.nan]),
     motors_on=st.sampled_from([True, True, True, False]),
     stop_pressed=st.sampled_from([False] * 9 + [True]),
-    stalled=st.sampled_from([False] * 9 + [True]),
-    bumped=st.sampled_from([False] * 9 + [True]),
+    stalled=st.sampled_from([(False, False)] * 9 + [(True, False)]),
+    bumpers=st.sampled_from([(0, 0)] * 9 + [(0, 4)]),
     clear_ahead_m=st.sampled_from([5.0, 5.0, 0.5, 0.4, math.nan]),
     clear_behind_m=st.sampled_from([5.0, 0.4, math.nan]),
 )
-CLEAR = Heard(clear_ahead_m=1.0, clear_behind_m=1.0)
+CLEAR = BaseReport(clear_ahead_m=1.0, clear_behind_m=1.0)
 good = st.just(("good", None))
 happenings = st.lists(
     st.tuples(
@@ -88,7 +88,7 @@ def events_of(kind, what, now, sequence):
     match kind:
         case "good":
             yield CLEAR
-            yield Command(SLOW, CommandTag(1, sequence, stamp), signed=True)
+            yield VelocityCommand(SLOW, CommandTag(1, sequence, stamp), signed=True)
         case "start":
             yield Unlatch()
             yield CLEAR
@@ -99,9 +99,9 @@ def events_of(kind, what, now, sequence):
             yield Release(what)
         case "tagged":
             velocity, signed, number, error = what
-            yield Command(velocity, CommandTag(1, number, stamp + error), signed=signed)
+            yield VelocityCommand(velocity, CommandTag(1, number, stamp + error), signed=signed)
         case "plain":
-            yield Command(what[0], None, what[1])
+            yield VelocityCommand(what[0], None, what[1])
         case _:
             yield what
 
@@ -110,12 +110,12 @@ def allowed_to_move(history, limits):
     """Whether the rover may move now, computed from the history alone, independently of the gate."""
     now = history[-1][0]
     reported_s, report = next(
-        ((t, event) for t, event, _ in reversed(history) if isinstance(event, Heard)), (-math.inf, None)
+        ((t, event) for t, event, _ in reversed(history) if isinstance(event, BaseReport)), (-math.inf, None)
     )
     counted = [
         k
         for k, (_, event, verdict) in enumerate(history)
-        if isinstance(event, Command) and verdict.dropped is None
+        if isinstance(event, VelocityCommand) and verdict.dropped is None
     ]
     if not counted or now - reported_s > limits.odometry_s:
         return False
@@ -140,8 +140,8 @@ def blocked(report, v, limits):
 
 
 def ends(event, last):
-    if isinstance(event, Heard):
-        return event.stop_pressed or event.stalled or event.bumped
+    if isinstance(event, BaseReport):
+        return event.stop_pressed or any(event.stalled) or any(event.bumpers)
     return isinstance(event, Stop | BaseLost) or (isinstance(event, Release) and event.sequence > last)
 
 
@@ -149,14 +149,14 @@ def forged(event, state):
     """Whether an event is of a driver that does not have the key of the lease that is held."""
     if state.lease is None or state.lease.secret is None:
         return False
-    command = isinstance(event, Command) and not event.signed
+    command = isinstance(event, VelocityCommand) and not event.signed
     return command or (isinstance(event, Enable) and event.sequence is None)
 
 
 @settings(max_examples=300)
 @given(happenings=happenings, limits=all_limits, accept_ros=st.booleans())
 def test_output_is_always_finite_within_limits_and_allowed(happenings, limits, accept_ros):
-    state, now, before = State(), 100.0, (100.0, ZERO)
+    state, now, before = GateState(), 100.0, (100.0, ZERO)
     history = []
     prelude = [(0.0, ("report", CLEAR)), (0.0, ("enable", (None, 0)))]
     for sequence, (wait, (kind, what)) in enumerate(prelude + happenings):
@@ -181,5 +181,5 @@ def test_output_is_always_finite_within_limits_and_allowed(happenings, limits, a
                 assert allowed_to_move(history, limits)
             before = (max(now, before[0]), verdict.velocity)
     assert state.accepted + sum(state.dropped.values()) == sum(
-        isinstance(event, Command) for _, event, _ in history
+        isinstance(event, VelocityCommand) for _, event, _ in history
     )

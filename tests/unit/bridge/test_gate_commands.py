@@ -5,13 +5,13 @@ import math
 import pytest
 from gate_bench import LIMITS, SECRET, SLOW, Gate
 
+from bridge.base import BaseReport
 from bridge.gate.state import (
     ZERO,
-    Command,
     Enable,
-    Heard,
     Reason,
     Tick,
+    VelocityCommand,
 )
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.protocol import CommandTag
@@ -21,19 +21,19 @@ from rover_ncp.core.protocol import CommandTag
 
 def test_silence_stops_and_a_later_command_drives_on():
     gate = Gate().driving()
-    gate.at(0.25, Heard())
+    gate.at(0.25, BaseReport())
     assert gate.at(0.29, Tick()).velocity == SLOW
     verdict = gate.at(0.31, Tick())
     assert (verdict.velocity, verdict.held) == (ZERO, Reason.SILENCE)
     assert gate.state.stops == {Reason.SILENCE: 1}
-    gate.at(0.55, Heard())
+    gate.at(0.55, BaseReport())
     assert gate.drive(0.6).velocity != ZERO
 
 
 def test_a_command_that_was_under_way_for_long_counts_for_less_long():
     gate = Gate().driving()
     gate.drive(0.2, age=0.15)
-    gate.at(0.3, Heard())
+    gate.at(0.3, BaseReport())
     assert gate.at(0.34, Tick()).velocity != ZERO
     assert gate.at(0.36, Tick()).held is Reason.SILENCE
 
@@ -41,9 +41,9 @@ def test_a_command_that_was_under_way_for_long_counts_for_less_long():
 def test_the_lease_lapses_without_commands():
     gate = Gate().driving()
     for k in range(1, 10):
-        gate.at(0.1 * k, Heard())
+        gate.at(0.1 * k, BaseReport())
     assert gate.state.lease is not None
-    assert gate.at(1.01, Heard()).held is Reason.NO_LEASE
+    assert gate.at(1.01, BaseReport()).held is Reason.NO_LEASE
     assert gate.state.ended is Reason.LEASE_LAPSED
     assert gate.enable(1.05).refusal is None
 
@@ -54,7 +54,7 @@ def test_odometry_that_stops_stops_the_rover_and_goes_on_when_it_comes_back():
         verdict = gate.drive(0.05 * k)
     assert verdict.velocity == SLOW
     assert gate.drive(0.36).held is Reason.ODOMETRY
-    gate.at(0.4, Heard())
+    gate.at(0.4, BaseReport())
     assert gate.drive(0.42).velocity != ZERO
 
 
@@ -62,7 +62,7 @@ def test_odometry_that_stops_stops_the_rover_and_goes_on_when_it_comes_back():
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_odometry_in_no_numbers_is_none(field, value):
     gate = Gate().driving()
-    verdict = gate.at(0.05, Heard(**{field: value}))
+    verdict = gate.at(0.05, BaseReport(**{field: value}))
     assert (verdict.velocity, verdict.held) == (ZERO, Reason.ODOMETRY)
 
 
@@ -70,7 +70,7 @@ def test_a_link_that_stalls_delivers_nothing_but_stale_commands():
     gate = Gate().driving()
     sent = [(0.1 * k, gate.sequence + k) for k in range(1, 50)]
     for moment, sequence in sent:  # all of them arrive at 5 s
-        gate.at(5.0, Heard())
+        gate.at(5.0, BaseReport())
         verdict = gate.drive(5.0, age=5.0 - moment, sequence=sequence)
         assert verdict.velocity == ZERO
         assert verdict.dropped in {Reason.NO_LEASE, Reason.STALE}
@@ -78,17 +78,17 @@ def test_a_link_that_stalls_delivers_nothing_but_stale_commands():
 
 def test_commands_older_than_the_lease_do_not_count_however_young_they_look():
     gate = Gate()
-    gate.at(0.0, Heard())
+    gate.at(0.0, BaseReport())
     gate.enable(0.0)
     stamp = gate.stamp(0.0) - 1
-    assert gate.at(0.0, Command(SLOW, CommandTag(1, 1, stamp), signed=True)).dropped is Reason.STALE
+    assert gate.at(0.0, VelocityCommand(SLOW, CommandTag(1, 1, stamp), signed=True)).dropped is Reason.STALE
 
 
 def test_a_link_that_is_slow_from_the_first_command_on_is_found_out():
     gate = Gate()
-    gate.at(9.9, Heard())
+    gate.at(9.9, BaseReport())
     gate.enable(9.9)
-    gate.at(10.2, Heard())
+    gate.at(10.2, BaseReport())
     assert gate.drive(10.2, age=0.19).dropped is None
     assert gate.drive(10.25, age=0.21).dropped is Reason.STALE
 
@@ -99,7 +99,7 @@ def test_asking_again_forgets_what_was_known_of_the_clock():
     assert gate.drive(0.1).dropped is None  # it seems quicker than any before it
     gate.ahead_s -= 3600.0
     assert gate.drive(0.2).dropped is Reason.STALE
-    gate.at(0.3, Heard())
+    gate.at(0.3, BaseReport())
     assert gate.renew(0.3).refusal is None
     assert gate.drive(0.4).dropped is None
 
@@ -109,16 +109,16 @@ def test_the_quickest_command_is_remembered_for_a_minute(after_s, dropped):
     begun = 1000.0
     gate = Gate().driving(begun)
     for k in range(1, round(after_s * 4)):
-        gate.at(begun + 0.25 * k, Heard())
+        gate.at(begun + 0.25 * k, BaseReport())
         assert gate.drive(begun + 0.25 * k, age=0.15).dropped is None
-    gate.at(begun + after_s, Heard())
+    gate.at(begun + after_s, BaseReport())
     assert gate.drive(begun + after_s, age=0.3).dropped is dropped
 
 
 def test_the_quickest_command_may_come_in_between():
     gate = Gate().driving()
     for k in range(1, 120):
-        gate.at(0.25 * k, Heard())
+        gate.at(0.25 * k, BaseReport())
         assert gate.drive(0.25 * k, age=-0.1 if k == 40 else 0.09).dropped is None
     assert gate.drive(30.0, age=0.15).dropped is Reason.STALE
 
@@ -129,7 +129,7 @@ def test_clocks_that_drift_apart_for_three_hours_do_not_matter(drift):
     for k in range(1, 3 * 3600 * 2):
         now = 0.5 * k
         gate.ahead_s = 1234.5 + drift * now
-        gate.at(now, Heard())
+        gate.at(now, BaseReport())
         assert gate.drive(now).held is None
     assert len(gate.state.minima) <= 62
     assert gate.drive(now + 0.25, age=0.21).dropped is Reason.STALE
@@ -141,7 +141,7 @@ def test_clocks_that_drift_apart_for_three_hours_do_not_matter(drift):
 def test_the_commands_of_others_do_not_count():
     gate = Gate().driving()
     assert gate.drive(0.01, Velocity(-0.3, 0.6), signed=False).velocity == SLOW
-    assert gate.at(0.02, Command(Velocity(-0.3, 0.6))).velocity == SLOW
+    assert gate.at(0.02, VelocityCommand(Velocity(-0.3, 0.6))).velocity == SLOW
     assert gate.state.dropped == {Reason.FOREIGN: 2}
 
 
@@ -173,11 +173,11 @@ def test_a_request_without_the_key_is_refused_while_a_lease_is_held():
 
 def test_a_renewal_keeps_number_and_key_and_lengthens_the_lease():
     gate = Gate().driving()
-    gate.at(0.9, Heard())
+    gate.at(0.9, BaseReport())
     verdict = gate.renew(0.9, secret=bytes(32))
     assert verdict.refusal is None
     assert (verdict.lease.number, verdict.lease.secret) == (1, SECRET)
-    gate.at(1.85, Heard())
+    gate.at(1.85, BaseReport())
     assert gate.drive(1.85).dropped is None
 
 
@@ -190,7 +190,7 @@ def test_a_new_lease_has_a_new_number_and_the_new_key():
 
 def test_a_renewal_that_comes_after_its_lease_is_a_first_request():
     gate = Gate().driving()
-    gate.at(1.2, Heard())
+    gate.at(1.2, BaseReport())
     verdict = gate.renew(1.2, sequence=0, secret=bytes(32))
     assert (verdict.refusal, verdict.lease.number, verdict.lease.secret) == (None, 2, bytes(32))
     assert gate.drive(1.25, sequence=0).dropped is None
@@ -218,7 +218,7 @@ def test_a_release_that_was_repeated_releases_nothing(sequence):
 
 def test_the_key_is_in_no_text_about_the_gate():
     gate = Gate().driving()
-    for words in (repr(gate.state), repr(gate.at(0.1, Heard())), repr(Enable("x", 0, SECRET))):
+    for words in (repr(gate.state), repr(gate.at(0.1, BaseReport())), repr(Enable("x", 0, SECRET))):
         assert repr(SECRET) not in words
 
 
@@ -241,7 +241,7 @@ def test_nonsense_from_the_driver_stops_the_rover_until_it_makes_sense(velocity,
 def test_nonsense_from_others_changes_nothing():
     gate = Gate().driving()
     assert gate.drive(0.1, None, signed=False).velocity == SLOW
-    assert gate.at(0.1, Command(None)).velocity == SLOW
+    assert gate.at(0.1, VelocityCommand(None)).velocity == SLOW
 
 
 # Plain ROS commands
@@ -249,74 +249,74 @@ def test_nonsense_from_others_changes_nothing():
 
 def test_plain_commands_drive_where_they_are_accepted():
     gate = Gate(accept_ros=True)
-    gate.at(0.0, Heard(motors_on=False))
-    verdict = gate.at(0.1, Command(SLOW))
+    gate.at(0.0, BaseReport(motors_on=False))
+    verdict = gate.at(0.1, VelocityCommand(SLOW))
     assert (verdict.dropped, verdict.motors) == (None, True)
     assert (gate.state.lease.name, gate.state.lease.secret) == ("ros", None)
-    gate.at(0.2, Heard())
-    assert gate.at(0.25, Command(SLOW, age_s=0.05)).velocity != ZERO
+    gate.at(0.2, BaseReport())
+    assert gate.at(0.25, VelocityCommand(SLOW, age_s=0.05)).velocity != ZERO
     assert gate.enable(0.3).refusal is Reason.ANOTHER_DRIVER
 
 
 @pytest.mark.parametrize("age_s", [0.31, -0.31, 3600.0, math.nan, math.inf])
 def test_plain_commands_of_another_time_do_not_count(age_s):
     gate = Gate(accept_ros=True)
-    gate.at(0.0, Heard())
-    assert gate.at(0.1, Command(SLOW, age_s=age_s)).dropped is Reason.STALE
+    gate.at(0.0, BaseReport())
+    assert gate.at(0.1, VelocityCommand(SLOW, age_s=age_s)).dropped is Reason.STALE
     assert gate.state.lease is None
 
 
 def test_a_command_counts_until_its_time_is_over_and_no_longer():
     gate = Gate(accept_ros=True)
-    gate.at(0.0, Heard())
-    gate.at(0.0, Command(SLOW))
+    gate.at(0.0, BaseReport())
+    gate.at(0.0, VelocityCommand(SLOW))
     assert gate.at(LIMITS.silence_s, Tick()).held is None
     assert gate.at(math.nextafter(LIMITS.silence_s, 1.0), Tick()).held is Reason.SILENCE
 
 
 def test_an_old_plain_command_counts_for_less_long():
     gate = Gate(accept_ros=True)
-    gate.at(0.0, Heard())
-    assert gate.at(0.1, Command(SLOW, age_s=0.2)).held is None
-    assert gate.at(0.21, Heard()).held is Reason.SILENCE
+    gate.at(0.0, BaseReport())
+    assert gate.at(0.1, VelocityCommand(SLOW, age_s=0.2)).held is None
+    assert gate.at(0.21, BaseReport()).held is Reason.SILENCE
 
 
 def test_a_plain_lease_serves_no_other_driver():
     gate = Gate(accept_ros=True)
-    gate.at(0.0, Heard())
-    gate.at(0.1, Command(SLOW))
+    gate.at(0.0, BaseReport())
+    gate.at(0.1, VelocityCommand(SLOW))
     assert gate.drive(0.15, signed=False).dropped is Reason.FOREIGN
-    assert gate.at(0.2, Command(SLOW)).dropped is None
+    assert gate.at(0.2, VelocityCommand(SLOW)).dropped is None
 
 
 def test_a_driver_with_a_lease_has_the_rover_to_itself():
     gate = Gate(accept_ros=True).driving()
-    verdict = gate.at(0.01, Command(Velocity(-0.3, 0.6)))
+    verdict = gate.at(0.01, VelocityCommand(Velocity(-0.3, 0.6)))
     assert (verdict.velocity, verdict.dropped) == (SLOW, Reason.FOREIGN)
 
 
 def test_plain_commands_do_not_push_on_after_a_bump():
     gate = Gate(accept_ros=True)
-    gate.at(0.0, Heard())
-    gate.at(0.0, Command(SLOW))
-    gate.at(0.1, Heard(bumped=True))
-    assert gate.at(0.15, Command(SLOW)).dropped is Reason.BUMPER
-    gate.at(0.2, Heard())
-    assert gate.at(0.25, Command(SLOW)).dropped is Reason.NO_LEASE
-    assert gate.at(0.3, Command(ZERO)).dropped is None  # the stick is back in the middle
-    assert gate.at(0.4, Command(SLOW)).velocity != ZERO
+    gate.at(0.0, BaseReport())
+    gate.at(0.0, VelocityCommand(SLOW))
+    gate.at(0.1, BaseReport(bumpers=(1, 0)))
+    assert gate.at(0.15, VelocityCommand(SLOW)).dropped is Reason.BUMPER
+    gate.at(0.2, BaseReport())
+    assert gate.at(0.25, VelocityCommand(SLOW)).dropped is Reason.NO_LEASE
+    assert gate.at(0.3, VelocityCommand(ZERO)).dropped is None  # the stick is back in the middle
+    assert gate.at(0.4, VelocityCommand(SLOW)).velocity != ZERO
 
 
 def test_plain_commands_drive_again_after_a_pause():
     gate = Gate(accept_ros=True)
-    gate.at(0.0, Heard())
-    gate.at(0.0, Command(SLOW))
-    gate.at(0.1, Heard(bumped=True))
-    gate.at(1.2, Heard())
-    assert gate.at(1.2, Command(SLOW)).dropped is None
+    gate.at(0.0, BaseReport())
+    gate.at(0.0, VelocityCommand(SLOW))
+    gate.at(0.1, BaseReport(bumpers=(1, 0)))
+    gate.at(1.2, BaseReport())
+    assert gate.at(1.2, VelocityCommand(SLOW)).dropped is None
 
 
 def test_plain_commands_do_not_drive_a_base_that_is_late():
     gate = Gate(accept_ros=True)
-    gate.at(0.0, Heard())
-    assert gate.at(0.5, Command(SLOW)).dropped is Reason.ODOMETRY
+    gate.at(0.0, BaseReport())
+    assert gate.at(0.5, VelocityCommand(SLOW)).dropped is Reason.ODOMETRY

@@ -5,8 +5,9 @@ import math
 import pytest
 from gate_bench import LIMITS, SLOW, Gate
 
+from bridge.base import BaseReport
 from bridge.gate.limits import Fence, Limits
-from bridge.gate.state import ZERO, BaseLost, Command, Heard, Reason, Tick
+from bridge.gate.state import ZERO, BaseLost, Reason, Tick, VelocityCommand
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.protocol import CommandTag
 
@@ -16,13 +17,13 @@ from rover_ncp.core.protocol import CommandTag
 @pytest.mark.parametrize("motion", [{"v": 0.05}, {"v": -0.05}, {"omega": 0.1}, {"omega": -0.1}])
 def test_a_base_that_drives_and_reports_the_same_pose_is_not_driven(motion):
     gate = Gate().driving()
-    gate.at(0.1, Heard(x=1.0, **motion))
-    assert gate.at(0.2, Heard(x=1.0, **motion)).held is None
-    verdict = gate.at(0.31, Heard(x=1.0, **motion))
+    gate.at(0.1, BaseReport(x=1.0, **motion))
+    assert gate.at(0.2, BaseReport(x=1.0, **motion)).held is None
+    verdict = gate.at(0.31, BaseReport(x=1.0, **motion))
     assert (verdict.velocity, verdict.held) == (ZERO, Reason.FROZEN)
     assert gate.state.ended is Reason.FROZEN
     assert gate.enable(0.35).refusal is Reason.FROZEN
-    gate.at(0.4, Heard(x=1.001))
+    gate.at(0.4, BaseReport(x=1.001))
     assert gate.enable(0.45).refusal is None
 
 
@@ -31,7 +32,7 @@ def test_one_step_is_enough_to_be_believed(steps):
     gate = Gate().driving()
     for k in range(1, 40):
         pose = {name: (k // 2) * step for name, step in steps.items()}
-        gate.at(0.1 * k, Heard(v=0.09, omega=0.19, **pose))
+        gate.at(0.1 * k, BaseReport(v=0.09, omega=0.19, **pose))
         assert gate.drive(0.1 * k).held is None
 
 
@@ -39,38 +40,38 @@ def test_only_the_slower_of_two_reports_counts():
     gate = Gate().driving()
     for k in range(1, 40):
         fast = 0.3 * (k % 2)
-        gate.at(0.1 * k, Heard(v=fast, omega=fast))
+        gate.at(0.1 * k, BaseReport(v=fast, omega=fast))
         assert gate.drive(0.1 * k).held is None
 
 
 @pytest.mark.parametrize(("motion", "frozen"), [({"v": 0.01}, True), ({"omega": 0.02}, True), ({}, False)])
 def test_so_far_and_no_farther(motion, frozen):
     gate = Gate().driving()
-    gate.at(1.0, Heard(x=1.0, **motion))
-    gate.at(1.5, Heard(x=1.0, **motion))
-    assert (gate.at(2.0, Heard(x=1.0, **motion)).held is Reason.FROZEN) is frozen
+    gate.at(1.0, BaseReport(x=1.0, **motion))
+    gate.at(1.5, BaseReport(x=1.0, **motion))
+    assert (gate.at(2.0, BaseReport(x=1.0, **motion)).held is Reason.FROZEN) is frozen
 
 
 @pytest.mark.parametrize("motion", [{"v": 0.3}, {"omega": 0.6}])
 def test_noisy_odometry_may_hit_upon_the_same_pose_once(motion):
     gate = Gate().driving()
-    gate.at(0.1, Heard(x=1.0, **motion))
-    assert gate.at(0.2, Heard(x=1.0, **motion)).held is None
+    gate.at(0.1, BaseReport(x=1.0, **motion))
+    assert gate.at(0.2, BaseReport(x=1.0, **motion)).held is None
     # By chance again, and counted anew.
-    gate.at(0.21, Heard(x=1.01, **motion))
-    assert gate.at(0.25, Heard(x=1.01, **motion)).held is None
-    assert gate.at(0.29, Heard(x=1.01, **motion)).held is Reason.FROZEN
+    gate.at(0.21, BaseReport(x=1.01, **motion))
+    assert gate.at(0.25, BaseReport(x=1.01, **motion)).held is None
+    assert gate.at(0.29, BaseReport(x=1.01, **motion)).held is Reason.FROZEN
 
 
 @pytest.mark.parametrize("motion", [{"v": 0.05}, {"omega": 0.1}])
 def test_a_base_that_comes_back_starts_anew(motion):
     gate = Gate()
     for moment in (0.0, 0.1, 0.2):
-        gate.at(moment, Heard(x=1.0, **motion))
-    assert gate.at(0.25, Heard(x=1.0, **motion)).held is Reason.FROZEN
+        gate.at(moment, BaseReport(x=1.0, **motion))
+    assert gate.at(0.25, BaseReport(x=1.0, **motion)).held is Reason.FROZEN
     gate.at(0.3, BaseLost())
-    gate.at(0.4, Heard(x=1.0, **motion))
-    assert gate.at(0.5, Heard(x=1.0, **motion)).held is Reason.NO_LEASE
+    gate.at(0.4, BaseReport(x=1.0, **motion))
+    assert gate.at(0.5, BaseReport(x=1.0, **motion)).held is Reason.NO_LEASE
 
 
 # Who may drive
@@ -78,10 +79,10 @@ def test_a_base_that_comes_back_starts_anew(motion):
 
 def test_plain_commands_are_dropped_unless_allowed():
     gate = Gate()
-    gate.at(0.0, Heard())
-    assert gate.at(0.1, Command(SLOW)).dropped is Reason.FOREIGN
+    gate.at(0.0, BaseReport())
+    assert gate.at(0.1, VelocityCommand(SLOW)).dropped is Reason.FOREIGN
     assert gate.state.lease is None
-    assert gate.at(0.2, Heard()).velocity == ZERO
+    assert gate.at(0.2, BaseReport()).velocity == ZERO
 
 
 def test_asking_again_clears_what_was_in_force_and_why_it_was_not():
@@ -94,8 +95,8 @@ def test_asking_again_clears_what_was_in_force_and_why_it_was_not():
 
 def test_a_new_request_clears_the_reason_of_the_last_end():
     gate = Gate().driving()
-    gate.at(0.1, Heard(bumped=True))
-    gate.at(0.2, Heard())
+    gate.at(0.1, BaseReport(bumpers=(1, 0)))
+    gate.at(0.2, BaseReport())
     assert gate.state.ended is Reason.BUMPER
     gate.enable(0.3)
     assert gate.state.ended is None
@@ -130,33 +131,33 @@ def test_a_lease_lasts_for_so_long():
 
 def test_a_command_may_be_so_old_and_as_old_as_the_lease():
     gate = Gate(Limits(stale_s=0.25), ahead_s=0.0)
-    gate.at(0.0, Heard())
+    gate.at(0.0, BaseReport())
     gate.enable(0.0)
     assert gate.drive(0.25, age=0.25).dropped is None
-    assert gate.at(0.25, Command(SLOW, CommandTag(1, 9, -1), signed=True)).dropped is Reason.STALE
+    assert gate.at(0.25, VelocityCommand(SLOW, CommandTag(1, 9, -1), signed=True)).dropped is Reason.STALE
 
 
 @pytest.mark.parametrize("age_s", [0.3, -0.3])
 def test_a_plain_command_may_be_so_old(age_s):
     gate = Gate(accept_ros=True)
-    gate.at(0.0, Heard())
-    assert gate.at(0.1, Command(SLOW, age_s=age_s)).dropped is None
+    gate.at(0.0, BaseReport())
+    assert gate.at(0.1, VelocityCommand(SLOW, age_s=age_s)).dropped is None
 
 
 def test_the_stick_may_be_held_again_after_so_long():
     gate = Gate(accept_ros=True)
-    gate.at(1.0, Heard())
-    gate.at(1.0, Command(SLOW))
-    gate.at(1.0, Heard(bumped=True))
-    gate.at(1.9, Heard())
-    assert gate.at(math.nextafter(2.0, 0.0), Command(SLOW)).dropped is Reason.NO_LEASE
-    assert gate.at(2.0, Command(SLOW)).dropped is None
+    gate.at(1.0, BaseReport())
+    gate.at(1.0, VelocityCommand(SLOW))
+    gate.at(1.0, BaseReport(bumpers=(1, 0)))
+    gate.at(1.9, BaseReport())
+    assert gate.at(math.nextafter(2.0, 0.0), VelocityCommand(SLOW)).dropped is Reason.NO_LEASE
+    assert gate.at(2.0, VelocityCommand(SLOW)).dropped is None
 
 
 @pytest.mark.parametrize("motion", [{"v": 0.01}, {"v": -0.01}, {"omega": 0.01}])
 def test_without_a_lease_motors_stay_on_while_it_moves_and_for_so_long(motion):
     gate = Gate().driving(1.0)
-    gate.at(1.0, Heard(**motion))
+    gate.at(1.0, BaseReport(**motion))
     gate.release(1.0)
     assert gate.at(math.nextafter(3.0, 0.0), Tick()).motors
     assert not gate.at(3.0, Tick()).motors
@@ -165,24 +166,24 @@ def test_without_a_lease_motors_stay_on_while_it_moves_and_for_so_long(motion):
 def test_without_a_lease_motors_go_off_once_it_is_slow_enough():
     gate = Gate().driving(1.0)
     slow = math.nextafter(0.01, 0.0)
-    gate.at(1.0, Heard(v=slow, omega=-slow))
+    gate.at(1.0, BaseReport(v=slow, omega=-slow))
     assert not gate.release(1.0).motors
 
 
 def test_half_a_volt_is_low():
     gate = Gate().driving()
     for k in range(21):
-        gate.at(0.1 * k, Heard(battery_v=0.5))
-    assert gate.at(2.0, Heard(battery_v=0.5)).held is Reason.LOW_BATTERY
+        gate.at(0.1 * k, BaseReport(battery_v=0.5))
+    assert gate.at(2.0, BaseReport(battery_v=0.5)).held is Reason.LOW_BATTERY
 
 
 def test_a_base_that_comes_back_has_its_time_to_recover_its_voltage():
     gate = Gate()
-    gate.at(0.0, Heard(battery_v=10.0))
+    gate.at(0.0, BaseReport(battery_v=10.0))
     gate.at(1.5, BaseLost())
-    gate.at(1.6, Heard(battery_v=10.0))
-    assert gate.at(3.0, Heard(battery_v=10.0)).held is Reason.NO_LEASE
-    assert gate.at(3.6, Heard(battery_v=10.0)).held is Reason.LOW_BATTERY
+    gate.at(1.6, BaseReport(battery_v=10.0))
+    assert gate.at(3.0, BaseReport(battery_v=10.0)).held is Reason.NO_LEASE
+    assert gate.at(3.6, BaseReport(battery_v=10.0)).held is Reason.LOW_BATTERY
 
 
 FENCE = LIMITS.model_copy(
@@ -194,12 +195,12 @@ FENCE = LIMITS.model_copy(
     ("base", "passes"),
     [
         # 0.1 m/s reaches 0.03 m while it reacts and 0.02 m while it brakes; half of it at a slant.
-        (Heard(x=1.949), True),
-        (Heard(x=1.951), False),
-        (Heard(x=1.974, theta=math.pi / 3), True),
-        (Heard(x=1.976, theta=math.pi / 3), False),
-        (Heard(y=0.974, theta=math.pi / 6), True),
-        (Heard(y=0.976, theta=math.pi / 6), False),
+        (BaseReport(x=1.949), True),
+        (BaseReport(x=1.951), False),
+        (BaseReport(x=1.974, theta=math.pi / 3), True),
+        (BaseReport(x=1.976, theta=math.pi / 3), False),
+        (BaseReport(y=0.974, theta=math.pi / 6), True),
+        (BaseReport(y=0.976, theta=math.pi / 6), False),
     ],
 )
 def test_the_fence_lies_where_the_rover_would_come_to_stand(base, passes):
@@ -213,16 +214,16 @@ def test_the_quickest_command_is_remembered_for_whole_seconds(after_s, dropped):
     begun = 1000.0
     gate = Gate().driving(begun)
     for k in range(1, round(after_s * 4)):
-        gate.at(begun + 0.25 * k, Heard())
+        gate.at(begun + 0.25 * k, BaseReport())
         gate.drive(begun + 0.25 * k, age=0.15)
-    gate.at(begun + after_s, Heard())
+    gate.at(begun + after_s, BaseReport())
     assert gate.drive(begun + after_s, age=0.3).dropped is dropped
 
 
 def test_one_moment_of_a_second_is_remembered():
     gate = Gate().driving()
     for k in range(100):
-        gate.at(0.05 * k, Heard())
+        gate.at(0.05 * k, BaseReport())
         gate.drive(0.05 * k)
     assert len(gate.state.minima) <= 6
 
@@ -230,5 +231,5 @@ def test_one_moment_of_a_second_is_remembered():
 def test_a_base_that_creeps_may_stay_in_one_place_for_a_while_however_late_it_is():
     gate = Gate().driving(1000.0)
     for k in range(1, 20):
-        gate.at(1000.0 + 0.1 * k, Heard(x=1.0, v=0.001))
+        gate.at(1000.0 + 0.1 * k, BaseReport(x=1.0, v=0.001))
         assert gate.drive(1000.0 + 0.1 * k).held is None

@@ -9,15 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bridge.pioneer.odometry
+from bridge.base import BaseReport
 from bridge.pioneer.arcos import COMMANDS, Command, Decoder
-from bridge.pioneer.odometry import BaseState, Odometer, counter_difference
+from bridge.pioneer.odometry import Odometer, counter_difference
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
 from bridge.pioneer.robots import ROBOTS
 
 SPOKEN = [c for c in CAPTURES if c.said(ARIA_LINE) or c.said(PLAYER_LINE)]
 
 
-def states_of(capture: Capture) -> list[BaseState]:
+def states_of(capture: Capture) -> list[BaseReport]:
     """Decode the robot's side, with the resets that the client asked for."""
     odometer = Odometer(ROBOTS[capture.model])
     from_client, from_robot = Decoder(), Decoder()
@@ -28,7 +29,7 @@ def states_of(capture: Capture) -> list[BaseState]:
         if direction == "c2r":
             kinds = {COMMANDS.get(packet.kind) for packet in from_client.feed(data, t)}
             if kinds & {Command.SETO, Command.SIM_RESET}:
-                odometer.expect_reset()
+                odometer.reset_pending = True
             continue
         for packet in from_robot.feed(data, t):
             if packet.kind in SIP_KINDS:
@@ -38,7 +39,7 @@ def states_of(capture: Capture) -> list[BaseState]:
     return states
 
 
-def agrees(state: BaseState, line: dict[str, str]) -> bool:
+def agrees(state: BaseReport, line: dict[str, str]) -> bool:
     """Compare within the digits that were printed."""
     if "omega" in line:
         values = [
@@ -157,7 +158,7 @@ def test_a_reset_zeroes_the_pose_when_the_base_has_done_it_not_before() -> None:
     odometer = Odometer(ROBOTS["p3at-sh"])
     odometer.update(Sip(x=20000, y=300, theta=1000), 0.0)
     odometer.update(Sip(x=21000, y=300, theta=1500), 0.1)
-    odometer.expect_reset()
+    odometer.reset_pending = True
     before = odometer.update(Sip(x=21010, y=300, theta=1500), 0.2)
     assert math.hypot(before.x, before.y) == pytest.approx(1.010)
     assert odometer.reset_pending
@@ -171,7 +172,7 @@ def test_a_reset_near_zero_ends_at_the_bases_own_counters() -> None:
     odometer = Odometer(ROBOTS["p3at-sh"])
     odometer.update(Sip(), 0.0)
     odometer.update(Sip(x=40), 0.1)
-    odometer.expect_reset()
+    odometer.reset_pending = True
     odometer.update(Sip(x=40), 0.2)
     assert odometer.update(Sip(x=0), 0.3).x == 0.0
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from base_report import STAMP, STATE
 
-from bridge.gate.state import Lease, Reason, State
-from bridge.pioneer.arcos import Decoder
+from bridge.base import LinkHealth
+from bridge.gate.state import GateState, Lease, Reason
 from bridge.pioneer.robots import ROBOTS
 from bridge.ros import messages as ros
 from rover_ncp.core.key_table import spec
@@ -19,14 +19,14 @@ ROBOT = ROBOTS["p3at-sh"]
 
 
 def sent(state):
-    both = ros.each_sip(state, ROBOT, STAMP) | ros.each_so_often(state, ROBOT, STAMP)
+    both = ros.each_report(state, ROBOT, STAMP) | ros.each_second(state, ROBOT, STAMP)
     return {name: decode(spec(name).type, data) for name, data in both.items()}
 
 
 def test_odometry_is_base_link_in_odom():
     message = sent(STATE)["odom"]
     assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
-    sample = read_odometry(ros.each_sip(STATE, ROBOT, STAMP)["odom"])
+    sample = read_odometry(ros.each_report(STATE, ROBOT, STAMP)["odom"])
     assert sample.stamp_ns == STAMP
     assert sample.velocity == (0.16, -0.18)
     assert sample.pose == pytest.approx((1.0, -2.0, 7.0 - math.tau))
@@ -56,7 +56,7 @@ def test_echoes_lie_where_the_sonars_look():
 
 
 def test_a_base_that_heard_no_sonar_sends_no_cloud():
-    assert "sonar" not in ros.each_sip(STATE, ROBOT, STAMP)
+    assert "sonar" not in ros.each_report(STATE, ROBOT, STAMP)
 
 
 def test_every_sonar_has_its_place_on_the_base():
@@ -74,24 +74,24 @@ def test_bumpers_and_battery():
     assert messages["battery_state"].voltage == 12.5
 
 
-@pytest.mark.parametrize(("charge_state", "status"), [(None, 0), (0, 2), (1, 1), (3, 1), (255, 0)])
-def test_charging_is_reported_as_far_as_it_is_known(charge_state, status):
-    assert sent(replace(STATE, charge_state=charge_state))["battery_state"].power_supply_status == status
+@pytest.mark.parametrize(("charging", "status"), [(None, 0), (False, 2), (True, 1)])
+def test_charging_is_reported_as_far_as_it_is_known(charging, status):
+    assert sent(replace(STATE, charging=charging))["battery_state"].power_supply_status == status
 
 
 def test_gate_status_has_the_driver_and_the_hold_reason():
     lease = Lease(7, bytes(32), "deploy", 0, 0.0, 1.0, 41)
-    status = ros.gate_status(State(lease=lease, held=None, accepted=3, dropped={Reason.STALE: 2}))
+    status = ros.gate_status(GateState(lease=lease, held=None, accepted=3, dropped={Reason.STALE: 2}))
     assert (status.lease, status.driver_name, status.sequence, status.held) == (7, "deploy", 41, "")
     assert (status.accepted, status.dropped) == (3, {"stale": 2})
-    status = ros.gate_status(State(held=Reason.NO_LEASE, ended=Reason.BUMPER))
+    status = ros.gate_status(GateState(held=Reason.NO_LEASE, ended=Reason.BUMPER))
     assert (status.lease, status.held, status.ended) == (0, "", "bumper")
-    assert ros.gate_status(State(latched="smoke", held=Reason.STOPPED)).stop_reason == "smoke"
+    assert ros.gate_status(GateState(latched="smoke", held=Reason.STOPPED)).stop_reason == "smoke"
 
 
 def test_the_longest_state_of_the_gate_fits_its_key():
     counts = dict.fromkeys(Reason, 2**40)
-    state = State(
+    state = GateState(
         lease=Lease(2**64 - 1, bytes(32), "ü" * 200, 0, 0.0, 1.0, 2**64 - 1),
         latched="ü" * 200,
         dropped=counts,
@@ -101,9 +101,17 @@ def test_the_longest_state_of_the_gate_fits_its_key():
     assert len(text(dump_json(ros.gate_status(state)).decode())) <= spec("rover/gate").max_bytes
 
 
-def levels(base, gate=None, decoder=None):
+CLEAN, DAMAGED = LinkHealth(False, {"bad_checksums": 0}), LinkHealth(True, {"bad_checksums": 1})
+
+
+def levels(base, gate=None, health=CLEAN):
     data = ros.diagnostics(
-        base, gate or State(held=None), decoder or Decoder(), reconnects=2, hardware="p3at", stamp_ns=STAMP
+        base,
+        gate or GateState(held=None),
+        health,
+        reconnects=2,
+        hardware="p3at",
+        stamp_ns=STAMP,
     )
     message = decode(spec("diagnostics").type, data)
     assert {status.hardware_id for status in message.status} == {"p3at"}
@@ -121,14 +129,15 @@ def test_a_healthy_bridge_says_so():
 
 def test_troubles_are_named():
     ill = replace(STATE, stop_pressed=True, stalled=(False, True), faults=8)
-    found = levels(ill, State(held=Reason.SILENCE))
+    found = levels(ill, GateState(held=Reason.SILENCE))
     assert found["base"] == (2, "STOP button pressed, stalled, bumper pressed, reports faults")
     assert found["gate"] == (1, "silence")
     assert levels(None)["base"] == (2, "not connected")
-    assert levels(STATE, State(held=Reason.NO_LEASE, ended=Reason.STALL))["gate"] == (1, "stall")
+    assert levels(STATE, GateState(held=Reason.NO_LEASE, ended=Reason.STALL))["gate"] == (1, "stall")
 
 
 def test_damaged_packets_show():
-    decoder = Decoder()
-    decoder.feed(bytes.fromhex("fafb03000001") + bytes.fromhex("fafb03000000"))
-    assert levels(STATE, decoder=decoder)["link to the base"] == (1, "packets were damaged")
+    assert levels(STATE, health=DAMAGED)["link to the base"] == (
+        1,
+        "packets were damaged",
+    )

@@ -3,16 +3,16 @@
 import pytest
 from arcos_bench import Bench
 
+from bridge.base import BaseReport, Failed, Lost, Ready, Recovered
 from bridge.pioneer.arcos import Command
-from bridge.pioneer.events import BaudChanged, Configured, Connected, Failed, Lost, Recovered, StateReceived
-from bridge.pioneer.session import Session, State
-from bridge.pioneer.states import PATIENCE_S, TABLE, Input
+from bridge.pioneer.session import BaudChanged, Session
+from bridge.pioneer.states import PATIENCE_S, TABLE, Input, SessionState
 
 OUTSIDE = [
     *(Input.CONNECT, Input.CLOSE, Input.LINK_DOWN, Input.EXPIRED, Input.ECHO0, Input.ECHO1),
     *(Input.NAMES, Input.STRANGER, Input.SIP, Input.CONFIG, Input.RESET),
 ]
-LETTERS = dict(zip("IL012HCRXAF", State, strict=True))
+LETTERS = dict(zip("IL012HCRXAF", SessionState, strict=True))
 # A row for each state, a letter for each input of OUTSIDE: the next state, or = for nothing at all.
 #            connect close down expired echo0 echo1 names stranger sip config reset
 NEXT = {
@@ -50,17 +50,16 @@ SENT = {
     ("F", Input.EXPIRED): TAKE,
 }
 EVENTS: dict[tuple[str, Input], list[type]] = {
-    **{(letter, Input.NAMES): [Connected] for letter in "L2"},
     **{(letter, Input.STRANGER): [Failed] for letter in "L2"},
-    ("R", Input.SIP): [StateReceived],
+    ("R", Input.SIP): [BaseReport],
     ("R", Input.EXPIRED): [Lost],
     ("R", Input.ECHO0): [Lost],
     ("R", Input.RESET): [Lost],
     ("R", Input.LINK_DOWN): [Lost],
-    ("X", Input.SIP): [Recovered, StateReceived],
+    ("X", Input.SIP): [Recovered, BaseReport],
     ("A", Input.EXPIRED): [BaudChanged],
-    ("F", Input.SIP): [Configured],
-    ("F", Input.EXPIRED): [BaudChanged, Configured],
+    ("F", Input.SIP): [Ready],
+    ("F", Input.EXPIRED): [BaudChanged, Ready],
 }
 PAIRS = [
     (letter, what, outcome)
@@ -85,6 +84,6 @@ def test_every_state_with_every_input(letter: str, what: Input, outcome: str) ->
 def test_every_action_of_the_table_exists_and_every_pair_was_tried() -> None:
     actions = {action for row in TABLE.values() for _, action in row.values()}
     assert all(hasattr(Session, f"_do_{action}") for action in actions)
-    assert set(TABLE) == set(State) == set(PATIENCE_S)
+    assert set(TABLE) == set(SessionState) == set(PATIENCE_S)
     inner = {what for row in TABLE.values() for what in row} - set(OUTSIDE)
     assert inner == {Input.GAVE_UP, Input.SETTLED, Input.SLOW}

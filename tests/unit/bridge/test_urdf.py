@@ -33,7 +33,7 @@ def test_frames_are_those_of_tf_static(robot):
     links = [link.get("name") for link in root.iter("link")]
     joints = {joint.find("child").get("link"): joint for joint in root.iter("joint")}
     assert sorted(links) == sorted({"base_link", *joints})  # one tree, whose root is the base
-    sent = ros.each_so_often(replace(STATE, sonar={}), robot, STAMP)["tf_static"]
+    sent = ros.each_second(replace(STATE, sonar={}), robot, STAMP)["tf_static"]
     transforms = decode("tf2_msgs/msg/TFMessage", sent).transforms
     assert len(transforms) == len(joints) == 16
     for item in transforms:

@@ -4,7 +4,7 @@ import pytest
 
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.messages import read_odometry
-from rover_ncp.core.protocol import MotorsRequest, dump_json
+from rover_ncp.core.protocol import MotorsReply, MotorsRequest, dump_json, parse_json
 from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import WALL_NS, World
 from sim.world.pymunk_rover import Ground, PymunkRover
@@ -43,7 +43,7 @@ def world():
 
 def motors(world):
     request = MotorsRequest(enable=True, name="x", sent_ns=world.now_ns)
-    return world.ask("rover/motors", dump_json(request))
+    return parse_json(MotorsReply, world.ask("rover/motors", dump_json(request)))
 
 
 @pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS])

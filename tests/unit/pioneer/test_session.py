@@ -9,11 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pioneer_bench import Pioneer
 
+from bridge.base import BaseReport, Failed, Lost, Ready, Recovered, TurnRate
 from bridge.pioneer.arcos import Command, encode_command
-from bridge.pioneer.events import Configured, Connected, Failed, GyroHeard, Lost, Recovered, StateReceived
-from bridge.pioneer.odometry import BaseState
 from bridge.pioneer.robots import ROBOTS
-from bridge.pioneer.session import Event, Session, State
+from bridge.pioneer.session import Session, SessionEvent
+from bridge.pioneer.states import SessionState
+from rover_ncp.core.geometry import Velocity
 from sim.pioneer.firmware import Link
 from sim.pioneer.models import config_of
 
@@ -26,7 +27,7 @@ class Pair:
     def __init__(self, pioneer: Pioneer | None = None, model: str = "auto") -> None:
         self.pioneer = pioneer or Pioneer()
         self.session = Session(model)
-        self.events: list[Event] = []
+        self.events: list[SessionEvent] = []
         self.driver: Callable[[Session], None] = lambda session: None
         self.cut_up = self.cut_down = False
         self.session.connect(self.now)
@@ -50,23 +51,23 @@ class Pair:
                 return
 
     def ready(self) -> "Pair":
-        self.run(20.0, until=lambda: self.session.state is State.READY)
-        assert self.session.state is State.READY
+        self.run(20.0, until=lambda: self.session.state is SessionState.READY)
+        assert self.session.state is SessionState.READY
         return self
 
     def driving(self, v: float, omega: float) -> "Pair":
         self.ready().session.enable(True)
-        self.driver = lambda session: session.set_motion(v, omega)
+        self.driver = lambda session: session.set_motion(Velocity(v, omega))
         return self
 
-    def of(self, kind: type[Event]) -> list[Event]:
+    def of(self, kind: type[SessionEvent]) -> list[SessionEvent]:
         return [event for event in self.events if isinstance(event, kind)]
 
     @property
-    def state(self) -> BaseState:
-        last = self.of(StateReceived)[-1]
-        assert isinstance(last, StateReceived)
-        return last.state
+    def state(self) -> BaseReport:
+        last = self.of(BaseReport)[-1]
+        assert isinstance(last, BaseReport)
+        return last
 
 
 @pytest.mark.parametrize("model", list(ROBOTS))
@@ -75,12 +76,11 @@ def test_connecting_takes_less_than_a_second(model: str) -> None:
     assert pair.now < 1.0
     pair.run(0.3)
     kinds = [type(event) for event in pair.events]
-    assert kinds[:3] == [Connected, Configured, StateReceived]
-    configured = pair.events[1]
-    assert isinstance(configured, Configured)
+    assert kinds[:2] == [Ready, BaseReport]
+    configured = pair.events[0]
+    assert isinstance(configured, Ready)
     assert configured.robot.name == model
-    assert configured.config is not None
-    assert not pair.state.motors_enabled
+    assert not pair.state.motors_on
 
 
 @pytest.mark.parametrize("model", list(ROBOTS))
@@ -88,8 +88,7 @@ def test_rover_follows_setpoints_and_state_reports_its_motion(model: str) -> Non
     pair = Pair(Pioneer(model)).driving(0.16, 0.137)
     pair.run(10.0)
     assert pair.state.v == pytest.approx(0.16, abs=0.001)
-    assert pair.state.moving
-    pair.driver = lambda session: session.set_motion(0.0, 0.0)
+    pair.driver = lambda session: session.set_motion(Velocity(0.0, 0.0))
     pair.run(3.0)
     true, state = pair.pioneer.rover.pose, pair.state
     assert (state.x, state.y) == pytest.approx((true.x, true.y), abs=0.003)
@@ -103,7 +102,7 @@ def test_a_turn_command_between_two_whole_degrees_is_driven_on_average() -> None
     pair = Pair().driving(0.0, 0.1047)  # 5.999 deg/s
     pair.run(2.0)
     for omega in (0.1, 0.092, 0.0231, -0.05):
-        pair.driver = lambda session, omega=omega: session.set_motion(0.05, omega)
+        pair.driver = lambda session, omega=omega: session.set_motion(Velocity(0.05, omega))
         pair.run(1.0)
         before = pair.pioneer.rover.body.angle
         pair.run(5.0)
@@ -121,7 +120,7 @@ def test_closing_leaves_a_base_that_stands_with_its_motors_off_and_waits() -> No
     pair.run(3.0)
     pair.session.close(pair.now)
     pair.run(2.0)
-    assert pair.session.state is State.IDLE
+    assert pair.session.state is SessionState.IDLE
     assert pair.pioneer.firmware.link is Link.WAITING
     assert not pair.pioneer.firmware.drive.enabled
     assert pair.pioneer.rover.velocity == pytest.approx((0, 0))
@@ -156,7 +155,7 @@ def test_no_word_from_the_base_stops_the_rover() -> None:
     pair.run(5.0, until=lambda: pair.pioneer.rover.velocity.v == 0.0)
     # 0.5 s, the base's delay of 0.15 s, braking from 0.2 m/s at 0.31 m/s²
     assert pair.now - cut < 0.5 + 0.15 + 0.2 / 0.31 + 0.1
-    assert [type(e) for e in pair.events if not isinstance(e, StateReceived)][-1] is Lost
+    assert [type(e) for e in pair.events if not isinstance(e, BaseReport)][-1] is Lost
 
 
 def test_a_cut_line_leaves_the_rover_to_the_bases_watchdog_and_it_stays_put_afterwards() -> None:
@@ -170,10 +169,10 @@ def test_a_cut_line_leaves_the_rover_to_the_bases_watchdog_and_it_stays_put_afte
     pair.run(0.2)
     pair.cut_up = pair.cut_down = False
     pair.run(5.0)
-    assert pair.session.state is State.READY
-    assert pair.of(Recovered) or len(pair.of(Connected)) == 2
+    assert pair.session.state is SessionState.READY
+    assert pair.of(Recovered) or len(pair.of(Ready)) == 2
     assert pair.pioneer.rover.pose.x - x < 0.002
-    assert not pair.state.motors_enabled
+    assert not pair.state.motors_on
 
 
 def test_a_short_silence_is_recovered_from_in_the_same_session() -> None:
@@ -183,7 +182,7 @@ def test_a_short_silence_is_recovered_from_in_the_same_session() -> None:
     pair.run(1.0)
     pair.cut_up = False
     pair.run(1.0)
-    assert len(pair.of(Connected)) == len(pair.of(Lost)) == len(pair.of(Recovered)) == 1
+    assert len(pair.of(Ready)) == len(pair.of(Lost)) == len(pair.of(Recovered)) == 1
 
 
 def test_a_base_that_restarts_is_connected_to_again() -> None:
@@ -191,10 +190,8 @@ def test_a_base_that_restarts_is_connected_to_again() -> None:
     pair.run(3.0)
     pair.pioneer.firmware.receive(encode_command(Command.RESET), pair.now)
     pair.run(3.0)
-    assert pair.session.state is State.READY
-    assert [type(e) for e in pair.events if not isinstance(e, StateReceived)] == [
-        *(Connected, Configured, Lost, Connected, Configured)
-    ]
+    assert pair.session.state is SessionState.READY
+    assert [type(e) for e in pair.events if not isinstance(e, BaseReport)] == [*(Ready, Lost, Ready)]
     assert pair.pioneer.rover.velocity.v == 0.0
 
 
@@ -203,22 +200,21 @@ def test_a_power_cycle_without_a_notice_is_noticed() -> None:
     pair.run(1.0)
     pair.pioneer.firmware.receive(encode_command(Command.CLOSE), pair.now)
     pair.run(6.0)
-    assert pair.session.state is State.READY
+    assert pair.session.state is SessionState.READY
     assert len(pair.of(Lost)) == 1
-    assert len(pair.of(Connected)) == 2
+    assert len(pair.of(Ready)) == 2
 
 
 def test_odometry_is_reset_over_the_line() -> None:
     pair = Pair().driving(0.2, 0.3)
     pair.run(4.0)
-    pair.session.stop()
-    pair.driver = lambda session: None
+    pair.driver = lambda session: session.set_motion(Velocity(0.0, 0.0))
     pair.run(2.0)
     pair.session.reset_odometry()
     pair.run(0.5)
     assert (pair.state.x, pair.state.y, pair.state.theta) == (0.0, 0.0, 0.0)
     pair.session.enable(True)
-    pair.driver = lambda session: session.set_motion(0.1, 0.0)
+    pair.driver = lambda session: session.set_motion(Velocity(0.1, 0.0))
     pair.run(3.0)
     assert pair.state.x > 0.2
     assert abs(pair.state.y) < 0.002
@@ -231,10 +227,10 @@ def test_odometry_is_reset_over_the_line() -> None:
 def test_a_bad_line_is_survived_both_ways(faults: tuple[str, ...], seed: int) -> None:
     """Invariant: the pose stays the base's, speeds stay as commanded, and the end is a standstill."""
     pair = Pair(Pioneer("p3at-sh", *faults, seed=seed))
-    pair.run(20.0, until=lambda: pair.session.state is State.READY)
+    pair.run(20.0, until=lambda: pair.session.state is SessionState.READY)
     pair.session.enable(True)
-    pair.driver = lambda session: session.set_motion(0.15, 0.1)
-    pair.run(5.0, until=lambda: bool(pair.of(StateReceived)))
+    pair.driver = lambda session: session.set_motion(Velocity(0.15, 0.1))
+    pair.run(5.0, until=lambda: bool(pair.of(BaseReport)))
     for _ in range(100):
         pair.run(0.1)
         if pair.of(Lost):
@@ -269,9 +265,9 @@ def test_whatever_line_is_cut_when_the_rover_stands_soon_after(
     for seconds, cut_up, cut_down, v, omega in story:
         pair.cut_up, pair.cut_down = cut_up, cut_down
         pair.session.enable(True)
-        pair.driver = lambda session, v=v, omega=omega: session.set_motion(v, omega)
+        pair.driver = lambda session, v=v, omega=omega: session.set_motion(Velocity(v, omega))
         pair.run(seconds)
-    pair.driver = lambda session: session.set_motion(0.0, 0.0)
+    pair.driver = lambda session: session.set_motion(Velocity(0.0, 0.0))
     pair.run(4.0)
     pair.cut_up = pair.cut_down = True
     assert pair.pioneer.rover.velocity == pytest.approx((0.0, 0.0), abs=1e-6)
@@ -285,7 +281,7 @@ def test_whatever_line_is_cut_when_the_rover_stands_soon_after(
 def test_a_gyro_for_the_client_tells_how_the_rover_truly_turns(has_gyro: int, sends: bool) -> None:
     pair = Pair(Pioneer(config=replace(config_of("p3at-sh"), has_gyro=has_gyro))).ready()
     pair.run(3.0)
-    rest = [event.rate for event in pair.of(GyroHeard)]
+    rest = [event.rate for event in pair.of(TurnRate)]
     assert bool(rest) == sends
     if not sends:
         return
@@ -294,9 +290,9 @@ def test_a_gyro_for_the_client_tells_how_the_rover_truly_turns(has_gyro: int, se
     pair.events.clear()
     before = pair.pioneer.rover.pose.theta
     pair.run(4.0)
-    kinds = [type(event) for event in pair.events if isinstance(event, GyroHeard | StateReceived)]
-    assert kinds == [GyroHeard, StateReceived] * 40
-    turning = [event.rate for event in pair.of(GyroHeard)]
+    kinds = [type(event) for event in pair.events if isinstance(event, TurnRate | BaseReport)]
+    assert kinds == [TurnRate, BaseReport] * 40
+    turning = [event.rate for event in pair.of(TurnRate)]
     truly = (pair.pioneer.rover.pose.theta - before) / 4.0
     assert truly == pytest.approx(0.15, abs=0.01)
     # The bridge must estimate the gyro's offset while the rover stands.

@@ -1,0 +1,146 @@
+"""What the bridge needs of a base, whatever protocol it speaks: reports and events out, setpoints in.
+
+`Base` lies above the wire format. `bridge.pioneer.base` implements it for ARCOS.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol, TypeAlias
+
+from rover_ncp.core.geometry import Pose, Velocity
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """Driven wheels, all alike; ``places`` are their (x, y) in the base's frame. Metres."""
+
+    radius_m: float
+    width_m: float
+    places: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class RobotShape:
+    """Outline, wheels and sonars of a robot."""
+
+    name: str
+    front_m: float
+    rear_m: float
+    """How far the outline reaches before and behind the centre of rotation, bumpers included."""
+    width_m: float
+    height_m: float
+    sonars: tuple[Pose, ...]
+    """Sonar poses in the base's frame; the index is the sonar's number."""
+    sonar_height_m: float
+    wheels: Wheels
+
+    @property
+    def length_m(self) -> float:
+        """Length of the outline."""
+        return self.front_m + self.rear_m
+
+
+class Setpoint(NamedTuple):
+    """The gate's output for the base."""
+
+    velocity: Velocity
+    motors: bool
+    emergency: bool
+    """Whether to brake harder than the base's own deceleration limit."""
+
+
+@dataclass(frozen=True)
+class BaseReport:
+    """One report of the base, in SI units. The pose is in odom: where the base was at connect or reset."""
+
+    x: float = 0.0
+    y: float = 0.0
+    theta: float = 0.0
+    """Heading in rad, counter-clockwise, not wrapped."""
+    v: float = 0.0
+    omega: float = 0.0
+    battery_v: float = 0.0
+    """0 = not reported."""
+    charging: bool | None = None
+    """None = not known."""
+    motors_on: bool = True
+    stop_pressed: bool = False
+    stalled: tuple[bool, bool] = (False, False)
+    """Left and right motor."""
+    bumpers: tuple[int, int] = (0, 0)
+    """Bits of the front and rear segments, bit 0 first; 0 when the base is not known to have any."""
+    sonar: Mapping[int, float] = field(default_factory=dict)
+    """Ranges in m of the sonars read since the last report, by number."""
+    clear_ahead_m: float = math.nan
+    clear_behind_m: float = math.nan
+    """Shortest recent sonar ranges before and behind the base; NaN = not known."""
+    flags: int = 0
+    faults: int = 0
+    """Status and fault bits as the base sent them."""
+
+
+@dataclass(frozen=True)
+class Ready:
+    """The base is connected: its own name for itself, and its shape."""
+
+    hardware: str
+    robot: RobotShape
+
+
+@dataclass(frozen=True)
+class TurnRate:
+    """Mean turn rate by the base's gyro since the last one, rad/s, with an unknown constant offset."""
+
+    rate: float
+
+
+@dataclass(frozen=True)
+class Lost:
+    """A ready base was lost: it gets no setpoint, and its motors must be requested again."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """A lost base sends reports again, on the same connection."""
+
+
+@dataclass(frozen=True)
+class Failed:
+    """The base cannot be reached. It tries again unless it was never ready."""
+
+    reason: str
+
+
+BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Lost | Recovered | Failed
+
+
+class LinkHealth(NamedTuple):
+    """Quality of the line to the base, for diagnostics."""
+
+    damaged: bool
+    counters: Mapping[str, int]
+
+
+class Base(Protocol):
+    """A base. Its own thread puts what arrives from it into the bridge's inbox; all else runs in the loop.
+
+    ``now`` is the bridge's monotonic clock in seconds.
+    """
+
+    def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
+        """Process what the base's thread put into the inbox, and return the events."""
+
+    def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
+        """Pass on a setpoint, let time pass, and return the events. The only source of keep-alives."""
+
+    def reset_odometry(self) -> None:
+        """Make the present pose the origin of odom; the reports show when it is done."""
+
+    def health(self) -> LinkHealth:
+        """Return the quality of the line."""
+
+    def close(self, now: float) -> None:
+        """Stop the base, switch its motors off and end the connection."""

@@ -1,0 +1,110 @@
+"""A Pioneer as a `Base`: an ARCOS session on a line."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from bridge.base import BaseEvent, Failed, LinkHealth, Ready, Setpoint
+from bridge.base_connection import Broken, Opened, Received
+from bridge.pioneer.session import BaudChanged, Session, SessionEvent
+from bridge.pioneer.setpoints import MotionLimits
+from rover_ncp.core.geometry import Velocity
+
+
+class Connection(Protocol):
+    """A line to the base, as `bridge.base_connection.BaseConnection`, which has the documentation."""
+
+    endpoint: str
+
+    def use(self) -> None:
+        """Write to the line that was opened last."""
+
+    def drop(self) -> None:
+        """Answer `Broken`."""
+
+    def reopen(self, reason: str) -> None:
+        """Replace the line."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+
+    def set_baudrate(self, baudrate: int) -> None:
+        """Change the line's rate."""
+
+    def close(self) -> None:
+        """Close the line."""
+
+
+class ArcosBase:
+    """One Pioneer. ``model`` is a key of ``ROBOTS`` or "auto"; raises UsageError for another.
+
+    It limits its own motors to ``v_max`` and ``omega_max`` (m/s, rad/s).
+    """
+
+    def __init__(self, connection: Connection, model: str, v_max: float, omega_max: float) -> None:
+        self._connection = connection
+        self._session = Session(model, MotionLimits(v=v_max, omega=omega_max))
+        self._last = Setpoint(Velocity(0.0, 0.0), motors=False, emergency=False)
+        self._was_ready = self._reopening = False
+
+    def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
+        """See Base."""
+        events: list[SessionEvent] = []
+        match arrival:
+            case Received(data):
+                events = self._session.receive(data, now)
+            case Opened(baudrate):
+                self._connection.use()
+                self._session.connect(now, baudrate)
+            case Broken(error) if self._was_ready:
+                self._connection.drop()
+                events = self._session.link_down(str(error), now)
+            case Broken(error):
+                return [Failed(str(error))]
+        return self._pass_on(events)
+
+    def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
+        """See Base."""
+        last, self._last = self._last, setpoint
+        if setpoint.motors != last.motors:
+            self._session.enable(setpoint.motors)
+        if setpoint.emergency and not last.emergency:
+            self._session.emergency_stop()
+        self._session.set_motion(setpoint.velocity)
+        return self._pass_on(self._session.tick(now))
+
+    def reset_odometry(self) -> None:
+        """See Base."""
+        self._session.reset_odometry()
+
+    def health(self) -> LinkHealth:
+        """See Base."""
+        decoder = self._session.decoder
+        counters = {name: getattr(decoder, name) for name in ("packets", "bad_checksums", "skipped_bytes")}
+        return LinkHealth(decoder.bad_checksums > 0, counters)
+
+    def close(self, now: float) -> None:
+        """See Base."""
+        self._session.close(now)
+        self._pass_on([])
+        self._connection.close()
+
+    def _pass_on(self, events: list[SessionEvent]) -> list[BaseEvent]:
+        """Act on what concerns the line, send what the session has for the base, and return the rest."""
+        passed: list[BaseEvent] = []
+        for event in events:
+            match event:
+                case BaudChanged(baudrate):
+                    self._connection.set_baudrate(baudrate)
+                case Failed(reason):
+                    if self._was_ready:
+                        self._connection.reopen(reason)
+                    if not self._reopening:
+                        passed.append(Failed(f"{self._connection.endpoint}: {reason}"))
+                    self._reopening = True
+                case Ready():
+                    self._was_ready, self._reopening = True, False
+                    passed.append(event)
+                case _:
+                    passed.append(event)
+        self._connection.write(self._session.data_to_send())
+        return passed

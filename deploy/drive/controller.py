@@ -54,7 +54,7 @@ class Controller:
         self._course = course
         self._reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
         self._runner = PolicyRunner(policy)
-        self._runner.warm_up([0.0] * len(self._signal_at))  # compiles now, before the rover waits for it
+        self._runner.tick([0.0] * len(self._signal_at))  # compiles now, before the rover waits for it
         self.estimator = Estimator(settings)
         self._gains = _gains(rover)
         self._times: list[float] = []
@@ -73,7 +73,7 @@ class Controller:
         """
         self.estimator.start(pose, t, odometry, covariance)
         self._runner.reset()
-        self._runner.warm_up(self._observation(pose, 0, 0.0))
+        self._runner.tick(self._observation(pose, 0, 0.0))
 
     def take(self, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:
         """Give the estimator a sample that was measured at time ``t``; None for a gyro reading."""

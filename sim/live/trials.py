@@ -14,10 +14,11 @@ from rover_ncp.core.files import write_atomic
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.recording import read_recording, rewrite
 from sim.evaluate.evaluate import cause
-from sim.live.processes import LiveRun, Process, ProcessError
-from sim.live.truth import during, judge_truth, read_truth, recorded_truth
+from sim.live.live_run import LiveRun
+from sim.live.peers import StartPosePublisher
+from sim.live.processes import Process, ProcessError
+from sim.live.truth import during, judge_truth, recorded_truth
 from sim.park.park import estimated_path
-from sim.stack.start_pose import Placed
 from sim.stack.trials import MODEL, Driven, Stack
 
 _EXTRA_S = 180.0
@@ -50,7 +51,7 @@ class LiveTrials:
                     for number in range(first, min(first + at_once, count))
                 ]
                 for trial in wave:
-                    trial.start()
+                    trial.begin()
                 for trial in wave:
                     found.append(trial.finish())
                     on_done()
@@ -72,12 +73,12 @@ class _LiveTrial(LiveRun):
             robot += ["--profile", str(trials.profile)]
         course = str(self._folder / "course.yaml")
         super().__init__(self._folder / "log", mock=["--model", MODEL, "--course", course, *robot])
-        self._placed = ExitStack()
+        self._localiser = ExitStack()
 
-    def start(self) -> None:
+    def begin(self) -> None:
         """Publish the rover's start pose, and start the driver."""
         start = Pose(*self._trials.stack.trials(self._number).start[0].tolist())
-        self._placed.enter_context(Placed(self.robot, start))
+        self._localiser.enter_context(StartPosePublisher(self.robot, start))
         self._driver: Process = self.deploy(
             *("--policy", self._trials.policy, "--course", str(self._folder / "course.yaml")),
             *("--profile", str(self._folder / "driver.yaml"), "--pose", "required"),
@@ -88,13 +89,13 @@ class _LiveTrial(LiveRun):
         """Wait for the driver's end, and score the trial."""
         course = self._course
         done = self._driver.wait(course.horizon_s + _EXTRA_S)
-        self._placed.close()
-        bridge = self.processes["bridge"].stop().result
-        self.processes["mock"].stop()
+        self._localiser.close()
+        bridge = self.bridge.stop().result
+        self.mock.stop()
         if done.code not in _DROVE or not done.result:
             raise ProcessError("deploy", done.code, done.last_line)
         recording = read_recording(self._folder / "run.mcap")
-        truth = read_truth(self.truth)
+        truth = self.truth.read()
         began_ns, _ = estimated_path(recording)
         rewrite(recording, recording.path, recorded_truth(truth))
         verdict = judge_truth(course, truth, began_ns)
@@ -111,6 +112,7 @@ class _LiveTrial(LiveRun):
             bridge["bytes_from_base"],
         )
 
-    def __exit__(self, *error: object) -> None:
-        self._placed.close()
-        super().__exit__(None, None, None)
+    def close(self) -> None:
+        """End the localisation and all processes."""
+        self._localiser.close()
+        super().close()

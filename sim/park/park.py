@@ -27,8 +27,9 @@ from sim.learn.ensemble import Snapshot
 from sim.learn.record import TrainSettings
 from sim.learn.rollout import rollout
 from sim.learn.train import TrainResult, train
-from sim.live.processes import TRUTH, LiveRun, ProcessError
-from sim.live.truth import TrueState, judge_truth, read_truth, recorded_truth
+from sim.live.live_run import LiveRun
+from sim.live.processes import ProcessError
+from sim.live.truth import TRUTH, judge_truth, recorded_truth
 from sim.park.picture import trajectory_png
 
 TRAIN_LIMIT_S = 100.0
@@ -106,17 +107,20 @@ def park(
             driver.send_signal(signal.SIGINT)
             driver.wait(_DEPLOY_EXTRA_S)
             raise
-        pids = {name: process.pid for name, process in run.processes.items()}
-        bridge = run.processes["bridge"].stop()
-        run.processes["mock"].stop()
+        pids = {process.command: process.pid for process in run.processes}
+        bridge = run.bridge.stop()
+        run.mock.stop()
     if done.code not in (0, 1) or not done.result:
         raise ProcessError("deploy", done.code, done.last_line)
     recorded = read_recording(recording)
-    truth = read_truth(run.truth)
+    truth = run.truth.read()
     began_ns, estimates = estimated_path(recorded)
     rewrite(recorded, recording, recorded_truth(truth))
     picture = out / "trajectory.png"
-    write_atomic(picture, trajectory_png(course, _true_path(truth, began_ns), estimates))
+    write_atomic(
+        picture,
+        trajectory_png(course, [state.pose for state in truth if state.wall_ns >= began_ns], estimates),
+    )
     report = out / "run.html"
     write_atomic(report, drive_page(read_drive(recording)))
     return Parked(
@@ -140,7 +144,3 @@ def estimated_path(recording: Recording) -> tuple[int, list[Pose]]:
     except ValueError as error:
         raise FormatError(f"{recording.path}: damaged tick: {error}") from error
     return records[0].wall_ns, [Pose(*record.estimate[:3]) for record in records]
-
-
-def _true_path(truth: list[TrueState], began_ns: int) -> list[Pose]:
-    return [state.pose for state in truth if state.wall_ns >= began_ns]

@@ -1,17 +1,25 @@
-"""Report packets of the base: SIP, CONFIGpac, ENCODERpac, IOpac, SIMSTAT."""
+"""Report packets of the base: SIP, CONFIGpac, ENCODERpac, IOpac, SIMSTAT.
+
+Sources of what the bridge does not read: Adept Pioneer 3 manual p. 46 (ENCODERpac), p. 50 (IOpac); AMRISim's
+SIMSTAT, whose recorded packets have this layout.
+"""
 
 import math
+import struct
 from dataclasses import dataclass, replace
 
 from bridge.pioneer.arcos import Packet
 from bridge.pioneer.odometry import COUNTER_BITS, HEADING_BITS
-from bridge.pioneer.packets import ConfigPac, EncoderPac, Flag, IoPac, SimStat, Sip
+from bridge.pioneer.packets import ConfigPac, Flag, Sip
 from bridge.pioneer.robots import WHEEL_SPEED_M_S, RobotParameters
 from rover_ncp.core.geometry import Pose
-from sim.pioneer.drive import Drive
+from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.models import TICKS_PER_MM
-from sim.pioneer.sonar import Sonars
+from sim.pioneer.sensors import Sonars
 from sim.pioneer.trial import ORIGIN
+
+SIMSTAT, ENCODER, IO = 0x62, 0x90, 0xF0
+"""Packet types that the bridge does not read."""
 
 BATTERY_DV = 128
 
@@ -58,7 +66,7 @@ class _Motion:
     """Motion as odometry and encoders report it."""
 
     odometry: Pose
-    heading_set_point: float
+    heading_setpoint: float
     wheel_speeds: tuple[float, float]
     omega: float
     wheels_m: tuple[float, float]
@@ -68,7 +76,7 @@ class _Motion:
 class Reporter:
     """Writes the packets of one base."""
 
-    def __init__(self, robot: RobotParameters, config: ConfigPac, drive: Drive, sonars: Sonars) -> None:
+    def __init__(self, robot: RobotParameters, config: ConfigPac, drive: DriveTrain, sonars: Sonars) -> None:
         self.panel = Panel()
         self.odometry_frozen = False
         self.odometry_jump_m = 0.0
@@ -84,7 +92,7 @@ class Reporter:
         drive = self._drive
         return _Motion(
             odometry=drive.odometry,
-            heading_set_point=drive.heading_set_point,
+            heading_setpoint=drive.heading_setpoint,
             wheel_speeds=drive.wheel_speeds,
             omega=drive.measured.omega,
             wheels_m=drive.wheels_m,
@@ -110,7 +118,7 @@ class Reporter:
             battery_dv=min(panel.battery_dv, 255),
             stall_left=int(stalled[0]),
             stall_right=int(stalled[1]) | panel.front_bumpers << 1,
-            control=_heading(motion.heading_set_point),
+            control=_heading(motion.heading_setpoint),
             flags=self._flags(),
             compass=0,
             grip_state=0,
@@ -155,29 +163,29 @@ class Reporter:
     def encoders(self) -> Packet:
         """Return the ENCODERpac: ticks since power-up, which wrap at 32 bits."""
         left, right = (round(way * 1000 * TICKS_PER_MM) for way in self._last.wheels_m)
-        return EncoderPac(_signed(left, 32), _signed(right, 32)).encode()
+        return Packet(ENCODER, struct.pack("<2i", _signed(left, 32), _signed(right, 32)))
 
     def io(self) -> Packet:
         """Return the IOpac; its last analog value is the battery, 0 to 1023 for 0 to 25.5 V (chosen)."""
         bumpers = IDLE_LEVEL & ~self.panel.front_bumpers
         battery = min(round(self.panel.battery_dv / 255 * 1023), 1023)
-        return IoPac(
-            inputs=(IDLE_LEVEL, bumpers, IDLE_LEVEL, IDLE_LEVEL),
-            outputs=(self.panel.digout,),
-            analog=(0,) * 8 + (battery,),
-        ).encode()
+        inputs = (IDLE_LEVEL, bumpers, IDLE_LEVEL, IDLE_LEVEL)
+        counts_and_bytes = bytes([len(inputs), *inputs, 1, self.panel.digout, 9])
+        return Packet(IO, counts_and_bytes + struct.pack("<9H", *[0] * 8, battery))
 
     def simstat(self) -> Packet:
         """Return the SIMSTAT: the true pose."""
         x, y, theta = self._drive.rover.pose
-        return SimStat(
-            sim_interval_ms=self._config.sip_cycle,
-            real_interval_ms=self._config.sip_cycle,
-            last_interval_ms=self._config.sip_cycle,
-            x_mm=_signed(round(x * 1000), 32),
-            y_mm=_signed(round(y * 1000), 32),
-            theta_deg=round(math.degrees(theta)),
-        ).encode()
+        x_mm, y_mm = (_signed(round(place * 1000), 32) for place in (x, y))
+        # Flags, three intervals; x, y, z in mm, heading in deg; GPS position and errors of odometry.
+        return Packet(
+            SIMSTAT,
+            struct.pack(
+                "<HI3H4i7i",
+                *(0, 0, *[self._config.sip_cycle] * 3),
+                *(x_mm, y_mm, 0, round(math.degrees(theta)), *[0] * 7),
+            ),
+        )
 
 
 def _counter(units: float) -> int:

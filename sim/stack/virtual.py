@@ -29,8 +29,8 @@ from rover_ncp.core.protocol import (
     parse_json,
 )
 from rover_ncp.core.recording import Recorded
+from sim.live.peers import known_pose
 from sim.pioneer.firmware import Firmware
-from sim.stack.start_pose import known_pose
 
 NS = 1_000_000_000
 WALL_NS = 1_700_000_000 * NS

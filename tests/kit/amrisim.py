@@ -13,7 +13,7 @@ from arcos_captures import CAPTURES
 from bridge.pioneer.arcos import Decoder
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Kind, Sip
 from bridge.pioneer.robots import ROBOTS
-from sim.pioneer.firmware import Firmware, Link
+from sim.pioneer.firmware import ClientState, Firmware
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.server import Server
 from sim.world.pymunk_rover import Ground, PymunkRover
@@ -70,7 +70,7 @@ class AmriSimServer:
 
     @property
     def connected(self):
-        return self.server.firmware.link is Link.OPEN
+        return self.server.firmware.client is ClientState.OPEN
 
     def close(self):
         self._bell.send(b"!")

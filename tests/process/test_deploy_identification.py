@@ -19,7 +19,7 @@ from rover_ncp.core.geometry import Pose, Velocity, distance
 from rover_ncp.core.messages import odometry, twist_stamped
 from rover_ncp.core.recording import Recorded, RecordingWriter
 from rover_ncp.core.robot_profile import load_profile
-from sim.live.processes import LiveRun
+from sim.live.live_run import LiveRun
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.virtual import Air, World

@@ -19,7 +19,8 @@ from rover_ncp.core import messages
 from rover_ncp.core.protocol import DriverStatus, dump_json
 from rover_ncp.core.recording import Recorded
 from rover_ncp.course.course import load_course
-from sim.live.processes import LiveRun, Process
+from sim.live.live_run import LiveRun
+from sim.live.processes import Process
 
 SHORT = "tests/data/short_course.yaml"
 
@@ -176,7 +177,7 @@ def live(tmp_path_factory):
     folder = tmp_path_factory.mktemp("live")
     with LiveRun(folder) as running:
         watch = Process("watch", ["--robot", running.robot, "--port", "0"], folder)
-        running.processes["watch"] = watch
+        running.processes.append(watch)
         page = Page(watch.wait_for_line("watching at "))
         running.deploy("--record", str(folder / "run.mcap"))
         yield page, running, folder
@@ -244,7 +245,7 @@ def test_ctrl_c_ends_it_with_130_and_no_traceback_while_a_page_listens(live):
 
 def test_the_end_of_the_bridge_is_reported(live):
     page, running, _ = live
-    running.processes["bridge"].stop()
+    running.bridge.stop()
     gone = page.news(lambda news: not news["bridge"])
     assert gone["mayStop"] is False
     code, said = page.post("stop", page.address.rstrip("/"))

@@ -136,13 +136,6 @@ def test_runner_starts_at_rest_and_returns_to_it():
     assert runner.tick([0.5, 0.5, 0.5, 1.0]) == first
 
 
-def test_warm_up_is_a_tick():
-    warm, ticked = PolicyRunner(PARKING), PolicyRunner(PARKING)
-    warm.warm_up([0.0, 0.0, 0.0, 0.0])
-    ticked.tick([0.0, 0.0, 0.0, 0.0])
-    assert warm.potentials.tobytes() == ticked.potentials.tobytes()
-
-
 def test_neurons_that_sense_nothing_leak():
     channel = Channel(name="x", positive="PVD", maximum=1.0)
     sensing = Sensing(name="one", inputs=("x",), channels=(channel,))

@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from bnn_text import circuit_to_bnn
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from paths import DATA
 
 import rover_ncp
-from rover_ncp.circuit.bnn import circuit_from_bnn, circuit_to_bnn
+from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
 from rover_ncp.circuit.policy_file import (

@@ -69,7 +69,7 @@ def bits(ticks):
 def test_the_circuit_is_run_as_in_the_simulator(policy):
     _, ticks, _ = drive(policy, latency=0.0)
     runner = PolicyRunner(policy)
-    runner.warm_up((0.0, 0.0, 0.0, 0.0))
+    runner.tick((0.0, 0.0, 0.0, 0.0))
     for tick in ticks:
         start = 1.0 if tick.index >= 30 else 0.0
         command = runner.tick((*tick.estimate.pose, start))
@@ -89,7 +89,7 @@ def test_a_circuit_that_follows_the_course_sees_its_reference_as_in_the_simulato
         signals = see(pose, 0.0, reference.tick(index))
         return [signals[i] for i in chosen]
 
-    runner.warm_up(seen(there, 0))
+    runner.tick(seen(there, 0))
     for tick in ticks:
         assert tick.command == runner.tick(seen(tick.estimate.pose, tick.index))
     # And it drives there, as the engine's rover does.
@@ -105,7 +105,7 @@ def started_at(pose):
 
 def test_driven_on_odometry_the_rover_goes_where_exact_poses_take_it(policy):
     rover, runner, exact = PymunkRover(RoverModel(), Ground()), PolicyRunner(policy), []
-    runner.warm_up((0.0, 0.0, 0.0, 0.0))
+    runner.tick((0.0, 0.0, 0.0, 0.0))
     for index in range(COURSE.ticks):
         exact.append(rover.pose)
         rover.command(*runner.tick((*rover.pose, COURSE.start_signal(index * DT))))

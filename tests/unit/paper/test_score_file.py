@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
+from bnn_text import circuit_to_bnn
 
-from rover_ncp.circuit.bnn import circuit_to_bnn
 from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.cli import run

@@ -15,7 +15,8 @@ from bridge.pioneer.robots import ROBOTS
 from bridge.pioneer.session import Session, SessionEvent
 from bridge.pioneer.states import SessionState
 from rover_ncp.core.geometry import Velocity
-from sim.pioneer.firmware import Link
+from sim.pioneer.client_commands import MockCommand
+from sim.pioneer.firmware import ClientState
 from sim.pioneer.models import config_of
 
 STEP_S = 0.02
@@ -121,7 +122,7 @@ def test_closing_leaves_a_base_that_stands_with_its_motors_off_and_waits() -> No
     pair.session.close(pair.now)
     pair.run(2.0)
     assert pair.session.state is SessionState.IDLE
-    assert pair.pioneer.firmware.link is Link.WAITING
+    assert pair.pioneer.firmware.client is ClientState.WAITING
     assert not pair.pioneer.firmware.drive.enabled
     assert pair.pioneer.rover.velocity == pytest.approx((0, 0))
 
@@ -188,7 +189,7 @@ def test_a_short_silence_is_recovered_from_in_the_same_session() -> None:
 def test_a_base_that_restarts_is_connected_to_again() -> None:
     pair = Pair().driving(0.2, 0.0)
     pair.run(3.0)
-    pair.pioneer.firmware.receive(encode_command(Command.RESET), pair.now)
+    pair.pioneer.firmware.receive(encode_command(MockCommand.RESET), pair.now)
     pair.run(3.0)
     assert pair.session.state is SessionState.READY
     assert [type(e) for e in pair.events if not isinstance(e, BaseReport)] == [*(Ready, Lost, Ready)]

@@ -30,7 +30,7 @@ STALL_WHEEL_M_S, STALL_SHARE, STALL_AFTER_S, STALL_REST_S = 0.02, 0.25, 0.15, 0.
 """A wheel asked for 20 mm/s or more that does not reach a quarter of it for 0.15 s stalls (chosen)."""
 
 
-class Drive:
+class DriveTrain:
     """The motors and wheels of one base. Speeds in m/s and rad/s, headings in rad in the odometry's frame."""
 
     def __init__(self, robot: RobotParameters, rover: Rover, trial: BaseTrial) -> None:
@@ -121,13 +121,13 @@ class Drive:
     # State.
 
     @property
-    def heading_set_point(self) -> float:
-        """The heading asked for, or the one at hand."""
+    def heading_setpoint(self) -> float:
+        """The commanded heading, or the present one."""
         return self.odometry.theta if self._heading is None else self._heading
 
     @property
-    def set_points(self) -> tuple[float, float]:
-        """The speed and the rate of turn asked for, also while they are not obeyed."""
+    def setpoints(self) -> tuple[float, float]:
+        """The commanded speed and turn rate, also while they are not obeyed."""
         return self._v, self._omega
 
     @property

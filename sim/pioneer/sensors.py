@@ -1,10 +1,13 @@
-"""The base's sonars: their firing order, and their echoes from the obstacles.
+"""The base's sonars, with their firing order and echoes, and the gyro of a base that has one for its client.
 
 Two arrays, front (0 to 7) and rear (8 to 15), fire one sonar each per sonar cycle, in turn (POLLING changes
 the order). A reading is the distance along the sonar's axis; a real cone has more echoes, and later ones.
 """
 
-from bridge.pioneer.packets import NO_ECHO_MM, Flag
+import random
+
+from bridge.pioneer.arcos import Packet
+from bridge.pioneer.packets import GYRO_RAD_S, GYRO_REST, NO_ECHO_MM, Flag, GyroPac
 from bridge.pioneer.robots import RobotParameters
 from rover_ncp.core.geometry import compose
 from sim.world.rover import Rover
@@ -72,3 +75,29 @@ class Sonars:
     def _range_mm(self, rover: Rover, number: int) -> int:
         echo_m = rover.range_along(compose(rover.pose, self._poses[number]), NO_ECHO_MM / 1000)
         return NO_ECHO_MM if echo_m is None else round(1000 * echo_m)
+
+
+READINGS = 4
+"""A cycle of 0.1 s, one each 25 ms (ARIA's ArAnalogGyro)."""
+OFFSET, NOISE = 7.3, 0.7
+"""In units, of 0.954 deg/s each: what it reads beside 512 at rest, and the noise of a reading (chosen)."""
+ROOM_C = 25
+_MOST = 1023
+
+
+class Gyro:
+    """Turns with the rover's true motion; ``seed`` is that of its noise."""
+
+    def __init__(self, rover: Rover, seed: int = 0) -> None:
+        self._rover, self._random = rover, random.Random(seed)
+        self._angle, self._at = rover.turned, 0.0
+        self.on = False
+
+    def packet(self, now: float) -> Packet:
+        """Return the readings since the last packet."""
+        angle, seconds = self._rover.turned, now - self._at
+        rate = (angle - self._angle) / seconds if seconds > 0 else 0.0
+        self._angle, self._at = angle, now
+        mean = GYRO_REST + OFFSET - rate / GYRO_RAD_S
+        readings = (round(mean + self._random.gauss(0.0, NOISE)) for _ in range(READINGS))
+        return GyroPac(tuple((min(max(reading, 0), _MOST), ROOM_C) for reading in readings)).encode()

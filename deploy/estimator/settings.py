@@ -28,7 +28,7 @@ class EstimatorSettings(StrictModel):
     wander_rad: float = Field(default=0.002, gt=0, description="random, after a metre")
     skid_rad: float = Field(default=0.003, gt=0, description="random, after a turn of 1 rad")
     gyro_bias_rad_s: float = Field(default=0.2, gt=0, description="bias of a gyro")
-    gyro_rad: float = Field(default=0.0007, gt=0, description="noise of a gyro: its turn of one step of 0.1 s")
+    gyro_rad: float = Field(default=0.0007, gt=0, description="noise of a gyro's turn in 0.1 s")
 
     pose_m: float = Field(default=0.02, gt=0, description="external pose without a covariance")
     pose_rad: float = Field(default=0.035, gt=0)

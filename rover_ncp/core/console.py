@@ -7,6 +7,7 @@ by streams that end in a `Writer`. That covers all Python code: rich, logging, w
 """
 
 import contextlib
+import inspect
 import io
 import json
 import math
@@ -26,6 +27,19 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on std
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]
 MOST_SEED = 2**63 - 1
 """Of a seed, or of the number of a trial."""
+
+
+def command(run: Callable[[Any], int | None]) -> Callable[..., int | None]:
+    """Return a command for typer whose options are the fields of the dataclass that ``run`` takes."""
+    (parameter,) = inspect.signature(run, eval_str=True).parameters.values()
+
+    def call(**values: Any) -> int | None:
+        return run(parameter.annotation(**values))
+
+    call.__name__, call.__doc__ = run.__name__, run.__doc__
+    call.__signature__ = inspect.signature(parameter.annotation, eval_str=True)  # type: ignore[attr-defined]
+    return call
+
 
 ROOM_BYTES = 1 << 16
 """A `Writer` drops text beyond this."""

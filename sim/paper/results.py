@@ -1,25 +1,24 @@
-"""One run of the grid as a file: what was asked for, what came out, and the trained parameters.
+"""Results of runs as files: settings, scores, and the trained parameters.
 
-A file is written once, whole, when its run is over. ``replay`` (``train.py``) runs its parameters again and
-must find the same returns, to the last bit.
+A file is written once, whole, when its run ends. ``replay`` (``runs.py``) scores its parameters again.
 """
 
 import json
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import ValidationError
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.search.base import Vector
-from sim.learn.search.packed import unpack
 
 SHIPPED = Path(__file__).parent / "results"
 
 
-class Name(StrictModel):
+class RunName(StrictModel):
     """Coordinates of a run in the grid."""
 
     task: str
@@ -34,11 +33,27 @@ class Name(StrictModel):
         return f"{self.task} {self.agent} {self.seed}"
 
 
-class Cell(StrictModel):
-    """A run that is over."""
+class Packed(StrictModel):
+    """An array of float64 as its shape and its little-endian bytes in hexadecimal digits."""
+
+    shape: tuple[int, ...]
+    float64: str
+
+    @classmethod
+    def of(cls, array: Vector) -> "Packed":
+        """Pack an array."""
+        return cls(shape=array.shape, float64=array.astype("<f8").tobytes().hex())
+
+    def array(self) -> Vector:
+        """Return the array. Raises ValueError where shape and digits do not fit."""
+        return np.frombuffer(bytes.fromhex(self.float64), "<f8").astype(np.float64).reshape(self.shape)
+
+
+class Result(StrictModel):
+    """A run that has ended."""
 
     format: Literal[1] = 1
-    name: Name
+    name: RunName
     command: str
     budget: str
     settings: dict[str, Any]
@@ -53,7 +68,7 @@ class Cell(StrictModel):
     curve: tuple[tuple[int, float], ...]
     """(steps, estimate of the incumbent), thinned."""
     episodes: int
-    """Fresh ones, that the next four are of."""
+    """Fresh episodes behind the next four fields."""
     mean: float
     """Return, with bonus where the task has one."""
     std: float
@@ -62,46 +77,39 @@ class Cell(StrictModel):
     success: bool
     circuit: str | None = None
     """The wiring, where a file gave it, as the text of a circuit file."""
-    parameters: dict[str, Any]
-    """The trained vector, packed."""
-
-    @property
-    def vector(self) -> Vector:
-        """The trained parameters (P,)."""
-        return unpack(self.parameters, (None,))
+    parameters: Packed
+    """The trained vector (P,)."""
 
 
-def load_cell(path: Path) -> Cell:
-    """Read a run's file. Raises FileError for one that is damaged."""
+def load_result(path: Path) -> Result:
+    """Read a run's file. Raises FileError for a damaged one."""
     try:
-        return Cell.model_validate(json.loads(read_text(path)))
+        return Result.model_validate(json.loads(read_text(path)))
     except (ValueError, ValidationError) as error:
         raise FileError(f"{path}: damaged, or not a run of the paper's grid; delete it to redo it") from error
 
 
-class Shelf:
-    """Runs on disk: one's own folder, and behind it those that are shipped."""
+class ResultStore:
+    """Results on disk: the user's folder, and behind it the shipped ones."""
 
     def __init__(self, own: Path, shipped: Path | None = SHIPPED) -> None:
         self.own, self.shipped = own, shipped
 
-    def find(self, name: Name) -> Path | None:
-        """Return where a run is, one's own before the shipped one; None if it was not made yet."""
+    def find(self, name: RunName) -> Path | None:
+        """Return a run's file, the user's before the shipped one; None if there is none."""
         for folder in (self.own, self.shipped):
             if folder is not None and name.path(folder).is_file():
                 return name.path(folder)
         return None
 
-    def save(self, cell: Cell) -> Path:
-        """Write a run into one's own folder. Raises FileError."""
-        path = cell.name.path(self.own)
-        write_atomic(path, json.dumps(cell.model_dump(), allow_nan=False) + "\n")
-        return path
+    def save(self, result: Result) -> None:
+        """Write a result into the user's folder. Raises FileError."""
+        write_atomic(result.name.path(self.own), json.dumps(result.model_dump(), allow_nan=False) + "\n")
 
-    def cells(self, task: str, agent: str) -> list[Cell]:
-        """Return all runs of a task and an agent, by seed. Raises FileError."""
+    def results(self, task: str, agent: str) -> list[Result]:
+        """Return all results of a task and an agent, by seed. Raises FileError."""
         paths: dict[str, Path] = {}
         for folder in (self.shipped, self.own):
             if folder is not None:
                 paths |= {path.name: path for path in (folder / task).glob(f"{agent}-*.json")}
-        return [load_cell(paths[name]) for name in sorted(paths)]
+        return [load_result(paths[name]) for name in sorted(paths)]

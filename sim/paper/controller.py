@@ -1,7 +1,7 @@
-"""Controllers of a plant, many lanes at once: circuits of one wiring, or networks of one kind.
+"""Controllers of plants, one in each lane: circuits of one wiring, or networks of one kind.
 
-A kernel is compiled for the types of its arguments, not for their values. A brain holds a program of either
-kind and runs one of them, so one kernel serves both.
+A kernel is compiled for the types of its arguments. A controller holds both programs and runs one of them,
+so the kernel of an episode compiles once for both.
 """
 
 from typing import NamedTuple
@@ -38,10 +38,12 @@ FloatArray = NDArray[np.float64]
 _NO_NET = Net(NetKind.MLP, (), (), (), (), (), cells=0)
 
 
-class Brain(NamedTuple):
+class Controller(NamedTuple):
     """L lanes of circuits, or of networks."""
 
     is_net: bool
+    inputs: int
+    outputs: int
     program: Program
     lanes: LaneParameters
     potentials: FloatArray
@@ -50,13 +52,15 @@ class Brain(NamedTuple):
     nets: NetLanes
 
 
-def make_brain(agent: Policy | Net, count: int) -> Brain:
-    """Return ``count`` lanes, each to be set by ``start_lane``."""
+def make_controller(agent: Policy | Net, count: int) -> Controller:
+    """Return ``count`` lanes; ``start_lane`` sets each of them."""
     policy = agent if isinstance(agent, Policy) else _no_policy()
     net = agent if isinstance(agent, Net) else _NO_NET
     program = make_program(policy)
-    return Brain(
+    return Controller(
         is_net=isinstance(agent, Net),
+        inputs=len(agent.scale) if isinstance(agent, Net) else len(agent.sensing.inputs),
+        outputs=len(agent.high) if isinstance(agent, Net) else len(agent.motors.outputs),
         program=program,
         lanes=allocate_lanes(program, policy, count),
         potentials=resting_potentials(policy, count),
@@ -77,20 +81,20 @@ def _no_policy() -> Policy:
 
 
 @kernel
-def start_lane(brain: Brain, lane: int, vector: FloatArray) -> None:
+def start_lane(controller: Controller, lane: int, vector: FloatArray) -> None:
     """Set a lane's parameters (P,) and put it at rest."""
-    if brain.is_net:
-        fill_net_lane(brain.net, brain.nets, lane, vector)
+    if controller.is_net:
+        fill_net_lane(controller.net, controller.nets, lane, vector)
     else:
-        fill_lane(brain.program, brain.lanes, lane, vector)
-        for neuron in range(brain.potentials.shape[0]):
-            brain.potentials[neuron, lane] = RESTING_MV
+        fill_lane(controller.program, controller.lanes, lane, vector)
+        for neuron in range(controller.potentials.shape[0]):
+            controller.potentials[neuron, lane] = RESTING_MV
 
 
 @kernel
-def think(brain: Brain, observations: FloatArray, commands: FloatArray) -> None:
-    """Run all lanes for a tick: ``observations`` (inputs, L) to ``commands`` (outputs, L)."""
-    if brain.is_net:
-        tick_net_lanes(brain.net, brain.nets, observations, commands)
+def tick_controller(controller: Controller, observations: FloatArray, commands: FloatArray) -> None:
+    """Run all lanes for a tick: from ``observations`` (inputs, L) to ``commands`` (outputs, L)."""
+    if controller.is_net:
+        tick_net_lanes(controller.net, controller.nets, observations, commands)
     else:
-        tick_lanes(brain.program, brain.lanes, brain.potentials, observations, commands)
+        tick_lanes(controller.program, controller.lanes, controller.potentials, observations, commands)

@@ -36,6 +36,7 @@ _EXTRAS = {
     "imageio": "paper",
     "stable_baselines3": "paper",
     "torch": "paper",
+    "jinja2": "report",
     "plotly": "report",
     "starlette": "report",
     "uvicorn": "report",

@@ -22,8 +22,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingR
 from starlette.routing import Route
 
 from deploy.report.page.feed import Feed, Place
-from deploy.report.page.page import html
-from deploy.report.page.page_data import circuit_data, course_data
+from deploy.report.page.page import watch_page
 from deploy.watch.viewer import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy_file import load_policy
@@ -41,11 +40,7 @@ def run(address: BridgeAddress, policy: str, course: str, port: int, output: Out
     """Serve until interrupted. Raises RoverNcpError if it could not begin."""
     the_policy, the_course = load_policy(policy), load_course(course)
     feed = Feed(the_policy, the_course)
-    page = html(
-        f"Watching {address.robot}",
-        {"live": True, "course": course_data(the_course), "circuit": circuit_data(the_policy)},
-        connect="'self'",
-    )
+    page = watch_page(address.robot, the_policy, the_course)
     with _listener(port) as listener, Viewer(address, feed.take) as viewer:
         url = f"http://{HOST}:{listener.getsockname()[1]}/"
         application = _application(page, feed, viewer, ending=lambda: server.should_exit)
@@ -91,8 +86,9 @@ async def _events(feed: Feed, viewer: Viewer, ending: Callable[[], bool]) -> Asy
     place = Place()
     yield "retry: 500\n\n"
     while not ending():
-        news: dict[str, Any] = await run_in_threadpool(feed.news, place)
-        news |= {"bridge": viewer.bridge_alive, "mayStop": viewer.may_stop}
+        bridge = viewer.bridge_alive
+        news: dict[str, Any] = await run_in_threadpool(feed.news, place, bridge)
+        news |= {"bridge": bridge, "mayStop": viewer.may_stop}
         yield f"data: {json.dumps(news, allow_nan=False, separators=(',', ':'))}\n\n"
         await asyncio.sleep(PERIOD_S)
 

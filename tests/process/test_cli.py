@@ -131,11 +131,11 @@ NEEDS = {
         "urdf",
         "recover no.mcap",
         "bridge --base tcp/127.0.0.1:1 --limits no.yaml",
+        f"check --on-blocks {NO_BRIDGE}",
+        f"teleop {NO_BRIDGE}",
     ],
     "drive": [
         f"deploy {NO_BRIDGE}",
-        f"check --on-blocks {NO_BRIDGE}",
-        f"teleop {NO_BRIDGE}",
         "replay no.mcap",
         "identify no.mcap",
         "course check parking",

@@ -17,7 +17,7 @@ from bridge.pioneer.base import ArcosBase
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
 from deploy.drive.lease import DriverLease
-from deploy.drive.link import Arrival, Inbox, Mailbox
+from deploy.drive.measurements import Arrival, Inbox, Mailbox
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.key_table import spec
@@ -170,13 +170,13 @@ class _Mailbox(Mailbox):
 
 
 class Air:
-    """Replacement of the driver's `deploy.drive.link.Link`.
+    """A driver's `deploy.drive.link.Link`.
 
     Until the driver requests the lease, external localisation reports that the rover stands at ``start``.
     Received messages go to ``record``.
     """
 
-    robot = "virtual"
+    robot, where = "virtual", ""
     bridge_alive = True
 
     def __init__(
@@ -242,4 +242,4 @@ class Air:
             self.gate = parse_json(GateStatus, read_text(data))
 
     def _arrival(self, data: bytes) -> Arrival:
-        return Arrival(data, self._world.now_ns, self._world.time_ns())
+        return Arrival(data, self._world.now_ns)

@@ -17,8 +17,7 @@ from sim.evaluate.commands import EvalOptions
 from sim.evaluate.evaluate import Evaluation, Spread, evaluate, tally, unseen_courses
 from sim.evaluate.laws import LAWS
 from sim.live.trials import drive_live, trial_folder
-from sim.stack.parallel import drive_all
-from sim.stack.trials import Driven, Stack
+from sim.stack.trials import Driven, Stack, drive_all
 from sim.world.randomization import ranges_for
 
 

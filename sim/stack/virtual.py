@@ -1,7 +1,7 @@
 """Stack simulation: base, bridge and network on a virtual clock, without sockets, Zenoh and waiting.
 
-Firmware and bridge loop are those of the processes, and exchange the same bytes. The driver uses `Air` in
-place of its Zenoh session. Time passes only while the driver waits, in the order of events: bytes reach the
+Firmware and bridge loop are those of the processes, and exchange the same bytes. The driver uses
+`VirtualLink` in place of its Zenoh session. Time passes only while the driver waits, in the order of events: bytes reach the
 bridge when the base sends them, and the bridge's loop turns when something arrives or its timer expires. A
 delay of a millisecond in a live run is zero here.
 """
@@ -39,7 +39,7 @@ _LATE_NS = 1000
 """A loop wakes up so much after it asked to: no rounding makes it too early."""
 
 
-class World:
+class VirtualBridge:
     """A base with its bridge. The firmware's clock must begin at 0."""
 
     def __init__(self, firmware: Firmware, limits: Limits | None = None) -> None:
@@ -158,7 +158,7 @@ class World:
 class _Mailbox(Mailbox):
     """A mailbox that time passes while one waits at."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: VirtualBridge) -> None:
         super().__init__()
         self._world = world
 
@@ -167,7 +167,7 @@ class _Mailbox(Mailbox):
         return super().take(0)
 
 
-class Air:
+class VirtualLink:
     """Replacement of the driver's `deploy.drive.link.Link`.
 
     Until the driver requests the lease, external localisation reports that the rover stands at ``start``.
@@ -178,7 +178,7 @@ class Air:
     bridge_alive = True
 
     def __init__(
-        self, world: World, start: Pose, record: Callable[[Recorded], None] = lambda message: None
+        self, world: VirtualBridge, start: Pose, record: Callable[[Recorded], None] = lambda message: None
     ) -> None:
         self._world, self._start, self._record = world, start, record
         self.odometry, self.poses, self.gyro = _Mailbox(world), Inbox(), Inbox()

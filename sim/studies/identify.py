@@ -37,7 +37,7 @@ from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.trials import MODEL
-from sim.stack.virtual import Air, World
+from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.pymunk_rover import Ground
 from sim.world.randomization import Randomization, Trials, draw_trials, load_randomization
 from sim.world.rover import SUBSTEP_S
@@ -78,7 +78,7 @@ def robot(ranges: Randomization, seed: int, number: int) -> Trials:
 def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Recorded]:
     """Drive a robot as `identify` does, through firmware, bridge and driver's code on a virtual clock."""
     rover = rover_of(trials, rover_model_of(ROBOTS[MODEL]), Ground(()))
-    world = World(Firmware(MODEL, rover, trial=BaseTrial(trials)))
+    world = VirtualBridge(Firmware(MODEL, rover, trial=BaseTrial(trials)))
     heard: list[Recorded] = []
     look = _camera(rover, world, heard, np.random.default_rng(seed)) if outside else lambda: None
 
@@ -87,7 +87,7 @@ def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Reco
         if message.topic == "odom":
             look()
 
-    air = Air(world, rover.pose, record)
+    air = VirtualLink(world, rover.pose, record)
     link = cast(Link, air)
     intake = Intake(link.odometry)
     guard = Guard(link, intake, Waits(), lambda: False, world)
@@ -102,7 +102,7 @@ def identified(trials: Trials, *, outside: bool = False, seed: int = 0) -> Rover
 
 
 def _camera(
-    rover: Any, world: World, heard: list[Recorded], noise: np.random.Generator
+    rover: Any, world: VirtualBridge, heard: list[Recorded], noise: np.random.Generator
 ) -> Callable[[], None]:
     """Return a camera above the ground, which publishes where the rover is when it is called."""
     spread = np.diag(np.square([OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]))

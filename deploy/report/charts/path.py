@@ -27,6 +27,7 @@ from deploy.report.charts.figure import (
 from deploy.report.layout import LAYERS, labels, layers
 from deploy.report.phases import Phase
 from deploy.report.trace import Trace
+from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.feasibility import Drivability
 
@@ -75,6 +76,21 @@ def trajectory(trace: Trace, course: Course, found: Sequence[Phase]) -> Picture:
     _draw_deadlines(axes, trace, course)
     axes.legend(loc="upper left", fontsize=8, frameon=False)
     axes.set_title("Path from above, by phases", loc="left", fontsize=11, color=INK)
+    return render(drawn)
+
+
+def truth_and_estimate(course: Course, truth: Sequence[Pose], estimate: Sequence[Pose]) -> Picture:
+    """Draw a drive: checkpoints with deadlines, the true and the estimated path, start and end."""
+    drawn = figure(7.6, 6.2)
+    axes = drawn.add_subplot()
+    _draw_course(axes, course)
+    for _, end, dash in ENDS:
+        axes.plot(*placed(OUTLINE, truth[end]).T, color=GREY, linewidth=1, linestyle=dash)
+    axes.plot(*np.array(truth)[:, :2].T, color=BLUE, linewidth=2, label="true path")
+    axes.plot(*np.array(estimate)[:, :2].T, color=VERMILLION, linestyle=DASHED, label="estimate")
+    for x, y, words in deadlines(course):
+        axes.annotate(words, (x, y), xytext=(4, -11), textcoords="offset points", fontsize=7, color=GREY)
+    axes.legend(loc="upper left", fontsize=8, frameon=False)
     return render(drawn)
 
 

@@ -6,7 +6,7 @@ import pytest
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import load_course
 from sim.evaluate.evaluate import evaluate
-from sim.studies.paired import Paired, exact_p, paired, parked
+from sim.studies.paired import Paired, paired, parked
 from sim.world.randomization import load_randomization
 
 
@@ -14,7 +14,7 @@ from sim.world.randomization import load_randomization
     ("first", "second", "p"), [(0, 0, 1.0), (3, 3, 1.0), (0, 5, 2 / 32), (5, 0, 2 / 32), (1, 9, 22 / 1024)]
 )
 def test_the_chance_of_a_split_is_that_of_a_coin(first, second, p):
-    assert exact_p(first, second) == pytest.approx(p)
+    assert Paired(both=7, first_only=first, second_only=second, neither=2).p == pytest.approx(p)
 
 
 def test_trials_are_counted_pair_by_pair():

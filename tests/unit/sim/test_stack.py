@@ -15,8 +15,7 @@ from rover_ncp.core.robot_profile import RoverProfile, load_profile
 from rover_ncp.course.course import load_course
 from sim.learn.rollout import rollout
 from sim.pioneer.trial import BaseTrial
-from sim.stack.parallel import drive_all
-from sim.stack.trials import Stack
+from sim.stack.trials import Stack, drive_all
 from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials, ranges_for
 from sim.world.rover import RoverModel
 

@@ -51,8 +51,6 @@ _NEEDS = {
     "bench": {"train"},
     "mock": {"train"},
     "deploy": {"drive"},
-    "check": {"drive"},
-    "teleop": {"drive"},
     "replay": {"drive"},
     "identify": {"drive"},
     "explain": {"train"},

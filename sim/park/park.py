@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from deploy.report.charts.path import truth_and_estimate
+from deploy.report.charts.path import drive_chart
 from deploy.report.page.page import drive_page
 from deploy.report.recorded_drive import read_drive
 from rover_ncp.circuit.policy import Policy
@@ -67,7 +67,7 @@ def run_park(options: ParkOptions) -> int:
     began_ns = drive.timeline.ticks[0].wall_ns
     true_path = [state.pose for state in truth if state.wall_ns >= began_ns]
     estimates = [tick.estimate.pose for tick in drive.timeline.ticks]
-    write_atomic(picture, truth_and_estimate(course, true_path, estimates).png)
+    write_atomic(picture, drive_chart(course, true_path, estimates).png)
     write_atomic(report, drive_page(drive))
     verdict = judge_truth(course, truth, began_ns)
     fields = {

@@ -14,14 +14,13 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 from bridge.pioneer.robots import ROBOTS
 from deploy.drive.config import DriveConfig, settings_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
-from deploy.drive.link import Link
-from deploy.drive.status_publisher import Reporter
+from deploy.drive.publisher import Publisher
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.geometry import Pose
@@ -101,9 +100,9 @@ class Stack:
         rover = rover_of(trials, self.model, Ground(course.obstacles))
         truth = _Truth(rover, watch=bool(course.obstacles))
         bridge = VirtualBridge(Firmware(MODEL, rover, observe=truth.note, trial=BaseTrial(trials)))
-        virtual = VirtualLink(bridge, start)
+        link = VirtualLink(bridge, start)
         config = DriveConfig(
-            robot=virtual.robot,
+            robot=link.robot,
             namespace="",
             policy=self.policy.circuit.name,
             course=course.name,
@@ -112,13 +111,12 @@ class Stack:
             estimator=settings_for(self.known),
             rover=self.known,
         )
-        link = cast(Link, virtual)
-        reporter = Reporter(link, lambda message: None, self.policy.circuit.neurons, bridge)
-        drive = Drive(link, self._driver(number), reporter, config, lambda: False, clock=bridge)
+        publisher = Publisher(link, lambda message: None, self.policy.circuit.neurons, bridge)
+        drive = Drive(link, self._driver(number), publisher, config, lambda: False, clock=bridge)
         drive.wait()
         drive.run({})
         report = drive.keeper.report()
-        verdict = truth.judge(course, virtual.first_command_ns)
+        verdict = truth.judge(course, link.first_command_ns)
         return Driven(
             verdict.parked and drive.stop is None,
             cause(verdict, course.parked) if drive.stop is None else f"stopped by {drive.stop.rule}",

@@ -1,9 +1,9 @@
 """Stack simulation: base, bridge and network on a virtual clock, without sockets, Zenoh and waiting.
 
 Firmware and bridge loop are those of the processes, and exchange the same bytes. The driver uses
-`VirtualLink` in place of its Zenoh session. Time passes only while the driver waits, in the order of events: bytes reach the
-bridge when the base sends them, and the bridge's loop turns when something arrives or its timer expires. A
-delay of a millisecond in a live run is zero here.
+`VirtualLink` in place of its Zenoh session. Time passes only while the driver waits, in the order of events:
+bytes reach the bridge when the base sends them, and the bridge's loop turns when something arrives or its
+timer expires. A delay of a millisecond in a live run is zero here.
 """
 
 import math
@@ -15,7 +15,7 @@ from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
 from bridge.pioneer.base import ArcosBase
 from deploy.drive.lease import DriverLease
-from deploy.drive.link import Arrival, Inbox, Mailbox
+from deploy.drive.measurements import Arrival, Inbox, Mailbox
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.key_table import spec
@@ -168,13 +168,13 @@ class _Mailbox(Mailbox):
 
 
 class VirtualLink:
-    """Replacement of the driver's `deploy.drive.link.Link`.
+    """A driver's `deploy.drive.link.Link` on the virtual clock.
 
     Until the driver requests the lease, external localisation reports that the rover stands at ``start``.
     Received messages go to ``record``.
     """
 
-    robot = "virtual"
+    robot, where = "virtual", ""
     bridge_alive = True
 
     def __init__(
@@ -240,4 +240,4 @@ class VirtualLink:
             self.gate = parse_json(GateStatus, read_text(data))
 
     def _arrival(self, data: bytes) -> Arrival:
-        return Arrival(data, self._world.now_ns, self._world.time_ns())
+        return Arrival(data, self._world.now_ns)

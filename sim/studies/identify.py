@@ -15,17 +15,15 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from statistics import median
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.progress import track
 
 from bridge.pioneer.robots import ROBOTS
 from bridge.pioneer.setpoints import MotionLimits
-from deploy.drive.link import Link
-from deploy.drive.measurements import Intake
-from deploy.drive.safety_monitor import Guard
-from deploy.drive.waits import Waits
+from deploy.drive.measurements import Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify.excitation import FENCE_M, excite
 from deploy.identify.fit import identify
 from deploy.identify.motion_log import motion_log
@@ -78,21 +76,20 @@ def robot(ranges: Randomization, seed: int, number: int) -> Trials:
 def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Recorded]:
     """Drive a robot as `identify` does, through firmware, bridge and driver's code on a virtual clock."""
     rover = rover_of(trials, rover_model_of(ROBOTS[MODEL]), Ground(()))
-    world = VirtualBridge(Firmware(MODEL, rover, trial=BaseTrial(trials)))
+    bridge = VirtualBridge(Firmware(MODEL, rover, trial=BaseTrial(trials)))
     heard: list[Recorded] = []
-    look = _camera(rover, world, heard, np.random.default_rng(seed)) if outside else lambda: None
+    look = _camera(rover, bridge, heard, np.random.default_rng(seed)) if outside else lambda: None
 
     def record(message: Recorded) -> None:
         heard.append(message)
         if message.topic == "odom":
             look()
 
-    air = VirtualLink(world, rover.pose, record)
-    link = cast(Link, air)
-    intake = Intake(link.odometry)
-    guard = Guard(link, intake, Waits(), lambda: False, world)
-    guard.wait(True, "")
-    excite(link, intake, guard, FENCE_M, world)
+    link = VirtualLink(bridge, rover.pose, record)
+    measurements = Measurements(link)
+    monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
+    monitor.wait()
+    excite(link, measurements, monitor, FENCE_M, bridge)
     return heard
 
 
@@ -102,14 +99,14 @@ def identified(trials: Trials, *, outside: bool = False, seed: int = 0) -> Rover
 
 
 def _camera(
-    rover: Any, world: VirtualBridge, heard: list[Recorded], noise: np.random.Generator
+    rover: Any, bridge: VirtualBridge, heard: list[Recorded], noise: np.random.Generator
 ) -> Callable[[], None]:
     """Return a camera above the ground, which publishes where the rover is when it is called."""
     spread = np.diag(np.square([OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]))
 
     def look() -> None:
         seen = np.array(rover.pose) + noise.normal(size=3) * [OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]
-        now = world.time_ns()
+        now = bridge.time_ns()
         data = pose_with_covariance(Pose(*seen.tolist()), spread, now, COURSE_FRAME)
         heard.append(Recorded("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", data, now, now))
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from deploy.report.charts.figure import BLUE, GREY, INK, PALE, VERMILLION, Picture, figure, render
 from deploy.report.interpretation import BINS, SYMBOLS, Contribution, Sign
+from deploy.report.sentences import number
 from deploy.report.trace import Trace
 
 if TYPE_CHECKING:
@@ -106,10 +107,11 @@ def _draw_frame(axes: "Axes") -> None:
     """Draw thin axes left and below with labels at their ends only."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(PALE)
-    axes.tick_params(length=2, color=PALE)
-    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
-        words = [f"{value:.0f}".replace("-", "−") for value in (low, high)]
-        axis.set_ticks([low, high], words, fontsize=7, color=GREY)
-    for axis, inward in ((axes.xaxis, ("left", "right")), (axes.yaxis, ("bottom", "top"))):
+    axes.tick_params(length=2, color=PALE, labelcolor=GREY, labelsize=7)
+    for axis, limits, inward in (
+        (axes.xaxis, axes.get_xlim(), ({"ha": "left"}, {"ha": "right"})),
+        (axes.yaxis, axes.get_ylim(), ({"va": "bottom"}, {"va": "top"})),
+    ):
+        axis.set_ticks(limits, [number(limit) for limit in limits])
         for label, side in zip(axis.get_ticklabels(), inward, strict=True):
-            label.set(**{"horizontalalignment" if axis is axes.xaxis else "verticalalignment": side})
+            label.set(**side)

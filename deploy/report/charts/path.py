@@ -17,6 +17,7 @@ from deploy.report.charts.figure import (
     POTENTIAL_LOW_MV,
     POTENTIAL_MAP,
     VERMILLION,
+    FloatArray,
     Picture,
     figure,
     placed,
@@ -47,7 +48,6 @@ TURNS: dict[int, tuple[str, Any, str]] = {
     0: (GREY, "solid", "straight, standing"),
 }
 """Colour, dash and name by the sign of omega."""
-ENDS: tuple[tuple[str, int, Any], ...] = (("start", 0, (0, (2, 2))), ("end", -1, "solid"))
 
 
 def trajectory(trace: Trace, course: Course, found: Sequence[Phase]) -> Picture:
@@ -55,10 +55,7 @@ def trajectory(trace: Trace, course: Course, found: Sequence[Phase]) -> Picture:
     drawn = figure(7.6, 6.2)
     axes = drawn.add_subplot()
     _draw_course(axes, course)
-    for words, end, dash in ENDS:
-        axes.plot(*placed(OUTLINE, trace.poses[end]).T, color=GREY, linewidth=1, linestyle=dash)
-        nose = placed(np.array([[LENGTH_M / 2, 0.0]]), trace.poses[end])[0]
-        axes.annotate(words, nose, xytext=(3, 3), textcoords="offset points", fontsize=8, color=GREY)
+    _draw_ends(axes, trace.poses)
     for turn, (color, dash, words) in TURNS.items():
         if any(phase.signs[1] == turn for phase in found):
             axes.plot([], [], color=color, linestyle=dash, linewidth=3, label=words)
@@ -73,23 +70,29 @@ def trajectory(trace: Trace, course: Course, found: Sequence[Phase]) -> Picture:
                 x, y, str(number), fontsize=8, weight="bold", color="white", ha="center", va="center",
                 zorder=6, bbox=badge,
             )  # fmt: skip
-    _draw_deadlines(axes, trace, course)
+    times = np.append(trace.times, trace.times[-1] + trace.policy.tick_s)
+    for point in course.checkpoints:
+        there = trace.poses[min(int(np.searchsorted(times, point.t - 1e-9)), len(times) - 1)]
+        axes.plot([point.x, there[0]], [point.y, there[1]], color=INK, linewidth=0.8, linestyle=":")
+    axes.plot([], [], ":", color=INK, linewidth=0.8, label="miss at its deadline")
+    _draw_deadlines(axes, course)
     axes.legend(loc="upper left", fontsize=8, frameon=False)
     axes.set_title("Path from above, by phases", loc="left", fontsize=11, color=INK)
     return render(drawn)
 
 
-def truth_and_estimate(course: Course, truth: Sequence[Pose], estimate: Sequence[Pose]) -> Picture:
-    """Draw a drive: checkpoints with deadlines, the true and the estimated path, start and end."""
+def drive_chart(course: Course, truth: Sequence[Pose], estimate: Sequence[Pose]) -> Picture:
+    """Draw the true and the estimated path of a drive, and the deadlines of its checkpoints."""
     drawn = figure(7.6, 6.2)
     axes = drawn.add_subplot()
     _draw_course(axes, course)
-    for _, end, dash in ENDS:
-        axes.plot(*placed(OUTLINE, truth[end]).T, color=GREY, linewidth=1, linestyle=dash)
-    axes.plot(*np.array(truth)[:, :2].T, color=BLUE, linewidth=2, label="true path")
-    axes.plot(*np.array(estimate)[:, :2].T, color=VERMILLION, linestyle=DASHED, label="estimate")
-    for x, y, words in deadlines(course):
-        axes.annotate(words, (x, y), xytext=(4, -11), textcoords="offset points", fontsize=7, color=GREY)
+    _draw_ends(axes, np.array(truth))
+    for poses, color, dash, words in (
+        (truth, BLUE, "solid", "true path"),
+        (estimate, VERMILLION, "dashed", "estimate"),
+    ):
+        axes.plot(*np.array(poses)[:, :2].T, color=color, linestyle=dash, linewidth=2, label=words)
+    _draw_deadlines(axes, course)
     axes.legend(loc="upper left", fontsize=8, frameon=False)
     return render(drawn)
 
@@ -162,8 +165,7 @@ def course_picture(course: Course, found: Drivability) -> Picture:
             axes.plot(*line.T, color=color, linestyle=dash, linewidth=2.5, label=words, zorder=4)
     for pose in way[::OUTLINE_EVERY]:
         axes.plot(*placed(OUTLINE, pose).T, color=GREY, linewidth=0.5, alpha=0.6)
-    for words, end, dash in ENDS:
-        axes.plot(*placed(OUTLINE, way[end]).T, color=INK, linewidth=1, linestyle=dash, label=words)
+    _draw_ends(axes, way)
     bad = sorted({problem.checkpoint for problem in found.problems})
     label = "cannot be driven"
     for number in bad:
@@ -222,31 +224,22 @@ def _draw_course(axes: "Axes", course: Course) -> None:
     axes.set_ylabel("y (m)")
 
 
-def _draw_deadlines(axes: "Axes", trace: Trace, course: Course) -> None:
-    """Draw the deadlines, and the distance of the rover from each checkpoint at its deadline."""
-    times = np.append(trace.times, trace.times[-1] + trace.policy.tick_s)
-    above: dict[tuple[float, float], bool] = {}
-    for point in course.checkpoints:
-        there = trace.poses[min(int(np.searchsorted(times, point.t - 1e-9)), len(times) - 1)]
-        axes.plot([point.x, there[0]], [point.y, there[1]], color=INK, linewidth=0.8, linestyle=":")
-        dx, dy = there[0] - point.x, there[1] - point.y
-        # The label is placed on the side of the checkpoint's heading where the rover was not.
-        above[round(point.x, 3), round(point.y, 3)] = bool(
-            np.cos(point.theta) * dy - np.sin(point.theta) * dx < -1e-3
-        )
-    axes.plot([], [], ":", color=INK, linewidth=0.8, label="miss at its deadline")
+def _draw_deadlines(axes: "Axes", course: Course) -> None:
+    from matplotlib.patheffects import withStroke
+
     labelled: list[tuple[float, float]] = []
     for x, y, words in deadlines(course):
-        if any(np.hypot(x - other[0], y - other[1]) <= LABEL_M for other in labelled):
-            continue
-        labelled.append((x, y))
-        right = not above[x, y] or " to " in words
-        axes.annotate(
-            words,
-            (x, y),
-            xytext=(6 if right else -5, 6 if above[x, y] else -12),
-            textcoords="offset points",
-            ha="left" if right else "right",
-            fontsize=8,
-            color=INK,
-        )
+        if all(np.hypot(x - other[0], y - other[1]) > LABEL_M for other in labelled):
+            labelled.append((x, y))
+            label = axes.annotate(
+                words, (x, y), xytext=(6, -12), textcoords="offset points", fontsize=8, zorder=7
+            )
+            label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
+
+
+def _draw_ends(axes: "Axes", poses: FloatArray) -> None:
+    """Draw the rover's outline at the start, dashed, and at the end."""
+    for words, pose, dash in (("start", poses[0], (0, (2, 2))), ("end", poses[-1], "solid")):
+        axes.plot(*placed(OUTLINE, pose).T, color=GREY, linewidth=1, linestyle=dash)
+        nose = placed(np.array([[LENGTH_M / 2, 0.0]]), pose)[0]
+        axes.annotate(words, nose, xytext=(3, 3), textcoords="offset points", fontsize=8, color=GREY)

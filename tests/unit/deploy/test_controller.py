@@ -50,7 +50,7 @@ def drive(policy, odom=ORIGIN, pose=ORIGIN, report=lambda p, v: (p, v), latency=
         poses.append(rover.pose)
         if index not in lose:
             measured = report(compose(to_odom, rover.pose), rover.velocity)
-            assert controller.odometry(*measured, index * DT) is Outcome.ACCEPTED
+            assert controller.estimator.odometry(*measured, index * DT) is Outcome.ACCEPTED
         ticks.append(controller.tick(index, index * DT + latency))
         rover.command(*ticks[-1].command)
         for _ in range(10):
@@ -159,10 +159,10 @@ def test_odometry_without_numbers_never_gets_through(policy):
     controller = Controller(policy, COURSE, EstimatorSettings())
     controller.start(ORIGIN, 0.0)
     nan, inf = math.nan, math.inf
-    assert controller.odometry(Pose(nan, 0, 0), Velocity(0, 0), 0.1) is Outcome.NOT_FINITE
-    assert controller.odometry(Pose(0, 0, inf), Velocity(0, 0), 0.1) is Outcome.NOT_FINITE
+    assert controller.estimator.odometry(Pose(nan, 0, 0), Velocity(0, 0), 0.1) is Outcome.NOT_FINITE
+    assert controller.estimator.odometry(Pose(0, 0, inf), Velocity(0, 0), 0.1) is Outcome.NOT_FINITE
     assert not controller.estimator.fault
-    assert controller.odometry(Pose(1e308, 1e308, 1), Velocity(0, nan), 0.1) is Outcome.NOT_FINITE
+    assert controller.estimator.odometry(Pose(1e308, 1e308, 1), Velocity(0, nan), 0.1) is Outcome.NOT_FINITE
     assert controller.estimator.fault
     assert all(map(math.isfinite, controller.tick(0, 0.2).command))
 

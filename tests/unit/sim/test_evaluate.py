@@ -95,7 +95,7 @@ def test_a_saved_policy_scores_as_the_policy_it_was(files, capsys):
 def test_people_get_a_sentence(files, capsys):
     assert run(["eval", "numb.bnn", "--course", "stay.yaml"]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("parked; return -0.0050, 0 mm and 50 mrad off")
+    assert out.startswith("parked; return -0.0050; final errors 0 mm and 50 mrad")
     assert out.count("\n") == 1
 
 

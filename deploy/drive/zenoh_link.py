@@ -12,7 +12,7 @@ from typing import Any
 import zenoh
 
 from deploy.drive.lease import DriverLease
-from deploy.drive.measurements import Arrival, Inbox, Mailbox
+from deploy.drive.measurements import Arrival, Inbox
 from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.core.errors import (
     AnotherDriver,
@@ -55,7 +55,7 @@ class ZenohLink(ZenohClient):
     def __init__(self, address: BridgeAddress, record: Callable[[Recorded], None]) -> None:
         self._record = record
         self.lease = DriverLease()
-        self.odometry = Mailbox()
+        self.odometry = Inbox(1)
         self.gyro = Inbox()
         self.poses = Inbox()
         self.gate = GateStatus()

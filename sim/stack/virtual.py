@@ -15,7 +15,7 @@ from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
 from bridge.pioneer.base import ArcosBase
 from deploy.drive.lease import DriverLease
-from deploy.drive.measurements import Arrival, Inbox, Mailbox
+from deploy.drive.measurements import Arrival, Inbox
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.key_table import spec
@@ -155,16 +155,16 @@ class VirtualBridge:
         self.hear(name, data)
 
 
-class _Mailbox(Mailbox):
-    """A mailbox that time passes while one waits at."""
+class _OdometryInbox(Inbox):
+    """The newest odometry; time passes while the driver waits for it."""
 
     def __init__(self, world: VirtualBridge) -> None:
-        super().__init__()
+        super().__init__(1)
         self._world = world
 
-    def take(self, timeout_s: float) -> Arrival | None:
-        self._world.wait(timeout_s, lambda: self._newest is not None)
-        return super().take(0)
+    def take(self, timeout_s: float = 0.0) -> list[Arrival]:
+        self._world.wait(timeout_s, lambda: bool(self._arrivals))
+        return super().take()
 
 
 class VirtualLink:
@@ -181,7 +181,7 @@ class VirtualLink:
         self, world: VirtualBridge, start: Pose, record: Callable[[Recorded], None] = lambda message: None
     ) -> None:
         self._world, self._start, self._record = world, start, record
-        self.odometry, self.poses, self.gyro = _Mailbox(world), Inbox(), Inbox()
+        self.odometry, self.poses, self.gyro = _OdometryInbox(world), Inbox(), Inbox()
         self.gate = GateStatus()
         self.first_command_ns: int | None = None
         """When the first command was sent."""

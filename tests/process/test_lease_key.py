@@ -21,8 +21,8 @@ class OpenWorld(VirtualBridge):
         self.published.append(data)
         super().publish(name, data)
 
-    def ask(self, name, payload, attachment=None):
-        answer = super().ask(name, payload, attachment)
+    def query(self, name, payload, attachment=None):
+        answer = super().query(name, payload, attachment)
         self.answered.append(parse_json(MotorsReply, answer))
         return answer
 

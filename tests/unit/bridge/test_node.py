@@ -48,7 +48,7 @@ class Bridge(VirtualBridge):
 
     def motors(self):
         request = MotorsRequest(enable=True, name="x", sent_ns=self.now_ns)
-        return parse_json(MotorsReply, self.ask("rover/motors", dump_json(request)))
+        return parse_json(MotorsReply, self.query("rover/motors", dump_json(request)))
 
 
 @pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS])

@@ -14,6 +14,8 @@ from bridge.gate.limits import Limits
 from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
 from bridge.pioneer.base import ArcosBase
+from bridge.pioneer.session import Session
+from bridge.pioneer.setpoints import MotionLimits
 from deploy.drive.lease import DriverLease
 from deploy.drive.measurements import Arrival, Inbox
 from rover_ncp.core.errors import SafetyStop
@@ -51,7 +53,7 @@ class VirtualBridge:
         allowed = limits or Limits()
         self._inbox: list[object] = [Opened()]
         self._node = Node(
-            ArcosBase(self, "auto", allowed.v_max, allowed.omega_max),
+            ArcosBase(self, Session("auto", MotionLimits(v=allowed.v_max, omega=allowed.omega_max))),
             self,
             self,
             limits=allowed,

@@ -81,7 +81,7 @@ def test_a_restarted_base_is_found_again_and_stands_until_a_driver_asks(tmp_path
         assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
 
 
-def test_options_do_what_they_say(tmp_path):
+def test_options_set_limits_namespace_and_plain_commands(tmp_path):
     limits = tmp_path / "limits.yaml"
     limits.write_text("v_max: 0.1\nlease_s: 2.0\n")
     options = ["--namespace", "/lab/bot1", "--limits", str(limits), "--accept-ros"]
@@ -209,7 +209,7 @@ def test_a_zenoh_configuration_says_where_to_listen_and_garbage_is_refused(
     assert line.startswith(f"{config}: not a Zenoh configuration: ")
 
 
-def test_the_bridge_is_light():
+def test_bridge_imports_no_heavy_library():
     heavy = "numba pymunk filterpy matplotlib gymnasium scipy llvmlite rover_ncp.circuit sim deploy"
     program = f"""
 import sys

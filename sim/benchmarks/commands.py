@@ -67,7 +67,7 @@ def bench(
 
         fields = bench_deploy(seconds, output.say)
         slow = fields["rates"][0]["above_bare_ms"]["p99"]
-        output.result(fields, f"at 10 Hz the slowest in a hundred take {slow:.2f} ms more than the bare way")
+        output.result(fields, f"10 Hz: the 99th percentile is {slow:.2f} ms above the bare half round trip")
         return
     if what is What.TRAIN:
         from sim.benchmarks.train import bench_train

@@ -15,6 +15,7 @@ from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, wait_for
 from rover_ncp import cli
 from rover_ncp.core.protocol import MotorsReply, MotorsRequest, dump_json, parse_json
 from sim.live.processes import Process
+from sim.live.truth import TruthReader
 
 STOP_S = 0.5
 PLAIN_TWIST = b"\0\1\0\0" + struct.pack("<6d", 0.15, 0, 0, 0, 0, 0)
@@ -66,8 +67,9 @@ def test_a_restarted_base_is_found_again_and_stands_until_a_driver_asks(tmp_path
         wait_for(lambda: driver.gate.held == "no-base")
         assert driver.motors().reason == "no-base"
         truth = ["--truth", str(tmp_path / "truth.csv"), "--overwrite"]
-        rig.mock = Process("mock", ["--listen", rig.base, *truth], tmp_path)
-        rig.mock.wait_for_line("listening on ")
+        mock = rig.start_process(lambda: Process("mock", ["--listen", rig.base, *truth], tmp_path))
+        mock.wait_for_line("listening on ")
+        rig.truth = TruthReader(tmp_path / "truth.csv")
         began_ns = time.time_ns()
         wait_for(lambda: driver.drive(PERIOD_S) and driver.gate.held != "no-base", 8.0)
         assert driver.gate.lease == 0

@@ -20,8 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.faults.injections import Scene
-from sim.faults.rig import CREEP_M_S, Rig, Unsafe
+from sim.faults.rig import CREEP_M_S, Rig, Scene, Unsafe
 from sim.faults.scripted_driver import ScriptedDriver
 from sim.faults.table import CIRCUIT, Row, braking_s
 from sim.live.processes import TimedOut, wait_for

@@ -5,6 +5,7 @@ The mock reads the base's faults from its standard input. A wrapper around the c
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from rover_ncp.core.errors import RoverNcpError
@@ -110,3 +111,34 @@ class Rig(LiveRun):
         for driver in self._scripted:
             driver.close()
         super().close()
+
+
+@dataclass
+class Scene:
+    """A rig and its driver: a scripted driver, or the process of a circuit."""
+
+    rig: Rig
+    driver: ScriptedDriver | Process
+    note: str = ""
+    """A property of this injection, if injections differ."""
+
+    @property
+    def scripted(self) -> ScriptedDriver:
+        """The driver, which must be a scripted one."""
+        assert isinstance(self.driver, ScriptedDriver)
+        return self.driver
+
+    @property
+    def process(self) -> Process:
+        """The driver, which must be a process."""
+        assert isinstance(self.driver, Process)
+        return self.driver
+
+    def request_no_lease(self) -> None:
+        """Stop a scripted driver from requesting the lease."""
+        if isinstance(self.driver, ScriptedDriver):
+            self.driver.requests_lease = False
+
+    def dropped(self) -> int:
+        """Return how many commands the gate has dropped."""
+        return sum(self.scripted.gate.dropped.values())

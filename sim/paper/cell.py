@@ -14,7 +14,7 @@ from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.search.base import Vector
-from sim.learn.search.packed import unpack
+from sim.paper.packed import unpack
 
 SHIPPED = Path(__file__).parent / "results"
 

@@ -71,7 +71,7 @@ def search_by_cma(
     while arena.steps < budget.steps:
         begins_anew = searches < explored
         until = budget.steps * (_SHARE * (searches + 1) if begins_anew else 1.0)
-        box = UnitBox(agent.layout(), firsts[searches] if begins_anew else winner, inert(agent))
+        box = UnitBox.of(agent.layout(), firsts[searches] if begins_anew else winner, inert(agent))
         [state] = draw_seeds(seed, (_SEARCH, searches), 1)
         search = _start(box, int(state))
         searches += 1

@@ -64,7 +64,7 @@ class Contender:
     """A search from one start, and its means so far with what they did in whole episodes."""
 
     def __init__(self, agent: Policy | Net, start: Vector, seed: int, number: int) -> None:
-        self._box = UnitBox(agent.layout(), start, inert(agent))
+        self._box = UnitBox.of(agent.layout(), start, inert(agent))
         self._seed, self._number = seed, number
         [state] = draw_seeds(seed, (_SEARCH, number), 1)
         self._search = Separable(self._box.start, _SPREAD, int(state), _POPULATION)

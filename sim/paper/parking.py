@@ -20,7 +20,7 @@ from sim.learn.evaluator import Evaluator
 from sim.learn.net_engine import NetEngine
 from sim.learn.networks import Net
 from sim.learn.search.base import Vector
-from sim.learn.search.strategies import start_search
+from sim.learn.search.strategies import STRATEGIES
 from sim.paper.agents import inert
 from sim.paper.search import Budget, Found
 from sim.paper.tasks import Task
@@ -90,7 +90,7 @@ def search_parking(
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(0,))))
     first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
     strategy = _PUBLISHED_SEARCH if budget.published else _SEARCH
-    search = start_search(strategy, agent.layout(), first, generator, inert(agent))
+    search = STRATEGIES[strategy].begin(agent.layout(), first, generator, inert(agent))
     curve: list[tuple[int, float]] = []
     ended, parks, best = "evaluations", None, -math.inf
     while search.evaluations < budget.evaluations:

@@ -17,12 +17,12 @@ from rover_ncp.core.errors import UsageError
 from sim.learn.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector
-from sim.learn.search.packed import pack
 from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.arena import Arena, draw_seeds
 from sim.paper.cell import Cell, Name
 from sim.paper.cma_search import CMA, search_by_cma
 from sim.paper.evolution import EVOLUTION, search_by_evolution
+from sim.paper.packed import pack
 from sim.paper.parking import ParkingArena, search_parking
 from sim.paper.search import Budget, Found, search_benchmark
 from sim.paper.tasks import Benchmark, SearchName, Task, find_task

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from rover_ncp.cli import run
-from sim.learn.search.packed import pack
 from sim.paper.cell import Cell, Name, Shelf
 from sim.paper.curves import curves_png
 from sim.paper.grid import GRID, status
+from sim.paper.packed import pack
 from sim.paper.published import Reported
 from sim.paper.tables import Table, Verdict, parameters, table, verdict
 from sim.paper.tasks import TASKS

@@ -1,4 +1,4 @@
-"""Arrays in a search's state: a shape and hexadecimal bytes, which JSON keeps, and writes quickly."""
+"""Arrays in a stored run: a shape and hexadecimal bytes."""
 
 from collections.abc import Mapping
 from typing import Any

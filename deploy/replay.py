@@ -15,22 +15,15 @@ import yaml
 
 from deploy.drive.config import attached
 from deploy.drive.controller import Controller, Tick
-from deploy.drive.status_publisher import estimate_message
-from deploy.drive_records import (
-    START_TOPIC,
-    TICKS_TOPIC,
-    SampleRef,
-    StartRecord,
-    TickRecord,
-    numbers,
-    seconds,
-)
+from deploy.drive.measurements import READERS
+from deploy.drive.publisher import estimate_message
+from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, numbers
 from deploy.estimator.estimator import Estimate
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.messages import read_imu, read_neurons, read_odometry, read_pose, read_text, read_twist
+from rover_ncp.core.messages import read_neurons, read_odometry, read_text, read_twist
 from rover_ncp.core.protocol import parse_json
 from rover_ncp.core.recording import Recording, read_recording
 
@@ -113,32 +106,20 @@ def _compared(
             quantity = f"the {INPUTS[missing[0].topic]} of stamp {missing[0].stamp_ns}"
             yield record, Difference(record.index, quantity, ABSENT, "needed")
             return
-        now = seconds(record.now_ns, start.sample)
+        now = start.seconds(record.now_ns)
         try:
             if record is records[0]:
                 first = wanted.pop(0)
                 began = read_odometry(data[first.topic, first.crc])
-                controller.start(began.pose, 0.0, Pose(*start.pose), start.sure)
+                controller.start(began.pose, 0.0, Pose(*start.pose), start.covariance_matrix)
             for ref in wanted:
-                _take_in(controller, ref, data[ref.topic, ref.crc], start.sample)
+                sample = READERS[ref.topic](data[ref.topic, ref.crc])
+                controller.take(sample, start.seconds(ref.measured_ns))
             tick = controller.tick(record.index, now) if record.command is not None else None
             estimate = tick.estimate if tick else controller.look(record.index, now)
         except ValueError as error:  # such as a time that goes back
             raise FileError(f"{recording.path}: tick {record.index} cannot be recomputed: {error}") from error
-        found = _first(_differences(record, tick, estimate, names, messages))
-        yield record, found
-
-
-def _take_in(controller: Controller, ref: SampleRef, data: bytes, start: SampleRef) -> None:
-    t = seconds(ref.measured_ns, start)
-    if ref.topic == "pose":
-        seen = read_pose(data)
-        controller.external(seen.pose, seen.covariance, t)
-    elif ref.topic == "imu":
-        controller.gyro(read_imu(data).rate, t)
-    else:
-        sample = read_odometry(data)
-        controller.odometry(sample.pose, sample.velocity, t)
+        yield record, next(_differences(record, tick, estimate, names, messages), None)
 
 
 class _Messages:
@@ -190,10 +171,6 @@ def _each(
             yield Difference(tick, quantity, repr(float(before)), repr(float(now)))
 
 
-def _first(differences: Iterator[Difference]) -> Difference | None:
-    return next(differences, None)
-
-
 def _other_file(recording: Recording, start: StartRecord) -> Difference | None:
     """Return the attachment that is not the one the drive was recorded with."""
     for name, crc in start.attachments.items():
@@ -207,7 +184,7 @@ def _other_policy(own: Policy, other: Policy) -> Difference | None:
     before, now = (yaml.safe_load(policy_to_yaml(policy)) for policy in (own, other))
     for data in (before, now):
         del data["provenance"], data["courses"], data["circuit"]["name"]
-    return _first(_parted("policy", before, now))
+    return next(_parted("policy", before, now), None)
 
 
 def _parted(path: str, before: Any, now: Any) -> Iterator[Difference]:

@@ -1,4 +1,4 @@
-"""Packets of a base: SIP, CONFIGpac, ENCODERpac, GYROpac, IOpac, SIMSTAT, both ways, in the base's own units.
+"""Packets of a base that the bridge reads: SIP, CONFIGpac, GYROpac, both ways, in the base's own units.
 
 Each packet is a dataclass whose fields stand in the order of the wire, each with its wire format: one table
 serves decoding and encoding. Firmware versions end their packets at different fields: a field that did not
@@ -6,16 +6,14 @@ arrive keeps its default, and encoding ends at the first None.
 
 Formats: B, b, H, h, I, i as in ``struct`` (little-endian), S a string that a NUL ends.
 Sources: ARIA's ArRobot::processMotorPacket, ArRobotConfigPacketReader, AMRISim's EmulatePioneer (order of
-fields; facts only), Adept Pioneer 3 manual p. 43 (FLAGS), p. 46 (ENCODERpac), p. 50 (IOpac); ARIA's
-ArAnalogGyro (GYROpac).
+fields; facts only), Adept Pioneer 3 manual p. 43 (FLAGS); ARIA's ArAnalogGyro (GYROpac).
 """
 
 import math
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from enum import IntEnum, IntFlag
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, Self, TypeAlias
 
 from bridge.pioneer.arcos import Packet
 
@@ -29,10 +27,7 @@ class Kind(IntEnum):
     CONFIG = 0x20
     SIP_STOPPED = 0x32
     SIP_MOVING = 0x33
-    SIMSTAT = 0x62
-    ENCODER = 0x90
     GYRO = 0x98
-    IO = 0xF0
     RESET_FE = 0xFE
     RESET_FF = 0xFF
 
@@ -62,7 +57,15 @@ def _wire(format_: str, default: Any = None) -> Any:
     return field(default=default, metadata={"wire": format_})
 
 
-def _read(formats: Iterator[tuple[str, str]], data: bytes, start: int = 0) -> tuple[dict[str, Any], int]:
+Formats: TypeAlias = list[tuple[str, str]]
+"""Names and wire formats of fields."""
+
+
+def _wire_formats(packet: Any) -> Formats:
+    return [(item.name, item.metadata["wire"]) for item in fields(packet) if "wire" in item.metadata]
+
+
+def _read(formats: Formats, data: bytes, start: int = 0) -> tuple[dict[str, Any], int]:
     """Return the fields that ``data`` holds whole, and where reading ended."""
     values: dict[str, Any] = {}
     for name, format_ in formats:
@@ -82,7 +85,7 @@ def _read(formats: Iterator[tuple[str, str]], data: bytes, start: int = 0) -> tu
     return values, start
 
 
-def _write(formats: Iterator[tuple[str, str]], packet: Any) -> bytes:
+def _write(formats: Formats, packet: Any) -> bytes:
     data = b""
     for name, format_ in formats:
         value = getattr(packet, name)
@@ -93,29 +96,6 @@ def _write(formats: Iterator[tuple[str, str]], packet: Any) -> bytes:
         else:
             data += struct.pack("<" + format_, value)
     return data
-
-
-_Wired = TypeVar("_Wired", bound="_WirePacket")
-
-
-@dataclass(frozen=True)
-class _WirePacket:
-    """A packet that is nothing but its fields, one after the other."""
-
-    KIND: ClassVar[Kind]
-
-    @classmethod
-    def _formats(cls) -> Iterator[tuple[str, str]]:
-        return ((item.name, item.metadata["wire"]) for item in fields(cls))
-
-    @classmethod
-    def decode(cls, payload: bytes) -> Self:
-        """Return the packet; what is missing at its end keeps its default."""
-        return cls(**_read(cls._formats(), payload)[0])
-
-    def encode(self) -> Packet:
-        """Return the packet, ready for ``encode_frame``."""
-        return Packet(self.KIND, _write(self._formats(), self))
 
 
 @dataclass(frozen=True)
@@ -159,7 +139,7 @@ class Sip:
     def decode(cls, packet: Packet) -> "Sip | None":
         """Return the SIP of a packet whose kind is one of SIP_KINDS; None when it ends before FLAGS."""
         payload = packet.payload
-        head, end = _read(iter(_SIP_HEAD), payload)
+        head, end = _read(_SIP_HEAD, payload)
         if "flags" not in head:
             return None
         sonar: list[tuple[int, int]] = []
@@ -170,29 +150,27 @@ class Sip:
             # that are not there: what follows is neither readings nor the tail at its place.
             if end + 3 * count <= len(payload):
                 sonar = [struct.unpack_from("<BH", payload, end + 3 * i) for i in range(count)]
-                tail, _ = _read(iter(_SIP_TAIL), payload, end + 3 * count)
+                tail, _ = _read(_SIP_TAIL, payload, end + 3 * count)
         return cls(**head, **tail, sonar=tuple(sonar), moving=packet.kind == Kind.SIP_MOVING)
 
     def encode(self) -> Packet:
         """Return the packet; it ends at the first group that is None."""
-        payload = _write(iter(_SIP_HEAD), self)
+        payload = _write(_SIP_HEAD, self)
         if self.compass is not None:
             payload += bytes([len(self.sonar)])
             payload += b"".join(struct.pack("<BH", number, range_mm) for number, range_mm in self.sonar)
-            payload += _write(iter(_SIP_TAIL), self)
+            payload += _write(_SIP_TAIL, self)
         return Packet(Kind.SIP_MOVING if self.moving else Kind.SIP_STOPPED, payload)
 
 
-_SIP_FIELDS = [(item.name, item.metadata["wire"]) for item in fields(Sip) if "wire" in item.metadata]
+_SIP_FIELDS = _wire_formats(Sip)
 _SIP_SPLIT = [name for name, _ in _SIP_FIELDS].index("compass") + 1
 _SIP_HEAD, _SIP_TAIL = _SIP_FIELDS[:_SIP_SPLIT], _SIP_FIELDS[_SIP_SPLIT:]
 
 
 @dataclass(frozen=True)
-class ConfigPac(_WirePacket):
+class ConfigPac:
     """The base's configuration, FLASH and working values. Speeds mm/s and deg/s, times ms, decivolts."""
-
-    KIND = Kind.CONFIG
 
     robot_type: str = _wire("S", "")
     subtype: str = _wire("S", "")
@@ -262,39 +240,14 @@ class ConfigPac(_WirePacket):
     config_flags: int = _wire("I", 0)
     gyro_version: int = _wire("H", 0)
 
+    @classmethod
+    def decode(cls, payload: bytes) -> Self:
+        """Return the packet; what is missing at its end keeps its default."""
+        return cls(**_read(_wire_formats(cls), payload)[0])
 
-@dataclass(frozen=True)
-class EncoderPac(_WirePacket):
-    """Accumulated encoder ticks of both wheels, 32 bits that wrap."""
-
-    KIND = Kind.ENCODER
-
-    left: int = _wire("i", 0)
-    right: int = _wire("i", 0)
-
-
-@dataclass(frozen=True)
-class SimStat(_WirePacket):
-    """A simulator's own knowledge (AMRISim): the true pose in mm and deg, among others."""
-
-    KIND = Kind.SIMSTAT
-
-    reserved: int = _wire("H", 0)
-    flags: int = _wire("I", 0)
-    sim_interval_ms: int = _wire("H", 0)
-    real_interval_ms: int = _wire("H", 0)
-    last_interval_ms: int = _wire("H", 0)
-    x_mm: int = _wire("i", 0)
-    y_mm: int = _wire("i", 0)
-    z_mm: int = _wire("i", 0)
-    theta_deg: int = _wire("i", 0)
-    latitude_e7: int = _wire("i", 0)
-    longitude_e7: int = _wire("i", 0)
-    altitude_cm: int = _wire("i", 0)
-    gps_quality: int = _wire("i", 0)
-    odometry_error_x: int = _wire("i", 0)
-    odometry_error_y: int = _wire("i", 0)
-    odometry_error_theta: int = _wire("i", 0)
+    def encode(self) -> Packet:
+        """Return the packet, ready for ``encode_frame``."""
+        return Packet(Kind.CONFIG, _write(_wire_formats(type(self)), self))
 
 
 GYRO_REST = 512
@@ -327,32 +280,6 @@ class GyroPac:
             return None
         mean = sum(reading for reading, _ in self.readings) / len(self.readings)
         return (GYRO_REST - mean) * GYRO_RAD_S
-
-
-@dataclass(frozen=True)
-class IoPac:
-    """The ports. ``inputs`` are DIGIN, front bumpers, rear bumpers, infrared; a 0 bit is a triggered one."""
-
-    inputs: tuple[int, ...] = ()
-    outputs: tuple[int, ...] = ()
-    analog: tuple[int, ...] = ()
-
-    @classmethod
-    def decode(cls, payload: bytes) -> "IoPac":
-        """Read by the counts in the packet, since versions differ in length; what is cut off is left out."""
-        groups: list[tuple[int, ...]] = []
-        start = 0
-        for size, format_ in ((1, "B"), (1, "B"), (2, "H")):
-            count = payload[start] if start < len(payload) else 0
-            count = min(count, max(0, len(payload) - start - 1) // size)
-            groups.append(struct.unpack_from(f"<{count}{format_}", payload, start + 1) if count else ())
-            start += 1 + count * size
-        return cls(*groups)
-
-    def encode(self) -> Packet:
-        """Return the packet with its counts."""
-        payload = bytes([len(self.inputs), *self.inputs, len(self.outputs), *self.outputs, len(self.analog)])
-        return Packet(Kind.IO, payload + struct.pack(f"<{len(self.analog)}H", *self.analog))
 
 
 def decode_names(payload: bytes) -> tuple[str, str, str]:

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+from deploy.drive.measurements import read_course_pose
 from rover_ncp.core.errors import FileError, FormatError
-from rover_ncp.core.messages import COURSE_FRAME, read_odometry, read_pose, read_twist
+from rover_ncp.core.messages import read_odometry, read_twist
 from rover_ncp.core.recording import Recorded
 
 FloatArray = NDArray[np.float64]
@@ -57,9 +58,7 @@ def motion_log(messages: Iterable[Recorded]) -> MotionLog:
                 sample = read_odometry(message.data)
                 odometry.append((sample.stamp_ns, *sample.pose, *sample.velocity))
             elif message.topic == "pose":
-                seen = read_pose(message.data)
-                if seen.frame in {"", COURSE_FRAME}:
-                    external.append((message.log_ns, *seen.pose))
+                external.append((message.log_ns, *read_course_pose(message.data).pose))
         except FormatError:
             continue
     if len(odometry) < _LEAST or not sent:

@@ -14,29 +14,27 @@ the benchmarks, from 12 on those of parking. Published parking files have a thir
 """
 
 import re
-from typing import Any
 
 import numpy as np
 
-from rover_ncp.circuit.circuit import (
-    BOUNDS,
-    DEFAULTS,
-    MAXIMUM_NEURONS,
-    Bounds,
-    Circuit,
-    ParameterKind,
-    SynapseKind,
-)
+from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, MAXIMUM_NEURONS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.circuit.tap_withdrawal import NEURONS, PARKING_NEURONS
-from rover_ncp.core.errors import ConfigError, FileError
+from rover_ncp.core.errors import ConfigError
 
-_SYNAPSES = {"ex": SynapseKind.EXCITATORY, "inh": SynapseKind.INHIBITORY, "gj": SynapseKind.GAP}
-_NEURON_VALUES = {
+_VALUES = {
     "cm": ParameterKind.CAPACITANCE,
     "gleak": ParameterKind.LEAK,
     "vleak": ParameterKind.LEAK_POTENTIAL,
+    "const": ParameterKind.LEAK_POTENTIAL,
 }
-_WORDS = ", ".join(("size", *_NEURON_VALUES, "const", *_SYNAPSES))
+_SYNAPSES = {"ex": SynapseKind.EXCITATORY, "inh": SynapseKind.INHIBITORY, "gj": SynapseKind.GAP}
+_USAGE = {
+    "size": "N",
+    **dict.fromkeys(_VALUES, "neuron value"),
+    "ex": "source destination weight [sigma]",
+    "inh": "source destination weight [sigma]",
+    "gj": "source destination weight",
+}
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _INDEX = re.compile(r"\d{1,6}", re.ASCII)
 _SHOWN_PROBLEMS = 10
@@ -46,149 +44,106 @@ class _Wrong(Exception):
     """A statement that cannot be."""
 
 
-class _Parser:
-    """Collects statements; each method handles the arguments of one, or raises _Wrong."""
+class _Statements:
+    """The statements read so far."""
 
     def __init__(self) -> None:
-        self.size: int | None = None
-        self.values: dict[tuple[ParameterKind, int], float] = {}
-        self.held: dict[int, float] = {}
-        self.synapses: dict[tuple[SynapseKind, int, int], tuple[float, float]] = {}
+        self.size = 0
+        self.values: dict[tuple[str, int], float] = {}
+        self.synapses: dict[tuple[str, int, int], tuple[float, float]] = {}
 
-    def statement(self, words: list[str]) -> None:
-        word, arguments = words[0], words[1:]
-        if word == "size":
-            self._size(arguments)
-        elif self.size is None:
-            raise _Wrong("a size statement must come first")
-        elif word in _NEURON_VALUES:
-            kind = _NEURON_VALUES[word]
-            neuron, value = self._neuron_value(word, arguments, BOUNDS[kind])
-            _once(self.values, (kind, neuron), value, f"{word} {neuron}")
-        elif word == "const":
-            neuron, value = self._neuron_value(word, arguments, BOUNDS[ParameterKind.LEAK_POTENTIAL])
-            _once(self.held, neuron, value, f"const {neuron}")
-        elif word in _SYNAPSES:
-            self._synapse(word, arguments)
-        else:
-            raise _Wrong(f"unknown statement {word[:20]!r} (expected one of {_WORDS})")
+    def read(self, words: list[str]) -> None:
+        """Read one statement. Raises _Wrong."""
+        match words:
+            case ["size", count]:
+                if self.size:
+                    raise _Wrong("a second size statement")
+                if not _INDEX.fullmatch(count) or not 1 <= int(count) <= MAXIMUM_NEURONS:
+                    raise _Wrong(f"size must be in 1..{MAXIMUM_NEURONS}, got {count[:20]!r}")
+                self.size = int(count)
+            case [word, *_] if word != "size" and not self.size:
+                raise _Wrong("a size statement must come first")
+            case ["cm" | "gleak" | "vleak" | "const" as word, neuron, value]:
+                at = word, self._index(neuron)
+                number = _number(word, value, _VALUES[word])
+                if at in self.values:
+                    raise _Wrong(f"{word} {at[1]} appears twice")
+                self.values[at] = number
+            case ["ex" | "inh" as word, source, destination, weight, sigma]:
+                self._add_synapse(word, source, destination, weight, sigma)
+            case ["ex" | "inh" | "gj" as word, source, destination, weight]:
+                self._add_synapse(word, source, destination, weight)
+            case [word, *rest] if word in _USAGE:
+                raise _Wrong(f"expected '{word} {_USAGE[word]}', got {len(rest)} values")
+            case _:
+                expected = ", ".join(_USAGE)
+                raise _Wrong(f"unknown statement {words[0][:20]!r} (expected one of {expected})")
 
-    def _size(self, arguments: list[str]) -> None:
-        _count("size", arguments, "N", 1)
-        if self.size is not None:
-            raise _Wrong("a second size statement")
-        if not _INDEX.fullmatch(arguments[0]) or not 1 <= int(arguments[0]) <= MAXIMUM_NEURONS:
-            raise _Wrong(f"size must be in 1..{MAXIMUM_NEURONS}, got {arguments[0][:20]!r}")
-        self.size = int(arguments[0])
-
-    def _neuron_value(self, word: str, arguments: list[str], bounds: Bounds) -> tuple[int, float]:
-        _count(word, arguments, "neuron value", 2)
-        return self._index(arguments[0]), _number(word, arguments[1], bounds)
-
-    def _synapse(self, word: str, arguments: list[str]) -> None:
-        kind = _SYNAPSES[word]
-        if kind is SynapseKind.GAP:
-            _count(word, arguments, "source destination weight", 3)
-        else:
-            _count(word, arguments, "source destination weight [sigma]", 3, 4)
-        source, destination = self._index(arguments[0]), self._index(arguments[1])
-        weight = _number("weight", arguments[2], BOUNDS[ParameterKind.WEIGHT])
-        sigma = DEFAULTS[ParameterKind.SIGMA]
-        if len(arguments) == 4:
-            sigma = _number("sigma", arguments[3], BOUNDS[ParameterKind.SIGMA])
-        key = (kind, source, destination)
-        _once(self.synapses, key, (weight, sigma), f"{word} {source} {destination}")
+    def _add_synapse(self, word: str, source: str, destination: str, weight: str, sigma: str = "") -> None:
+        ends = word, self._index(source), self._index(destination)
+        conductance, steepness = (
+            _number("weight", weight, ParameterKind.WEIGHT),
+            DEFAULTS[ParameterKind.SIGMA],
+        )
+        if sigma:
+            steepness = _number("sigma", sigma, ParameterKind.SIGMA)
+        if ends in self.synapses:
+            raise _Wrong(f"{word} {ends[1]} {ends[2]} appears twice")
+        self.synapses[ends] = conductance, steepness
 
     def _index(self, text: str) -> int:
-        assert self.size is not None
         if not _INDEX.fullmatch(text) or int(text) >= self.size:
             raise _Wrong(f"neuron {text[:20]!r} is not in 0..{self.size - 1}")
         return int(text)
 
     def circuit(self, name: str) -> Circuit:
-        assert self.size is not None
-        keys = list(self.synapses)
-        columns = [np.array([key[i] for key in keys], np.int64) for i in range(3)]
-        numbers = np.array(list(self.synapses.values()), np.float64).reshape(len(keys), 2)
-        per_neuron = {
-            str(kind): np.array(
-                [self.values.get((kind, i), DEFAULTS[kind]) for i in range(self.size)], np.float64
-            )
-            for kind in _NEURON_VALUES.values()
-        }
+        """Return the circuit that they make."""
+
+        def per_neuron(word: str) -> list[float]:
+            default = DEFAULTS[_VALUES[word]]
+            return [self.values.get((word, i), default) for i in range(self.size)]
+
+        known = NEURONS if self.size <= len(NEURONS) else PARKING_NEURONS
         return Circuit(
             name=name,
-            neurons=_names(self.size),
-            kind=columns[0],
-            source=columns[1],
-            destination=columns[2],
-            weight=numbers[:, 0],
-            sigma=numbers[:, 1],
-            held=self.held,
-            **per_neuron,
+            neurons=tuple(known[i] if i < len(known) else f"N{i}" for i in range(self.size)),
+            kind=np.array([_SYNAPSES[word] for word, _, _ in self.synapses], np.int64),
+            source=np.array([source for _, source, _ in self.synapses], np.int64),
+            destination=np.array([destination for _, _, destination in self.synapses], np.int64),
+            weight=np.array([weight for weight, _ in self.synapses.values()]),
+            sigma=np.array([sigma for _, sigma in self.synapses.values()]),
+            leak_potential=np.array(per_neuron("vleak")),
+            leak=np.array(per_neuron("gleak")),
+            capacitance=np.array(per_neuron("cm")),
+            held={i: value for (word, i), value in self.values.items() if word == "const"},
         )
 
 
 def circuit_from_bnn(text: str, name: str, source: str) -> Circuit:
     """Read a circuit; raises ConfigError naming ``source`` and the line of every wrong statement."""
-    if not text.strip():
-        raise FileError(f"{source}: the file is empty")
-    parser, problems = _Parser(), []
+    statements, problems = _Statements(), []
     for number, line in enumerate(text.splitlines(), start=1):
-        words = line.partition("#")[0].split()
-        if not words:
-            continue
-        try:
-            parser.statement(words)
-        except _Wrong as wrong:
-            problems.append(f"line {number}: {wrong}")
-            if parser.size is None:  # nothing after it can be judged
-                break
-    if parser.size is None and not problems:
+        if words := line.partition("#")[0].split():
+            try:
+                statements.read(words)
+            except _Wrong as wrong:
+                problems.append(f"line {number}: {wrong}")
+                if not statements.size:  # nothing after it can be judged
+                    break
+    if not statements.size and not problems:
         problems.append("no size statement")
+    if len(problems) > _SHOWN_PROBLEMS:
+        problems[_SHOWN_PROBLEMS:] = [f"and {len(problems) - _SHOWN_PROBLEMS} more"]
     if problems:
-        more = len(problems) - _SHOWN_PROBLEMS
-        shown = problems[:_SHOWN_PROBLEMS] + ([f"and {more} more"] if more > 0 else [])
-        raise ConfigError(source, shown)
-    return parser.circuit(name)
+        raise ConfigError(source, problems)
+    return statements.circuit(name)
 
 
-def circuit_to_bnn(circuit: Circuit) -> str:
-    """Write a circuit; read back, every number has the same bits. Names other than the wiring's are lost."""
-    lines = [f"size {circuit.size}"]
-    for i in range(circuit.size):
-        lines.append(f"cm {i} {float(circuit.capacitance[i])!r}")
-        lines.append(f"gleak {i} {float(circuit.leak[i])!r}")
-    lines += [f"vleak {i} {float(circuit.leak_potential[i])!r}" for i in range(circuit.size)]
-    lines += [f"const {i} {float(value)!r}" for i, value in circuit.held.items()]
-    words = {kind: word for word, kind in _SYNAPSES.items()}
-    for s in range(circuit.synapse_count):
-        kind = SynapseKind(circuit.kind[s])
-        line = f"{words[kind]} {circuit.source[s]} {circuit.destination[s]} {float(circuit.weight[s])!r}"
-        lines.append(line if kind is SynapseKind.GAP else f"{line} {float(circuit.sigma[s])!r}")
-    return "\n".join(lines) + "\n"
-
-
-def _names(size: int) -> tuple[str, ...]:
-    known = NEURONS if size <= len(NEURONS) else PARKING_NEURONS
-    return tuple(known[i] if i < len(known) else f"N{i}" for i in range(size))
-
-
-def _count(word: str, arguments: list[str], expected: str, *counts: int) -> None:
-    if len(arguments) not in counts:
-        raise _Wrong(f"expected '{word} {expected}', got {len(arguments)} values")
-
-
-def _number(what: str, text: str, bounds: Bounds) -> float:
+def _number(what: str, text: str, kind: ParameterKind) -> float:
+    bounds = BOUNDS[kind]
     if not _NUMBER.fullmatch(text):
         raise _Wrong(f"{what} must be a number in {bounds}, got {text[:20]!r}")
     value = float(text)
     if not bounds.lower <= value <= bounds.upper:
         raise _Wrong(f"{what} {text[:20]} is outside {bounds}")
     return value
-
-
-def _once(table: dict[Any, Any], key: Any, value: Any, what: str) -> None:
-    if key in table:
-        raise _Wrong(f"{what} appears twice")
-    table[key] = value

@@ -249,10 +249,6 @@ class PolicyRunner:
         """Put every neuron at rest."""
         self._potentials[:] = RESTING_MV
 
-    def warm_up(self, observation: Sequence[float] | FloatArray) -> None:
-        """Run one warm-up tick, as the paper's simulator does; its command is discarded."""
-        self.tick(observation)
-
     def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:
         """Run one control tick on an observation (inputs,) and return the outputs.
 

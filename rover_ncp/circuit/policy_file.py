@@ -19,8 +19,6 @@ from rover_ncp.core.config import StrictModel, dump_yaml, parse_yaml
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text, resolve, write_atomic
 
-FORMAT = 1
-
 
 def _bounded(kind: ParameterKind) -> Any:
     return Field(ge=BOUNDS[kind].lower, le=BOUNDS[kind].upper)
@@ -128,7 +126,7 @@ def policy_from_yaml(text: str, source: str) -> Policy:
 def policy_to_yaml(policy: Policy) -> str:
     """Return the text of a policy's file."""
     data: dict[str, Any] = {
-        "format": FORMAT,
+        "format": 1,
         "circuit": _circuit_data(policy.circuit),
         "sensing": policy.sensing.model_dump(exclude_none=True),
         "motors": policy.motors.model_dump(exclude_none=True),
@@ -148,7 +146,7 @@ def policy_to_yaml(policy: Policy) -> str:
 
 def circuit_to_yaml(circuit: Circuit) -> str:
     """Return the text of a circuit's file."""
-    return dump_yaml({"format": FORMAT, **_circuit_data(circuit)})
+    return dump_yaml({"format": 1, **_circuit_data(circuit)})
 
 
 def _text(path: Path) -> str:

@@ -6,8 +6,11 @@ held against the bytes that are there. The tables load on first use: reading a k
 
 import functools
 import struct
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
@@ -20,20 +23,49 @@ def _store() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def make(ros_type: str, **fields: Any) -> Any:
-    """Return a message object of a type such as ``nav_msgs/msg/Odometry``.
+def encode(ros_type: str, **fields: Any) -> bytes:
+    """Return a message as little-endian CDR with its 4-byte header. Raises FormatError.
 
-    Arrays of numbers must be numpy arrays of the field's type. KeyError for a type that ROS does not have.
+    A message within it is a dict of its fields, an array of numbers a numpy array of the field's type. Fields
+    that are left out are 0, false or empty.
     """
-    return _store().types[ros_type](**fields)
-
-
-def encode(message: Any) -> bytes:
-    """Return a message as little-endian CDR with its 4-byte header. Raises FormatError."""
     try:
-        return bytes(_store().serialize_cdr(message, message.__msgtype__, little_endian=True))
+        return bytes(_store().serialize_cdr(_message(ros_type, fields), ros_type, little_endian=True))
     except (SerdeError, struct.error, OverflowError) as error:
         raise FormatError(f"cannot be written as CDR: {error}") from error
+
+
+def _message(ros_type: str, fields: Mapping[str, Any]) -> Any:
+    names, parts = _parts(ros_type)
+    if not fields.keys() <= names:
+        raise TypeError(f"{ros_type} has no {', '.join(sorted(fields.keys() - names))}")
+    return _store().types[ros_type](
+        *[
+            make(fields.get(name, default)) if make else fields.get(name, default)
+            for name, make, default in parts
+        ]
+    )
+
+
+@functools.cache
+def _parts(ros_type: str) -> tuple[frozenset[str], list[tuple[str, Callable[[Any], Any] | None, Any]]]:
+    """Return the names of a type's fields, and of each the maker of messages within it and the default."""
+    definitions: Any = _store().fielddefs[ros_type][1]
+    parts: list[tuple[str, Callable[[Any], Any] | None, Any]] = []
+    for name, (kind, of) in definitions:
+        if kind == Nodetype.NAME:
+            parts.append((name, functools.partial(_message, of), {}))
+        elif kind == Nodetype.BASE:
+            parts.append((name, None, "" if of[0] == "string" else 0))
+        elif of[0][0] == Nodetype.NAME:
+            parts.append((name, functools.partial(_messages, of[0][1]), ()))
+        else:
+            parts.append((name, None, np.zeros(of[1], of[0][1][0])))
+    return frozenset(part[0] for part in parts), parts
+
+
+def _messages(ros_type: str, items: Iterable[Mapping[str, Any]]) -> list[Any]:
+    return [_message(ros_type, item) for item in items]
 
 
 def decode(ros_type: str, data: bytes, max_bytes: int = 1 << 20) -> Any:

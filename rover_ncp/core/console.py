@@ -6,6 +6,8 @@ No output delays the process that writes it. `install` replaces ``sys.stdout`` a
 by streams that end in a `Writer`. That covers all Python code: rich, logging, warnings and tracebacks too.
 """
 
+import contextlib
+import inspect
 import io
 import json
 import math
@@ -15,7 +17,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, TextIO
 
 import typer
@@ -25,6 +27,19 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on std
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]
 MOST_SEED = 2**63 - 1
 """Of a seed, or of the number of a trial."""
+
+
+def command(run: Callable[[Any], int | None]) -> Callable[..., int | None]:
+    """Return a command for typer whose options are the fields of the dataclass that ``run`` takes."""
+    (parameter,) = inspect.signature(run, eval_str=True).parameters.values()
+
+    def call(**values: Any) -> int | None:
+        return run(parameter.annotation(**values))
+
+    call.__name__, call.__doc__ = run.__name__, run.__doc__
+    call.__signature__ = inspect.signature(parameter.annotation, eval_str=True)  # type: ignore[attr-defined]
+    return call
+
 
 ROOM_BYTES = 1 << 16
 """A `Writer` drops text beyond this."""
@@ -190,6 +205,24 @@ class Output:
     def announce(self, text: str) -> None:
         """Print a line that programs wait for; it is never dropped while they read."""
         keep(sys.stderr if self.as_json else sys.stdout, printable(text) + "\n")
+
+    @contextlib.contextmanager
+    def live(self, line: Callable[[], str]) -> Iterator[None]:
+        """Show a changing line, on a terminal only; a thread draws it, so no terminal delays the caller."""
+        if not self.console.is_terminal:
+            yield
+            return
+        from rich.live import Live
+
+        with Live(
+            get_renderable=line,
+            console=self.console,
+            refresh_per_second=5,
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        ):
+            yield
 
     def result(self, fields: Mapping[str, Any], text: str) -> None:
         """End a command: the fields as JSON, or the text, whichever was asked for."""

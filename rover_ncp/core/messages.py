@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rover_ncp.core.cdr import decode, encode, make
+from rover_ncp.core.cdr import decode, encode
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity
 
@@ -98,21 +98,15 @@ def odometry(
     velocity_variance: Sequence[float] = (0.0, 0.0),
 ) -> bytes:
     """Return an Odometry, base_link in odom; variances of (x, y, theta) and of (v, omega), SI squared."""
-    pose_covariance = np.diag([pose_variance[0], pose_variance[1], *[_UNKNOWN] * 3, pose_variance[2]]).ravel()
-    # A base on wheels does not slide sideways: its lateral speed is known to be 0.
-    velocity_covariance = np.diag([velocity_variance[0], 0.0, *[_UNKNOWN] * 3, velocity_variance[1]]).ravel()
+    x, y, theta = pose_variance
+    v, omega = velocity_variance
     return encode(
-        make(
-            ODOMETRY,
-            header=_header(stamp_ns, ODOM_FRAME),
-            child_frame_id=BASE_FRAME,
-            pose=make("geometry_msgs/msg/PoseWithCovariance", pose=_pose(pose), covariance=pose_covariance),
-            twist=make(
-                "geometry_msgs/msg/TwistWithCovariance",
-                twist=_twist(velocity),
-                covariance=velocity_covariance,
-            ),
-        )
+        ODOMETRY,
+        header=_header(stamp_ns, ODOM_FRAME),
+        child_frame_id=BASE_FRAME,
+        pose={"pose": _pose(pose), "covariance": np.diag([x, y, *[_UNKNOWN] * 3, theta]).ravel()},
+        # A base on wheels does not slide sideways: its lateral speed is known to be 0.
+        twist={"twist": _twist(velocity), "covariance": np.diag([v, 0.0, *[_UNKNOWN] * 3, omega]).ravel()},
     )
 
 
@@ -127,7 +121,7 @@ def read_odometry(data: bytes) -> OdometrySample:
 
 def twist_stamped(velocity: Velocity, stamp_ns: int) -> bytes:
     """Return a TwistStamped in base_link."""
-    return encode(make(TWIST_STAMPED, header=_header(stamp_ns, BASE_FRAME), twist=_twist(velocity)))
+    return encode(TWIST_STAMPED, header=_header(stamp_ns, BASE_FRAME), twist=_twist(velocity))
 
 
 def read_twist(data: bytes, max_bytes: int = 512) -> TwistSample:
@@ -145,14 +139,14 @@ def read_twist(data: bytes, max_bytes: int = 512) -> TwistSample:
 
 def pose_stamped(pose: Pose, stamp_ns: int, frame: str) -> bytes:
     """Return a PoseStamped, which viewers draw (they do not draw Odometry)."""
-    return encode(make(POSE_STAMPED, header=_header(stamp_ns, frame), pose=_pose(pose)))
+    return encode(POSE_STAMPED, header=_header(stamp_ns, frame), pose=_pose(pose))
 
 
 def path(poses: Sequence[Pose], stamp_ns: int, frame: str) -> bytes:
     """Return a Path through poses, all with one stamp."""
     header = _header(stamp_ns, frame)
-    stamped = [make(POSE_STAMPED, header=header, pose=_pose(pose)) for pose in poses]
-    return encode(make("nav_msgs/msg/Path", header=header, poses=stamped))
+    stamped = [{"header": header, "pose": _pose(pose)} for pose in poses]
+    return encode("nav_msgs/msg/Path", header=header, poses=stamped)
 
 
 def pose_with_covariance(
@@ -162,11 +156,9 @@ def pose_with_covariance(
     full = np.diag([0.0, 0.0, *[_UNKNOWN] * 3, 0.0])
     full[np.ix_(_PLANAR, _PLANAR)] = covariance
     return encode(
-        make(
-            POSE_WITH_COVARIANCE,
-            header=_header(stamp_ns, frame),
-            pose=make("geometry_msgs/msg/PoseWithCovariance", pose=_pose(pose), covariance=full.ravel()),
-        )
+        POSE_WITH_COVARIANCE,
+        header=_header(stamp_ns, frame),
+        pose={"pose": _pose(pose), "covariance": full.ravel()},
     )
 
 
@@ -185,34 +177,29 @@ def read_pose(data: bytes) -> PoseSample:
 def transforms(items: Sequence[Transform], stamp_ns: int) -> bytes:
     """Return a TFMessage."""
     stamped = [
-        make(
-            "geometry_msgs/msg/TransformStamped",
-            header=_header(stamp_ns, item.parent),
-            child_frame_id=item.child,
-            transform=make(
-                "geometry_msgs/msg/Transform",
-                translation=_vector(item.x, item.y, item.z),
-                rotation=_rotation(item.yaw),
-            ),
-        )
+        {
+            "header": _header(stamp_ns, item.parent),
+            "child_frame_id": item.child,
+            "transform": {
+                "translation": {"x": item.x, "y": item.y, "z": item.z},
+                "rotation": _rotation(item.yaw),
+            },
+        }
         for item in items
     ]
-    return encode(make("tf2_msgs/msg/TFMessage", transforms=stamped))
+    return encode("tf2_msgs/msg/TFMessage", transforms=stamped)
 
 
 def imu(rate: float, variance: float, stamp_ns: int) -> bytes:
     """Return an Imu in base_link whose only measurement is the rate of turn; variance in (rad/s)²."""
     return encode(
-        make(
-            IMU,
-            header=_header(stamp_ns, BASE_FRAME),
-            orientation=_rotation(0.0),
-            orientation_covariance=_NONE,
-            angular_velocity=_vector(0.0, 0.0, rate),
-            angular_velocity_covariance=np.diag([_UNKNOWN, _UNKNOWN, variance]).ravel(),
-            linear_acceleration=_vector(0.0, 0.0, 0.0),
-            linear_acceleration_covariance=_NONE,
-        )
+        IMU,
+        header=_header(stamp_ns, BASE_FRAME),
+        orientation=_rotation(0.0),
+        orientation_covariance=_NONE,
+        angular_velocity={"z": rate},
+        angular_velocity_covariance=np.diag([_UNKNOWN, _UNKNOWN, variance]).ravel(),
+        linear_acceleration_covariance=_NONE,
     )
 
 
@@ -226,27 +213,16 @@ def battery_state(
     voltage: float, stamp_ns: int, charge: float | None = None, charging: bool | None = None
 ) -> bytes:
     """Return a BatteryState of a lead-acid pack: volts; ``charge`` 0..1; None = not known."""
-    unknown = math.nan
+    unknown = dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity"), math.nan)
     return encode(
-        make(
-            "sensor_msgs/msg/BatteryState",
-            header=_header(stamp_ns, BASE_FRAME),
-            voltage=voltage,
-            temperature=unknown,
-            current=unknown,
-            charge=unknown,
-            capacity=unknown,
-            design_capacity=unknown,
-            percentage=unknown if charge is None else charge,
-            power_supply_status=0 if charging is None else 1 if charging else 2,
-            power_supply_health=0,
-            power_supply_technology=0,  # ROS's list has no lead-acid
-            present=True,
-            cell_voltage=np.zeros(0, np.float32),
-            cell_temperature=np.zeros(0, np.float32),
-            location="",
-            serial_number="",
-        )
+        "sensor_msgs/msg/BatteryState",
+        header=_header(stamp_ns, BASE_FRAME),
+        voltage=voltage,
+        **unknown,
+        percentage=math.nan if charge is None else charge,
+        power_supply_status=0 if charging is None else 1 if charging else 2,
+        power_supply_technology=0,  # ROS's list has no lead-acid
+        present=True,
     )
 
 
@@ -255,62 +231,44 @@ def point_cloud(
 ) -> bytes:
     """Return a PointCloud2 of x, y, z in metres as float32."""
     cloud = np.asarray(points, dtype="<f4").reshape(-1, 3)
-    fields = [
-        make("sensor_msgs/msg/PointField", name=name, offset=4 * index, datatype=7, count=1)
-        for index, name in enumerate("xyz")
-    ]
     return encode(
-        make(
-            "sensor_msgs/msg/PointCloud2",
-            header=_header(stamp_ns, frame),
-            height=1,
-            width=len(cloud),
-            fields=fields,
-            is_bigendian=False,
-            point_step=12,
-            row_step=12 * len(cloud),
-            data=np.frombuffer(cloud.tobytes(), np.uint8),
-            is_dense=True,
-        )
+        "sensor_msgs/msg/PointCloud2",
+        header=_header(stamp_ns, frame),
+        height=1,
+        width=len(cloud),
+        fields=[{"name": name, "offset": 4 * i, "datatype": 7, "count": 1} for i, name in enumerate("xyz")],
+        point_step=12,
+        row_step=12 * len(cloud),
+        data=np.frombuffer(cloud.tobytes(), np.uint8),
+        is_dense=True,
     )
 
 
 def bumpers(front: int, rear: int) -> bytes:
     """Return the bumper bits as two bytes, front and rear; bit 0 is the first segment, 1 = pressed."""
-    return encode(
-        make(
-            "std_msgs/msg/UInt8MultiArray",
-            layout=_layout("front,rear", 2),
-            data=np.array([front, rear], np.uint8),
-        )
-    )
+    data = np.array([front, rear], np.uint8)
+    return encode("std_msgs/msg/UInt8MultiArray", layout=_layout("front,rear", 2), data=data)
 
 
 def diagnostics(items: Sequence[Diagnostic], stamp_ns: int, hardware_id: str = "") -> bytes:
     """Return a DiagnosticArray."""
     status = [
-        make(
-            "diagnostic_msgs/msg/DiagnosticStatus",
-            level=item.level,
-            name=item.name,
-            message=item.message,
-            hardware_id=hardware_id,
-            values=[
-                make("diagnostic_msgs/msg/KeyValue", key=name, value=value)
-                for name, value in item.values.items()
-            ],
-        )
+        {
+            "level": item.level,
+            "name": item.name,
+            "message": item.message,
+            "hardware_id": hardware_id,
+            "values": [{"key": name, "value": value} for name, value in item.values.items()],
+        }
         for item in items
     ]
-    return encode(
-        make("diagnostic_msgs/msg/DiagnosticArray", header=_header(stamp_ns, BASE_FRAME), status=status)
-    )
+    return encode("diagnostic_msgs/msg/DiagnosticArray", header=_header(stamp_ns, BASE_FRAME), status=status)
 
 
 def neurons(potentials: Sequence[float] | np.ndarray[Any, Any], names: Sequence[str]) -> bytes:
     """Return potentials in mV as a Float64MultiArray whose label is the names, joined by commas."""
     data = np.asarray(potentials, dtype=np.float64)
-    return encode(make(FLOATS, layout=_layout(",".join(names), len(data)), data=data))
+    return encode(FLOATS, layout=_layout(",".join(names), len(data)), data=data)
 
 
 def read_neurons(data: bytes) -> dict[str, float]:
@@ -324,7 +282,7 @@ def read_neurons(data: bytes) -> dict[str, float]:
 
 def text(content: str) -> bytes:
     """Return a String, which carries the JSON of the status keys."""
-    return encode(make(STRING, data=content))
+    return encode(STRING, data=content)
 
 
 def read_text(data: bytes) -> str:
@@ -332,31 +290,24 @@ def read_text(data: bytes) -> str:
     return str(decode(STRING, data).data)
 
 
-def _header(stamp_ns: int, frame: str) -> Any:
+# Messages within messages, as `encode` takes them.
+
+
+def _header(stamp_ns: int, frame: str) -> dict[str, Any]:
     seconds, nanoseconds = divmod(stamp_ns, _SECOND_NS)
-    return make(
-        "std_msgs/msg/Header",
-        stamp=make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds),
-        frame_id=frame,
-    )
+    return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
 
 
 def _stamp_ns(header: Any) -> int:
     return int(header.stamp.sec) * _SECOND_NS + int(header.stamp.nanosec)
 
 
-def _vector(x: float, y: float, z: float) -> Any:
-    return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+def _rotation(yaw: float) -> dict[str, float]:
+    return {"z": math.sin(0.5 * yaw), "w": math.cos(0.5 * yaw)}
 
 
-def _rotation(yaw: float) -> Any:
-    half = 0.5 * yaw
-    return make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(half), w=math.cos(half))
-
-
-def _pose(pose: Pose) -> Any:
-    position = make("geometry_msgs/msg/Point", x=pose.x, y=pose.y, z=0.0)
-    return make("geometry_msgs/msg/Pose", position=position, orientation=_rotation(pose.theta))
+def _pose(pose: Pose) -> dict[str, Any]:
+    return {"position": {"x": pose.x, "y": pose.y}, "orientation": _rotation(pose.theta)}
 
 
 def _read_pose(pose: Any) -> Pose:
@@ -365,14 +316,9 @@ def _read_pose(pose: Any) -> Pose:
     return Pose(pose.position.x, pose.position.y, yaw)
 
 
-def _twist(velocity: Velocity) -> Any:
-    return make(
-        "geometry_msgs/msg/Twist",
-        linear=_vector(velocity.v, 0.0, 0.0),
-        angular=_vector(0.0, 0.0, velocity.omega),
-    )
+def _twist(velocity: Velocity) -> dict[str, Any]:
+    return {"linear": {"x": velocity.v}, "angular": {"z": velocity.omega}}
 
 
-def _layout(label: str, size: int) -> Any:
-    dimension = make("std_msgs/msg/MultiArrayDimension", label=label, size=size, stride=size)
-    return make("std_msgs/msg/MultiArrayLayout", dim=[dimension], data_offset=0)
+def _layout(label: str, size: int) -> dict[str, Any]:
+    return {"dim": [{"label": label, "size": size, "stride": size}]}

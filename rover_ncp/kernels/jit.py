@@ -100,6 +100,16 @@ def _stamp_the_key(cache: Any, function: Callable[..., Any]) -> None:
         raise AttributeError("numba's cache has no _index_key")
     cached_stamp = functools.cache(stamp)
     cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple(), cached_stamp(function))
+    load_index = cache._cache_file._load_index
+
+    def load_readable_index() -> Any:
+        # An index names the classes of tuples that a kernel takes; one of them may have been renamed since.
+        try:
+            return load_index()
+        except (AttributeError, ImportError):
+            return {}
+
+    cache._cache_file._load_index = load_readable_index
 
 
 def _compile_once(compiled: Any) -> None:

@@ -8,13 +8,14 @@ them straight back. What the driver adds is its time beyond half of that round t
 import os
 import socket
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import PolicyRunner
@@ -23,13 +24,13 @@ from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.files import write_atomic
 from rover_ncp.course.course import TICK_S, load_course
 from sim.benchmarks.peer import BenchPeer, Moments
-from sim.live.processes import Process
+from sim.live.processes import Process, wait_for
 
 RATES_HZ = (10.0, 50.0, 100.0)
 FASTEST_HZ, FASTEST_S = 500.0, 20.0
 P999_SAMPLES = 10_000
 CIRCUIT_TICKS, CIRCUIT_REPEATS = 500, 20
-EXTRA_S = 60.0
+START_S, EXTRA_S = 120.0, 60.0
 
 
 def bench_deploy(seconds: float, say: Callable[[str], None]) -> dict[str, Any]:
@@ -70,34 +71,25 @@ def quantiles(times_ms: Sequence[float] | NDArray[np.float64]) -> dict[str, floa
 
 
 def _measure(rate_hz: float, seconds: float, *, ping: bool) -> dict[str, Any]:
-    ticks = round(seconds * rate_hz)
-    with tempfile.TemporaryDirectory() as name, BenchPeer(_free_port()) as peer:
-        folder, ended = Path(name), threading.Event()
+    ticks, module = round(seconds * rate_hz), "sim.benchmarks.programs"
+    with tempfile.TemporaryDirectory() as name, ExitStack() as running:
+        folder = Path(name)
         course = _course(folder, ticks)
-        echo = Process("echo", [peer.robot], folder, "sim.benchmarks.echo")
-        sending = threading.Thread(target=peer.run, args=(rate_hz, ping, ended))
-        driver = None
-        try:
-            echo.wait_for_line("ready")
-            sending.start()
-            arguments = [peer.robot, str(course), str(folder / "run.mcap"), str(1.0 / rate_hz)]
-            driver = Process("deploy", arguments, folder, "sim.benchmarks.deploy_driver")
-            while driver.running and not peer.moments.commands:
-                time.sleep(0.01)
-            cpu_s = [(_cpu_s(driver.pid), time.monotonic())]
-            while driver.running and len(peer.moments.commands) < ticks - 1:
-                cpu_s.append((_cpu_s(driver.pid), time.monotonic()))
-                time.sleep(0.02)
-            done = driver.wait(EXTRA_S)
-            if done.code not in {0, 1}:
-                raise driver.failure()
-        finally:
-            ended.set()
-            for process in (driver, echo):
-                if process is not None:
-                    process.stop()
-            if sending.is_alive():
-                sending.join()
+        peer = BenchPeer(_free_port(), rate_hz, ping)
+        running.callback(peer.close)
+        echo = running.enter_context(Process("echo", [peer.robot], folder, module))
+        echo.wait_for_line("ready")
+        peer.start()
+        arguments = [peer.robot, str(course), str(folder / "run.mcap"), str(1.0 / rate_hz)]
+        driver = running.enter_context(Process("deploy", arguments, folder, module))
+        wait_for(lambda: not driver.running or peer.moments.commands, START_S, "the driver's first command")
+        cpu_s = [(_cpu_s(driver.pid), time.monotonic())]
+        while driver.running and len(peer.moments.commands) < ticks - 1:
+            cpu_s.append((_cpu_s(driver.pid), time.monotonic()))
+            time.sleep(0.02)
+        done = driver.wait(EXTRA_S)
+        if done.code not in {0, 1}:
+            raise driver.failure()
     drive = done.result
     return {
         "rate_hz": rate_hz,
@@ -128,7 +120,7 @@ def latencies(moments: Moments, rate_hz: float) -> dict[str, Any]:
 def _circuit_us() -> float:
     """Return the median CPU time of a tick of the shipped circuit, called as the driver calls it."""
     runner, seen = PolicyRunner(load_policy("parking")), np.array([0.3, 0.3, 0.3, 1.0])
-    runner.warm_up(seen)
+    runner.tick(seen)
     times = []
     for _ in range(CIRCUIT_REPEATS):
         began = time.thread_time()
@@ -157,6 +149,6 @@ def _free_port() -> int:
 
 
 def _cpu_s(pid: int) -> float:
-    """Return the CPU time of a child so far."""
-    words = (Path("/proc") / str(pid) / "stat").read_text().rpartition(")")[2].split()
-    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+    """Return the CPU time of a process so far."""
+    times = psutil.Process(pid).cpu_times()
+    return float(times.user + times.system)

@@ -6,10 +6,9 @@ system's monotonic clock, which all processes of a machine share.
 
 import math
 import secrets
-import threading
 import time
-from types import TracebackType
-from typing import Any, Self
+from dataclasses import dataclass, field
+from typing import Any
 
 import zenoh
 
@@ -26,106 +25,84 @@ from rover_ncp.core.protocol import (
     dump_json,
     parse_json,
 )
-from sim.benchmarks.echo import PING, PONG
+from sim.benchmarks.programs import PING, PONG
+from sim.live.peers import Peer
 
-STATUS_S = 0.1
+STATUS_NS = 100_000_000
 STILL = Velocity(0.0, 0.0)
 
 
+@dataclass
 class Moments:
     """Times of events, in ns: odometry sent, commands handed over by their sender, pings and pongs."""
 
-    def __init__(self) -> None:
-        self.odometry: list[int] = []
-        self.commands: list[int] = []
-        self.pings: list[int] = []
-        self.pongs: list[int] = []
+    odometry: list[int] = field(default_factory=list)
+    commands: list[int] = field(default_factory=list)
+    pings: list[int] = field(default_factory=list)
+    pongs: list[int] = field(default_factory=list)
 
 
-class BenchPeer:
-    """Listens at ``robot``."""
+class BenchPeer(Peer):
+    """Listens at ``robot``. In the middle between two messages of odometry it may send as large a ping."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, rate_hz: float, ping: bool) -> None:
         self.robot = f"tcp/127.0.0.1:{port}"
-        settings, _ = configured(self.robot, None, False)
-        self._session = zenoh.open(settings)
+        super().__init__(configured(self.robot, None, False)[0])
         self.moments = Moments()
-        self._leases = 0
-        self._driven = False
-        self._sequence = -1
+        self._period_ns, self._ping = round(1e9 / rate_hz), ping
+        self._leases, self._driven, self._sequence = 0, False, -1
         self._velocity, self._pose = STILL, Pose(0.0, 0.0, 0.0)
-        declare: Any = self._session.declare_subscriber
-        self._held = [
-            declare("cmd_vel", self._commanded),
-            declare(PONG, lambda _: self.moments.pongs.append(time.monotonic_ns())),
-            self._session.declare_queryable("rover/motors", self._asked),
-            self._session.liveliness().declare_token("rover/alive/bridge"),
+        subscribe: Any = self.session.declare_subscriber
+        self._declared = [
+            subscribe("cmd_vel", self._command),
+            subscribe(PONG, lambda _: self.moments.pongs.append(time.monotonic_ns())),
+            self.session.declare_queryable("rover/motors", self._motors),
+            self.session.liveliness().declare_token("rover/alive/bridge"),
         ]
 
-    def run(self, rate_hz: float, ping: bool, ended: threading.Event) -> None:
-        """Send odometry at a rate until ``ended``; in the middle between two, a ping of the same size."""
-        period_ns = round(1e9 / rate_hz)
-        declare: Any = self._session.declare_publisher
-        publish, pinged = (
-            declare(name, congestion_control=zenoh.CongestionControl.DROP) for name in ("odom", PING)
-        )
+    def run(self) -> None:
+        """Send odometry, pings and the gate's status."""
+        declare: Any = self.session.declare_publisher
+        drop = zenoh.CongestionControl.DROP
+        odom, ping = (declare(name, congestion_control=drop) for name in ("odom", PING))
         due_ns = status_ns = time.monotonic_ns()
-        while not ended.is_set():
+        while not self.closing.is_set():
             _sleep_until(due_ns)
-            payload = self._odometry(period_ns * 1e-9)
+            payload = self._odometry(self._period_ns * 1e-9)
             self.moments.odometry.append(time.monotonic_ns())
-            publish.put(payload)
+            odom.put(payload)
             if due_ns >= status_ns:
-                status_ns += round(STATUS_S * 1e9)
-                self._tell_status()
-            if ping:
-                _sleep_until(due_ns + period_ns // 2)
+                status_ns += STATUS_NS
+                self._publish_status()
+            if self._ping:
+                _sleep_until(due_ns + self._period_ns // 2)
                 self.moments.pings.append(time.monotonic_ns())
-                pinged.put(payload)
-            due_ns += period_ns
-        for publisher in (publish, pinged):
-            publisher.undeclare()
-
-    def close(self) -> None:
-        """End the session."""
-        self._session.close()  # type: ignore[no-untyped-call]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+                ping.put(payload)
+            due_ns += self._period_ns
 
     def _odometry(self, seconds: float) -> bytes:
         (x, y, theta), (v, omega) = self._pose, self._velocity
         middle = theta + 0.5 * omega * seconds
-        way = v * seconds
-        self._pose = Pose(
-            x + way * math.cos(middle),
-            y + way * math.sin(middle),
-            math.remainder(theta + omega * seconds, math.tau),
-        )
+        x, y = x + v * seconds * math.cos(middle), y + v * seconds * math.sin(middle)
+        self._pose = Pose(x, y, math.remainder(theta + omega * seconds, math.tau))
         return odometry(self._pose, self._velocity, time.time_ns())
 
-    def _tell_status(self) -> None:
+    def _publish_status(self) -> None:
         lease = self._leases if self._driven else 0
         status = GateStatus(lease=lease, driver_name="bench" if lease else "", sequence=self._sequence)
-        self._session.put("rover/gate", text(dump_json(status).decode()))
+        self.session.put("rover/gate", text(dump_json(status).decode()))
 
-    def _commanded(self, sample: zenoh.Sample) -> None:
+    def _command(self, sample: zenoh.Sample) -> None:
         if sample.attachment is not None:
             tag = CommandTag.unpack(sample.attachment.to_bytes())
             self.moments.commands.append(tag.stamp_ns)
             self._sequence = tag.sequence
             self._velocity = read_twist(sample.payload.to_bytes()).velocity
 
-    def _asked(self, query: zenoh.Query) -> None:
+    def _motors(self, query: zenoh.Query) -> None:
         with query:
             try:
-                assert query.payload is not None
-                request = parse_json(MotorsRequest, query.payload.to_bytes())
+                request = parse_json(MotorsRequest, query.payload.to_bytes() if query.payload else b"")
             except FormatError as error:
                 query.reply_err(str(error))
                 return
@@ -133,7 +110,7 @@ class BenchPeer:
             self._leases += request.enable
             grant = MotorsReply(granted=True, lease=self._leases, key=secrets.token_hex(KEY_BYTES))
             query.reply("rover/motors", dump_json(grant))
-        self._tell_status()
+        self._publish_status()
 
 
 def _sleep_until(moment_ns: int) -> None:

@@ -3,114 +3,93 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rich.progress import Progress
 
-from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import distance, wrap_angle
-from rover_ncp.course.course import Course, load_course
+from rover_ncp.course.course import load_course
+from sim.evaluate.commands import EvalOptions
 from sim.evaluate.evaluate import Evaluation, Spread, evaluate, tally, unseen_courses
 from sim.evaluate.laws import LAWS
-from sim.live.trials import LiveTrials
+from sim.live.trials import drive_live, trial_folder
 from sim.stack.parallel import drive_all
 from sim.stack.trials import Driven, Stack
 from sim.world.randomization import ranges_for
 
 
-class TrialOptions(NamedTuple):
-    """Options of an evaluation."""
-
-    policy: str
-    courses: tuple[str, ...]
-    trials: int
-    seed: int
-    randomize: str
-    random_courses: int
-    profile: Path | None
-    stack: bool
-    live: int | None
-    processes: int | None
-    out: Path
-
-
-def run_trials(output: Output, options: TrialOptions) -> int:
+def run_trials(options: EvalOptions) -> int:
     """Drive trials, report, and return the exit code: 1 if a single one was driven and did not park."""
-    ranges, seed = ranges_for(options.randomize, options.profile), options.seed
+    ranges = ranges_for(options.randomize or "none", options.profile)
+    courses = [load_course(name) for name in options.courses]
     if options.random_courses:
-        courses: Sequence[Course] = unseen_courses(seed, options.random_courses)
-    else:
-        courses = [load_course(name) for name in options.courses]
-    more: dict[str, Any] = {}
+        courses = unseen_courses(options.seed, options.random_courses)
+    trials, law = options.trials or options.live or 1, options.policy in LAWS
+    output, more = Output(options.json), dict[str, Any]()
     if options.stack or options.live:
-        stack = Stack(_circuit(options.policy), tuple(courses), ranges, seed)
-        found, more = (_live if options.live else _through_stack)(output, stack, options)
+        if law:
+            raise UsageError(f"{options.policy}: the classical laws drive in plain simulation alone")
+        stack = Stack(load_policy(options.policy), tuple(courses), ranges, options.seed)
+        drive = _live if options.live else _through_stack
+        found, more = drive(output, stack, options, trials)
     else:
-        driver = options.policy if options.policy in LAWS else load_policy(options.policy)
-        found = evaluate(driver, courses, ranges, trials=options.trials, seed=seed)
+        driver = options.policy if law else load_policy(options.policy)
+        found = evaluate(driver, courses, ranges, trials=trials, seed=options.seed)
     fields = found.fields() | {
-        "randomize": options.randomize,
-        "seed": seed,
-        "random_courses": options.random_courses,
+        "randomize": options.randomize or "none",
+        "seed": options.seed,
+        "random_courses": options.random_courses or 0,
         "course": ",".join(options.courses),
     }
     output.result(fields | more, "\n".join(_words(found, more)))
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
 
 
-def _circuit(policy: str) -> Policy:
-    if policy in LAWS:
-        raise UsageError(f"{policy}: the classical laws drive in plain simulation alone")
-    return load_policy(policy)
-
-
-def _through_stack(output: Output, stack: Stack, options: TrialOptions) -> tuple[Evaluation, dict[str, Any]]:
+def _through_stack(
+    output: Output, stack: Stack, options: EvalOptions, trials: int
+) -> tuple[Evaluation, dict[str, Any]]:
     began = time.monotonic()
-    with _progress(output, options.trials) as done:
-        driven = drive_all(stack, options.trials, options.processes, done)
+    with _progress(output, trials) as done:
+        driven = drive_all(stack, trials, options.processes, done)
     wall_s = time.monotonic() - began
-    driven_s = sum(stack.course(number).horizon_s for number in range(options.trials))
+    driven_s = sum(stack.course(number).horizon_s for number in range(trials))
     return _sum_up(driven), _totals(driven) | {"wall_s": wall_s, "times_real_time": driven_s / wall_s}
 
 
-def _live(output: Output, stack: Stack, options: TrialOptions) -> tuple[Evaluation, dict[str, Any]]:
+def _live(
+    output: Output, stack: Stack, options: EvalOptions, trials: int
+) -> tuple[Evaluation, dict[str, Any]]:
     """Drive live; with ``stack`` the same trials on the virtual clock, too, to compare where they end."""
     count = options.live or 0
-    if count > options.trials:
-        raise UsageError(f"--live {count}: there are only {options.trials} trials")
+    if count > trials:
+        raise UsageError(f"--live {count}: there are only {trials} trials")
     if options.out.exists() and any(options.out.iterdir()):
         raise UsageError(f"{options.out}: is not an empty folder")
-    trials = LiveTrials(stack, options.policy, options.randomize, options.profile, options.out)
     with _progress(output, count) as done:
-        driven = trials.drive(count, options.processes or 1, done)
+        driven = drive_live(stack, options, count, done)
     fields = _totals(driven)
-    fields["live"] = [
+    fields["live"] = entries = [
         {
             "trial": number,
             "course": stack.course(number).name,
-            "parked": trial.parked,
-            "reason": trial.reason,
-            "error_m": trial.error_m,
-            "error_rad": trial.error_rad,
+            **{name: getattr(trial, name) for name in ("parked", "reason", "error_m", "error_rad")},
             "pose": list(trial.pose),
             "overruns": trial.overruns,
-            "folder": str(trials.folder(number)),
+            "folder": str(trial_folder(options.out, number)),
         }
         for number, trial in enumerate(driven)
     ]
     if options.stack:
-        pairs = list(zip(driven, drive_all(stack, count, options.processes), strict=True))
-        apart_m = [distance(live.pose, virtual.pose) for live, virtual in pairs]
-        apart_rad = [abs(wrap_angle(live.pose.theta - virtual.pose.theta)) for live, virtual in pairs]
-        for entry, there, turned in zip(fields["live"], apart_m, apart_rad, strict=True):
-            entry |= {"apart_m": there, "apart_rad": turned}
-        fields["apart_m"] = Spread.of(np.array(apart_m))._asdict()
-        fields["apart_rad"] = Spread.of(np.array(apart_rad))._asdict()
+        virtual = drive_all(stack, count, options.processes)
+        for entry, here, there in zip(entries, driven, virtual, strict=True):
+            entry["apart_m"] = distance(here.pose, there.pose)
+            entry["apart_rad"] = abs(wrap_angle(here.pose.theta - there.pose.theta))
+        for name in ("apart_m", "apart_rad"):
+            fields[name] = Spread.of(np.array([entry[name] for entry in entries]))._asdict()
     return _sum_up(driven), fields
 
 

@@ -16,20 +16,19 @@ Fault and standstill are timed on one clock, the machine's monotonic clock:
 
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from sim.faults.faults import CIRCUIT, FAULTS, Fault, Scene
-from sim.faults.rig import CREEP_M_S, Rig, TimedOut, Unsafe, wait_for
+from sim.faults.rig import CREEP_M_S, Rig, Scene, Unsafe
 from sim.faults.scripted_driver import ScriptedDriver
-from sim.faults.standstill import SAMPLE_S
-from sim.faults.table import Row, braking_s
+from sim.faults.table import CIRCUIT, Row, braking_s
+from sim.live.processes import TimedOut, wait_for
+from sim.live.truth import SAMPLE_S
 
 MOST_LATE_S = 0.1
 """The longest delay of mock and line in a measurement that counts."""
 TRIES = 5
-STAND_TIMEOUT_S = 8.0
 DEPLOY_TIMEOUT_S = 20.0
 STOPPED = 4
 """Exit code of a deploy that a safety rule stopped."""
@@ -76,15 +75,19 @@ def in_time(row: Row, seconds: float, braking_s: float, late_s: float) -> bool:
 
 
 def measure(
-    rig: Rig, row: Row, driver: str, record: Path | None = None, chance: np.random.Generator | None = None
+    rig: Rig, row: Row, driver: str, record: Path | None = None, moments: np.random.Generator | None = None
 ) -> Measured:
-    """Measure a row under ``driver``, a circuit's drive recorded to ``record``; ``chance`` picks the moment.
+    """Measure a row under ``driver``, a circuit's drive recorded to ``record``; ``moments`` picks the moment.
 
     A measurement whose resolution is too bad is repeated. Raises TimedOut when every try was too bad, Unsafe
     when the rover moves after the fault was removed, and the errors of `Rig`.
     """
     for _ in range(TRIES):
-        measured = _measure(rig, row, driver, record, chance)
+        scene = _start_driver(rig, row, driver, record)
+        try:
+            measured = _measure(scene, row, driver, moments)
+        finally:
+            rig.end(scene.driver)
         if measured.late_s <= MOST_LATE_S:
             return measured
         if record is not None:
@@ -95,78 +98,62 @@ def measure(
     )
 
 
-def _measure(
-    rig: Rig, row: Row, driver: str, record: Path | None, chance: np.random.Generator | None
-) -> Measured:
-    fault = FAULTS[row.key]
-    robot = rig.through_proxy if fault.link_fault else rig.robot
-    scene = (
-        _under_circuit(rig, robot, record) if driver == CIRCUIT else _under_scripted_driver(rig, robot, fault)
-    )
-    try:
-        if chance is not None and not fault.from_rest:
-            time.sleep(chance.uniform(0.0, CIRCUIT_WAIT_S if driver == CIRCUIT else SCRIPTED_WAIT_S))
-            wait_for(lambda: abs(rig.speed()) > CREEP_M_S, "the rover to move")
-        if isinstance(scene.driver, ScriptedDriver):
-            scene.driver.requests_lease = fault.requests_lease
-        rig.late_s()
-        called_ns = time.monotonic_ns()
-        began_ns = fault.act(scene) or called_ns
-        seconds = rig.stood(began_ns, STAND_TIMEOUT_S)
-        late_s = rig.late_s()
-        v, omega = _fastest(rig, began_ns, row.bound_s)
-        if isinstance(scene.driver, ScriptedDriver):
-            scene.driver.requests_lease = False
-            if fault.ended:
-                wait_for(lambda: rig.watcher.gate.ended == fault.ended, f"the gate to report {fault.ended}")
-        mended_ns = time.monotonic_ns()
-        fault.mend(scene)
-        ended = _ends(scene)
-        if rig.stood(mended_ns, STAND_TIMEOUT_S) > 0.0:
-            raise Unsafe("the rover moved again after the fault was removed")
-    except BaseException:
-        _leave(scene)
-        raise
-    _leave(scene)
-    began_wall_ns = rig.truth.since(began_ns)[0].wall_ns
-    return Measured(row, driver, began_wall_ns, seconds, late_s, v, omega, scene.note, ended)
+def _start_driver(rig: Rig, row: Row, driver: str, record: Path | None) -> Scene:
+    robot = rig.through_proxy if row.link_fault else rig.robot
+    if driver == CIRCUIT:
+        return Scene(rig, rig.drive_course(*(["--record", str(record)] if record else []), robot=robot))
+    return Scene(rig, rig.scripted_driver(robot, row.lease_s))
 
 
-def _under_circuit(rig: Rig, robot: str, record: Path | None) -> Scene:
-    scene = Scene(rig, rig.deploy(*(["--record", str(record)] if record else []), robot=robot))
-    rig.driven(scene.process)
-    return scene
-
-
-def _under_scripted_driver(rig: Rig, robot: str, fault: Fault) -> Scene:
-    scene = Scene(rig, rig.scripted_driver(robot, fault.lease_s))
-    if fault.from_rest:
+def _measure(scene: Scene, row: Row, driver: str, moments: np.random.Generator | None) -> Measured:
+    assert row.act is not None  # the caller chose a row that can be injected
+    rig = scene.rig
+    if driver == CIRCUIT:
+        rig.driven(scene.process)
+    elif row.from_rest:
         scene.scripted.silent = True
     else:
         rig.under_way(scene.scripted)
-    return scene
+    if moments is not None and not row.from_rest:
+        time.sleep(moments.uniform(0.0, CIRCUIT_WAIT_S if driver == CIRCUIT else SCRIPTED_WAIT_S))
+        wait_for(lambda: abs(rig.truth.speed()) > CREEP_M_S, what="the rover to move")
+    if driver != CIRCUIT:
+        scene.scripted.requests_lease = row.requests_lease
+    rig.late_s()
+    called_ns = time.monotonic_ns()
+    began_ns = row.act(scene) or called_ns
+    seconds = rig.stood(began_ns)
+    late_s = rig.late_s()
+    states = rig.truth.since(began_ns)
+    velocities = [s.velocity for s in states if s.clock_ns <= began_ns + row.bound_s * 1e9]
+    scene.request_no_lease()
+    if row.ended and driver != CIRCUIT:
+        wait_for(lambda: rig.watcher.gate.ended == row.ended, what=f"the gate to report {row.ended}")
+    mended_ns = time.monotonic_ns()
+    row.mend(scene)
+    stopped_by = _stopped_by(scene)
+    if rig.stood(mended_ns) > 0.0:
+        raise Unsafe("the rover moved again after the fault was removed")
+    return Measured(
+        row,
+        driver,
+        states[0].wall_ns,
+        seconds,
+        late_s,
+        max((abs(v) for v, _ in velocities), default=0.0),
+        max((abs(omega) for _, omega in velocities), default=0.0),
+        scene.note,
+        stopped_by,
+    )
 
 
-def _fastest(rig: Rig, began_ns: int, within_s: float) -> tuple[float, float]:
-    rows = [row for row in rig.truth.since(began_ns) if row.clock_ns <= began_ns + within_s * 1e9]
-    return max((abs(row.v) for row in rows), default=0.0), max((abs(row.omega) for row in rows), default=0.0)
-
-
-def _ends(scene: Scene) -> str:
+def _stopped_by(scene: Scene) -> str:
     """Return the reason for the driver's stop; a circuit must report one, unless it was killed."""
     if isinstance(scene.driver, ScriptedDriver):
         return scene.rig.watcher.gate.ended
     done = scene.driver.wait(DEPLOY_TIMEOUT_S)
-    result: dict[str, Any] = done.result
     if done.code < 0:
         return "killed"
     if done.code != STOPPED:
         raise Unsafe(f"deploy ended with {done.code}, not {STOPPED}: {done.last_line}")
-    return str(result.get("stopped_by"))
-
-
-def _leave(scene: Scene) -> None:
-    if isinstance(scene.driver, ScriptedDriver):
-        scene.rig.leave(scene.driver)
-    else:
-        scene.rig.ended(scene.driver)
+    return str(done.result.get("stopped_by"))

@@ -4,16 +4,13 @@ It uses the protocol of ``rover-ncp deploy``. Whenever it has no lease it reques
 commands whatever the gate's state is. So the gate stops the rover, never the driver.
 """
 
-import threading
 import time
 from contextlib import suppress
-from types import TracebackType
-from typing import Any, Self
 
 import zenoh
 
 from deploy.drive.lease import DriverLease
-from deploy.drive.zenoh_config import client_config
+from deploy.zenoh_client import client_config
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.messages import read_odometry, read_text, twist_stamped
@@ -26,19 +23,22 @@ from rover_ncp.core.protocol import (
     dump_json,
     parse_json,
 )
+from sim.live.peers import Peer
 
 PERIOD_S = 0.05
-ASK_S = 0.25
+REQUEST_S = 0.25
 STOP_TIMEOUT_S = 2.0
+NAME = "hand"
+"""The driver's name in the gate's status, and of a soak's JSON."""
 
 
-class ScriptedDriver:
+class ScriptedDriver(Peer):
     """Drives at ``velocity``; ``lease_s`` is the Zenoh lease, the time for which the link may be silent."""
 
     def __init__(self, robot: str, lease_s: float = 1.0) -> None:
         config, _ = client_config(robot, None)
         config.insert_json5("transport/link/tx/lease", str(round(lease_s * 1000)))
-        self._session = zenoh.open(config)
+        super().__init__(config)
         self.lease = DriverLease()
         self.velocity = Velocity(0.0, 0.0)
         self.payload: bytes | None = None
@@ -51,77 +51,54 @@ class ScriptedDriver:
         self.gate = GateStatus()
         self.last_sent_ns = 0
         """When the last command was sent, in ns of the monotonic clock."""
-        self._asked_s = 0.0
-        hear = self._session.declare_subscriber
-        self.heard_ns: list[int] = []
+        self.odometry_ns: list[int] = []
         """The stamps of all odometry."""
-        self._held: list[Any] = [
-            hear("odom", self._odometry),
-            hear("rover/gate", self._gate),
+        self._requested_s = 0.0
+        self._subscribers = [
+            self.session.declare_subscriber("odom", self._odometry),
+            self.session.declare_subscriber("rover/gate", self._gate),
         ]
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="scripted-driver", daemon=True)
-        self._thread.start()
 
     @property
     def driving(self) -> bool:
         """Whether the gate granted the lease to this driver."""
         return 0 < self.lease.number == self.gate.lease
 
-    def send(self, payload: bytes, age_s: float = 0.0, tagged: bool = True) -> None:
+    def send(self, payload: bytes) -> None:
         """Send one command with any payload."""
-        tag = None
-        if tagged:
-            stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
-            tag = self.lease.sign(Signed.COMMAND, "cmd_vel", payload, stamp_ns).pack()
-        self._session.put("cmd_vel", payload, attachment=tag)
-
-    def publish(self, name: str, payload: bytes) -> None:
-        """Send any payload on any key, permitted or not."""
-        self._session.put(name, payload)
+        stamp_ns = time.monotonic_ns() - round(self.age_s * 1e9)
+        tag = self.lease.sign(Signed.COMMAND, "cmd_vel", payload, stamp_ns)
+        self.session.put("cmd_vel", payload, attachment=tag.pack())
 
     def stop(self, release: bool = False) -> bool:
         """Request a stop, or its release; return whether the bridge answers."""
-        request = StopRequest(release=release, reason="" if release else "hand")
-        replies = self._session.get("rover/stop", payload=dump_json(request), timeout=STOP_TIMEOUT_S)
+        request = StopRequest(release=release, reason="" if release else NAME)
+        replies = self.session.get("rover/stop", payload=dump_json(request), timeout=STOP_TIMEOUT_S)
         return any(reply.ok is not None for reply in replies)
 
-    def close(self) -> None:
-        """Stop sending and close the session, without releasing the lease."""
-        self._closing.set()
-        self._thread.join()
-        self._session.close()  # type: ignore[no-untyped-call]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def _run(self) -> None:
-        while not self._closing.wait(PERIOD_S):
+    def run(self) -> None:
+        """Request the lease and send commands, without releasing the lease in the end."""
+        while not self.closing.wait(PERIOD_S):
             now = time.monotonic()
-            if self.requests_lease and not self.driving and now - self._asked_s > ASK_S:
-                self._asked_s = now
-                self._ask()
+            if self.requests_lease and not self.driving and now - self._requested_s > REQUEST_S:
+                self._requested_s = now
+                self._request_lease()
             if not self.silent:
                 self.last_sent_ns = time.monotonic_ns()
-                self.send(self.payload or twist_stamped(self.velocity, time.time_ns()), self.age_s)
+                self.send(self.payload or twist_stamped(self.velocity, time.time_ns()))
 
-    def _ask(self) -> None:
+    def _request_lease(self) -> None:
         now_ns = time.monotonic_ns()
-        payload = dump_json(MotorsRequest(enable=True, name="hand", sent_ns=now_ns))
+        payload = dump_json(MotorsRequest(enable=True, name=NAME, sent_ns=now_ns))
         # Without a lease, the bridge treats the signature of the last one as missing.
         tag = self.lease.sign(Signed.MOTORS, "rover/motors", payload, now_ns).pack()
-        for reply in self._session.get("rover/motors", payload=payload, attachment=tag, timeout=0.5):
+        for reply in self.session.get("rover/motors", payload=payload, attachment=tag, timeout=0.5):
             if reply.ok is not None:
                 self.lease.grant(parse_json(MotorsReply, reply.ok.payload.to_bytes()))
 
     def _odometry(self, sample: zenoh.Sample) -> None:
         with suppress(FormatError):
-            self.heard_ns.append(read_odometry(sample.payload.to_bytes()).stamp_ns)
+            self.odometry_ns.append(read_odometry(sample.payload.to_bytes()).stamp_ns)
 
     def _gate(self, sample: zenoh.Sample) -> None:
         with suppress(FormatError):

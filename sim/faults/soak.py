@@ -20,13 +20,11 @@ from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import write_atomic
 from rover_ncp.course.course import load_course
-from sim.faults.completeness import Completeness, check_recording
-from sim.faults.faults import CIRCUIT, FAULTS
-from sim.faults.leaks import Usage, usage
+from sim.faults.losses import Completeness, Usage, check_recording, usage
 from sim.faults.measure import Measured, measure
-from sim.faults.rig import Rig, wait_for
-from sim.faults.table import MATRIX, Row
-from sim.live.processes import compile_driver
+from sim.faults.rig import Rig
+from sim.faults.table import CIRCUIT, MATRIX, Row
+from sim.live.processes import compile_driver, wait_for
 
 LAST = "bridge-killed"
 ROUND_S, LAST_S = 15.0, 25.0
@@ -85,20 +83,23 @@ def soak(
     compile_driver()  # else the compilation would delay the first round
     order, moments = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     soaked, began_s = Soaked(), time.monotonic()
-    rows = [row for row in rows if row.outside]
+    rows = [row for row in rows if row.act is not None]
     last = [row for row in rows if row.key == LAST]
     with Rig(folder / "log", course) as rig:
-        heard_ns = rig.watcher.heard_ns
 
-        def one(row: Row, driver: str) -> None:
+        def inject(row: Row, driver: str) -> None:
             soaked.load = max(soaked.load, os.getloadavg()[0])
             on_round(soaked, f"{row.layer}: {row.fault}")
             at_s = time.monotonic() - began_s
             record = folder / "drives" / f"{len(soaked.rounds) + 1:03d}-{row.key}.mcap"
-            measured, failure = _try(lambda: _measured(rig, row, driver, record, moments))
+            measured, failure = None, ""
+            try:
+                measured = _measured(rig, row, driver, record, moments)
+            except (RoverNcpError, zenoh.ZError) as error:
+                failure = str(error)
             soaked.rounds.append(Round(at_s, row, driver, measured, failure))
             if record.exists() and measured is not None:
-                soaked.recordings.append(_complete(record, heard_ns, measured))
+                soaked.recordings.append(_complete(record, rig.watcher.odometry_ns, measured))
             _settle(rig)
             for name, process in (("bridge", rig.bridge), ("mock", rig.mock)):
                 if row.key != LAST:
@@ -108,14 +109,14 @@ def soak(
         soaked.settled = len(rows) - len(last)
         plan = _plan([row for row in rows if row.key != LAST], order)
         while time.monotonic() - began_s + ROUND_S + LAST_S * len(last) < seconds:
-            one(*next(plan))
+            inject(*next(plan))
         for row in last:
-            one(row, CIRCUIT)
-        rig.leave(rig.under_way(rig.scripted_driver()))
+            inject(row, CIRCUIT)
+        rig.end(rig.under_way(rig.scripted_driver()))
         rig.stood(time.monotonic_ns())
         stands_ns = time.monotonic_ns()
         time.sleep(STILL_S)
-        soaked.still = not any(row.moving for row in rig.truth.since(stands_ns))
+        soaked.still = not any(state.moving for state in rig.truth.since(stands_ns))
     soaked.wall_s = time.monotonic() - began_s
     reached = {each.row for each in soaked.rounds}
     soaked.not_reached = [row for row in rows if row not in reached]
@@ -134,15 +135,8 @@ def _plan(rows: Sequence[Row], order: np.random.Generator) -> Iterator[tuple[Row
     """Yield rows and drivers without end: all rows once in random order, then again in another order."""
     while True:
         for place in order.permutation(len(rows)):
-            drivers = FAULTS[rows[place].key].drivers
+            drivers = rows[place].drivers
             yield rows[place], drivers[int(order.integers(len(drivers)))]
-
-
-def _try(find: Callable[[], Measured]) -> tuple[Measured | None, str]:
-    try:
-        return find(), ""
-    except (RoverNcpError, zenoh.ZError) as error:
-        return None, str(error)
 
 
 def _measured(rig: Rig, row: Row, driver: str, record: Path, moments: np.random.Generator) -> Measured:
@@ -153,25 +147,24 @@ def _measured(rig: Rig, row: Row, driver: str, record: Path, moments: np.random.
         return measure(own, row, driver, record, moments)
 
 
-def _complete(record: Path, heard_ns: list[int], measured: Measured) -> Completeness:
-    fault = FAULTS[measured.row.key]
+def _complete(record: Path, received_ns: Sequence[int], measured: Measured) -> Completeness:
+    killed, losing = measured.stopped_by == "killed", measured.row.losing
     try:
-        return check_recording(
-            record, heard_ns, measured.began_ns, killed=measured.stopped_by == "killed", losing=fault.losing
-        )
+        return check_recording(record, received_ns, measured.began_ns, killed=killed, losing=losing)
     except RoverNcpError:
         return Completeness(record, False, 0, 1, 0, 0)
 
 
 def _settle(rig: Rig) -> None:
     """Remove the faults that a failed round left, and wait until no driver has the lease."""
-    rig.link.release()
-    rig.line.release()
+    rig.link.tell("release")
+    rig.line.tell("release")
     rig.bridge.send_signal(signal.SIGCONT)
     if not rig.bridge.running:
         rig.start_bridge()
     with suppress(RoverNcpError):
         wait_for(
-            lambda: not rig.watcher.gate.held and not rig.watcher.gate.lease, "the gate to be ready again"
+            lambda: not rig.watcher.gate.held and not rig.watcher.gate.lease,
+            what="the gate to be ready again",
         )
     time.sleep(QUIET_S)

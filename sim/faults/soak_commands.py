@@ -1,11 +1,14 @@
 """The command ``soak``; heavy libraries load only when it runs."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rover_ncp.core.console import MOST_SEED, Json, Output, Overwrite
+
+if TYPE_CHECKING:
+    from sim.faults.soak import Soaked
 
 
 def soak(
@@ -36,6 +39,46 @@ def soak(
 
     A short soak lists the rows that it did not reach. Exits with 0 if every check passed, else with 1.
     """
-    from sim.faults.soak_run import run_soak
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    return run_soak(minutes, seed, out, Output(json), overwrite=overwrite)
+    from rover_ncp.core.errors import FileError
+    from rover_ncp.core.files import require_writable, write_atomic
+    from sim.faults.soak import soak as run_soak
+    from sim.faults.soak_report import fields, line, table, verdict
+    from sim.live.truth import TRUTH
+
+    output, rows = Output(json), out / "soak.md"
+    earlier = [*(out / "log").glob(TRUTH), *(out / "drives").glob("*.mcap")]
+    if earlier and not overwrite:
+        raise FileError(f"{earlier[0]}: exists already; choose another --out, or add --overwrite")
+    require_writable(rows)
+    for old in earlier:
+        old.unlink()
+    bar = Progress(
+        TimeElapsedColumn(),
+        BarColumn(),
+        TextColumn("{task.description}"),
+        console=output.console,
+        disable=not output.console.is_terminal,
+        transient=True,
+    )
+    task = bar.add_task("starting", total=minutes * 60.0)
+
+    def on_round(soaked: "Soaked", begins: str) -> None:
+        last = soaked.rounds[-1] if soaked.rounds else None
+        bar.update(task, description=begins, completed=last.at_s if last else 0.0)
+        if last and not begins:
+            output.say(line(last))
+
+    with bar:
+        soaked = run_soak(minutes * 60.0, seed, out, on_round)
+    write_atomic(rows, "\n".join(table(soaked)) + "\n")
+    wrong = verdict(soaked)
+    words = [
+        f"{len(soaked.rounds)} faults in {soaked.wall_s / 60:.1f} minutes, load {soaked.load:.1f}; {rows}"
+    ]
+    if soaked.not_reached:
+        words.append("not reached: " + ", ".join(row.key for row in soaked.not_reached))
+    words += [f"failed: {each}" for each in wrong] or ["all checks passed"]
+    output.result(fields(soaked, seed), "\n".join(words))
+    return 1 if wrong else 0

@@ -3,8 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from sim.faults.leaks import Leaks, leaks
-from sim.faults.measure import Measured
+from sim.faults.losses import Leaks, leaks
 from sim.faults.soak import Round, Soaked
 from sim.faults.table import MATRIX
 
@@ -26,7 +25,8 @@ def verdict(soaked: Soaked) -> list[str]:
     """Return every failed check in words; empty when all passed."""
     wrong = [line(done).strip() for done in soaked.rounds if not done.passed]
     for name, found in _leaks(soaked).items():
-        wrong += [f"{name} leaks {what}: {getattr(found, _FIELD[what])}" for what in found.leaking]
+        values = found._asdict() | {"memory": found.memory_mb}
+        wrong += [f"{name} leaks {what}: {values[what]}" for what in found.leaking]
     wrong += [
         f"{each.path.name}: lost {each.missing} odometry messages, {each.gaps} SIPs, {each.skipped} commands"
         for each in soaked.recordings
@@ -35,9 +35,6 @@ def verdict(soaked: Soaked) -> list[str]:
     if not soaked.still:
         wrong.append("the rover does not stand in the end")
     return wrong
-
-
-_FIELD = {"memory": "memory_mb", "threads": "threads", "files": "files", "sockets": "sockets"}
 
 
 def _leaks(soaked: Soaked) -> dict[str, Leaks]:
@@ -60,11 +57,10 @@ def fields(soaked: Soaked, seed: int) -> dict[str, Any]:
         "processes": {name: found._asdict() for name, found in _leaks(soaked).items()},
         "recordings": {
             "count": len(recordings),
-            "recovered": sum(each.recovered for each in recordings),
-            "odometry": sum(each.odometry for each in recordings),
-            "missing": sum(each.missing for each in recordings),
-            "gaps": sum(each.gaps for each in recordings),
-            "skipped": sum(each.skipped for each in recordings),
+            **{
+                name: sum(getattr(each, name) for each in recordings)
+                for name in ("recovered", "odometry", "missing", "gaps", "skipped")
+            },
         },
     }
 
@@ -93,17 +89,9 @@ def table(soaked: Soaked) -> Iterator[str]:
     for row in MATRIX:
         found = [done.measured for done in soaked.rounds if done.row == row and done.measured is not None]
         times = sum(done.row == row for done in soaked.rounds)
-        if not times:
-            continue
+        head = f"| {row.layer} | {row.fault} | {times} |"
         if found:
-            worst = max(found, key=_spent)
-            yield (
-                f"| {row.layer} | {row.fault} | {times} | {worst.seconds:.2f} s | "
-                f"{row.allowed} + {worst.braking_s:.2f} s braking |"
-            )
-        else:
-            yield f"| {row.layer} | {row.fault} | {times} | failed | {row.allowed} |"
-
-
-def _spent(found: Measured) -> float:
-    return found.seconds - found.row.bound_s - found.braking_s
+            worst = max(found, key=lambda each: each.seconds - each.braking_s)
+            yield f"{head} {worst.seconds:.2f} s | {row.allowed} + {worst.braking_s:.2f} s braking |"
+        elif times:
+            yield f"{head} failed | {row.allowed} |"

@@ -135,7 +135,7 @@ def rollout(
         signals = see(odometry.seen(tick), signal, reference.tick(tick) if reference else None)
         return [signals[i] for i in chosen]
 
-    runner.warm_up(observation(0, 0.0))
+    runner.tick(observation(0, 0.0))
     gain_v, gain_omega = trials.gain[row].tolist()
     base = BaseErrors(gain_v, gain_omega, float(trials.imbalance[row]), float(trials.slip[row]))
     held = (0.0, 0.0)

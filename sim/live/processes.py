@@ -1,40 +1,57 @@
-"""The three processes of a run on this machine: mock Pioneer, bridge, deploy, over loopback TCP and Zenoh.
+"""``rover-ncp`` commands as child processes: start, wait, signal, stop, and read their output."""
 
-Each is the very command a user would type, started from this interpreter. Whatever happens, leaving the
-``with`` block ends all of them, the driver first: asked (SIGTERM), then, when one does not listen, killed.
-"""
-
-import contextlib
 import functools
 import json
+import os
+import pty
+import select
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeVar
 
 from rover_ncp.core.errors import RoverNcpError
-from sim.faults.outlet import Outlet
+from rover_ncp.core.process import Interrupts
 
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 5.0
 APPLIED = "applied "
-"""How the line begins in which a child answers what it was given."""
+"""Begins the line in which a child reports that it applied a line of its input."""
 APPLIED_TIMEOUT_S = 5.0
-TRUTH = "truth.csv"
+
+TERMINAL, PIPE, GONE = OUTLETS = ("terminal", "pipe", "gone")
+
+Found = TypeVar("Found")
+
+
+class TimedOut(RoverNcpError):
+    """A condition did not become true in time."""
+
+    exit_code = 1
 
 
 class ProcessError(RoverNcpError):
-    """A process of the run failed; carries its last line and its exit code."""
+    """A child process failed. Carries its last line and its exit code."""
 
     def __init__(self, name: str, code: int, words: str) -> None:
         super().__init__(f"{name}: {words}" if words else f"{name} ended with exit code {code}")
         self.exit_code = code if code > 0 else 1
+
+
+def wait_for(find: Callable[[], Found | None], timeout_s: float = 8.0, what: str = "a condition") -> Found:
+    """Call ``find`` until it returns something true, and return that. Raises TimedOut."""
+    deadline = time.monotonic() + timeout_s
+    while not (found := find()):
+        if time.monotonic() > deadline:
+            raise TimedOut(f"timed out after {timeout_s:g} s waiting for {what}")
+        time.sleep(0.005)
+    return found
 
 
 @functools.cache
@@ -51,26 +68,88 @@ def compile_driver() -> None:
     Controller(load_policy("parking"), load_course("parking"), EstimatorSettings())
 
 
-@contextlib.contextmanager
+@contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Defer Ctrl-C and SIGTERM, so that a started process is registered before the run ends."""
+    """Defer termination signals, so that a started process is registered before the run ends."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    noted: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda got, _: noted.append(got)) for number in numbers}
+    interrupts = Interrupts()
     try:
-        yield
+        with interrupts:
+            yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        for got in noted:
-            signal.raise_signal(got)
+        for number in interrupts.received:
+            signal.raise_signal(number)
 
 
-@dataclass(frozen=True)
-class Finished:
+class GrowingFile:
+    """A text file that another process appends to; only whole lines are read."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._offset = path, 0
+
+    def new_lines(self) -> list[str]:
+        """Return the lines that were appended since the last call."""
+        with self._path.open("rb") as file:
+            file.seek(self._offset)
+            data = file.read()
+        whole = data.rfind(b"\n") + 1
+        self._offset += whole
+        return data[:whole].decode(errors="replace").splitlines()
+
+
+class Outlet:
+    """The reading end of a process's output: a terminal or a pipe whose reader can stop or go away.
+
+    A process writes to ``fd``. Its output is copied to ``log`` until `block`.
+    """
+
+    _XOFF = b"\x13"  # Ctrl-S
+    _READ_BYTES, _POLL_S = 4096, 0.05
+
+    def __init__(self, kind: str, log: Path) -> None:
+        self._kind, self._log = kind, log
+        self._reader, self.fd = pty.openpty() if kind == TERMINAL else os.pipe()
+        self._blocked = threading.Event()
+        self._thread = threading.Thread(target=self._copy, name="outlet", daemon=True)
+        self._thread.start()
+
+    def block(self) -> None:
+        """Stop the terminal, fill the pipe, or close the reader's end; the second time, do nothing."""
+        if self._blocked.is_set():
+            return
+        self._blocked.set()
+        self._thread.join()
+        if self._kind == TERMINAL:
+            os.write(self._reader, self._XOFF)
+        elif self._kind == GONE:
+            os.close(self._reader)
+        else:
+            # Opened anew: the process's own descriptor must stay one that blocks.
+            fd = os.open(f"/proc/self/fd/{self.fd}", os.O_WRONLY | os.O_NONBLOCK)
+            with suppress(BlockingIOError):
+                while True:
+                    os.write(fd, bytes(self._READ_BYTES))
+            os.close(fd)
+
+    def close(self) -> None:
+        """Close both ends."""
+        reader_closed = self._kind == GONE and self._blocked.is_set()
+        self._blocked.set()
+        self._thread.join()
+        os.close(self.fd)
+        if not reader_closed:
+            os.close(self._reader)
+
+    def _copy(self) -> None:
+        with self._log.open("ab", buffering=0) as log:
+            while not self._blocked.is_set():
+                if select.select([self._reader], [], [], self._POLL_S)[0]:
+                    log.write(os.read(self._reader, self._READ_BYTES))
+
+
+class Finished(NamedTuple):
     """How a process ended: exit code, its one JSON object (empty if none), its last line for people."""
 
     code: int
@@ -79,8 +158,8 @@ class Finished:
 
 
 class Applied(NamedTuple):
-    """A child's answer, in ns: when it applied what it was given, on the machine's monotonic clock, and how
-    late its loop ended a turn at worst since the answer before."""
+    """A child's answer to a line of input: when it applied the line, on the machine's monotonic clock, and
+    the longest delay of its loop since the answer before; both in ns."""
 
     t_ns: int
     late_ns: int
@@ -104,10 +183,10 @@ class Process:
         outlet: str = "",
     ) -> None:
         self.command = command
-        self._result = log_dir / f"{command}.json"
-        self._log = log_dir / f"{command}.log"
-        self.outlet = Outlet(outlet, self._log) if outlet else None
-        with self._result.open("wb") as out, self._log.open("wb") as err:
+        self._result, log = log_dir / f"{command}.json", log_dir / f"{command}.log"
+        self._log, self._lines = GrowingFile(log), list[str]()
+        self.outlet = Outlet(outlet, log) if outlet else None
+        with self._result.open("wb") as out, log.open("wb") as err:
             self._child = subprocess.Popen(
                 # -P: the user's folder may hold a sim/ or a numba.py of its own.
                 [sys.executable, "-P", "-m", module, command, *arguments, "--json"],
@@ -129,18 +208,11 @@ class Process:
         return self._child.poll() is None
 
     def wait_for_line(self, start: str, timeout_s: float = READY_TIMEOUT_S) -> str:
-        """Return what follows ``start`` on its first line for people that begins so. Raises ProcessError."""
-        deadline = time.monotonic() + timeout_s
-        while True:
-            running = self.running  # asked before its words are read: last words count
-            for line in self._lines():
-                if line.startswith(start):
-                    return line.removeprefix(start).strip()
-            if not running:
-                raise self.failure()
-            if time.monotonic() > deadline:
-                raise ProcessError(self.command, 1, f"not ready after {timeout_s:.0f} s")
-            time.sleep(0.02)
+        """Return the rest of its first line for people that begins with ``start``.
+
+        Raises ProcessError when it ends without that line, TimedOut after ``timeout_s``.
+        """
+        return self._wait_for_line(start, 0, timeout_s)
 
     def wait(self, timeout_s: float) -> Finished:
         """Wait for its end. Raises ProcessError after ``timeout_s``."""
@@ -151,29 +223,24 @@ class Process:
         return self._finished()
 
     def tell(self, line: str) -> Applied:
-        """Write a line to its standard input, and wait for its answer. Raises ProcessError without one."""
+        """Write a line to its standard input, and wait for its answer. Raises as `wait_for_line`."""
         stdin = self._child.stdin
         assert stdin is not None  # started with reads_lines
 
         def write() -> None:
-            with contextlib.suppress(BrokenPipeError):
+            with suppress(BrokenPipeError):
                 stdin.write(f"{line}\n".encode())
                 stdin.flush()
 
         return self.answer_to(write)
 
     def answer_to(self, action: Callable[[], None]) -> Applied:
-        """Wait for the process's answer to an action. Raises ProcessError without one."""
-        known = len(self._answers())
+        """Wait for the process's answer to an action. Raises as `wait_for_line`."""
+        known = len(self._lines_that_begin(APPLIED))
         action()
-        deadline = time.monotonic() + APPLIED_TIMEOUT_S
-        while len(answers := self._answers()) == known:
-            if not self.running:
-                raise self.failure()
-            if time.monotonic() > deadline:
-                raise ProcessError(self.command, 1, f"no answer after {APPLIED_TIMEOUT_S:.0f} s")
-            time.sleep(0.005)
-        return answers[known]
+        words = self._wait_for_line(APPLIED, known, APPLIED_TIMEOUT_S).split()
+        fields = dict(word.split("=", 1) for word in words[:2])
+        return Applied(int(fields["t_ns"]), int(fields["late_ns"]))
 
     def send_signal(self, number: int) -> None:
         """Send it a signal, if it still runs."""
@@ -181,10 +248,11 @@ class Process:
             self._child.send_signal(number)
 
     def stop(self) -> Finished:
-        """End it: SIGTERM, and SIGKILL when it does not listen."""
+        """End it: SIGTERM, and SIGKILL if it still runs after `STOP_TIMEOUT_S`."""
+        self.send_signal(signal.SIGCONT)
         self.send_signal(signal.SIGTERM)
         if self._child.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):
+            with suppress(BrokenPipeError):
                 self._child.stdin.close()
         try:
             self._child.wait(STOP_TIMEOUT_S)
@@ -193,75 +261,40 @@ class Process:
             self._child.wait()
         if self.outlet is not None:
             self.outlet.close()
+            self.outlet = None
         return self._finished()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
 
     def failure(self) -> ProcessError:
         """Return its unwanted end as an error."""
         done = self._finished()
         return ProcessError(self.command, done.code, done.last_line)
 
+    def _wait_for_line(self, start: str, index: int, timeout_s: float) -> str:
+        def find() -> str | None:
+            running = self.running  # checked first: the last lines of a process that ended count
+            lines = self._lines_that_begin(start)
+            if len(lines) <= index and not running:
+                raise self.failure()
+            return lines[index] if len(lines) > index else None
+
+        line = wait_for(find, timeout_s, f"a line '{start.strip()} …' from {self.command}")
+        return line.removeprefix(start).strip()
+
     def _finished(self) -> Finished:
         result: dict[str, Any] = {}
-        with contextlib.suppress(json.JSONDecodeError):
+        with suppress(json.JSONDecodeError):
             result = json.loads(self._result.read_text(errors="replace"))
-        lines = self._lines()
+        lines = self._lines_that_begin("")
         return Finished(self._child.wait(), result, lines[-1].removeprefix("rover-ncp: ") if lines else "")
 
-    def _answers(self) -> list[Applied]:
-        answers = [line.split() for line in self._lines() if line.startswith(APPLIED)]
-        fields = [dict(word.split("=", 1) for word in words[1:3]) for words in answers]
-        return [Applied(int(each["t_ns"]), int(each["late_ns"])) for each in fields]
-
-    def _lines(self) -> list[str]:
-        # Only whole lines: what is being written at this moment is not yet said.
-        text = self._log.read_text(errors="replace")
-        return text[: text.rfind("\n") + 1].splitlines()
-
-
-class LiveRun:
-    """Mock, bridge and deploy, ready one after the other; logs and the mock's truth land in ``folder``."""
-
-    def __init__(self, folder: Path, *, mock: Sequence[str] = (), bridge: Sequence[str] = ()) -> None:
-        self.folder = folder
-        self.truth = folder / TRUTH
-        self.processes: dict[str, Process] = {}
-        self._mock_arguments = mock
-        self._bridge_arguments = bridge
-        self.robot = ""
-
-    def __enter__(self) -> Self:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        try:
-            mock = self._start(
-                "mock", "--listen", "127.0.0.1:0", "--truth", str(self.truth), *self._mock_arguments
-            )
-            address = mock.wait_for_line("listening on ")
-            bridge = self._start(
-                "bridge", "--base", f"tcp/{address}", "--listen", "tcp/127.0.0.1:0", *self._bridge_arguments
-            )
-            ready = dict(part.split("=", 1) for part in bridge.wait_for_line("ready ").split())
-            self.robot = ready["zenoh"]
-        except BaseException:
-            self._stop_all()
-            raise
-        return self
-
-    def deploy(self, *arguments: str) -> Process:
-        """Start the driver."""
-        compile_driver()
-        return self._start("deploy", "--robot", self.robot, *arguments)
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stop_all()
-
-    def _start(self, command: str, *arguments: str) -> Process:
-        with uninterrupted():
-            process = self.processes[command] = Process(command, arguments, self.folder)
-        return process
-
-    def _stop_all(self) -> None:
-        # The last started ends first: the driver gives the motors back while the bridge still listens.
-        for process in reversed(self.processes.values()):
-            process.stop()
+    def _lines_that_begin(self, start: str) -> list[str]:
+        self._lines += self._log.new_lines()
+        return [line for line in self._lines if line.startswith(start)]

@@ -6,18 +6,19 @@ Each trial has a folder: ``course.yaml``, ``driver.yaml`` (all that the driver k
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
+from deploy.report.recorded_drive import read_drive
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.files import write_atomic
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.recording import read_recording, rewrite
+from sim.evaluate.commands import EvalOptions
 from sim.evaluate.evaluate import cause
-from sim.live.processes import LiveRun, Process, ProcessError
-from sim.live.truth import during, judge_truth, read_truth, recorded_truth
-from sim.park.park import estimated_path
-from sim.stack.start_pose import Placed
+from sim.live.live_run import LiveRun
+from sim.live.peers import StartPosePublisher
+from sim.live.processes import ProcessError
+from sim.live.truth import during, judge_truth, recorded_truth
 from sim.stack.trials import MODEL, Driven, Stack
 
 _EXTRA_S = 180.0
@@ -26,77 +27,74 @@ _DROVE = {0, 1, 4}
 """Exit codes of a driver that drove, well or not."""
 
 
-@dataclass(frozen=True)
-class LiveTrials:
-    """Drives trials of a stack live; policy, ranges and profile as on the command line, for the processes."""
+def trial_folder(out: Path, number: int) -> Path:
+    """Return the folder of a trial."""
+    return out / f"{number:03}"
 
-    stack: Stack
-    policy: str
-    randomize: str
-    profile: Path | None
-    out: Path
 
-    def folder(self, number: int) -> Path:
-        """Return the folder of a trial."""
-        return self.out / f"{number:03}"
-
-    def drive(self, count: int, at_once: int, on_done: Callable[[], None] = lambda: None) -> list[Driven]:
-        """Drive trials 0 to ``count`` − 1, so many at once. Raises RoverNcpError when a process fails."""
-        found: list[Driven] = []
-        for first in range(0, count, at_once):
-            with ExitStack() as running:
-                wave = [
-                    running.enter_context(_LiveTrial(self, number))
-                    for number in range(first, min(first + at_once, count))
-                ]
-                for trial in wave:
-                    trial.start()
-                for trial in wave:
-                    found.append(trial.finish())
-                    on_done()
-        return found
+def drive_live(
+    stack: Stack, options: EvalOptions, count: int, on_done: Callable[[], None] = lambda: None
+) -> list[Driven]:
+    """Drive trials 0 to ``count`` − 1, ``options.processes`` at once. Raises RoverNcpError."""
+    found: list[Driven] = []
+    at_once = options.processes or 1
+    for first in range(0, count, at_once):
+        with ExitStack() as running:
+            wave = [
+                running.enter_context(_LiveTrial(stack, options, number))
+                for number in range(first, min(first + at_once, count))
+            ]
+            for trial in wave:
+                trial.start_driver()
+            for trial in wave:
+                found.append(trial.finish())
+                on_done()
+    return found
 
 
 class _LiveTrial(LiveRun):
     """The processes of one trial, and the external localisation of its start pose."""
 
-    def __init__(self, trials: LiveTrials, number: int) -> None:
-        self._trials, self._number = trials, number
-        self._folder = trials.folder(number)
-        self._course = trials.stack.course(number)
-        write_atomic(self._folder / "course.yaml", dump_yaml(self._course.model_dump(mode="json")))
-        driver = trials.stack.known.model_dump(mode="json", exclude_none=True)
-        write_atomic(self._folder / "driver.yaml", dump_yaml(driver))
-        robot = ["--randomize", trials.randomize, "--trial", str(number), "--seed", str(trials.stack.seed)]
-        if trials.profile is not None:
-            robot += ["--profile", str(trials.profile)]
-        course = str(self._folder / "course.yaml")
-        super().__init__(self._folder / "log", mock=["--model", MODEL, "--course", course, *robot])
-        self._placed = ExitStack()
+    def __init__(self, stack: Stack, options: EvalOptions, number: int) -> None:
+        self._out, self._stack, self._number = trial_folder(options.out, number), stack, number
+        self._policy, self._course_file = options.policy, str(self._out / "course.yaml")
+        self._localiser = ExitStack()
+        robot = ["--randomize", options.randomize or "none", "--trial", str(number)]
+        robot += ["--seed", str(options.seed)]
+        if options.profile is not None:
+            robot += ["--profile", str(options.profile)]
+        super().__init__(self._out / "log", mock=["--model", MODEL, "--course", self._course_file, *robot])
 
     def start(self) -> None:
+        """Write the trial's files, and start mock and bridge."""
+        course, known = self._stack.course(self._number), self._stack.known
+        write_atomic(self._out / "course.yaml", dump_yaml(course.model_dump(mode="json")))
+        driver = known.model_dump(mode="json", exclude_none=True)
+        write_atomic(self._out / "driver.yaml", dump_yaml(driver))
+        super().start()
+
+    def start_driver(self) -> None:
         """Publish the rover's start pose, and start the driver."""
-        start = Pose(*self._trials.stack.trials(self._number).start[0].tolist())
-        self._placed.enter_context(Placed(self.robot, start))
-        self._driver: Process = self.deploy(
-            *("--policy", self._trials.policy, "--course", str(self._folder / "course.yaml")),
-            *("--profile", str(self._folder / "driver.yaml"), "--pose", "required"),
-            *("--record", str(self._folder / "run.mcap")),
+        start = Pose(*self._stack.trials(self._number).start[0].tolist())
+        self._localiser.enter_context(StartPosePublisher(self.robot, start))
+        self._driver = self.deploy(
+            *("--policy", self._policy, "--course", self._course_file),
+            *("--profile", str(self._out / "driver.yaml"), "--pose", "required"),
+            *("--record", str(self._out / "run.mcap")),
         )
 
     def finish(self) -> Driven:
         """Wait for the driver's end, and score the trial."""
-        course = self._course
+        course, path = self._stack.course(self._number), self._out / "run.mcap"
         done = self._driver.wait(course.horizon_s + _EXTRA_S)
-        self._placed.close()
-        bridge = self.processes["bridge"].stop().result
-        self.processes["mock"].stop()
+        self._localiser.close()
+        bridge = self.bridge.stop().result
+        self.mock.stop()
         if done.code not in _DROVE or not done.result:
             raise ProcessError("deploy", done.code, done.last_line)
-        recording = read_recording(self._folder / "run.mcap")
-        truth = read_truth(self.truth)
-        began_ns, _ = estimated_path(recording)
-        rewrite(recording, recording.path, recorded_truth(truth))
+        truth = self.truth.read()
+        rewrite(read_recording(path), path, recorded_truth(truth))
+        began_ns = read_drive(path).timeline.ticks[0].wall_ns
         verdict = judge_truth(course, truth, began_ns)
         rule = done.result["stopped_by"]
         return Driven(
@@ -111,6 +109,7 @@ class _LiveTrial(LiveRun):
             bridge["bytes_from_base"],
         )
 
-    def __exit__(self, *error: object) -> None:
-        self._placed.close()
-        super().__exit__(None, None, None)
+    def close(self) -> None:
+        """End the localisation and all processes."""
+        self._localiser.close()
+        super().close()

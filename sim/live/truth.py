@@ -1,55 +1,117 @@
-"""The true pose, for scoring only: the mock writes it, and no driver reads it."""
+"""The true motion of a simulated rover: read from the mock's file, judged, recorded. No driver knows it."""
 
-import csv
+import time
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.geometry import Pose
+from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.messages import pose_stamped
 from rover_ncp.core.recording import Recorded
 from rover_ncp.course.course import TICK_S, Course, Verdict
+from sim.live.processes import GrowingFile, TimedOut
 
+TRUTH = "truth.csv"
+"""Name of the mock's file in the folder of a run."""
 TRUTH_TOPIC = "truth/pose"
 TRUTH_FRAME = "course"
+STILL_M_S, STILL_RAD_S = 1e-3, 1e-3
+"""Below both speeds a rover stands."""
+SAMPLE_S = 0.01
+"""Time between two lines of the mock's file; also the mock's step."""
 
 
 class TrueState(NamedTuple):
-    """The rover as the simulator knows it, at ``wall_ns`` (ns since the epoch), in the course's frame."""
+    """The simulator's state of the rover, in the course's frame; both times in ns."""
 
+    clock_ns: int
+    """Simulation clock; a mock's follows the machine's monotonic clock."""
     wall_ns: int
+    """Since the epoch."""
     pose: Pose
+    velocity: Velocity
     contact: bool
 
-
-def read_truth(path: Path) -> list[TrueState]:
-    """Read what ``mock --truth`` wrote; a last line cut off by a kill is left out. Raises FileError."""
-    try:
-        with path.open(newline="") as file:
-            return list(_states(csv.DictReader(file)))
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(f"{path}: cannot be read: {error}") from error
-    except (KeyError, ValueError) as error:
-        raise FileError(f"{path}: not a truth file: {error}") from error
+    @property
+    def moving(self) -> bool:
+        """Whether the rover moves."""
+        return abs(self.velocity.v) > STILL_M_S or abs(self.velocity.omega) > STILL_RAD_S
 
 
-def _states(rows: Iterator[dict[str, str | None]]) -> Iterator[TrueState]:
-    for row in rows:
-        if None in row.values():
-            return
-        text = {name: value or "" for name, value in row.items()}
-        yield TrueState(
-            int(text["t_ns"]),
-            Pose(float(text["x"]), float(text["y"]), float(text["theta"])),
-            text["contact"] != "0",
-        )
+class TruthReader:
+    """Reads the file of ``mock --truth``, which a running mock goes on writing."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = GrowingFile(path)
+        self._columns: list[str] = []
+        self._states: list[TrueState] = []
+
+    def read(self) -> list[TrueState]:
+        """Return all states so far."""
+        for line in self._file.new_lines():
+            values = line.split(",")
+            if self._columns:
+                self._states.append(_state(dict(zip(self._columns, values, strict=True))))
+            else:
+                self._columns = values
+        return self._states
+
+    def since(self, clock_ns: int) -> list[TrueState]:
+        """Return the states from a moment of the simulation clock on."""
+        states = self.read()
+        return states[bisect_left(states, clock_ns, key=lambda state: state.clock_ns) :]
+
+    def speed(self) -> float:
+        """Return the newest v in m/s, 0 before the first state."""
+        states = self.read()
+        return states[-1].velocity.v if states else 0.0
+
+    def stood_after(self, since_ns: int, timeout_s: float = 6.0, still_s: float = 0.3) -> float:
+        """Wait until the rover has stood for ``still_s``; return the time in s from ``since_ns`` to its stop.
+
+        ``since_ns`` is of the simulation clock. The rover stands from the first state on in which it does not
+        move: at most `SAMPLE_S` too late. Returns 0 if it never moved. Raises TimedOut.
+        """
+        deadline = time.monotonic() + timeout_s
+        while True:
+            states = self.since(since_ns)
+            last_ns = next((state.clock_ns for state in reversed(states) if state.moving), None)
+            if states and states[-1].clock_ns - (last_ns or since_ns) > still_s * 1e9:
+                return 0.0 if last_ns is None else (last_ns - since_ns) * 1e-9 + SAMPLE_S
+            if time.monotonic() > deadline:
+                raise TimedOut(f"the rover still moves {timeout_s:g} s after it should have stopped")
+            time.sleep(0.02)
 
 
-def judge_truth(course: Course, states: list[TrueState], began_ns: int) -> Verdict:
-    """Judge a run by the true poses from its first tick, at ``began_ns``, to the course's horizon."""
-    run = during(course, states, began_ns)
+def _state(row: dict[str, str]) -> TrueState:
+    x, y, theta, v, omega = (float(row[name]) for name in ("x", "y", "theta", "v", "omega"))
+    return TrueState(
+        int(row["clock_ns"]), int(row["t_ns"]), Pose(x, y, theta), Velocity(v, omega), row["contact"] != "0"
+    )
+
+
+def during(
+    course: Course, states: Sequence[TrueState], began_ns: int, margin_s: float = TICK_S
+) -> Sequence[TrueState]:
+    """Return the states from a run's first tick, at the wall clock's ``began_ns``, to the course's horizon.
+
+    Raises FileError when there is none.
+    """
+    until_ns = began_ns + round((course.horizon_s + margin_s) * 1e9)
+    moments = [state.wall_ns for state in states]
+    run = states[bisect_left(moments, began_ns) : bisect_right(moments, until_ns)]
+    if not run:
+        raise FileError("the mock recorded no true pose during the drive: was the machine's clock set?")
+    return run
+
+
+def judge_truth(
+    course: Course, states: Sequence[TrueState], began_ns: int, margin_s: float = TICK_S
+) -> Verdict:
+    """Judge a run by its true poses; arguments and errors as `during`."""
+    run = during(course, states, began_ns, margin_s)
     return course.judge(
         [(state.wall_ns - began_ns) * 1e-9 for state in run],
         [state.pose for state in run],
@@ -57,17 +119,7 @@ def judge_truth(course: Course, states: list[TrueState], began_ns: int) -> Verdi
     )
 
 
-def during(course: Course, states: list[TrueState], began_ns: int) -> list[TrueState]:
-    """Return the states from a run's first tick to the course's horizon; at least one. Raises FileError."""
-    until_ns = began_ns + round((course.horizon_s + TICK_S) * 1e9)
-    moments = [state.wall_ns for state in states]
-    run = states[bisect_left(moments, began_ns) : bisect_right(moments, until_ns)]
-    if not run:
-        raise FileError("the truth holds nothing of the run: was the mock's clock changed?")
-    return run
-
-
-def recorded_truth(states: list[TrueState]) -> Iterator[Recorded]:
+def recorded_truth(states: Sequence[TrueState]) -> Iterator[Recorded]:
     """Return the truth as messages to merge into a recording."""
     for number, state in enumerate(states):
         data = pose_stamped(state.pose, state.wall_ns, TRUTH_FRAME)

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_circuit
@@ -40,25 +39,21 @@ def build_agent(task: Task, agent: str, seed: int, circuit: Path | None = None) 
     if agent == "circuit":
         return task.policy(own)
     if agent == "random":
-        return task.policy(_random_like(own, seed))
+        return task.policy(random_circuit(seed, own.neurons, own.synapse_count))
     if agent in (NetKind.MLP, NetKind.LSTM):
         return net_for(task.policy(own), NetKind(agent))
     raise UsageError(f"no agent {agent!r} to search for; there are {', '.join(AGENTS)}, or --circuit FILE")
 
 
-def _random_like(own: Circuit, seed: int) -> Circuit:
-    return random_circuit(seed, own.neurons, own.synapse_count)
-
-
-def inert(agent: Policy | Net) -> NDArray[np.bool_] | None:
-    """Return which parameters (P,) have no effect, where that is known."""
+def dead_parameters(agent: Policy | Net) -> NDArray[np.bool_] | None:
+    """Return which parameters (P,) have no effect on the output; None where that is not known."""
     return inert_parameters(agent) if isinstance(agent, Policy) else None
 
 
 def untuned(agent: Policy | Net, generator: np.random.Generator, count: int) -> Vector:
     """Draw ``count`` starts (n, P): the first shaken once, the next twice, and so on to six times, again.
 
-    One shake is what the published code starts from. It leaves most circuits without effect on the world.
+    The published code starts from one shake, which leaves most circuits without effect on the world.
     """
     layout = agent.layout()
     rows = []

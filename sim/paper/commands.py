@@ -37,9 +37,9 @@ def paper(
     what: Annotated[
         What,
         typer.Argument(
-            help="run: make runs. status: which are made. replay: check them. table1: random circuits. "
-            "table2: PPO and A2C. table3: networks. parameters: of the experiments. time-constants and "
-            "contributions: of the parking circuits. curves: a picture of the learning."
+            help="run: make runs. status: list existing runs. replay: score stored parameters again. table1: "
+            "random circuits. table2: PPO and A2C. table3: networks. parameters: of the experiments. "
+            "time-constants and contributions: of the parking circuits. curves: a picture of the learning."
         ),
     ],
     *,
@@ -59,7 +59,7 @@ def paper(
     budget: Annotated[
         Budget, typer.Option(help="quick: seconds a run. default: minutes. published: the paper's.")
     ] = Budget.DEFAULT,
-    runs: Annotated[Path, typer.Option(help="Folder of your runs, before those that are shipped.")] = Path(
+    runs: Annotated[Path, typer.Option(help="Folder of your runs; they precede the shipped ones.")] = Path(
         "runs/paper"
     ),
     out: Annotated[Path, typer.Option(help="curves: the picture.")] = Path("runs/paper/curves.png"),
@@ -82,10 +82,10 @@ def paper(
     ] = None,
     json: Json = False,
 ) -> int:
-    """Reproduce the paper's experiments: a grid of runs (task, agent, seed), and its tables made of them.
+    """Reproduce the paper's experiments: a grid of runs (task, agent, seed), and the tables of their results.
 
-    Each run is one small file with its settings, versions, learning curve and trained parameters. Runs that
-    are made, by you or with this package, are not made again; interrupt it whenever you like.
+    Each run is one small file with its settings, versions, learning curve and trained parameters. Existing
+    runs, yours or shipped ones, are not repeated, so an interrupted command can be started again.
 
         rover-ncp paper status
         rover-ncp paper run --task mountain-car --agent circuit --seed 3 --again
@@ -94,107 +94,121 @@ def paper(
         rover-ncp paper run --cluster tcp://192.168.1.5:8786
         rover-ncp paper table3 --json
     """
+    from sim.paper.results import ResultStore
+    from sim.paper.selection import select
+
+    output, store = Output(json), ResultStore(runs)
+    if what is What.REPLAY:
+        return _replay(output, store, select(task, agent, seed, circuit), circuit)
+    if what is not What.RUN:
+        _show(what, output, store, out)
+        return 0
+    if cluster is not None and (processes is not None or circuit is not None):
+        raise UsageError("--cluster goes with neither --processes nor --circuit, a file of this machine")
+    names = select(task, agent, seed, circuit)
+    left = [name for name in names if again or store.find(name) is None]
+    made = []
+    if left:
+        made = _make(
+            output, store, left, budget=budget, circuit=circuit, processes=processes, cluster=cluster
+        )
+    output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
+    return 0
+
+
+def _make(
+    output: Output,
+    store: Any,
+    names: list[Any],
+    *,
+    budget: Budget,
+    circuit: Path | None,
+    processes: int | None,
+    cluster: str | None,
+) -> list[dict[str, Any]]:
+    """Make runs with a progress bar; return a summary of each."""
     from rich.console import Console
     from rich.progress import Progress
 
     from rover_ncp.core.files import require_writable
     from sim.learn.workers import available_processes
-    from sim.paper.cell import Shelf
-    from sim.paper.choice import chosen
-    from sim.paper.grid import make_runs
-    from sim.paper.train import BudgetName
+    from sim.paper.runs import BudgetName, make_runs
 
-    output, shelf = Output(json), Shelf(runs)
-    if what not in (What.RUN, What.REPLAY):
-        _show(what, output, shelf, out)
-        return 0
-    if cluster is not None and (processes is not None or circuit is not None):
-        raise UsageError("--cluster goes with neither --processes nor --circuit, a file of this machine")
-    names = chosen(task, agent, seed, circuit)
-    if what is What.REPLAY:
-        return _replay(output, shelf, names, circuit)
-    left = [name for name in names if again or shelf.find(name) is None]
     made: list[dict[str, Any]] = []
     console = Console(stderr=True)
     progress = Progress(console=console, transient=True, disable=not console.is_terminal)
-    bar = progress.add_task("runs", total=len(left))
+    bar = progress.add_task("runs", total=len(names))
 
-    def on_cell(cell: Any) -> None:
-        made.append({"path": str(cell.name.path(runs)), **_summary(cell)})
+    def on_result(result: Any) -> None:
+        fields = ("mean", "std", "plain_mean", "success", "cpu_s", "steps", "ended", "budget")
+        summary = {field: getattr(result, field) for field in fields}
+        made.append({"path": str(result.name.path(store.own)), **result.name.model_dump(), **summary})
         progress.advance(bar)
         output.say(
-            f"{cell.name}: {cell.mean:.4g} ± {cell.std:.3g}{'' if cell.success else ', no success'} "
-            f"({cell.cpu_s:.0f} s of a core, ended by {cell.ended})"
+            f"{result.name}: {result.mean:.4g} ± {result.std:.3g}{'' if result.success else ', no success'} "
+            f"({result.cpu_s:.0f} s of a core, ended by {result.ended})"
         )
 
-    if left:
-        require_writable(left[0].path(runs))
-        count = processes or available_processes()
-        with progress:
-            make_runs(
-                left, shelf, BudgetName(budget), circuit, processes=count, cluster=cluster, on_cell=on_cell
-            )
-    output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
-    return 0
+    require_writable(names[0].path(store.own))
+    count = processes or available_processes()
+    with progress:
+        make_runs(
+            names, store, BudgetName(budget), circuit, processes=count, cluster=cluster, on_result=on_result
+        )
+    return made
 
 
-def _show(what: What, output: Output, shelf: Any, out: Path) -> None:
-    """Print what stands in the runs that are made."""
-    from sim.paper import render, tables
+def _show(what: What, output: Output, store: Any, out: Path) -> None:
+    """Print a table or write the picture of the stored runs."""
+    from sim.paper import interpretation, tables
 
     if what is What.STATUS:
-        from sim.paper.grid import status
+        from sim.paper.selection import coverage
 
-        rows = [
-            {"task": group.task, "agent": group.agent, "made": made, "runs": group.runs}
-            for group, made in status(shelf)
-        ]
-        lines = [f"{row['task']:17} {row['agent']:8} {row['made']} of {row['runs']} runs" for row in rows]
-        output.result({"groups": rows}, "\n".join(lines))
-    elif what in (What.TABLE1, What.TABLE2, What.TABLE3):
-        found = tables.table(tables.Table(what), shelf)
-        output.result({"cells": [entry.fields() for entry in found]}, render.table_text(found))
+        groups = coverage(store)
+        lines = [f"{row['task']:17} {row['agent']:8} {row['made']} of {row['runs']} runs" for row in groups]
+        output.result({"groups": groups}, "\n".join(lines))
+    elif what in tables.TABLES:
+        rows = tables.table(what, store)
+        output.result({"cells": [row.fields() for row in rows]}, tables.table_text(rows))
     elif what is What.PARAMETERS:
-        rows = tables.parameters()
-        output.result({"tasks": rows}, render.parameters_text(rows))
-    elif what is What.CURVES:
+        found = tables.parameters()
+        output.result({"tasks": found}, tables.parameters_text(found))
+    elif what is What.TIME_CONSTANTS:
+        constants = interpretation.parking_time_constants(store)
+        output.result(constants, interpretation.time_constants_text(constants))
+    elif what is What.CONTRIBUTIONS:
+        signs = interpretation.parking_contributions(store)
+        output.result(signs, interpretation.contributions_text(signs))
+    else:
         from rover_ncp.core.files import require_writable, write_atomic
         from sim.paper.curves import curves_png
 
         require_writable(out)
-        write_atomic(out, curves_png(shelf))
+        write_atomic(out, curves_png(store))
         output.result({"picture": str(out)}, str(out))
-    else:
-        from sim.paper.inside import parking_contributions, parking_time_constants
-
-        if what is What.TIME_CONSTANTS:
-            inside = parking_time_constants(shelf)
-            output.result(inside, render.time_constants_text(inside))
-        else:
-            inside = parking_contributions(shelf)
-            output.result(inside, render.contributions_text(inside))
 
 
-def _summary(cell: Any) -> dict[str, Any]:
-    fields = ("mean", "std", "plain_mean", "success", "cpu_s", "steps", "ended", "budget")
-    return {**cell.name.model_dump(), **{field: getattr(cell, field) for field in fields}}
+def _replay(output: Output, store: Any, names: list[Any], circuit: Path | None) -> int:
+    """Score stored parameters again; exit 1 if a verdict or a return differs."""
+    from sim.paper.results import load_result
+    from sim.paper.runs import agrees, replay
 
-
-def _replay(output: Output, shelf: Any, names: list[Any], circuit: Path | None) -> int:
-    """Run stored parameters again; exit 1 if a single bit of a return differs."""
-    from sim.paper.cell import load_cell
-    from sim.paper.train import replay
-
-    differ, count = [], 0
+    differ, replayed, exact = [], 0, 0
     for name in names:
-        path = shelf.find(name)
+        path = store.find(name)
         if path is None:
             continue
-        cell, count = load_cell(path), count + 1
-        found = replay(cell, circuit)
-        if any(getattr(cell, field) != value for field, value in found.items()):
-            differ.append({**name.model_dump(), "stored": cell.mean, "replayed": found["mean"]})
-    if not count:
+        result = load_result(path)
+        found = replay(result, circuit)
+        replayed += 1
+        exact += all(getattr(result, field) == value for field, value in found.items())
+        if not agrees(result, found):
+            differ.append({**name.model_dump(), "stored": result.mean, "replayed": found["mean"]})
+    if not replayed:
         raise UsageError("there are no such runs to replay; rover-ncp paper status lists the runs that exist")
-    output.result({"replayed": count, "differ": differ}, f"{count} runs replayed, {len(differ)} differ")
+    output.result(
+        {"replayed": replayed, "exact": exact, "differ": differ},
+        f"{replayed} runs replayed, {exact} to the last bit, {len(differ)} differ",
+    )
     return 1 if differ else 0

@@ -1,40 +1,40 @@
-"""Learning curves as in the paper's figure: of every task the median of the runs and their middle half."""
+"""Learning curves as in the paper's figure: each task's median of the runs and their middle half."""
 
 import io
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.paper.agents import AGENTS
-from sim.paper.cell import Cell, Shelf
+from sim.paper.results import Result, ResultStore
 from sim.paper.tasks import TASKS
 
 _POINTS = 200
 _WIDE = 100.0
-"""An axis that spans this needs no labels between the powers of ten."""
-_LEAST_RETURN = -6.0
+"""Span of an axis that needs no labels between the powers of ten."""
+_LOWEST_RETURN = -6.0
 """Lowest return shown for parking; agents with a lower one do not drive to the goal."""
 _COLORS = dict(zip(AGENTS, ("tab:blue", "tab:orange", "tab:green", "tab:red", "0.4", "0.7"), strict=True))
 
 
-def curves_png(shelf: Shelf) -> bytes:
-    """Return a picture of the runs that are made, as PNG. Raises FileError."""
+def curves_png(store: ResultStore) -> bytes:
+    """Return the learning curves of all runs as PNG. Raises FileError."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
-    tasks = [task for task in TASKS.values() if any(_cells(shelf, task.name, agent) for agent in AGENTS)]
+    found = {(task, agent): _results(store, task, agent) for task in TASKS for agent in AGENTS}
+    tasks = [task for name, task in TASKS.items() if any(found[name, agent] for agent in AGENTS)]
     columns = min(max(len(tasks), 1), 3)
     rows = max(-(-len(tasks) // columns), 1)
     figure = Figure(figsize=(4.6 * columns, 3.1 * rows), dpi=100, layout="constrained")
     grid: Any = figure.subplots(rows, columns, squeeze=False)
     for axes, task in zip(grid.flat, tasks, strict=False):
         for agent in AGENTS:
-            if cells := _cells(shelf, task.name, agent):
-                _draw(axes, cells, agent)
+            if results := found[task.name, agent]:
+                _draw(axes, results, agent)
         if task.success < 0:
-            axes.set_ylim(bottom=_LEAST_RETURN)
+            axes.set_ylim(bottom=_LOWEST_RETURN)
         axes.axhline(task.success, color="0.6", linewidth=0.8, linestyle=":")
         axes.set_title(task.title, fontsize=9)
         axes.set_xscale("log")
@@ -53,22 +53,19 @@ def curves_png(shelf: Shelf) -> bytes:
     return buffer.getvalue()
 
 
-def _cells(shelf: Shelf, task: str, agent: str) -> list[Cell]:
-    return [cell for cell in shelf.cells(task, agent) if len(cell.curve) > 1]
+def _results(store: ResultStore, task: str, agent: str) -> list[Result]:
+    return [result for result in store.results(task, agent) if len(result.curve) > 1]
 
 
-def _draw(axes: Any, cells: Sequence[Cell], agent: str) -> None:
-    first = min(cell.curve[0][0] for cell in cells)
-    last = max(cell.steps for cell in cells)
+def _draw(axes: Any, results: Sequence[Result], agent: str) -> None:
+    first = min(result.curve[0][0] for result in results)
+    last = max(result.steps for result in results)
     steps = np.geomspace(max(first, 1), last, _POINTS)
-    values = np.array([_values_at(cell, steps) for cell in cells])
+    values = []
+    for result in results:
+        marks, estimates = np.array(result.curve).T
+        # Before a run's first estimate, that one is shown.
+        values.append(estimates[np.maximum(np.searchsorted(marks, steps, side="right") - 1, 0)])
     low, middle, high = np.nanpercentile(values, [25, 50, 75], axis=0)
     axes.fill_between(steps, low, high, color=_COLORS[agent], alpha=0.15, linewidth=0)
-    axes.plot(steps, middle, color=_COLORS[agent], linewidth=1.5, label=f"{agent} ({len(cells)})")
-
-
-def _values_at(cell: Cell, steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a run's estimate at so many steps; before its first, that."""
-    marks, values = np.array(cell.curve).T
-    found: NDArray[np.float64] = values[np.maximum(np.searchsorted(marks, steps, side="right") - 1, 0)]
-    return found
+    axes.plot(steps, middle, color=_COLORS[agent], linewidth=1.5, label=f"{agent} ({len(results)})")

@@ -1,12 +1,12 @@
 """PPO and A2C of stable-baselines3 on the paper's tasks, with a network of eleven cells.
 
-They see what Gymnasium's environment shows. Of what they learn the actor is kept: one hidden layer of tanh
-cells, and how observations are normalised. It is scored by a few lines of numpy, which need no torch, so that
-a stored run is replayed wherever MuJoCo is.
+They get Gymnasium's observations. A run keeps the actor: one hidden layer of tanh cells, and the
+normalisation of observations. A few lines of numpy score it without torch, so a stored run can be replayed
+wherever MuJoCo is installed.
 
-Several environments learn side by side, which shares out what torch costs for each call. On mountain car
-exploration depends on the state (Raffin et al. 2021, gSDE) and holds on for some steps: without that no
-reward is ever seen.
+Several environments run side by side, which shares the cost of each call of torch. On mountain car
+exploration depends on the state (Raffin et al. 2021, gSDE) and lasts for some steps: without that, training
+never gets a reward.
 """
 
 from collections.abc import Mapping
@@ -17,22 +17,21 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.errors import UsageError
 from sim.learn.search.base import Vector
-from sim.paper.plants import MOUNTAIN_CAR
-from sim.paper.tasks import Benchmark, Task
+from sim.paper.plants.lanes import MOUNTAIN_CAR
+from sim.paper.tasks import Benchmark
 
 FloatArray = NDArray[np.float64]
 
 CELLS = 11
 _QUICK_STEPS = 4096
-_LEAST_VARIANCE = 1e-8
-_MOST_NORMALISED = 10.0
+# stable_baselines3.common.vec_env.VecNormalize
+_VARIANCE_EPSILON, _CLIP = 1e-8, 10.0
 
 
 @dataclass(frozen=True)
 class Training:
-    """Steps in all, environments side by side, and what differs from the library's defaults."""
+    """Steps in all, environments side by side, and options that differ from the library's defaults."""
 
     steps: int
     environments: int
@@ -61,19 +60,18 @@ class PaperEnvironment(gymnasium.Wrapper[Any, Any, Any, Any]):
     """A task's Gymnasium environment with its step, its start and its bonus."""
 
     def __init__(self, task: Benchmark) -> None:
-        model = task.mujoco
-        options: dict[str, Any] = {"frame_skip": model.frames} if model else {}
+        options: dict[str, Any] = {"frame_skip": task.model.frames} if task.model else {}
         super().__init__(gymnasium.make(task.environment, **options))
         self.task, self._generator = task, np.random.default_rng(0)
-        if model and model.step_s is not None:
-            self.unwrapped.model.opt.timestep = model.step_s  # type: ignore[attr-defined]
+        if task.model:
+            self.unwrapped.model.opt.timestep = task.model.step_s  # type: ignore[attr-defined]
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode at the task's start for a seed."""
         seen, info = self.env.reset(seed=seed)
         if seed is not None:
             self._generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
-        if self.task.mujoco:
+        if self.task.model:
             start = self.task.start(self._generator)
             half = len(start) // 2
             self.unwrapped.set_state(start[:half], start[half:])  # type: ignore[attr-defined]
@@ -81,11 +79,10 @@ class PaperEnvironment(gymnasium.Wrapper[Any, Any, Any, Any]):
         return seen, info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Step, with the bonus of a step that is rewarded."""
-        seen, reward, terminated, truncated, info = self.env.step(action)
-        if self.task.bonus and not terminated:
-            reward = float(reward) + self.task.bonus * (1.0 - abs(float(seen[0])))
-        return seen, float(reward), terminated, truncated, info
+        """Step; the reward includes the bonus, which ``info`` has too."""
+        seen, plain, terminated, truncated, info = self.env.step(action)
+        bonus = 0.0 if terminated else self.task.bonus * (1.0 - abs(float(seen[0])))
+        return seen, float(plain) + bonus, terminated, truncated, {**info, "bonus": bonus}
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +113,7 @@ class Actor:
 
     def act(self, seen: FloatArray) -> FloatArray:
         """Return the action for an observation."""
-        normal = (seen - self.center) / np.sqrt(self.variance + _LEAST_VARIANCE)
-        normal = np.clip(normal, -_MOST_NORMALISED, _MOST_NORMALISED)
+        normal = np.clip((seen - self.center) / np.sqrt(self.variance + _VARIANCE_EPSILON), -_CLIP, _CLIP)
         cells = np.tanh(self.hidden[:, :-1] @ normal + self.hidden[:, -1])
         action: FloatArray = self.output[:, :-1] @ cells + self.output[:, -1]
         return action
@@ -128,14 +124,12 @@ def training_of(task: Benchmark, agent: str) -> Training:
     return (_CAR if task.plant == MOUNTAIN_CAR else _PENDULUM)[agent]
 
 
-def train_actor(task: Task, agent: str, seed: int, quick: bool = False) -> tuple[Actor, int]:
-    """Train by ``ppo`` or ``a2c``; returns the actor and the steps taken. Raises UsageError."""
+def train_actor(task: Benchmark, agent: str, seed: int, *, quick: bool) -> tuple[Actor, int]:
+    """Train by ``ppo`` or ``a2c``; return the actor and the steps taken."""
     import torch
     from stable_baselines3 import A2C, PPO
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-    if not isinstance(task, Benchmark):
-        raise UsageError(f"{agent} is not trained on {task.name}")
     torch.set_num_threads(1)
     training = training_of(task, agent)
     options = training.options
@@ -154,24 +148,19 @@ def train_actor(task: Task, agent: str, seed: int, quick: bool = False) -> tuple
     return Actor(np.array(seen.mean), np.array(seen.var), hidden, output), int(model.num_timesteps)
 
 
-def score_actor(
-    task: Task, vector: Vector, seeds: NDArray[np.uint64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def score_actor(task: Benchmark, vector: Vector, seeds: NDArray[np.uint64]) -> tuple[FloatArray, FloatArray]:
     """Return an actor's returns with bonus, and Gymnasium's, (n,) each, in episodes of seeds (n,)."""
-    assert isinstance(task, Benchmark)
     world = PaperEnvironment(task)
     [observations], [actions] = world.observation_space.shape, world.action_space.shape  # type: ignore[misc]
     low, high = world.action_space.low, world.action_space.high  # type: ignore[attr-defined]
     actor = Actor.of(vector, observations, actions)
-    rewards = np.zeros((len(seeds), 2))
-    for row, seed in zip(rewards, seeds, strict=True):
+    returns = np.zeros((len(seeds), 2))
+    for number, seed in enumerate(seeds):
         seen, _ = world.reset(seed=int(seed))
         over = False
         while not over:
             action = np.clip(actor.act(np.asarray(seen, np.float64)), low, high).astype(np.float64)
-            seen, reward, terminated, truncated, _ = world.step(action)
+            seen, reward, terminated, truncated, info = world.step(action)
             over = terminated or truncated
-            row[0] += reward
-            bonus = task.bonus * (1.0 - abs(float(seen[0]))) if not terminated else 0.0
-            row[1] += reward - bonus
-    return rewards[:, 0], rewards[:, 1]
+            returns[number] += reward, reward - info["bonus"]
+    return returns[:, 0], returns[:, 1]

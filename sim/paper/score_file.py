@@ -1,4 +1,4 @@
-"""A circuit of a file on one of the paper's benchmarks: ``rover-ncp eval FILE --task NAME``."""
+"""Score of a circuit file on one of the paper's benchmarks: ``rover-ncp eval FILE --task NAME``."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,7 +9,7 @@ import numpy as np
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import UsageError
-from sim.paper.arena import Arena, draw_seeds
+from sim.paper.evaluator import Evaluator, draw_seeds
 from sim.paper.tasks import Benchmark, find_task
 
 EPISODES = 100
@@ -18,23 +18,22 @@ EPISODES = 100
 def score_circuit(
     file: str, task_name: str, ranges: Sequence[str] = (), episodes: int = EPISODES, seed: int = 0
 ) -> dict[str, Any]:
-    """Return how a circuit does in episodes of a task, with other sensor ranges if such are given.
+    """Return the score of a circuit in episodes of a task, with other sensor ranges if such are given.
 
-    A ``.bnn`` circuit gets sensors that are not clamped, as it was trained. Raises UsageError, FileError, or
+    A ``.bnn`` circuit gets unclamped sensors, as it was trained with. Raises UsageError, FileError, or
     ConfigError when the circuit lacks a neuron that the task's mapping names.
     """
     task = find_task(task_name)
     if not isinstance(task, Benchmark):
-        raise UsageError(f"{task_name} is what eval drives without --task, on --course parking")
+        raise UsageError(f"{task_name}: use eval without --task, with --course parking")
     policy = task.policy(load_circuit(file))
     if policy.input_layer is not None:
-        raise UsageError(f"{task_name} has linear layers, which a circuit's file has not")
-    policy = with_ranges(policy, ranges)
+        raise UsageError(f"{task_name} has linear layers, which a circuit file does not contain")
+    policy = _with_ranges(policy, ranges)
     if file.endswith(".bnn"):
         policy = replace(policy, sensing=policy.sensing.model_copy(update={"clamp": False}))
-    found = Arena(task, policy).run(
-        np.tile(policy.parameters(), (episodes, 1)), draw_seeds(seed, (0,), episodes)
-    )
+    vectors = np.tile(policy.parameters(), (episodes, 1))
+    found = Evaluator(task, policy).run(vectors, draw_seeds(seed, (0,), episodes))
     returns, plain = found[:, :2].sum(axis=1), found[:, 0]
     return {
         "task": task_name,
@@ -48,8 +47,8 @@ def score_circuit(
     }
 
 
-def with_ranges(policy: Policy, ranges: Sequence[str]) -> Policy:
-    """Return a policy whose sensors reach elsewhere: each range is ``NAME=LIMIT``. Raises UsageError."""
+def _with_ranges(policy: Policy, ranges: Sequence[str]) -> Policy:
+    """Return a policy with other sensor ranges, each as ``NAME=LIMIT``. Raises UsageError."""
     known = [channel.name for channel in policy.sensing.channels]
     limits = {}
     for text in ranges:

@@ -1,43 +1,74 @@
-"""The paper's tables, from the runs that are made.
+"""The paper's tables, from the runs that exist, as records and as Markdown.
 
-Beside each cell stands the paper's, and a verdict: better or worse if Welch's t-test, on mean, standard
-deviation and number of runs of both, finds a difference at the 5 % level, otherwise equal within noise.
+Beside each row of ours stands the paper's, and a verdict: better or worse if Welch's t-test, on mean,
+standard deviation and number of runs of both, finds a difference at the 5 % level, otherwise equal within
+noise.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sim.paper.agents import AGENTS
-from sim.paper.cell import Cell, Shelf
-from sim.paper.grid import GRID
-from sim.paper.published import RUNS, SPARSITY, Reported, reported
+from sim.paper.agents import GRADIENTS
+from sim.paper.results import Result, ResultStore
+from sim.paper.runs import BudgetName, budget_for
+from sim.paper.selection import GRID, Group
 from sim.paper.tasks import TASKS
-from sim.paper.train import BudgetName, budget_for
 
 LEVEL = 0.05
-
-
-class Table(StrEnum):
-    """Which agents are compared."""
-
-    RANDOM = "table1"
-    GRADIENTS = "table2"
-    DEEP = "table3"
-
-
-TABLES: Mapping[Table, tuple[str, ...]] = {
-    Table.RANDOM: ("circuit", "random"),
-    Table.GRADIENTS: ("circuit", "ppo", "a2c"),
-    Table.DEEP: ("lstm", "mlp", "circuit", "random"),
+TABLES: dict[str, tuple[str, ...]] = {
+    "table1": ("circuit", "random"),
+    "table2": ("circuit", *GRADIENTS),
+    "table3": ("lstm", "mlp", "circuit", "random"),
 }
+"""Agents that each table compares."""
+
+
+class Published(NamedTuple):
+    """Mean and standard deviation over the paper's runs, and the share that succeeded where it is given."""
+
+    mean: float
+    std: float
+    success_rate: float | None = None
+
+
+PUBLISHED_RUNS = 10
+_PENDULUM = {
+    "lstm": Published(629.0, 453.1, 0.4),
+    "mlp": Published(1177.5, 31.8, 1.0),
+    "circuit": Published(1168.5, 21.7, 0.9),
+    "random": Published(138.1, 263.2, 0.1),
+    "ppo": Published(1187.4, 51.7),
+    "a2c": Published(1191.2, 45.2),
+}
+PUBLISHED = {
+    # The paper's pendulum was Roboschool's; Gymnasium's is the task of today.
+    "pendulum": _PENDULUM,
+    "roboschool": _PENDULUM,
+    "mountain-car": {
+        "lstm": Published(97.5, 1.25, 1.0),
+        "mlp": Published(95.9, 1.86, 1.0),
+        "circuit": Published(91.5, 6.6, 0.8),
+        "random": Published(54.0, 44.6, 0.5),
+        "ppo": Published(94.6, 1.3),
+        "a2c": Published(86.4, 18.3),
+    },
+    "half-cheetah": {
+        "lstm": Published(1588.9, 353.8, 0.1),
+        "mlp": Published(1271.8, 634.4, 0.0),
+        "circuit": Published(2587.4, 846.8, 0.727),
+        "random": Published(1743.0, 642.3, 0.5),
+    },
+}
+_SPARSITY = {"lstm": 0.0, "mlp": 0.0, "circuit": 0.77, "random": 0.77}
+"""Share of the possible connections that an agent does without."""
 
 
 class Verdict(StrEnum):
-    """Ours against the paper's."""
+    """Our runs against the paper's."""
 
     BETTER = "better"
     EQUAL = "equal within noise"
@@ -45,8 +76,8 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A cell of a table: the runs of a task and an agent."""
+class Row:
+    """The runs of a task and an agent."""
 
     task: str
     agent: str
@@ -59,67 +90,80 @@ class Entry:
     success_rate: float | None
     cpu_s: float | None
     """Mean of a run."""
-    published: Reported | None
+    published: Published | None
     verdict: Verdict | None
     p: float | None
 
     def fields(self) -> dict[str, Any]:
-        """Return what ``--json`` prints."""
-        published = self.published._asdict() | {"runs": RUNS} if self.published else None
-        sparsity = SPARSITY.get(self.agent)
-        return vars(self) | {"published": published, "sparsity": sparsity, "test": "Welch"}
+        """Return the row as ``--json`` prints it."""
+        published = self.published._asdict() | {"runs": PUBLISHED_RUNS} if self.published else None
+        return vars(self) | {"published": published, "sparsity": _SPARSITY.get(self.agent), "test": "Welch"}
+
+    def texts(self) -> tuple[str, ...]:
+        """Return the row's cells as Markdown."""
+        paper = self.published
+        rate = "" if paper is None or paper.success_rate is None else f" ({paper.success_rate:.0%})"
+        return (
+            TASKS[self.task].title,
+            self.agent,
+            f"{self.runs} of {self.wanted}",
+            _mean(self.mean, self.std),
+            "" if self.success_rate is None else f"{self.success_rate:.0%}",
+            "" if paper is None else f"{paper.mean:.1f} ± {paper.std:.1f}{rate}",
+            "" if self.verdict is None else f"{self.verdict} (p = {self.p:.2g})",
+            "" if self.cpu_s is None else f"{self.cpu_s:.0f} s",
+        )
 
 
-def verdict(mean: float, std: float, runs: int, published: Reported) -> tuple[Verdict, float]:
-    """Return how runs compare with the paper's, and the probability of such a difference by chance."""
+def table(which: str, store: ResultStore) -> list[Row]:
+    """Return a table's rows by task, including those without a run. Raises FileError."""
+    order = list(TABLES[which])
+    tasks = {group.task for group in GRID if group.agent == order[-1]}
+    groups = [group for group in GRID if group.agent in order and group.task in tasks]
+    groups.sort(key=lambda group: (list(TASKS).index(group.task), order.index(group.agent)))
+    return [make_row(group, store.results(group.task, group.agent)) for group in groups]
+
+
+def make_row(group: Group, results: Sequence[Result]) -> Row:
+    """Return a row of a table."""
+    paper, judged, p = PUBLISHED.get(group.task, {}).get(group.agent), None, None
+    mean = std = plain = success = cpu_s = None
+    if results:
+        mean, plain, success, cpu_s = (
+            float(np.mean([getattr(result, field) for result in results]))
+            for field in ("mean", "plain_mean", "success", "cpu_s")
+        )
+    if len(results) > 1 and mean is not None:
+        std = float(np.std([result.mean for result in results], ddof=1))
+        if paper is not None:
+            judged, p = compare(mean, std, len(results), paper)
+    return Row(
+        group.task, group.agent, len(results), group.runs, mean, std, plain, success, cpu_s, paper, judged, p
+    )
+
+
+def compare(mean: float, std: float, runs: int, published: Published) -> tuple[Verdict, float]:
+    """Return the verdict on our runs, and the probability of such a difference by chance."""
     from scipy.stats import ttest_ind_from_stats
 
     if std == 0.0 and published.std == 0.0:
         p = 1.0 if mean == published.mean else 0.0
     else:
-        p = float(
-            ttest_ind_from_stats(mean, std, runs, published.mean, published.std, RUNS, equal_var=False).pvalue
-        )
+        theirs = (published.mean, published.std, PUBLISHED_RUNS)
+        p = float(ttest_ind_from_stats(mean, std, runs, *theirs, equal_var=False).pvalue)
     if p >= LEVEL:
         return Verdict.EQUAL, p
     return (Verdict.BETTER if mean > published.mean else Verdict.WORSE), p
 
 
-def entry(task: str, agent: str, wanted: int, cells: Sequence[Cell]) -> Entry:
-    """Return the cell of a table."""
-    paper, judged, p = reported(task, agent), None, None
-    mean = std = plain = success = cpu_s = None
-    if cells:
-        means = np.array([cell.mean for cell in cells])
-        mean, plain = float(means.mean()), float(np.mean([cell.plain_mean for cell in cells]))
-        success = float(np.mean([cell.success for cell in cells]))
-        cpu_s = float(np.mean([cell.cpu_s for cell in cells]))
-    if len(cells) > 1:
-        std = float(means.std(ddof=1))
-        if paper is not None and mean is not None:
-            judged, p = verdict(mean, std, len(cells), paper)
-    return Entry(task, agent, len(cells), wanted, mean, std, plain, success, cpu_s, paper, judged, p)
-
-
-def table(which: Table, shelf: Shelf) -> list[Entry]:
-    """Return a table's cells, by task, those without a run as well. Raises FileError."""
-    agents = TABLES[which]
-    return [
-        entry(group.task, group.agent, group.runs, shelf.cells(group.task, group.agent))
-        for task in TASKS
-        for agent in agents
-        for group in GRID
-        if (group.task, group.agent) == (task, agent)
-        and (which is not Table.GRADIENTS or _has_gradients(task))
-    ]
-
-
-def _has_gradients(task: str) -> bool:
-    return any(group.task == task and group.agent == AGENTS[-1] for group in GRID)
+def table_text(rows: Sequence[Row]) -> str:
+    """Return a table as Markdown."""
+    head = ("task", "agent", "runs", "ours", "success", "paper", "verdict", "core time")
+    return markdown([head, *(row.texts() for row in rows)])
 
 
 def parameters() -> list[dict[str, Any]]:
-    """Return the experiments' parameters: the paper's, and what a run may take by default."""
+    """Return the experiments' parameters: the paper's, and the limits of a run with the default budget."""
     rows = []
     for task in TASKS.values():
         policy = task.policy(task.circuit())
@@ -128,9 +172,7 @@ def parameters() -> list[dict[str, Any]]:
             {
                 "task": task.name,
                 "horizon": task.horizon,
-                "iterations": task.settings.iterations,
-                "rollouts": task.settings.rollouts,
-                "worst": task.settings.worst,
+                **task.settings._asdict(),
                 "success": task.success,
                 "default_steps": ours.steps,
                 "default_starts": ours.starts,
@@ -142,3 +184,27 @@ def parameters() -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def parameters_text(rows: Sequence[dict[str, Any]]) -> str:
+    """Return the experiments' parameters as Markdown."""
+    keys = ("task", "horizon", "iterations", "rollouts", "worst", "success", "parameters", "default_steps")
+    return markdown([keys, *(tuple(str(row[key]) for key in keys) for row in rows)])
+
+
+def markdown(rows: Sequence[tuple[str, ...]]) -> str:
+    """Return rows of texts, the first one the head, as a Markdown table in even columns."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        "| " + " | ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) + " |"
+        for row in rows
+    ]
+    return "\n".join([lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]])
+
+
+def _mean(mean: float | None, std: float | None) -> str:
+    if mean is None:
+        return ""
+    digits = 1 if abs(mean) >= 10 else 3
+    spread = "" if std is None else f" ± {std:.{digits}f}"
+    return f"{mean:.{digits}f}{spread}"

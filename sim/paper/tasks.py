@@ -1,11 +1,11 @@
-"""The paper's tasks: environment, mappings, settings, and what counts as success.
+"""The paper's tasks: environment, mappings, settings, and success.
 
 Mappings and settings: Hasani et al. (ICRA 2020), Tables S1 and S3. Thresholds are Gymnasium's where it has
 one. A pendulum's paper return has a bonus of 0.2 (1 - |x|) on every rewarded step, so it ends at 1200.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -18,53 +18,35 @@ from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.circuit.tap_withdrawal import four_dof_circuit, parking_circuit, tap_withdrawal_circuit
 from rover_ncp.core.errors import UsageError
-from sim.paper.plants import (
-    CART_POLE,
-    CHEETAH,
-    MOUNTAIN_CAR,
-    PENDULUM,
-    WRITTEN_CHEETAH,
-    WRITTEN_PENDULUM,
-)
+from sim.paper.plants.lanes import CART_POLE, HALF_CHEETAH, MOUNTAIN_CAR, PENDULUM, WRITTEN_PENDULUM
 
 FloatArray = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Settings:
-    """How the paper searches: candidates, rollouts of each, and how many worst ones are averaged."""
+class Settings(NamedTuple):
+    """The paper's search: candidates, rollouts of each, and how many worst ones are averaged."""
 
     iterations: int
     rollouts: int
     worst: int
 
 
-@dataclass(frozen=True)
-class MujocoModel:
-    """A model of Gymnasium's, steps of it in one of the environment, and their length if not the model's."""
+class MujocoModel(NamedTuple):
+    """One of Gymnasium's model files, its step, and how many steps make one of the environment."""
 
     file: str
+    step_s: float
     frames: int
-    step_s: float | None = None
 
 
 class SearchName(StrEnum):
-    """How a benchmark is searched by default."""
+    """A benchmark's default search."""
 
-    PUBLISHED = "published"
-    """``search.py``, as the paper does, and what makes it cheaper."""
+    RANDOM = "random"
+    """``random_search.py``: the paper's, with cheaper estimates."""
     CMA = "cma"
+    CMA_HALVING = "cma-halving"
     """``cma_search.py``."""
-    EVOLUTION = "evolution"
-    """``evolution.py``."""
-
-
-class StandIn(NamedTuple):
-    """A plant written out here that equals MuJoCo's, and steps of so long in one of the environment."""
-
-    plant: int
-    step_s: float
-    frames: int
 
 
 @dataclass(frozen=True)
@@ -76,55 +58,55 @@ class Task:
     settings: Settings
     horizon: int
     success: float
-    """A run succeeds whose mean return, without bonus, is at least this."""
+    """A run succeeds when its mean return, without bonus, is at least this."""
     enough: float
-    """A search that has confirmed such a return, with bonus, may stop."""
+    """A search may stop when it has confirmed this return, with bonus."""
     steps: int
-    """Steps of the environment that a run takes by default, at most."""
-    circuit: Callable[[], Circuit]
-    """The untuned tap-withdrawal circuit with the task's motor neurons."""
+    """Steps of the environment in a run with the default budget, at most."""
     policy: Callable[[Circuit], Policy]
     """Puts the task's sensing and motors around a circuit."""
+    circuit: Callable[[], Circuit] = tap_withdrawal_circuit
+    """The untuned tap-withdrawal circuit with the task's motor neurons."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Benchmark(Task):
-    """A task of Gymnasium's, run in lanes."""
+    """One of Gymnasium's tasks, run in lanes."""
 
-    plant: int = MOUNTAIN_CAR
-    start: Callable[[np.random.Generator], FloatArray] = field(default=lambda generator: np.zeros(0))
+    plant: int
+    start: Callable[[np.random.Generator], FloatArray]
     """Draws the first state as the environment's reset does."""
-    environment: str = ""
-    mujoco: MujocoModel | None = None
-    stand_in: StandIn | None = None
-    """A plant that replaces MuJoCo in the search; results are MuJoCo's."""
-    search: SearchName = SearchName.PUBLISHED
+    environment: str
+    model: MujocoModel | None = None
+    search_plant: int | None = None
+    """A faster plant for the search; reported results are those of ``plant``."""
+    search: SearchName = SearchName.RANDOM
     bonus: float = 0.0
-    starts: int = 3000
+    untuned: int = 3000
     """Untuned agents that are tried before the search begins."""
 
 
-def two_signals(name: str, inputs: tuple[tuple[str, float], ...], end: float) -> Callable[[Circuit], Policy]:
+def two_signals(name: str, inputs: dict[str, float], limit: float) -> Callable[[Circuit], Policy]:
     """Return the mapping of two signals to the touch neurons in pairs, and of FWD and REV to one action."""
     pairs = (("PLM", "AVM"), ("ALM", "PVD"))
     channels = tuple(
-        Channel(name=signal, positive=positive, maximum=limit, negative=negative, minimum=-limit)
-        for (signal, limit), (positive, negative) in zip(inputs, pairs, strict=True)
+        Channel(name=signal, positive=positive, maximum=end, negative=negative, minimum=-end)
+        for (signal, end), (positive, negative) in zip(inputs.items(), pairs, strict=True)
     )
-    sensing = Sensing(name=name, inputs=tuple(signal for signal, _ in inputs), channels=channels)
-    action = Channel(name="action", positive="FWD", maximum=end, negative="REV", minimum=-end)
+    sensing = Sensing(name=name, inputs=tuple(inputs), channels=channels)
+    action = Channel(name="action", positive="FWD", maximum=limit, negative="REV", minimum=-limit)
     motors = Motors(outputs=("action",), channels=(action,))
     return lambda circuit: Policy(circuit, sensing, motors)
 
 
+_JOINTS = ("back_thigh", "back_shin", "back_foot", "front_thigh", "front_shin", "front_foot")
 _CHEETAH_RANGES = (0.1, 0.3, *(0.5,) * 6, 1.5, 1.0, 1.5, *(6.0,) * 6)
-"""How large a half-cheetah's observations usually are, so that a weight means about the same to each."""
+"""Usual size of a half-cheetah's observations, so that a weight means about the same to each."""
 
 
 def _cheetah_policy(circuit: Circuit) -> Policy:
     """Put the two linear layers, 17 to 2 and 2 to 6, around a circuit."""
-    joints = ("back_thigh", "back_shin", "back_foot", "front_thigh", "front_shin", "front_foot")
-    places = ("z", "pitch", *joints)
+    places = ("z", "pitch", *_JOINTS)
     inputs = (*places, "v_x", *(f"{place}_rate" for place in places))
     sensing = Sensing(
         name="half-cheetah",
@@ -136,20 +118,15 @@ def _cheetah_policy(circuit: Circuit) -> Policy:
         ),
     )
     motors = Motors(
-        outputs=joints,
-        limits=(1.0,) * len(joints),
+        outputs=_JOINTS,
+        limits=(1.0,) * len(_JOINTS),
         channels=(
             Channel(name="forward", positive="FWD", maximum=1.0),
             Channel(name="reverse", positive="REV", maximum=1.0),
         ),
     )
-    return Policy(
-        circuit,
-        sensing,
-        motors,
-        input_layer=np.zeros((2, len(inputs))),
-        output_layer=np.zeros((len(joints), 2)),
-    )
+    layers = np.zeros((2, len(inputs))), np.zeros((len(_JOINTS), 2))
+    return Policy(circuit, sensing, motors, input_layer=layers[0], output_layer=layers[1])
 
 
 def _car_start(generator: np.random.Generator) -> FloatArray:
@@ -181,18 +158,15 @@ def _pendulum(name: str, title: str, roboschool: bool, bonus: float) -> Benchmar
         success=950.0,
         enough=999.5 + 195.0 * bonus / 0.2,
         steps=12_000_000,
-        circuit=tap_withdrawal_circuit,
-        policy=two_signals("pendulum", (("angle", 0.12), ("cart", 1.0)), 0.3),
+        policy=two_signals("pendulum", {"angle": 0.12, "cart": 1.0}, 0.3),
         plant=PENDULUM,
         start=_roboschool_start if roboschool else _pendulum_start,
         environment="InvertedPendulum-v5",
-        mujoco=MujocoModel("inverted_pendulum.xml", 1, 0.0165)
-        if roboschool
-        else MujocoModel("inverted_pendulum.xml", 2),
-        stand_in=StandIn(WRITTEN_PENDULUM, 0.0165, 1) if roboschool else StandIn(WRITTEN_PENDULUM, 0.02, 2),
+        model=MujocoModel("inverted_pendulum.xml", *((0.0165, 1) if roboschool else (0.02, 2))),
+        search_plant=WRITTEN_PENDULUM,
         search=SearchName.CMA,
         bonus=bonus,
-        starts=5000,
+        untuned=5000,
     )
 
 
@@ -205,8 +179,8 @@ def _parking(name: str, title: str, circuit: Callable[[], Circuit]) -> Task:
         success=-0.1,
         enough=-0.03,
         steps=320 * 100_000,
-        circuit=circuit,
         policy=parking_policy,
+        circuit=circuit,
     )
 
 
@@ -223,8 +197,7 @@ _ALL = (
         success=90.0,
         enough=98.0,
         steps=40_000_000,
-        circuit=tap_withdrawal_circuit,
-        policy=two_signals("mountain-car", (("position", 1.0), ("velocity", 0.02)), 1.0),
+        policy=two_signals("mountain-car", {"position": 1.0, "velocity": 0.02}, 1.0),
         plant=MOUNTAIN_CAR,
         start=_car_start,
         environment="MountainCarContinuous-v0",
@@ -237,15 +210,13 @@ _ALL = (
         success=2000.0,
         enough=6000.0,
         steps=6_000_000,
-        circuit=tap_withdrawal_circuit,
         policy=_cheetah_policy,
-        plant=CHEETAH,
+        plant=HALF_CHEETAH,
         start=_cheetah_start,
         environment="HalfCheetah-v5",
-        mujoco=MujocoModel("half_cheetah.xml", 5),
-        stand_in=StandIn(WRITTEN_CHEETAH, 0.01, 5),
-        search=SearchName.EVOLUTION,
-        starts=400,
+        model=MujocoModel("half_cheetah.xml", 0.01, 5),
+        search=SearchName.CMA_HALVING,
+        untuned=400,
     ),
     Benchmark(
         name="cart-pole",
@@ -255,8 +226,7 @@ _ALL = (
         success=475.0,
         enough=499.0,
         steps=60_000_000,
-        circuit=tap_withdrawal_circuit,
-        policy=two_signals("cart-pole", (("angle", 0.15), ("rate", 1.0)), 1.0),
+        policy=two_signals("cart-pole", {"angle": 0.15, "rate": 1.0}, 1.0),
         plant=CART_POLE,
         start=_cart_pole_start,
         environment="CartPole-v1",
@@ -268,7 +238,7 @@ TASKS = {task.name: task for task in _ALL}
 
 
 def find_task(name: str) -> Task:
-    """Return a task by its name; raises UsageError, naming them all."""
+    """Return a task by its name; raises UsageError, which lists all names."""
     if name not in TASKS:
         raise UsageError(f"no task {name!r}; there are {', '.join(TASKS)}")
     return TASKS[name]

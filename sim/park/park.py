@@ -1,79 +1,132 @@
-"""The main job in one go: train a circuit in simulation, then park a robot with it through everything real.
+"""The main job in one go: train a circuit in simulation, then park a mock Pioneer with it as real processes.
 
-Training ends when the best agent parks with half the tolerance to spare, so that what the simulator does not
-know (encoder steps, the age of a packet, the estimate) has room. Then mock Pioneer, bridge and deploy run as
-three processes over TCP and Zenoh, and the true pose, which none of those who drive can see, is judged.
+Training ends when the best agent parks with half the tolerance to spare, as a reserve for what the simulator
+leaves out (encoder steps, the age of a packet, the estimate). Then mock Pioneer, bridge and deploy run as
+three processes over TCP and Zenoh, and the true pose is judged, which the driver does not know.
 """
 
+import shutil
 import signal
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deploy.drive_records import TICKS_TOPIC, TickRecord
+from deploy.report.charts.path import drive_chart
 from deploy.report.page.page import drive_page
 from deploy.report.recorded_drive import read_drive
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.errors import FileError, FormatError
+from rover_ncp.core.console import Output
+from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import require_creatable, write_atomic
-from rover_ncp.core.geometry import Pose
-from rover_ncp.core.messages import read_text
-from rover_ncp.core.recording import Recording, read_recording, rewrite
-from rover_ncp.course.course import Course, Verdict, load_course
-from sim.learn.ensemble import Snapshot
+from rover_ncp.core.recording import read_recording, rewrite
+from rover_ncp.course.course import Course, load_course
+from sim.learn.progress import TrainProgress
 from sim.learn.record import TrainSettings
 from sim.learn.rollout import rollout
-from sim.learn.train import TrainResult, train
-from sim.live.processes import TRUTH, LiveRun, ProcessError
-from sim.live.truth import TrueState, judge_truth, read_truth, recorded_truth
-from sim.park.picture import trajectory_png
+from sim.learn.train import train
+from sim.live.live_run import LiveRun
+from sim.live.processes import Finished, ProcessError
+from sim.live.truth import TRUTH, judge_truth, recorded_truth
+from sim.park.commands import ParkOptions
 
 TRAIN_LIMIT_S = 100.0
 """How long the search may take to find a circuit that parks in simulation."""
-PARK_ITERATIONS = 20_000
-RECORDING, LOG = "run.mcap", "log"
-_AGENTS = 12
+ITERATIONS, AGENTS = 20_000, 12
 _MARGIN = 0.5
 _DEPLOY_EXTRA_S = 60.0
 
 
-@dataclass(frozen=True)
-class Parked:
-    """Report of ``rover-ncp park``; errors are to the last checkpoint, in m and rad."""
-
-    verdict: Verdict
-    estimate: dict[str, Any]
-    pids: dict[str, int]
-    bridge: dict[str, Any]
-    recording: Path
-    picture: Path
-    report: Path
-    """The page that shows the drive."""
-
-
-def train_until_parked(
-    course: str,
-    seed: int,
-    folder: Path,
-    on_progress: Callable[[Snapshot], None],
-    limit_s: float = TRAIN_LIMIT_S,
-) -> TrainResult:
-    """Train until the best agent parks with room to spare, or ``limit_s`` has passed."""
-    deadline = time.monotonic() + limit_s
-    known = load_course(course)
-    return train(
-        TrainSettings(course=course, seed=seed, agents=_AGENTS, iterations=PARK_ITERATIONS),
-        folder,
-        on_progress=on_progress,
-        stop_when=lambda snapshot, best: parks_well(best, known) or time.monotonic() > deadline,
+def run_park(options: ParkOptions) -> int:
+    """Run ``park`` and return its exit code. Raises RoverNcpError when training or a process fails."""
+    output, out, policy = Output(options.json), options.out, options.policy
+    course = load_course(options.course)
+    for name in ("run.mcap", f"log/{TRUTH}"):  # before a long training
+        require_creatable(out / name, overwrite=options.overwrite)
+    training: dict[str, Any] | None = None
+    if policy is None:
+        training, policy, reason = _train(options, course, output)
+        if reason:
+            output.result(
+                {"parked": False, "reason": f"no agent parks: {reason}", "train": training},
+                f"not parked: no agent parks in simulation yet ({_summary(training)})",
+            )
+            return 1
+        output.say(f"{_summary(training)}: it parks in simulation")
+    load_policy(policy)  # a bad file is found before anything is started
+    recording, picture, report = out / "run.mcap", out / "trajectory.png", out / "run.html"
+    run = LiveRun(out / "log", mock=["--course", options.course, *_overwrite(options)])
+    with run:
+        output.say(
+            f"mock Pioneer and bridge are up ({run.robot}); the circuit drives for {course.horizon_s:.0f} s"
+        )
+        done, bridge = _drive(run, options, policy, course.horizon_s)
+    truth = run.truth.read()
+    rewrite(read_recording(recording), recording, recorded_truth(truth))
+    drive = read_drive(recording)
+    began_ns = drive.timeline.ticks[0].wall_ns
+    true_path = [state.pose for state in truth if state.wall_ns >= began_ns]
+    estimates = [tick.estimate.pose for tick in drive.timeline.ticks]
+    write_atomic(picture, drive_chart(course, true_path, estimates).png)
+    write_atomic(report, drive_page(drive))
+    verdict = judge_truth(course, truth, began_ns)
+    fields = {
+        "parked": verdict.parked,
+        "reason": verdict.reason,
+        "true_error_m": verdict.error_m,
+        "true_error_rad": verdict.error_rad,
+        **{
+            name: done.result[name]
+            for name in ("estimate_error_m", "estimate_error_rad", "ticks", "overruns")
+        },
+        "recording": str(recording),
+        "picture": str(picture),
+        "report": str(report),
+        "policy": policy,
+        "pids": {process.command: process.pid for process in run.processes},
+        **{name: bridge.result.get(name) for name in ("bytes_to_base", "bytes_from_base")},
+        "train": training,
+    }
+    ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
+    output.result(
+        fields,
+        f"{ending}; true final errors {1000 * verdict.error_m:.0f} mm and "
+        f"{1000 * verdict.error_rad:.0f} mrad\n"
+        f"picture: {picture}\nrecording: {recording}\nreport: {report}",
     )
+    return 0 if verdict.parked else 1
 
 
-def parks_well(policy: Policy, course: Course) -> bool:
-    """Whether a policy parks in simulation with half the tolerance to spare."""
+def _train(options: ParkOptions, course: Course, output: Output) -> tuple[dict[str, Any], str, str]:
+    """Train until the best agent parks with room to spare, or `TRAIN_LIMIT_S` has passed.
+
+    Returns JSON fields, the policy's file, and the reason why the best agent does not park, if it does not.
+    """
+    folder, deadline = options.out / "train", time.monotonic() + TRAIN_LIMIT_S
+    _clear(folder, overwrite=options.overwrite)
+    output.say("training twelve agents until the best one parks in simulation")
+    with TrainProgress(ITERATIONS) as progress:
+        result = train(
+            TrainSettings(course=options.course, seed=options.seed, agents=AGENTS, iterations=ITERATIONS),
+            folder,
+            on_progress=progress.show,
+            stop_when=lambda snapshot, best: _parks_well(best, course) or time.monotonic() > deadline,
+        )
+    fields = {
+        "best_return": result.agents.best.value,
+        "returns": result.agents.returns,
+        "iterations": result.agents.iterations,
+        "iterations_per_s": result.iterations_per_s,
+    }
+    return fields, str(result.policy_path), rollout(result.policy, course).verdict.reason
+
+
+def _summary(training: dict[str, Any]) -> str:
+    return f"best return {training['best_return']:.4f} after {training['iterations']} iterations"
+
+
+def _parks_well(policy: Policy, course: Course) -> bool:
+    """Return whether a policy parks in simulation with half the tolerance to spare."""
     verdict = rollout(policy, course).verdict
     return (
         verdict.parked
@@ -82,65 +135,35 @@ def parks_well(policy: Policy, course: Course) -> bool:
     )
 
 
-def require_free(out: Path, *, overwrite: bool) -> None:
-    """Raise FileError if `park` could not leave its files in a folder, for use before a long training."""
-    for name in (RECORDING, f"{LOG}/{TRUTH}"):
-        require_creatable(out / name, overwrite=overwrite)
+def _clear(folder: Path, *, overwrite: bool) -> None:
+    """Remove the training of an earlier run. Raises FileError for a folder that holds anything else."""
+    if not folder.exists():
+        return
+    if not overwrite:
+        raise FileError(f"{folder}: exists already; choose another --out, or add --overwrite")
+    if not (folder / "settings.yaml").is_file() and any(folder.iterdir()):
+        raise FileError(f"{folder}: is not empty and holds no training of an earlier park")
+    shutil.rmtree(folder)
 
 
-def park(
-    policy: str, course_name: str, out: Path, say: Callable[[str], None], *, overwrite: bool = False
-) -> Parked:
-    """Park a mock Pioneer with a policy, through real processes. Raises RoverNcpError when one fails."""
-    require_free(out, overwrite=overwrite)
-    insist = ["--overwrite"] if overwrite else []
-    course = load_course(course_name)
-    load_policy(policy)  # a bad file is found before anything is started
-    recording = out / RECORDING
-    with LiveRun(out / LOG, mock=["--course", course_name, *insist]) as run:
-        say(f"mock Pioneer and bridge are up ({run.robot}); the circuit drives for {course.horizon_s:.0f} s")
-        driver = run.deploy("--policy", policy, "--course", course_name, "--record", str(recording), *insist)
-        try:
-            done = driver.wait(course.horizon_s + _DEPLOY_EXTRA_S)
-        except KeyboardInterrupt:
-            driver.send_signal(signal.SIGINT)
-            driver.wait(_DEPLOY_EXTRA_S)
-            raise
-        pids = {name: process.pid for name, process in run.processes.items()}
-        bridge = run.processes["bridge"].stop()
-        run.processes["mock"].stop()
-    if done.code not in (0, 1) or not done.result:
-        raise ProcessError("deploy", done.code, done.last_line)
-    recorded = read_recording(recording)
-    truth = read_truth(run.truth)
-    began_ns, estimates = estimated_path(recorded)
-    rewrite(recorded, recording, recorded_truth(truth))
-    picture = out / "trajectory.png"
-    write_atomic(picture, trajectory_png(course, _true_path(truth, began_ns), estimates))
-    report = out / "run.html"
-    write_atomic(report, drive_page(read_drive(recording)))
-    return Parked(
-        verdict=judge_truth(course, truth, began_ns),
-        estimate=done.result,
-        pids=pids,
-        bridge=bridge.result,
-        recording=recording,
-        picture=picture,
-        report=report,
+def _drive(run: LiveRun, options: ParkOptions, policy: str, horizon_s: float) -> tuple[Finished, Finished]:
+    """Drive the course; return how driver and bridge ended. Raises ProcessError."""
+    recording = str(options.out / "run.mcap")
+    driver = run.deploy(
+        *("--policy", policy, "--course", options.course, "--record", recording), *_overwrite(options)
     )
-
-
-def estimated_path(recording: Recording) -> tuple[int, list[Pose]]:
-    """Return when the drive began (ns since the epoch) and the estimated pose of each tick."""
-    ticks = recording.topic(TICKS_TOPIC)
-    if not ticks:
-        raise FileError(f"{recording.path}: holds no tick of a drive")
     try:
-        records = [TickRecord.model_validate_json(read_text(tick.data)) for tick in ticks]
-    except ValueError as error:
-        raise FormatError(f"{recording.path}: damaged tick: {error}") from error
-    return records[0].wall_ns, [Pose(*record.estimate[:3]) for record in records]
+        done = driver.wait(horizon_s + _DEPLOY_EXTRA_S)
+    except KeyboardInterrupt:
+        driver.send_signal(signal.SIGINT)
+        driver.wait(_DEPLOY_EXTRA_S)
+        raise
+    bridge = run.bridge.stop()
+    run.mock.stop()
+    if done.code not in {0, 1} or not done.result:
+        raise ProcessError("deploy", done.code, done.last_line)
+    return done, bridge
 
 
-def _true_path(truth: list[TrueState], began_ns: int) -> list[Pose]:
-    return [state.pose for state in truth if state.wall_ns >= began_ns]
+def _overwrite(options: ParkOptions) -> list[str]:
+    return ["--overwrite"] if options.overwrite else []

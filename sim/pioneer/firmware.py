@@ -7,9 +7,8 @@ Rules of this file:
 2. Waiting for a client, SYNC0, SYNC1 and SYNC2 are echoed in order; a repeated one is echoed again, one out
    of order starts over, all else is ignored. In a session the same numbers are PULSE, OPEN and CLOSE.
 3. Any valid packet feeds the watchdog. When it has starved for 2 s the base halts; motors, session and
-   setpoints stay, and the next packet of any kind lets the setpoints go on.
-4. No byte, packet or argument can do anything but what is written here: what is unknown, cut short or of the
-   wrong type is counted and ignored. Commands that a mock has nothing to show for change nothing.
+   setpoints stay, and the next packet of any kind makes the base follow its setpoints again.
+4. Unknown commands and arguments that are cut short or of the wrong type are counted and ignored.
 5. The session belongs to the base, not to the line: a client that vanishes leaves it open.
 
 Sources: Adept Pioneer 3 manual p. 33, 37, 38, 43, 46, 50; AROS manual p. 28, 42 to 44. AMRISim differs in
@@ -21,38 +20,32 @@ from collections import Counter
 from collections.abc import Callable
 from enum import Enum
 
-from bridge.pioneer.arcos import (
-    COMMANDS,
-    Argument,
-    Command,
-    Decoder,
-    Packet,
-    decode_argument,
-    encode_frame,
-    pair,
-)
+from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.baud import RATES
 from bridge.pioneer.packets import ConfigPac, Kind, encode_names
 from bridge.pioneer.robots import ROBOTS
 from rover_ncp.core.geometry import Pose
-from sim.pioneer.drive import Drive
+from sim.pioneer.client_commands import IGNORED, MockCommand, decode_argument, pair
+from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.faults import Fault, Faults
-from sim.pioneer.gyro import Gyro
 from sim.pioneer.models import BASE_CLASS, BASE_NAME, config_of
 from sim.pioneer.report import BATTERY_DV, Panel, Reporter
-from sim.pioneer.sonar import Sonars
-from sim.pioneer.trial import SET_POINTS, BaseTrial
+from sim.pioneer.sensors import Gyro, Sonars
+from sim.pioneer.trial import BaseTrial
 from sim.world.randomization import nominal_trials
 from sim.world.rover import SUBSTEP_S, Rover
 
 VEL2_M_S = 0.02
 """Wheel speed per unit of VEL2 (Vel2Divisor 20)."""
 
+SETPOINTS = frozenset({Command.VEL, Command.RVEL})
+"""What does not arrive while a trial loses commands."""
+
 BUMPED_SEGMENT = 2
 """The front bumper segment that the fault presses: the middle of five."""
 
 
-class Link(Enum):
+class ClientState(Enum):
     """How far a client has come."""
 
     WAITING = "waiting for a client"
@@ -82,7 +75,7 @@ class Firmware:
         self.robot = ROBOTS[model]
         self.decoder = Decoder()
         self._trial = trial or BaseTrial(nominal_trials(rover.model, ticks=1))
-        self.drive = Drive(self.robot, rover, self._trial)
+        self.drive = DriveTrain(self.robot, rover, self._trial)
         self.unknown: Counter[int] = Counter()
         """How often each unknown command came."""
         self.bad_arguments: Counter[int] = Counter()
@@ -92,11 +85,11 @@ class Firmware:
         self._reporter = Reporter(self.robot, self._config, self.drive, self._sonars)
         self._gyro = Gyro(rover)
         self._faults = faults or Faults()
-        self._observe = observe
+        self.observe = observe
         self._home = rover.pose
         self.baudrate = RATES[0]
         """The rate of its serial line: HOSTBAUD changes it, the end of a session restores FLASH's."""
-        self.link = Link.WAITING
+        self.client = ClientState.WAITING
         self.sip_due_s = self._measure_due_s = math.inf
         """When the next SIP will be sent, and when its content will be measured."""
         self._expected = 0
@@ -107,7 +100,7 @@ class Firmware:
         self._handlers = self._make_handlers()
         self._power_up()
 
-    # What the line calls.
+    # Calls of the line.
 
     @property
     def now(self) -> float:
@@ -133,47 +126,47 @@ class Firmware:
         return data
 
     def line_changed(self) -> None:
-        """Another client is on the line: what is half received or not yet sent was the last one's."""
+        """Drop half-received and unsent bytes: they belong to the last client."""
         self.decoder.drop()
         self._out.clear()
 
     def inject(self, fault: Fault) -> None:
-        """Have one more fault from now on; its times count from now, if the motors were ever enabled."""
+        """Add a fault from now on; its times count from now, if the motors were ever enabled."""
         self._faults.add(fault, self._enabled_s)
 
     # Time.
 
     def _substep(self) -> None:
-        self._endure()
+        self._apply_faults()
         starved = self.now - self._fed_s >= self._config.watchdog / 1000 - 1e-9
         self.drive.substep(halted=starved or self.panel.blocked)
         self._substeps += 1
         self._decode(b"", self.now)
-        self._sonars.listen(self.drive.rover, self.now)
-        if self._observe:
-            self._observe(self.now)
-        if self.link is Link.OPEN and self.now >= self._measure_due_s - 1e-9:
+        self._sonars.fire(self.drive.rover, self.now)
+        if self.observe:
+            self.observe(self.now)
+        if self.client is ClientState.OPEN and self.now >= self._measure_due_s - 1e-9:
             self._measure_due_s += self._config.sip_cycle / 1000
             self._reporter.measure()
-        if self.link is Link.OPEN and self.now >= self.sip_due_s - 1e-9:
+        if self.client is ClientState.OPEN and self.now >= self.sip_due_s - 1e-9:
             self._report()
             self.sip_due_s = self._measure_due_s + self._trial.next_age_s
 
     def _report(self) -> None:
         self._begin_tick()
         sip = self._reporter.sip()
-        if self._streaming(Command.SIM_STAT):
+        if self._streaming(MockCommand.SIM_STAT):
             self._emit(self._reporter.simstat())
         if self._gyro.on:
             self._emit(self._gyro.packet(self.now))
         self._emit(sip)
-        if self._streaming(Command.IOREQUEST):
+        if self._streaming(MockCommand.IOREQUEST):
             self._emit(self._reporter.io())
-        if self._streaming(Command.ENCODER):
+        if self._streaming(MockCommand.ENCODER):
             self._emit(self._reporter.encoders())
 
     def _begin_tick(self) -> None:
-        """Let the trial go on, once the motors were enabled."""
+        """Begin the trial's next tick, once the motors were enabled."""
         if self._enabled_first_s is None:
             return
         self._trial.tick += 1
@@ -181,7 +174,7 @@ class Firmware:
         if push := self._trial.push:
             self.drive.rover.push(push)
 
-    def _streaming(self, command: Command) -> bool:
+    def _streaming(self, command: int) -> bool:
         """Return whether a packet is due: mode 1 asks for one, more for a stream."""
         mode = self._streams.get(command, 0)
         if mode == 1:
@@ -193,8 +186,7 @@ class Firmware:
             frame = encode_frame(packet.kind, packet.payload)
             self._out += self._faults.damage(frame, self._enabled_s)
 
-    def _turn_gyro(self, mode: int) -> None:
-        """Begin or end its stream, if it is one for the client."""
+    def _switch_gyro(self, mode: int) -> None:
         self._gyro.on = mode > 0 and self._config.has_gyro == 1
 
     # Faults.
@@ -207,8 +199,8 @@ class Firmware:
     def _fault(self, name: str) -> float | None:
         return self._faults.value(name, self._enabled_s)
 
-    def _endure(self) -> None:
-        """Let the hardware have its faults of this moment."""
+    def _apply_faults(self) -> None:
+        """Apply the faults that are active now."""
         panel, reporter = self.panel, self._reporter
         pressed = self._fault("stop-button") is not None
         if pressed and not panel.stop_pressed and panel.e_stall:
@@ -232,28 +224,27 @@ class Firmware:
 
     def _take(self, packet: Packet) -> None:
         self._fed_s = self.now
-        if self.link is Link.WAITING:
+        if self.client is ClientState.WAITING:
             self._synchronise(packet)
             return
-        command = COMMANDS.get(packet.kind)
-        if command is None:
-            self.unknown[packet.kind] += 1
-            return
-        if command in SET_POINTS and self._trial.lost:
+        command = packet.kind
+        if command in SETPOINTS and self._trial.lost:
             return
         argument = decode_argument(command, packet.payload)
-        if argument is None and command is Command.SIM_STAT:
-            argument = 1
-        if argument is None and command.argument is not Argument.NONE:
-            self.bad_arguments[command] += 1
-        elif isinstance(argument, bytes):
-            if command is Command.POLLING:
-                self._sonars.poll(argument)
-        elif isinstance(argument, tuple):
+        if command in self._handlers:
+            if isinstance(argument, int):
+                self._handlers[command](argument)
+            else:
+                self.bad_arguments[command] += 1
+        elif command == MockCommand.POLLING and isinstance(argument, bytes):
+            self._sonars.poll(argument)
+        elif command == MockCommand.SIM_SET_POSE and isinstance(argument, tuple):
             x, y, theta = argument
             self.drive.place(Pose(x / 1000, y / 1000, math.radians(theta)))
-        elif command in self._handlers:
-            self._handlers[command](argument or 0)
+        elif command in {MockCommand.POLLING, MockCommand.SIM_SET_POSE}:
+            self.bad_arguments[command] += 1
+        elif command not in IGNORED:
+            self.unknown[command] += 1
 
     def _synchronise(self, packet: Packet) -> None:
         if packet.kind > Kind.SYNC2 or packet.kind > self._expected:
@@ -261,47 +252,48 @@ class Firmware:
             return
         self._expected = packet.kind + 1
         if packet.kind == Kind.SYNC2:
-            self.link = Link.SYNCED
+            self.client = ClientState.SYNCED
             self._emit(encode_names(BASE_NAME, BASE_CLASS, self.robot.name))
         else:
             self._emit(packet)
 
-    def _make_handlers(self) -> dict[Command, Callable[[int], None]]:
+    def _make_handlers(self) -> dict[int, Callable[[int], None]]:
         """Return what each command does with its number, 0 for one without."""
         drive, radians = self.drive, math.radians
         return {
+            Command.PULSE: lambda _: None,
             Command.OPEN: lambda _: self._open(),
             Command.CLOSE: lambda _: self._wait(),
             Command.CONFIG: lambda _: self._emit(self._reporter.config()),
-            Command.RESET: lambda _: self._restart(),
+            MockCommand.RESET: lambda _: self._restart(),
             Command.ENABLE: self._enable,
             Command.VEL: lambda mm_s: drive.set_speed(mm_s / 1000),
             Command.RVEL: lambda deg_s: drive.set_turn(radians(deg_s)),
-            Command.ROTATE: lambda deg_s: drive.set_turn(radians(deg_s)),
-            Command.VEL2: self._set_wheels,
-            Command.MOVE: lambda mm: drive.move(mm / 1000),
-            Command.HEAD: lambda deg: drive.turn_to(radians(deg)),
-            Command.DHEAD: lambda deg: drive.turn_to(drive.odometry.theta + radians(deg)),
-            Command.DCHEAD: lambda deg: drive.turn_to(drive.heading_set_point + radians(deg)),
+            MockCommand.ROTATE: lambda deg_s: drive.set_turn(radians(deg_s)),
+            MockCommand.VEL2: self._set_wheels,
+            MockCommand.MOVE: lambda mm: drive.move(mm / 1000),
+            MockCommand.HEAD: lambda deg: drive.turn_to(radians(deg)),
+            MockCommand.DHEAD: lambda deg: drive.turn_to(drive.odometry.theta + radians(deg)),
+            MockCommand.DCHEAD: lambda deg: drive.turn_to(drive.heading_setpoint + radians(deg)),
             Command.STOP: lambda _: drive.stop(),
             Command.E_STOP: lambda _: drive.emergency_stop(),
-            Command.QSTOP: lambda _: drive.emergency_stop(),
+            MockCommand.QSTOP: lambda _: drive.emergency_stop(),
             Command.SETV: self._set_v_limit,
             Command.SETRV: self._set_omega_limit,
             Command.SETA: self._set_acceleration,
             Command.SETRA: self._set_turn_acceleration,
             Command.SETO: lambda _: drive.zero_odometry(),
             Command.SONAR: self._sonars.switch,
-            Command.SONARCYCLE: self._sonars.set_cycle,
-            Command.ENCODER: lambda mode: self._streams.update({Command.ENCODER: mode}),
-            Command.GYRO: self._turn_gyro,
-            Command.IOREQUEST: lambda mode: self._streams.update({Command.IOREQUEST: mode}),
-            Command.SIM_STAT: lambda mode: self._streams.update({Command.SIM_STAT: mode}),
-            Command.DIGOUT: self.panel.set_outputs,
-            Command.ADSEL: self.panel.select_port,
-            Command.E_STALL: self.panel.set_e_stall,
-            Command.BATTEST: self._test_battery,
-            Command.SIM_RESET: lambda _: self._go_home(),
+            MockCommand.SONARCYCLE: self._sonars.set_cycle,
+            MockCommand.ENCODER: lambda mode: self._streams.update({MockCommand.ENCODER: mode}),
+            Command.GYRO: self._switch_gyro,
+            MockCommand.IOREQUEST: lambda mode: self._streams.update({MockCommand.IOREQUEST: mode}),
+            MockCommand.SIM_STAT: lambda mode: self._streams.update({MockCommand.SIM_STAT: mode}),
+            MockCommand.DIGOUT: self.panel.set_outputs,
+            MockCommand.ADSEL: self.panel.select_port,
+            MockCommand.E_STALL: self.panel.set_e_stall,
+            MockCommand.BATTEST: self._test_battery,
+            MockCommand.SIM_RESET: lambda _: self._go_home(),
             Command.HOSTBAUD: self._set_baudrate,
         }
 
@@ -320,10 +312,10 @@ class Firmware:
 
     def _wait(self) -> None:
         """End the session: stop, motors off, working values as in FLASH (AROS manual p. 44)."""
-        self.link = Link.WAITING
+        self.client = ClientState.WAITING
         self._expected = 0
         self.sip_due_s = self._measure_due_s = math.inf
-        self._streams: dict[Command, int] = {}
+        self._streams: dict[int, int] = {}
         self._gyro.on = False
         self.baudrate = RATES[self._config.host_baud]
         self.drive.enable(False)
@@ -331,8 +323,8 @@ class Firmware:
         self._sonars.restore_flash()
 
     def _open(self) -> None:
-        if self.link is Link.SYNCED:
-            self.link = Link.OPEN
+        if self.client is ClientState.SYNCED:
+            self.client = ClientState.OPEN
             self._measure_due_s = self.now + self._config.sip_cycle / 1000
             self.sip_due_s = self._measure_due_s + self._trial.next_age_s
 

@@ -1,17 +1,24 @@
-"""Report packets of the base: SIP, CONFIGpac, ENCODERpac, IOpac, SIMSTAT."""
+"""Report packets of the base: SIP, CONFIGpac, ENCODERpac, IOpac, SIMSTAT.
+
+Sources of what the bridge does not read: Adept Pioneer 3 manual p. 46 (ENCODERpac), p. 50 (IOpac); AMRISim's
+SIMSTAT, whose recorded packets have this layout.
+"""
 
 import math
+import struct
 from dataclasses import dataclass, replace
 
 from bridge.pioneer.arcos import Packet
 from bridge.pioneer.odometry import COUNTER_BITS, HEADING_BITS
-from bridge.pioneer.packets import ConfigPac, EncoderPac, Flag, IoPac, SimStat, Sip
+from bridge.pioneer.packets import ConfigPac, Flag, Sip
 from bridge.pioneer.robots import WHEEL_SPEED_M_S, RobotParameters
-from rover_ncp.core.geometry import Pose
-from sim.pioneer.drive import Drive
+from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.models import TICKS_PER_MM
-from sim.pioneer.sonar import Sonars
+from sim.pioneer.sensors import Sonars
 from sim.pioneer.trial import ORIGIN
+
+SIMSTAT, ENCODER, IO = 0x62, 0x90, 0xF0
+"""Packet types that the bridge does not read."""
 
 BATTERY_DV = 128
 
@@ -35,7 +42,7 @@ class Panel:
     front_bumpers: int = 0
     """Bit 0 is the left-most segment."""
     blocked: bool = False
-    """Both motors stall whatever the wheels do."""
+    """Both motors stall, even if the wheels turn."""
     analog_port: int = 0
     digout: int = 0
 
@@ -53,22 +60,10 @@ class Panel:
         self.e_stall = bool(on)
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """Motion as odometry and encoders report it."""
-
-    odometry: Pose
-    heading_set_point: float
-    wheel_speeds: tuple[float, float]
-    omega: float
-    wheels_m: tuple[float, float]
-    moving: bool
-
-
 class Reporter:
     """Writes the packets of one base."""
 
-    def __init__(self, robot: RobotParameters, config: ConfigPac, drive: Drive, sonars: Sonars) -> None:
+    def __init__(self, robot: RobotParameters, config: ConfigPac, drive: DriveTrain, sonars: Sonars) -> None:
         self.panel = Panel()
         self.odometry_frozen = False
         self.odometry_jump_m = 0.0
@@ -78,39 +73,36 @@ class Reporter:
         self._config = config
         self._drive = drive
         self._sonars = sonars
-        self._last = self._motion()
-
-    def _motion(self) -> _Motion:
-        drive = self._drive
-        return _Motion(
-            odometry=drive.odometry,
-            heading_set_point=drive.heading_set_point,
-            wheel_speeds=drive.wheel_speeds,
-            omega=drive.measured.omega,
-            wheels_m=drive.wheels_m,
-            moving=drive.moving,
-        )
+        self.measure()
 
     def measure(self) -> None:
         """Store the motion that the next packets report."""
-        if not self.odometry_frozen:
-            self._last = self._motion()
+        if self.odometry_frozen:
+            return
+        drive = self._drive
+        left, right = (round(speed / WHEEL_SPEED_M_S) for speed in drive.wheel_speeds)
+        self._odometry, self._wheels_m = drive.odometry, drive.wheels_m
+        self._motion = Sip(
+            left=left,
+            right=right,
+            control=_heading(drive.heading_setpoint),
+            rotvel=round(math.degrees(drive.measured.omega) * 10),
+            moving=drive.moving,
+        )
 
     def sip(self) -> Packet:
         """Return the SIP of the motion last measured; sonar readings are those since the last SIP."""
-        motion, panel, robot = self._last, self.panel, self._robot
-        left, right = (round(speed / WHEEL_SPEED_M_S) for speed in motion.wheel_speeds)
+        panel, pose, noise = self.panel, self._odometry, self.noise
+        distance_m = self._robot.distance_m
         stalled = (True, True) if panel.blocked else self._drive.stalled
-        return Sip(
-            x=_counter((motion.odometry.x + self.noise.x + self.odometry_jump_m) / robot.distance_m),
-            y=_counter((motion.odometry.y + self.noise.y) / robot.distance_m),
-            theta=_heading(motion.odometry.theta + self.noise.theta),
-            left=left,
-            right=right,
+        return replace(
+            self._motion,
+            x=_counter((pose.x + noise.x + self.odometry_jump_m) / distance_m),
+            y=_counter((pose.y + noise.y) / distance_m),
+            theta=_heading(pose.theta + noise.theta),
             battery_dv=min(panel.battery_dv, 255),
             stall_left=int(stalled[0]),
             stall_right=int(stalled[1]) | panel.front_bumpers << 1,
-            control=_heading(motion.heading_set_point),
             flags=self._flags(),
             compass=0,
             grip_state=0,
@@ -120,13 +112,11 @@ class Reporter:
             digout=panel.digout,
             battery_x10=panel.battery_dv,
             charge_state=0,
-            rotvel=round(math.degrees(motion.omega) * 10),
             faults=UNDER_VOLTAGE if panel.battery_dv < self._config.low_battery else 0,
             latvel=0,
             temperature=NO_TEMPERATURE,
             state_of_charge=0,
             sonar=self._sonars.take(),
-            moving=motion.moving,
         ).encode()
 
     def _flags(self) -> int:
@@ -154,30 +144,30 @@ class Reporter:
 
     def encoders(self) -> Packet:
         """Return the ENCODERpac: ticks since power-up, which wrap at 32 bits."""
-        left, right = (round(way * 1000 * TICKS_PER_MM) for way in self._last.wheels_m)
-        return EncoderPac(_signed(left, 32), _signed(right, 32)).encode()
+        left, right = (round(way * 1000 * TICKS_PER_MM) for way in self._wheels_m)
+        return Packet(ENCODER, struct.pack("<2i", _signed(left, 32), _signed(right, 32)))
 
     def io(self) -> Packet:
         """Return the IOpac; its last analog value is the battery, 0 to 1023 for 0 to 25.5 V (chosen)."""
         bumpers = IDLE_LEVEL & ~self.panel.front_bumpers
         battery = min(round(self.panel.battery_dv / 255 * 1023), 1023)
-        return IoPac(
-            inputs=(IDLE_LEVEL, bumpers, IDLE_LEVEL, IDLE_LEVEL),
-            outputs=(self.panel.digout,),
-            analog=(0,) * 8 + (battery,),
-        ).encode()
+        inputs = (IDLE_LEVEL, bumpers, IDLE_LEVEL, IDLE_LEVEL)
+        counts_and_bytes = bytes([len(inputs), *inputs, 1, self.panel.digout, 9])
+        return Packet(IO, counts_and_bytes + struct.pack("<9H", *[0] * 8, battery))
 
     def simstat(self) -> Packet:
         """Return the SIMSTAT: the true pose."""
         x, y, theta = self._drive.rover.pose
-        return SimStat(
-            sim_interval_ms=self._config.sip_cycle,
-            real_interval_ms=self._config.sip_cycle,
-            last_interval_ms=self._config.sip_cycle,
-            x_mm=_signed(round(x * 1000), 32),
-            y_mm=_signed(round(y * 1000), 32),
-            theta_deg=round(math.degrees(theta)),
-        ).encode()
+        x_mm, y_mm = (_signed(round(place * 1000), 32) for place in (x, y))
+        # Flags, three intervals; x, y, z in mm, heading in deg; GPS position and errors of odometry.
+        return Packet(
+            SIMSTAT,
+            struct.pack(
+                "<HI3H4i7i",
+                *(0, 0, *[self._config.sip_cycle] * 3),
+                *(x_mm, y_mm, 0, round(math.degrees(theta)), *[0] * 7),
+            ),
+        )
 
 
 def _counter(units: float) -> int:

@@ -6,7 +6,6 @@ of them. While the window of a lost tick is open, setpoints do not arrive. A SIP
 pose in that tick. Quantised commands are not among a trial's errors here: ARCOS has its own steps.
 """
 
-from bridge.pioneer.arcos import Command
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import TICK_S
 from sim.world.pymunk_rover import Ground, PymunkRover
@@ -14,7 +13,6 @@ from sim.world.randomization import BaseErrors, OdometryErrors, Trials, apply_ba
 from sim.world.rover import SUBSTEP_S, RoverModel
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
-SET_POINTS = frozenset({Command.VEL, Command.RVEL})
 
 
 class BaseTrial:

@@ -15,7 +15,7 @@ from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
 from bridge.pioneer.base import ArcosBase
 from deploy.drive.lease import DriverLease
-from deploy.drive.link import Arrival, Inbox, Mailbox
+from deploy.drive.measurements import Arrival, Inbox, Mailbox
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.key_table import spec
@@ -29,8 +29,8 @@ from rover_ncp.core.protocol import (
     parse_json,
 )
 from rover_ncp.core.recording import Recorded
+from sim.live.peers import known_pose
 from sim.pioneer.firmware import Firmware
-from sim.stack.start_pose import known_pose
 
 NS = 1_000_000_000
 WALL_NS = 1_700_000_000 * NS
@@ -168,13 +168,13 @@ class _Mailbox(Mailbox):
 
 
 class Air:
-    """Replacement of the driver's `deploy.drive.link.Link`.
+    """A driver's `deploy.drive.link.Link`.
 
     Until the driver requests the lease, external localisation reports that the rover stands at ``start``.
     Received messages go to ``record``.
     """
 
-    robot = "virtual"
+    robot, where = "virtual", ""
     bridge_alive = True
 
     def __init__(
@@ -240,4 +240,4 @@ class Air:
             self.gate = parse_json(GateStatus, read_text(data))
 
     def _arrival(self, data: bytes) -> Arrival:
-        return Arrival(data, self._world.now_ns, self._world.time_ns())
+        return Arrival(data, self._world.now_ns)

@@ -1,9 +1,10 @@
 """A session with a simulated peer, which records the bytes sent and the events."""
 
-from bridge.pioneer.arcos import COMMANDS, Command, Decoder, Packet, decode_argument, encode_frame
+from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import ConfigPac, Sip, encode_names
 from bridge.pioneer.session import Session, SessionEvent
 from bridge.pioneer.states import PATIENCE_S, Input, SessionState
+from sim.pioneer.client_commands import decode_argument
 
 Sent = list[tuple[Command, object]]
 
@@ -55,7 +56,7 @@ class Bench:
 
     def sent(self) -> Sent:
         packets = self._decoder.feed(self.session.data_to_send(), self.now)
-        return [(COMMANDS[p.kind], decode_argument(COMMANDS[p.kind], p.payload)) for p in packets]
+        return [(Command(p.kind), decode_argument(p.kind, p.payload) if p.payload else None) for p in packets]
 
     def commands(self) -> list[Command]:
         return [command for command, _ in self.sent()]

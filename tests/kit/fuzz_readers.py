@@ -10,32 +10,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from bnn_text import circuit_to_bnn
+
 from bridge.gate.limits import Limits
-from bridge.pioneer.arcos import (
-    COMMANDS,
-    Command,
-    Decoder,
-    Packet,
-    decode_argument,
-    encode_command,
-    encode_frame,
-)
-from bridge.pioneer.packets import (
-    ConfigPac,
-    EncoderPac,
-    GyroPac,
-    IoPac,
-    SimStat,
-    Sip,
-    decode_names,
-    encode_names,
-)
+from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command, encode_frame
+from bridge.pioneer.packets import ConfigPac, GyroPac, Sip, decode_names, encode_names
 from bridge.pioneer.session import Session
 from deploy.drive.config import CONFIG_FILE, COURSE_FILE, POLICY_FILE, DriveConfig
 from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.replay import replay
 from deploy.report.recorded_drive import read_drive
-from rover_ncp.circuit.bnn import circuit_from_bnn, circuit_to_bnn
+from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
 from rover_ncp.core import protocol as lease
 from rover_ncp.core.config import dump_yaml, parse_yaml
@@ -58,6 +43,7 @@ from rover_ncp.core.messages import (
 from rover_ncp.core.recording import Recorded, RecordingWriter, header_stamp_ns, read_recording
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import Course
+from sim.pioneer.client_commands import decode_argument
 from sim.pioneer.firmware import Firmware
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import Randomization
@@ -76,7 +62,7 @@ JSON_MODELS = (
     lease.StopRequest,
 )
 YAML_MODELS = (Course, DriveConfig, Limits, Randomization, RoverProfile)
-PACKETS = (ConfigPac.decode, EncoderPac.decode, SimStat.decode, GyroPac.decode, IoPac.decode, decode_names)
+PACKETS = (ConfigPac.decode, GyroPac.decode, decode_names)
 
 
 class Reader(NamedTuple):
@@ -101,7 +87,7 @@ def _line(data):
     half = len(data) // 2
     for packet in (decoder := Decoder()).feed(data[:half]) + decoder.feed(data[half:], 0.1):
         Sip.decode(packet)
-        for command in COMMANDS.values():
+        for command in range(256):
             decode_argument(command, packet.payload)
     for read in PACKETS:
         # A packet of whatever kind that is too short, or no text, is one of them.
@@ -137,7 +123,7 @@ _GREETING = [encode_frame(0), encode_frame(1), *[encode_frame(*encode_names("a",
 def _lines():
     commands = [
         encode_command(Command.VEL, -120),
-        encode_command(Command.SETO, (0, 0, 0)),
+        encode_command(Command.SETO, 0),
         encode_command(Command.OPEN),
     ]
     firmware = Firmware("p3at-sh", PymunkRover(RoverModel(), Ground(())))

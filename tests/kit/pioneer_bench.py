@@ -1,13 +1,15 @@
 """A mock Pioneer on a virtual clock, and a client for it."""
 
 import math
+import struct
 
-from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command
+from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command, encode_frame
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
 from bridge.pioneer.robots import ROBOTS
 from rover_ncp.course.course import Obstacle
+from sim.pioneer.client_commands import STRING
 from sim.pioneer.faults import Faults, parse_fault
-from sim.pioneer.firmware import Firmware, Link
+from sim.pioneer.firmware import ClientState, Firmware
 from sim.pioneer.models import rover_model_of
 from sim.world.pymunk_rover import Ground, PymunkRover
 
@@ -44,7 +46,11 @@ class Pioneer:
         self.firmware.receive(data, self.now)
         return self._collect()
 
-    def tell(self, command: Command, argument: Argument = None) -> list[Packet]:
+    def tell(self, command: int, argument: Argument = None) -> list[Packet]:
+        if isinstance(argument, bytes):
+            return self.say(encode_frame(command, bytes([STRING, len(argument)]) + argument))
+        if isinstance(argument, tuple):
+            return self.say(encode_frame(command, struct.pack("<x3i", *argument)))
         return self.say(encode_command(command, argument))
 
     def run(self, seconds: float, fed: bool = True) -> None:
@@ -60,7 +66,7 @@ class Pioneer:
     def open(self, motors: bool = True) -> "Pioneer":
         for sync in (Command.PULSE, Command.OPEN, Command.CLOSE, Command.OPEN):
             self.tell(sync)
-        assert self.firmware.link is Link.OPEN
+        assert self.firmware.client is ClientState.OPEN
         if motors:
             self.tell(Command.ENABLE, 1)
         return self

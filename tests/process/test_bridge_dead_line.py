@@ -41,7 +41,7 @@ def reopenings(rig):
 def test_a_connection_that_falls_silent_is_replaced_and_the_log_says_so_once(tmp_path):
     with RelayedRig(tmp_path) as rig, Driver(rig.locator) as driver:
         driver.start()
-        rig.relay.silence()
+        rig.relay.tell("silence")
         began_s = time.monotonic()
         wait_for(lambda: driver.gate.held == "no-base")
         wait_for(lambda: driver.gate.held != "no-base", 15.0)

@@ -14,7 +14,7 @@ from serial_base import SerialBase
 from bridge.pioneer.arcos import Command
 from sim.live.processes import Process
 from sim.pioneer.faults import parse_fault
-from sim.pioneer.firmware import Link
+from sim.pioneer.firmware import ClientState
 
 
 def test_soar_connects_drives_and_leaves_in_its_own_manner() -> None:
@@ -26,7 +26,7 @@ def test_soar_connects_drives_and_leaves_in_its_own_manner() -> None:
         assert done.returncode == 0, done.stderr
         (line,) = [line for line in done.stdout.splitlines() if line.startswith("SEEN ")]
         seen = json.loads(line.removeprefix("SEEN "))
-        wait_for(lambda: base.firmware.link is Link.WAITING)
+        wait_for(lambda: base.firmware.client is ClientState.WAITING)
         assert not base.firmware.unknown
         assert not base.firmware.bad_arguments
         true = base.rover.pose
@@ -71,10 +71,10 @@ def test_a_bridge_on_a_serial_line_asks_for_a_faster_rate_and_drives(bridge_on) 
         # A process killed leaves the base fast and its session open; the next one begins slow, and finds it.
         process.send_signal(signal.SIGKILL)
         process.wait(5.0)
-        assert (base.firmware.link, base.firmware.baudrate) == (Link.OPEN, 38400)
+        assert (base.firmware.client, base.firmware.baudrate) == (ClientState.OPEN, 38400)
         process, zenoh = bridge_on(base, 9600)
         process.stop()
-        assert (base.firmware.link, base.firmware.baudrate) == (Link.WAITING, 9600)
+        assert (base.firmware.client, base.firmware.baudrate) == (ClientState.WAITING, 9600)
     assert base.rates == [9600, 38400, 9600, 38400]
 
 

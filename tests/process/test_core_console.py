@@ -12,8 +12,7 @@ import pytest
 from deploy.drive_records import TICKS_TOPIC
 from rover_ncp.core.console import ROOM_BYTES, Writer, printable
 from rover_ncp.core.recording import read_recording
-from sim.faults.outlet import GONE, PIPE, TERMINAL
-from sim.live.processes import Process
+from sim.live.processes import GONE, PIPE, TERMINAL, Process
 
 COMMAND = [sys.executable, "-m", "rover_ncp"]
 SHORT = "tests/data/short_course.yaml"

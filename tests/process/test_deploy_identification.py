@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from deploy.drive.measurements import Intake
-from deploy.drive.safety_monitor import Guard
-from deploy.drive.waits import Waits
+from deploy.drive.measurements import Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify import excitation
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
 from deploy.identify.excitation import FENCE_M, excite, steps
@@ -20,7 +19,7 @@ from rover_ncp.core.geometry import Pose, Velocity, distance
 from rover_ncp.core.messages import odometry, twist_stamped
 from rover_ncp.core.recording import Recorded, RecordingWriter
 from rover_ncp.core.robot_profile import load_profile
-from sim.live.processes import LiveRun
+from sim.live.live_run import LiveRun
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.virtual import Air, World
@@ -233,11 +232,11 @@ def excited(trials, fence_m):
     )
     world = World(firmware)
     air = Air(world, start)
-    intake = Intake(air.odometry)
-    guard = Guard(air, intake, Waits(), lambda: False, world)
-    guard.wait(True, "")
+    measurements = Measurements(air)
+    monitor = SafetyMonitor(air, measurements, lambda: False, clock=world)
+    monitor.wait()
     try:
-        excite(air, intake, guard, fence_m, world)
+        excite(air, measurements, monitor, fence_m, world)
         stopped = None
     except SafetyStop as stop:
         stopped = stop.rule

@@ -11,8 +11,7 @@ from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
 from rover_ncp.core.key_table import key
 from rover_ncp.core.messages import pose_with_covariance
 from rover_ncp.course.course import load_course
-from sim.live.processes import LiveRun
-from sim.live.truth import read_truth
+from sim.live.live_run import LiveRun
 
 COURSE = """
 name: into-place
@@ -41,7 +40,7 @@ class Localiser(threading.Thread):
 
     def run(self):
         while not self.over.wait(0.1):
-            states = read_truth(self._truth)
+            states = self._truth.read()
             if states:
                 pose = np.array(compose(self._course_world, states[-1].pose)) + SIGMA * self._rng.normal(
                     size=3
@@ -70,7 +69,7 @@ def test_a_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path, se
             done = run.deploy(*options, "--record", str(recording)).wait(60)
         finally:
             localiser.close()
-        end = compose(start, read_truth(run.truth)[-1].pose)
+        end = compose(start, run.truth.read()[-1].pose)
     assert done.code == 0, done
     assert done.result["pose"]["used"] > 50
     assert done.result["pose"]["refused"] == 0

@@ -18,7 +18,8 @@ def note(words, now_ns=None):
 
 
 def test_everything_handed_over_is_written_in_order(tmp_path):
-    recorder = Recorder(tmp_path / "run.mcap", {"policy.yaml": b"x"})
+    recorder = Recorder(tmp_path / "run.mcap")
+    recorder.open({"policy.yaml": b"x"})
     for number in range(500):
         recorder.put(note(str(number)))
     recorder.close()
@@ -47,7 +48,8 @@ def witness():
             file.write(b"x")
             late = late_now()
             woken = time.monotonic_ns()
-recorder = Recorder(Path(sys.argv[1]), {"policy.yaml": b"x" * 1000})
+recorder = Recorder(Path(sys.argv[1]))
+recorder.open({"policy.yaml": b"x" * 1000})
 threading.Thread(target=witness, daemon=True).start()
 while True:
     now = time.time_ns()
@@ -90,7 +92,8 @@ from rover_ncp.core.messages import text
 from rover_ncp.core.recording import Recorded
 import random
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
-recorder = Recorder(Path(sys.argv[1]), {"policy.yaml": b"x"})
+recorder = Recorder(Path(sys.argv[1]))
+recorder.open({"policy.yaml": b"x"})
 noise = random.Random(0)
 longest = 0.0
 for number in range(200):
@@ -122,7 +125,8 @@ def test_a_disk_that_hangs_never_blocks_the_caller(tmp_path, monkeypatch):
     hang = threading.Event()
     monkeypatch.setattr("deploy.recorder.QUEUE_LENGTH", 50)
     monkeypatch.setattr(RecordingWriter, "write", lambda self, message: hang.wait(30))
-    recorder = Recorder(tmp_path / "run.mcap", {})
+    recorder = Recorder(tmp_path / "run.mcap")
+    recorder.open({})
     began = time.monotonic()
     for number in range(200):
         recorder.put(note(str(number)))
@@ -133,7 +137,8 @@ def test_a_disk_that_hangs_never_blocks_the_caller(tmp_path, monkeypatch):
 
 
 def test_any_failure_of_the_thread_is_reported(tmp_path):
-    recorder = Recorder(tmp_path / "run.mcap", {})
+    recorder = Recorder(tmp_path / "run.mcap")
+    recorder.open({})
     recorder.put(note("one"))
     recorder.put(Recorded("a", "nav_msgs/msg/Odometry", b"", 1, 1))  # another type on the same topic
     recorder.close()
@@ -145,16 +150,18 @@ def test_any_failure_of_the_thread_is_reported(tmp_path):
 def test_a_place_that_cannot_be_written_is_said_at_once(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match="cannot be written"):
-        Recorder(tmp_path / "file" / "run.mcap", {})
+        Recorder(tmp_path / "file" / "run.mcap")
     with pytest.raises(FileError, match=f"{tmp_path}: cannot be written"):
-        Recorder(tmp_path, {})
+        Recorder(tmp_path)
 
 
 def test_overwriting_does_not_damage_what_another_writer_still_writes(tmp_path):
     path = tmp_path / "run.mcap"
-    first = Recorder(path, {})
+    first = Recorder(path)
+    first.open({})
     first.put(note("first"))
-    second = Recorder(path, {}, overwrite=True)
+    second = Recorder(path, overwrite=True)
+    second.open({})
     second.put(note("second"))
     first.close()
     second.close()

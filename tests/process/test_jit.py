@@ -46,14 +46,14 @@ FACTORY = (
 COMMAND = [sys.executable, "-c", "import runpy; runpy.run_path('caller.py', run_name='__main__')"]
 
 
-def run(folder, factor, environment=None, count=1, caller=CALLER):
+def run(folder, factor, environment=None, count=1, caller=CALLER, command=COMMAND):
     """Run the kernels in so many processes that begin together; return (value, cache hits) of each."""
     (folder / "callee.py").write_text(CALLEE.format(factor=factor))
     (folder / "caller.py").write_text(caller)
     path = {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
     processes = [
         subprocess.Popen(
-            COMMAND,
+            command,
             cwd=folder,
             env=os.environ | path | (environment or {}),
             stdin=subprocess.PIPE,
@@ -95,6 +95,24 @@ def test_kernels_of_a_factory_are_kept_until_a_free_variable_changes(tmp_path):
     assert run_made(2.0) == [(45.0, 1)]
     assert run_made(3.0) == [(66.0, 0)]
     assert run_made(2.0) == [(45.0, 1)]
+
+
+def test_a_renamed_class_of_an_argument_compiles_anew(tmp_path):
+    caller = """
+from typing import NamedTuple
+from rover_ncp.kernels.jit import kernel
+class {0}(NamedTuple):
+    x: float
+@kernel
+def outer(pair):
+    return 2.0 * pair.x
+print("ready", flush=True)
+input()
+print(outer({0}(10.0)), sum(outer.stats.cache_hits.values()))
+"""
+    command = [sys.executable, "-c", "import caller"]
+    for name, hits in (("Pair", 0), ("Pair", 1), ("Couple", 0), ("Couple", 1)):
+        assert run(tmp_path, 2.0, caller=caller.format(name), command=command) == [(20.0, hits)]
 
 
 def test_kernels_run_where_nothing_can_be_written(tmp_path):

@@ -10,8 +10,8 @@ from rover_ncp.core.messages import read_text, read_twist
 from rover_ncp.core.protocol import parse_json
 from rover_ncp.core.recording import read_recording
 from rover_ncp.course.course import load_course
-from sim.live.processes import LiveRun
-from sim.live.truth import judge_truth, read_truth
+from sim.live.live_run import LiveRun
+from sim.live.truth import judge_truth
 
 ATTEMPTS, PERIOD_S = 1000, 0.005
 
@@ -32,14 +32,14 @@ def test_1000_attempts_to_take_over_a_drive_fail_and_it_ends_parked(tmp_path, re
             time.sleep(max(due - time.monotonic(), 0.0))
         attempts = number + 1
         done = driver.wait(60.0)
-        bridge = run.processes["bridge"].stop()
+        bridge = run.bridge.stop()
         attacker.close()
 
     assert (done.code, done.result["parked"], done.result["stopped_by"]) == (0, True, None), done.last_line
     assert attempts == ATTEMPTS
     recorded = read_recording(recording)
     ticks = [parse_json(TickRecord, read_text(message.data)) for message in recorded.topic(TICKS_TOPIC)]
-    assert judge_truth(load_course(course), read_truth(run.truth), ticks[0].wall_ns).parked
+    assert judge_truth(load_course(course), run.truth.read(), ticks[0].wall_ns).parked
 
     # Half of the attempts are commands: all were dropped, and none but the driver's was accepted.
     sent = len(recorded.topic("cmd_vel"))

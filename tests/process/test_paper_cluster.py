@@ -8,7 +8,7 @@ import pytest
 from dask_cluster import Cluster
 
 from rover_ncp.cli import run
-from sim.paper.cell import Name, load_cell
+from sim.paper.results import RunName, load_result
 
 QUICK = ["paper", "run", "--task", "cart-pole", "--agent", "mlp", "--budget", "quick", "--again"]
 TIMES = {"wall_s", "cpu_s"}
@@ -40,12 +40,12 @@ def test_a_cluster_makes_the_runs_of_one_machine(
     made = json.loads(capsys.readouterr().out)["made"]
     assert sorted(row["seed"] for row in made) == [0, 1, 2]
     for seed in range(3):
-        name = Name(task="cart-pole", agent="mlp", seed=seed)
-        cells = [load_cell(name.path(folder)).model_dump(exclude=TIMES) for folder in (here, there)]
-        assert cells[0] == cells[1]
+        name = RunName(task="cart-pole", agent="mlp", seed=seed)
+        results = [load_result(name.path(folder)).model_dump(exclude=TIMES) for folder in (here, there)]
+        assert results[0] == results[1]
 
 
-def test_what_does_not_go_together_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_conflicting_options_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nowhere = ["--runs", str(tmp_path), "--cluster", "tcp://127.0.0.1:9"]
     assert run([*QUICK, *nowhere, "--processes", "2"]) == 2
     assert "--cluster goes with neither --processes" in capsys.readouterr().err

@@ -8,7 +8,8 @@ from bridge_bench import Rig
 from browser import Watched, chromium
 
 from rover_ncp import cli
-from sim.live.processes import LiveRun, Process
+from sim.live.live_run import LiveRun
+from sim.live.processes import Process
 
 pytestmark = pytest.mark.browser
 
@@ -28,7 +29,7 @@ def truth(folder):
 def test_a_running_rover_is_seen_and_stopped(browser, tmp_path):
     with LiveRun(tmp_path) as running:
         watch = Process("watch", ["--robot", running.robot, "--port", "0"], tmp_path)
-        running.processes["watch"] = watch
+        running.processes.append(watch)
         address = watch.wait_for_line("watching at ")
         seen = Watched(browser, address)
         seen.until("!document.getElementById('stop').disabled")

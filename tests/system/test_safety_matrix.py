@@ -16,10 +16,10 @@ import pytest
 from paths import ROOT
 from safety_stack import COURSE, ROWS_FILE, WALL, record
 
-from sim.faults.faults import FAULTS, SCRIPTED
 from sim.faults.measure import measure
-from sim.faults.rig import SPEED_M_S, Rig, wait_for
-from sim.faults.table import MATRIX, braking_s, row
+from sim.faults.rig import SPEED_M_S, Rig
+from sim.faults.table import MATRIX, ROWS, SCRIPTED, braking_s
+from sim.live.processes import wait_for
 
 PAGE = ROOT / "docs" / "safety.md"
 
@@ -40,9 +40,9 @@ def rig_with(tmp_path_factory):
 
 
 # A scripted driver never stops by itself, so where one can drive, the gate stops the rover.
-@pytest.mark.parametrize("key", [each.key for each in MATRIX if each.outside and not each.outlet])
+@pytest.mark.parametrize("key", [each.key for each in MATRIX if each.act and not each.outlet])
 def test_the_rover_stands_in_time_and_stays(rig, key):
-    measured = measure(rig, row(key), FAULTS[key].drivers[0])
+    measured = measure(rig, ROWS[key], ROWS[key].drivers[0])
     record(measured.row, measured.seconds, measured.braking_s, measured.late_s, measured.note)
     if key in {"odometry-jumps", "odometry-nan"}:  # which the gate lets pass
         assert measured.stopped_by == "estimator"
@@ -52,22 +52,20 @@ def test_the_rover_stands_in_time_and_stays(rig, key):
     ("key", "late"),
     [("bumper", "mock"), ("line-reset", "line"), ("bridge-hung", "bridge")],
 )
-def test_fault_is_timed_when_it_begins_and_not_when_it_is_asked_for(rig, monkeypatch, key, late):
+def test_fault_is_timed_when_it_begins_and_not_when_it_is_requested(rig, key, late):
     """The process that injects the fault runs 0.2 s late; that delay does not count as the rover's."""
-    fault = FAULTS[key]
-    asked_ns = 0
+    requested_ns = 0
 
     def act(scene):
-        nonlocal asked_ns
+        nonlocal requested_ns
         process = getattr(rig, late)
         process.send_signal(signal.SIGSTOP)
-        asked_ns = time.time_ns()
+        requested_ns = time.time_ns()
         threading.Timer(0.2, process.send_signal, [signal.SIGCONT]).start()
-        return fault.act(scene)
+        return ROWS[key].act(scene)
 
-    monkeypatch.setitem(FAULTS, key, fault._replace(act=act))
-    measured = measure(rig, row(key), SCRIPTED)
-    assert measured.began_ns - asked_ns > 0.19e9
+    measured = measure(rig, ROWS[key]._replace(act=act), SCRIPTED)
+    assert measured.began_ns - requested_ns > 0.19e9
 
 
 @pytest.mark.parametrize("late", ["mock", "line"])
@@ -89,12 +87,12 @@ SAMPLE = {"terminal-bumper", "terminal-stop-query", "pipe-stall", "pipe-silence"
     "key", [each.key for each in MATRIX if each.outlet and (ROWS_FILE or each.key in SAMPLE)]
 )
 def test_blocked_output_delays_no_stop(rig_with, key):
-    test_the_rover_stands_in_time_and_stays(rig_with(row(key).outlet), key)
+    test_the_rover_stands_in_time_and_stays(rig_with(ROWS[key].outlet), key)
 
 
 def test_two_deploys_at_once_of_which_the_second_is_refused(rig):
-    deploys = [rig.deploy() for _ in range(2)]
-    wait_for(lambda: not all(deploy.running for deploy in deploys), "one to be refused", 20.0)
+    deploys = [rig.drive_course() for _ in range(2)]
+    wait_for(lambda: not all(deploy.running for deploy in deploys), 20.0)
     second, first = sorted(deploys, key=lambda deploy: deploy.running)
     done = second.wait(15.0)
     assert (done.code, done.result["kind"]) == (3, "AnotherDriver")
@@ -112,21 +110,12 @@ def test_a_wall_in_the_way(tmp_path):
     options = {"mock": ["--course", str(WALL)], "bridge": ["--limits", str(limits)]}
     with Rig(tmp_path, WALL, **options) as rig:
         driver = rig.under_way(rig.scripted_driver())
-        wait_for(lambda: rig.truth.read()[-1].x >= near_m, "the rover to come near")
-        near = next(motion for motion in rig.truth.read() if motion.x >= near_m)
+        near = wait_for(lambda: next((state for state in rig.truth.read() if state.pose.x >= near_m), None))
         stood_s = rig.stood(near.clock_ns)
-        record(row("wall"), stood_s, braking_s(near.v), rig.late_s())
+        record(ROWS["wall"], stood_s, braking_s(near.velocity.v), rig.late_s())
         assert (driver.gate.held, driver.gate.stops["sonar"]) == ("sonar", 1)
         assert driver.driving
         rig.under_way(driver, -SPEED_M_S)  # and back is free
-
-
-# One table, and everything that is made from it.
-
-
-def test_every_row_that_can_be_injected_has_a_fault():
-    assert set(FAULTS) == {each.key for each in MATRIX if each.outside}
-    assert len({each.key for each in MATRIX}) == len(MATRIX)
 
 
 def test_the_page_shows_every_row():

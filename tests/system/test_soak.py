@@ -12,12 +12,11 @@ import pytest
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.messages import odometry, twist_stamped
 from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording
-from sim.faults.completeness import check_recording
-from sim.faults.leaks import Usage, leaks, usage
+from sim.faults.losses import Usage, check_recording, leaks, usage
 from sim.faults.measure import Measured
 from sim.faults.soak import Round, Soaked, soak
 from sim.faults.soak_report import fields, table, verdict
-from sim.faults.table import row
+from sim.faults.table import ROWS
 
 SECOND_NS = 1_000_000_000
 SIP_NS = SECOND_NS // 10
@@ -25,7 +24,7 @@ SIP_NS = SECOND_NS // 10
 
 def test_a_few_faults_in_a_row_and_nothing_is_lost(tmp_path):
     heard = []
-    rows = [row("deploy-killed"), row("truncated"), row("gone-bumper")]
+    rows = [ROWS["deploy-killed"], ROWS["truncated"], ROWS["gone-bumper"]]
     soaked = soak(32.0, 1, tmp_path, lambda soaked, doing: heard.append(doing), rows)
     said = fields(soaked, 1)
     assert verdict(soaked) == []
@@ -42,7 +41,7 @@ def test_a_few_faults_in_a_row_and_nothing_is_lost(tmp_path):
 
 
 def test_row_with_its_own_mock_can_come_twice(tmp_path):
-    soaked = soak(26.0, 1, tmp_path, lambda soaked, doing: None, [row("gone-bumper")])
+    soaked = soak(26.0, 1, tmp_path, lambda soaked, doing: None, [ROWS["gone-bumper"]])
     assert [each.failure for each in soaked.rounds] == [""] * len(soaked.rounds)
     assert len(soaked.rounds) >= 2
 
@@ -178,9 +177,9 @@ def test_a_recording_cut_off_is_made_whole_and_a_lost_command_is_noticed(tmp_pat
 
 
 def test_report_lists_every_failed_check():
-    late = Measured(row("bumper"), "hand", 0, 1.2, 0.0, 0.12, 0.0, "", "bumper")
+    late = Measured(ROWS["bumper"], "hand", 0, 1.2, 0.0, 0.12, 0.0, "", "bumper")
     soaked = Soaked(rounds=[Round(5.0, late.row, "hand", late)], still=False)
-    soaked.rounds.append(Round(9.0, row("stall"), "hand", None, "timed out"))
+    soaked.rounds.append(Round(9.0, ROWS["stall"], "hand", None, "timed out"))
     soaked.usage["bridge"] = samples(100, sockets=1)
     said = fields(soaked, 0)
     words = " ".join(said["wrong"])

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 
 import bridge.pioneer.odometry
 from bridge.base import BaseReport
-from bridge.pioneer.arcos import COMMANDS, Command, Decoder
+from bridge.pioneer.arcos import Command, Decoder
 from bridge.pioneer.odometry import Odometer, counter_difference
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
 from bridge.pioneer.robots import ROBOTS
+from sim.pioneer.client_commands import MockCommand
 
 SPOKEN = [c for c in CAPTURES if c.said(ARIA_LINE) or c.said(PLAYER_LINE)]
 
@@ -27,8 +28,8 @@ def states_of(capture: Capture) -> list[BaseReport]:
     states = []
     for t, direction, data in sorted(both):
         if direction == "c2r":
-            kinds = {COMMANDS.get(packet.kind) for packet in from_client.feed(data, t)}
-            if kinds & {Command.SETO, Command.SIM_RESET}:
+            kinds = {packet.kind for packet in from_client.feed(data, t)}
+            if kinds & {Command.SETO, MockCommand.SIM_RESET}:
                 odometer.reset_pending = True
             continue
         for packet in from_robot.feed(data, t):

@@ -63,19 +63,13 @@ def test_parameters_come_back(seed):
     )
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 3.1, -3.1])
 @pytest.mark.parametrize("block", LAYERED.layout().blocks, ids=lambda block: block.kind)
-def test_refuses_parameters_out_of_bounds(block, value):
-    if block.kind is ParameterKind.LEAK_POTENTIAL and value == -3.1:
-        value = 0.1
-    if block.kind is ParameterKind.LEAK and value == 3.1:
-        value = 5.1
-    if block.kind is ParameterKind.LEAK_POTENTIAL and value == 3.1:
-        value = -90.1
-    vector = LAYERED.parameters()
-    vector[block.slice.stop - 1] = value
-    with pytest.raises(ConfigError, match=f"{block.kind}.* outside"):
-        LAYERED.with_parameters(vector)
+def test_refuses_parameters_out_of_bounds(block):
+    for value in (math.nan, math.inf, -math.inf, block.lower - 0.01, block.upper + 0.01):
+        vector = LAYERED.parameters()
+        vector[block.slice.stop - 1] = value
+        with pytest.raises(ConfigError, match=f"{block.kind}.* outside"):
+            LAYERED.with_parameters(vector)
 
 
 def test_refuses_a_vector_of_another_length():
@@ -134,13 +128,6 @@ def test_runner_starts_at_rest_and_returns_to_it():
     runner.reset()
     assert (runner.potentials == RESTING_MV).all()
     assert runner.tick([0.5, 0.5, 0.5, 1.0]) == first
-
-
-def test_warm_up_is_a_tick():
-    warm, ticked = PolicyRunner(PARKING), PolicyRunner(PARKING)
-    warm.warm_up([0.0, 0.0, 0.0, 0.0])
-    ticked.tick([0.0, 0.0, 0.0, 0.0])
-    assert warm.potentials.tobytes() == ticked.potentials.tobytes()
 
 
 def test_neurons_that_sense_nothing_leak():

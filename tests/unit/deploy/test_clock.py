@@ -2,7 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.drive.clock import NS, RateKeeper, StampClock
+from deploy.drive.measurements import NS, StampClock
+from deploy.drive.rate_keeper import RateKeeper
 
 MS = 1_000_000
 PERIOD = 100 * MS

@@ -50,7 +50,7 @@ def drive(policy, odom=ORIGIN, pose=ORIGIN, report=lambda p, v: (p, v), latency=
         poses.append(rover.pose)
         if index not in lose:
             measured = report(compose(to_odom, rover.pose), rover.velocity)
-            assert controller.odometry(*measured, index * DT) is Outcome.ACCEPTED
+            assert controller.estimator.odometry(*measured, index * DT) is Outcome.ACCEPTED
         ticks.append(controller.tick(index, index * DT + latency))
         rover.command(*ticks[-1].command)
         for _ in range(10):
@@ -69,7 +69,7 @@ def bits(ticks):
 def test_the_circuit_is_run_as_in_the_simulator(policy):
     _, ticks, _ = drive(policy, latency=0.0)
     runner = PolicyRunner(policy)
-    runner.warm_up((0.0, 0.0, 0.0, 0.0))
+    runner.tick((0.0, 0.0, 0.0, 0.0))
     for tick in ticks:
         start = 1.0 if tick.index >= 30 else 0.0
         command = runner.tick((*tick.estimate.pose, start))
@@ -89,7 +89,7 @@ def test_a_circuit_that_follows_the_course_sees_its_reference_as_in_the_simulato
         signals = see(pose, 0.0, reference.tick(index))
         return [signals[i] for i in chosen]
 
-    runner.warm_up(seen(there, 0))
+    runner.tick(seen(there, 0))
     for tick in ticks:
         assert tick.command == runner.tick(seen(tick.estimate.pose, tick.index))
     # And it drives there, as the engine's rover does.
@@ -105,7 +105,7 @@ def started_at(pose):
 
 def test_driven_on_odometry_the_rover_goes_where_exact_poses_take_it(policy):
     rover, runner, exact = PymunkRover(RoverModel(), Ground()), PolicyRunner(policy), []
-    runner.warm_up((0.0, 0.0, 0.0, 0.0))
+    runner.tick((0.0, 0.0, 0.0, 0.0))
     for index in range(COURSE.ticks):
         exact.append(rover.pose)
         rover.command(*runner.tick((*rover.pose, COURSE.start_signal(index * DT))))
@@ -159,10 +159,10 @@ def test_odometry_without_numbers_never_gets_through(policy):
     controller = Controller(policy, COURSE, EstimatorSettings())
     controller.start(ORIGIN, 0.0)
     nan, inf = math.nan, math.inf
-    assert controller.odometry(Pose(nan, 0, 0), Velocity(0, 0), 0.1) is Outcome.NOT_FINITE
-    assert controller.odometry(Pose(0, 0, inf), Velocity(0, 0), 0.1) is Outcome.NOT_FINITE
+    assert controller.estimator.odometry(Pose(nan, 0, 0), Velocity(0, 0), 0.1) is Outcome.NOT_FINITE
+    assert controller.estimator.odometry(Pose(0, 0, inf), Velocity(0, 0), 0.1) is Outcome.NOT_FINITE
     assert not controller.estimator.fault
-    assert controller.odometry(Pose(1e308, 1e308, 1), Velocity(0, nan), 0.1) is Outcome.NOT_FINITE
+    assert controller.estimator.odometry(Pose(1e308, 1e308, 1), Velocity(0, nan), 0.1) is Outcome.NOT_FINITE
     assert controller.estimator.fault
     assert all(map(math.isfinite, controller.tick(0, 0.2).command))
 

@@ -110,7 +110,7 @@ class Drives:
 def follow(drives, row, every=5, late=lambda tick: 0, gyro=None):
     """Run an estimator along one drive, with a pose each so many ticks that comes ``late`` ticks later.
 
-    Returns errors and NEES of each tick, the NIS of the poses, and the estimator.
+    Returns errors and NEES of each tick, and the estimator.
     """
     estimator = Estimator(SETTINGS)
     rest_ticks = 0 if gyro is None else REST_TICKS
@@ -119,7 +119,7 @@ def follow(drives, row, every=5, late=lambda tick: 0, gyro=None):
         estimator.gyro(gyro[tick + TICKS + rest_ticks][row], tick * DT)
         report = as_a_base_reports(drives.odometry[0][row], Velocity(0.0, 0.0))
         assert estimator.odometry(*report, tick * DT) is Outcome.ACCEPTED
-    errors, nees, nis, coming = [], [], [], []
+    errors, nees, coming = [], [], []
     for tick in range(1, TICKS + 1):
         t = tick * DT
         before, now = drives.odometry[tick - 1][row], drives.odometry[tick][row]
@@ -134,13 +134,12 @@ def follow(drives, row, every=5, late=lambda tick: 0, gyro=None):
             if due <= tick:
                 coming.remove((due, measured))
                 estimator.external(drives.seen(measured, row), COVARIANCE, measured * DT)
-                nis.append(estimator.pose_nis)
         estimate = estimator.at(t)
         error = np.array(estimate.pose) - drives.poses[tick][row]
         error[2] = wrap_angle(error[2])
         errors.append(error)
         nees.append(error @ np.linalg.solve(estimate.covariance[:3, :3], error))
-    return np.array(errors), np.array(nees), np.array(nis), estimator
+    return np.array(errors), np.array(nees), estimator
 
 
 def raw_errors(drives, row):
@@ -168,17 +167,15 @@ def band(degrees, count, share=0.95):
 
 def test_over_200_random_runs_it_is_consistent_and_better_than_odometry(drives):
     runs = [follow(drives, row) for row in range(200)]
-    nees, nis = np.array([run[1] for run in runs]), np.concatenate([run[2] for run in runs])
-    low, high = band(3, nis.size)
-    assert low < nis.mean() < high
+    nees = np.array([run[1] for run in runs])
     low, high = band(3, 200)  # as if the ticks of a run were one
     assert low < nees.mean() < high
     low, high = band(3, 200, 0.999)
     assert ((nees.mean(axis=0) > low) & (nees.mean(axis=0) < high)).all()
     inside = (nees > chi2.ppf(0.025, 3)) & (nees < chi2.ppf(0.975, 3))
     assert 0.94 < inside.mean() < 0.96
-    assert not any(run[3].fault for run in runs)
-    assert sum(run[3].poses[Outcome.OUTLIER] for run in runs) <= 2  # 1 in 10,000 of 3,200
+    assert not any(run[2].fault for run in runs)
+    assert sum(run[2].poses[Outcome.OUTLIER] for run in runs) <= 2  # 1 in 10,000 of 3,200
 
     seen = SIGMA[:2].max() * math.sqrt(2)
     better = rms([np.hypot(*run[0][:, :2].T) for run in runs])
@@ -219,8 +216,8 @@ def test_what_poses_have_taught_it_outlives_them(drives):
 def test_poses_that_come_late_and_out_of_order_count_as_if_they_had_come_at_once(drives):
     delays = [0, 7, 3, 9, 1, 5, 2, 8]
     for row in range(3):
-        _, _, _, prompt = follow(drives, row, every=2)
-        errors, _, _, late = follow(
+        _, _, prompt = follow(drives, row, every=2)
+        errors, _, late = follow(
             drives, row, every=2, late=lambda tick: delays[tick // 2 % 8] % (TICKS + 1 - tick)
         )
         assert late.poses[Outcome.TOO_OLD] == 0
@@ -331,7 +328,7 @@ def test_a_gyro_makes_the_heading_better_than_odometrys(drives):
     rates = gyro_of(drives, 5)
     with_gyro = [follow(drives, row, every=0, gyro=rates) for row in range(40)]
     without = [follow(drives, row, every=0) for row in range(40)]
-    assert not any(run[3].fault for run in with_gyro)
+    assert not any(run[2].fault for run in with_gyro)
     start = np.array(
         [wrap_angle(drives.seen(0, row).theta - drives.poses[0][row].theta) for row in range(40)]
     )

@@ -1,7 +1,7 @@
 import pytest
 
 from deploy.drive.controller import Controller
-from deploy.drive.response import ResponseWatch
+from deploy.drive.safety_monitor import ResponseCheck
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.geometry import Pose, Velocity
@@ -14,7 +14,7 @@ STILL = Velocity(0.0, 0.0)
 
 def first_complaint(asked, driven, ticks=100):
     """The tick of the first complaint, None if there is none; both are functions of the tick."""
-    watch = ResponseWatch()
+    watch = ResponseCheck()
     return next((k for k in range(ticks) if watch.tick(asked(k), driven(k))), None)
 
 
@@ -56,11 +56,11 @@ def test_a_rover_that_obeys_is_never_accused(model, request):
     """A whole manoeuvre, on the base as it is and on a sluggish one (delays 300 ms, acceleration −30 %)."""
     course, rover = load_course("parking"), PymunkRover(model, Ground())
     for policy in ("parking", str(request.config.rootpath / "tests/data/golden/parking.bnn")):
-        controller, watch = Controller(load_policy(policy), course, EstimatorSettings()), ResponseWatch()
+        controller, watch = Controller(load_policy(policy), course, EstimatorSettings()), ResponseCheck()
         controller.start(Pose(0, 0, 0), -0.1)
         rover.set_pose(Pose(0, 0, 0))
         for index in range(course.ticks):
-            controller.odometry(rover.pose, rover.velocity, 0.1 * index)
+            controller.estimator.odometry(rover.pose, rover.velocity, 0.1 * index)
             tick = controller.tick(index, 0.1 * index)
             assert watch.tick(tick.command, tick.estimate.velocity) == ""
             rover.command(*tick.command)
@@ -69,6 +69,6 @@ def test_a_rover_that_obeys_is_never_accused(model, request):
 
 
 def test_it_says_what_was_asked_and_what_came():
-    watch = ResponseWatch()
+    watch = ResponseCheck()
     words = [watch.tick(Velocity(0.1, 0), Velocity(0.001, 0)) for _ in range(18)]
     assert words[-1] == "0.001 m where 0.100 m were commanded within a second"

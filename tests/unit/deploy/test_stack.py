@@ -13,8 +13,8 @@ from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.core.messages import read_text
 from rover_ncp.core.protocol import parse_json
 from rover_ncp.core.recording import read_recording
-from sim.live.processes import LiveRun
-from sim.live.truth import read_truth
+from sim.live.live_run import LiveRun
+from sim.live.processes import wait_for
 
 BRAKING_S = 0.16 / 0.31 + 0.15
 """From the circuit's full speed, with the base's delay."""
@@ -36,22 +36,15 @@ def deploy(run, request, tmp_path):
     return lambda: run.deploy(*files, "--record", str(tmp_path / "run.mcap"), "--overwrite")
 
 
-def wait_until(condition, seconds=30.0):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "timed out"
-        time.sleep(0.02)
-
-
 def where(run):
-    states = read_truth(run.truth)
+    states = run.truth.read()
     return states[-1].pose if states else Pose(0.0, 0.0, 0.0)
 
 
 def driving(run, deploy):
     """Start a driver and wait until the rover is well on its way."""
     start, driver = where(run), deploy()
-    wait_until(lambda: distance(where(run), start) > 0.1 or not driver.running)
+    wait_for(lambda: distance(where(run), start) > 0.1 or not driver.running, 30.0)
     return driver
 
 
@@ -59,11 +52,11 @@ def standstill_s(run, since_ns):
     """Wait until the true rover has stood for 0.4 s; return how long after ``since_ns`` it stopped."""
 
     def stands():
-        states = read_truth(run.truth)[-40:]
+        states = run.truth.read()[-40:]
         return distance(states[0].pose, states[-1].pose) < 1e-4
 
-    wait_until(stands)
-    states = [state for state in read_truth(run.truth) if state.wall_ns > since_ns]
+    wait_for(stands)
+    states = [state for state in run.truth.read() if state.wall_ns > since_ns]
     moving = [b.wall_ns for a, b in pairwise(states) if distance(a.pose, b.pose) > 1e-6]
     return (moving[-1] - since_ns) * 1e-9 if moving else 0.0
 
@@ -75,7 +68,7 @@ def test_the_estimate_is_where_the_rover_is_and_the_drive_recomputes(run, deploy
     assert done.result["ticks"] + done.result["missed"] == 40
     assert done.result["stopped_by"] is None
 
-    truth = read_truth(run.truth)
+    truth = run.truth.read()
     t = np.array([state.wall_ns for state in truth])
     poses = np.unwrap(np.array([state.pose for state in truth]), axis=0)
     recording = read_recording(tmp_path / "run.mcap")
@@ -121,7 +114,7 @@ def test_however_a_drive_ends_the_rover_stands(run, deploy, tmp_path):
     assert comparison.ticks > 5
 
     driver = driving(run, deploy)
-    run.processes["bridge"].send_signal(signal.SIGKILL)
+    run.bridge.send_signal(signal.SIGKILL)
     killed_ns = time.time_ns()
     done = driver.wait(20)
     assert time.time_ns() - killed_ns < 5e9

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.viewer_topics import Views
+from deploy.drive.publisher import ViewerTopics
 from rover_ncp.circuit.tap_withdrawal import PARKING_NEURONS
 from rover_ncp.core.cdr import decode
 from rover_ncp.core.geometry import Pose, compose
@@ -21,7 +21,7 @@ LAYOUT = Path("docs/viewing/rover-ncp.json")
 
 def recorded(ticks=3):
     messages = []
-    views = Views(messages.append, NAMES, "course")
+    views = ViewerTopics(messages.append, NAMES)
     views.start(1_000, Pose(0.5, 0.0, 0.1), Pose(3.0, -2.0, 1.0))
     for k in range(ticks):
         last = k == ticks - 1

@@ -62,7 +62,7 @@ def test_a_lane_returns_what_the_environment_returns():
     for vector in vectors:
         runner = PolicyRunner(POLICY.with_parameters(vector))
         observation, _ = env.reset()
-        runner.warm_up(observation)
+        runner.tick(observation)
         total, terminated = 0.0, False
         while not terminated:
             observation, reward, terminated, _, _ = env.step(runner.tick(observation))

@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from sim.paper.arena import Arena, draw_seeds
+from sim.paper.evaluator import Evaluator, draw_seeds
 from sim.paper.gradients import CELLS, Actor, PaperEnvironment, score_actor
 from sim.paper.tasks import TASKS
 
@@ -34,10 +34,10 @@ def test_an_actor_is_its_vector():
 @pytest.mark.parametrize("name", ["pendulum", "roboschool", "mountain-car"])
 def test_the_environment_starts_where_the_lanes_do(name):
     task = TASKS[name]
-    arena = Arena(task, task.policy(task.circuit()), lanes=1)
+    evaluator = Evaluator(task, task.policy(task.circuit()), lanes=1)
     seeds = draw_seeds(3, (1,), 4)
     world = PaperEnvironment(task)
-    for seed, start in zip(seeds, arena.starts(seeds), strict=True):
+    for seed, start in zip(seeds, evaluator.starts(seeds), strict=True):
         seen, _ = world.reset(seed=int(seed))
         np.testing.assert_allclose(seen, start, rtol=1e-7)
 

@@ -4,23 +4,23 @@ import json
 from pathlib import Path
 
 import pytest
+from bnn_text import circuit_to_bnn
 
-from rover_ncp.circuit.bnn import circuit_to_bnn
 from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.cli import run
 from sim.paper.agents import build_agent
-from sim.paper.cell import Name, Shelf, load_cell
+from sim.paper.results import ResultStore, RunName, load_result
 from sim.paper.tasks import TASKS
 
 
 @pytest.fixture(scope="module")
 def trained():
     """Return the shipped mountain-car run of seed 0 and its circuit."""
-    path = Shelf(Path("nowhere")).find(Name(task="mountain-car", agent="circuit", seed=0))
-    cell = load_cell(path)
+    path = ResultStore(Path("nowhere")).find(RunName(task="mountain-car", agent="circuit", seed=0))
+    result = load_result(path)
     policy = build_agent(TASKS["mountain-car"], "circuit", 0)
-    return cell, policy.with_parameters(cell.vector).circuit
+    return result, policy.with_parameters(result.parameters.array()).circuit
 
 
 def evaluate(capsys, *arguments):
@@ -29,13 +29,13 @@ def evaluate(capsys, *arguments):
 
 
 def test_a_published_circuit_plays_its_benchmark(trained, tmp_path, capsys):
-    cell, circuit = trained
+    result, circuit = trained
     bnn, yaml = tmp_path / "car.bnn", tmp_path / "car.yaml"
     bnn.write_text(circuit_to_bnn(circuit))
     yaml.write_text(circuit_to_yaml(circuit))
     code, clamped = evaluate(capsys, str(yaml), "--task", "mountain-car")
     assert code == 0
-    assert clamped["return"] == pytest.approx(cell.mean, abs=3.0)  # other episodes of the same circuit
+    assert clamped["return"] == pytest.approx(result.mean, abs=3.0)  # other episodes of the same circuit
     assert clamped["ranges"] == {"position": 1.0, "velocity": 0.02}
     _, unclamped = evaluate(capsys, str(bnn), "--task", "mountain-car")
     assert unclamped["return"] != clamped["return"]  # a velocity beyond its range is seen as it is

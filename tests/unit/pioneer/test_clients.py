@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from pioneer_bench import Pioneer
 
 import sim.pioneer.firmware
-from bridge.pioneer.arcos import COMMANDS, Command, Packet, decode_argument, encode_frame
+from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command, encode_frame
 from bridge.pioneer.packets import decode_names
 from bridge.pioneer.robots import ROBOTS
+from sim.pioneer.client_commands import MockCommand, decode_argument, pair
 
 SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 
@@ -47,7 +48,7 @@ def plays(capture: Capture) -> bool:
         pioneer.say(data)
         wanted = next(((v, omega) for when, v, omega in reversed(setpoints) if when <= t), (0.0, 0.0))
         drive = pioneer.firmware.drive
-        if drive.enabled and drive.set_points != pytest.approx(wanted):
+        if drive.enabled and drive.setpoints != pytest.approx(wanted):
             return False
     firmware = pioneer.firmware
     return not (firmware.unknown or firmware.bad_arguments or firmware.decoder.skipped_bytes)
@@ -58,14 +59,14 @@ def test_every_byte_that_third_party_clients_sent_is_understood(capture: Capture
     assert plays(capture)
 
 
-def twos_complement(command: Command, payload: bytes) -> object:
+def twos_complement(command: int, payload: bytes) -> object:
     argument = decode_argument(command, payload)
-    if isinstance(argument, int) and payload[0] == 0x1B:
+    if isinstance(argument, int) and payload[:1] == b"\x1b":
         return int.from_bytes(payload[1:3], "little", signed=True)
     return argument
 
 
-def sign_ignored(command: Command, payload: bytes) -> object:
+def sign_ignored(command: int, payload: bytes) -> object:
     argument = decode_argument(command, payload)
     return abs(argument) if isinstance(argument, int) else argument
 
@@ -91,7 +92,7 @@ def test_third_party_handshakes_are_answered_as_the_recorded_robot_answered() ->
 
 COMMAND = st.builds(
     encode_frame,
-    st.one_of(st.sampled_from(list(COMMANDS)), st.integers(0, 255)),
+    st.one_of(st.sampled_from([*Command, *MockCommand]), st.integers(0, 255)),
     st.one_of(
         st.binary(max_size=20),
         st.builds(
@@ -126,3 +127,43 @@ def test_unknown_commands_are_counted_and_feed_the_watchdog() -> None:
         pioneer.say(encode_frame(199, b"\x3b\x01\x00"))
     assert pioneer.speed == pytest.approx(0.1)
     assert pioneer.firmware.unknown[199] == 6
+
+
+# What clients said, by hand from the recordings' descriptions: sign and magnitude, pairs, poses, strings.
+ARGUMENTS = [
+    (Command.VEL, "1bc800", -200),
+    (Command.RVEL, "1b1e00", -30),
+    (Command.SETA, "1b2c01", -300),
+    (Command.SETV, "3bb80b", 3000),
+    (MockCommand.VEL2, "3b0a05", 0x050A),
+    (MockCommand.VEL2, "1bfb04", -1275),
+    (MockCommand.SIM_SET_POSE, "0018fcffffc40900005a000000", (-1000, 2500, 90)),
+    (MockCommand.POLLING, "2b010203040506070800", bytes(range(1, 9))),  # Soar: no length, a NUL
+    (MockCommand.POLLING, "2b03010203", bytes([1, 2, 3])),
+    (MockCommand.POLLING, "2b00", b""),
+    (Command.SETO, "3b", 0),  # Player
+    (Command.OPEN, "3b0100", 0),  # ARIA
+    (Command.VEL, "", None),
+    (Command.VEL, "3b05", None),
+    (Command.VEL, "2b0500", None),
+    (Command.VEL, "3b0500ff", 5),
+    (MockCommand.SIM_SET_POSE, "0018fcffff", None),
+    (MockCommand.DIGOUT, "1b1909", 0x0919),  # the manual: unsigned with any type byte
+]
+
+
+@pytest.mark.parametrize(("command", "payload", "argument"), ARGUMENTS)
+def test_arguments_mean_what_clients_meant(command: int, payload: str, argument: object) -> None:
+    assert decode_argument(command, bytes.fromhex(payload)) == argument
+
+
+@pytest.mark.parametrize(("word", "wheels"), [(0x050A, (5, 10)), (-1275, (-5, 5)), (0xFB05, (-5, 5))])
+def test_vel2_carries_two_signed_bytes_in_either_encoding(word: int, wheels: tuple[int, int]) -> None:
+    assert pair(word) == wheels
+
+
+@given(st.sampled_from([Command.VEL, Command.SETRA, MockCommand.HEAD]), st.integers(-32767, 32767))
+def test_integers_survive_the_wire(command: int, value: int) -> None:
+    (packet,) = Decoder().feed(encode_command(command, value))
+    assert packet.kind == command
+    assert decode_argument(packet.kind, packet.payload) == value

@@ -8,8 +8,9 @@ from pioneer_bench import Pioneer
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import Flag
 from rover_ncp.core.errors import UsageError
+from sim.pioneer.client_commands import MockCommand
 from sim.pioneer.faults import FAULTS, Fault, Faults, parse_fault
-from sim.pioneer.firmware import Link
+from sim.pioneer.firmware import ClientState
 
 
 @pytest.mark.parametrize(
@@ -127,7 +128,7 @@ def test_enable_has_no_effect_while_the_stop_button_is_pressed() -> None:
     pioneer.tell(Command.ENABLE, 1)
     assert not pioneer.sip().flags & Flag.MOTORS
     free = Pioneer("p3at-sh", "stop-button@1").open()
-    free.tell(Command.E_STALL, 0)
+    free.tell(MockCommand.E_STALL, 0)
     free.run(2.0)
     assert (
         free.sip().flags & (Flag.MOTORS | Flag.STOP_BUTTON | Flag.E_STALL) == Flag.MOTORS | Flag.STOP_BUTTON
@@ -143,12 +144,12 @@ def test_a_low_battery_shows_in_every_field() -> None:
 def test_a_reset_gives_notice_once_and_waits_for_a_client() -> None:
     pioneer = driven("reset@2")
     assert len(pioneer.of_kind(0xFF)) == 1
-    assert pioneer.firmware.link is Link.WAITING
+    assert pioneer.firmware.client is ClientState.WAITING
     pioneer.run(2.0)
     assert pioneer.speed == 0.0
     pioneer.open()
     pioneer.run(1.0)
-    assert pioneer.firmware.link is Link.OPEN
+    assert pioneer.firmware.client is ClientState.OPEN
 
 
 @pytest.mark.parametrize("name", ["corrupt", "drop", "noise"])
@@ -165,10 +166,6 @@ def test_damage_hits_its_share_of_packets_the_same_ones_for_a_seed(name: str) ->
     whole = Packet(0x32, bytes(range(40)))
     if name != "noise":
         assert not any(whole in Decoder().feed(data) for data in damaged)
-
-
-def test_a_healthy_line_changes_nothing() -> None:
-    assert Faults().damage(b"\xfa\xfb", 1.0) == b"\xfa\xfb"
 
 
 def test_injected_fault_counts_from_its_injection() -> None:

@@ -1,15 +1,18 @@
 """The mock Pioneer as the manuals say a base behaves."""
 
 import math
+import struct
 
 import pytest
 from pioneer_bench import Pioneer
 
 from bridge.pioneer.arcos import Command, Packet, encode_command, encode_frame
 from bridge.pioneer.odometry import Odometer
-from bridge.pioneer.packets import ConfigPac, EncoderPac, Flag, IoPac, Kind, SimStat, decode_names
+from bridge.pioneer.packets import ConfigPac, Flag, decode_names
 from bridge.pioneer.robots import ROBOTS
-from sim.pioneer.firmware import Link
+from sim.pioneer.client_commands import MockCommand
+from sim.pioneer.firmware import ClientState
+from sim.pioneer.report import ENCODER, IO, SIMSTAT
 
 SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 
@@ -57,7 +60,7 @@ def test_walking_the_syncs_over_an_open_session_closes_it() -> None:
     pioneer = Pioneer().open()
     for sync in SYNC:
         assert pioneer.tell(sync) == []
-    assert pioneer.firmware.link is Link.WAITING
+    assert pioneer.firmware.client is ClientState.WAITING
     assert not pioneer.firmware.drive.enabled
 
 
@@ -148,7 +151,7 @@ def test_the_watchdog_halts_and_any_packet_lets_the_set_points_go_on() -> None:
     pioneer.run(1.0, fed=False)
     assert len(pioneer.sips()) == 10
     assert all(sip.flags & Flag.MOTORS for sip in pioneer.sips())
-    pioneer.tell(Command.BATTERYINFO, 1)
+    pioneer.tell(62, 1)  # BATTERYINFO
     pioneer.run(1.5)
     assert pioneer.speed == pytest.approx(0.2)
 
@@ -198,7 +201,7 @@ def test_motors_that_are_off_take_no_set_points_and_keep_none() -> None:
 @pytest.mark.parametrize(("argument", "left", "right"), [(0x050A, 0.1, 0.2), (-1275, -0.1, 0.1)])
 def test_vel2_drives_the_wheels_in_both_encodings(argument: int, left: float, right: float) -> None:
     pioneer = Pioneer().open()
-    pioneer.say(encode_command(Command.VEL2, argument))
+    pioneer.say(encode_command(MockCommand.VEL2, argument))
     pioneer.run(3.0)
     assert pioneer.firmware.drive.wheel_speeds == pytest.approx((left, right), abs=1e-3)
     other = Pioneer().open()
@@ -212,7 +215,7 @@ def test_vel2_drives_the_wheels_in_both_encodings(argument: int, left: float, ri
 def test_move_drives_so_far_and_stops(way: int) -> None:
     pioneer = Pioneer().open()
     pioneer.tell(Command.SETV, 300)
-    pioneer.tell(Command.MOVE, way)
+    pioneer.tell(MockCommand.MOVE, way)
     pioneer.run(8.0)
     assert pioneer.rover.pose.x * 1000 == pytest.approx(way, abs=5)
     assert abs(pioneer.speed) < 0.002
@@ -221,16 +224,16 @@ def test_move_drives_so_far_and_stops(way: int) -> None:
 def test_headings_are_absolute_relative_and_relative_to_the_set_point() -> None:
     pioneer = Pioneer().open()
     for command, argument, heading in [
-        (Command.HEAD, 90, 90),
-        (Command.DHEAD, -30, 60),
-        (Command.DCHEAD, 150, -150),
-        (Command.DCHEAD, 20, -130),
-        (Command.HEAD, 350, -10),
+        (MockCommand.HEAD, 90, 90),
+        (MockCommand.DHEAD, -30, 60),
+        (MockCommand.DCHEAD, 150, -150),
+        (MockCommand.DCHEAD, 20, -130),
+        (MockCommand.HEAD, 350, -10),
     ]:
         pioneer.tell(command, argument)
         pioneer.run(8.0)
         assert math.degrees(pioneer.rover.pose.theta) == pytest.approx(heading, abs=0.8), command
-    pioneer.tell(Command.ROTATE, 10)
+    pioneer.tell(MockCommand.ROTATE, 10)
     pioneer.run(2.0)
     assert pioneer.turn_deg_s == pytest.approx(10, rel=1e-3)
 
@@ -280,7 +283,7 @@ def test_odometry_and_truth_agree_on_open_ground() -> None:
 @pytest.mark.parametrize("frame", [encode_command(Command.SETO), bytes.fromhex("fafb04073b073b")])
 def test_seto_zeroes_odometry_also_when_cut_short_as_players(frame: bytes) -> None:
     pioneer = Pioneer().open()
-    pioneer.tell(Command.MOVE, 300)
+    pioneer.tell(MockCommand.MOVE, 300)
     pioneer.run(6.0)
     x = pioneer.rover.pose.x
     pioneer.say(frame)
@@ -317,7 +320,7 @@ def test_sonars_hear_the_wall_and_obey() -> None:
     assert pioneer.sip().sonar == ()
     assert not pioneer.sip().flags & Flag.SONAR_1
     pioneer.tell(Command.SONAR, 0b101)
-    pioneer.tell(Command.POLLING, bytes([9, 10]))
+    pioneer.tell(MockCommand.POLLING, bytes([9, 10]))
     pioneer.run(0.2)
     assert {number for number, _ in pioneer.sip().sonar} <= {8, 9}
     assert pioneer.sip().flags & (Flag.SONAR_1 | Flag.SONAR_2) == Flag.SONAR_2
@@ -325,69 +328,74 @@ def test_sonars_hear_the_wall_and_obey() -> None:
 
 def test_encoders_count_the_wheels_way_once_or_in_a_stream() -> None:
     pioneer = Pioneer().open()
-    pioneer.tell(Command.ENCODER, 1)
+    pioneer.tell(MockCommand.ENCODER, 1)
     pioneer.run(0.5)
-    assert len(pioneer.of_kind(Kind.ENCODER)) == 1
-    pioneer.tell(Command.ENCODER, 2)
-    pioneer.tell(Command.MOVE, 500)
+    assert len(pioneer.of_kind(ENCODER)) == 1
+    pioneer.tell(MockCommand.ENCODER, 2)
+    pioneer.tell(MockCommand.MOVE, 500)
     pioneer.run(8.0)
-    ticks = EncoderPac.decode(pioneer.of_kind(Kind.ENCODER)[-1].payload)
-    assert ticks.left == ticks.right == pytest.approx(500 * 128, rel=0.01)
-    pioneer.tell(Command.ENCODER, 0)
+    left, right = struct.unpack("<2i", pioneer.of_kind(ENCODER)[-1].payload)
+    assert left == right == pytest.approx(500 * 128, rel=0.01)
+    pioneer.tell(MockCommand.ENCODER, 0)
     pioneer.packets.clear()
     pioneer.run(0.5)
-    assert pioneer.of_kind(Kind.ENCODER) == []
+    assert pioneer.of_kind(ENCODER) == []
 
 
 def test_ports_battery_and_outputs() -> None:
     pioneer = Pioneer("p3at-sh", "bumper").open()
-    pioneer.tell(Command.DIGOUT, 0x0F05)
-    pioneer.tell(Command.DIGOUT, 0x0100)
-    pioneer.tell(Command.IOREQUEST, 1)
-    pioneer.tell(Command.BATTEST, 118)
+    pioneer.tell(MockCommand.DIGOUT, 0x0F05)
+    pioneer.tell(MockCommand.DIGOUT, 0x0100)
+    pioneer.tell(MockCommand.IOREQUEST, 1)
+    pioneer.tell(MockCommand.BATTEST, 118)
     sip = pioneer.sip()
     assert (sip.digout, sip.battery_dv, sip.battery_x10) == (0x04, 118, 118)
-    (packet,) = pioneer.of_kind(Kind.IO)
-    ports = IoPac.decode(packet.payload)
-    assert ports.outputs == (0x04,)
-    assert ports.inputs[1] == 0xFF & ~0b100
-    assert len(ports.analog) == 9
-    pioneer.tell(Command.BATTEST, 0)
+    (packet,) = pioneer.of_kind(IO)
+    assert list(packet.payload[:8]) == [4, 0xFF, 0xFF & ~0b100, 0xFF, 0xFF, 1, 0x04, 9]
+    assert struct.unpack("<9H", packet.payload[8:]) == (*[0] * 8, round(118 / 255 * 1023))
+    pioneer.tell(MockCommand.BATTEST, 0)
     assert pioneer.sip().battery_dv == 128
+
+
+def true_pose(pioneer: Pioneer) -> tuple[int, int, int]:
+    """Return x and y in mm and the heading in deg of the newest SIMSTAT, at AMRISim's places."""
+    payload = pioneer.of_kind(SIMSTAT)[-1].payload
+    assert len(payload) == 56  # AMRISim's recorded ones have the same length
+    x_mm, y_mm, _, theta_deg = struct.unpack_from("<4i", payload, 12)
+    return x_mm, y_mm, theta_deg
 
 
 def test_a_simulators_commands_move_the_truth_and_not_odometry() -> None:
     pioneer = Pioneer().open()
-    pioneer.tell(Command.SIM_SET_POSE, (-1000, 2500, 90))
-    pioneer.say(encode_frame(Command.SIM_STAT))
+    pioneer.tell(MockCommand.SIM_SET_POSE, (-1000, 2500, 90))
+    pioneer.say(encode_frame(MockCommand.SIM_STAT))
     pioneer.run(0.2)
     assert pioneer.rover.pose == pytest.approx((-1.0, 2.5, math.pi / 2))
     assert pioneer.sip().x == 0
-    pioneer.tell(Command.SIM_STAT, 2)
+    pioneer.tell(MockCommand.SIM_STAT, 2)
     pioneer.run(0.3)
-    stat = SimStat.decode(pioneer.of_kind(Kind.SIMSTAT)[-1].payload)
-    assert (stat.x_mm, stat.y_mm, stat.theta_deg) == (-1000, 2500, 90)
+    assert true_pose(pioneer) == (-1000, 2500, 90)
     pioneer.tell(Command.VEL, 100)
     pioneer.run(1.0)
-    pioneer.tell(Command.SIM_RESET)
+    pioneer.tell(MockCommand.SIM_RESET)
     assert pioneer.rover.pose == pytest.approx((0, 0, 0), abs=1e-9)
 
 
 def test_even_the_edge_of_the_world_can_be_reported() -> None:
     pioneer = Pioneer().open()
-    pioneer.tell(Command.SIM_SET_POSE, (2**31 - 1, -(2**31), -90))
+    pioneer.tell(MockCommand.SIM_SET_POSE, (2**31 - 1, -(2**31), -90))
     pioneer.tell(Command.VEL, 700)
-    pioneer.tell(Command.SIM_STAT, 2)
+    pioneer.tell(MockCommand.SIM_STAT, 2)
     pioneer.run(4.0)
-    assert SimStat.decode(pioneer.of_kind(Kind.SIMSTAT)[-1].payload).y_mm > 0
+    assert true_pose(pioneer)[1] > 0
 
 
 def test_hostbaud_has_no_effect_on_tcp_and_reset_gives_notice() -> None:
     pioneer = Pioneer().open()
     pioneer.tell(Command.HOSTBAUD, 2)
     assert pioneer.sip()
-    assert pioneer.tell(Command.RESET) == [Packet(0xFF)]
-    assert pioneer.firmware.link is Link.WAITING
+    assert pioneer.tell(MockCommand.RESET) == [Packet(0xFF)]
+    assert pioneer.firmware.client is ClientState.WAITING
 
 
 def test_a_client_that_comes_after_one_that_vanished_finds_the_session_open() -> None:

@@ -3,8 +3,9 @@
 import pytest
 
 from sim.faults.measure import in_time
-from sim.faults.standstill import SAMPLE_S, NotStill, TruthReader
-from sim.faults.table import braking_s, row
+from sim.faults.table import ROWS, braking_s
+from sim.live.processes import TimedOut
+from sim.live.truth import SAMPLE_S, TruthReader
 from sim.pioneer.server import TRUTH_COLUMNS
 
 STEP_NS = 10_000_000
@@ -27,27 +28,24 @@ def truth(path, speeds, set_at=None):
 def test_setting_the_wall_clock_does_not_change_the_time(tmp_path, set_at):
     reader = truth(tmp_path / "truth.csv", [0.1] * 25 + [0.0] * 50, set_at)
     assert reader.stood_after(5 * STEP_NS, 0.5) == pytest.approx(0.20)  # to the first sample that stands
-    reader.close()
 
 
 def test_a_rover_that_stood_all_the_time_took_none_and_one_that_moves_is_not_still(tmp_path):
     reader = truth(tmp_path / "truth.csv", [0.1] * 5 + [0.0] * 50 + [0.1] * 20)
-    with pytest.raises(NotStill):
+    with pytest.raises(TimedOut):
         reader.stood_after(0, 0.1)
-    reader.close()
     reader = truth(tmp_path / "truth.csv", [0.1] * 5 + [0.0] * 50)
     assert reader.stood_after(5 * STEP_NS, 0.5) == 0.0
-    reader.close()
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.02])
 def test_bound_is_the_requirement_plus_the_resolution_and_no_more(late_s):
-    bridge_hung, braking = row("bridge-hung"), braking_s(0.12)
+    bridge_hung, braking = ROWS["bridge-hung"], braking_s(0.12)
     allowed = 2.0 + 0.15 + 0.12 / 0.31 + SAMPLE_S + late_s
     assert in_time(bridge_hung, allowed - 0.001, braking, late_s)
     assert not in_time(bridge_hung, allowed + 0.001, braking, late_s)
 
 
 def test_no_time_is_good_enough_when_its_resolution_is_worse_than_a_tenth_of_a_second():
-    assert in_time(row("bridge-hung"), 0.0, braking_s(0.12), 0.1)
-    assert not in_time(row("bridge-hung"), 0.0, braking_s(0.12), 0.11)
+    assert in_time(ROWS["bridge-hung"], 0.0, braking_s(0.12), 0.1)
+    assert not in_time(ROWS["bridge-hung"], 0.0, braking_s(0.12), 0.11)

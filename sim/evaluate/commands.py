@@ -1,0 +1,187 @@
+"""The command ``eval``; heavy libraries load only when it runs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rover_ncp.core.console import MOST_SEED, Json, Output, command
+from rover_ncp.core.errors import UsageError
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalOptions:
+    """Options of ``eval``."""
+
+    policy: Annotated[
+        str,
+        typer.Argument(
+            help="Policy to score: a name, a YAML file, or a circuit in the published .bnn format."
+        ),
+    ]
+    course: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Course to drive, by name or YAML file; repeat for more, which trials take in turn.",
+            show_default="parking",
+        ),
+    ] = None
+    trials: Annotated[
+        int | None, typer.Option(min=1, max=10**6, help="Number of random trials.", show_default="1")
+    ] = None
+    seed: Annotated[
+        int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the trials and random courses.")
+    ] = 0
+    randomize: Annotated[
+        str | None,
+        typer.Option(help="Ranges of the trials: none, mild, full, harsh or YAML file.", show_default="none"),
+    ] = None
+    random_courses: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=10_000, help="Number of random courses, driven in turn instead.", show_default=False
+        ),
+    ] = None
+    stack: Annotated[
+        bool,
+        typer.Option("--stack", help="Drive through firmware, bridge and driver, on a virtual clock."),
+    ] = False
+    live: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=10_000,
+            help="Number of trials that are driven as real processes, in real time.",
+            show_default=False,
+        ),
+    ] = None
+    profile: Annotated[
+        Path | None,
+        typer.Option(
+            help="Rover profile, as 'identify' writes it; values not in it are drawn.",
+            show_default=False,
+        ),
+    ] = None
+    processes: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=1000,
+            help="Processes. With --stack they change the speed, not the result. With --live: runs at once.",
+            show_default="one for each core; 1 live",
+        ),
+    ] = None
+    out: Annotated[Path, typer.Option(help="With --live: folder for recordings and logs.")] = Path(
+        "runs/live"
+    )
+    task: Annotated[
+        str | None,
+        typer.Option(
+            help="Play one of the paper's benchmarks with a circuit, YAML or .bnn.", show_default=False
+        ),
+    ] = None
+    range_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--range", help="With --task: limit of a sensor's range, as NAME=LIMIT.", show_default=False
+        ),
+    ] = None
+    json: Json = False
+
+    @property
+    def courses(self) -> list[str]:
+        """The names or files of the courses."""
+        return self.course or ["parking"]
+
+
+@command
+def evaluate(options: EvalOptions) -> int:
+    """Drive a course in simulation with a policy, and score it.
+
+    Without --trials or --randomize, the policy drives once, on the nominal rover model:
+
+    The return is the paper's: minus the squared misses of all checkpoints, 1 rad counting as 1 m; 0 is out of
+    reach, doing nothing on the parking course scores -14.18. A .bnn circuit gets the sensors it was trained
+    with, which are not clamped.
+
+    With one of them, the policy drives randomised rovers. Each trial has its own delays, gains, noise and
+    start, which follow from the seed and the trial's number alone. The true motion is scored.
+
+        rover-ncp eval course --trials 1000 --randomize full
+        rover-ncp eval course --trials 1000 --randomize full --random-courses 200
+
+    --stack drives the same trials as encoded bytes through the firmware of a mock Pioneer, the bridge with
+    its gate, and the driver with its estimator. Only sockets and waiting differ from driving a robot.
+
+        rover-ncp eval course --trials 300 --randomize full --stack
+
+    --live drives each of them as three real processes, over TCP and Zenoh. The driver does not know the mock
+    robot's errors. With --stack too, trials are driven both ways, and the distance between their ends is
+    printed.
+
+        rover-ncp eval course --live 4 --randomize full --course parking --course bay
+
+    Without --stack, kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws.
+
+    --task plays episodes (--trials, 100) of one of the paper's other benchmarks; see 'paper'.
+
+        rover-ncp eval mine.bnn --task mountain-car --range position=1.0 --range velocity=0.02
+
+    Ends with 1 if a single trial was driven and did not park, else with 0.
+    """
+    if options.task is not None:
+        return _play_task(options, options.task)
+    if options.range_:
+        raise UsageError("--range needs --task")
+    if options.processes is not None and not (options.stack or options.live):
+        raise UsageError("--processes needs --stack or --live")
+    random = (options.trials, options.randomize, options.random_courses, options.live, options.profile)
+    if random == (None,) * 5 and not options.stack and len(options.courses) == 1:
+        return _drive_once(options)
+    from sim.evaluate.trial_runs import run_trials
+
+    return run_trials(options)
+
+
+def _drive_once(options: EvalOptions) -> int:
+    """Drive once on the nominal rover model."""
+    from rover_ncp.circuit.policy_file import load_policy
+    from rover_ncp.course.course import load_course
+    from sim.learn.rollout import rollout
+
+    course = load_course(options.courses[0])
+    run = rollout(load_policy(options.policy), course)
+    verdict = run.verdict
+    fields = {
+        "return": run.total,
+        "parked": verdict.parked,
+        "reason": verdict.reason,
+        "error_m": verdict.error_m,
+        "error_rad": verdict.error_rad,
+        "rms_m": run.rms_m,
+    }
+    ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
+    Output(options.json).result(
+        fields,
+        f"{ending}; return {run.total:.4f}, {1000 * verdict.error_m:.0f} mm and "
+        f"{1000 * verdict.error_rad:.0f} mrad off at the end, {1000 * run.rms_m:.0f} mm rms on the way",
+    )
+    return 0 if verdict.parked else 1
+
+
+def _play_task(options: EvalOptions, task: str) -> int:
+    """Play one of the paper's benchmarks; return 1 if a single episode was played and no success."""
+    from sim.paper.score_file import EPISODES, score_circuit
+
+    others = ("course", "stack", "live", "profile", "randomize", "random_courses")
+    if any(getattr(options, name) for name in others):
+        raise UsageError("--task goes with --range, --trials and --seed alone")
+    trials = options.trials or EPISODES
+    found = score_circuit(options.policy, task, options.range_ or [], trials, options.seed)
+    Output(options.json).result(
+        found,
+        f"{task}: return {found['return']:.2f} ± {found['std']:.2f} in {found['episodes']} episodes, "
+        f"{found['successes']} of them a success",
+    )
+    return 1 if trials == 1 and not found["success"] else 0

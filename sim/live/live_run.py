@@ -1,0 +1,98 @@
+"""A run of real processes on this machine: mock Pioneer, bridge and driver, over loopback TCP and Zenoh.
+
+Each process is the command that a user would type. Leaving the ``with`` block ends all of them.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self, TypeVar
+
+from sim.live.processes import Process, compile_driver, uninterrupted
+from sim.live.truth import TRUTH, TruthReader
+
+Started = TypeVar("Started", bound=Process)
+
+
+class LiveRun:
+    """Mock and bridge, ready one after the other, and drivers; logs and the mock's truth go to ``folder``.
+
+    ``mock`` and ``bridge`` are more arguments for these commands. ``outlet`` is the kind of `Outlet` that
+    takes the bridge's output. ``robot`` is the bridge's Zenoh address.
+    """
+
+    module = "rover_ncp"
+    """Module that Python runs for bridge and drivers."""
+
+    def __init__(
+        self, folder: Path, *, mock: Sequence[str] = (), bridge: Sequence[str] = (), outlet: str = ""
+    ) -> None:
+        self.folder, self.robot = folder, ""
+        self.processes: list[Process] = []
+        self._deploys = 0
+        self._mock_arguments, self._bridge_arguments, self._outlet = mock, bridge, outlet
+
+    def __enter__(self) -> Self:
+        try:
+            self.start()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def start(self) -> None:
+        """Start the mock and the bridge. Raises ProcessError or TimedOut."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.base = self.start_mock()
+        self.start_bridge()
+
+    def start_mock(self) -> str:
+        """Start the mock; return the address HOST:PORT of the base."""
+        truth = self.folder / TRUTH
+        arguments = ["--listen", "127.0.0.1:0", "--truth", str(truth), "--fault", "-", *self._mock_arguments]
+        self.mock = self.start_process(lambda: Process("mock", arguments, self.folder, reads_lines=True))
+        address = self.mock.wait_for_line("listening on ")
+        self.truth = TruthReader(truth)
+        return address
+
+    def start_bridge(self) -> None:
+        """Start the bridge; the next one listens on the same address again."""
+        listen = self.robot or "tcp/127.0.0.1:0"
+        arguments = ["--base", f"tcp/{self.base}", "--listen", listen, *self._bridge_arguments]
+        self.bridge = self.start_process(
+            lambda: Process("bridge", arguments, self.folder, self.module, outlet=self._outlet)
+        )
+        ready = dict(part.split("=", 1) for part in self.bridge.wait_for_line("ready ").split())
+        self.robot = ready["zenoh"]
+
+    def deploy(self, *arguments: str, robot: str = "") -> Process:
+        """Start a driver; ``robot`` replaces the bridge's address."""
+        compile_driver()
+        self._deploys += 1
+        # Several drivers may run at once, and each has its log.
+        folder = self.folder / f"deploy-{self._deploys}" if self._deploys > 1 else self.folder
+        folder.mkdir(exist_ok=True)
+        arguments = ("--robot", robot or self.robot, *arguments)
+        return self.start_process(lambda: Process("deploy", arguments, folder, self.module))
+
+    def start_process(self, start: Callable[[], Started]) -> Started:
+        """Start a process that ends with the run."""
+        with uninterrupted():
+            process = start()
+            self.processes.append(process)
+        return process
+
+    def end_process(self, process: Process) -> None:
+        """End a process before the others."""
+        process.stop()
+        self.processes.remove(process)
+
+    def close(self) -> None:
+        """End all processes, the last started first: a driver releases its lease while the bridge runs."""
+        for process in reversed(self.processes):
+            process.stop()

@@ -1,0 +1,137 @@
+"""Whole episodes of a benchmark in one kernel: lanes of controllers, each with a plant.
+
+Episodes wait in a queue for a free lane. The result of an episode depends neither on its lane nor on the
+other episodes.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.kernels.jit import kernel
+from rover_ncp.kernels.vectors import WIDTH
+from sim.learn.networks import Net
+from sim.paper.controller import Controller, make_controller, start_lane, tick_controller
+from sim.paper.plants.lanes import NO_MUJOCO, Plants, observe, reset_plant, step_plant
+from sim.paper.tasks import Benchmark
+
+FloatArray = NDArray[np.float64]
+Seeds = NDArray[np.uint64]
+
+_IDLE = -1
+_LANES, _MUJOCO_LANES = WIDTH, 16
+"""The kernel computes all lanes while one of them has an episode: fewer lanes, fewer idle ones."""
+_LOST = -1e6
+"""Return of an episode whose simulation became unstable."""
+
+
+@kernel
+def run_episodes(
+    controller: Controller, plants: Plants, vectors: FloatArray, starts: FloatArray, horizon: int
+) -> FloatArray:
+    """Run an episode for each vector (E, P) and first state (E, S).
+
+    Returns (E, 3): Gymnasium's return, the sum of bonuses, and steps.
+    """
+    count = plants.state.shape[1]
+    observations = np.zeros((controller.inputs, count))
+    commands = np.zeros((controller.outputs, count))
+    episodes, ticks = np.full(count, _IDLE), np.zeros(count, np.int64)
+    results = np.zeros((len(vectors), 3))
+    waiting, running = 0, 0
+    while True:
+        for lane in range(count):
+            if episodes[lane] == _IDLE and waiting < len(results):
+                start_lane(controller, lane, vectors[waiting])
+                reset_plant(plants, lane, starts[waiting])
+                episodes[lane], ticks[lane] = waiting, 0
+                waiting += 1
+                running += 1
+            if episodes[lane] != _IDLE:
+                observe(plants, lane, observations)
+        if running == 0:
+            return results
+        tick_controller(controller, observations, commands)
+        for lane in range(count):
+            episode = episodes[lane]
+            if episode == _IDLE:
+                continue
+            reward, bonus, terminated = step_plant(plants, lane, commands)
+            ticks[lane] += 1
+            results[episode, 0] += reward
+            results[episode, 1] += bonus
+            results[episode, 2] = ticks[lane]
+            if terminated or ticks[lane] == horizon:
+                episodes[lane] = _IDLE
+                running -= 1
+
+
+def make_plants(task: Benchmark, count: int, *, for_search: bool = False) -> tuple[Plants, Any]:
+    """Return ``count`` plants, and the owner of their memory in MuJoCo, to be kept alive beside them.
+
+    ``for_search`` takes the task's faster plant where it has one.
+    """
+    kind = task.search_plant if for_search and task.search_plant is not None else task.plant
+    pool = None
+    if task.model is not None and kind == task.plant:
+        from sim.paper.plants.mujoco import MujocoPool  # an extra that the other tasks do without
+
+        pool = MujocoPool(task.model.file, task.model.step_s, count)
+    plants = Plants(
+        kind=kind,
+        bonus=task.bonus,
+        step_s=task.model.step_s if task.model else 0.0,
+        frames=task.model.frames if task.model else 1,
+        state=np.zeros((len(task.start(np.random.default_rng(0))), count)),
+        fresh=np.zeros(count, np.bool_),
+        mujoco=pool.lanes if pool else NO_MUJOCO,
+    )
+    return plants, pool
+
+
+def draw_seeds(root: int, key: tuple[int, ...], count: int) -> Seeds:
+    """Return the seeds (count,) of a stream."""
+    sequence = np.random.SeedSequence(root, spawn_key=key)
+    return sequence.generate_state(count, np.uint64).astype(np.uint64, copy=False)
+
+
+class Evaluator:
+    """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time.
+
+    ``for_search``: see ``make_plants``.
+    """
+
+    def __init__(
+        self, task: Benchmark, agent: Policy | Net, lanes: int | None = None, *, for_search: bool = False
+    ) -> None:
+        self.task, self.steps = task, 0
+        uses_mujoco = task.model is not None and not (for_search and task.search_plant is not None)
+        count = lanes or (_MUJOCO_LANES if uses_mujoco else _LANES)
+        self._plants, self._pool = make_plants(task, count, for_search=for_search)
+        self._controller = make_controller(agent, count)
+
+    def starts(self, seeds: Seeds) -> FloatArray:
+        """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
+        generators = (np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(s)))) for s in seeds)
+        return np.array([self.task.start(generator) for generator in generators])
+
+    def run(self, vectors: ArrayLike, seeds: Seeds, *, horizon: int | None = None) -> FloatArray:
+        """Run one episode for each vector (n, P) and seed (n,); return (n, 3), see ``run_episodes``.
+
+        ``steps`` counts the environments' steps. The default horizon is the task's.
+        """
+        rows = np.ascontiguousarray(vectors, np.float64)
+        ticks = horizon or self.task.horizon
+        results: FloatArray = run_episodes(self._controller, self._plants, rows, self.starts(seeds), ticks)
+        self.steps += int(results[:, 2].sum())
+        return results
+
+    def returns(self, vectors: FloatArray, seeds: Seeds, *, horizon: int | None = None) -> FloatArray:
+        """Return the returns with bonus (n, k) of vectors (n, P), each in the episodes of seeds (k,)."""
+        found = self.run(
+            np.repeat(vectors, len(seeds), axis=0), np.tile(seeds, len(vectors)), horizon=horizon
+        )
+        returns = found[:, :2].sum(axis=1)
+        return np.where(np.isnan(returns), _LOST, returns).reshape(len(vectors), len(seeds))

@@ -1,0 +1,102 @@
+"""Interpretation of the trained parking circuits: time constants and contributions, beside the paper's."""
+
+from collections import Counter
+from typing import Any
+
+from deploy.report.interpretation import (
+    PUBLISHED_SIGNS,
+    PUBLISHED_TIME_CONSTANTS_S,
+    contributions,
+    time_constant_ranges,
+)
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.errors import UsageError
+from rover_ncp.course.course import load_course
+from sim.learn.rollout import Rollout, rollout
+from sim.paper.agents import build_agent
+from sim.paper.results import ResultStore
+from sim.paper.tables import markdown
+from sim.paper.tasks import find_task
+
+
+def _drives(store: ResultStore) -> list[tuple[Policy, Rollout]]:
+    """Return the successful parking circuits, the highest return first, each with its drive."""
+    results = [result for result in store.results("parking", "circuit") if result.success]
+    if not results:
+        raise UsageError("no parking circuit is trained: rover-ncp paper run --task parking --agent circuit")
+    results.sort(key=lambda result: -result.mean)
+    untrained = build_agent(find_task("parking"), "circuit", 0)
+    assert isinstance(untrained, Policy)
+    policies = [untrained.with_parameters(result.parameters.array()) for result in results]
+    return [(policy, rollout(policy, load_course("parking"))) for policy in policies]
+
+
+def parking_time_constants(store: ResultStore) -> dict[str, Any]:
+    """Return each neuron's time constants in s (Table S7): of the best circuit, of all, and the paper's."""
+    ranges = [
+        {
+            each.neuron: (each.lowest_s, each.highest_s)
+            for each in time_constant_ranges(policy.circuit, drive.potentials, policy.sensing.neurons)
+        }
+        for policy, drive in _drives(store)
+    ]
+    rows = [
+        {
+            "neuron": neuron,
+            "best": best,
+            "all": (min(r[neuron][0] for r in ranges), max(r[neuron][1] for r in ranges)),
+            "published": PUBLISHED_TIME_CONSTANTS_S.get(neuron),
+        }
+        for neuron, best in ranges[0].items()
+    ]
+    return {"runs": len(ranges), "time_constants_s": rows}
+
+
+def parking_contributions(store: ResultStore) -> dict[str, Any]:
+    """Return Definition 1 for the neuron that turns right: signs by neuron, of how many circuits."""
+    runs = [contributions(policy.circuit.neurons, drive.potentials) for policy, drive in _drives(store)]
+    rows = []
+    for pair, published in PUBLISHED_SIGNS.items():
+        best = runs[0][pair]
+        signs = Counter(found[pair].sign for found in runs)
+        rows.append(
+            {
+                "source": pair[0],
+                "destination": pair[1],
+                "best": {"sign": best.sign, "positive": best.positive, "negative": best.negative},
+                "circuits": dict(signs),
+                "published": published,
+                "agree": signs[published],
+            }
+        )
+    return {"runs": len(runs), "contributions": rows}
+
+
+def time_constants_text(found: dict[str, Any]) -> str:
+    """Return Table S7 as Markdown."""
+    rows = [("neuron", "best circuit, s", f"all {found['runs']} circuits, s", "paper, s")]
+    rows += [
+        (row["neuron"], *(_range(row[column]) for column in ("best", "all", "published")))
+        for row in found["time_constants_s"]
+    ]
+    return markdown(rows)
+
+
+def contributions_text(found: dict[str, Any]) -> str:
+    """Return Definition 1's signs as Markdown."""
+    rows = [("neuron", "best circuit", f"all {found['runs']} circuits", "paper", "agree")]
+    rows += [
+        (
+            f"{row['source']} to {row['destination']}",
+            f"{row['best']['sign']} ({row['best']['positive']} : {row['best']['negative']})",
+            ", ".join(f"{count} {sign}" for sign, count in sorted(row["circuits"].items())),
+            str(row["published"]),
+            str(row["agree"]),
+        )
+        for row in found["contributions"]
+    ]
+    return markdown(rows)
+
+
+def _range(ends: tuple[float, float] | None) -> str:
+    return "" if ends is None else f"{ends[0]:.3g} .. {ends[1]:.3g}"

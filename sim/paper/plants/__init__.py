@@ -1,0 +1,1 @@
+"""The benchmarks' environments as lanes of a compiled kernel."""

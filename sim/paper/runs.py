@@ -1,0 +1,299 @@
+"""Runs of the grid: training one, scoring its parameters, and making many on all cores or a cluster."""
+
+import importlib
+import math
+import multiprocessing
+import shlex
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+from enum import StrEnum
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import circuit_to_yaml
+from rover_ncp.core.errors import UsageError
+from sim.learn.networks import Net
+from sim.learn.record import made_with
+from sim.learn.search.base import Vector
+from sim.learn.workers import WorkerDied, starting_processes
+from sim.paper.agents import GRADIENTS, build_agent
+from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
+from sim.paper.evaluator import Evaluator, draw_seeds
+from sim.paper.parking import ParkingEvaluator, search_parking
+from sim.paper.random_search import Budget, Found, search_randomly
+from sim.paper.results import Packed, Result, ResultStore, RunName
+from sim.paper.tasks import Benchmark, SearchName, Task, find_task
+
+_FINAL = 99
+"""Stream of the fresh episodes that a run is judged by."""
+_FINAL_EPISODES, _QUICK_EPISODES = 100, 20
+_CURVE_POINTS = 60
+_UNLIMITED = 10**12
+_QUICK_STEPS = 400_000
+"""Steps of a quick run: a few seconds."""
+TOLERANCE = 1e-9
+"""Difference in a return that another machine may make. A half-cheetah's contacts amplify a last bit, so its
+replay is compared by its verdict."""
+
+
+class BudgetName(StrEnum):
+    """Budget of a run."""
+
+    QUICK = "quick"
+    DEFAULT = "default"
+    PUBLISHED = "published"
+
+
+def budget_for(task: Task, name: BudgetName) -> Budget:
+    """Return a budget: the paper's, one of some core-minutes at most, or one of seconds."""
+    settings = task.settings
+    starts = task.untuned if isinstance(task, Benchmark) else 1
+    default = Budget(settings.rollouts, settings.worst, _UNLIMITED, task.steps, starts, patience=15_000)
+    if name is BudgetName.PUBLISHED:
+        return Budget(
+            settings.rollouts, settings.worst, settings.iterations, _UNLIMITED, 1, _UNLIMITED, published=True
+        )
+    if name is BudgetName.QUICK:
+        return replace(
+            default,
+            rollouts=min(settings.rollouts, 3),
+            worst=min(settings.worst, 3),
+            steps=_QUICK_STEPS,
+            starts=min(starts, 300 if task.horizon < 1000 else 100),
+        )
+    return default
+
+
+def train_run(
+    name: RunName,
+    budget: BudgetName = BudgetName.DEFAULT,
+    circuit: Path | None = None,
+) -> Result:
+    """Make one run. The same name and budget give the same parameters and returns, to the last bit.
+
+    Raises UsageError, FileError or ConfigError for a run that cannot be.
+    """
+    began, worked = time.monotonic(), time.process_time()
+    task = find_task(name.task)
+    if name.agent in GRADIENTS and circuit is None:
+        found, agent, steps, settings = _train_by_gradients(task, name, budget)
+        libraries = ["stable-baselines3", "torch"]
+    else:
+        agent = build_agent(task, name.agent, name.seed, circuit)
+        found, steps, settings = _search(task, agent, name.seed, budget_for(task, budget))
+        libraries = []
+    if isinstance(task, Benchmark):
+        libraries += ["gymnasium", "mujoco"] if task.model else ["gymnasium"]
+    command = ["rover-ncp", "paper", "run", "--task", name.task, "--agent", name.agent]
+    command += ["--seed", str(name.seed), "--budget", budget]
+    command += ["--circuit", str(circuit)] if circuit else []
+    episodes = _QUICK_EPISODES if budget is BudgetName.QUICK else _FINAL_EPISODES
+    return Result(
+        name=name,
+        command=shlex.join(command),
+        budget=budget,
+        settings=settings,
+        made_with=made_with() | {library: metadata.version(library) for library in libraries},
+        wall_s=time.monotonic() - began,
+        cpu_s=time.process_time() - worked,
+        evaluations=found.evaluations,
+        steps=steps,
+        ended=found.ended,
+        curve=_thinned(found.curve),
+        circuit=circuit_to_yaml(agent.circuit) if circuit and isinstance(agent, Policy) else None,
+        parameters=Packed.of(found.vector),
+        **score(task, agent, found.vector, name.seed, episodes),
+    )
+
+
+def _search(task: Task, agent: Policy | Net, seed: int, budget: Budget) -> tuple[Found, int, dict[str, Any]]:
+    """Return what the task's search found, the steps it took, and the settings to record."""
+    if not isinstance(task, Benchmark):
+        parking = ParkingEvaluator(task, agent)
+        found = search_parking(parking, agent, seed, budget)
+        return found, parking.steps, vars(budget)
+    judge = Evaluator(task, agent)
+    evaluator = judge if task.search_plant is None else Evaluator(task, agent, for_search=True)
+    limits = {"steps": budget.steps, "starts": budget.starts}
+    if budget.published or task.search is SearchName.RANDOM:
+        found = search_randomly(evaluator, judge, agent, seed, budget)
+        settings = vars(budget)
+    elif task.search is SearchName.CMA:
+        found = search_by_cma(evaluator, judge, agent, seed, budget)
+        settings = limits | CMA
+    else:
+        found = search_by_halving(evaluator, agent, seed, budget)
+        settings = limits | HALVING
+    return found, evaluator.steps + (0 if judge is evaluator else judge.steps), settings
+
+
+def _train_by_gradients(
+    task: Task, name: RunName, budget: BudgetName
+) -> tuple[Found, None, int, dict[str, Any]]:
+    from sim.paper.gradients import CELLS, train_actor, training_of  # an extra that other agents do without
+
+    if budget is BudgetName.PUBLISHED:
+        raise UsageError(f"the paper states no budget for {name.agent}")
+    if not isinstance(task, Benchmark):
+        raise UsageError(f"{name.agent} is not trained on {task.name}")
+    actor, steps = train_actor(task, name.agent, name.seed, quick=budget is BudgetName.QUICK)
+    training = training_of(task, name.agent)
+    settings = {"cells": CELLS, "environments": training.environments, **training.options}
+    return Found(actor.vector(), 0, (), "steps"), None, steps, settings
+
+
+def _thinned(curve: tuple[tuple[int, float], ...]) -> tuple[tuple[int, float], ...]:
+    """Return some points of a curve at most, its ends among them."""
+    chosen = np.linspace(0, len(curve) - 1, min(len(curve), _CURVE_POINTS)).round().astype(int)
+    return tuple(curve[i] for i in chosen)
+
+
+def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, episodes: int) -> dict[str, Any]:
+    """Return the score of parameters (P,) in fresh episodes: the fields ``episodes`` to ``success`` of a run.
+
+    Without an agent, the parameters are those of an actor (``gradients.py``). Parking has no chance: one
+    episode is all.
+    """
+    if not isinstance(task, Benchmark):
+        assert agent is not None
+        total, parked = ParkingEvaluator(task, agent).outcome(vector)
+        success = parked and total >= task.success
+        return {"episodes": 1, "mean": total, "std": 0.0, "plain_mean": total, "success": success}
+    seeds = draw_seeds(seed, (_FINAL,), episodes)
+    if agent is None:
+        from sim.paper.gradients import score_actor
+
+        returns, plain = score_actor(task, vector, seeds)
+    else:
+        found = Evaluator(task, agent).run(np.tile(vector, (episodes, 1)), seeds)
+        returns, plain = found[:, :2].sum(axis=1), found[:, 0]
+    plain_mean = float(plain.mean())
+    return {
+        "episodes": episodes,
+        "mean": float(returns.mean()),
+        "std": float(returns.std()),
+        "plain_mean": plain_mean,
+        "success": plain_mean >= task.success,
+    }
+
+
+def replay(result: Result, circuit: Path | None = None) -> dict[str, Any]:
+    """Return the score of a stored run's parameters now, as ``score`` does."""
+    name = result.name
+    task, by_gradients = find_task(name.task), name.agent in GRADIENTS and circuit is None
+    agent = None if by_gradients else build_agent(task, name.agent, name.seed, circuit)
+    return score(task, agent, result.parameters.array(), name.seed, result.episodes)
+
+
+def agrees(result: Result, replayed: Mapping[str, Any]) -> bool:
+    """Whether a replay has the stored verdict, and returns within ``TOLERANCE`` except a half-cheetah's."""
+    if replayed["success"] != result.success or replayed["episodes"] != result.episodes:
+        return False
+    if result.name.task == "half-cheetah":
+        return True
+    return all(
+        math.isclose(replayed[field], getattr(result, field), rel_tol=TOLERANCE, abs_tol=TOLERANCE)
+        for field in ("mean", "std", "plain_mean")
+    )
+
+
+def make_runs(
+    names: Sequence[RunName],
+    store: ResultStore,
+    budget: BudgetName,
+    circuit: Path | None,
+    *,
+    processes: int,
+    cluster: str | None = None,
+    on_result: Callable[[Result], None],
+) -> None:
+    """Make runs, as many at once as there are processes, or on a Dask cluster; save each as it ends.
+
+    Interrupted, it gives up the unfinished runs. Raises UsageError, FileError or ConfigError for a run that
+    cannot be before the first one begins, and WorkerDied.
+    """
+    _require(names, circuit)
+
+    def keep(result: Result) -> None:
+        store.save(result)
+        on_result(result)
+
+    if cluster is not None:
+        _make_on_cluster(names, budget, cluster, keep)
+        return
+    if processes == 1:
+        for name in names:
+            keep(train_run(name, budget, circuit))
+        return
+    # Spawned, never forked: numba and MuJoCo do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(processes, len(names)), context) as pool:
+        try:
+            with starting_processes():  # the pool starts them as work is handed in
+                runs = [pool.submit(train_run, name, budget, circuit) for name in names]
+            for run in as_completed(runs):
+                keep(run.result())
+        except BaseException as error:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():
+                child.kill()
+            if isinstance(error, BrokenProcessPool):
+                raise WorkerDied("the process of a run ended; repeat the command to continue") from error
+            raise
+
+
+def _require(names: Sequence[RunName], circuit: Path | None) -> None:
+    """Raise what runs would raise in processes of their own, where errors do not all survive the way back."""
+    for task_name, agent in dict.fromkeys((name.task, name.agent) for name in names):
+        task = find_task(task_name)
+        if circuit is not None or agent not in GRADIENTS:
+            build_agent(task, agent, 0, circuit)
+        else:
+            importlib.import_module("stable_baselines3")
+        if isinstance(task, Benchmark) and task.model:
+            importlib.import_module("mujoco")
+
+
+# A worker of a cluster may have several threads; a run's time is that of its process.
+_one_run = threading.Lock()
+
+
+def _make_on_cluster(
+    names: Sequence[RunName], budget: BudgetName, address: str, on_result: Callable[[Result], None]
+) -> None:
+    """Make runs on a cluster's workers. Runs of a worker that dies are made by another one."""
+    import distributed  # an extra that one machine does without
+
+    from sim.learn.cluster import RETRIES, connect, told_plainly, versions
+
+    client = connect(address)
+    try:
+        with told_plainly(address):
+            wanted = versions()
+            runs = [
+                client.submit(
+                    _run_on_worker, name, budget, wanted, pure=False, retries=RETRIES, priority=-number
+                )
+                for number, name in enumerate(names)
+            ]
+            as_completed: Any = distributed.as_completed
+            for run in as_completed(runs, loop=client.loop):
+                on_result(run.result())
+    finally:
+        client.close()
+
+
+def _run_on_worker(name: RunName, budget: BudgetName, wanted: Mapping[str, str]) -> Result:
+    from sim.learn.cluster import require_versions
+
+    require_versions(wanted)
+    with _one_run:
+        return train_run(name, budget)

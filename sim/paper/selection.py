@@ -1,0 +1,86 @@
+"""The grid of runs behind the paper's tables, and the runs that a command line selects."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rover_ncp.core.errors import UsageError
+from sim.paper.agents import AGENTS, GRADIENTS
+from sim.paper.results import ResultStore, RunName
+from sim.paper.tasks import TASKS, find_task
+
+_GRADIENT_TASKS = ("pendulum", "roboschool", "mountain-car")
+"""The tasks of the paper's table of reinforcement learning."""
+_OWN_RUNS = 5
+"""Runs of a circuit of the user's own."""
+
+
+class Group(NamedTuple):
+    """The runs of a task and an agent, one for each seed from 0 on."""
+
+    task: str
+    agent: str
+    runs: int
+
+    def names(self, seeds: Sequence[int] | None = None) -> list[RunName]:
+        """Return the group's runs, or those of the seeds given."""
+        return [RunName(task=self.task, agent=self.agent, seed=seed) for seed in seeds or range(self.runs)]
+
+
+def _grid() -> Iterator[Group]:
+    for task in TASKS:
+        yield Group(task, "circuit", 12 if task == "four-dof" else 10)
+        yield Group(task, "random", 10)
+        yield Group(task, "mlp", 5)
+        yield Group(task, "lstm", 5)
+        if task in _GRADIENT_TASKS:
+            yield from (Group(task, agent, 5) for agent in GRADIENTS)
+
+
+GRID = tuple(_grid())
+
+
+def coverage(store: ResultStore) -> list[dict[str, Any]]:
+    """Return each group of the grid with the number of its runs that exist."""
+    return [
+        {
+            "task": group.task,
+            "agent": group.agent,
+            "made": sum(store.find(name) is not None for name in group.names()),
+            "runs": group.runs,
+        }
+        for group in GRID
+    ]
+
+
+def select(
+    tasks: Sequence[str] | None,
+    agents: Sequence[str] | None,
+    seeds: Sequence[int] | None,
+    circuit: Path | None,
+) -> list[RunName]:
+    """Return the selected runs, circuits first: of the grid, or of any seeds given.
+
+    Without ``agents``, PPO and A2C are left out. Raises UsageError for an unknown task or agent, and where
+    nothing is left.
+    """
+    for task in tasks or ():
+        find_task(task)
+    if circuit is not None:
+        if agents or not tasks:
+            raise UsageError("--circuit FILE is an agent by itself; it wants a --task")
+        return [name for task in tasks for name in Group(task, circuit.stem, _OWN_RUNS).names(seeds)]
+    for agent in agents or ():
+        if agent not in AGENTS:
+            raise UsageError(f"no agent {agent!r}; there are {', '.join(AGENTS)}")
+    wanted = agents or [agent for agent in AGENTS if agent not in GRADIENTS]
+    names = [
+        name
+        for agent in AGENTS
+        for group in GRID
+        if group.agent == agent and agent in wanted and (not tasks or group.task in tasks)
+        for name in group.names(seeds)
+    ]
+    if not names:
+        raise UsageError("the grid has no such runs; rover-ncp paper status lists it")
+    return names

@@ -1,0 +1,167 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.course.course import TICK_S, Checkpoint, Course, load_course
+from rover_ncp.course.reference import (
+    OMEGA_MAX,
+    SIGNALS,
+    V_MAX,
+    deviations,
+    drive_profile,
+    plan_reference,
+    see,
+    seen_from,
+)
+
+
+def course_of(*points, horizon_s=20.0):
+    checkpoints = tuple(Checkpoint(t=t, x=x, y=y, theta=theta) for t, x, y, theta in points)
+    return Course(name="test", start_signal_s=0.0, horizon_s=horizon_s, checkpoints=checkpoints)
+
+
+def require_drivable(reference):
+    """The reference is the drive that its own motion makes, within the motors' limits, step by step."""
+    poses, motion = reference.poses, reference.motion
+    assert (np.abs(motion[:, 0]) <= V_MAX + 1e-9).all()
+    assert (np.abs(motion[:, 1]) <= OMEGA_MAX + 1e-9).all()
+    fine = 20
+    v, omega = (
+        np.interp(np.arange(fine * reference.ticks) + 0.5, fine * np.arange(reference.ticks + 1), column)
+        for column in motion.T
+    )
+    dt = TICK_S / fine
+    theta = poses[0, 2] + np.concatenate([[0.0], np.cumsum(omega) * dt])
+    heading = 0.5 * (theta[1:] + theta[:-1])
+    x = poses[0, 0] + np.concatenate([[0.0], np.cumsum(v * np.cos(heading)) * dt])
+    y = poses[0, 1] + np.concatenate([[0.0], np.cumsum(v * np.sin(heading)) * dt])
+    assert np.allclose(np.column_stack([x, y, theta])[::fine], poses, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def parking():
+    course = load_course("parking")
+    return course, plan_reference(course)
+
+
+def test_the_papers_course_is_followed_as_far_as_it_can_be_driven(parking):
+    course, reference = parking
+    require_drivable(reference)
+    found = deviations(course, reference)
+    # The checkpoints contradict each other: some ask for 0.196 rad/s, some for a heading across the path.
+    assert max(miss.error_m for miss in found) < 0.05
+    assert max(miss.error_rad for miss in found) < 0.07
+    assert max(miss.error_m for miss in found[-6:]) < 0.0005
+    assert max(miss.error_rad for miss in found[-6:]) < 0.001
+
+
+def test_the_rover_rests_before_the_start_signal_and_from_the_goal_on(parking):
+    _, reference = parking
+    assert not reference.motion[:30].any()
+    assert not reference.motion[165:].any()
+    assert (np.ptp(reference.poses[165:], axis=0) == 0).all()
+    assert (reference.motion[:, 0] >= 0).all()
+
+
+def test_where_a_course_cannot_be_driven_is_seen():
+    sideways = course_of((0, 0, 0, 0), (5, 0.0, 0.5, 0.0))
+    assert max(miss.error_m for miss in deviations(sideways, plan_reference(sideways))) > 0.1
+    hasty = course_of((0, 0, 0, 0), (2, 1.0, 0.0, 0.0))
+    *_, last = deviations(hasty, plan_reference(hasty))
+    assert last.error_m > 1.0 - 2 * V_MAX - 0.01
+
+
+def test_backward_where_the_course_goes_backward():
+    course = course_of((0, 0, 0, 0), (6, -0.5, 0.0, 0.0), (8, -0.5, 0.0, 0.0))
+    reference = plan_reference(course)
+    require_drivable(reference)
+    assert distance(reference.at(8.0)[0], course.goal) < 0.002
+    assert reference.motion[:, 0].min() < -0.08
+
+
+def found_again(knots):
+    """Return a drive through knots (v, omega), 0.5 s apart, and the reference of its checkpoints."""
+    knots = np.array(knots)
+    ticks = np.arange(5 * (len(knots) - 1) + 1) / 5
+    v, omega = (np.interp(ticks, np.arange(len(knots)), column) for column in knots.T)
+    drive = drive_profile(Pose(0, 0, 0), v.tolist(), omega.tolist())
+    require_drivable(drive)
+    horizon = round(0.1 * drive.ticks, 1)
+    points = [(t, *drive.at(t)[0]) for t in [*np.arange(0.0, horizon, 1.0), horizon]]
+    found = plan_reference(course_of(*points, horizon_s=horizon))
+    require_drivable(found)
+    return drive, found
+
+
+@pytest.mark.parametrize(
+    "pieces",
+    [
+        [(0.12, 0.0), (-0.12, -0.15), (-0.1, 0.15)],
+        [(0.1, 0.17), (-0.1, 0.17), (0.1, 0.17)],
+        [(-0.15, 0.1), (0.15, 0.1), (-0.15, -0.17), (0.1, 0.0)],
+    ],
+)
+def test_a_drive_that_changes_direction_is_found_again(pieces):
+    rest = [(0.0, 0.0)] * 4
+    moving = [knot for piece in pieces for knot in [*[piece] * 8, (0.0, 0.0)]]
+    drive, found = found_again([*rest, *moving, *rest])
+    assert np.hypot(*(found.poses - drive.poses)[-1, :2]) < 0.001
+    assert np.hypot(*(found.poses - drive.poses)[:, :2].T).max() < 0.02
+    assert np.abs(found.motion[:, 0] - drive.motion[:, 0]).max() < 0.06
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.tuples(st.floats(0, 0.15), st.floats(-0.17, 0.17)), min_size=2, max_size=6))
+def test_a_drive_is_found_again_from_its_checkpoints(pieces):
+    drive, found = found_again([(0.0, 0.0), *np.repeat(np.array(pieces), 5, axis=0), *[(0.0, 0.0)] * 4])
+    assert np.hypot(*(found.poses - drive.poses)[-1, :2]) < 0.003
+    assert np.hypot(*(found.poses - drive.poses)[:, :2].T).max() < 0.04
+
+
+def test_a_course_that_stays_has_a_reference_that_stays():
+    reference = plan_reference(course_of((0, 0.3, 0.2, 0.1), (4, 0.3, 0.2, 0.1)))
+    assert np.array_equal(reference.poses, np.tile([0.3, 0.2, 0.1], (201, 1)))
+    assert not reference.motion.any()
+
+
+def test_headings_go_the_short_way_round():
+    course = course_of((0, 0, 0, 3.1), (6, -0.4, -0.05, -3.1))
+    reference = plan_reference(course)
+    assert np.abs(np.diff(reference.poses[:, 2])).max() < 0.02
+    assert deviations(course, reference)[-1].error_rad < 0.05
+
+
+def test_between_ticks_and_after_the_end(parking):
+    _, reference = parking
+    before, after = reference.tick(80), reference.tick(81)
+    pose, motion = reference.at(8.05)
+    assert pose.x == pytest.approx((before[0].x + after[0].x) / 2)
+    assert motion.v == pytest.approx((before[1].v + after[1].v) / 2)
+    assert reference.at(99.0)[0] == reference.tick(320)[0] == reference.tick(999)[0]
+    assert reference.at(99.0)[1] == (0.0, 0.0)
+
+
+finite = st.floats(-5, 5)
+angle = st.floats(-math.pi, math.pi, exclude_min=True)
+
+
+@given(finite, finite, angle, finite, finite, angle)
+def test_observation_determines_the_pose(x, y, theta, x_r, y_r, theta_r):
+    ahead, left, turn = seen_from(Pose(x, y, theta), Pose(x_r, y_r, theta_r))
+    assert x + ahead * math.cos(theta) - left * math.sin(theta) == pytest.approx(x_r, abs=1e-12)
+    assert y + ahead * math.sin(theta) + left * math.cos(theta) == pytest.approx(y_r, abs=1e-12)
+    assert abs(wrap_angle(theta + turn - theta_r)) < 1e-12
+    assert -math.pi < turn <= math.pi + 1e-15
+
+
+def test_signals_have_their_names(parking):
+    _, reference = parking
+    seen = dict(zip(SIGNALS, see(Pose(0.1, 0.2, 0.3), 1.0, reference.tick(100)), strict=True))
+    assert (seen["x"], seen["y"], seen["theta"], seen["start"]) == (0.1, 0.2, 0.3, 1.0)
+    assert seen["heading"] == pytest.approx(reference.poses[100, 2] - 0.3)
+    assert (seen["speed"], seen["turn"]) == tuple(reference.motion[100])
+    assert see(Pose(0.1, 0.2, 0.3), 0.0, None) == (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -1,0 +1,109 @@
+"""The benchmarks' searches: better with time, the same bits again, and confirmation of what is enough."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.paper import cma_search
+from sim.paper.agents import build_agent
+from sim.paper.cma_search import search_by_cma, search_by_halving, spread_seeds
+from sim.paper.evaluator import Evaluator, draw_seeds
+from sim.paper.parking import ParkingEvaluator, search_parking
+from sim.paper.random_search import estimate
+from sim.paper.runs import BudgetName, budget_for
+from sim.paper.tasks import TASKS
+
+
+def evaluator(name, agent="circuit"):
+    built = build_agent(TASKS[name], agent, 0)
+    return Evaluator(TASKS[name], built, for_search=True), built
+
+
+def default_budget(name, **changes):
+    return replace(budget_for(TASKS[name], BudgetName.DEFAULT), **changes)
+
+
+def test_a_few_starts_cover_those_of_the_environment():
+    roboschool = evaluator("roboschool")[0]
+    angles = roboschool.starts(spread_seeds(roboschool, 3, 9))[:, 1]
+    assert np.diff(np.sort(angles)).max() < 0.2 / 8 * 1.1  # nearly equal gaps
+    first = spread_seeds(roboschool, 3, 4).tolist()
+    assert first == spread_seeds(roboschool, 3, 9)[:4].tolist()
+    assert first != spread_seeds(roboschool, 4, 4).tolist()
+    pendulum = evaluator("pendulum")[0]
+    starts = pendulum.starts(spread_seeds(pendulum, 3, 8))
+    gaps = np.linalg.norm(starts[:, None] - starts, axis=2)[~np.eye(8, dtype=bool)]
+    assert gaps.min() > 0.015  # of a cube whose sides are 0.02
+
+
+@pytest.mark.parametrize("agent", ["circuit", "lstm"])
+def test_cma_gets_better_and_gives_the_same_bits_again(agent):
+    budget = default_budget("roboschool", steps=60_000, starts=100)
+
+    def search():
+        place, built = evaluator("roboschool", agent)
+        return search_by_cma(place, place, built, 1, budget)
+
+    found, again = search(), search()
+    values = [value for _, value in found.curve]
+    assert values == sorted(values)
+    assert values[-1] > 2 * values[0]
+    assert again.vector.tolist() == found.vector.tolist()
+    assert again.curve == found.curve
+
+
+def test_halving_gives_the_same_bits_again():
+    budget = replace(budget_for(TASKS["half-cheetah"], BudgetName.QUICK), steps=60_000, starts=20)
+    found = [search_by_halving(*evaluator("half-cheetah", "mlp"), seed, budget) for seed in (3, 3, 4)]
+    assert found[0].vector.tolist() == found[1].vector.tolist() != found[2].vector.tolist()
+    assert found[0].curve == found[1].curve
+    assert found[0].curve[-1][1] > 100.0  # an untuned network gets about 0
+
+
+def test_a_return_that_the_judge_does_not_confirm_is_not_enough(monkeypatch):
+    place, built = evaluator("roboschool-plain", "mlp")
+    asked = []
+    monkeypatch.setattr(cma_search, "confirmed", lambda *_: asked.append(1) or 900.0 + len(asked))
+    budget = default_budget("roboschool-plain", steps=2_000_000, starts=100)
+    found = search_by_cma(place, place, built, 0, budget)
+    assert found.ended == "steps"
+    assert found.curve[-1][1] == 900.0 + len(asked)
+
+
+def test_an_estimate_is_the_papers_except_for_pruned_candidates():
+    place, policy = evaluator("cart-pole")
+    vectors = np.tile(policy.parameters(), (3, 1))
+    seeds = np.array([draw_seeds(5, (1, number), 20) for number in range(3)])
+    budget = default_budget("cart-pole")
+    full = estimate(place, vectors, seeds, np.full(3, -np.inf), budget)
+    returns = place.returns(vectors[:1], seeds[0])[0]
+    assert full[0] == pytest.approx(np.sort(returns)[:10].mean())
+    steps = place.steps
+    pruned = estimate(place, vectors, seeds, np.full(3, 400.0), budget)
+    assert np.all(pruned <= 400.0)
+    assert place.steps - steps < 3 * 60  # one rollout each
+    published = estimate(place, vectors, seeds, np.full(3, 400.0), replace(budget, published=True))
+    assert published.tolist() == full.tolist()
+
+
+def test_the_published_search_parks_too_when_asked_for():
+    task = TASKS["parking"]
+    policy = task.policy(task.circuit())
+    budget = replace(budget_for(task, BudgetName.PUBLISHED), evaluations=60)
+    found = search_parking(ParkingEvaluator(task, policy), policy, 1, budget)
+    assert (found.ended, found.evaluations) == ("evaluations", 60)
+    assert found.curve[-1][1] == pytest.approx(ParkingEvaluator(task, policy).outcome(found.vector)[0])
+
+
+@pytest.mark.parametrize("name", ["parking", "four-dof"])
+def test_creeping_counts_as_a_miss_and_in_no_return(name):
+    task = TASKS[name]
+    policy = task.policy(task.circuit())
+    place = ParkingEvaluator(task, policy)
+    values, counted, misses = place.traces(policy.parameters()[None])
+    assert values == pytest.approx(place.outcome(policy.parameters())[0])
+    assert counted == pytest.approx(-np.sum(misses**2, axis=(1, 2, 3)))
+    assert (counted < values).all()
+    found = search_parking(place, policy, 1, default_budget(name, evaluations=300))
+    assert found.curve[-1][1] == place.outcome(found.vector)[0]

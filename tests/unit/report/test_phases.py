@@ -1,0 +1,165 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from deploy.report.findings import analyse
+from deploy.report.phases import explain, phases
+from deploy.report.trace import Trace, motor_outputs, motor_shares
+from rover_ncp.circuit.circuit import SynapseKind, build_circuit
+from rover_ncp.circuit.motors import Motors
+from rover_ncp.circuit.policy import Policy, course_policy, parking_policy
+from rover_ncp.circuit.sensing import Channel, Sensing
+from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
+from rover_ncp.course.course import load_course
+from sim.explain.explain import traced
+from sim.learn.rollout import rollout
+
+EX, IN = SynapseKind.EXCITATORY, SynapseKind.INHIBITORY
+
+
+def small_policy():
+    """x drives A, which lifts L (left) and holds B down; B lifts R (right); F (forward) has no synapse."""
+    circuit = build_circuit(
+        "small",
+        ["X", "A", "B", "L", "R", "F"],
+        [(EX, 0, 1, 2.0), (IN, 1, 2, 2.0), (EX, 1, 3, 3.0), (EX, 2, 4, 3.0)],
+    )
+    sensing = Sensing(name="one", inputs=("x",), channels=(Channel(name="x", positive="X", maximum=1.0),))
+    motors = Motors(
+        outputs=("v", "omega"),
+        channels=(
+            Channel(name="v", positive="F", maximum=0.16),
+            Channel(name="omega", positive="L", maximum=0.18, negative="R", minimum=-0.18),
+        ),
+    )
+    return Policy(circuit, sensing, motors)
+
+
+def trace_of(commands, potentials=None, policy=None):
+    policy = policy or small_policy()
+    count = len(commands)
+    if potentials is None:
+        potentials = np.full((count, policy.circuit.size), -70.0)
+    times = 0.1 * np.arange(count)
+    poses = np.zeros((count + 1, 3))
+    commands = np.array(commands, float)
+    for k in range(1, count + 1):
+        v, omega = commands[k - 1]
+        x, y, theta = poses[k - 1]
+        poses[k] = x + 0.1 * v * np.cos(theta), y + 0.1 * v * np.sin(theta), theta + 0.1 * omega
+    return Trace(policy, times, poses, commands, np.array(potentials, float))
+
+
+STAND, AHEAD, LEFT, RIGHT, SPIN = (0, 0), (0.1, 0), (0.1, 0.15), (0.1, -0.15), (0, 0.15)
+
+
+def test_phases_are_the_signs_of_the_commands():
+    found = phases(trace_of([STAND] * 10 + [AHEAD] * 20 + [LEFT] * 30 + [RIGHT] * 10 + [SPIN] * 10))
+    assert [phase.label for phase in found] == [
+        "standing still",
+        "straight ahead",
+        "left turn",
+        "right turn",
+        "left turn on the spot",
+    ]
+    assert [p.start_s for p in found] == pytest.approx([0, 1, 3, 6, 7])
+    assert [p.end_s for p in found] == pytest.approx([1, 3, 6, 7, 8])
+    assert [p.driven_m for p in found] == pytest.approx([0, 0.2, 0.3, 0.1, 0])
+    assert [p.turned_rad for p in found] == pytest.approx([0, 0, 0.45, -0.15, 0.15])
+
+
+def test_command_below_a_tenth_of_the_range_counts_as_zero():
+    assert phases(trace_of([(0.0159, 0.0179)] * 9))[0].label == "standing still"
+    assert phases(trace_of([(0.0161, -0.0181)] * 9))[0].label == "right turn"
+
+
+def test_short_phase_is_merged_with_its_longer_neighbour():
+    found = phases(trace_of([LEFT] * 20 + [AHEAD] * 4 + [RIGHT] * 10))
+    assert [(p.label, p.first, p.last) for p in found] == [("left turn", 0, 24), ("right turn", 24, 34)]
+    alternating = [LEFT, RIGHT] * 8 + [AHEAD] * 6
+    found = phases(trace_of(alternating))
+    assert [p.first for p in found[1:]] == [p.last for p in found[:-1]]
+    assert (found[0].first, found[-1].last) == (0, len(alternating))
+    assert phases(trace_of(np.zeros((0, 2)))) == ()
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("make", [parking_policy, course_policy])
+def test_motor_outputs_are_the_commands_of_the_run(make, seed):
+    policy = make(parking_circuit() if make is parking_policy else tap_withdrawal_circuit())
+    layout = policy.layout()
+    policy = policy.with_parameters(np.random.default_rng(seed).uniform(layout.lower, layout.upper))
+    run = rollout(policy, load_course("parking"))
+    assert motor_outputs(policy, run.potentials) == pytest.approx(run.commands, abs=1e-12)
+    if policy.motors.limits is None:
+        shares = sum(share for _, share in motor_shares(policy, run.potentials))
+        assert shares == pytest.approx(run.commands, abs=1e-12)
+    motors = {neuron for channel in policy.motors.channels for neuron, _ in channel.sides}
+    assert {part.motor.neuron for part in explain(traced(policy, run))} <= motors
+
+
+def test_a_left_turn_is_explained_from_its_numbers():
+    #        X    A    B    L    R    F
+    rest = [-70, -70, -70, -70, -70, -30]
+    turn = [-20, -30, -80, -25, -60, -30]
+    found = analyse(trace_of([AHEAD] * 10 + [LEFT] * 10, [rest] * 10 + [turn] * 10))
+    ahead, left = found.explanations
+    assert (ahead.motor.neuron, ahead.behind) == ("F", None)
+    assert found.sentences[0] == "Straight ahead 0.0 to 1.0 s (0.10 m): F at −30 mV by its own leak."
+    assert (left.motor, left.behind, left.activity) == (("L", -25), ("A", -30), "active")
+    # By hand: A rests at -70 mV with 1 S; X at -20 mV opens 2 S by 1 / (1 + exp(-0.1 * 20)) = 0.8808.
+    pull = -70 / (1 + 2 * 0.880797) + 70
+    assert left.pulls == (("X", pytest.approx(pull)),)
+    before = -70 / (1 + 2 * 0.047426) + 70  # X at -70 mV
+    assert left.change == ("X", pytest.approx(before, abs=1e-4), pytest.approx(pull))
+    assert found.sentences[1] == (
+        "Left turn 1.0 to 2.0 s (0.10 m, +9°): A active (−30 mV), driven by X [x] (+45 mV); "
+        "it puts L at −25 mV. What changed: the pull of X [x] on A grew from +6 mV to +45 mV."
+    )
+
+
+def explained(potentials, policy=None):
+    """The only phase, a left turn, and its sentence."""
+    found = analyse(trace_of([LEFT] * 10, potentials, policy))
+    return *found.explanations, *found.sentences
+
+
+def test_motor_neuron_without_strong_pull_acts_by_its_leak():
+    policy = small_policy()
+    weak = dataclasses.replace(policy.circuit, weight=np.full(4, 0.5))
+    quiet = [[-70, -70, -70, -30, -70, -30]] * 10
+    left, text = explained(quiet, dataclasses.replace(policy, circuit=weak))
+    assert left.by_leak
+    assert "L at −30 mV by its own leak, A quiet (−70 mV)" in text
+
+
+def test_rival_motor_neuron_is_named():
+    left, text = explained([[-20, -40, -50, -25, -45, -30]] * 10)
+    assert left.rival == ("R", -45)
+    assert "; against it R at −45 mV" in text
+
+
+def test_neuron_that_alternates_from_tick_to_tick_is_named():
+    high, low = [-20, -30, -80, -25, -60, -30], [-20, -50, -80, -25, -60, -30]
+    left, text = explained([high, low] * 5)
+    assert left.swinging == (("A", 20),)
+    assert text.endswith(" From tick to tick A (by 20 mV) swings.")
+    assert explained([[-20, -70 + 5 * k, -80, -25, -60, -30] for k in range(10)])[0].swinging == ()
+
+
+def test_mirrored_motors_give_mirrored_phases():
+    policy = parking_policy(parking_circuit())
+    layout = policy.layout()
+    policy = policy.with_parameters(np.random.default_rng(3).uniform(layout.lower, layout.upper))
+    v, omega = policy.motors.channels
+    mirrored = omega.model_copy(update={"positive": omega.negative, "negative": omega.positive})
+    mirror = dataclasses.replace(policy, motors=policy.motors.model_copy(update={"channels": (v, mirrored)}))
+    run = rollout(policy, load_course("parking"))
+    plain = explain(traced(policy, run))
+    flipped = Trace(mirror, run.times[:-1], run.poses * [1, -1, -1], run.commands * [1, -1], run.potentials)
+    for one, other in zip(plain, explain(flipped), strict=True):
+        swapped = one.phase.label.replace("left", "L").replace("right", "left").replace("L", "right")
+        assert other.phase.label == swapped
+        assert (one.motor, one.behind, one.pulls) == (other.motor, other.behind, other.pulls)
+    assert any("turn" in one.phase.label for one in plain)

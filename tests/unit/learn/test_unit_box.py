@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from rover_ncp.core.course import load_course
-from sim.learn.engine import Engine
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.course.course import load_course
+from sim.learn.evaluator import Evaluator
 from sim.learn.search.unit_box import UnitBox, reflected
 
 POLICY = parking_policy(parking_circuit())
@@ -51,7 +51,7 @@ def test_inert_parameters_change_no_miss_and_all_others_do() -> None:
     base = np.clip(DEFAULTS + 0.05 * width * rng.standard_normal(LAYOUT.size), LAYOUT.lower, LAYOUT.upper)
     moves = np.where(base < LAYOUT.upper - 0.02 * width, 0.01, -0.01) * width
     vectors = np.concatenate([base + np.diag(moves), base[None]])
-    _, misses = Engine(POLICY, load_course("parking")).traces(vectors)
+    _, misses = Evaluator(POLICY, load_course("parking")).traces(vectors)
     same = np.array([np.array_equal(row, misses[-1]) for row in misses[:-1]])
     assert same.tolist() == inert_parameters(POLICY).tolist()
 

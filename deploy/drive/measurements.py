@@ -1,7 +1,7 @@
 """The measurement path: from received bytes to decoded samples with the moment of their measurement.
 
-The link stores arrivals in a `Mailbox` (odometry) and in two `Inbox`es (gyro, external poses). `Measurements`
-takes them out and decodes each once. `replay` decodes recorded samples with the same functions.
+The link stores arrivals in an `Inbox` for each kind: odometry (only the newest), gyro, external poses.
+`Measurements` takes them out and decodes each once. `replay` uses the same functions to decode.
 """
 
 import threading
@@ -37,49 +37,38 @@ class Arrival(NamedTuple):
     arrival_ns: int
 
 
-class Mailbox:
-    """Keeps the newest arrival only, and wakes the waiting thread, which Zenoh's ring of one cannot."""
+class Inbox:
+    """Keeps the newest ``length`` arrivals until they are taken, and wakes the thread that waits for one.
 
-    def __init__(self) -> None:
+    Zenoh's own ring channel cannot be waited for with a limit.
+    """
+
+    def __init__(self, length: int = INBOX_LENGTH) -> None:
         self._changed = threading.Condition()
-        self._newest: Arrival | None = None
+        self._arrivals: deque[Arrival] = deque(maxlen=length)
 
     def put(self, arrival: Arrival) -> None:
-        """Replace the stored arrival."""
+        """Add an arrival; from any thread."""
         with self._changed:
-            self._newest = arrival
+            self._arrivals.append(arrival)
             self._changed.notify()
 
-    def take(self, timeout_s: float) -> Arrival | None:
-        """Return and remove the stored arrival; wait for it at most ``timeout_s``."""
+    def take(self, timeout_s: float = 0.0) -> list[Arrival]:
+        """Return and remove all arrivals, in order; wait for the first at most ``timeout_s``."""
         with self._changed:
-            if self._newest is None and timeout_s > 0:
+            if not self._arrivals and timeout_s > 0:
                 self._changed.wait(timeout_s)
-            newest, self._newest = self._newest, None
-            return newest
-
-
-class Inbox:
-    """Keeps the newest `INBOX_LENGTH` arrivals until they are taken; any thread may put."""
-
-    def __init__(self) -> None:
-        self._arrivals: deque[Arrival] = deque(maxlen=INBOX_LENGTH)
-
-    def put(self, arrival: Arrival) -> None:
-        """Add an arrival."""
-        self._arrivals.append(arrival)
-
-    def take(self) -> list[Arrival]:
-        """Return and remove all arrivals, in order."""
-        return [self._arrivals.popleft() for _ in range(len(self._arrivals))]
+            arrivals = list(self._arrivals)
+            self._arrivals.clear()
+            return arrivals
 
 
 class MeasurementSource(Protocol):
     """The received messages of a link."""
 
     @property
-    def odometry(self) -> Mailbox:
-        """Odometry of the base."""
+    def odometry(self) -> Inbox:
+        """The newest odometry of the base; the inbox has the length 1."""
 
     @property
     def gyro(self) -> Inbox:
@@ -169,11 +158,10 @@ class Measurements:
 
     def odometry(self, timeout_s: float) -> Measurement[OdometrySample] | None:
         """Return the newest odometry not yet taken; wait for it at most ``timeout_s``."""
-        arrival = self._source.odometry.take(timeout_s)
-        found = self._read("odom", read_odometry, [] if arrival is None else [arrival])
+        found = self._read("odom", read_odometry, self._source.odometry.take(timeout_s))
         if not found:
             return None
-        self.newest = found[0]
+        self.newest = found[-1]
         return self.newest
 
     def gyro(self) -> list[Measurement[TurnSample]]:

@@ -12,7 +12,7 @@ from typing import Any
 import zenoh
 
 from deploy.drive.lease import DriverLease
-from deploy.drive.measurements import Arrival, Inbox, Mailbox
+from deploy.drive.measurements import Arrival, Inbox
 from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.core.errors import (
     AnotherDriver,
@@ -55,7 +55,7 @@ class ZenohLink(ZenohClient):
     def __init__(self, address: BridgeAddress, record: Callable[[Recorded], None]) -> None:
         self._record = record
         self.lease = DriverLease()
-        self.odometry = Mailbox()
+        self.odometry = Inbox(1)
         self.gyro = Inbox()
         self.poses = Inbox()
         self.gate = GateStatus()
@@ -151,7 +151,7 @@ class ZenohLink(ZenohClient):
                 "answers requests for the motors; keep it out with 'rover-ncp keys'"
             )
         for reply in replies:
-            # A bridge of version 1 cannot read the request, and says so; later ones answer with a refusal.
+            # A bridge of version 1 reports that it cannot read the request; later ones answer with a refusal.
             if reply.err is not None and reply.err.payload.to_bytes().startswith(b"MotorsRequest: "):
                 words = other_version(1, PROTOCOL)
                 raise OtherVersion(f"the bridge at {self.robot} refuses the motors: {words}")

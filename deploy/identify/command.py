@@ -41,14 +41,14 @@ def identify(
     same lease and gate as 'rover-ncp deploy'; keep a circle of --fence metres around it free. Ctrl-C stops
     the rover. A recording of another drive determines fewer values: delays, gains and accelerations need
     several steps of the command with pauses between. Each value is shown ± its standard deviation: 1.96 of
-    them on both sides hold the truth 19 times in 20. It is left out when that is too wide.
+    them on both sides contain the truth 19 times in 20. A value with too large a deviation is left out.
 
         rover-ncp identify --robot tcp/192.168.1.20 --out mine.yaml
         rover-ncp eval course --trials 300 --randomize full --profile mine.yaml
         rover-ncp deploy --robot tcp/192.168.1.20 --policy course --profile mine.yaml
 
-    Gains are those that odometry sees. With external poses on 'pose' during the drive, gains are separated
-    from odometry's own errors, and slip and imbalance are found too.
+    Gains are those that odometry measures. With external poses on 'pose' during the drive, gains are
+    separated from odometry's own errors, and slip and imbalance are found too.
 
     Ends with 0, 1 when a delay or gain could not be determined, 3 no bridge, no robot, not authorised or
     another driver, 4 stopped by a safety rule, which is named, 130 Ctrl-C.

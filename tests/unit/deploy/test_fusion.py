@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from base_odometry import reported
 from scipy.stats import chi2
 
 from deploy.estimator.course_filter import CourseFilter
@@ -46,18 +47,8 @@ DECLARED = Randomization(
 """Ranges of a base's errors by the estimator's settings."""
 
 
-def as_a_base_reports(pose, velocity):
-    """Whole mm, 4096ths of a turn, whole mm/s per wheel (track 588 mm)."""
-    step = math.tau / 4096
-    left, right = (round(1000 * velocity.v + side * 294 * velocity.omega) / 1000 for side in (-1, 1))
-    return (
-        Pose(round(pose.x, 3), round(pose.y, 3), wrap_angle(step * round(pose.theta / step))),
-        Velocity((left + right) / 2, (right - left) / 0.588),
-    )
-
-
 class Drives:
-    """N rovers that drive random courses blindly, and what their odometry and a localiser say of it."""
+    """N rovers on random courses without feedback, with their odometry and external poses."""
 
     def __init__(self, ranges, seed, count, turn_spread=1.0):
         model = RoverModel()
@@ -117,7 +108,7 @@ def follow(drives, row, every=5, late=lambda tick: 0, gyro=None):
     estimator.start(drives.seen(0, row), -rest_ticks * DT, drives.odometry[0][row], COVARIANCE)
     for tick in range(1 - rest_ticks, 1):
         estimator.gyro(gyro[tick + TICKS + rest_ticks][row], tick * DT)
-        report = as_a_base_reports(drives.odometry[0][row], Velocity(0.0, 0.0))
+        report = reported(drives.odometry[0][row], Velocity(0.0, 0.0))
         assert estimator.odometry(*report, tick * DT) is Outcome.ACCEPTED
     errors, nees, coming = [], [], []
     for tick in range(1, TICKS + 1):
@@ -126,7 +117,7 @@ def follow(drives, row, every=5, late=lambda tick: 0, gyro=None):
         way = relative(before, now)
         if gyro is not None:
             estimator.gyro(gyro[tick][row], t)
-        report = as_a_base_reports(now, Velocity(way.x / DT, way.theta / DT))
+        report = reported(now, Velocity(way.x / DT, way.theta / DT))
         assert estimator.odometry(*report, t) is Outcome.ACCEPTED
         if every and tick % every == 0:
             coming.append((tick + late(tick), tick))
@@ -143,7 +134,7 @@ def follow(drives, row, every=5, late=lambda tick: 0, gyro=None):
 
 
 def raw_errors(drives, row):
-    """The error of odometry alone, begun where the rover was said to be."""
+    """The error of odometry alone, from the external start pose."""
     course_odom = compose(drives.seen(0, row), inverse(drives.odometry[0][row]))
     return [
         (distance(compose(course_odom, odometry[row]), poses[row]))
@@ -191,7 +182,7 @@ def test_with_odometry_alone_the_estimate_is_odometry_with_its_covariance(drives
     assert low < np.mean([run[1] for run in runs]) < high
 
 
-def test_what_poses_have_taught_it_outlives_them(drives):
+def test_corrections_from_poses_outlast_them(drives):
     """Poses on two thirds of the way: after them, the estimate is better than odometry alone."""
     begin = 40
     gained = []
@@ -201,7 +192,7 @@ def test_what_poses_have_taught_it_outlives_them(drives):
         for tick in range(1, TICKS + 1):
             before, now = drives.odometry[tick - 1][row], drives.odometry[tick][row]
             way = relative(before, now)
-            estimator.odometry(*as_a_base_reports(now, Velocity(way.x / DT, way.theta / DT)), tick * DT)
+            estimator.odometry(*reported(now, Velocity(way.x / DT, way.theta / DT)), tick * DT)
             if tick <= begin:
                 estimator.external(Pose(*drives.poses[tick][row]), 1e-8 * np.eye(3), tick * DT)
         truth = relative(drives.poses[begin][row], drives.poses[TICKS][row])
@@ -213,7 +204,7 @@ def test_what_poses_have_taught_it_outlives_them(drives):
     assert rms(own) < 0.6 * rms(believed)
 
 
-def test_poses_that_come_late_and_out_of_order_count_as_if_they_had_come_at_once(drives):
+def test_late_poses_out_of_order_count_as_prompt_ones(drives):
     delays = [0, 7, 3, 9, 1, 5, 2, 8]
     for row in range(3):
         _, _, prompt = follow(drives, row, every=2)
@@ -270,7 +261,7 @@ def test_many_late_poses_at_once_cost_hardly_more_than_one(monkeypatch):
     assert len(entered) < 3 * len(times)  # applied again each time it would be 80 times 50
 
 
-def test_one_wrong_pose_is_refused_and_many_are_a_fault_that_stays():
+def test_one_wrong_pose_is_rejected_and_many_are_a_fault_that_stays():
     estimator = straight(1.0)
     wrong, right = Pose(_way(1.0), 0.3, 0.0), Pose(_way(1.0), 0.0, 0.0)
     for _ in range(4):
@@ -298,7 +289,7 @@ def test_one_wrong_pose_is_refused_and_many_are_a_fault_that_stays():
         (Pose(0, 0, 0), np.array([[1e-4, 1e-3, 0], [1e-3, 1e-4, 0], [0, 0, 1e-4]])),
     ],
 )
-def test_what_is_no_pose_is_refused(pose, covariance):
+def test_invalid_poses_are_rejected(pose, covariance):
     estimator = straight(1.0)
     before = estimator.at(1.0)
     assert estimator.external(pose, covariance, 1.0) is Outcome.NOT_FINITE
@@ -336,7 +327,7 @@ def test_a_gyro_makes_the_heading_better_than_odometrys(drives):
     assert gained[0] < 0.6 * gained[1]
 
 
-def test_a_gyro_that_was_silent_for_a_while_says_nothing_of_that_while():
+def test_a_gap_of_the_gyro_adds_no_turn():
     estimator = Estimator(SETTINGS)
     estimator.start(Pose(0, 0, 0), 0.0)
     for tick in range(1, 60):

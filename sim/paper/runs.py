@@ -4,7 +4,6 @@ import importlib
 import math
 import multiprocessing
 import shlex
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -262,38 +261,12 @@ def _require(names: Sequence[RunName], circuit: Path | None) -> None:
             importlib.import_module("mujoco")
 
 
-# A worker of a cluster may have several threads; a run's time is that of its process.
-_one_run = threading.Lock()
-
-
 def _make_on_cluster(
     names: Sequence[RunName], budget: BudgetName, address: str, on_result: Callable[[Result], None]
 ) -> None:
     """Make runs on a cluster's workers. Runs of a worker that dies are made by another one."""
-    import distributed  # an extra that one machine does without
+    from sim.learn.cluster import DaskCluster  # an extra that one machine does without
 
-    from sim.learn.cluster import RETRIES, connect, told_plainly, versions
-
-    client = connect(address)
-    try:
-        with told_plainly(address):
-            wanted = versions()
-            runs = [
-                client.submit(
-                    _run_on_worker, name, budget, wanted, pure=False, retries=RETRIES, priority=-number
-                )
-                for number, name in enumerate(names)
-            ]
-            as_completed: Any = distributed.as_completed
-            for run in as_completed(runs, loop=client.loop):
-                on_result(run.result())
-    finally:
-        client.close()
-
-
-def _run_on_worker(name: RunName, budget: BudgetName, wanted: Mapping[str, str]) -> Result:
-    from sim.learn.cluster import require_versions
-
-    require_versions(wanted)
-    with _one_run:
-        return train_run(name, budget)
+    with DaskCluster(address) as cluster:
+        for run in as_completed([cluster.submit(train_run, name, budget) for name in names]):
+            on_result(run.result())

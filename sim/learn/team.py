@@ -16,7 +16,7 @@ from rover_ncp.circuit.policy import ParameterLayout
 from sim.learn.flow import Flow, Lockstep
 from sim.learn.objective import Deterministic, Objective
 from sim.learn.search.base import SearchState, Strategy, Vector
-from sim.learn.search.strategies import STRATEGIES
+from sim.learn.search.strategies import STRATEGIES, start_search
 
 _MOST_AHEAD = 4
 """Rounds that an agent may be ahead of the slowest; an agent that waits leaves lanes idle."""
@@ -174,7 +174,7 @@ def revive(plan: Plan, agent: AgentState) -> Strategy:
     """Return the agent's search as it stood. Raises ValueError, KeyError or TypeError for a damaged state."""
     seed = np.random.SeedSequence(plan.root_seed, spawn_key=(agent.number, _SEARCH))
     generator = np.random.Generator(np.random.PCG64(seed))
-    search = STRATEGIES[plan.strategy].begin(plan.layout, plan.defaults, generator, plan.inert)
+    search = start_search(plan.strategy, plan.layout, plan.defaults, generator, plan.inert)
     if agent.search is not None:
         search.restore(agent.search)
     return search

@@ -18,7 +18,7 @@ from sim.learn.evaluator import Evaluator
 from sim.learn.net_engine import NetEngine
 from sim.learn.networks import Net
 from sim.learn.search.base import Vector
-from sim.learn.search.strategies import STRATEGIES
+from sim.learn.search.strategies import start_search
 from sim.paper.agents import dead_parameters
 from sim.paper.random_search import Budget, Found
 from sim.paper.tasks import Task
@@ -70,7 +70,7 @@ def search_parking(evaluator: ParkingEvaluator, agent: Policy | Net, seed: int, 
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(0,))))
     first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
     strategy = "published" if budget.published else "gauss-newton"
-    search = STRATEGIES[strategy].begin(agent.layout(), first, generator, dead_parameters(agent))
+    search = start_search(strategy, agent.layout(), first, generator, dead_parameters(agent))
     curve: list[tuple[int, float]] = []
     ended, parks, best = "evaluations", None, -math.inf
     while search.evaluations < budget.evaluations:

@@ -7,7 +7,6 @@ true pose is judged.
 
 import copy
 import multiprocessing
-import os
 from bisect import bisect_right
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -22,12 +21,11 @@ from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import Course, Verdict
 from sim.evaluate.evaluate import cause
-from sim.learn.workers import starting_processes
+from sim.learn.workers import WorkerDied, available_processes, starting_processes
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.trial import BaseTrial, rover_of
@@ -67,7 +65,7 @@ class Stack:
 
     @cached_property
     def model(self) -> RoverModel:
-        """The rover as it would be on its best day."""
+        """The nominal rover."""
         return rover_model_of(ROBOTS[MODEL])
 
     @cached_property
@@ -148,7 +146,7 @@ class _Truth:
         self._touched = False
 
     def note(self, now: float) -> None:
-        """Take down where the rover is at ``now`` s."""
+        """Note the true pose at ``now`` s."""
         self._times.append(now)
         self._poses.append(self._rover.pose)
         self._touched = self._touched or (self._watch and self._rover.in_contact)
@@ -159,10 +157,6 @@ class _Truth:
         first, last = (bisect_right(self._times, began + t) for t in (-1e-6, course.horizon_s + 1e-6))
         times = [now - began for now in self._times[first:last]]
         return course.judge(times, self._poses[first:last], self._touched)
-
-
-class WorkerDied(RoverNcpError):
-    """A process that drove trials ended without being asked to."""
 
 
 _stack: Stack | None = None
@@ -176,16 +170,16 @@ def drive_all(
 
     ``processes`` is by default as many as there are cores and work for.
     """
-    hands = processes or min(len(os.sched_getaffinity(0)), max(count // _WORTH_A_PROCESS, 1))
+    workers = processes or min(available_processes(), max(count // _WORTH_A_PROCESS, 1))
     found: dict[int, Driven] = {}
-    if hands == 1:
+    if workers == 1:
         for number in range(count):
             found[number] = stack.drive(number)
             on_done()
         return list(found.values())
     # Spawned, never forked: numba and cffi do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(hands, context, _set_stack, (stack,)) as pool:
+    with ProcessPoolExecutor(workers, context, _set_stack, (stack,)) as pool:
         try:
             with starting_processes():  # the pool starts them as work is handed in
                 waiting = {pool.submit(_drive, number): number for number in range(count)}
@@ -193,7 +187,7 @@ def drive_all(
                 found[waiting[done]] = done.result()
                 on_done()
         except BrokenProcessPool as error:
-            raise WorkerDied("a process that drove trials ended without being asked to") from error
+            raise WorkerDied("a process that drove trials ended unexpectedly") from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise

@@ -4,12 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from statistics import median
 from typing import Any
 
-from sim.learn.ensemble import Snapshot, run_ensemble
+from sim.learn.agents import AgentState, Snapshot, run_rounds
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.search.strategies import STRATEGIES
-from sim.learn.team import AgentState
-from sim.learn.train import training_plan
-from sim.learn.workers import Inline, LocalProcesses, available_processes
+from sim.learn.train import find_workers, training_plan
+from sim.learn.workers import available_processes
 
 MARKS = (1000, 2000, 5000, 10_000, 20_000)
 """Iterations at which returns are looked at."""
@@ -34,8 +33,8 @@ def bench_search(
         plan = training_plan(settings, resolve_task(settings))
         start = Snapshot(tuple(AgentState(number) for number in range(agents)))
         count = min(available_processes(), agents)
-        with Inline(plan) if count == 1 else LocalProcesses(plan, count) as workers:
-            trained[strategy] = run_ensemble(workers, start, iterations, lambda _: False).agents
+        with find_workers(count) as workers:
+            trained[strategy] = run_rounds(workers, plan, start, iterations, lambda _: False).agents
         say(_line(strategy, [agent.value for agent in trained[strategy]]))
     fields = {
         "seed": seed,

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -23,17 +23,13 @@ from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.course.course import TICK_S
 from rover_ncp.kernels.jit import kernel
-from sim.learn import stream
-from sim.learn.ensemble import Snapshot, run_ensemble
-from sim.learn.evaluator import Evaluator
-from sim.learn.flow import Answer, Flow
-from sim.learn.objective import Deterministic, Objective
+from sim.learn.agents import AgentState, Plan, Team, split
+from sim.learn.evaluator import STREAM_LANES, Answer, Evaluator, Stream
 from sim.learn.record import Task, TrainSettings, resolve_task
 from sim.learn.rollout import rollout
 from sim.learn.search.strategies import STRATEGIES
-from sim.learn.team import AgentState, Plan, Rounds, Team
 from sim.learn.train import training_plan
-from sim.learn.workers import Processes, available_processes, split
+from sim.learn.workers import LocalProcesses, MadeOnce, available_processes
 from sim.world.fleet import Fleet, advance, send
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.rover import SUBSTEPS, RoverModel
@@ -50,13 +46,13 @@ _NS = 1e9
 
 _COMPILE_SCRIPT = """
 import time
+from sim.learn.agents import AgentState, Team
 from sim.learn.record import TrainSettings, resolve_task
-from sim.learn.team import AgentState, Team
 from sim.learn.train import training_plan
 settings = TrainSettings()
 team = Team(training_plan(settings, resolve_task(settings)))
 began = time.process_time()
-team.advance([AgentState(0)], 200)
+team.advance([AgentState(0)], [[200]])
 print(time.process_time() - began)
 """
 
@@ -78,7 +74,7 @@ def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
     fields["iterations_per_s"] = {}
     in_engine = {}
     for name, plan in plans.items():
-        one, in_engine[name] = _iterations_per_cpu_s(plan, iterations)
+        one, in_engine[name] = _iterations_per_cpu_s(plan, task, iterations)
         every, wall = _iterations_on_all_cores(plan, iterations, cores)
         fields["iterations_per_s"][name] = {
             "one_core": one,
@@ -122,7 +118,7 @@ def _parts(task: Task) -> dict[str, Any]:
         }
         for lanes in LANES
     ]
-    lane = next(row for row in by_lanes if row["lanes"] == stream.LANES)
+    lane = next(row for row in by_lanes if row["lanes"] == STREAM_LANES)
     in_lanes, plain = len(vectors) / cpu_s["episodes"], len(alone) / cpu_s["plain"]
     return {
         "episodes_per_s": in_lanes,
@@ -155,90 +151,70 @@ def _cpu_s(calls: dict[str, Callable[[], object]]) -> dict[str, float]:
     return {name: statistics.median(each) for name, each in times.items()}
 
 
-class _Timed:
-    """A flow, and the CPU time that it takes to answer."""
+class _TimedEvaluator(Evaluator):
+    """An evaluator that counts the CPU time of its streams."""
 
-    def __init__(self, flow: Flow) -> None:
-        self._flow = flow
-        self.room, self.enough = flow.room, flow.enough
-        self.cpu_s = 0.0
-        self.submit = flow.submit
+    cpu_s = 0.0
 
-    def collect(self) -> list[Answer]:
-        began = time.process_time()
-        answers = self._flow.collect()
-        self.cpu_s += time.process_time() - began
-        return answers
+    def stream(self, agents: int) -> Stream:
+        """Return a stream whose answers are timed."""
+        stream = super().stream(agents)
+        collect = stream.collect
+
+        def timed() -> list[Answer]:
+            began = time.process_time()
+            answers = collect()
+            self.cpu_s += time.process_time() - began
+            return answers
+
+        stream.collect = timed  # type: ignore[method-assign]
+        return stream
 
 
-def _iterations_per_cpu_s(plan: Plan, iterations: int) -> tuple[float, float]:
-    """Return the speed, and the share of the time that the engine takes of it.
+def _advance(team: Team, agents: Sequence[AgentState], iterations: int) -> tuple[list[AgentState], float]:
+    """Return agents after so many iterations, and the CPU time that this took."""
+    began = time.process_time()
+    done = team.advance(agents, [[iterations]] * len(agents))
+    return [progress.last for progress in done], time.process_time() - began
+
+
+def _iterations_per_cpu_s(plan: Plan, task: Task, iterations: int) -> tuple[float, float]:
+    """Return the speed, and the evaluator's share of the time.
 
     The same iterations run twice and the second run counts. Descents begin after the warm-up, and their
     kernels are compiled or loaded on their first calls.
     """
-    flows: list[_Timed] = []
-
-    def timed() -> Objective:
-        objective = plan.build_objective()
-        assert isinstance(objective, Deterministic) and objective.stream is not None
-        open_stream = objective.stream
-
-        def stream(agents: int) -> Flow:
-            flows.append(_Timed(open_stream(agents)))
-            return flows[-1]
-
-        objective.stream = stream
-        return objective
-
-    team = Team(replace(plan, build_objective=timed))
-    agents = team.advance([AgentState(number) for number in range(_AGENTS)], _WARM_ITERATIONS)
+    evaluator = _TimedEvaluator(task.policy, task.course)
+    team = Team(replace(plan, build_evaluator=lambda: evaluator))
+    agents, _ = _advance(team, [AgentState(number) for number in range(_AGENTS)], _WARM_ITERATIONS)
     for _ in range(2):
-        for flow in flows:
-            flow.cpu_s = 0.0
-        began = time.process_time()
-        team.advance(agents, _WARM_ITERATIONS + iterations)
-        cpu_s = time.process_time() - began
-    return _AGENTS * iterations / cpu_s, sum(flow.cpu_s for flow in flows) / cpu_s
+        evaluator.cpu_s = 0.0
+        _, cpu_s = _advance(team, agents, _WARM_ITERATIONS + iterations)
+    return _AGENTS * iterations / cpu_s, evaluator.cpu_s / cpu_s
 
 
-class _TimedProcesses(Processes):
-    """Teams in processes, and the CPU time of the slowest of them."""
-
-    def __init__(self, plan: Plan, count: int) -> None:
-        super().__init__(partial(_timed_team, plan), count)
-        self.cpu_s = 0.0
-
-    def rounds(self, agents: Sequence[AgentState], targets: Sequence[int]) -> Rounds:
-        """Give all agents after each of these numbers of candidates."""
-        for parts in self.stream([(group, targets) for group in split(agents, self.count)]):
-            self.cpu_s = max(cpu_s for _, cpu_s in parts)
-            yield [agent for part, _ in parts for agent in part]
-
-
-def _timed_team(plan: Plan) -> Callable[..., Iterator[tuple[list[AgentState], float]]]:
-    team = Team(plan)
-
-    def rounds(
-        agents: Sequence[AgentState], targets: Sequence[int]
-    ) -> Iterator[tuple[list[AgentState], float]]:
-        began = time.process_time()
-        for advanced in team.rounds(agents, targets):
-            yield advanced, time.process_time() - began
-
-    return rounds
+def _advance_in_process(plan: Plan) -> Callable[..., tuple[list[AgentState], float]]:
+    return partial(_advance, Team(plan))
 
 
 def _iterations_on_all_cores(plan: Plan, iterations: int, cores: int) -> tuple[float, float]:
     """Return the iterations per second of CPU time, as it would be on idle cores, and of wall time."""
-    start = Snapshot(tuple(AgentState(number) for number in range(_AGENTS)))
-    with _TimedProcesses(plan, cores) as workers:
-        warm = run_ensemble(workers, start, _WARM_ITERATIONS, lambda _: False)
+    agents = [AgentState(number) for number in range(_AGENTS)]
+    groups = split(range(_AGENTS), cores)
+    advance = MadeOnce(partial(_advance_in_process, plan))
+    with LocalProcesses(cores) as workers:
+
+        def run(agents: Sequence[AgentState], until: int) -> tuple[list[AgentState], float]:
+            futures = [workers.submit(advance, [agents[i] for i in group], until) for group in groups]
+            parts = [future.result() for future in futures]
+            return [agent for part, _ in parts for agent in part], max(cpu_s for _, cpu_s in parts)
+
+        warm, _ = run(agents, _WARM_ITERATIONS)
         for _ in range(2):  # as on one core
             began = time.monotonic()
-            run_ensemble(workers, warm, _WARM_ITERATIONS + iterations, lambda _: False)
+            _, cpu_s = run(warm, _WARM_ITERATIONS + iterations)
             wall_s = time.monotonic() - began
-        return _AGENTS * iterations / workers.cpu_s, _AGENTS * iterations / wall_s
+        return _AGENTS * iterations / cpu_s, _AGENTS * iterations / wall_s
 
 
 def _ticks(lanes: int) -> int:

@@ -12,7 +12,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import Course, ParkedRule, Verdict
 from rover_ncp.course.random_course import random_course
-from sim.evaluate.laws import LAWS, LawEngine
+from sim.evaluate.laws import LAWS, law_evaluator
 from sim.learn.evaluator import Evaluator, Outcomes
 from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import RoverModel
@@ -97,7 +97,7 @@ def evaluate(
 
 def _engine(driver: Policy | str, courses: Sequence[Course], model: RoverModel, trials: Trials) -> Evaluator:
     if isinstance(driver, str):
-        return LawEngine(driver, courses, trials)
+        return law_evaluator(driver, courses, trials)
     return Evaluator(driver, courses, model, trials)
 
 

@@ -21,14 +21,13 @@ from rover_ncp.circuit.tap_withdrawal import tap_withdrawal_circuit
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import Reference
 from rover_ncp.kernels.jit import kernel
-from sim.learn.episode import IDLE, Lanes, Queue, Tasks, drive_tick, start_episode
+from sim.learn.commander import Commander
 from sim.learn.evaluator import Evaluator
 from sim.learn.search.unit_box import reflected
-from sim.world.fleet import Fleet, FleetArrays, wrapped
+from sim.world.fleet import wrapped
 from sim.world.randomization import Trials
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 KANAYAMA, PURE_PURSUIT, SMOOTH = range(3)
 
@@ -91,66 +90,51 @@ def law_command(law: int, gains: FloatArray, seen: FloatArray) -> tuple[float, f
     return v, v * kappa
 
 
+class LawLanes(NamedTuple):
+    """The arrays of L rovers that a law drives."""
+
+    law: int
+    limits: FloatArray
+    """(2,) of v and omega."""
+    gains: FloatArray
+    """(L, G)."""
+
+
 @kernel
-def law_lanes(law: int, limits: FloatArray, lanes: Lanes, queue: Queue) -> None:
-    """Command all rovers; below its thresholds, the last two gains, a law asks for nothing."""
-    for lane in range(len(lanes.episode)):
-        if lanes.episode[lane] == IDLE:
-            continue
-        gains = queue.vectors[queue.vector[lanes.episode[lane]]]
-        asked = law_command(law, gains, lanes.observations[:, lane])
+def start_law(lanes: LawLanes, lane: int, vector: FloatArray) -> None:
+    """Set a lane's gains (G,)."""
+    lanes.gains[lane] = vector
+
+
+@kernel
+def tick_laws(lanes: LawLanes, observations: FloatArray, commands: FloatArray) -> None:
+    """Command all rovers; below its thresholds, the last two gains, a law commands zero."""
+    for lane in range(len(lanes.gains)):
+        gains = lanes.gains[lane]
+        asked = law_command(lanes.law, gains, observations[:, lane])
         for axis in range(2):
             still = abs(asked[axis]) < gains[len(gains) - 2 + axis]
-            part = min(max(asked[axis], -limits[axis]), limits[axis])
-            lanes.commands[axis, lane] = 0.0 if still else part
+            part = min(max(asked[axis], -lanes.limits[axis]), lanes.limits[axis])
+            commands[axis, lane] = 0.0 if still else part
 
 
-@kernel
-def run_law(  # noqa: PLR0917  # as run_episodes
-    law: int,
-    limits: FloatArray,
-    signal_at: IntArray,
-    tasks: Tasks,
+def law_evaluator(
+    name: str,
+    courses: Sequence[Course],
     trials: Trials,
-    lanes: Lanes,
-    fleet: FleetArrays,
-    queue: Queue,
-) -> None:
-    """Run all episodes in the queue, as ``run_episodes`` does with circuits."""
-    waiting, running = 0, 0
-    lanes.episode[:] = IDLE
-    while True:
-        for lane in range(len(lanes.episode)):
-            if lanes.episode[lane] == IDLE and waiting < len(queue.results):
-                lanes.episode[lane] = waiting
-                start_episode(signal_at, tasks, trials, lanes, fleet, queue, lane)
-                waiting += 1
-                running += 1
-        if running == 0:
-            return
-        law_lanes(law, limits, lanes, queue)
-        running -= drive_tick(signal_at, tasks, trials, lanes, fleet, queue)
+    references: Sequence[Reference] | None = None,
+) -> Evaluator:
+    """Return an evaluator whose vectors are the gains of a law."""
+    law = LAWS[name]
+    # Of the policy, its signals and limits count; its circuit is not run.
+    policy = course_policy(tap_withdrawal_circuit())
+    limits = np.array(policy.motors.limits)
 
+    def allocate(count: int) -> LawLanes:
+        return LawLanes(law.number, limits, np.zeros((count, len(law.gains))))
 
-class LawEngine(Evaluator):
-    """An engine whose vectors are a law's gains."""
-
-    def __init__(
-        self,
-        law: str,
-        courses: Sequence[Course],
-        trials: Trials,
-        references: Sequence[Reference] | None = None,
-    ) -> None:
-        # Of the policy, its signals and limits count; its circuit is not run.
-        policy = course_policy(tap_withdrawal_circuit())
-        super().__init__(policy, courses, trials=trials, references=references)
-        self._law = LAWS[law].number
-
-    def run_queue(self, lanes: Lanes, fleet: Fleet, queue: Queue) -> None:
-        """Run the episodes of a queue."""
-        limits = np.array(self.policy.motors.limits)
-        run_law(self._law, limits, self._signal_at, self._tasks, self._trials, lanes, fleet.arrays, queue)
+    commander = Commander(len(law.gains), allocate, start_law, tick_laws)
+    return Evaluator(policy, courses, trials=trials, references=references, commander=commander)
 
 
 class GainCube:

@@ -9,7 +9,7 @@ from pydantic import Field
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
-from sim.learn.team import AgentState, Plan, revive
+from sim.learn.agents import AgentState, Plan, revive
 
 
 class _AgentFile(StrictModel):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.learn.team import AgentState
+from sim.learn.agents import AgentState
 
 _LEAST_LOSS = 1e-4
 

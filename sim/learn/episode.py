@@ -1,19 +1,17 @@
-"""Whole episodes in one kernel: lanes of circuits, each with a rover of a fleet.
+"""Whole episodes in one kernel: lanes of controllers, each with a rover of a fleet.
 
-Episodes wait in a queue for a free lane. A lane runs its episode on a clock of its own, and takes the next
-one when that ends or, in a race, is lost; so all lanes stay busy, and what an episode gives depends neither
-on its lane nor on its company. ``rollout.py`` says what an episode is; the tests hold the two together to
-the last bit.
+``episode_kernel`` makes the kernel for a commander: a circuit, a network or a law. Episodes wait in a queue
+for a free lane. A lane runs its episode on its own clock and takes the next one when that ends, or when its
+return falls below its threshold. So all lanes stay busy, and the result of an episode depends neither on its
+lane nor on the other episodes. ``rollout.py`` defines an episode; the tests compare the two bit by bit.
 """
 
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.circuit import RESTING_MV
-from rover_ncp.circuit.compiled import LaneParameters, Program, fill_lane
-from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.reference import seen_from
 from rover_ncp.kernels.jit import borrowed, inlined_kernel, kernel
@@ -62,20 +60,18 @@ class Tasks(NamedTuple):
 
 
 class Lanes(NamedTuple):
-    """The state of L lanes."""
+    """L lanes at work, beside the commander's own arrays and the fleet."""
 
-    parameters: LaneParameters
-    potentials: FloatArray
     observations: FloatArray
     commands: FloatArray
     poses: FloatArray
-    """(n, L), (inputs, L), (2, L), (3, L)."""
+    """(inputs, L), (2, L), (3, L)."""
     held: FloatArray
     driven: FloatArray
-    """(2, L) each: the command that arrived last, and what the base makes of it."""
+    """(2, L) each: the command that arrived last, and the motion that the base makes of it."""
     odometry: FloatArray
     earlier: FloatArray
-    """(3, L) each: where odometry believes to be, heading not wrapped, now and a tick ago."""
+    """(3, L) each: the pose by odometry, heading not wrapped, now and a tick ago."""
     episode: IntArray
     """(L,) or IDLE."""
     tick: IntArray
@@ -87,11 +83,24 @@ class Lanes(NamedTuple):
     tracking: FloatArray
     """(2, L) running sums."""
     signals: FloatArray
-    """(9,) work: all that can be seen."""
+    """(9,) work: all signals that a controller may observe."""
+    before: IntArray
+    """(L,) work: the lanes' episodes before a tick."""
+
+
+class Waiting(NamedTuple):
+    """The E episodes of a queue in G groups of equal size, group by group."""
+
+    episodes: IntArray
+    """(E,) ring of episodes that wait for a lane."""
+    ring: IntArray
+    """(2,) where the ring begins, and how many wait."""
+    left: IntArray
+    """(G,) episodes of each group that have not ended."""
 
 
 class Queue(NamedTuple):
-    """The E episodes of one call, and what becomes of them."""
+    """E episodes and their results."""
 
     vectors: FloatArray
     """(V, P)."""
@@ -100,59 +109,100 @@ class Queue(NamedTuple):
     trial: IntArray
     """(E,) each: rows of vectors, tasks and trials."""
     stop_below: FloatArray
-    """(E,) an episode ends as soon as its running return is below."""
+    """(E,) an episode is truncated as soon as its running return is below."""
     results: FloatArray
     """(E, RESULTS)."""
     misses: FloatArray
     """(E, checkpoints, 3) x, y and heading from each checkpoint when it was judged; 0 where none was."""
+    waiting: Waiting
 
 
 _seen_from = kernel(seen_from)
-_driven = kernel(apply_base_errors)
-_reckoned = kernel(dead_reckon)
-_stepped = kernel(quantise)
+_apply_base_errors = kernel(apply_base_errors)
+_dead_reckon = kernel(dead_reckon)
+_quantise = kernel(quantise)
+
+
+@cache
+def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
+    """Return the kernel that runs episodes with a commander's two kernels (``commander.Commander``)."""
+
+    @kernel
+    def run_episodes(
+        arrays: Any,
+        signal_at: IntArray,
+        tasks: Tasks,
+        trials: Trials,
+        lanes: Lanes,
+        fleet: FleetArrays,
+        queue: Queue,
+    ) -> None:
+        """Run episodes until a group has ended and a lane is free, or until no episode is left.
+
+        ``arrays`` are the commander's; ``signal_at`` (inputs,) gives the signal of each input.
+        """
+        arrays, tasks, trials = borrowed(arrays), borrowed(tasks), borrowed(trials)
+        lanes, fleet, queue = borrowed(lanes), borrowed(fleet), borrowed(queue)
+        episodes, before = lanes.episode, lanes.before
+        waiting, ring, left = queue.waiting
+        group_size = len(waiting) // len(left)
+        running = 0
+        for lane in range(len(episodes)):
+            running += episodes[lane] != IDLE
+        ended_groups = 0
+        while True:
+            for lane in range(len(episodes)):
+                if episodes[lane] == IDLE and ring[1] > 0:
+                    episode = waiting[ring[0]]
+                    ring[0] = (ring[0] + 1) % len(waiting)
+                    ring[1] -= 1
+                    start_lane(arrays, lane, queue.vectors[queue.vector[episode]])
+                    episodes[lane] = episode
+                    start_episode(signal_at, tasks, trials, lanes, fleet, queue, lane)
+                    running += 1
+            if running == 0:
+                return
+            before[:] = episodes
+            tick_lanes(arrays, lanes.observations, lanes.commands)
+            pass_commands(trials, lanes, queue)
+            send(fleet, lanes.driven)
+            advance(fleet)
+            read_poses(fleet, lanes.poses)
+            if finish_tick(signal_at, tasks, trials, lanes, fleet, queue) > 0:
+                for lane in range(len(episodes)):
+                    if episodes[lane] != before[lane]:
+                        running -= 1
+                        group = before[lane] // group_size
+                        left[group] -= 1
+                        ended_groups += left[group] == 0
+            if ended_groups > 0 and ring[1] == 0 and running < len(episodes):
+                return
+
+    return run_episodes
 
 
 @kernel
-def run_episodes(
-    program: Program,
-    signal_at: IntArray,
-    tasks: Tasks,
-    trials: Trials,
-    lanes: Lanes,
-    fleet: FleetArrays,
-    queue: Queue,
+def enqueue(
+    vectors: FloatArray,
+    stop_below: FloatArray,
+    misses: FloatArray,
+    waiting: Waiting,
+    group: int,
+    added: FloatArray,
+    thresholds: FloatArray,
 ) -> None:
-    """Run all episodes in the queue. ``signal_at`` (inputs,) says which signal each input is."""
-    program, tasks, trials = borrowed(program), borrowed(tasks), borrowed(trials)
-    lanes, fleet, queue = borrowed(lanes), borrowed(fleet), borrowed(queue)
-    waiting, running = 0, 0
-    lanes.episode[:] = IDLE
-    while True:
-        for lane in range(len(lanes.episode)):
-            if lanes.episode[lane] == IDLE and waiting < len(queue.results):
-                fill_lane(program, lanes.parameters, lane, queue.vectors[queue.vector[waiting]])
-                lanes.episode[lane] = waiting
-                start_episode(signal_at, tasks, trials, lanes, fleet, queue, lane)
-                waiting += 1
-                running += 1
-        if running == 0:
-            return
-        tick_lanes(program, lanes.parameters, lanes.potentials, lanes.observations, lanes.commands)
-        running -= drive_tick(signal_at, tasks, trials, lanes, fleet, queue)
-
-
-@inlined_kernel
-def drive_tick(
-    signal_at: IntArray, tasks: Tasks, trials: Trials, lanes: Lanes, fleet: FleetArrays, queue: Queue
-) -> int:
-    """Drive all rovers for a tick by the lanes' commands; return how many episodes ended."""
-    pass_commands(trials, lanes, queue)
-    send(fleet, lanes.driven)
-    advance(fleet)
-    read_poses(fleet, lanes.poses)
-    ended: int = finish_tick(signal_at, tasks, trials, lanes, fleet, queue)
-    return ended
+    """Let the episodes of new candidates (n, P) wait, of a group of which none waits or runs."""
+    # Not the whole queue: to hand it over takes longer than to fill it.
+    episodes, ring, left = waiting
+    first = group * (len(episodes) // len(left))
+    for i in range(len(added)):
+        episode = first + i
+        vectors[episode] = added[i]
+        stop_below[episode] = thresholds[i]
+        misses[episode] = 0.0
+        episodes[(ring[0] + ring[1]) % len(episodes)] = episode
+        ring[1] += 1
+    left[group] = len(added)
 
 
 @kernel
@@ -165,10 +215,9 @@ def start_episode(
     queue: Queue,
     lane: int,
 ) -> None:
-    """Begin an episode: neurons at rest, the trial's rover at its start, no start signal."""
+    """Begin an episode: the trial's rover at its start, no start signal."""
     episode = lanes.episode[lane]
     task, trial = queue.task[episode], queue.trial[episode]
-    lanes.potentials[:, lane] = RESTING_MV
     lanes.tick[lane] = WARMING_UP
     lanes.total[lane] = 0.0
     lanes.held[:, lane] = 0.0
@@ -234,9 +283,9 @@ def pass_commands(trials: Trials, lanes: Lanes, queue: Queue) -> None:
             continue
         trial = queue.trial[episode[lane]]
         if not trials.lost[trial, tick[lane]]:
-            held[0, lane] = _stepped(commands[0, lane], trials.step[0])
-            held[1, lane] = _stepped(commands[1, lane], trials.step[1])
-        lanes.driven[0, lane], lanes.driven[1, lane] = _driven(
+            held[0, lane] = _quantise(commands[0, lane], trials.step[0])
+            held[1, lane] = _quantise(commands[1, lane], trials.step[1])
+        lanes.driven[0, lane], lanes.driven[1, lane] = _apply_base_errors(
             held[0, lane],
             held[1, lane],
             BaseErrors(
@@ -305,7 +354,7 @@ def reckon(trials: Trials, lanes: Lanes, trial: int, lane: int, before: FloatArr
     """Move odometry by what a tick seemed to be."""
     poses, odometry = lanes.poses, lanes.odometry
     lanes.earlier[:, lane] = odometry[:, lane]
-    odometry[0, lane], odometry[1, lane], odometry[2, lane] = _reckoned(
+    odometry[0, lane], odometry[1, lane], odometry[2, lane] = _dead_reckon(
         Pose(odometry[0, lane], odometry[1, lane], odometry[2, lane]),
         Pose(before[0], before[1], before[2]),
         Pose(poses[0, lane], poses[1, lane], poses[2, lane]),

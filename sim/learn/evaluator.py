@@ -1,20 +1,25 @@
-"""Scores parameter vectors by whole episodes, on one course or several, with or without random trials.
+"""The evaluator: scores parameter vectors by episodes, on one course or several, with or without trials.
 
-A return only falls, as every reward is negative: a candidate that is already worse than what it must beat
-has lost, and stopping it changes no decision.
+    vectors = search.ask(count)
+    returns, misses = evaluator.run(vectors, thresholds)
+    search.tell(returns, misses)
+
+A return only falls, because no reward is positive. An episode whose running return is below its threshold may
+therefore be truncated without any effect on a comparison with that threshold.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rover_ncp.circuit.compiled import Program, allocate_lanes, make_program, resting_potentials
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import TICK_S, Course, due_checkpoints
 from rover_ncp.course.reference import SIGNALS, Reference, needs_reference, plan_reference
-from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, run_episodes
+from sim.learn.commander import Commander, circuit_commander
+from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, Waiting, enqueue, episode_kernel
 from sim.learn.rollout import require_driver
 from sim.world.fleet import Fleet
 from sim.world.pymunk_rover import require_free_start
@@ -24,9 +29,15 @@ from sim.world.rover import SUBSTEP_S, RoverModel
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-LEAST_LANES, MOST_LANES = 8, 24
+_LEAST_LANES, _MOST_LANES = 8, 24
 """Fewer leave vectors half empty; more gain nothing: all numbers should stay in a core's first cache."""
-RACERS_PER_LANE = 6
+_TRUNCATED_PER_LANE = 6
+
+STREAM_LANES = 8
+"""One vector; with more, lanes stand idle while agents wait for their last episode."""
+_IN_FLIGHT = 12
+"""Some wait, so that a free lane need not."""
+_LEAST_ROOM, _ROOM = 8, 64
 
 
 class Outcomes(NamedTuple):
@@ -49,11 +60,20 @@ class Outcomes(NamedTuple):
     a course has fewer: a return is minus the sum of their squares."""
 
 
-class Evaluator:
-    """Scores parameter vectors of one kind of policy. Not for several threads at once.
+class _Team(NamedTuple):
+    """Lanes, their rovers and their controllers, for one set of obstacles."""
 
-    With ``trials``, trial i is driven on course i modulo the number of courses; without, each course once
-    as the model is. References are planned where the policy sees them and none are given.
+    arrays: Any
+    lanes: Lanes
+    fleet: Fleet
+
+
+class Evaluator:
+    """Scores parameter vectors of one commander, by default a policy's circuit. One thread at a time.
+
+    Of the policy of another commander only the inputs count. With ``trials``, trial i is driven on course i
+    modulo the number of courses; without, each course once as the model is. References are planned where the
+    policy observes them and none are given.
 
     Raises ConfigError when the policy cannot drive or a course's start is blocked.
     """
@@ -65,10 +85,12 @@ class Evaluator:
         model: RoverModel | None = None,
         trials: Trials | None = None,
         references: Sequence[Reference] | None = None,
+        *,
+        commander: Commander | None = None,
     ) -> None:
         require_driver(policy)
         courses = [course] if isinstance(course, Course) else list(course)
-        self.policy, self.courses, self.model = policy, courses, model or RoverModel()
+        self.courses, self.model = courses, model or RoverModel()
         for each in courses:
             require_free_start(self.model, each)
         # Lanes are built for one set of obstacles, and drive the courses that have it.
@@ -76,69 +98,45 @@ class Evaluator:
         self._ground = np.array([self._grounds.index(each.obstacles) for each in courses])
         if references is None and needs_reference(policy.sensing.inputs):
             references = [plan_reference(each) for each in courses]
-        self._program = make_program(policy)
+        self._commander = commander or circuit_commander(policy)
+        self._kernel = episode_kernel(self._commander.start_lane, self._commander.tick_lanes)
         self._signal_at = np.array([SIGNALS.index(name) for name in policy.sensing.inputs])
         self._tasks = _tasks(courses, references, self.model)
-        ticks = int(self._tasks.ticks.max())
+        self._teams: dict[tuple[int, int], _Team] = {}
+        self._delays = (0.0, 0.0)
         self._nominal = trials is None
-        self.change_trials(trials or nominal_trials(self.model, ticks))
-        self._teams: dict[tuple[int, int], tuple[Fleet, Lanes]] = {}
+        self.change_trials(trials or nominal_trials(self.model, int(self._tasks.ticks.max())))
 
     def change_trials(self, trials: Trials, first_course: int = 0) -> None:
         """Drive other trials from now on, trial i on course ``first_course`` + i modulo their number."""
         if trials.noise.shape[1] <= int(self._tasks.ticks.max()):
             raise ValueError(f"trials of {trials.noise.shape[1] - 1} ticks are too short for the courses")
         self._trials, self._first_course = trials, first_course
-        delays = tuple(SUBSTEP_S * float(trials.delay[:, axis].max()) for axis in range(2))
-        self._slowest = getattr(self, "_slowest", (0.0, 0.0))
-        if any(a > b for a, b in zip(delays, self._slowest, strict=True)):
-            # Commands wait longer than fleets made so far have room for.
-            self._slowest = tuple(max(a, b) for a, b in zip(delays, self._slowest, strict=True))
-            self._teams = {}
+        delays = tuple(SUBSTEP_S * trials.delay.max(axis=0))
+        longest = tuple(map(max, delays, self._delays))
+        if longest != self._delays:
+            # Commands wait longer than the fleets made so far have room for.
+            self._delays, self._teams = longest, {}
 
-    def returns(self, vectors: ArrayLike, stop_below: ArrayLike | None = None) -> FloatArray:
-        """Return the returns (k,) of parameter vectors (k, P), which must lie in bounds, in the first trial.
+    def run(self, vectors: ArrayLike, thresholds: ArrayLike | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return the returns (k,) of parameter vectors (k, P) in bounds, and their misses (k, E, C, 3).
 
-        With ``stop_below`` (k,), an episode ends as soon as its running return is below its threshold; what
-        is returned for it is then below the threshold, too, and at least what the whole episode would give.
+        A return is the mean over the E trials, or courses, of minus the sum of the squared misses of C
+        checkpoints. With ``thresholds`` (k,) an episode is truncated as soon as its running return is below.
+        Its return is then below the threshold, and at least that of the whole episode.
         """
-        vectors = _rows(vectors)
-        count = len(vectors)
-        stop = np.full(count, -np.inf) if stop_below is None else np.array(stop_below, np.float64)
-        if stop.shape != (count,):
-            raise ValueError(f"stop_below needs one threshold for each of {count} vectors")
-        zeros = np.zeros(count, np.int64)
-        return self._run(vectors, np.arange(count), zeros, zeros, stop).results[:, 0]
+        _, results, misses = self._drive(vectors, thresholds)
+        return results[:, :, 0].mean(axis=1), misses
 
-    def traces(self, vectors: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the returns (k,) of parameter vectors (k, P), and the misses (k, E, C, 3) they are made of.
-
-        E trials of C checkpoints, x, y and heading each; a return is the mean over the trials of minus the
-        sum of the squares.
-        """
-        outcomes = self.outcomes(vectors)
-        return outcomes.total.mean(axis=1), outcomes.misses
+    def returns(self, vectors: ArrayLike, thresholds: ArrayLike | None = None) -> FloatArray:
+        """Return the returns of ``run`` alone."""
+        return self.run(vectors, thresholds)[0]
 
     def outcomes(self, vectors: ArrayLike) -> Outcomes:
-        """Return how parameter vectors (k, P), which must lie in bounds, do in every trial."""
-        vectors = _rows(vectors)
-        if self._nominal:
-            tasks = np.arange(len(self.courses))
-            trials = np.zeros(len(self.courses), np.int64)
-        else:
-            trials = np.arange(self._trials.size)
-            tasks = (self._first_course + trials) % len(self.courses)
-        count = len(vectors)
-        queue = self._run(
-            vectors,
-            np.repeat(np.arange(count), len(trials)),
-            np.tile(tasks, count),
-            np.tile(trials, count),
-            np.full(count * len(trials), -np.inf),
-        )
-        found = queue.results.reshape(count, len(trials), RESULTS)
-        total, error_m, error_rad, moved_m, turned_rad, touches, tracking_m2, tracking_rad2 = (
-            found[:, :, i] for i in range(RESULTS)
+        """Return how the episodes of parameter vectors (k, P) in bounds end."""
+        tasks, found, misses = self._drive(vectors)
+        total, error_m, error_rad, moved_m, turned_rad, touches, tracking_m2, tracking_rad2 = np.moveaxis(
+            found, 2, 0
         )
         touched = touches > 0
         rules = [self.courses[task].parked for task in tasks]
@@ -148,60 +146,69 @@ class Evaluator:
         parked = (error_m <= position) & (error_rad <= heading) & ~touched
         parked &= (moved_m < still_m) & (turned_rad < still_rad)
         return Outcomes(
-            total,
-            error_m,
-            error_rad,
-            moved_m,
-            turned_rad,
-            touched,
-            tracking_m2,
-            tracking_rad2,
-            parked,
-            queue.misses.reshape(count, len(trials), -1, 3),
+            total=total,
+            error_m=error_m,
+            error_rad=error_rad,
+            moved_m=moved_m,
+            turned_rad=turned_rad,
+            touched=touched,
+            tracking_m2=tracking_m2,
+            tracking_rad2=tracking_rad2,
+            parked=parked,
+            misses=misses,
         )
 
-    def _run(
-        self, vectors: FloatArray, vector: IntArray, task: IntArray, trial: IntArray, stop: FloatArray
-    ) -> Queue:
-        results = np.zeros((len(vector), RESULTS))
-        misses = np.zeros((len(vector), *self.checkpoints))
+    def stream(self, agents: int) -> "Stream":
+        """Return a stream of the first trial on the first course for so many agents."""
+        size, lanes = self._commander.size, self._build_team(STREAM_LANES, 0)
+        return Stream(agents, size, self._tasks.checkpoints.shape[1], partial(self._run_queue, lanes))
+
+    def _drive(
+        self, vectors: ArrayLike, thresholds: ArrayLike | None = None
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Return the courses (E,), results (k, E, RESULTS) and misses (k, E, C, 3) of vectors (k, P)."""
+        rows = np.ascontiguousarray(np.atleast_2d(np.asarray(vectors, np.float64)))
+        stop = np.full(len(rows), -np.inf) if thresholds is None else np.array(thresholds, np.float64)
+        if stop.shape != (len(rows),):
+            raise ValueError(f"one threshold is needed for each of {len(rows)} vectors, got {stop.shape}")
+        if self._nominal:
+            tasks = np.arange(len(self.courses))
+            trials = np.zeros(len(tasks), np.int64)
+        else:
+            trials = np.arange(self._trials.size)
+            tasks = (self._first_course + trials) % len(self.courses)
+        shape = len(rows), len(tasks)
+        results = np.zeros((*shape, RESULTS))
+        misses = np.zeros((*shape, *self._tasks.checkpoints.shape[1:]))
         for ground in range(len(self._grounds)):
-            rows = np.flatnonzero(self._ground[task] == ground)
-            if rows.size:
-                queue = Queue(
-                    vectors, vector[rows], task[rows], trial[rows], stop[rows], results[rows], misses[rows]
-                )
-                race = bool((queue.stop_below > -np.inf).any())
-                fleet, lanes = self._team(_width(rows.size, race), ground)
-                self.run_queue(lanes, fleet, queue)
-                results[rows], misses[rows] = queue.results, queue.misses
-        return Queue(vectors, vector, task, trial, stop, results, misses)
+            (chosen,) = np.nonzero(self._ground[tasks] == ground)
+            count = len(rows) * len(chosen)
+            if not count:
+                continue
+            queue = Queue(
+                vectors=rows,
+                vector=np.repeat(np.arange(len(rows)), len(chosen)),
+                task=np.tile(tasks[chosen], len(rows)),
+                trial=np.tile(trials[chosen], len(rows)),
+                stop_below=np.repeat(stop, len(chosen)),
+                results=np.zeros((count, RESULTS)),
+                misses=np.zeros((count, *misses.shape[2:])),
+                waiting=Waiting(np.arange(count), np.array([0, count]), np.array([count])),
+            )
+            width = _width(count, may_truncate=bool((stop > -np.inf).any()))
+            if (width, ground) not in self._teams:
+                self._teams[width, ground] = self._build_team(width, ground)
+            self._run_queue(self._teams[width, ground], queue)
+            results[:, chosen] = queue.results.reshape(len(rows), len(chosen), RESULTS)
+            misses[:, chosen] = queue.misses.reshape(len(rows), len(chosen), *misses.shape[2:])
+        return tasks, results, misses
 
-    def run_queue(self, lanes: Lanes, fleet: Fleet, queue: Queue) -> None:
-        """Run the episodes of a queue."""
-        run_episodes(*self.setting, lanes, fleet.arrays, queue)
+    def _run_queue(self, team: _Team, queue: Queue) -> None:
+        arrays, lanes, fleet = team
+        self._kernel(arrays, self._signal_at, self._tasks, self._trials, lanes, fleet.arrays, queue)
 
-    @property
-    def setting(self) -> tuple[Program, IntArray, Tasks, Trials]:
-        """Common arguments of all episodes, in the order of the kernels."""
-        return self._program, self._signal_at, self._tasks, self._trials
-
-    @property
-    def checkpoints(self) -> tuple[int, int]:
-        """C and 3, the shape of an episode's misses."""
-        return self._tasks.checkpoints.shape[1:]
-
-    def _team(self, width: int, ground: int) -> tuple[Fleet, Lanes]:
-        """Return lanes and rovers of a width for a set of obstacles, built once."""
-        if (width, ground) not in self._teams:
-            self._teams[width, ground] = self.build_team(width, ground)
-        return self._teams[width, ground]
-
-    def build_team(self, width: int, ground: int = 0) -> tuple[Fleet, Lanes]:
-        """Return new lanes and rovers of a width, by default for the first course's obstacles."""
+    def _build_team(self, width: int, ground: int) -> _Team:
         lanes = Lanes(
-            parameters=allocate_lanes(self._program, self.policy, width),
-            potentials=resting_potentials(self.policy, width),
             observations=np.zeros((len(self._signal_at), width)),
             commands=np.zeros((2, width)),
             poses=np.zeros((3, width)),
@@ -215,14 +222,71 @@ class Evaluator:
             tail=np.zeros((width, int(self._tasks.still.max()) + 1, 3)),
             tracking=np.zeros((2, width)),
             signals=np.zeros(len(SIGNALS)),
+            before=np.full(width, IDLE),
         )
-        delay_v, delay_omega = self._slowest
+        delay_v, delay_omega = self._delays
         slowest = self.model.model_copy(update={"delay_v_s": delay_v, "delay_omega_s": delay_omega})
-        return Fleet([slowest] * width, self._grounds[ground]), lanes
+        return _Team(self._commander.allocate(width), lanes, Fleet([slowest] * width, self._grounds[ground]))
 
 
-def _rows(vectors: ArrayLike) -> FloatArray:
-    return np.ascontiguousarray(np.atleast_2d(np.asarray(vectors, np.float64)))
+class Answer(NamedTuple):
+    """Results of the n candidates that an agent submitted; the arrays may change when it submits again."""
+
+    agent: int
+    returns: FloatArray
+    """(n,)."""
+    misses: FloatArray
+    """(n, 1, C, 3), complete for episodes that were not truncated."""
+
+
+class Stream:
+    """Episodes of many agents that share the lanes of one kernel without a pause.
+
+    In batches, lanes would stand idle until the last episode of a batch ends. Here a free lane takes the next
+    waiting episode of any agent, and an agent gets its answer as soon as its own episodes have ended. The
+    returns are those of ``Evaluator.run``.
+    """
+
+    def __init__(self, agents: int, size: int, checkpoints: int, run_queue: Callable[[Queue], None]) -> None:
+        self.room = max(_LEAST_ROOM, -(-_ROOM // agents))
+        """The most candidates that an agent may submit at once."""
+        self.enough = -(-_IN_FLIGHT // agents)
+        """The number of candidates of each agent that keeps all lanes busy."""
+        self._run_queue = run_queue
+        episodes = agents * self.room
+        zeros = np.zeros(episodes, np.int64)
+        self._queue = Queue(
+            vectors=np.zeros((episodes, size)),
+            vector=np.arange(episodes),
+            task=zeros,
+            trial=zeros,
+            stop_below=np.zeros(episodes),
+            results=np.zeros((episodes, RESULTS)),
+            misses=np.zeros((episodes, checkpoints, 3)),
+            waiting=Waiting(zeros.copy(), np.zeros(2, np.int64), np.zeros(agents, np.int64)),
+        )
+        self._submitted = [0] * agents
+
+    def submit(self, agent: int, vectors: FloatArray, thresholds: FloatArray) -> None:
+        """Let the episodes of candidates (n, P), n <= room, wait for lanes; the agent has none that do."""
+        count, queue = len(vectors), self._queue
+        if self._submitted[agent] or not 0 < count <= self.room:
+            raise ValueError(f"agent {agent} cannot submit {count} candidates now")
+        enqueue(queue.vectors, queue.stop_below, queue.misses, queue.waiting, agent, vectors, thresholds)
+        self._submitted[agent] = count
+
+    def collect(self) -> list[Answer]:
+        """Return the answers to one agent or more; none if no candidates wait."""
+        self._run_queue(self._queue)
+        answers = []
+        for agent, left in enumerate(self._queue.waiting.left.tolist()):
+            count = self._submitted[agent]
+            if left or not count:
+                continue
+            own = slice(agent * self.room, agent * self.room + count)
+            self._submitted[agent] = 0
+            answers.append(Answer(agent, self._queue.results[own, 0], self._queue.misses[own, None]))
+        return answers
 
 
 def _tasks(courses: Sequence[Course], references: Sequence[Reference] | None, model: RoverModel) -> Tasks:
@@ -251,12 +315,12 @@ def _tasks(courses: Sequence[Course], references: Sequence[Reference] | None, mo
     return tasks
 
 
-def _width(count: int, race: bool) -> int:
+def _width(count: int, *, may_truncate: bool) -> int:
     """Return how many lanes serve so many episodes.
 
-    Episodes of the same length go in as few rounds as can be, evenly full. In a race they end at all times,
+    Episodes of the same length go in as few rounds as can be, evenly full. Truncated ones end at all times,
     so fewer lanes with a queue behind them do more than many that stand idle at the end.
     """
-    most = min(MOST_LANES, count // RACERS_PER_LANE) if race else MOST_LANES
-    rounds = -(-count // max(most, LEAST_LANES))
+    most = min(_MOST_LANES, count // _TRUNCATED_PER_LANE) if may_truncate else _MOST_LANES
+    rounds = -(-count // max(most, _LEAST_LANES))
     return -(-count // rounds)

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy
 from rover_ncp.circuit.solver import exp2
-from rover_ncp.kernels.jit import kernel
+from rover_ncp.kernels.jit import inlined_kernel, kernel
+from sim.learn.commander import Commander
 
 FloatArray = NDArray[np.float64]
 
@@ -216,3 +217,32 @@ def update_cells(program: NetProgram, lanes: NetLanes, count: int) -> None:
             value = kept * cell[c, lane] + taken * tanh(sums[2 * cells + c, lane])
             cell[c, lane] = value
             hidden[c, lane] = shown * tanh(value)
+
+
+class NetworkLanes(NamedTuple):
+    """The arrays of L networks of one kind."""
+
+    program: NetProgram
+    lanes: NetLanes
+
+
+def network_commander(net: Net) -> Commander:
+    """Return the commander of a network."""
+    program = net.program()
+
+    def allocate(count: int) -> NetworkLanes:
+        return NetworkLanes(program, allocate_net_lanes(net, count))
+
+    return Commander(net.layout().size, allocate, start_network, tick_networks)
+
+
+@inlined_kernel
+def start_network(networks: NetworkLanes, lane: int, vector: FloatArray) -> None:
+    """Set a lane's parameters, and its state to 0."""
+    fill_net_lane(networks.program, networks.lanes, lane, vector)
+
+
+@inlined_kernel
+def tick_networks(networks: NetworkLanes, observations: FloatArray, commands: FloatArray) -> None:
+    """Run all lanes for one control tick."""
+    tick_net_lanes(networks.program, networks.lanes, observations, commands)

@@ -6,7 +6,7 @@ from typing import Self
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sim.learn.ensemble import Snapshot
+from sim.learn.agents import Snapshot
 
 
 class TrainProgress:

@@ -7,6 +7,8 @@ provenance comes from it, so that a run that was killed and resumed ends in the 
 import platform
 import shlex
 import subprocess
+from collections.abc import Mapping
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Generic, Literal, NamedTuple, Self, TypeVar
@@ -132,12 +134,16 @@ def resolve_task(settings: TrainSettings) -> Task:
     return Task(course, absolute_policy(load_circuit(settings.circuit), course))
 
 
+@cache
+def versions() -> Mapping[str, str]:
+    """Return the versions of what decides a result."""
+    return {"python": platform.python_version()} | {name: metadata.version(name) for name in _LIBRARIES}
+
+
 def made_with() -> dict[str, str]:
     """Return the versions of what decides a result, and the source's commit where there is one."""
-    versions = {"python": platform.python_version()}
-    versions |= {library: metadata.version(library) for library in _LIBRARIES}
     commit = _commit()
-    return versions | ({"commit": commit} if commit else {})
+    return {**versions(), **({"commit": commit} if commit else {})}
 
 
 def _commit() -> str | None:

@@ -12,7 +12,7 @@ sensory neurons are dead and stay.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -24,7 +24,6 @@ from rover_ncp.course.course import Course
 from rover_ncp.course.random_course import mirrored, mirrored_reference, random_course
 from rover_ncp.course.reference import Reference
 from sim.learn.evaluator import Evaluator, Outcomes
-from sim.learn.objective import mean_of_worst
 from sim.learn.search.cma import Cma, default_population
 from sim.learn.search.unit_box import reflected
 from sim.world.randomization import Randomization, draw_trials
@@ -168,6 +167,11 @@ def _blurred(error: FloatArray, limit: float, width: float) -> FloatArray:
     """Return about 0 below a limit and 1 above."""
     beyond: FloatArray = 1.0 / (1.0 + np.exp(np.clip((limit - error) / width, -50.0, 50.0)))
     return beyond
+
+
+def mean_of_worst(returns: Sequence[float], worst: int) -> float:
+    """Return the mean of the ``worst`` lowest returns, the same bits in whatever order they come."""
+    return math.fsum(sorted(returns)[:worst]) / worst
 
 
 def training_courses(

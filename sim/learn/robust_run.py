@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +29,13 @@ from sim.learn.robust import (
     Drive,
     Generation,
     RobustSearch,
-    Stage,
     UnitCube,
     drive_trials,
     training_courses,
 )
 from sim.learn.run_folder import open_folder
-from sim.learn.workers import Processes, available_processes
+from sim.learn.train import find_workers
+from sim.learn.workers import MadeOnce, Workers, available_processes
 from sim.world.randomization import Randomization, draw_trials, ranges_for
 from sim.world.rover import RoverModel
 
@@ -64,12 +64,11 @@ def _drive(settings: RobustSettings, start: Policy, course: Course, ranges: Rand
     return drive_trials(engine, ranges, model, settings.seed)
 
 
-def _drive_in_processes(
-    processes: Processes, vectors: FloatArray, first: int, count: int, stage: Stage
-) -> FloatArray:
-    """Drive trials in processes, each of which takes its part of the vectors (k, P)."""
-    parts = [part for part in np.array_split(vectors, processes.count) if len(part)]
-    return np.concatenate(processes.call([(part, first, count, stage) for part in parts]))
+def _drive_parts(workers: Workers, drive: Drive, vectors: FloatArray, *which: Any) -> FloatArray:
+    """Drive trials in workers, each of which takes its part of the vectors (k, P)."""
+    parts = [part for part in np.array_split(vectors, workers.count) if len(part)]
+    futures = [workers.submit(drive, part, *which) for part in parts]
+    return np.concatenate([future.result() for future in futures])
 
 
 def train_robust(
@@ -96,12 +95,8 @@ def train_robust(
     with open_folder(out, record, resume) as began:
         run = _Run(out, began, start)
         if run.search.number < settings.iterations:
-            count = min(processes or available_processes(), run.search.population)
-            if count == 1:
-                run.advance(make(), on_generation)
-            else:
-                with Processes(make, count) as workers:
-                    run.advance(partial(_drive_in_processes, workers), on_generation)
+            with find_workers(min(processes or available_processes(), run.search.population)) as workers:
+                run.advance(partial(_drive_parts, workers, MadeOnce(make)), on_generation)
         return RobustResult(run.save(), run.policy_path, run.last)
 
 

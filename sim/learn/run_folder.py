@@ -26,10 +26,9 @@ from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.files import write_atomic
 from sim.learn.agent_file import load_agent, save_agent
+from sim.learn.agents import AgentState, Plan, Snapshot
 from sim.learn.curve import curve_csv, curve_png
-from sim.learn.ensemble import Snapshot
 from sim.learn.record import Record, RobustSettings, SettingsT, Task, TrainSettings, resolve_task
-from sim.learn.team import AgentState, Plan
 
 _RUNS = Path("runs")
 _RECORD = "settings.yaml"

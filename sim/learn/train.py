@@ -9,14 +9,12 @@ from typing import NamedTuple
 from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import RoverNcpError
-from rover_ncp.course.course import Course
+from sim.learn.agents import Plan, Snapshot, run_rounds
 from sim.learn.cluster import DaskCluster
-from sim.learn.ensemble import Snapshot, run_ensemble
-from sim.learn.objective import Deterministic, Objective
+from sim.learn.evaluator import Evaluator
 from sim.learn.record import Task, TrainSettings
 from sim.learn.run_folder import RunFolder, open_run
-from sim.learn.team import Plan
-from sim.learn.workers import Inline, LocalProcesses, Workers, available_processes
+from sim.learn.workers import Inline, LocalProcesses, available_processes
 
 # Checkpoints take at most this share of the time, so a short run saves often and a slow disk seldom.
 _CHECKPOINT_SHARE = 0.02
@@ -41,17 +39,9 @@ def training_plan(settings: TrainSettings, task: Task) -> Plan:
         strategy=settings.search,
         layout=task.policy.layout(),
         defaults=task.policy.parameters(),
-        build_objective=partial(_objective, task.policy, task.course),
+        build_evaluator=partial(Evaluator, task.policy, task.course),
         inert=inert_parameters(task.policy),
     )
-
-
-def _objective(policy: Policy, course: Course) -> Objective:
-    from sim.learn.evaluator import Evaluator
-    from sim.learn.stream import Stream
-
-    engine = Evaluator(policy, course)
-    return Deterministic(engine.returns, engine.traces, partial(Stream, engine))
 
 
 def train(
@@ -79,8 +69,14 @@ def train(
         plan = training_plan(settings, folder.task)
         rounds = _Rounds(folder, folder.load_agents(plan), on_progress, stop_when)
         if not rounds.snapshot.arrived(settings.iterations):
-            with _workers(plan, min(processes or available_processes(), settings.agents), cluster) as workers:
-                rounds.run(workers, settings.iterations)
+            count = min(processes or available_processes(), settings.agents)
+            try:
+                with find_workers(count, cluster) as workers:
+                    run_rounds(workers, plan, rounds.snapshot, settings.iterations, rounds.after_round)
+            except (KeyboardInterrupt, RoverNcpError):
+                if rounds.snapshot.arrived(0):
+                    folder.save_progress(rounds.snapshot)
+                raise
         folder.finish(rounds.snapshot)
         return TrainResult(
             policy=folder.policy(rounds.snapshot.best, rounds.snapshot),
@@ -91,10 +87,11 @@ def train(
         )
 
 
-def _workers(plan: Plan, count: int, cluster: str | None) -> Inline | LocalProcesses | DaskCluster:
+def find_workers(count: int, cluster: str | None = None) -> Inline | LocalProcesses | DaskCluster:
+    """Return so many workers on this machine, or those of a cluster."""
     if cluster is not None:
-        return DaskCluster(plan, cluster)
-    return Inline(plan) if count == 1 else LocalProcesses(plan, count)
+        return DaskCluster(cluster)
+    return Inline() if count == 1 else LocalProcesses(count)
 
 
 class _Rounds:
@@ -115,16 +112,8 @@ class _Rounds:
         self._saved_s = self._save_cost_s = 0.0
         self._clock: tuple[float, int] | None = None
 
-    def run(self, workers: Workers, iterations: int) -> None:
-        """Advance the agents to ``iterations``; save the state if the run ends early."""
-        try:
-            run_ensemble(workers, self.snapshot, iterations, self._after_round)
-        except (KeyboardInterrupt, RoverNcpError):
-            if self.snapshot.arrived(0):
-                self._folder.save_progress(self.snapshot)
-            raise
-
-    def _after_round(self, snapshot: Snapshot) -> bool:
+    def after_round(self, snapshot: Snapshot) -> bool:
+        """Display, save, and return whether to stop."""
         now = time.monotonic()
         self.snapshot = snapshot
         self._folder.save_milestone(snapshot)

@@ -15,8 +15,7 @@ import numpy as np
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
-from sim.learn.net_engine import NetEngine
-from sim.learn.networks import Net
+from sim.learn.networks import Net, network_commander
 from sim.learn.search.base import Vector
 from sim.learn.search.strategies import start_search
 from sim.paper.agents import dead_parameters
@@ -36,7 +35,7 @@ class ParkingEvaluator:
         self.engine = (
             Evaluator(agent, course)
             if isinstance(agent, Policy)
-            else NetEngine(agent, task.policy(task.circuit()), course)
+            else Evaluator(task.policy(task.circuit()), course, commander=network_commander(agent))
         )
 
     def outcome(self, vector: Vector) -> tuple[float, bool]:
@@ -50,7 +49,7 @@ class ParkingEvaluator:
         Creeping counts as one more miss.
         """
         self.steps += len(vectors) * self.task.horizon
-        values, misses = self.engine.traces(vectors)
+        values, misses = self.engine.run(vectors)
         creep = _CREEP * (misses[:, :, -1:] - misses[:, :, -2:-1])
         counted = values - np.sum(creep**2, axis=(1, 2, 3))
         return values, counted, np.concatenate([misses, creep], axis=2)

@@ -33,10 +33,9 @@ from rover_ncp.circuit.tap_withdrawal import random_circuit
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate.evaluate import unseen_courses
-from sim.evaluate.laws import LAWS, GainCube, LawEngine
+from sim.evaluate.laws import LAWS, GainCube, law_evaluator
 from sim.learn.evaluator import Evaluator
-from sim.learn.net_engine import NetEngine
-from sim.learn.networks import Net, NetKind, net_for
+from sim.learn.networks import Net, NetKind, net_for, network_commander
 from sim.learn.record import RobustSettings, made_with
 from sim.learn.robust import Cube, RobustSearch, UnitCube, drive_trials, training_courses
 from sim.learn.search.unit_box import reflected
@@ -81,7 +80,7 @@ class NetCube:
 def find_agent(name: str, seed: int) -> Agent:
     """Return an agent by its name; networks draw their start from the seed. Raises KeyError."""
     if name in LAWS:
-        return Agent(GainCube(LAWS[name]), partial(LawEngine, name), True)
+        return Agent(GainCube(LAWS[name]), partial(law_evaluator, name), True)
     following = course_policy(load_circuit("tracking"))
     if name.startswith("random-"):
         following = course_policy(random_circuit(int(name.removeprefix("random-"))))
@@ -102,7 +101,7 @@ def _circuit(policy: Policy, any_course: bool) -> Agent:
 
 
 def _network(net: Net, policy: Policy, seed: int) -> Agent:
-    return Agent(NetCube(net, seed), partial(NetEngine, net, policy), True)
+    return Agent(NetCube(net, seed), partial(Evaluator, policy, commander=network_commander(net)), True)
 
 
 def compare(name: str, *, seed: int, generations: int, rollouts: int, trained_on: str) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import Course, load_course
 from sim.evaluate.evaluate import unseen_courses
-from sim.evaluate.laws import LAWS, LawEngine
+from sim.evaluate.laws import LAWS, law_evaluator
 from sim.learn.evaluator import Evaluator
 from sim.world.randomization import Randomization, draw_trials, load_randomization
 from sim.world.rover import RoverModel
@@ -52,7 +52,7 @@ def parked(
         ranges, RoverModel(), seed, count=trials, ticks=max(course.ticks for course in courses)
     )
     if driver in LAWS:
-        found = LawEngine(driver, courses, drawn).outcomes(LAWS[driver].tuned)
+        found = law_evaluator(driver, courses, drawn).outcomes(LAWS[driver].tuned)
     else:
         policy = load_policy(driver)
         found = Evaluator(policy, courses, trials=drawn).outcomes(policy.parameters())

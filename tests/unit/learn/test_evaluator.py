@@ -73,7 +73,7 @@ def test_a_lane_returns_what_the_environment_returns():
 
 def test_misses_are_those_of_a_rover_alone_and_make_up_the_return():
     vectors = candidates(10, seed=8)
-    returns, misses = Evaluator(POLICY, FENCED).traces(vectors)
+    returns, misses = Evaluator(POLICY, FENCED).run(vectors)
     due = due_checkpoints(FENCED)
     assert misses.shape == (10, 1, len(FENCED.checkpoints), 3)
     for vector, total, episode in zip(vectors, returns, misses[:, 0], strict=True):
@@ -150,6 +150,11 @@ def test_courses_and_trials_in_one_batch_as_each_alone():
     trials = draw_trials(load_randomization("full"), model, 6, count=4, ticks=COURSE.ticks)
     engine, vectors = Evaluator(TRACKER, courses, model, trials, references), candidates(12, 6, TRACKER)
     found = engine.outcomes(vectors)
+    engine.change_trials(trials, first_course=1)
+    assert np.array_equal(
+        engine.outcomes(vectors).total[:, :1],
+        Evaluator(TRACKER, courses[1:], model, trials, references[1:]).outcomes(vectors).total[:, :1],
+    )
     for j in range(4):
         course, drive = courses[j % 2], references[j % 2]
         policy = TRACKER.with_parameters(vectors[3])
@@ -244,12 +249,13 @@ def test_a_policy_that_cannot_drive_is_refused():
 OTHER_PROCESS = """
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
-from rover_ncp.core.course import load_course
+from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
-from sim.learn.episode import run_episodes
+from sim.learn.commander import start_circuit, tick_circuits
+from sim.learn.episode import episode_kernel
 policy = parking_policy(parking_circuit())
 returned = Evaluator(policy, load_course("parking")).returns(policy.parameters())[0]
-print(float(returned).hex(), sum(run_episodes.stats.cache_hits.values()))
+print(float(returned).hex(), sum(episode_kernel(start_circuit, tick_circuits).stats.cache_hits.values()))
 """
 
 

@@ -6,8 +6,15 @@ import pytest
 from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
 from rover_ncp.course.course import load_course
-from sim.learn.net_engine import NetEngine
-from sim.learn.networks import NetKind, allocate_net_lanes, fill_net_lane, net_for, tick_net_lanes
+from sim.learn.evaluator import Evaluator
+from sim.learn.networks import (
+    NetKind,
+    allocate_net_lanes,
+    fill_net_lane,
+    net_for,
+    network_commander,
+    tick_net_lanes,
+)
 
 PARKING = parking_policy(parking_circuit())
 
@@ -66,7 +73,7 @@ def test_sizes_ranges_and_limits_are_those_of_the_circuit():
 def test_a_course_gives_the_same_return_in_any_company(kind):
     course = load_course("parking")
     net = net_for(PARKING, kind)
-    engine = NetEngine(net, PARKING, course)
+    engine = Evaluator(PARKING, course, commander=network_commander(net))
     vectors = np.array([net.start(np.random.default_rng(i)) for i in range(20)])
     together = engine.returns(vectors)
     assert len(set(together.tolist())) == 20
@@ -76,5 +83,5 @@ def test_a_course_gives_the_same_return_in_any_company(kind):
 
 def test_a_network_that_asks_for_nothing_stays():
     net = net_for(PARKING, NetKind.MLP)
-    engine = NetEngine(net, PARKING, load_course("parking"))
+    engine = Evaluator(PARKING, load_course("parking"), commander=network_commander(net))
     assert engine.returns(np.zeros(net.layout().size))[0] == pytest.approx(-14.18, abs=0.01)

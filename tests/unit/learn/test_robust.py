@@ -200,23 +200,15 @@ def test_commands_are_rounded_from_their_stage_on_every_other_generation():
     ("number", "count", "turning"), [(0, 8, False), (1900, 32, False), (2000, 128, True)]
 )
 def test_all_courses_take_their_turn_once_all_rollouts_are_driven(number, count, turning):
-    mine = [COURSE.model_copy(update={"name": str(i)}) for i in range(150)]
-    trials = draw_trials(FULL, MODEL, 3, count=1, ticks=COURSE.ticks)
-    judge = Evaluator(START, mine, MODEL, trials, [plan_reference(COURSE)] * 150)
-    drive, going, driven = drive_trials(judge, FULL, MODEL, 3), searching(), []
-    run = judge._run
-
-    def spied(vectors, candidate, tasks, trials, stop):
-        driven.append(tasks.tolist())
-        return run(vectors, candidate, tasks, trials, stop)
-
-    judge._run = spied
+    judge, seen = engine(), []
+    judge.change_trials = lambda trials, first_course: seen.append((trials.size, first_course))
+    judge.outcomes = lambda vectors: outcome()
+    drive, going = drive_trials(judge, FULL, MODEL, 3), searching()
     for generation in (number, number + 1):
         at_generation(going, generation).advance(
-            lambda vectors, *rest: np.repeat(drive(vectors[:1], *rest), len(vectors), axis=0)
+            lambda vectors, *which: np.repeat(drive(vectors[:1], *which), len(vectors), axis=0)
         )
-    begins = [(number + i) * 128 if turning else 0 for i in range(len(driven))]
-    assert driven == [[(begin + i) % 150 for i in range(count)] for begin in begins]
+    assert seen == [(count, (number + i) * 128 if turning else 0) for i in range(2)]
 
 
 def test_a_search_goes_on_where_it_was():

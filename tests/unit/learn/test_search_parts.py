@@ -66,7 +66,7 @@ def test_inert_parameters_change_no_return_and_all_others_do() -> None:
     vectors = np.tile(base, (LAYOUT.size + 1, 1))
     for i in range(LAYOUT.size):
         vectors[i, i] += 0.01 * WIDTH[i] * (1 if base[i] < LAYOUT.upper[i] - 0.02 * WIDTH[i] else -1)
-    _, misses = Evaluator(POLICY, load_course("parking")).traces(vectors)
+    _, misses = Evaluator(POLICY, load_course("parking")).run(vectors)
     same = np.array([np.array_equal(row, misses[-1]) for row in misses[:-1]])
     assert same.tolist() == INERT.tolist()
 

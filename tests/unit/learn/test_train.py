@@ -17,12 +17,11 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core import files
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.course.course import load_course
+from sim.learn.agents import AgentState, Snapshot
 from sim.learn.curve import curve_csv, curve_iterations, curve_png
-from sim.learn.ensemble import Snapshot
 from sim.learn.evaluator import Evaluator
 from sim.learn.record import TrainSettings
 from sim.learn.run_folder import is_milestone
-from sim.learn.team import AgentState
 from sim.learn.train import TrainResult, train
 
 COURSE = DATA / "short_course.yaml"

@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 from sim.benchmarks import train as bench_train
 from sim.benchmarks.commands import bench
 from sim.benchmarks.search import MARKS, PASSED
+from sim.learn.agents import AgentState, Team
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.search import least_squares
 from sim.learn.search.strategies import STRATEGIES
-from sim.learn.team import AgentState, Team
 from sim.learn.train import training_plan
 
 ITERATIONS = 60
@@ -46,7 +46,8 @@ def test_the_searches_are_compared_by_what_training_gives(
     for strategy, summary in found["strategies"].items():
         settings = TrainSettings.model_validate({"seed": 4, "search": strategy})
         team = Team(training_plan(settings, resolve_task(settings)))
-        agents = team.advance([AgentState(number) for number in range(3)], ITERATIONS)
+        done = team.advance([AgentState(number) for number in range(3)], [[ITERATIONS]] * 3)
+        agents = [progress.last for progress in done]
         for mark in found["iterations"]:
             expected = [agent.value_at(mark) for agent in agents]
             assert summary["returns"][str(mark)] == expected
@@ -103,6 +104,7 @@ def test_speed_does_not_count_first_call_of_a_kernel(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(least_squares, "damped_steps", slow_at_first)
     settings = TrainSettings()
-    _, in_engine = bench_train._iterations_per_cpu_s(training_plan(settings, resolve_task(settings)), 100)
+    task = resolve_task(settings)
+    _, in_engine = bench_train._iterations_per_cpu_s(training_plan(settings, task), task, 100)
     assert calls > 1
     assert in_engine > 0.5

@@ -1,0 +1,276 @@
+"""Independent agents: each searches with its own random stream, and all of them share the evaluator's lanes.
+
+The path of an agent depends on the root seed and its number alone. It depends neither on the agents that
+share a team or a process with it, nor on the number of iterations that are done at a time.
+
+Rounds of 100 iterations are what the rest of a training sees: progress, checkpoints and the stop condition
+see all agents at the same iteration. The agents do not wait for each other in between.
+"""
+
+import math
+import time
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Future
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.policy import ParameterLayout
+from sim.learn.evaluator import Evaluator, Stream
+from sim.learn.search.base import SearchState, Strategy, Vector
+from sim.learn.search.strategies import start_search
+from sim.learn.workers import MadeOnce, Workers
+
+ROUND_ITERATIONS = 100
+"""Short enough for a live display."""
+_MOST_AHEAD = 4 * ROUND_ITERATIONS
+"""Iterations that an agent may be ahead of the slowest in its team; an agent that waits leaves lanes idle."""
+_PORTION_S = 0.5
+"""Time for which a worker advances agents: lanes run empty at its end, and a display waits for it."""
+_SEARCH_STREAM = 0
+"""Second element of an agent's spawn key."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Data that every process needs; it is passed between processes by pickle."""
+
+    root_seed: int
+    strategy: str
+    layout: ParameterLayout
+    defaults: Vector
+    build_evaluator: Callable[[], Evaluator]
+    inert: NDArray[np.bool_] | None = None
+    """(P,) which parameters have no effect, where that is known."""
+
+
+@dataclass(frozen=True)
+class AgentState:
+    """An agent between two iterations. ``search`` is None before its start was evaluated."""
+
+    number: int
+    search: SearchState | None = None
+    improvements: tuple[tuple[int, float], ...] = ()
+    """(iteration, return) wherever the incumbent's return changed; iteration 0 is the start."""
+
+    @property
+    def iterations(self) -> int:
+        """Candidates judged so far."""
+        return max(int(self.search["evaluations"]) - 1, 0) if self.search else 0
+
+    @property
+    def value(self) -> float:
+        """The incumbent's return; minus infinity before the start was evaluated."""
+        return float(self.search["value"]) if self.search else -math.inf
+
+    def value_at(self, iteration: int) -> float:
+        """Return the incumbent's return as it stood after ``iteration``."""
+        known = bisect_right(self.improvements, iteration, key=lambda change: change[0])
+        return self.improvements[known - 1][1] if known else -math.inf
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All agents at the end of a round."""
+
+    agents: tuple[AgentState, ...]
+
+    @property
+    def iterations(self) -> int:
+        """Iterations that every agent has done."""
+        return min(agent.iterations for agent in self.agents)
+
+    @property
+    def total_iterations(self) -> int:
+        """Iterations of all agents together."""
+        return sum(agent.iterations for agent in self.agents)
+
+    def arrived(self, iterations: int) -> bool:
+        """Whether every agent has done so many iterations, its start included."""
+        return all(agent.search is not None and agent.iterations >= iterations for agent in self.agents)
+
+    @property
+    def returns(self) -> list[float]:
+        """Each agent's return, by agent number; minus infinity before its start was evaluated."""
+        return [agent.value for agent in self.agents]
+
+    @property
+    def best(self) -> AgentState:
+        """The agent of the highest return, the first of equals."""
+        return max(self.agents, key=lambda agent: (agent.value, -agent.number))
+
+    @property
+    def median_return(self) -> float:
+        """The median of the agents' returns."""
+        return float(median(self.returns))
+
+
+class Progress(NamedTuple):
+    """What an agent did: its states at the targets that it reached, and its last one."""
+
+    at_targets: list[AgentState]
+    last: AgentState
+
+
+class Team:
+    """Advances agents side by side in the lanes of one evaluator."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._evaluator = plan.build_evaluator()
+        self._streams: dict[int, Stream] = {}
+
+    def advance(
+        self, agents: Sequence[AgentState], targets: Sequence[Sequence[int]], seconds: float = math.inf
+    ) -> list[Progress]:
+        """Advance agents for some time, or until each has reached its last target.
+
+        ``targets`` are, for each agent, rising numbers of iterations.
+        """
+        runners = [_Runner(self._plan, *each) for each in zip(agents, targets, strict=True)]
+        if len(runners) not in self._streams:
+            self._streams[len(runners)] = self._evaluator.stream(len(runners))
+        stream = self._streams[len(runners)]
+        ends, in_time = time.monotonic() + seconds, True
+        while True:
+            furthest = min(runner.search.iterations for runner in runners) + _MOST_AHEAD
+            for index, runner in enumerate(runners):
+                if in_time and runner.targets and not runner.waits and runner.search.iterations <= furthest:
+                    runner.submit(stream, index)
+            answers = stream.collect()
+            if not answers:
+                return [Progress(runner.at_targets, runner.state()) for runner in runners]
+            for index, returns, misses in answers:
+                runners[index].tell(returns, misses)
+            in_time = time.monotonic() < ends
+
+
+class _Runner:
+    """An agent on its way to its targets."""
+
+    def __init__(self, plan: Plan, agent: AgentState, targets: Sequence[int]) -> None:
+        self.search = revive(plan, agent)
+        self.targets = deque(targets)
+        self.at_targets: list[AgentState] = []
+        self.waits = False
+        """For an answer."""
+        self._agent = agent
+        self._improvements = list(agent.improvements)
+        self._note_targets()
+
+    def state(self) -> AgentState:
+        if self.search.value is None:
+            return self._agent
+        return AgentState(self._agent.number, self.search.state(), tuple(self._improvements))
+
+    def submit(self, stream: Stream, index: int) -> None:
+        """Let new candidates be evaluated, up to the next target."""
+        search = self.search
+        left = 1 if search.value is None else self.targets[0] - search.iterations
+        room = stream.enough if search.speculates else stream.room
+        vectors = search.ask(min(left, search.most_ahead, room))
+        stream.submit(index, vectors, search.to_beat)
+        self.waits = True
+
+    def tell(self, returns: Vector, misses: Vector | None) -> None:
+        """Pass returns to the search, and note where its incumbent's return changed."""
+        search, value, first = self.search, self.search.value, self.search.evaluations
+        for number in range(search.tell(returns, misses)):
+            if value is None or returns[number] > value:
+                value = float(returns[number])
+                self._improvements.append((first + number, value))
+        if search.value is not None and search.value != value:  # a new estimate of the incumbent is lower
+            self._improvements.append((search.iterations, search.value))
+        self.waits = False
+        self._note_targets()
+
+    def _note_targets(self) -> None:
+        while self.targets and self.search.value is not None and self.search.iterations >= self.targets[0]:
+            self.targets.popleft()
+            self.at_targets.append(self.state())
+
+
+def revive(plan: Plan, agent: AgentState) -> Strategy:
+    """Return the agent's search as it stood. Raises ValueError, KeyError or TypeError for a damaged state."""
+    seed = np.random.SeedSequence(plan.root_seed, spawn_key=(agent.number, _SEARCH_STREAM))
+    generator = np.random.Generator(np.random.PCG64(seed))
+    search = start_search(plan.strategy, plan.layout, plan.defaults, generator, plan.inert)
+    if agent.search is not None:
+        search.restore(agent.search)
+    return search
+
+
+def _team(plan: Plan) -> Callable[..., list[Progress]]:
+    return Team(plan).advance
+
+
+def rounds(
+    workers: Workers, plan: Plan, agents: Sequence[AgentState], targets: Sequence[int]
+) -> Generator[list[AgentState], None, None]:
+    """Yield all agents after each of these numbers of iterations, which rise.
+
+    The workers go on while the consumer has a round.
+    """
+    advance = MadeOnce(partial(_team, plan))
+    last, reached = list(agents), [0] * len(agents)
+    waiting: list[deque[AgentState]] = [deque() for _ in agents]
+
+    def submit() -> list[tuple[list[int], Future[list[Progress]]]]:
+        behind = [index for index, count in enumerate(reached) if count < len(targets)]
+        return [
+            (
+                group,
+                workers.submit(
+                    advance, [last[i] for i in group], [targets[reached[i] :] for i in group], _PORTION_S
+                ),
+            )
+            for group in split(behind, workers.count)
+        ]
+
+    pending = submit()
+    for _ in targets:
+        while not all(waiting):
+            for group, future in pending:
+                for index, progress in zip(group, future.result(), strict=True):
+                    last[index] = progress.last
+                    reached[index] += len(progress.at_targets)
+                    waiting[index].extend(progress.at_targets)
+            pending = submit()
+        yield [states.popleft() for states in waiting]
+
+
+def split(indices: Sequence[int], count: int) -> list[list[int]]:
+    """Return up to ``count`` groups of neighbours whose sizes differ by at most one."""
+    count = min(count, len(indices))
+    bounds = [len(indices) * i // count for i in range(count + 1)] if count else []
+    return [list(indices[a:b]) for a, b in pairwise(bounds)]
+
+
+def run_rounds(
+    workers: Workers, plan: Plan, start: Snapshot, iterations: int, after_round: Callable[[Snapshot], bool]
+) -> Snapshot:
+    """Advance all agents to ``iterations``; ``after_round`` sees every round's end and may stop there.
+
+    Agents that are ahead (of a run that was killed while it saved them) wait for the others. If all have
+    arrived, nothing is done and ``after_round`` is not called.
+    """
+    snapshot = start
+    if snapshot.arrived(iterations):
+        return snapshot
+    # First the starts alone: a first picture, and early news of an evaluator that fails.
+    first = snapshot.iterations // ROUND_ITERATIONS + 1 if snapshot.arrived(0) else 0
+    targets = [*range(first * ROUND_ITERATIONS, iterations, ROUND_ITERATIONS), iterations]
+    with closing(rounds(workers, plan, snapshot.agents, targets)) as found:
+        for agents in found:
+            snapshot = Snapshot(tuple(agents))
+            if after_round(snapshot):
+                break
+    return snapshot

@@ -1,0 +1,265 @@
+"""Agents give the same bits in any company, in any number of processes, in any portions of work."""
+
+import multiprocessing
+import os
+import signal
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paths import DATA
+
+from rover_ncp.circuit.policy import parking_policy
+from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.core.errors import UsageError
+from rover_ncp.course.course import load_course
+from sim.learn import agents as agents_module
+from sim.learn.agents import AgentState, Plan, Snapshot, Team, run_rounds
+from sim.learn.evaluator import Answer, Evaluator
+from sim.learn.record import Task, TrainSettings
+from sim.learn.train import training_plan
+from sim.learn.workers import Inline, LocalProcesses, WorkerDied
+
+POLICY = parking_policy(load_circuit("parking"))
+LAYOUT = POLICY.layout()
+SHORT = load_course(DATA / "short_course.yaml")
+
+
+class ToyEvaluator:
+    """The distance of a vector to a corner; agents are answered one at a time, in a random order."""
+
+    def __init__(self, seed=0):
+        self.chance = np.random.default_rng(seed)
+
+    def stream(self, agents):
+        return ToyStream(self.chance, agents)
+
+
+class ToyStream:
+    room, enough = 5, 2
+
+    def __init__(self, chance, agents):
+        self.chance, self.waiting = chance, {}
+        # Agents of equal chances would stay together.
+        self.weights = chance.random(agents) ** 3
+
+    def submit(self, agent, vectors, thresholds):
+        assert agent not in self.waiting
+        self.waiting[agent] = vectors
+
+    def collect(self):
+        if not self.waiting:
+            return []
+        waiting = sorted(self.waiting)
+        weights = self.weights[waiting] / self.weights[waiting].sum()
+        agent = int(self.chance.choice(waiting, p=weights))
+        apart = (self.waiting.pop(agent) - LAYOUT.upper) / (LAYOUT.upper - LAYOUT.lower)
+        return [Answer(agent, -np.sum(apart**2, axis=1), None)]
+
+
+def toy_plan(strategy="published", order=0):
+    return Plan(3, strategy, LAYOUT, POLICY.parameters(), partial(ToyEvaluator, order))
+
+
+def parking_plan(strategy="gauss-newton"):
+    return training_plan(TrainSettings(seed=5, search=strategy), Task(SHORT, POLICY))
+
+
+def begin(count):
+    return [AgentState(number) for number in range(count)]
+
+
+def advance(plan, agents, iterations):
+    team = plan if isinstance(plan, Team) else Team(plan)
+    return [progress.last for progress in team.advance(agents, [[iterations]] * len(agents))]
+
+
+def train(workers, plan, agents, iterations, after_round=lambda _: False):
+    return run_rounds(workers, plan, Snapshot(tuple(agents)), iterations, after_round)
+
+
+@pytest.mark.parametrize("strategy", ["published", "algorithm1"])
+@given(data=st.data())
+@settings(max_examples=15, deadline=None)
+def test_company_order_and_portions_change_nothing(strategy, data):
+    together = advance(toy_plan(strategy), begin(5), 130)
+    agents = begin(5)
+    for done in [*sorted(data.draw(st.lists(st.integers(0, 130), max_size=3))), 130]:
+        order = data.draw(st.permutations(range(5)))
+        cut = data.draw(st.integers(0, 5))
+        plan = toy_plan(strategy, data.draw(st.integers(0, 1000)))
+        for group in filter(None, (order[:cut], order[cut:])):
+            for agent in advance(plan, [agents[i] for i in group], done):
+                agents[agent.number] = agent
+    assert agents == together
+
+
+@pytest.mark.parametrize(("strategy", "iterations"), [("gauss-newton", 400), ("published", 200)])
+def test_agents_that_share_lanes_decide_as_alone(strategy, iterations):
+    team = Team(parking_plan(strategy))
+    together = advance(team, begin(7), iterations)  # too many to draw three candidates ahead
+    assert advance(team, advance(team, begin(7)[2:4], iterations // 2), iterations) == together[2:4]
+
+
+def test_truncated_episodes_change_no_decision(monkeypatch):
+    plan, thresholds = parking_plan("published"), []
+    truncated = advance(plan, begin(3), 150)
+    submit = agents_module.Stream.submit
+
+    def to_the_end(stream, agent, vectors, to_beat):
+        thresholds.extend(to_beat)
+        submit(stream, agent, vectors, np.full(len(vectors), -np.inf))
+
+    monkeypatch.setattr(agents_module.Stream, "submit", to_the_end)
+    assert advance(plan, begin(3), 150) == truncated
+    assert np.isneginf(thresholds[:3]).all()
+    assert np.isfinite(thresholds[3:]).all()
+
+
+def test_agents_differ_and_the_first_do_not_depend_on_how_many_follow():
+    few, many = (advance(toy_plan(), begin(count), 50) for count in (2, 6))
+    assert few == many[:2]
+    assert len({agent.value for agent in many}) == 6
+
+
+def test_improvements_are_the_whole_curve():
+    (agent,) = advance(toy_plan(), begin(1), 200)
+    (progress,) = Team(toy_plan()).advance(begin(1), [range(201)])
+    assert [state.iterations for state in progress.at_targets] == list(range(201))
+    values = [state.value for state in progress.at_targets]
+    assert [agent.value_at(i) for i in range(201)] == values == sorted(values)
+    assert AgentState(0).value_at(0) == AgentState(0).value == float("-inf")
+
+
+@pytest.mark.parametrize("portion_s", [0.0, 0.05, 10.0])
+def test_processes_and_portions_of_time_give_the_same_rounds(portion_s, monkeypatch):
+    monkeypatch.setattr(agents_module, "_PORTION_S", portion_s)
+    plan, seen = parking_plan(), {}
+    for count in (1, 2, 3):
+        with Inline() if count == 1 else LocalProcesses(count) as workers:
+            train(workers, plan, begin(4), 220, lambda last, n=count: seen.setdefault(n, []).append(last))
+    assert seen[1] == seen[2] == seen[3]
+    assert [snapshot.iterations for snapshot in seen[1]] == [0, 100, 200, 220]
+    assert not multiprocessing.active_children()
+
+
+def test_rounds_are_seen_in_order_and_can_end_the_run():
+    seen = []
+
+    def look(snapshot):
+        seen.append(snapshot.iterations)
+        assert all(agent.iterations == snapshot.iterations for agent in snapshot.agents)
+        return snapshot.iterations >= 200
+
+    stopped = train(Inline(), toy_plan(), begin(2), 1000, look)
+    assert (stopped.iterations, seen) == (200, [0, 100, 200])
+    assert train(Inline(), toy_plan(), stopped.agents, 200, look) == stopped  # arrived: no callback is called
+    assert seen == [0, 100, 200]
+    assert train(Inline(), toy_plan(), stopped.agents, 250).iterations == 250
+
+
+def test_processes_that_are_stopped_early_can_continue():
+    plan = parking_plan()
+    whole = train(Inline(), plan, begin(3), 700)
+    with LocalProcesses(2) as workers:
+        stopped = train(workers, plan, begin(3), 20_000, lambda snapshot: snapshot.iterations >= 200)
+        assert stopped.iterations == 200
+        assert train(workers, plan, stopped.agents, 700) == whole
+
+
+def test_agents_that_are_ahead_wait_for_the_others():
+    whole, early, later = (train(Inline(), toy_plan(), begin(3), until) for until in (300, 100, 200))
+    mixed = [early.agents[0], later.agents[1], AgentState(2)]
+    assert train(Inline(), toy_plan(), mixed, 300) == whole
+
+
+def test_a_snapshot_has_best_median_and_total():
+    team = advance(toy_plan(), begin(3), 10)
+    snapshot = Snapshot(tuple(team))
+    returns = [agent.value for agent in team]
+    assert snapshot.returns == returns
+    assert snapshot.best == team[int(np.argmax(returns))]
+    assert snapshot.median_return == sorted(returns)[1]
+    assert snapshot.total_iterations == 30
+    tie = replace(team[2], search=team[0].search)
+    assert Snapshot((team[0], tie)).best.number == 0
+
+
+def test_a_killed_process_is_a_clear_error():
+    plan = parking_plan()
+    with (
+        pytest.raises(WorkerDied, match=r"process worker-\d \(pid \d+\) ended by SIGKILL"),
+        LocalProcesses(2) as workers,
+    ):
+        start = train(workers, plan, begin(2), 0)
+        os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
+        train(workers, plan, start.agents, 100_000)
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize(
+    ("build", "error", "message"),
+    [
+        (partial(load_course, "nowhere.yaml"), UsageError, "^nowhere.yaml: no such file$"),
+        (partial(int, "x"), RuntimeError, "(?s)a worker failed:.*ValueError: invalid literal"),
+    ],
+)
+def test_a_failure_in_a_process_arrives(build, error, message):
+    plan = replace(parking_plan(), build_evaluator=build)
+    with LocalProcesses(1) as workers, pytest.raises(error, match=message):
+        train(workers, plan, begin(1), 1)
+
+
+# -- the stream of candidates ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def evaluator():
+    return Evaluator(POLICY, SHORT)
+
+
+def candidates(count, seed=1):
+    noise = np.random.default_rng(seed).normal(size=(count, LAYOUT.size))
+    vectors = POLICY.parameters() + 0.05 * noise * (LAYOUT.upper - LAYOUT.lower)
+    return np.clip(vectors, LAYOUT.lower, LAYOUT.upper)
+
+
+def test_answers_of_a_stream_are_those_of_a_batch(evaluator):
+    stream, expected, seen = evaluator.stream(4), {}, []
+    for agent in range(4):
+        vectors = candidates(2 + agent, seed=agent)
+        expected[agent] = evaluator.run(vectors)
+        stream.submit(agent, vectors, np.full(len(vectors), -np.inf))
+    while answers := stream.collect():
+        for agent, returns, misses in answers:
+            seen.append(agent)
+            assert returns.tolist() == expected[agent][0].tolist()
+            assert np.array_equal(misses, expected[agent][1])
+    assert sorted(seen) == [0, 1, 2, 3]
+
+
+def test_truncated_episode_does_not_delay_the_others(evaluator):
+    stream, vectors = evaluator.stream(2), candidates(8)
+    whole = evaluator.returns(vectors)
+    thresholds = np.where(np.arange(8) < 4, np.inf, whole)
+    for agent in range(2):
+        own = slice(4 * agent, 4 * agent + 4)
+        stream.submit(agent, vectors[own], thresholds[own])
+    first, *_ = answers = stream.collect()
+    while more := stream.collect():
+        answers += more
+    assert first.agent == 0
+    assert np.all((first.returns >= whole[:4]) & (first.returns < thresholds[:4]))
+    assert answers[1].returns.tolist() == whole[4:].tolist()
+
+
+def test_an_agent_that_waits_cannot_submit_again_nor_more_than_there_is_room(evaluator):
+    stream = evaluator.stream(2)
+    with pytest.raises(ValueError, match="agent 0 cannot submit"):
+        stream.submit(0, candidates(stream.room + 1), np.zeros(stream.room + 1))
+    stream.submit(0, candidates(1), np.zeros(1))
+    with pytest.raises(ValueError, match="agent 0 cannot submit 1"):
+        stream.submit(0, candidates(1), np.zeros(1))

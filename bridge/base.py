@@ -1,4 +1,4 @@
-"""What the bridge needs of a base, whatever protocol it speaks: reports and events out, setpoints in.
+"""What the bridge needs of a base, independent of its protocol: reports and events out, setpoints in.
 
 `Base` lies above the wire format. `bridge.pioneer.base` implements it for ARCOS.
 """

@@ -15,11 +15,11 @@ LISTEN = "tcp/127.0.0.1:7447"
 
 _SETTINGS: dict[str, Any] = {
     "mode": "router",
-    # Half a second of start-up, for a network whose other routers we do not look for.
+    # It would cost half a second at the start; the bridge looks for no other router.
     "scouting/delay": 0,
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
-    # A peer learns how long we may be silent from us, not from its own settings.
+    # Peers take the lease of this session from here, not from their own settings.
     "transport/link/tx/lease": 1000,
     "transport/link/tx/keep_alive": 4,
     # The longest message we read has 4 kB, the longest that passes through us hardly more.
@@ -58,7 +58,7 @@ def configured(listen: str | None, file: Path | None, insecure: bool) -> tuple[z
         # Beside the file that names it, wherever the bridge was started from.
         settings.insert_json5(_USERS, json.dumps(str(file.parent.absolute() / users)))
     if not insecure:
-        _refuse_everybody(settings, endpoints)
+        _require_authentication(settings, endpoints)
     if any_port(endpoints):
         settings.insert_json5("adminspace/enabled", "true")  # the port is shown nowhere else
     return settings, endpoints
@@ -88,7 +88,7 @@ def _of_router(endpoints: Any) -> list[str]:
     return [str(item) for item in endpoints or []]
 
 
-def _refuse_everybody(settings: zenoh.Config, endpoints: list[str]) -> None:
+def _require_authentication(settings: zenoh.Config, endpoints: list[str]) -> None:
     """Raise UsageError if a client beyond this machine could drive without authentication.
 
     A router that we connect to brings all who are connected to it.
@@ -104,7 +104,7 @@ def _refuse_everybody(settings: zenoh.Config, endpoints: list[str]) -> None:
         return
     raise UsageError(
         f"{open_[0]}: any client that reaches it could drive the rover; make keys with 'rover-ncp keys' and "
-        "give --zenoh-config, or say --insecure"
+        "give --zenoh-config, or give --insecure"
     )
 
 

@@ -44,7 +44,7 @@ class ZenohLink:
         self._namespace = namespace
         self._ros = ros
         self._rmw: RmwNode | None = None
-        self.key("odom")  # a bad namespace is said before anything is opened
+        self.key("odom")  # raises for a bad namespace before anything is opened
         settings, endpoints = configured(listen, config, insecure)
         if Convention.RMW_ZENOH in ros:
             # ROS nodes find each other through the router they are connected to, which we are then.

@@ -4,21 +4,18 @@ import gc
 import math
 import sys
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from deploy.drive.config import DriveConfig, PoseUse, attachments, settings_for
-from deploy.drive.control_loop import Drive
+from deploy.drive.control_loop import Drive, Phase
 from deploy.drive.controller import ORIGIN, Controller
-from deploy.drive.link import Link
-from deploy.drive.phases import State
-from deploy.drive.safety_monitor import Interrupted
-from deploy.drive.status_publisher import Reporter
+from deploy.drive.publisher import Publisher
+from deploy.drive.zenoh_link import ZenohLink
 from deploy.recorder import Recorder
-from deploy.recording_buffer import Tape, progress
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output, printable
 from rover_ncp.core.errors import UsageError
@@ -42,70 +39,61 @@ INTERRUPTED = 130
 STANDSTILL = Velocity(0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Options:
-    """The command line of ``rover-ncp deploy``."""
-
-    robot: str
-    policy: str
-    course: str
-    record: Path | None
-    duration_s: float | None
-    dry_run: bool
-    namespace: str
-    zenoh_config: Path | None
-    pose: PoseUse = "auto"
-    profile: Path | None = None
-    overwrite: bool = False
-
-
-def run(options: Options, output: Output, period_s: float = TICK_S) -> int:
-    """Drive once, and return the exit code; ``period_s`` is how long a tick lasts.
+def run(
+    address: BridgeAddress,
+    output: Output,
+    *,
+    policy: str = "course",
+    course: str = "parking",
+    profile: Path | None = None,
+    pose: PoseUse = "auto",
+    duration_s: float | None = None,
+    dry_run: bool = False,
+    record: Path | None = None,
+    overwrite: bool = False,
+    period_s: float = TICK_S,
+) -> int:
+    """Drive once, and return the exit code; ``period_s`` is how long a tick lasts by the clock.
 
     Raises RoverNcpError if the drive could not begin.
     """
-    policy, course = load_policy(options.policy), load_course(options.course)
-    rover = load_profile(options.profile) if options.profile else None
-    ticks = course.ticks
-    if options.duration_s is not None:
-        if not TICK_S <= options.duration_s < math.inf:
-            raise UsageError(f"--duration {options.duration_s:g}: expected seconds, at least {TICK_S}")
-        ticks = min(ticks, round(options.duration_s / TICK_S))
+    the_policy, the_course = load_policy(policy), load_course(course)
+    rover = load_profile(profile) if profile else None
+    ticks = the_course.ticks
+    if duration_s is not None:
+        if not TICK_S <= duration_s < math.inf:
+            raise UsageError(f"--duration {duration_s:g}: expected seconds, at least {TICK_S}")
+        ticks = min(ticks, round(duration_s / TICK_S))
     config = DriveConfig(
-        robot=options.robot,
-        namespace=options.namespace,
-        policy=policy.circuit.name,
-        course=course.name,
-        dry_run=options.dry_run,
+        robot=address.robot,
+        namespace=address.namespace,
+        policy=the_policy.circuit.name,
+        course=the_course.name,
+        dry_run=dry_run,
         ticks=ticks,
-        pose=options.pose,
+        pose=pose,
         estimator=settings_for(rover),
         rover=rover,
     )
-    controller = Controller(policy, course, config.estimator, rover)
-    files = attachments(policy, course, config)
-    tape = Tape(options.record, overwrite=options.overwrite)
+    controller = Controller(the_policy, the_course, config.estimator, rover)
+    files = attachments(the_policy, the_course, config)
+    recorder = Recorder(record, overwrite=overwrite)
     _prepare_for_real_time()
-    with Interrupts() as interrupts:
-        try:
-            with Link(options.robot, options.namespace, options.zenoh_config, tape.put) as link:
-                reporter = Reporter(link, tape.put, policy.circuit.neurons)
-                drive = Drive(
-                    link, controller, reporter, config, lambda: interrupts.raised, period_s=period_s
-                )
-                try:
-                    drive.wait()
-                except Interrupted as interruption:
-                    raise KeyboardInterrupt from interruption  # nothing has moved: the shell says the rest
-                tape.roll(files)
-                with progress(lambda: drive.progress, output):
-                    drive.run({name: zlib.crc32(content) for name, content in files.items()})
-        finally:
-            tape.close()
-    fields = _fields(drive, options, config, tape.recorder)
+    with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:
+        publisher = Publisher(link, recorder.put, the_policy.circuit.neurons)
+        drive = Drive(link, controller, publisher, config, lambda: interrupts.raised, period_s=period_s)
+        drive.wait()
+        recorder.open(files)
+        with output.live(lambda: drive.progress):
+            drive.run({name: zlib.crc32(content) for name, content in files.items()})
+    fields = _result(drive, config) | {
+        "policy": policy,
+        **recorder.fields,
+        "recording_dropped": recorder.dropped,
+    }
     words = _words(fields)
     if output.as_json and fields["exit_code"]:
-        output.say(words.splitlines()[0])  # stderr shows the reason for a bad end
+        output.say(words.splitlines()[0])  # stderr shows the reason for an exit code other than 0
     output.result(fields, words)
     return int(fields["exit_code"])
 
@@ -124,19 +112,19 @@ def _prepare_for_real_time() -> None:
     gc.freeze()
 
 
-def _fields(drive: Drive, options: Options, config: DriveConfig, recorder: Recorder | None) -> dict[str, Any]:
+def _result(drive: Drive, config: DriveConfig) -> dict[str, Any]:
     report, verdict = drive.keeper.report(), drive.verdict
-    parked = drive.state is State.PARKED
+    parked = drive.phase is Phase.PARKED
     if drive.stop is not None:
         code = drive.stop.exit_code
     elif verdict is None:
         code = INTERRUPTED
     else:
-        code = 0 if parked or options.dry_run else 1
+        code = 0 if parked or config.dry_run else 1
     latencies_ms = np.array(drive.latencies_ns or [0]) / 1e6
     return {
         "parked": parked,
-        "state": drive.state.value,
+        "state": drive.phase.value,
         "reason": drive.reason,
         "stopped_by": drive.stop.rule if drive.stop else None,
         "estimate_error_m": verdict.error_m if verdict else None,
@@ -151,18 +139,9 @@ def _fields(drive: Drive, options: Options, config: DriveConfig, recorder: Recor
             "p50": float(np.percentile(latencies_ms, 50)),
             "p99": float(np.percentile(latencies_ms, 99)),
         },
-        "odometry": {
-            "taken": drive.intake.count,
-            "unreadable": drive.intake.garbled,
-            "rejected": drive.rejected,
-        },
-        "pose": drive.pose_counts(),
-        "policy": options.policy,
+        **drive.measurement_counts,
         "course": config.course,
-        "dry_run": options.dry_run,
-        "recording": str(recorder.path) if recorder else None,
-        "recording_failure": (recorder.failure or None) if recorder else None,
-        "recording_dropped": recorder.dropped if recorder else 0,
+        "dry_run": config.dry_run,
         "exit_code": code,
     }
 
@@ -179,11 +158,11 @@ def _words(fields: dict[str, Any]) -> str:
             f"{ending}; by the estimate {1000 * fields['estimate_error_m']:.0f} mm and "
             f"{1000 * fields['estimate_error_rad']:.0f} mrad from the goal"
         )
+    latency = fields["odometry_to_command_ms"]
     lines = [
         ("dry run, " if fields["dry_run"] else "") + first,
         f"{fields['ticks']} ticks at {fields['tick_rate_hz']:.2f} Hz, {fields['overruns']} overruns; "
-        f"odometry to command {fields['odometry_to_command_ms']['p50']:.1f} ms (median), "
-        f"{fields['odometry_to_command_ms']['p99']:.1f} ms (99 %)",
+        f"odometry to command {latency['p50']:.1f} ms (median), {latency['p99']:.1f} ms (99 %)",
     ]
     pose = fields["pose"]
     if pose["taken"] and not pose["placed"]:

@@ -5,15 +5,13 @@ from typing import Annotated, Literal
 
 import typer
 
+from deploy.options import Namespace, Robot, ZenohConfig
 from rover_ncp.core.console import Json, Output, Overwrite
 
 
 def deploy(
     *,
-    robot: Annotated[
-        str,
-        typer.Option(help="Where the bridge listens: PROTOCOL/HOST[:PORT], such as tcp/192.168.1.20."),
-    ],
+    robot: Robot,
     policy: Annotated[
         str, typer.Option(help="Policy by name, or by file (YAML, or a published .bnn circuit).")
     ] = "course",
@@ -36,7 +34,7 @@ def deploy(
         Literal["auto", "required", "none"],
         typer.Option(
             help="External poses on the key 'pose': use them if they come, wait for them before the start, "
-            "or leave them alone."
+            "or ignore them."
         ),
     ] = "auto",
     profile: Annotated[
@@ -47,28 +45,35 @@ def deploy(
             show_default=False,
         ),
     ] = None,
-    namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
-    zenoh_config: Annotated[
-        Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates or user and password.")
-    ] = None,
+    namespace: Namespace = "",
+    zenoh_config: ZenohConfig = None,
     json: Json = False,
 ) -> int:
     """Let a circuit drive the robot behind a bridge.
 
-    Waits for the bridge and for a rover that stands still, takes its place as the course's origin, requests
-    the motors and drives the course. If external poses arrive on 'pose' meanwhile, it starts from them, and
-    later poses correct odometry. Ctrl-C stops the rover first. The motors are off after every end of the
-    drive.
+    Waits for the bridge and for a rover that stands still. That place is the course's origin. Then it
+    requests the motors and drives the course. If external poses arrive on 'pose' meanwhile, it starts from
+    them, and later poses correct odometry. Ctrl-C stops the rover first. The motors are off after every end
+    of the drive.
 
     Ends with 0 parked, 1 not parked (judged on the estimate), 3 no bridge, no robot, not authorised or
     another driver, 4 stopped by a safety rule, which is named, 130 interrupted.
     """
-    from deploy.app import Options, run
+    from deploy.app import run
+    from deploy.zenoh_client import BridgeAddress
 
-    options = Options(
-        robot, policy, course, record, duration, dry_run, namespace, zenoh_config, pose, profile, overwrite
+    return run(
+        BridgeAddress(robot, namespace, zenoh_config),
+        Output(json, controls=True),
+        policy=policy,
+        course=course,
+        profile=profile,
+        pose=pose,
+        duration_s=duration,
+        dry_run=dry_run,
+        record=record,
+        overwrite=overwrite,
     )
-    return run(options, Output(json, controls=True))
 
 
 def replay(
@@ -106,31 +111,27 @@ def replay(
 
 def watch(
     *,
-    robot: Annotated[
-        str,
-        typer.Option(help="Where the bridge listens: PROTOCOL/HOST[:PORT], such as tcp/192.168.1.20."),
-    ],
+    robot: Robot,
     policy: Annotated[
-        str, typer.Option(help="The policy that drives, by name or file: whose neurons to draw.")
+        str, typer.Option(help="The policy that drives, by name or file; the page draws its neurons.")
     ] = "course",
     course: Annotated[str, typer.Option(help="The course that is driven, by name or file.")] = "parking",
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Where this machine serves the page; 0 takes a free port.")
     ] = 8080,
-    namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
-    zenoh_config: Annotated[
-        Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates or user and password.")
-    ] = None,
+    namespace: Namespace = "",
+    zenoh_config: ZenohConfig = None,
     json: Json = False,
 ) -> int:
     """Show a robot's drive live on a page of this machine, with a Stop button.
 
-    The page is that of 'rover-ncp report', fed ten times a second: path, circuit, commands, events. Its
-    Stop button stops the rover until released; a viewer who is not authorised to stop sees that it is not.
-    Only this machine can open the page. It is ready when it prints "watching at ADDRESS"; Ctrl-C ends it,
-    and changes nothing about the rover.
+    The page is that of 'rover-ncp report', updated ten times a second: path, circuit, commands, events. Its
+    Stop button stops the rover until released. The page shows whether this user may stop the rover. Only
+    this machine can open the page. It is ready when it prints "watching at ADDRESS". Ctrl-C ends it and does
+    not affect the rover.
     """
-    from deploy.watch.server import Options, run
+    from deploy.watch.server import run
+    from deploy.zenoh_client import BridgeAddress
 
-    options = Options(robot, policy, course, port, namespace, zenoh_config)
-    return run(options, Output(json, controls=True))
+    address = BridgeAddress(robot, namespace, zenoh_config)
+    return run(address, policy, course, port, Output(json, controls=True))

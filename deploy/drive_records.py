@@ -1,36 +1,19 @@
 """Records of each tick in a recording, from which `replay` repeats the same arithmetic on the same numbers.
 
-JSON on two topics that exist in recordings only. Odometry itself is not repeated: a record names the samples
-that the controller took in, by stamp and checksum, with the moment of measurement it gave them; so do
-external poses.
+JSON on two topics that exist in recordings only. They do not repeat the measurements: a record names the
+samples that the controller used, with the moment of measurement that it gave them.
 """
-
-import zlib
-from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from deploy.drive.measurements import SampleRef
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.config import StrictModel
 
 START_TOPIC = "deploy/start"
 TICKS_TOPIC = "deploy/ticks"
-
-
-class SampleRef(NamedTuple):
-    """A sample: its stamp, the CRC-32 of its bytes, when it was measured on the driver's clock, its topic."""
-
-    stamp_ns: int
-    crc: int
-    measured_ns: int
-    topic: str = "odom"
-
-    @classmethod
-    def of(cls, stamp_ns: int, data: bytes, measured_ns: int, topic: str = "odom") -> Self:
-        """Name a sample."""
-        return cls(stamp_ns, zlib.crc32(data), measured_ns, topic)
 
 
 class StartRecord(StrictModel):
@@ -46,17 +29,21 @@ class StartRecord(StrictModel):
     attachments: dict[str, int]
 
     @property
-    def sure(self) -> NDArray[np.float64] | None:
+    def covariance_matrix(self) -> NDArray[np.float64] | None:
         """The covariance (3, 3)."""
         return None if self.covariance is None else np.array(self.covariance).reshape(3, 3)
+
+    def seconds(self, moment_ns: int) -> float:
+        """Return a moment of the driver's clock as the controller's time: seconds since the start."""
+        return (moment_ns - self.sample.measured_ns) * 1e-9
 
 
 class TickRecord(StrictModel):
     """One tick: its inputs, in the order in which they were applied, and its outputs.
 
     ``now_ns`` is the tick's moment on the driver's monotonic clock, ``wall_ns`` the same by the wall clock
-    (it stamps the messages). ``estimate`` is x, y, theta, v, omega; ``command`` is v, omega, or None for the
-    look at the very end, which asks the circuit for nothing. ``sequence`` is that of the command on the wire,
+    (it stamps the messages). ``estimate`` is x, y, theta, v, omega. ``command`` is v, omega, or None for the
+    last look at the horizon, when the circuit does not run. ``sequence`` is that of the command on the wire,
     None if none was sent.
     """
 
@@ -68,11 +55,6 @@ class TickRecord(StrictModel):
     estimate: tuple[float, float, float, float, float]
     command: tuple[float, float] | None
     sequence: int | None
-
-
-def seconds(moment_ns: int, start: SampleRef) -> float:
-    """Return a moment of the driver's clock as the controller's time: seconds since the start."""
-    return (moment_ns - start.measured_ns) * 1e-9
 
 
 def numbers(estimate: Estimate) -> tuple[float, float, float, float, float]:

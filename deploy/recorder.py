@@ -1,7 +1,7 @@
 """Recording beside the drive: a thread of its own, so that no disk ever blocks the control loop.
 
 Messages are handed over through a bounded queue; one that finds it full is counted as dropped. When the
-disk fails, recording ends, `Recorder.failure` gives the reason, and the drive goes on; the file so far stays
+disk fails, recording ends, `Recorder.failure` gives the reason, and the drive goes on. The file so far stays
 readable. A killed process loses at most the messages after the last flush.
 """
 
@@ -10,8 +10,11 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
 
 from rover_ncp.core.errors import FileError
+from rover_ncp.core.files import require_creatable
 from rover_ncp.core.recording import Recorded, RecordingWriter
 
 FLUSH_S = 0.4
@@ -22,34 +25,58 @@ CLOSE_TIMEOUT_S = 10.0
 
 
 class Recorder:
-    """Writes one recording. Opening it may raise FileError; from then on nothing raises."""
+    """Writes one recording, or none for the path None. Only `open` and the constructor raise.
 
-    def __init__(self, path: Path, attachments: Mapping[str, bytes], *, overwrite: bool = False) -> None:
-        self.path = path
+    Messages that come before `open`, such as the static transforms, wait in the queue.
+    """
+
+    def __init__(self, path: Path | None, *, overwrite: bool = False) -> None:
+        """Raise FileError if a recording could not be made at ``path``."""
+        if path is not None:
+            require_creatable(path, overwrite=overwrite)
+        self.path, self._overwrite = path, overwrite
         self.failure = ""
         """Reason for an early end of the recording; empty while it works."""
         self.written = 0
         self.dropped = 0
         self._queue: queue.Queue[Recorded | None] = queue.Queue(QUEUE_LENGTH)
+        self._thread: threading.Thread | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def open(self, attachments: Mapping[str, bytes]) -> None:
+        """Begin the file with its attachments. Raises FileError."""
+        if self.path is None:
+            return
         try:
-            self._writer = RecordingWriter(path, overwrite=overwrite)
+            writer = RecordingWriter(self.path, overwrite=self._overwrite)
             for name, content in attachments.items():
-                self._writer.attach(name, content)
-            self._writer.flush()
+                writer.attach(name, content)
+            writer.flush()
         except OSError as error:
-            raise FileError(f"{path}: cannot be written: {error.strerror}") from error
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+            raise FileError(f"{self.path}: cannot be written: {error.strerror}") from error
+        self._thread = threading.Thread(target=self._run, args=(writer,), name="recorder", daemon=True)
         self._thread.start()
 
     def put(self, message: Recorded) -> None:
         """Hand over a message; never waits."""
+        if self.path is None:
+            return
         try:
             self._queue.put_nowait(message)
         except queue.Full:
             self.dropped += 1
 
     def close(self) -> None:
-        """Write what is still queued and finish the file."""
+        """Write what is still queued and finish the file, if it was opened."""
+        if self._thread is None:
+            return
         try:
             self._queue.put(None, timeout=CLOSE_TIMEOUT_S)
         except queue.Full:
@@ -58,29 +85,37 @@ class Recorder:
         if self._thread.is_alive():
             self.failure = self.failure or "the disk did not answer"
 
-    def _run(self) -> None:
+    @property
+    def fields(self) -> dict[str, Any]:
+        """The recording in a command's result."""
+        return {
+            "recording": str(self.path) if self.path else None,
+            "recording_failure": self.failure or None,
+        }
+
+    def _run(self, writer: RecordingWriter) -> None:
         closing = False
         try:
-            self._write_until_closed()
+            self._write_until_closed(writer)
             closing = True
-            self._writer.close()
+            writer.close()
         except Exception as error:  # a recorder that fails, however it fails, must not end the drive
             self.failure = f"{self.path}: {error}"
-            self._writer.abandon()
+            writer.abandon()
             while not closing and self._queue.get() is not None:
                 self.dropped += 1
 
-    def _write_until_closed(self) -> None:
+    def _write_until_closed(self, writer: RecordingWriter) -> None:
         flushed = time.monotonic()
         while True:
             try:
                 message = self._queue.get(timeout=max(0.0, flushed + FLUSH_S - time.monotonic()))
                 if message is None:
                     return
-                self._writer.write(message)
+                writer.write(message)
                 self.written += 1
             except queue.Empty:
                 pass
             if time.monotonic() >= flushed + FLUSH_S:
-                self._writer.flush()
+                writer.flush()
                 flushed = time.monotonic()

@@ -15,22 +15,15 @@ import yaml
 
 from deploy.drive.config import attached
 from deploy.drive.controller import Controller, Tick
-from deploy.drive.status_publisher import estimate_message
-from deploy.drive_records import (
-    START_TOPIC,
-    TICKS_TOPIC,
-    SampleRef,
-    StartRecord,
-    TickRecord,
-    numbers,
-    seconds,
-)
+from deploy.drive.measurements import READERS
+from deploy.drive.publisher import estimate_message
+from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, numbers
 from deploy.estimator.estimator import Estimate
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.messages import read_imu, read_neurons, read_odometry, read_pose, read_text, read_twist
+from rover_ncp.core.messages import read_neurons, read_odometry, read_text, read_twist
 from rover_ncp.core.protocol import parse_json
 from rover_ncp.core.recording import Recording, read_recording
 
@@ -77,7 +70,7 @@ def replay(path: Path, policy: str | None = None) -> Comparison:
             break
         ticks_done += record.command is not None
     # A changed number may leave no trace in this run: then the files themselves show the difference.
-    difference = difference or _other_file(recording, start) or _other_policy(own, other)
+    difference = difference or _changed_file(recording, start) or _changed_policy(own, other)
     return Comparison(ticks_done, recording.complete, difference)
 
 
@@ -108,37 +101,25 @@ def _compared(
         wanted = [start.sample, *record.samples] if record is records[0] else list(record.samples)
         missing = [ref for ref in wanted if (ref.topic, ref.crc) not in data]
         if missing and not recording.complete:
-            return  # killed between a tick and what it was made from
+            return  # the writer was killed before it wrote this tick's inputs
         if missing:
             quantity = f"the {INPUTS[missing[0].topic]} of stamp {missing[0].stamp_ns}"
             yield record, Difference(record.index, quantity, ABSENT, "needed")
             return
-        now = seconds(record.now_ns, start.sample)
+        now = start.seconds(record.now_ns)
         try:
             if record is records[0]:
                 first = wanted.pop(0)
                 began = read_odometry(data[first.topic, first.crc])
-                controller.start(began.pose, 0.0, Pose(*start.pose), start.sure)
+                controller.start(began.pose, 0.0, Pose(*start.pose), start.covariance_matrix)
             for ref in wanted:
-                _take_in(controller, ref, data[ref.topic, ref.crc], start.sample)
+                sample = READERS[ref.topic](data[ref.topic, ref.crc])
+                controller.take(sample, start.seconds(ref.measured_ns))
             tick = controller.tick(record.index, now) if record.command is not None else None
             estimate = tick.estimate if tick else controller.look(record.index, now)
         except ValueError as error:  # such as a time that goes back
             raise FileError(f"{recording.path}: tick {record.index} cannot be recomputed: {error}") from error
-        found = _first(_differences(record, tick, estimate, names, messages))
-        yield record, found
-
-
-def _take_in(controller: Controller, ref: SampleRef, data: bytes, start: SampleRef) -> None:
-    t = seconds(ref.measured_ns, start)
-    if ref.topic == "pose":
-        seen = read_pose(data)
-        controller.external(seen.pose, seen.covariance, t)
-    elif ref.topic == "imu":
-        controller.gyro(read_imu(data).rate, t)
-    else:
-        sample = read_odometry(data)
-        controller.odometry(sample.pose, sample.velocity, t)
+        yield record, next(_differences(record, tick, estimate, names, messages), None)
 
 
 class _Messages:
@@ -155,7 +136,7 @@ def _differences(
     record: TickRecord, tick: Tick | None, estimate: Estimate, names: tuple[str, ...], messages: _Messages
 ) -> Iterator[Difference]:
     index = record.index
-    yield from _each(index, ESTIMATE, record.estimate, numbers(estimate))
+    yield from _unequal(index, ESTIMATE, record.estimate, numbers(estimate))
     sent = messages.estimates.get(record.wall_ns)
     if sent is not None and sent != estimate_message(estimate, record.wall_ns):
         yield Difference(index, "the estimate's covariance", "other bytes", "other bytes")
@@ -169,20 +150,20 @@ def _differences(
         if tuple(recorded) != names:
             yield Difference(index, "the neurons", ",".join(recorded), ",".join(names))
         quantities = tuple(f"potential {name}" for name in names)
-        yield from _each(index, quantities, tuple(recorded.values()), tuple(tick.potentials.tolist()))
+        yield from _unequal(index, quantities, tuple(recorded.values()), tuple(tick.potentials.tolist()))
     elif messages.complete:
         yield Difference(index, "the message rover/neurons", ABSENT, "there")
-    yield from _each(index, COMMAND, record.command, tick.command)
+    yield from _unequal(index, COMMAND, record.command, tick.command)
     if record.sequence is None:
         return
     command = messages.commands.get(record.sequence)
     if command is not None:
-        yield from _each(index, ("sent v", "sent omega"), read_twist(command).velocity, tick.command)
+        yield from _unequal(index, ("sent v", "sent omega"), read_twist(command).velocity, tick.command)
     elif messages.complete:
         yield Difference(index, "the message cmd_vel", ABSENT, "there")
 
 
-def _each(
+def _unequal(
     tick: int, quantities: tuple[str, ...], recorded: tuple[float, ...], recomputed: tuple[float, ...]
 ) -> Iterator[Difference]:
     for quantity, before, now in zip(quantities, recorded, recomputed, strict=True):
@@ -190,11 +171,7 @@ def _each(
             yield Difference(tick, quantity, repr(float(before)), repr(float(now)))
 
 
-def _first(differences: Iterator[Difference]) -> Difference | None:
-    return next(differences, None)
-
-
-def _other_file(recording: Recording, start: StartRecord) -> Difference | None:
+def _changed_file(recording: Recording, start: StartRecord) -> Difference | None:
     """Return the attachment that is not the one the drive was recorded with."""
     for name, crc in start.attachments.items():
         if (now := zlib.crc32(recording.attachment(name))) != crc:
@@ -202,20 +179,20 @@ def _other_file(recording: Recording, start: StartRecord) -> Difference | None:
     return None
 
 
-def _other_policy(own: Policy, other: Policy) -> Difference | None:
-    """Return the first value in which two policies differ, where they came from aside."""
+def _changed_policy(own: Policy, other: Policy) -> Difference | None:
+    """Return the first value in which two policies differ, apart from their provenance."""
     before, now = (yaml.safe_load(policy_to_yaml(policy)) for policy in (own, other))
     for data in (before, now):
         del data["provenance"], data["courses"], data["circuit"]["name"]
-    return _first(_parted("policy", before, now))
+    return next(_changed("policy", before, now), None)
 
 
-def _parted(path: str, before: Any, now: Any) -> Iterator[Difference]:
+def _changed(path: str, before: Any, now: Any) -> Iterator[Difference]:
     if isinstance(before, dict) and isinstance(now, dict):
         for key in before | now:
-            yield from _parted(f"{path}.{key}", before.get(key, ABSENT), now.get(key, ABSENT))
+            yield from _changed(f"{path}.{key}", before.get(key, ABSENT), now.get(key, ABSENT))
     elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
         for number, (one, two) in enumerate(zip(before, now, strict=True)):
-            yield from _parted(f"{path}[{number}]", one, two)
-    elif repr(before) != repr(now):  # by their digits: 0.0 and -0.0 are not the same bits
+            yield from _changed(f"{path}[{number}]", one, two)
+    elif repr(before) != repr(now):  # by their digits: 0.0 and -0.0 differ in a bit
         yield Difference(None, path, repr(before), repr(now))

@@ -26,7 +26,7 @@ class Fence(StrictModel):
         return self
 
     def outside(self, x: float, y: float) -> float:
-        """Return how far a point lies beyond the sides, in metres; 0 inside."""
+        """Return the distance of a point beyond the sides, in metres; 0 inside."""
         return max(self.x_min - x, x - self.x_max, self.y_min - y, y - self.y_max, 0.0)
 
 

@@ -98,7 +98,7 @@ class ArcosBase:
                 case Failed(reason):
                     if self._was_ready:
                         self._connection.reopen(reason)
-                    if not self._reopening:
+                    if not self._reopening:  # said once
                         passed.append(Failed(f"{self._connection.endpoint}: {reason}"))
                     self._reopening = True
                 case Ready():

@@ -3,8 +3,8 @@
 Rules of this file:
 
 1. The state changes only as ``states.TABLE`` says.
-2. Nothing is sent but from ``tick``, ``receive`` and the explicit calls; keep-alives come from ``tick``
-   alone. A call from anywhere but the safety gate's own loop defeats the base's watchdog.
+2. Only ``tick``, ``receive`` and the explicit calls send; keep-alives come from ``tick`` alone. Calls from
+   outside the safety gate's loop would defeat the base's watchdog.
 3. A base resumes its old setpoints with any packet that reaches it, SYNC0 included. So connecting begins by
    listening: a base that sends packets then has an open session, and gets zero setpoints first.
 4. Setpoints are zero before ENABLE, after a loss, and until the motors were requested and are on.
@@ -61,7 +61,7 @@ SessionEvent: TypeAlias = BaseEvent | BaudChanged
 
 
 class Session:
-    """One base on one line. ``model`` is a name of ``ROBOTS``, or ``auto`` to go by what the base says.
+    """One base on one line. ``model`` is a key of ``ROBOTS``, or ``auto`` for the one it reports.
 
     Raises UsageError for another model. Times are seconds on any clock that does not go back.
     """
@@ -90,7 +90,7 @@ class Session:
         self._bytes_in = self._packets_before = 0
         self._rates = Rates()
 
-    # What the user calls.
+    # Calls of the base's owner.
 
     def connect(self, now: float, baudrate: int | None = None) -> None:
         """Begin to connect; events report the progress.
@@ -108,7 +108,7 @@ class Session:
         self._dispatch(Input.CLOSE)
 
     def link_down(self, reason: str, now: float) -> list[SessionEvent]:
-        """Take note that the line is gone, and why; ``connect`` begins anew on the next one."""
+        """Process the loss of the line; ``connect`` begins anew on the next one."""
         self._now, self._reason = now, reason
         self._dispatch(Input.LINK_DOWN)
         self._out.clear()
@@ -188,7 +188,7 @@ class Session:
         self._out += encode_command(command, argument)
 
     def _classify(self, packet: Packet) -> Input | None:
-        """Return what a packet means and keep what it holds; None for one that means nothing to a session."""
+        """Store a packet's content and return its input; None for a packet that a session does not use."""
         if packet.kind in SIP_KINDS:
             sip = Sip.decode(packet)
             self._sip = sip or self._sip
@@ -272,7 +272,7 @@ class Session:
         self._send(Command.CLOSE)
         known = ", ".join(ROBOTS)
         self._events.append(
-            Failed(f"the base calls itself {self._names[2]!r}; say its model, one of {known}")
+            Failed(f"the base calls itself {self._names[2]!r}; give its model with --model: one of {known}")
         )
 
     def _do_first_sip(self) -> None:

@@ -27,7 +27,7 @@ class SessionState(Enum):
     READY = "ready"
     LOST = "no reports from the base"
     ASKING_FASTER = "asked for a faster line"
-    FASTER = "at the faster rate, not heard yet"
+    FASTER = "at the faster rate, no packet received yet"
 
 
 class Input(Enum):
@@ -35,17 +35,17 @@ class Input(Enum):
 
     CONNECT = "connect was called"
     CLOSE = "close was called"
-    LINK_DOWN = "the line under us is gone"
+    LINK_DOWN = "the line is gone"
     EXPIRED = "the state's clock ran out"
     GAVE_UP = "tried often or long enough"
     ECHO0 = "echo of SYNC0"
     ECHO1 = "echo of SYNC1"
-    NAMES = "echo of SYNC2 from a base we know"
-    STRANGER = "echo of SYNC2 from a base we have no factors for"
+    NAMES = "echo of SYNC2 from a base of a known model"
+    STRANGER = "echo of SYNC2 from a base of an unknown model"
     SIP = "server information packet"
     CONFIG = "CONFIGpac"
-    SETTLED = "SIPs come, and the CONFIGpac came or never will"
-    SLOW = "the same, on a slow line that could be faster"
+    SETTLED = "SIPs arrive, and the CONFIGpac arrived or its time is over"
+    SLOW = "as SETTLED, on a line that could be faster"
     RESET = "notice that the base was reset"
 
 

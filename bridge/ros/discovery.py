@@ -3,7 +3,7 @@
 zenoh-bridge-ros2dds discovers topics by liveliness tokens before the first subscription. Form from
 zenoh-plugin-ros2dds (liveliness_mgt.rs; facts only): ``@/ZID/@ros2_lv`` for a bridge, and below it ``MP``
 (publisher) or ``MS`` (subscriber), key, type, QoS, each with § for /. Access control that denies by default
-lets no token of the bridge out but its own: there ``ros2 topic list`` shows a topic once subscribed.
+blocks these tokens: then ``ros2 topic list`` shows a topic only once it is subscribed.
 """
 
 from enum import StrEnum

@@ -50,7 +50,7 @@ class Topic:
 class Graph:
     """One node of the ROS graph, on the Zenoh session ``zid``; ``namespace`` has no slashes around it.
 
-    Raises UsageError for a namespace that ROS does not know.
+    Raises UsageError for a namespace that ROS does not accept.
     """
 
     domain: int
@@ -110,7 +110,7 @@ class Attachment(NamedTuple):
 
 
 def gid(token: str) -> bytes:
-    """Return the 16 bytes by which ROS knows a publisher: the hash of its token, low half first."""
+    """Return the 16 bytes by which ROS identifies a publisher: the hash of its token, low half first."""
     return xxhash.xxh3_128_digest(token.encode())[::-1]
 
 

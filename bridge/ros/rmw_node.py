@@ -34,7 +34,7 @@ def latching_publisher(session: zenoh.Session, key_expr: str) -> Any:
 class RmwNode:
     """Publishers of ``rows`` and subscribers of ``cmd_vel``; ``commanded`` gets the received commands.
 
-    Raises UsageError for a namespace that ROS does not know.
+    Raises UsageError for a namespace that ROS does not accept.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class _Publisher:
 
 
 def read_command(sample: zenoh.Sample) -> CommandMessage:
-    """Return a command as it came from a ROS node: without a tag, as old as its attachment says.
+    """Return a ROS node's command: without a tag, sent at the time in its attachment.
 
     Without a valid attachment it is not a message of rmw_zenoh, and becomes an unreadable command.
     """

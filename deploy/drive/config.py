@@ -5,7 +5,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from deploy.drive.waits import Waits
+from deploy.drive.safety_monitor import Timeouts
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
@@ -18,10 +18,10 @@ from rover_ncp.course.course import Course
 POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
 
 PoseUse = Literal["auto", "required", "none"]
-"""Whether external poses place the rover: if they come, in any case, or never."""
+"""Whether external poses give the start pose: if they come, always, or never."""
 
 
-class DriveConfig(Waits):
+class DriveConfig(Timeouts):
     """The settings of one drive; times in s."""
 
     format: int = Field(default=1, ge=1, le=1)
@@ -43,7 +43,7 @@ class DriveConfig(Waits):
 
 
 def settings_for(rover: RoverProfile | None) -> EstimatorSettings:
-    """Return the estimator's settings for a robot: its odometry may be noisier than its steps."""
+    """Return the estimator's settings for a robot, whose odometry may be noisier than its resolution."""
     usual = EstimatorSettings()
     if rover is None:
         return usual
@@ -71,7 +71,7 @@ def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
         try:
             texts[name] = recording.attachment(name).decode()
         except UnicodeDecodeError as error:
-            raise FileError(f"{recording.path}: its {name} is no text") from error
+            raise FileError(f"{recording.path}: its {name} is not text") from error
     where = {name: f"{recording.path}, {name}" for name in texts}
     return (
         policy_from_yaml(texts[POLICY_FILE], where[POLICY_FILE]),

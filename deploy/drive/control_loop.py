@@ -1,36 +1,53 @@
-"""The drive itself: its states in their order, the loop of ticks, and the reasons for its end.
+"""The drive itself: its phases in their order, the loop of ticks, and the reasons for its end.
 
 Rules of this file:
 
 1. At every end of a drive, the lease is released before anything else.
-2. Odometry sets off the tick; when it does not come in time, the tick runs on prediction and is counted.
+2. Odometry triggers the tick. When it does not come in time, the tick runs on prediction and is counted.
 3. Before each command, a tick checks the bridge, the age of odometry, the estimator, the lease and the
    rover's response. If a check fails, the drive ends with the rule's name.
+4. Only while DRIVING may a command other than zero leave this process.
 """
 
-import math
 import time
 from collections.abc import Callable
+from enum import Enum
+from typing import Any
 
-import numpy as np
-
-from deploy.drive.clock import NS, RateKeeper
 from deploy.drive.config import DriveConfig
-from deploy.drive.controller import ORIGIN, Controller
+from deploy.drive.controller import Controller
 from deploy.drive.link import Link
-from deploy.drive.measurements import GyroIntake, Intake, PoseIntake, Sample, SeenPose, StillWatch, middle
-from deploy.drive.phases import Event, State, next_state
-from deploy.drive.response import ResponseWatch
-from deploy.drive.safety_monitor import Guard, Interrupted
-from deploy.drive.status_publisher import Reporter
-from deploy.drive_records import SampleRef, StartRecord, TickRecord, numbers, seconds
+from deploy.drive.measurements import NS, Measurement, Measurements, SampleRef
+from deploy.drive.publisher import Publisher
+from deploy.drive.rate_keeper import RateKeeper
+from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.drive.start import StartDetector
+from deploy.drive_records import StartRecord, TickRecord, numbers
 from deploy.estimator.settings import Outcome
-from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
+from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.messages import OdometrySample
 from rover_ncp.core.process import Clock
 from rover_ncp.core.protocol import DriverStatus
 from rover_ncp.course.course import TICK_S, Verdict
 
 POLL_S = 0.02
+
+
+class Phase(Enum):
+    """Phase of a drive. PARKED, ENDED and FAULT are final: another drive is another process."""
+
+    WAITING = "waiting"
+    """Waiting for the bridge, for the permission to command, and for a rover that stands still."""
+    ARMED = "armed"
+    """The start pose is known; the driver requests the motors."""
+    DRIVING = "driving"
+    """The driver holds the lease and the circuit drives, or in a dry run would."""
+    PARKED = "parked"
+    """The course's time is over; by the estimate the rover is parked."""
+    ENDED = "ended"
+    """The rover is not parked, or a termination signal was received."""
+    FAULT = "fault"
+    """A safety rule stopped the rover."""
 
 
 class Drive:
@@ -43,7 +60,7 @@ class Drive:
         self,
         link: Link,
         controller: Controller,
-        reporter: Reporter,
+        publisher: Publisher,
         config: DriveConfig,
         interrupted: Callable[[], bool],
         *,
@@ -51,18 +68,16 @@ class Drive:
         period_s: float = TICK_S,
     ) -> None:
         self._period_ns = round(period_s * NS)
-        self._link, self._controller, self._reporter = link, controller, reporter
+        self._link, self._controller, self._publisher = link, controller, publisher
         self._config, self._clock = config, clock
-        self._pending: list[SampleRef] = []
-        self._response = ResponseWatch()
-        self.intake = Intake(link.odometry)
-        self._guard = Guard(link, self.intake, config, interrupted, clock)
-        self.poses = PoseIntake(link.poses)
-        self._gyro = GyroIntake(link.gyro)
-        self._standing_poses: list[SeenPose] = []
+        self._used: list[SampleRef] = []
+        """Samples that the estimator got since the last tick."""
+        self.measurements = Measurements(link)
+        self._monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
         self._placed = False
+        """Whether external poses gave the start pose."""
         self.keeper = RateKeeper(self._period_ns, 0)
-        self.state = State.WAITING
+        self.phase = Phase.WAITING
         self.reason = ""
         self.stop: SafetyStop | None = None
         self.verdict: Verdict | None = None
@@ -70,41 +85,43 @@ class Drive:
         """From the arrival of odometry to its command on the wire."""
 
     @property
-    def rejected(self) -> int:
-        """Odometry samples that the estimator refused."""
-        return self._controller.estimator.rejected
-
-    def pose_counts(self) -> dict[str, int]:
-        """Return whether external poses placed the rover, and the outcomes of all poses."""
-        became = self._controller.estimator.poses
-        return {
-            "placed": self._placed,
-            "taken": self.poses.count,
-            "unreadable": self.poses.garbled,
-            "used": became[Outcome.ACCEPTED],
-            "refused": became[Outcome.OUTLIER] + became[Outcome.NOT_FINITE],
-            "too_late": became[Outcome.TOO_OLD],
-        }
+    def progress(self) -> str:
+        """One line for people; another thread may read it."""
+        keeper, newest = self.keeper, self.measurements.newest
+        where = "odometry x {:.3f} y {:.3f} θ {:.3f}".format(*newest.sample.pose) if newest else ""
+        return f"{self.phase.value}  t {keeper.index * TICK_S:.1f} s  {where}  overruns {keeper.overruns}"
 
     @property
-    def progress(self) -> str:
-        """One line for people; may be asked for by another thread."""
-        keeper, newest = self.keeper, self.intake.newest
-        where = "odometry x {:.3f} y {:.3f} θ {:.3f}".format(*newest.pose) if newest else ""
-        return f"{self.state.value}  t {keeper.index * TICK_S:.1f} s  {where}  overruns {keeper.overruns}"
+    def measurement_counts(self) -> dict[str, dict[str, int]]:
+        """What became of odometry and external poses, as the result reports it."""
+        taken, unreadable = self.measurements.taken, self.measurements.unreadable
+        estimator = self._controller.estimator
+        outcomes = estimator.poses
+        return {
+            "odometry": {
+                "taken": taken["odom"],
+                "unreadable": unreadable["odom"],
+                "rejected": estimator.rejected,
+            },
+            "pose": {
+                "placed": self._placed,
+                "taken": taken["pose"],
+                "unreadable": unreadable["pose"],
+                "used": outcomes[Outcome.ACCEPTED],
+                "refused": outcomes[Outcome.OUTLIER] + outcomes[Outcome.NOT_FINITE],
+                "too_late": outcomes[Outcome.TOO_OLD],
+            },
+        }
 
     def wait(self) -> None:
-        """Wait for bridge, permission and odometry.
-
-        Raises NoBridge, NotAuthorised, NoRobot or Interrupted.
-        """
-        self._guard.wait(not self._config.dry_run, self._config.namespace)
+        """Wait for bridge, permission and odometry. Raises as `SafetyMonitor.wait`."""
+        self._monitor.wait(drives=not self._config.dry_run)
 
     def run(self, attachments: dict[str, int]) -> None:
         """Drive, after `wait`. ``attachments`` are the checksums of the recording's files.
 
-        Raises AnotherDriver, NotAuthorised and NoBridge when the motors are refused; ``state``, ``reason``
-        and ``stop`` hold the reason for a later end.
+        Raises AnotherDriver, NotAuthorised and NoBridge when the motors are refused, NoPose when a required
+        pose does not come. ``phase``, ``reason`` and ``stop`` hold the reason for a later end.
         """
         try:
             try:
@@ -114,46 +131,32 @@ class Drive:
                 self._link.release()
         except SafetyStop as stop:
             self.stop = stop
-            self._follow(Event.FAULT, str(stop))
-        except Interrupted:
-            self._follow(Event.INTERRUPTED, "interrupted")
+            self._enter(Phase.FAULT, str(stop))
+        except KeyboardInterrupt:
+            self._enter(Phase.ENDED, "interrupted")
         else:
             self.verdict = self._controller.verdict()
-            event = Event.PARKED if self.verdict.parked else Event.NOT_PARKED
-            self._follow(event, self.verdict.reason)
-        self._reporter.finish()
+            self._enter(Phase.PARKED if self.verdict.parked else Phase.ENDED, self.verdict.reason)
+        self._publisher.finish()
 
     def _arm(self, attachments: dict[str, int]) -> None:
-        config = self._config
-        watch = StillWatch(config.still_s, config.still_m, config.still_rad)
-        if not self._guard.until(lambda: self._stands(watch), config.still_wait_s):
-            raise SafetyStop("not-standing", f"the rover does not stand still for {config.still_s:g} s")
-        if config.pose == "required" and not self._guard.until(
-            lambda: self._stands(watch) and bool(self._standing_poses), config.pose_wait_s
-        ):
-            raise NoPose(f"no external pose of the rover arrived on 'pose' within {config.pose_wait_s:g} s")
-        sample = self.intake.newest
-        assert sample is not None  # it stands, so it was seen
-        self._follow(Event.READY)
-        pose, covariance = ORIGIN, None
-        if self._standing_poses:
-            self._placed = True
-            pose = middle([seen.pose for seen in self._standing_poses])
-            # The covariance of the last one: errors of these poses are not independent.
-            covariance = self._standing_poses[-1].covariance
-        self._controller.start(sample.pose, 0.0, pose, covariance)
-        self._start = sample.ref
-        record = StartRecord(
-            sample=sample.ref,
+        detector = StartDetector(self._link, self.measurements, self._config, self._clock)
+        start = detector.wait(self._monitor)
+        self._enter(Phase.ARMED)
+        pose, covariance = detector.pose()
+        self._placed = covariance is not None
+        self._start = StartRecord(
+            sample=start.ref,
             pose=pose,
             covariance=None if covariance is None else tuple(covariance.ravel().tolist()),
             attachments=attachments,
         )
-        self._reporter.start(record, sample.pose)
-        if not config.dry_run:
-            self._link.request_motors(f"policy {config.policy}")
-            self._guard.granted()
-        self._follow(Event.GRANTED)
+        self._controller.start(start.sample.pose, 0.0, pose, covariance)
+        self._publisher.start(self._start, start.sample.pose)
+        if not self._config.dry_run:
+            self._link.request_motors(f"policy {self._config.policy}")
+            self._monitor.granted()
+        self._enter(Phase.DRIVING)
 
     def _drive(self) -> None:
         """Run all ticks, and look once more at the end of the last."""
@@ -176,97 +179,62 @@ class Drive:
             newest = self._take((keeper.deadline_ns - self._clock.monotonic_ns()) / NS) or newest
             self._check()
 
-    def _tick(self, newest: Sample, now_ns: int, predicted: bool, last: bool) -> None:
-        controller, t = self._controller, seconds(now_ns, self._start)
+    def _tick(self, newest: Measurement[OdometrySample], now_ns: int, predicted: bool, last: bool) -> None:
+        controller, t = self._controller, self._start.seconds(now_ns)
         index = self._config.ticks if last else self.keeper.index
         tick = None if last else controller.tick(index, t)
         estimate = tick.estimate if tick else controller.look(index, t)
         sequence = None
         if tick is not None and not self._config.dry_run:
-            if not all(map(math.isfinite, tick.command)):
-                raise SafetyStop("command", f"the circuit asks for {tick.command}")
-            if unfollowed := self._response.tick(tick.command, estimate.velocity):
-                held = f" (the gate says: {self._link.gate.held})" if self._link.gate.held else ""
-                raise SafetyStop("no-response", f"the rover drove {unfollowed}{held}")
+            self._monitor.check_command(tick.command, estimate.velocity)
             sequence = self._link.command(tick.command)
         if not predicted:
             self.latencies_ns.append(self._clock.monotonic_ns() - newest.arrival_ns)
-        wall_ns = self._clock.time_ns()
-        self._reporter.tick(
-            TickRecord(
-                index=index,
-                now_ns=now_ns,
-                wall_ns=wall_ns,
-                samples=tuple(self._pending),
-                predicted=predicted,
-                estimate=numbers(estimate),
-                command=tick.command if tick else None,
-                sequence=sequence,
-            ),
-            estimate,
-            tick,
+        record = TickRecord(
+            index=index,
+            now_ns=now_ns,
+            wall_ns=self._clock.time_ns(),
+            samples=tuple(self._used),
+            predicted=predicted,
+            estimate=numbers(estimate),
+            command=tick.command if tick else None,
+            sequence=sequence,
         )
-        self._pending.clear()
+        self._publisher.tick(record, estimate, tick)
+        self._used.clear()
         if not last:
             self.keeper.ticked(now_ns, predicted)
-        self._tell_status()
+        self._publish_status()
 
-    def _take(self, timeout_s: float) -> Sample | None:
-        """Take odometry, if it comes in time, into the estimator."""
-        sample = self.intake.take(min(max(timeout_s, 0.0), POLL_S))
-        for turn in self._gyro.take():  # comes before the odometry of its cycle
-            self._controller.gyro(turn.rate, seconds(turn.ref.measured_ns, self._start))
-            self._pending.append(turn.ref)
-        if sample is not None:
-            self._controller.odometry(
-                sample.pose, sample.velocity, seconds(sample.ref.measured_ns, self._start)
-            )
-            self._pending.append(sample.ref)
-        for seen in sorted(self.poses.take(), key=lambda seen: seen.ref.measured_ns):
-            if self._placed:
-                t = seconds(seen.ref.measured_ns, self._start)
-                self._controller.external(seen.pose, seen.covariance, t)
-                self._pending.append(seen.ref)
-        return sample
+    def _take(self, timeout_s: float) -> Measurement[OdometrySample] | None:
+        """Give new measurements to the estimator; return the odometry, if it came in time."""
+        odometry = self.measurements.odometry(min(max(timeout_s, 0.0), POLL_S))
+        # A gyro reading is published before the odometry of its cycle.
+        measured: list[Measurement[Any]] = [*self.measurements.gyro(), *([odometry] if odometry else [])]
+        poses = self.measurements.poses()
+        if self._placed:
+            measured += sorted(poses, key=lambda pose: pose.ref.measured_ns)
+        for sample, ref, _ in measured:
+            self._controller.take(sample, self._start.seconds(ref.measured_ns))
+            self._used.append(ref)
+        return odometry
 
     def _check(self) -> None:
-        """Raise SafetyStop if a safety rule is broken, Interrupted if a termination signal was received."""
-        self._guard.check()
+        """Raise SafetyStop if a safety rule is broken, KeyboardInterrupt after a termination signal."""
+        self._monitor.check()
         estimator = self._controller.estimator
         if estimator.fault:
             raise SafetyStop(estimator.fault_rule, estimator.fault)
 
-    def _stands(self, watch: StillWatch) -> bool:
-        gate = self._link.gate
-        if gate.lease and not self._config.dry_run:
-            # A rover that another driver drives does not stand still until that driver releases the lease.
-            who = gate.driver_name or "a driver without a name"
-            raise AnotherDriver(f"the bridge at {self._link.robot} refuses the motors: {who} holds the lease")
-        self._hear_poses()
-        sample = self.intake.take(0)
-        return sample is not None and watch.see(sample)
+    def _enter(self, phase: Phase, reason: str = "") -> None:
+        self.phase, self.reason = phase, reason
+        self._publish_status()
 
-    def _hear_poses(self) -> None:
-        """Keep the external poses that say where the rover stands now."""
-        if self._config.pose == "none":
-            return
-        oldest = self._clock.monotonic_ns() - self._config.still_s * NS
-        heard = [*self._standing_poses, *self.poses.take()]
-        self._standing_poses = [
-            seen
-            for seen in heard
-            if seen.ref.measured_ns >= oldest and np.isfinite([*seen.pose, *seen.covariance.ravel()]).all()
-        ]
-
-    def _follow(self, event: Event, reason: str = "") -> None:
-        self.state, self.reason = next_state(self.state, event), reason
-        self._tell_status()
-
-    def _tell_status(self) -> None:
+    def _publish_status(self) -> None:
         keeper = self.keeper
-        self._reporter.status(
+        self._publisher.status(
             DriverStatus(
-                state=self.state.value,
+                state=self.phase.value,
                 reason=self.reason,
                 policy=self._config.policy,
                 course=self._config.course,

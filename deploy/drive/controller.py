@@ -3,8 +3,8 @@
 Rules of this file:
 
 1. The same inputs give the same bits: `replay` runs a recording through this very class.
-2. The circuit sees the signals its sensing names (`course/reference.py`) and nothing else of the world: they
-   come from the estimate, predicted to the moment of the tick, and from the course.
+2. The circuit sees the signals that its sensing names (`course/reference.py`) and nothing else. They come
+   from the estimate, predicted to the moment of the tick, and from the course.
 3. Before the first tick the circuit makes one tick on the start pose with the start signal at 0, its motors
    ignored, as it did in the simulator.
 """
@@ -20,6 +20,7 @@ from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.messages import OdometrySample, PoseSample, TurnSample
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import TICK_S, Course, Verdict
 from rover_ncp.course.reference import SIGNALS, needs_reference, plan_reference, see
@@ -68,23 +69,22 @@ class Controller:
     ) -> None:
         """Begin at rest at time ``t``, at ``pose`` in the course, where odometry stands at ``odometry``.
 
-        ``covariance`` (3, 3) says how sure the pose is; without one it defines where the course lies.
+        ``covariance`` (3, 3) is that of the pose; without one the pose defines where the course lies.
         """
         self.estimator.start(pose, t, odometry, covariance)
         self._runner.reset()
         self._runner.tick(self._observation(pose, 0, 0.0))
 
-    def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
-        """Take in odometry, in its own frame, measured at time ``t``."""
-        return self.estimator.odometry(pose, velocity, t)
-
-    def gyro(self, rate: float, t: float) -> None:
-        """Take in the rate of turn (rad/s) that the base's gyro measured until time ``t``."""
-        self.estimator.gyro(rate, t)
-
-    def external(self, pose: Pose, covariance: NDArray[np.float64], t: float) -> Outcome:
-        """Take in an external pose (course frame) with its covariance (3, 3), measured at time ``t``."""
-        return self.estimator.external(pose, covariance, t)
+    def take(self, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:
+        """Give the estimator a sample that was measured at time ``t``; None for a gyro reading."""
+        match sample:
+            case OdometrySample(_, pose, velocity):
+                return self.estimator.odometry(pose, velocity, t)
+            case PoseSample(_, _, pose, covariance):
+                return self.estimator.external(pose, covariance, t)
+            case TurnSample(_, rate):
+                self.estimator.gyro(rate, t)
+                return None
 
     def tick(self, index: int, t: float) -> Tick:
         """Run tick ``index`` of the course at time ``t``, which is not before the last odometry."""
@@ -129,7 +129,7 @@ def _gains(rover: RoverProfile | None) -> Velocity:
 
 
 def _misfits(policy: Policy) -> list[str]:
-    """Return the reason why a policy cannot drive a rover tick by tick; empty if it can."""
+    """Return the reasons why a policy cannot drive a rover tick by tick."""
     problems = []
     if unknown := [name for name in policy.sensing.inputs if name not in SIGNALS]:
         problems.append(f"its sensing asks for {', '.join(unknown)}; known are {', '.join(SIGNALS)}")

@@ -59,12 +59,8 @@ class DriverLease:
         age_s = (now_ns - self._pending[0][1]) * 1e-9
         if age_s <= ACCEPTED_S:
             return
-        grown = {
-            reason: count - self._dropped.get(reason, 0)
-            for reason, count in gate.dropped.items()
-            if count > self._dropped.get(reason, 0)
-        }
-        reasons = ", ".join(f"{reason} {count}" for reason, count in grown.items())
+        growth = {reason: count - self._dropped.get(reason, 0) for reason, count in gate.dropped.items()}
+        reasons = ", ".join(f"{reason} {count}" for reason, count in growth.items() if count > 0)
         raise SafetyStop(
             "not-accepted",
             f"the gate accepted no command of this driver for {age_s:.2f} s (at most {ACCEPTED_S} s); "

@@ -1,85 +1,164 @@
-"""Safety checks of a driver: the conditions to start, and the checks before each command."""
+"""Safety checks of a driver: the conditions to start, and the checks before each command.
 
+A check that fails raises SafetyStop with the name of its rule. A termination signal raises KeyboardInterrupt.
+"""
+
+import math
 import time
+from collections import deque
 from collections.abc import Callable
 
-from deploy.drive.clock import NS
+from pydantic import Field
+
 from deploy.drive.link import Link
-from deploy.drive.measurements import Intake
-from deploy.drive.waits import Waits
+from deploy.drive.measurements import NS, Measurements
+from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
+from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import Clock
+from rover_ncp.course.course import TICK_S
 
 POLL_S = 0.002
 
+WINDOW_TICKS = round(1.0 / TICK_S)
+LAG_TICKS = round(0.7 / TICK_S)
+SHORTEST_LAG_TICKS = round(0.1 / TICK_S)
+COMMANDED_MIN_M = 0.05
+COMMANDED_MIN_RAD = 0.10
+"""Commanded motion within the window below these may be lost in the base's whole mm/s and deg/s."""
+FOLLOWED_MIN = 0.1
+"""The share of the commanded motion that the rover must have driven."""
 
-class Interrupted(Exception):
-    """A termination signal was received."""
+
+class Timeouts(StrictModel):
+    """Times in s."""
+
+    bridge_wait_s: float = Field(default=5.0, gt=0, description="for the bridge to show itself")
+    permission_wait_s: float = Field(default=2.0, gt=0, description="for the bridge to want our commands")
+    odometry_wait_s: float = Field(default=5.0, gt=0, description="for the first odometry")
+    odometry_age_s: float = Field(default=0.4, gt=0, le=0.5, description="older odometry stops the rover")
+    lease_wait_s: float = Field(default=1.0, gt=0, description="for the gate to confirm our lease")
 
 
-class Guard:
-    """Bridge, permission, odometry and lease of one driver."""
+class SafetyMonitor:
+    """Checks bridge, permission, odometry, lease and the rover's response for one driver."""
 
     def __init__(
-        self, link: Link, intake: Intake, waits: Waits, interrupted: Callable[[], bool], clock: Clock = time
+        self,
+        link: Link,
+        measurements: Measurements,
+        interrupted: Callable[[], bool],
+        timeouts: Timeouts | None = None,
+        clock: Clock = time,
     ) -> None:
-        self._link, self._intake, self._waits = link, intake, waits
+        self._link, self._measurements = link, measurements
         self._interrupted, self._clock = interrupted, clock
+        self._timeouts = timeouts or Timeouts()
         self._granted_ns: int | None = None
-        self._lease_seen = False
+        self._lease_confirmed = False
+        self._response = ResponseCheck()
 
-    def wait(self, drives: bool, namespace: str) -> None:
+    def wait(self, *, drives: bool = True) -> None:
         """Wait for bridge, permission (if it ``drives``) and odometry.
 
-        Raises NoBridge, NotAuthorised, NoRobot or Interrupted.
+        Raises NoBridge, NotAuthorised, NoRobot or KeyboardInterrupt.
         """
-        link, waits = self._link, self._waits
-        if not self.until(lambda: link.bridge_alive, waits.bridge_wait_s):
-            where = f" in namespace {namespace}" if namespace else ""
-            raise NoBridge(
-                f"something answers at {link.robot}, but no bridge shows itself there{where} "
-                f"within {waits.bridge_wait_s:g} s"
-            )
-        if drives and not self.until(link.authorised, waits.permission_wait_s):
+        self.wait_for_bridge()
+        link, timeouts = self._link, self._timeouts
+        if drives and not self.until(link.authorised, timeouts.permission_wait_s):
             raise NotAuthorised(f"not authorised: the bridge at {link.robot} does not take commands from us")
-        if not self.until(lambda: self._intake.take(0) is not None, waits.odometry_wait_s):
+        if not self.until(lambda: self._measurements.odometry(0) is not None, timeouts.odometry_wait_s):
             raise NoRobot(f"the bridge at {link.robot} sends no odometry: is its base connected?")
+
+    def wait_for_bridge(self) -> None:
+        """Wait for the bridge's liveliness token. Raises NoBridge or KeyboardInterrupt."""
+        link, wait_s = self._link, self._timeouts.bridge_wait_s
+        if not self.until(lambda: link.bridge_alive, wait_s):
+            raise NoBridge(
+                f"something answers at {link.robot}, but no bridge shows itself there{link.where} "
+                f"within {wait_s:g} s"
+            )
+
+    def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait for a condition; return False if it did not hold in time. Raises KeyboardInterrupt."""
+        deadline = self._clock.monotonic() + timeout_s
+        while not condition():
+            if self._interrupted():
+                raise KeyboardInterrupt
+            if self._clock.monotonic() > deadline:
+                return False
+            self._clock.sleep(POLL_S)
+        return True
 
     def granted(self) -> None:
         """Note that the lease is ours from now on; the gate has a limited time to confirm it."""
         self._granted_ns = self._clock.monotonic_ns()
 
     def check(self) -> None:
-        """Raise SafetyStop if a safety rule is broken, Interrupted if a termination signal was received."""
+        """Check bridge, age of odometry and lease. Raises SafetyStop or KeyboardInterrupt."""
         if self._interrupted():
-            raise Interrupted
+            raise KeyboardInterrupt
         if not self._link.bridge_alive:
             raise SafetyStop("bridge-lost", "the bridge is gone")
-        assert self._intake.newest is not None
-        age_s = (self._clock.monotonic_ns() - self._intake.newest.ref.measured_ns) / NS
-        if age_s > self._waits.odometry_age_s:
-            limit = self._waits.odometry_age_s
-            raise SafetyStop("odometry-age", f"the newest odometry is {age_s:.2f} s old (at most {limit} s)")
+        assert self._measurements.newest is not None  # `wait` was called
+        age_s = (self._clock.monotonic_ns() - self._measurements.newest.ref.measured_ns) / NS
+        limit_s = self._timeouts.odometry_age_s
+        if age_s > limit_s:
+            raise SafetyStop(
+                "odometry-age", f"the newest odometry is {age_s:.2f} s old (at most {limit_s} s)"
+            )
         if self._granted_ns is not None:
             self._check_lease(self._granted_ns)
 
     def _check_lease(self, granted_ns: int) -> None:
-        gate = self._link.gate
-        if gate.lease == self._link.lease.number:
-            self._lease_seen = True
-        elif self._lease_seen:
+        gate, lease, now_ns = self._link.gate, self._link.lease, self._clock.monotonic_ns()
+        if gate.lease == lease.number:
+            self._lease_confirmed = True
+        elif self._lease_confirmed:
             raise SafetyStop(gate.ended or "lease", "the gate revoked the lease")
-        elif self._clock.monotonic_ns() - granted_ns > self._waits.lease_wait_s * NS:
+        elif now_ns - granted_ns > self._timeouts.lease_wait_s * NS:
             raise SafetyStop("lease", "the gate does not confirm the lease")
-        self._link.lease.check(gate, self._clock.monotonic_ns())
+        lease.check(gate, now_ns)
 
-    def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait for a condition; False if it did not come in time. Raises Interrupted."""
-        deadline = self._clock.monotonic() + timeout_s
-        while not condition():
-            if self._interrupted():
-                raise Interrupted
-            if self._clock.monotonic() > deadline:
-                return False
-            self._clock.sleep(POLL_S)
-        return True
+    def check_command(self, command: Velocity, motion: Velocity) -> None:
+        """Check one tick's command, and that the rover follows earlier ones. Raises SafetyStop.
+
+        ``motion`` is the estimated motion before this command.
+        """
+        if not all(map(math.isfinite, command)):
+            raise SafetyStop("command", f"the circuit asks for {command}")
+        if missing := self._response.tick(command, motion):
+            gate = self._link.gate
+            held = f" (the gate reports: {gate.held})" if gate.held else ""
+            raise SafetyStop("no-response", f"the rover drove {missing}{held}")
+
+
+class ResponseCheck:
+    """Compares each tick's command with the estimated motion.
+
+    Frozen odometry, blocked wheels that the base does not notice, and a hold of the gate all look the same:
+    the rover does not follow its commands. The check covers a second of commands, after the time for the
+    base's delay and acceleration: 0.15 s and 0.5 s to full speed, or almost none. A short burst of commands
+    may be over long before the end of the longer time. So only motion that was commanded under both
+    assumptions counts.
+    """
+
+    def __init__(self) -> None:
+        self._commanded: deque[Velocity] = deque(maxlen=WINDOW_TICKS + LAG_TICKS)
+        self._driven: deque[Velocity] = deque(maxlen=WINDOW_TICKS)
+
+    def tick(self, command: Velocity, motion: Velocity) -> str:
+        """Return the motion that is missing, "" if none is. ``motion`` was measured before this command."""
+        self._driven.append(motion)
+        complaint = ""
+        if len(self._commanded) == self._commanded.maxlen:
+            commands, latest = list(self._commanded), LAG_TICKS - SHORTEST_LAG_TICKS
+            windows = commands[:WINDOW_TICKS], commands[latest : latest + WINDOW_TICKS]
+            for axis, unit, least in ((0, "m", COMMANDED_MIN_M), (1, "rad", COMMANDED_MIN_RAD)):
+                # Commands to and fro may cancel out; motion either way shows that something is followed.
+                wanted = TICK_S * min(abs(sum(command[axis] for command in window)) for window in windows)
+                got = TICK_S * sum(abs(motion[axis]) for motion in self._driven)
+                if wanted >= least and got < FOLLOWED_MIN * wanted:
+                    complaint = f"{got:.3f} {unit} where {wanted:.3f} {unit} were commanded within a second"
+        self._commanded.append(command)
+        return complaint

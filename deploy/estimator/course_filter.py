@@ -89,8 +89,6 @@ class CourseFilter:
         """Number of entries that include all earlier ones. The others are applied again when needed, so many
         late poses at once cost little more than one."""
         self._waiting: list[Seen] = []
-        self.nis = 0.0
-        """Normalised innovation squared of the last evaluated pose."""
 
     @property
     def moment(self) -> Moment:
@@ -139,8 +137,8 @@ class CourseFilter:
         predicted = self._entered(before, between, None)
         innovation = _residual(seen.z, predicted.x[POSE])
         white = np.linalg.solve(np.linalg.cholesky(predicted.P[POSE, POSE] + seen.noise), innovation)
-        self.nis = float(white @ white)
-        if not self.nis <= self._settings.pose_gate:
+        nis = float(white @ white)
+        if not nis <= self._settings.pose_gate:
             return Outcome.OUTLIER
         self._history.insert(place, self._entered(before, between, seen))
         self._fresh = place + 1

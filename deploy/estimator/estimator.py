@@ -40,14 +40,14 @@ class Estimate:
 
 
 class _Gyro:
-    """The angle that a gyro has turned, from its rates."""
+    """The angle that a gyro has turned, integrated from its rates."""
 
     def __init__(self) -> None:
         self._t, self._rad, self._rate = -math.inf, 0.0, 0.0
         self._torn = True
 
     def measure(self, rate: float, t: float) -> None:
-        """Take in the mean rate since the reading before."""
+        """Add the mean rate since the previous reading."""
         gap = t - self._t
         if 0.0 <= gap <= GYRO_GAP_S:
             self._rad += rate * gap
@@ -58,7 +58,7 @@ class _Gyro:
     def angle(self, t: float) -> float:
         """Return the angle at ``t``, NaN where it is unknown, and once after each gap.
 
-        So angles before and after a gap are never compared.
+        This way angles before and after a gap are never compared.
         """
         if self._torn or abs(t - self._t) > GYRO_GAP_S:
             self._torn = abs(t - self._t) > GYRO_GAP_S
@@ -102,18 +102,8 @@ class Estimator:
         self._odometry = OdometryFilter(self._settings, own, t)
         self._course = CourseFilter(self._settings, pose, sure, Moment(t, own))
 
-    @property
-    def nis(self) -> float:
-        """Normalised innovation squared of the last finite odometry sample."""
-        return self._base.nis
-
-    @property
-    def pose_nis(self) -> float:
-        """The same of the last evaluated external pose."""
-        return self._course.nis
-
     def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
-        """Take in odometry measured at ``t``: pose in its own frame, v in m/s, ω in rad/s."""
+        """Apply odometry measured at ``t``: pose in its own frame, v in m/s, ω in rad/s."""
         outcome = self._base.measure(pose, velocity, t)
         if outcome is Outcome.ACCEPTED:
             self._in_a_row = 0
@@ -128,12 +118,12 @@ class Estimator:
         return outcome
 
     def gyro(self, rate: float, t: float) -> None:
-        """Take in a gyro's rate of turn in rad/s, the mean since its last, before the odometry of ``t``."""
+        """Apply a gyro's rate of turn in rad/s, the mean since its last, before the odometry of ``t``."""
         if math.isfinite(rate) and math.isfinite(t):
             self._gyro.measure(rate, t)
 
     def external(self, pose: Pose, covariance: Array, t: float) -> Outcome:
-        """Take in a pose (course frame) that was measured from outside at ``t``, however late it comes.
+        """Apply an external pose (course frame) that was measured at ``t`` and may come late.
 
         ``covariance`` (3, 3) is that of (x, y, θ); a variance of 0 means unknown.
         """

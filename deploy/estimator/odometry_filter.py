@@ -48,8 +48,6 @@ class OdometryFilter:
         self._filter.P = self._noise.copy()
         self.t = t
         """Of the last evaluated measurement."""
-        self.nis = 0.0
-        """Normalised innovation squared of the last finite measurement."""
 
     @property
     def pose(self) -> Pose:
@@ -70,8 +68,8 @@ class OdometryFilter:
         # As a sum of squares it cannot come out negative: absurd values give infinity or NaN, refused below.
         with np.errstate(over="ignore", invalid="ignore"):
             white = np.linalg.solve(np.linalg.cholesky(ekf.P + self._noise), innovation)
-            self.nis = float(white @ white)
-        if not self.nis <= self._settings.gate:
+            nis = float(white @ white)
+        if not nis <= self._settings.gate:
             return Outcome.OUTLIER
         for rows in BLOCKS:
             self._correct(z, rows)

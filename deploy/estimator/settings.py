@@ -18,7 +18,7 @@ class EstimatorSettings(StrictModel):
     angular_acceleration: float = Field(default=0.16, gt=0, description="process noise of ω in (rad/s)²/s")
     slip: float = Field(default=1e-6, gt=0, description="process noise of x and y in m²/s")
     gate: float = Field(default=25.74, gt=0, description="largest NIS: 1 in 10,000 of a χ² with 5 degrees")
-    rejected_in_a_row: int = Field(default=3, ge=1, description="so many refused in a row are a fault")
+    rejected_in_a_row: int = Field(default=3, ge=1, description="so many rejected in a row are a fault")
 
     distance_scale: float = Field(default=0.0173, gt=0, description="share: ±3 % evenly spread")
     turn_scale: float = Field(default=0.03, gt=0, description="share: ±3 %, and what wheels skid")
@@ -27,8 +27,8 @@ class EstimatorSettings(StrictModel):
     wander_m: float = Field(default=0.001, gt=0, description="random, after a metre")
     wander_rad: float = Field(default=0.002, gt=0, description="random, after a metre")
     skid_rad: float = Field(default=0.003, gt=0, description="random, after a turn of 1 rad")
-    gyro_bias_rad_s: float = Field(default=0.2, gt=0, description="what a gyro at rest may say")
-    gyro_rad: float = Field(default=0.0007, gt=0, description="a gyro, the turn of one step of 0.1 s")
+    gyro_bias_rad_s: float = Field(default=0.2, gt=0, description="bias of a gyro")
+    gyro_rad: float = Field(default=0.0007, gt=0, description="noise of a gyro's turn in 0.1 s")
 
     pose_m: float = Field(default=0.02, gt=0, description="external pose without a covariance")
     pose_rad: float = Field(default=0.035, gt=0)

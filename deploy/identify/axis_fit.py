@@ -1,9 +1,9 @@
 """Delay, acceleration and gain of one axis (speed or turn rate) from commands and reported motion.
 
 The model is the simulator's. A command takes effect after a delay, times a gain, and the motion approaches it
-with at most one acceleration, so that it is piecewise linear in time. Odometry reports the motion times a
-scale; for turns, unseen slip acts on both (`sim.world.randomization`). Scale and slip are given with their
-uncertainty, which is carried over into that of the fit.
+with at most one acceleration, so it is piecewise linear in time. Odometry reports the motion times a scale.
+For turns, unseen slip acts on both (`sim.world.randomization`). The uncertainty of scale and slip adds to
+that of the fit.
 
 Rules of this file:
 
@@ -36,17 +36,17 @@ USUAL = (0.31, 1.25)
 BOUNDS = (0.05, 20.0)
 """Of the accelerations, as factors on the usual ones."""
 LEAST_MOTION = (0.05, 0.08)
-"""An axis that was never asked for more than this, in m/s and rad/s, is not fitted."""
+"""An axis whose commands never exceeded this, in m/s and rad/s, is not fitted."""
 PAUSE_S = 0.3
 """A command that changes after so long without a change begins a block."""
 DIFFERENCES = (0.005, 0.002, 0.01)
 """Steps of delay, gain and log acceleration for derivatives; commands of a driver are stairs of 20 ms."""
 LEAST_BLOCKS, FEW_BLOCKS = 3, 6
-"""From fewer blocks their spread is not estimated; from few, 1.96 deviations are made Student's quantile."""
+"""Fewer blocks give no estimate of their spread; with few, Student's quantile replaces 1.96 deviations."""
 SINGULAR = 1e12
 """Condition number beyond which a matrix counts as singular."""
 MISFIT = 1.3
-"""Residuals whose mean square is no more than so many times that of rounding are rounding."""
+"""Residuals count as rounding if their mean square is at most so many times that of rounding."""
 OUTLIER = 5.0
 """A block is left out if its residual is so many times the median block's, and beyond the robust scale."""
 
@@ -72,7 +72,7 @@ class Axis(NamedTuple):
 
 
 def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis | None:
-    """Fit axis 0 (v) or 1 (omega); None if it was hardly asked for anything, or nothing fits."""
+    """Fit axis 0 (v) or 1 (omega); None if its commands were too small, or if nothing fits."""
     if float(np.abs(log.sent[:, axis]).max()) < LEAST_MOTION[axis]:
         return None
     times, values = _changes(log.sent_s, log.sent[:, axis])
@@ -130,7 +130,7 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
         )
         x = fit.x
         if (fit.active_mask[1:] != 0).any() or fit.active_mask[0] > 0:
-            return None  # the best value lies beyond what a base can have; a delay of 0 is none of these
+            return None  # the best value is beyond any base's; a delay of 0 at its bound is valid
         kept = ~np.isin(blocks, _outliers(misses(x), blocks, scale))
         if (kept == chosen).all() or not kept.any():
             break
@@ -165,7 +165,7 @@ def _modelled(
     errors: FloatArray,
     t: FloatArray,
 ) -> FloatArray:
-    """Return the motion that is reported at ``t``, of commands by the times when they take effect."""
+    """Return the reported motion at ``t`` for commands at the times when they take effect."""
     (due, asked), (scale, slip) = commands, errors.tolist()
     targets = gain / scale * asked
     targets = targets * (1.0 - slip * np.abs(targets))
@@ -189,7 +189,7 @@ def _modelled(
 
 
 def _rounding_weights(reported: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return weights (n,) under which all reports of one size count as one sample, and signed sizes (n,)."""
+    """Return weights (n,) that make all reports of one size count as one sample, and signed sizes (n,)."""
     sizes = np.round(np.abs(reported), 7)
     _, numbers, counts = np.unique(sizes, return_inverse=True, return_counts=True)
     return 1.0 / np.sqrt(counts[numbers]), np.sign(reported) * sizes
@@ -202,7 +202,7 @@ def _step(reported: FloatArray) -> float:
 
 
 def _outliers(misses: FloatArray, blocks: NDArray[np.intp], scale: float) -> list[int]:
-    """Return the blocks that do not fit."""
+    """Return the numbers of the blocks that do not fit."""
     numbers = np.unique(blocks)
     sizes = np.array([np.sqrt(np.mean(np.square(misses[blocks == number]))) for number in numbers])
     moved = sizes[sizes > 0.0]

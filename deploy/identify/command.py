@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import Output, Overwrite
+from deploy.options import Namespace, ZenohConfig
+from rover_ncp.core.console import Json, Output, Overwrite
+from rover_ncp.core.errors import UsageError
 
 
 def identify(
@@ -29,13 +31,9 @@ def identify(
         Path | None, typer.Option(help="Record the drive to this MCAP file.", show_default=False)
     ] = None,
     overwrite: Overwrite = False,
-    namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
-    zenoh_config: Annotated[
-        Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates or user and password.")
-    ] = None,
-    json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")
-    ] = False,
+    namespace: Namespace = "",
+    zenoh_config: ZenohConfig = None,
+    json: Json = False,
 ) -> int:
     """Measure a robot: its delays, accelerations, gains and noise, as a profile.
 
@@ -43,19 +41,29 @@ def identify(
     same lease and gate as 'rover-ncp deploy'; keep a circle of --fence metres around it free. Ctrl-C stops
     the rover. A recording of another drive determines fewer values: delays, gains and accelerations need
     several steps of the command with pauses between. Each value is shown ± its standard deviation: 1.96 of
-    them on both sides hold the truth 19 times in 20. It is left out when that is too wide.
+    them on both sides contain the truth 19 times in 20. A value with too large a deviation is left out.
 
         rover-ncp identify --robot tcp/192.168.1.20 --out mine.yaml
         rover-ncp eval course --trials 300 --randomize full --profile mine.yaml
         rover-ncp deploy --robot tcp/192.168.1.20 --policy course --profile mine.yaml
 
-    Gains are those that odometry sees. With external poses on 'pose' during the drive, gains are separated
-    from odometry's own errors, and slip and imbalance are found too.
+    Gains are those that odometry measures. With external poses on 'pose' during the drive, gains are
+    separated from odometry's own errors, and slip and imbalance are found too.
 
     Ends with 0, 1 when a delay or gain could not be determined, 3 no bridge, no robot, not authorised or
     another driver, 4 stopped by a safety rule, which is named, 130 Ctrl-C.
     """
-    from deploy.identify.run import Options, run
+    if (recording is None) == (robot is None):
+        raise UsageError("expected either --robot to drive one, or a recording of a drive")
+    output = Output(json, controls=True)
+    from deploy.identify.run import identify_recording, identify_robot
+    from deploy.recorder import Recorder
+    from deploy.zenoh_client import BridgeAddress
 
-    options = Options(recording, robot, out, fence, record, overwrite, namespace, zenoh_config)
-    return run(options, Output(json, controls=True))
+    if robot is None:
+        assert recording is not None
+        if record is not None:
+            raise UsageError("--record goes with --robot")
+        return identify_recording(recording, out, output)
+    address = BridgeAddress(robot, namespace, zenoh_config)
+    return identify_robot(address, Recorder(record, overwrite=overwrite), fence, out, output)

@@ -2,11 +2,11 @@
 
 Rules of this file:
 
-1. It stays within a circle around its start: one step farther than it should, and it stops for good.
-2. It stops for the same reasons as a drive: `Guard` checks before each command, and every exit releases the
-   lease.
-3. Steps are whole mm/s and deg/s, which a Pioneer takes as they are; they last no whole number of reports, so
-   that reports fall on all parts of a ramp.
+1. It stays within a circle around its start. If the rover could leave the circle, the drive ends.
+2. It stops for the same reasons as a drive: `SafetyMonitor` checks before each command, and every exit
+   releases the lease.
+3. Steps are whole mm/s and deg/s, which a Pioneer takes unchanged. Their duration is no whole number of
+   reports, so that reports fall on all parts of a ramp.
 """
 
 import math
@@ -14,18 +14,18 @@ import time
 from typing import NamedTuple
 
 from deploy.drive.link import Link
-from deploy.drive.measurements import Intake
-from deploy.drive.safety_monitor import Guard
+from deploy.drive.measurements import Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.geometry import Pose, Velocity, distance
+from rover_ncp.core.geometry import Pose, Velocity, compose, distance
+from rover_ncp.core.messages import OdometrySample
 from rover_ncp.core.process import Clock
 
 FENCE_M = 0.8
 """How far from its start the rover may come; the steps take it half as far."""
 PERIOD_S = 0.05
-BRAKE_M_S2 = 0.2
-"""Least deceleration of a base and its delay; the fence assumes them."""
-REACT_S = 0.4
+BRAKE_M_S2, REACT_S = 0.2, 0.4
+"""Least deceleration of a base, and its delay; the fence assumes them."""
 
 _SPEEDS_M_S = (0.150, -0.150, 0.200, -0.200, 0.100, -0.100)
 _DRIVE_S, _REST_S = 2.13, 2.06
@@ -52,37 +52,36 @@ def steps() -> list[Step]:
     return [*found, Step(rest, _AFTER_S)]
 
 
-def excite(link: Link, intake: Intake, guard: Guard, fence_m: float, clock: Clock = time) -> None:
-    """Drive the steps, with the motors from the first to the last.
+def excite(
+    link: Link, measurements: Measurements, monitor: SafetyMonitor, fence_m: float, clock: Clock = time
+) -> None:
+    """Drive the steps, after ``monitor.wait``; the lease is always released.
 
-    Raises SafetyStop (``geofence``, or what the guard finds), Interrupted, AnotherDriver, NotAuthorised or
-    NoBridge; the lease is always released.
+    Raises SafetyStop (``geofence``, or a rule of the monitor), KeyboardInterrupt, or the errors of
+    ``Link.request_motors``.
     """
-    assert intake.newest is not None  # the guard waited for odometry
-    start = intake.newest.pose
+    assert measurements.newest is not None  # the monitor waited for odometry
+    start = measurements.newest.sample.pose
     try:
         link.request_motors("identify")
-        guard.granted()
+        monitor.granted()
         due = clock.monotonic()
         for step in steps():
             end = due + step.seconds
             while due < end:
-                guard.check()
-                _stay_inside(intake, start, fence_m)
+                monitor.check()
+                _check_fence(measurements.newest.sample, start, fence_m)
                 link.command(step.velocity)
                 due = min(due + PERIOD_S, end)
                 while (left_s := due - clock.monotonic()) > 0.0:
-                    intake.take(left_s)
+                    measurements.odometry(left_s)
     finally:
         link.release()
 
 
-def _stay_inside(intake: Intake, start: Pose, fence_m: float) -> None:
+def _check_fence(odometry: OdometrySample, start: Pose, fence_m: float) -> None:
     """Raise SafetyStop when the rover would come to stand beyond the fence."""
-    newest = intake.newest
-    assert newest is not None  # it was there at the start
-    v, heading = newest.velocity.v, newest.pose.theta
-    reach = v * REACT_S + v * abs(v) / (2.0 * BRAKE_M_S2)
-    stop = Pose(newest.pose.x + reach * math.cos(heading), newest.pose.y + reach * math.sin(heading), heading)
-    if not max(distance(newest.pose, start), distance(stop, start)) <= fence_m:
+    v = odometry.velocity.v
+    stop = compose(odometry.pose, Pose(v * REACT_S + v * abs(v) / (2.0 * BRAKE_M_S2), 0.0, 0.0))
+    if not max(distance(odometry.pose, start), distance(stop, start)) <= fence_m:
         raise SafetyStop("geofence", f"the rover would come farther than {fence_m} m from its start")

@@ -1,9 +1,9 @@
 """A base's profile from a record of its motion: delays, accelerations, gains, noise and odometry's errors.
 
-Each fitted value has a standard deviation: 1.96 of them on both sides hold the truth 19 times in 20. A value
-whose standard deviation is too wide is left out. Gains are those that odometry sees; accelerations are true
-ones. Odometry's own errors (scales, slip, imbalance) only show beside external poses. Without external poses
-their usual spread is part of the accelerations' standard deviations.
+Each fitted value has a standard deviation: 1.96 of them on both sides contain the truth 19 times in 20. A
+value with too large a standard deviation is left out. Gains are those that odometry measures; accelerations
+are true ones. Odometry's own errors (scales, slip, imbalance) can be measured only with external poses.
+Without them their usual spread is part of the accelerations' standard deviations.
 """
 
 import math
@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 
 STANDING_M_S, STANDING_RAD_S = 0.004, 0.006
 STANDING_S = 0.35
-"""The rover stands this long before its pose is used, and at least this long after."""
+"""A stand begins this long after the last motion, and lasts at least as long."""
 STEP_M, STEP_RAD = 0.001, math.tau / 4096
 """Resolution of positions and headings."""
 LEAST_NOISE_SAMPLES = 20
@@ -55,7 +55,7 @@ class _Value(NamedTuple):
 
 
 def identify(log: MotionLog, name: str) -> RoverProfile:
-    """Return the base's profile from a record; a value that is not known well enough is None."""
+    """Return the base's profile from a record; an uncertain value is None."""
     measured: dict[str, Any] = {
         "samples": len(log.odometry.t),
         "seconds": round(float(log.odometry.t[-1]), 1),
@@ -95,13 +95,13 @@ def identify(log: MotionLog, name: str) -> RoverProfile:
 
 
 def _sure(key: str, found: _Value) -> bool:
-    """Return whether a value is known well enough to be of use."""
+    """Return whether a value is certain enough to be of use."""
     widest = WIDEST[key] if key in WIDEST else WIDEST_SHARE[key] * found.value
     return found.std <= widest
 
 
 def _stands(log: MotionLog) -> list[tuple[float, float]]:
-    """Return from when to when the rover stood for certain, by odometry's speeds."""
+    """Return the intervals (s) in which the rover stood, by odometry's speeds."""
     t = log.odometry.t
     still = (np.abs(log.motion) < (STANDING_M_S, STANDING_RAD_S)).all(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
@@ -112,7 +112,8 @@ def _stands(log: MotionLog) -> list[tuple[float, float]]:
 def _noise(log: MotionLog, stands: Sequence[tuple[float, float]]) -> dict[str, _Value]:
     """Return how far poses scatter while the rover stands, beyond their rounding.
 
-    Only between drives: a base may report otherwise before its motors are on. Noise that rounding hides is 0.
+    The first and last stand are left out: a base may report differently while its motors are off. Noise below
+    the rounding is 0.
     """
     squares, count = np.zeros(3), 0
     for a, b in stands[1:-1]:

@@ -1,7 +1,7 @@
 """The motion record of a drive as arrays: commands that reached the base, odometry, external poses.
 
-All come from the messages as they were published, by their stamps: both the commands that the gate let
-through (``rover/cmd_out``) and odometry bear the bridge's clock.
+All times are the messages' stamps. The commands that the gate accepted (``rover/cmd_out``) and odometry have
+stamps of the bridge's clock.
 """
 
 import math
@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+from deploy.drive.measurements import read_course_pose
 from rover_ncp.core.errors import FileError, FormatError
-from rover_ncp.core.messages import COURSE_FRAME, read_odometry, read_pose, read_twist
+from rover_ncp.core.messages import read_odometry, read_twist
 from rover_ncp.core.recording import Recorded
 
 FloatArray = NDArray[np.float64]
@@ -21,7 +22,7 @@ FloatArray = NDArray[np.float64]
 _LEAST = 50
 """Least number of odometry samples for a fit."""
 _LAG = 40
-"""Reports over whose time the cycle is first estimated: one that is late matters little then."""
+"""The cycle is first estimated over so many reports; a late one has little influence then."""
 
 
 class Track(NamedTuple):
@@ -57,15 +58,13 @@ def motion_log(messages: Iterable[Recorded]) -> MotionLog:
                 sample = read_odometry(message.data)
                 odometry.append((sample.stamp_ns, *sample.pose, *sample.velocity))
             elif message.topic == "pose":
-                seen = read_pose(message.data)
-                if seen.frame in {"", COURSE_FRAME}:
-                    external.append((message.log_ns, *seen.pose))
+                external.append((message.log_ns, *read_course_pose(message.data).pose))
         except FormatError:
             continue
     if len(odometry) < _LEAST or not sent:
         raise FileError(
             f"nothing can be identified from {len(odometry)} odometry samples and {len(sent)} commands "
-            f"(at least {_LEAST} samples, and the commands that the gate passed, on rover/cmd_out)"
+            f"(at least {_LEAST} samples, and the commands that the gate accepted, on rover/cmd_out)"
         )
     zero_ns = odometry[0][0]
     commands, samples = _table(sent, zero_ns, 3), _table(odometry, zero_ns, 6)
@@ -85,8 +84,8 @@ def _table(rows: Sequence[tuple[float, ...]], zero_ns: int, width: int) -> Float
 def _measured(arrived: FloatArray) -> FloatArray:
     """Return when samples were measured that arrived at ``arrived`` (n,), rising, in s.
 
-    A base measures at a regular cycle, and its reports arrive late by varying times: the cycle is the line
-    that no report is before and that is nearest to all. Unchanged if there is no such cycle.
+    A base measures at a regular cycle, and its reports arrive with varying delays. The cycle is the line that
+    no report precedes and that is nearest to all. Without such a cycle the times are unchanged.
     """
     lag = min(_LAG, len(arrived) - 1)
     slope, start = float(np.median(arrived[lag:] - arrived[:-lag])) / lag, float(arrived[0])

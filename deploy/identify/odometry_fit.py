@@ -1,8 +1,9 @@
 """Errors of odometry, from its poses of a standing rover and external poses.
 
-Only poses of a standing rover are compared, so clocks do not matter. Way and turn between one stand and the
-next have the noise of both stands' means in them, which the next interval shares: the fits are generalised
-least squares with that covariance. A push between two stands is an outlier: its interval is left out.
+Only poses of a standing rover are compared, so clocks do not matter. The distance and the turn between one
+stand and the next contain the noise of both stands' means, and neighbouring intervals share a stand. So the
+fits are generalised least squares with that covariance. A push between two stands is an outlier, whose
+interval is left out.
 """
 
 import math
@@ -24,7 +25,7 @@ LEAST_WAY_M = 0.1
 LEAST_POSES = 3
 """Of odometry and of external poses in a stand."""
 PUSHED = float(norm.isf(0.0005))
-"""An interval whose standardised residual is larger was disturbed: two in 1000 by chance, of two sides."""
+"""An interval with a larger standardised residual counts as disturbed: one in 1000 by chance."""
 PLAUSIBLE = 0.5, 2.0
 """Plausible scales of odometry; external poses that give others belong to another object."""
 SLIP_MAX_S = 3.0
@@ -51,9 +52,9 @@ class Stand(NamedTuple):
 def stands_beside(
     log: MotionLog, spans: Sequence[tuple[float, float]], steps: tuple[float, float]
 ) -> list[Stand]:
-    """Return the stands with both kinds of poses, whose noise is pooled over all of them.
+    """Return the stands with both kinds of poses; their noise is pooled over all stands.
 
-    ``steps`` are those that odometry's positions (m) and headings (rad) are rounded to.
+    ``steps`` are the resolution of odometry's positions (m) and headings (rad).
     """
     inside: list[tuple[float, float, FloatArray, FloatArray]] = []
     for begin, end in spans:
@@ -149,7 +150,7 @@ def _fitted(
     covariance: FloatArray,
     limits: Sequence[tuple[float, float]],
 ) -> Fit | None:
-    """Fit, leave out the worst interval while it does not belong, and fit again; None if nothing fits.
+    """Fit, leave out the worst interval while it is an outlier, and fit again; None if nothing fits.
 
     The covariance of the values is the larger of that by the poses' noise and that by the residuals.
     """

@@ -1,7 +1,7 @@
 """Pre-flight check of a robot on blocks: sensors, direction of motion, stop without commands.
 
-Each check is a function that returns whether it passed, and its finding. The first that fails ends the list:
-later ones would fail for the same cause. The wheels move at walking pace for a few seconds.
+Each check returns whether it passed, and its finding. The first that fails ends the list: later ones would
+fail for the same cause. The wheels move at walking pace for a few seconds.
 """
 
 import math
@@ -10,11 +10,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from deploy.drive.link import Link
-from deploy.drive.measurements import Intake, Sample
+from deploy.drive.measurements import Measurement, Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.drive.zenoh_link import ZenohLink
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.cdr import decode
-from rover_ncp.core.errors import FormatError, NoBridge, RoverNcpError, SafetyStop
-from rover_ncp.core.geometry import Velocity, wrap_angle
-from rover_ncp.core.key_table import spec
+from rover_ncp.core.errors import FormatError, RoverNcpError, SafetyStop
+from rover_ncp.core.geometry import Velocity, relative
+from rover_ncp.core.messages import OdometrySample
+from rover_ncp.core.process import Interrupts
 from rover_ncp.core.protocol import GateStatus
 from rover_ncp.core.recording import Recorded
 
@@ -22,14 +26,14 @@ V_M_S, OMEGA_RAD_S = 0.1, 0.2
 """Slow, and still well above the noise of wheels in the air."""
 MOVE_S, PERIOD_S = 1.5, 0.05
 RATE_HZ, LISTEN_S = 8.0, 2.0
-"""A base reports ten times a second; fewer than eight, and packets are lost."""
-BATTERY_V = 11.5
+"""A base reports ten times a second; with fewer than eight, packets are lost."""
+BATTERY_V, BATTERY_WAIT_S = 11.5, 2.0
 """The base's own alarm level (Pioneer manual); below it a drive may end in the middle."""
 STOP_S = 0.5
 """The first safety requirement; braking and the time to the next report come on top."""
 BRAKING_S, REPORT_S = 0.15 + V_M_S / 0.3, 0.1
 SCALE = 0.15
-"""How far the way by the pose and the way by the speed may differ, as a share."""
+"""How far the distance by the pose and the distance by the speed may differ, as a share."""
 STANDING = 0.01
 
 
@@ -42,67 +46,82 @@ class Finding:
     detail: str
 
 
+def run(address: BridgeAddress) -> tuple[list[Finding], str]:
+    """Check a robot; return the findings and the bridge's locator. Raises NoBridge, NotAuthorised."""
+    battery = Battery()
+    with Interrupts() as interrupts, ZenohLink(address, battery.record) as link:
+        measurements = Measurements(link)
+        monitor = SafetyMonitor(link, measurements, lambda: interrupts.raised)
+        monitor.wait_for_bridge()
+        return Preflight(link, measurements, monitor, battery).run(), link.robot
+
+
+class Battery:
+    """The newest battery voltage (V) among the link's messages; NaN without one."""
+
+    voltage = math.nan
+
+    def record(self, message: Recorded) -> None:
+        """Read a message, as the link's recorder."""
+        if message.topic == "battery_state":
+            try:
+                self.voltage = decode(message.type, message.data).voltage
+            except FormatError:
+                self.voltage = math.nan
+
+
 class Preflight:
     """Checks one robot. At every end, the lease is released."""
 
-    def __init__(self) -> None:
-        self._battery_v = math.nan
-        self._intake: Intake | None = None
+    def __init__(
+        self, link: Link, measurements: Measurements, monitor: SafetyMonitor, battery: Battery
+    ) -> None:
+        self._link, self._measurements = link, measurements
+        self._monitor, self._battery = monitor, battery
 
-    def record(self, message: Recorded) -> None:
-        """Receive the link's messages, as its recorder."""
-        if message.topic == "battery_state":
-            try:
-                self._battery_v = decode(spec("battery_state").type, message.data).voltage
-            except FormatError:
-                self._battery_v = math.nan
-
-    def run(self, link: Link) -> list[Finding]:
-        """Run all checks, in this order. Raises NoBridge when there is none."""
-        self._link = link
-        if not self._until(lambda: link.bridge_alive, 5.0):
-            raise NoBridge(f"something answers at {link.robot}, but no bridge shows itself there within 5 s")
-        self._intake = Intake(link.odometry)
+    def run(self) -> list[Finding]:
+        """Run all checks, in this order. Raises KeyboardInterrupt after a termination signal."""
         findings: list[Finding] = []
-        looks = {
-            "odometry": self._reports,
-            "battery": self._battery,
-            "stop": self._free,
-            "motors": self._motors,
-            "forward": self._forward,
-            "left": self._left,
-            "silence": self._stop,
+        checks = {
+            "odometry": self._check_odometry,
+            "battery": self._check_battery,
+            "stop": self._check_holds,
+            "motors": self._check_motors,
+            "forward": self._check_forward,
+            "left": self._check_left,
+            "silence": self._check_silence,
         }
         try:
-            for name, look in looks.items():
-                gate = link.gate
+            for name, check in checks.items():
+                gate = self._link.gate
                 try:
-                    ok, detail = look()
+                    ok, detail = check()
                 except SafetyStop as stop:  # the gate accepts no more commands
                     ok, detail = False, f"{stop}: {self._gate_since(gate)}"
                 findings.append(Finding(name, ok, detail))
                 if not ok:
                     break
         finally:
-            link.release()
+            self._link.release()
         return findings
 
-    def _reports(self) -> tuple[bool, str]:
-        self._wait(LISTEN_S)
-        rate = self._heard.count / LISTEN_S
+    def _check_odometry(self) -> tuple[bool, str]:
+        before = self._measurements.taken["odom"]
+        self._until(lambda: False, LISTEN_S)
+        rate = (self._measurements.taken["odom"] - before) / LISTEN_S
         return rate >= RATE_HZ, f"{rate:.1f} reports a second (at least {RATE_HZ:g})"
 
-    def _battery(self) -> tuple[bool, str]:
-        self._until(lambda: math.isfinite(self._battery_v), 2.0)
-        volts = self._battery_v
+    def _check_battery(self) -> tuple[bool, str]:
+        self._until(lambda: math.isfinite(self._battery.voltage), BATTERY_WAIT_S)
+        volts = self._battery.voltage
         return volts >= BATTERY_V, f"{volts:.1f} V (at least {BATTERY_V} V)"
 
-    def _free(self) -> tuple[bool, str]:
+    def _check_holds(self) -> tuple[bool, str]:
         gate = self._link.gate
         holder = gate.driver_name or ("a driver without a name" if gate.lease else gate.held)
         return not holder, f"held by {holder}" if holder else "nothing holds the rover"
 
-    def _motors(self) -> tuple[bool, str]:
+    def _check_motors(self) -> tuple[bool, str]:
         try:
             began = time.monotonic()
             self._link.request_motors("check")
@@ -110,37 +129,34 @@ class Preflight:
             return False, str(error)
         return True, f"granted within {time.monotonic() - began:.3f} s"
 
-    def _forward(self) -> tuple[bool, str]:
+    def _check_forward(self) -> tuple[bool, str]:
         gate = self._link.gate
-        before, after, way = self._move(Velocity(V_M_S, 0.0))
-        ahead = (after.pose.x - before.pose.x) * math.cos(before.pose.theta) + (
-            after.pose.y - before.pose.y
-        ) * math.sin(before.pose.theta)
+        before, after, by_speed = self._move(Velocity(V_M_S, 0.0))
+        ahead = relative(before.pose, after.pose).x
         if after.velocity.v <= 0.5 * V_M_S or ahead <= 0.0:
             moved = f"commanded {V_M_S} m/s, the base reports {after.velocity.v:.2f} m/s and {ahead:.2f} m"
             return False, f"{moved}: {self._gate_since(gate)}"
-        right = abs(ahead - way) <= SCALE * way
-        return right, f"{ahead:.3f} m by its pose, {way:.3f} m by its speed"
+        matches = abs(ahead - by_speed) <= SCALE * by_speed
+        return matches, f"{ahead:.3f} m by its pose, {by_speed:.3f} m by its speed"
 
-    def _left(self) -> tuple[bool, str]:
+    def _check_left(self) -> tuple[bool, str]:
         gate = self._link.gate
         before, after, _ = self._move(Velocity(0.0, OMEGA_RAD_S))
-        turned = wrap_angle(after.pose.theta - before.pose.theta)
-        right = after.velocity.omega > 0.5 * OMEGA_RAD_S and turned > 0.0
+        turned = relative(before.pose, after.pose).theta
+        ok = after.velocity.omega > 0.5 * OMEGA_RAD_S and turned > 0.0
         reported = f"{after.velocity.omega:.2f} rad/s and {turned:.2f} rad"
         moved = f"commanded {OMEGA_RAD_S} rad/s, the base reports {reported}"
-        return right, moved if right else f"{moved}: {self._gate_since(gate)}"
+        return ok, moved if ok else f"{moved}: {self._gate_since(gate)}"
 
-    def _stop(self) -> tuple[bool, str]:
+    def _check_silence(self) -> tuple[bool, str]:
         """Test the most important stop: no commands arrive any more."""
         self._move(Velocity(V_M_S, 0.0))
         silent = time.monotonic()
         allowed = STOP_S + BRAKING_S + REPORT_S
-        stands = self._until(self._standing, 2 * allowed)
+        stands = self._until(self._stands, 2 * allowed)
         took = time.monotonic() - silent
-        ok = stands and took <= allowed
         words = f"stands {took:.2f} s after the last command" if stands else "does not stop"
-        return ok, f"{words} (at most {allowed:.2f} s)"
+        return stands and took <= allowed, f"{words} (at most {allowed:.2f} s)"
 
     def _gate_since(self, before: GateStatus) -> str:
         """Return a text on what the gate did to commands since ``before``, with its reasons."""
@@ -157,47 +173,34 @@ class Preflight:
                 words.append(f"the gate {verb} commands: {', '.join(grown)}")
         return "; ".join(words) or "the gate passed all commands on, look at the base's motors and encoders"
 
-    def _move(self, velocity: Velocity) -> tuple[Sample, Sample, float]:
-        """Command a velocity for a while; return first and last report, and the way by the reported speed."""
-        before = newest = self._newest()
-        way, due = 0.0, time.monotonic()
+    def _move(self, velocity: Velocity) -> tuple[OdometrySample, OdometrySample, float]:
+        """Command a velocity for a while; return first and last report, and the distance by its speed."""
+        before = newest = self._newest
+        by_speed, due = 0.0, time.monotonic()
         end = due + MOVE_S
         while time.monotonic() < end:
             self._link.command(velocity)
             self._link.lease.check(self._link.gate, time.monotonic_ns())
             due += PERIOD_S
-            last, newest = newest, self._newest(max(0.0, due - time.monotonic()))
-            way += newest.velocity.v * (newest.ref.measured_ns - last.ref.measured_ns) * 1e-9
-        return before, newest, way
-
-    def _newest(self, wait_s: float = 0.0) -> Sample:
-        self._wait(wait_s)
-        newest = self._heard.newest
-        assert newest is not None  # the first look saw some
-        return newest
+            self._until(lambda: False, max(0.0, due - time.monotonic()))
+            last, newest = newest, self._newest
+            by_speed += newest.sample.velocity.v * (newest.ref.measured_ns - last.ref.measured_ns) * 1e-9
+        return before.sample, newest.sample, by_speed
 
     @property
-    def _heard(self) -> Intake:
-        assert self._intake is not None  # the looks begin with the bridge there
-        return self._intake
+    def _newest(self) -> Measurement[OdometrySample]:
+        assert self._measurements.newest is not None  # the first check received some
+        return self._measurements.newest
 
-    def _standing(self) -> bool:
-        v, omega = self._newest().velocity
+    def _stands(self) -> bool:
+        v, omega = self._newest.sample.velocity
         return abs(v) < STANDING and abs(omega) < STANDING
 
-    def _wait(self, seconds: float) -> None:
-        self._until(lambda: False, seconds)
-
     def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        deadline = time.monotonic() + timeout_s
-        while True:
-            left = deadline - time.monotonic()
-            pause = min(max(left, 0.0), 0.01)
-            if self._intake is None:
-                time.sleep(pause)
-            else:
-                self._intake.take(pause)
-            if condition():
-                return True
-            if left <= 0.0:
-                return False
+        """Take odometry until a condition holds; return False if it did not in time."""
+
+        def holds() -> bool:
+            self._measurements.odometry(0)
+            return condition()
+
+        return self._monitor.until(holds, timeout_s)

@@ -100,7 +100,7 @@ def _new(source: Path, out: Path | None, name: str | None) -> Any:
 
 
 def _draw(out: Path, made: Any, found: Any) -> None:
-    from deploy.report.charts.course import course_picture
+    from deploy.report.charts.path import course_picture
     from rover_ncp.core.files import write_atomic
 
     picture = course_picture(made, found)

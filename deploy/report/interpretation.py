@@ -1,9 +1,9 @@
-"""Analysis of a run: contributions between neurons, and the time constant of each neuron.
+"""Contributions between neurons and time constants of a run, with the published values for comparison.
 
 Contributions follow Definition 1 of Hasani et al. (ICRA 2020): two potentials a(t) and b(t) draw a curve in
-the plane (a, b); the slopes between its consecutive points, as angles Omega = arctan(db / da), say whether b
-goes with a or against it. Where a is constant and b moves, the slope is vertical, and its sign is that of b's
-movement. Such points give little evidence of a's influence, so they are also counted apart.
+the plane (a, b). The angle Omega = arctan(db / da) between consecutive points is positive where b changes in
+the direction of a. Where a is constant and b changes, the slope is vertical and has the sign of db. Vertical
+slopes give little evidence of a's influence, so they are also counted separately.
 """
 
 from collections.abc import Sequence
@@ -22,20 +22,47 @@ FloatArray = NDArray[np.float64]
 BINS = 10
 """Bins of a histogram of Omega over -pi/2..pi/2 (supplement, figure of the slopes)."""
 THRESHOLD = 1.5
-"""One sign must outnumber the other so many times; the paper says "more than half" more."""
+"""One sign must outnumber the other by this factor; the paper says "more than half" more."""
 STILL_MV = 1e-5
-"""A smaller difference is no movement: the paper's float32 has steps of 7.6e-6 mV at -70 mV, so that what
-goes on below, such as the endless last approach to rest, was not there to be counted."""
+"""Smaller differences count as constant: the paper's float32 has steps of 7.6e-6 mV at -70 mV, so it could
+not record smaller changes, such as the end of an exponential approach to rest."""
 
 
 class Sign(StrEnum):
-    """How one neuron contributes to another over a run."""
+    """Sign of one neuron's contribution to another over a run."""
 
     POSITIVE = "positive"
     ANTAGONISTIC = "antagonistic"
     PHASE_SWITCHING = "phase-switching"
     NONE = "none"
-    """No potential moved up or down: the run gives no evidence."""
+    """The destination's potential never changed: the run gives no evidence."""
+
+
+SYMBOLS = {Sign.POSITIVE: "+", Sign.ANTAGONISTIC: "−", Sign.PHASE_SWITCHING: "±", Sign.NONE: "0"}
+
+PUBLISHED_SIGNS: dict[tuple[str, str], Sign] = {
+    ("AVM", "RGT"): Sign.POSITIVE,
+    ("AVD", "RGT"): Sign.POSITIVE,
+    ("AVA", "RGT"): Sign.POSITIVE,
+    ("PVD", "RGT"): Sign.ANTAGONISTIC,
+    ("PLM", "RGT"): Sign.ANTAGONISTIC,
+    ("PVC", "RGT"): Sign.ANTAGONISTIC,
+    ("DVA", "RGT"): Sign.PHASE_SWITCHING,
+    ("AVB", "RGT"): Sign.PHASE_SWITCHING,
+}
+"""The paper's contributions to the right-turn neuron (section VI and supplement); it gives none for ALM."""
+
+PUBLISHED_TIME_CONSTANTS_S: dict[str, tuple[float, float]] = {
+    "DVA": (0.066, 0.17),
+    "PVC": (0.013, 0.37),
+    "AVD": (1.98e-4, 9.65e-4),
+    "AVB": (2.95, 2.95),
+    "AVA": (0.12, 0.56),
+    "LFT": (2.9e-4, 2e-3),
+    "RGT": (0.61, 0.72),
+    "FWD": (4.045, 4.05),
+}
+"""Smallest and largest over the paper's parking run (Table S7)."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +76,11 @@ class Contribution:
     negative: int
     """Q, the number of points with Omega < 0."""
     flat: int
-    """Points with Omega = 0: the source moved, the destination did not."""
+    """Number of points with Omega = 0: the source changed, the destination did not."""
     vertical: int
-    """How many of P + Q are vertical: the destination moved while the source stood still."""
+    """Number of vertical slopes among P + Q: the destination changed, the source did not."""
     bins: tuple[int, ...]
-    """Histogram of all Omega, in equal bins over -pi/2..pi/2; Omega = 0 falls right of the middle."""
+    """Histogram of all Omega in equal bins over -pi/2..pi/2; Omega = 0 is counted right of the middle."""
     sign: Sign
 
 
@@ -66,28 +93,24 @@ class TimeConstant(NamedTuple):
 
 
 def contribution(
-    source: str,
-    destination: str,
-    a: ArrayLike,
-    b: ArrayLike,
-    *,
-    threshold: float = THRESHOLD,
-    bins: int = BINS,
+    source: str, destination: str, a: ArrayLike, b: ArrayLike, *, threshold: float = THRESHOLD
 ) -> Contribution:
-    """Return Definition 1 for the potentials ``a`` of the source and ``b`` of the destination, (T,) in mV.
+    """Apply Definition 1 to the potentials ``a`` of the source and ``b`` of the destination, (T,) in mV.
 
     Positive if P > threshold * Q, antagonistic if Q > threshold * P, otherwise phase-switching. Points where
-    neither moves count for nothing.
+    neither potential changes are not counted.
     """
     da, db = _steps(a), _steps(b)
     if da.shape != db.shape:
-        raise ValueError(f"two potentials over one run have as many values, got {len(da)} and {len(db)}")
-    moving = (da != 0) | (db != 0)
-    da, db = da[moving], db[moving]
-    # The angle of a line, whichever way along it the point moved; vertical ones keep the sign of db.
+        raise ValueError(
+            f"potentials of one run must have the same length, got {len(da)} and {len(db)} steps"
+        )
+    changed = (da != 0) | (db != 0)
+    da, db = da[changed], db[changed]
+    # The slope of a line does not depend on the direction of travel; vertical lines keep the sign of db.
     omega = np.arctan2(np.where(da < 0, -db, db), np.abs(da))
     positive, negative = int(np.sum(omega > 0)), int(np.sum(omega < 0))
-    histogram, _ = np.histogram(omega, bins, (-np.pi / 2, np.pi / 2))
+    histogram, _ = np.histogram(omega, BINS, (-np.pi / 2, np.pi / 2))
     return Contribution(
         source=source,
         destination=destination,
@@ -101,11 +124,11 @@ def contribution(
 
 
 def contributions(
-    names: Sequence[str], potentials: FloatArray, *, threshold: float = THRESHOLD, bins: int = BINS
+    names: Sequence[str], potentials: FloatArray, *, threshold: float = THRESHOLD
 ) -> dict[tuple[str, str], Contribution]:
     """Return the contributions of all ordered pairs of different neurons; potentials are (T, n) in mV."""
     return {
-        (a, b): contribution(a, b, potentials[:, i], potentials[:, j], threshold=threshold, bins=bins)
+        (a, b): contribution(a, b, potentials[:, i], potentials[:, j], threshold=threshold)
         for i, a in enumerate(names)
         for j, b in enumerate(names)
         if i != j
@@ -117,7 +140,7 @@ def time_constant_ranges(
 ) -> tuple[TimeConstant, ...]:
     """Return the range of tau_i = C_i / (G_i + sum w g + sum gap) over potentials (T, n) in mV (Table S7).
 
-    ``driven`` neurons, such as sensory ones, are set from outside and have none.
+    ``driven`` neurons, such as sensory ones, are clamped by an input and have none.
     """
     tau = np.array([time_constants(circuit, row) for row in potentials])
     return tuple(
@@ -130,7 +153,7 @@ def time_constant_ranges(
 def _steps(potentials: ArrayLike) -> FloatArray:
     values = np.asarray(potentials, np.float64)
     if values.ndim != 1 or not np.isfinite(values).all():
-        raise ValueError("potentials of one neuron are a row of finite numbers")
+        raise ValueError("expected the potentials of one neuron as a row of finite numbers")
     steps = np.diff(values)
     steps[np.abs(steps) <= STILL_MV] = 0.0
     return steps

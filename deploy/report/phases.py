@@ -1,22 +1,27 @@
-"""The phases of a manoeuvre: driving straight, turning or standing, by the rover's commands.
+"""Phases of a manoeuvre (driving straight, turning, standing) and the neurons that caused them, in numbers.
 
-A tick is labelled by the signs of its command, where a command below a tenth of the circuit's reach is none;
-phases shorter than half a second belong to their longer neighbour.
+A tick is labelled by the signs of its command; a command below a tenth of the circuit's range counts as zero.
+Phases shorter than half a second are merged with their longer neighbour. A phase is explained backwards from
+its output: the motor neuron with the largest share in it, the neuron whose synapse pulls most on that motor
+neuron, and the synapses that pull most on that neuron. Pulls are means over the phase in mV
+(`deploy.report.trace`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.report.trace import Trace, motor_shares
+from deploy.report.trace import Currents, Trace, motor_shares, synapse_currents
+from rover_ncp.circuit.circuit import MIDPOINT_MV
 from rover_ncp.core.geometry import wrap_angle
 
 FloatArray = NDArray[np.float64]
 
+V, OMEGA = 0, 1
 IDLE = 0.1
 SHORTEST_S = 0.5
 LABELS = {
@@ -32,6 +37,17 @@ LABELS = {
 }
 """By the signs of v and omega."""
 
+WEAK_MV = 1.0
+"""If all pulls on a motor neuron are weaker in a phase, the strongest in the whole run counts."""
+RIVAL_SHARE = 0.15
+"""Least share against the output, in shares of the largest for it."""
+CHANGE_MV = 3.0
+"""Least change of a pull between phases that counts."""
+SWING_MV = 5.0
+"""Sensory neurons change by less in a tick of any drive, so a wider swing comes from the circuit."""
+LEAK_MV = 5.0
+"""If no synapse pulls a motor neuron by more, its leak determines its potential."""
+
 
 @dataclass(frozen=True)
 class Phase:
@@ -44,7 +60,7 @@ class Phase:
     start_s: float
     end_s: float
     driven_m: float
-    """Length of the way."""
+    """Length of the path."""
     turned_rad: float
     """Change of heading, left positive."""
 
@@ -54,19 +70,67 @@ class Phase:
         return slice(self.first, self.last)
 
 
+class Mean(NamedTuple):
+    """A neuron with a mean over a phase: of its potential, its pull or its swing."""
+
+    neuron: str
+    mean_mV: float
+
+
+class Change(NamedTuple):
+    """A pull in the phase before and in this phase."""
+
+    neuron: str
+    before_mV: float
+    now_mV: float
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Explanation of the rover's motion in one phase."""
+
+    phase: Phase
+    motor: Mean
+    """The motor neuron with the largest share in the phase's output."""
+    rival: Mean | None
+    """The motor neuron that acts most against it, if any does."""
+    behind: Mean | None = None
+    """The neuron that pulls most on the motor neuron; None if it has no synapse."""
+    by_leak: bool = True
+    """Whether the leak, not a synapse, determines the motor neuron's potential."""
+    activity: str = ""
+    """Opening of that neuron's synapse: active (over a half), partly active, quiet (under a tenth)."""
+    pulls: tuple[Mean, ...] = ()
+    """Pulls on the neuron behind, the strongest first."""
+    change: Change | None = None
+    """The pull that changed most since the phase before."""
+    swinging: tuple[Mean, ...] = ()
+    """Neurons that alternate, with their mean change from tick to tick, the widest first."""
+
+
 def phases(trace: Trace) -> tuple[Phase, ...]:
     """Return a run's phases, in order and without gaps. The policy's outputs must be v and omega."""
-    if not len(trace.times):
-        return ()
-    signs = _signs(trace)
-    runs = _joined([_Run((v, omega), 1) for v, omega in signs.tolist()])
+    runs = [_Run((v, omega), 1) for v, omega in _signs(trace).tolist()]
     shortest = max(1, round(SHORTEST_S / trace.policy.tick_s))
+    runs = _joined(runs)
     while len(runs) > 1 and min(run.ticks for run in runs) < shortest:
-        runs = _merged(runs)
-    found, first = [], 0
-    for run in runs:
-        found.append(_phase(trace, run.signs, first, first + run.ticks))
-        first += run.ticks
+        short = min(range(len(runs)), key=lambda i: runs[i].ticks)
+        longer = max((i for i in (short - 1, short + 1) if 0 <= i < len(runs)), key=lambda i: runs[i].ticks)
+        runs[short] = _Run(runs[longer].signs, runs[short].ticks)
+        runs = _joined(runs)
+    ends = np.cumsum([0, *(run.ticks for run in runs)]).tolist()
+    return tuple(
+        _phase(trace, run.signs, first, last)
+        for run, first, last in zip(runs, ends[:-1], ends[1:], strict=True)
+    )
+
+
+def explain(trace: Trace) -> tuple[Explanation, ...]:
+    """Explain a run phase by phase. The policy's outputs must be v and omega."""
+    currents = synapse_currents(trace.policy.circuit, trace.potentials)
+    found: list[Explanation] = []
+    for phase in phases(trace):
+        found.append(_explained(trace, currents, phase, found[-1].phase if found else None))
     return tuple(found)
 
 
@@ -76,34 +140,19 @@ class _Run(NamedTuple):
 
 
 def _signs(trace: Trace) -> NDArray[np.int64]:
-    """Return the signs (T, 2) of the commands, 0 where a command is none."""
-    nothing = np.full((1, trace.potentials.shape[1]), trace.policy.motors.low_mV)
-    all_out = np.full((1, trace.potentials.shape[1]), trace.policy.motors.high_mV)
-    reach = np.zeros(2)
-    for (_, full), (_, none) in zip(
-        motor_shares(trace.policy, all_out), motor_shares(trace.policy, nothing), strict=True
-    ):
-        reach = np.maximum(reach, np.abs(full - none)[0])
+    """Return the signs (T, 2) of the commands, 0 for a command that counts as zero."""
+    motors, size = trace.policy.motors, trace.potentials.shape[1]
+    limits = np.array([np.full(size, motors.low_mV), np.full(size, motors.high_mV)])
+    spans = [np.abs(np.diff(share, axis=0))[0] for _, share in motor_shares(trace.policy, limits)]
     signs: NDArray[np.int64] = np.sign(trace.commands).astype(np.int64)
-    signs[np.abs(trace.commands) < IDLE * reach] = 0
+    signs[np.abs(trace.commands) < IDLE * np.max(spans, axis=0)] = 0
     return signs
 
 
-def _merged(runs: Sequence[_Run]) -> list[_Run]:
-    """Give the shortest run to its longer neighbour."""
-    shortest = min(range(len(runs)), key=lambda i: runs[i].ticks)
-    neighbours = [i for i in (shortest - 1, shortest + 1) if 0 <= i < len(runs)]
-    longer = max(neighbours, key=lambda i: runs[i].ticks)
-    given = [_Run(runs[longer].signs, run.ticks) if i == shortest else run for i, run in enumerate(runs)]
-    return _joined(given)
-
-
 def _joined(runs: Sequence[_Run]) -> list[_Run]:
-    """Make one of neighbours with the same signs."""
-    return [
-        _Run(signs, sum(run.ticks for run in group))
-        for signs, group in groupby(runs, key=lambda run: run.signs)
-    ]
+    """Join neighbours with the same signs."""
+    groups = groupby(runs, key=lambda run: run.signs)
+    return [_Run(signs, sum(run.ticks for run in group)) for signs, group in groups]
 
 
 def _phase(trace: Trace, signs: tuple[int, int], first: int, last: int) -> Phase:
@@ -119,3 +168,80 @@ def _phase(trace: Trace, signs: tuple[int, int], first: int, last: int) -> Phase
         driven_m=float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum()),
         turned_rad=sum(wrap_angle(b - a) for a, b in zip(way[:-1, 2], way[1:, 2], strict=True)),
     )
+
+
+def _explained(trace: Trace, currents: Currents, phase: Phase, before: Phase | None) -> Explanation:
+    def mean(neuron: str) -> Mean:
+        return Mean(neuron, float(trace.of(neuron)[phase.ticks].mean()))
+
+    circuit = trace.policy.circuit
+    motor, rival = _motors(trace, phase)
+    found = Explanation(
+        phase, mean(motor), None if rival is None else mean(rival), swinging=_swinging(trace, phase)
+    )
+    synapse = _strongest(trace, currents, motor, phase)
+    if synapse is None:
+        return found
+    behind = circuit.neurons[circuit.source[synapse]]
+    opening = 1.0 / (1.0 + np.exp(-circuit.sigma[synapse] * (trace.of(behind)[phase.ticks] - MIDPOINT_MV)))
+    pulls = _pulls(trace, currents, behind, phase)
+    return replace(
+        found,
+        behind=mean(behind),
+        by_leak=bool(abs(currents.pull[phase.ticks, synapse].mean()) < LEAK_MV),
+        activity="active" if opening.mean() > 0.5 else "partly active" if opening.mean() > 0.1 else "quiet",
+        pulls=pulls,
+        change=_change(_pulls(trace, currents, behind, before), pulls) if before else None,
+    )
+
+
+def _motors(trace: Trace, phase: Phase) -> tuple[str, str | None]:
+    """Return the motor neuron with the largest share in a phase's output, and the strongest against it."""
+    shares = motor_shares(trace.policy, trace.potentials)
+    output = OMEGA if phase.signs[OMEGA] else V
+    if not any(phase.signs):  # standing still: the neuron that could have moved it
+        reach = [float(np.abs(share[:, V]).max()) for _, share in shares]
+        return shares[int(np.argmax(reach))][0], None
+    sign = phase.signs[output]
+    share_of = [sign * float(share[phase.ticks, output].mean()) for _, share in shares]
+    best, worst = int(np.argmax(share_of)), int(np.argmin(share_of))
+    rival = shares[worst][0] if share_of[worst] < -RIVAL_SHARE * share_of[best] else None
+    return shares[best][0], rival
+
+
+def _strongest(trace: Trace, currents: Currents, neuron: str, phase: Phase) -> int | None:
+    """Return the synapse that pulls most on a neuron in a phase; if all are weak there, in the whole run."""
+    circuit = trace.policy.circuit
+    synapses = np.flatnonzero(circuit.destination == circuit.index(neuron))
+    if not len(synapses):
+        return None
+    pull = np.abs(currents.pull[phase.ticks, synapses]).mean(axis=0)
+    if pull.max() < WEAK_MV:
+        pull = np.abs(currents.pull[:, synapses]).max(axis=0)
+    return int(synapses[np.argmax(pull)])
+
+
+def _pulls(trace: Trace, currents: Currents, neuron: str, phase: Phase) -> tuple[Mean, ...]:
+    circuit = trace.policy.circuit
+    synapses = np.flatnonzero(circuit.destination == circuit.index(neuron))
+    means = currents.pull[phase.ticks, synapses].mean(axis=0)
+    rows = [Mean(circuit.neurons[circuit.source[s]], float(m)) for s, m in zip(synapses, means, strict=True)]
+    return tuple(sorted(rows, key=lambda row: -abs(row.mean_mV)))
+
+
+def _change(before: Sequence[Mean], now: Sequence[Mean]) -> Change | None:
+    then = dict(before)
+    changes = [Change(pull.neuron, then[pull.neuron], pull.mean_mV) for pull in now]
+    most = max(changes, key=lambda change: abs(change.now_mV - change.before_mV), default=None)
+    return most if most and abs(most.now_mV - most.before_mV) >= CHANGE_MV else None
+
+
+def _swinging(trace: Trace, phase: Phase) -> tuple[Mean, ...]:
+    steps = np.diff(trace.potentials[phase.ticks], axis=0)
+    if len(steps) < 2:
+        return ()
+    # A single jump at the start of a phase is no swing: the potential must alternate.
+    turning = np.minimum(np.abs(steps[1:]), np.abs(steps[:-1])) * (steps[1:] * steps[:-1] < 0)
+    widths = turning.mean(axis=0)
+    rows = [Mean(name, float(width)) for name, width in zip(trace.neurons, widths, strict=True)]
+    return tuple(sorted((row for row in rows if row.mean_mV > SWING_MV), key=lambda row: -row.mean_mV))

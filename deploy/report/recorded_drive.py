@@ -1,8 +1,10 @@
-"""A recording for a report: its policy and course, its settings, and the drive."""
+"""A recording for a report: its policy and course, its settings, its drive, and the summary of all this."""
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
@@ -10,15 +12,10 @@ from rover_ncp.circuit.policy_file import policy_from_yaml
 from rover_ncp.core.config import parse_yaml, read_yaml
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording, read_recording
-from rover_ncp.course.course import TICK_S, Course, Verdict
+from rover_ncp.course.course import Course, Verdict
 
-
-@dataclass(frozen=True)
-class Judged:
-    """Verdict on a drive, and the pose that it is based on: ``true`` or ``estimated``."""
-
-    verdict: Verdict
-    by: str
+Rows = tuple[tuple[str, str], ...]
+"""Names and values."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +26,20 @@ class Drive:
     policy: Policy
     course: Course
     settings: dict[str, Any]
-    """The driver's, as it wrote them; empty if the recording holds none."""
+    """The driver's settings; empty if the recording holds none."""
     timeline: Timeline
     complete: bool
     """False if the recording was cut off."""
+
+
+class Summary(NamedTuple):
+    """The result in words, the facts of the drive, and the origin of policy and program."""
+
+    parked: bool
+    headline: str
+    subline: str
+    rows: Rows
+    origin: Rows
 
 
 def read_drive(path: Path) -> Drive:
@@ -53,27 +60,80 @@ def read_drive(path: Path) -> Drive:
     )
 
 
-def judge(timeline: Timeline) -> tuple[Judged, ...]:
-    """Judge a drive by the true pose if it is known, and by the estimate; the gate reports contacts."""
-    began = timeline.ticks[0].wall_ns
-    course, found = timeline.course, []
-    until_ns = began + round((course.horizon_s + TICK_S) * 1e9)
-    true = [moved for moved in timeline.truth if began <= moved.wall_ns <= until_ns]
-    touched = "bumper" in (timeline.gate.stops if timeline.gate else {})
-    if true:
-        times = [(moved.wall_ns - began) * 1e-9 for moved in true]
-        found.append(Judged(course.judge(times, [moved.pose for moved in true], touched), "true"))
-    estimates = [tick.estimate for tick in timeline.ticks]
-    if timeline.final is not None and timeline.final is not estimates[-1]:
-        estimates.append(timeline.final)
-    times = [(estimate.wall_ns - began) * 1e-9 for estimate in estimates]
-    poses = [estimate.pose for estimate in estimates]
-    found.append(Judged(course.judge(times, poses, touched), "estimated"))
-    return tuple(found)
+def summarise(drive: Drive) -> Summary:
+    """Summarise a drive for its report."""
+    verdict = next(iter(drive.timeline.judge().values()))
+    rows = list(facts(drive.timeline))
+    if drive.settings.get("dry_run"):
+        rows.append(("Dry run", "no command was sent"))
+    if not drive.complete:
+        rows.append(("Recording", "cut off; the page shows its readable part"))
+    began = datetime.fromtimestamp(drive.timeline.ticks[0].wall_ns * 1e-9, UTC)
+    names = f"policy {drive.policy.circuit.name} on course {drive.course.name}"
+    return Summary(
+        parked=verdict.parked,
+        headline="Parked" if verdict.parked else f"Not parked: {verdict.reason}",
+        subline=f"{names}, {began:%Y-%m-%d %H:%M:%S} UTC",
+        rows=tuple(rows),
+        origin=tuple(_origin(drive)),
+    )
+
+
+def facts(timeline: Timeline, ended: bool = True) -> Iterator[tuple[str, str]]:
+    """Yield the facts of a drive as names and values; the verdicts only once it has ended."""
+    if ended and timeline.ticks:
+        for by, verdict in timeline.judge().items():
+            yield f"By the {by} pose", _verdict(verdict)
+    status, gate = timeline.status, timeline.gate
+    if status is not None:
+        yield "Ended as" if ended else "State", status.state + (f": {status.reason}" if status.reason else "")
+    late = f"{status.overruns if status else 0} late, {timeline.predicted} on prediction"
+    yield "Ticks", f"{_rate([tick.wall_ns for tick in timeline.ticks])}, {late}"
+    yield "Odometry", _rate([moved.wall_ns for moved in timeline.odometry])
+    if gate is not None:
+        counts = [f"{gate.accepted} commands accepted"]
+        for what, by_reason in (("dropped", gate.dropped), ("limited", gate.limited), ("stops", gate.stops)):
+            counts.append(f"{sum(by_reason.values())} {what}{_reasons(by_reason)}")
+        yield "Gate", ", ".join(counts)
+    if timeline.voltages:
+        yield "Battery", f"{min(timeline.voltages):.1f} to {max(timeline.voltages):.1f} V"
+    if timeline.unreadable:
+        yield "Unreadable", f"{timeline.unreadable.total()} messages{_reasons(timeline.unreadable)}"
+
+
+def _verdict(verdict: Verdict) -> str:
+    where = f"{1000 * verdict.error_m:.0f} mm and {1000 * verdict.error_rad:.0f} mrad from the goal"
+    return f"parked, {where}" if verdict.parked else f"not parked, {where}: {verdict.reason}"
+
+
+def _rate(times_ns: list[int]) -> str:
+    count = f"{len(times_ns)}"
+    if len(times_ns) < 2 or times_ns[-1] <= times_ns[0]:
+        return count
+    return f"{count} at {(len(times_ns) - 1) / (times_ns[-1] - times_ns[0]) * 1e9:.2f} Hz"
+
+
+def _reasons(counts: Mapping[str, int]) -> str:
+    return f" ({', '.join(f'{name} {count}' for name, count in counts.items())})" if counts else ""
+
+
+def _origin(drive: Drive) -> Iterator[tuple[str, str]]:
+    made = drive.policy.provenance
+    value = made.get("return")
+    if isinstance(value, int | float):
+        yield "Return in simulation", f"{value:.4f}".replace("-", "−")
+    if isinstance(made.get("command"), str):
+        yield "Trained by", made["command"]
+    versions = made.get("made_with")
+    if isinstance(versions, Mapping):
+        yield "With", ", ".join(f"{name} {version}" for name, version in versions.items())
+    if "version" in drive.settings:
+        yield "Driven with", f"rover-ncp {drive.settings['version']}"
+    yield "Recording", drive.path.name
 
 
 def _attached(recording: Recording, name: str) -> str:
     try:
         return recording.attachment(name).decode()
     except UnicodeDecodeError as error:
-        raise FileError(f"{recording.path}: its {name} is no text") from error
+        raise FileError(f"{recording.path}: its {name} is not text") from error

@@ -1,20 +1,18 @@
-"""A drive put together from its messages, one after the other: of a recording, or as they come in live.
+"""A drive in order, built message by message: from a recording, or from a robot while it drives.
 
-Knows the topics of `rover_ncp.core.key_table`, the true pose that a simulator's judge adds, and of the
-driver's own records only whether a tick ran on prediction. A message that cannot be read is counted and
-left out. Times are ns of one wall clock. In a recording it is the driver's, which stamps its ticks. Live, it
-is the viewer's, and all times are those of arrival.
+Reads the topics of `rover_ncp.core.key_table`, the true pose that the mock adds, and of the driver's own
+records only whether a tick ran on prediction. A message that cannot be decoded is counted and left out. Times
+are ns of one clock: in a recording the driver's wall clock, live the viewer's time of arrival.
 """
 
 import json
 from collections import Counter
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.report.drive_events import Event, Watcher
 from deploy.report.trace import Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.cdr import decode
@@ -23,14 +21,14 @@ from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read_text, read_twist
 from rover_ncp.core.protocol import DriverStatus, GateStatus, parse_json
 from rover_ncp.core.recording import Recorded
-from rover_ncp.course.course import Course
+from rover_ncp.course.course import TICK_S, Course, Verdict
 
 FloatArray = NDArray[np.float64]
 
 TRUTH_TOPIC = "truth/pose"
 TICKS_TOPIC = "deploy/ticks"
-MOST = 1e9
-"""Of a pose in m and rad, a covariance, or a potential in mV."""
+LARGEST = 1e9
+"""Limit for poses in m and rad, covariances and potentials in mV: larger numbers overflow when squared."""
 
 
 class Estimated(NamedTuple):
@@ -42,7 +40,7 @@ class Estimated(NamedTuple):
 
 
 class Tick(NamedTuple):
-    """One control tick: the estimate it was made from, and the potentials (n,) in mV it led to."""
+    """One control tick: the estimate at its start and the potentials (n,) in mV at its end."""
 
     wall_ns: int
     estimate: Estimated
@@ -50,28 +48,36 @@ class Tick(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """The rover's pose, and its motion if that is known."""
+    """The rover's pose, and its velocity if that is known."""
 
     wall_ns: int
     pose: Pose
-    velocity: Velocity | None = None
+    velocity: Velocity = Velocity(0.0, 0.0)
 
 
 class Command(NamedTuple):
-    """A velocity that was commanded, or that the gate passed."""
+    """A commanded velocity."""
 
     wall_ns: int
     velocity: Velocity
 
 
+class Event(NamedTuple):
+    """A change that a user should see; ``kind`` is state, start, gate, stop or late."""
+
+    wall_ns: int
+    kind: str
+    text: str
+
+
 class Timeline:
-    """All data of a drive, in order. Poses of ``odometry`` are in its own frame."""
+    """All data of a drive, in order. Poses of ``odometry`` are in the odometry frame."""
 
     def __init__(self, policy: Policy, course: Course) -> None:
         self.policy, self.course = policy, course
         self.ticks: list[Tick] = []
         self.final: Estimated | None = None
-        """The estimate after the last tick."""
+        """The newest estimate; after the last tick there is one more."""
         self.odometry: list[Moved] = []
         self.truth: list[Moved] = []
         self.asked: list[Command] = []
@@ -79,21 +85,23 @@ class Timeline:
         self.voltages: list[float] = []
         self.predicted = 0
         self.foreign = False
-        """Whether neurons came that are not those of the policy."""
+        """Whether neurons arrived that are not those of the policy."""
         self.unreadable: Counter[str] = Counter()
-        self._watcher = Watcher()
+        self.status: DriverStatus | None = None
+        self.gate: GateStatus | None = None
+        self._events: list[Event] = []
         self._course_odom: Pose | None = None
         self._readers = {
-            "rover/estimate": self._estimate,
-            "rover/neurons": self._neurons,
-            "odom": self._odometry,
+            "rover/estimate": self._read_estimate,
+            "rover/neurons": self._read_neurons,
+            "odom": self._read_odometry,
             "cmd_vel": lambda message: self.asked.append(_command(message)),
             "rover/cmd_out": lambda message: self.let_through.append(_command(message)),
-            "rover/status": self._status,
-            "rover/gate": self._gate,
-            "battery_state": self._battery,
-            TRUTH_TOPIC: self._truth,
-            TICKS_TOPIC: self._record,
+            "rover/status": self._read_status,
+            "rover/gate": self._read_gate,
+            "battery_state": self._read_battery,
+            TRUTH_TOPIC: self._read_truth,
+            TICKS_TOPIC: self._read_record,
         }
 
     def take(self, message: Recorded) -> None:
@@ -108,23 +116,24 @@ class Timeline:
 
     @property
     def began_ns(self) -> int | None:
-        """The moment of the first tick, from which times count; None before it."""
+        """The time of the first tick; None before it."""
         return self.ticks[0].wall_ns if self.ticks else None
 
     @property
-    def status(self) -> DriverStatus | None:
-        """The driver's last status."""
-        return self._watcher.status
-
-    @property
-    def gate(self) -> GateStatus | None:
-        """The gate's last status."""
-        return self._watcher.gate
+    def streams(self) -> dict[str, Sequence[Any]]:
+        """All rows that a page shows over time, by the stream's name there."""
+        return {
+            "ticks": self.ticks,
+            "odometry": self.odometry,
+            "truth": self.truth,
+            "asked": self.asked,
+            "letThrough": self.let_through,
+        }
 
     @property
     def events(self) -> list[Event]:
-        """Events in order; the start signal is among them once a tick has seen it."""
-        events = list(self._watcher.events)
+        """Events in order, with the start signal once a tick has seen it."""
+        events = list(self._events)
         if self.ticks:
             signal = self.ticks[0].wall_ns + round(self.course.start_signal_s * 1e9)
             if self.ticks[-1].wall_ns >= signal:
@@ -132,31 +141,53 @@ class Timeline:
         return sorted(events, key=lambda event: event.wall_ns)
 
     def on_course(self, odometry: Pose) -> Pose | None:
-        """Return a pose of odometry in the course's frame; None before the first tick."""
+        """Return a pose of odometry in the course frame; None before the first tick."""
         return None if self._course_odom is None else compose(self._course_odom, odometry)
 
     def trace(self) -> Trace:
         """Return the drive as a run of its circuit. Raises ValueError before the first tick."""
         if not self.ticks:
             raise ValueError("a drive without a tick has no trace")
-        began = self.ticks[0].wall_ns
         potentials = np.array([tick.potentials for tick in self.ticks])
         poses = [tick.estimate.pose for tick in self.ticks]
         poses.append(poses[-1] if self.final is None else self.final.pose)
         return Trace(
             policy=self.policy,
-            times=np.array([(tick.wall_ns - began) * 1e-9 for tick in self.ticks]),
+            times=np.array([(tick.wall_ns - self.ticks[0].wall_ns) * 1e-9 for tick in self.ticks]),
             poses=np.array(poses),
             commands=motor_outputs(self.policy, potentials),
             potentials=potentials,
         )
 
-    def _estimate(self, message: Recorded) -> None:
+    def judge(self) -> dict[str, Verdict]:
+        """Return the verdicts by the ``true`` pose, if it is known, and by the ``estimated`` pose.
+
+        The gate reports contacts. Raises ValueError before the first tick.
+        """
+        if not self.ticks:
+            raise ValueError("a drive without a tick has no verdict")
+        began = self.ticks[0].wall_ns
+        until = began + round((self.course.horizon_s + TICK_S) * 1e9)
+        estimates = [tick.estimate for tick in self.ticks]
+        if self.final is not None and self.final is not estimates[-1]:
+            estimates.append(self.final)
+        paths: dict[str, Sequence[Moved | Estimated]] = {
+            "true": [moved for moved in self.truth if began <= moved.wall_ns <= until],
+            "estimated": estimates,
+        }
+        touched = self.gate is not None and "bumper" in self.gate.stops
+        return {
+            by: self.course.judge([(p.wall_ns - began) * 1e-9 for p in path], [p.pose for p in path], touched)
+            for by, path in paths.items()
+            if path
+        }
+
+    def _read_estimate(self, message: Recorded) -> None:
         sample = read_pose(message.data)
         _require_sane([*sample.pose, *sample.covariance.ravel()])
         self.final = Estimated(message.publish_ns, sample.pose, sample.covariance)
 
-    def _neurons(self, message: Recorded) -> None:
+    def _read_neurons(self, message: Recorded) -> None:
         potentials = read_neurons(message.data)
         if tuple(potentials) != self.policy.circuit.neurons:
             self.foreign = True
@@ -169,26 +200,28 @@ class Timeline:
             self._course_odom = compose(self.final.pose, inverse(start))
         self.ticks.append(Tick(message.publish_ns, self.final, np.array(list(potentials.values()))))
 
-    def _odometry(self, message: Recorded) -> None:
+    def _read_odometry(self, message: Recorded) -> None:
         sample = read_odometry(message.data)
         self.odometry.append(Moved(message.log_ns, sample.pose, sample.velocity))
 
-    def _truth(self, message: Recorded) -> None:
+    def _read_truth(self, message: Recorded) -> None:
         pose = decode(message.type, message.data).pose
         _require_sane([pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w])
         yaw = 2.0 * np.arctan2(pose.orientation.z, pose.orientation.w)
         self.truth.append(Moved(message.log_ns, Pose(pose.position.x, pose.position.y, float(yaw))))
 
-    def _status(self, message: Recorded) -> None:
-        self._watcher.driver(message.log_ns, parse_json(DriverStatus, read_text(message.data)))
+    def _read_status(self, message: Recorded) -> None:
+        before, self.status = self.status, parse_json(DriverStatus, read_text(message.data))
+        self._events += [Event(message.log_ns, *news) for news in _driver_news(before, self.status)]
 
-    def _gate(self, message: Recorded) -> None:
-        self._watcher.bridge(message.log_ns, parse_json(GateStatus, read_text(message.data)))
+    def _read_gate(self, message: Recorded) -> None:
+        before, self.gate = self.gate or GateStatus(), parse_json(GateStatus, read_text(message.data))
+        self._events += [Event(message.log_ns, *news) for news in _gate_news(before, self.gate)]
 
-    def _battery(self, message: Recorded) -> None:
+    def _read_battery(self, message: Recorded) -> None:
         self.voltages.append(float(decode(message.type, message.data).voltage))
 
-    def _record(self, message: Recorded) -> None:
+    def _read_record(self, message: Recorded) -> None:
         try:
             record = json.loads(read_text(message.data))
             predicted, index = bool(record["predicted"]), int(record["index"])
@@ -197,13 +230,44 @@ class Timeline:
         if predicted:
             self.predicted += 1
             words = f"no odometry in time: tick {index} ran on prediction"
-            self._watcher.events.append(Event(message.log_ns, "late", words))
+            self._events.append(Event(message.log_ns, "late", words))
+
+
+def _driver_news(before: DriverStatus | None, now: DriverStatus) -> Iterator[tuple[str, str]]:
+    if before is None or now.state != before.state:
+        yield "stop" if now.state == "fault" else "state", now.state + _because(now.reason)
+    if before is not None and now.overruns > before.overruns:
+        yield "late", f"tick {now.tick} was late"
+
+
+def _gate_news(before: GateStatus, now: GateStatus) -> Iterator[tuple[str, str]]:
+    # Before its first command a rover is held by design.
+    if now.held and now.held != before.held and now.accepted:
+        yield "stop", f"the gate holds the rover, {now.held}{_because(now.stop_reason)}"
+    if before.held and not now.held and before.accepted:
+        yield "gate", "the gate passes commands again"
+    if now.ended and now.ended != before.ended:
+        yield "stop", f"the gate revoked the lease, {now.ended}"
+    for verb, then, counts in (
+        ("dropped", before.dropped, now.dropped),
+        ("limited", before.limited, now.limited),
+    ):
+        # Only the first of a kind is an event; the summary counts the others.
+        for reason in counts:
+            if reason not in then:
+                yield "gate", f"the gate {verb} a command for the first time, {reason}"
+
+
+def _because(reason: str) -> str:
+    return f": {reason}" if reason else ""
 
 
 def _require_sane(values: Sequence[float]) -> None:
-    """Raise FormatError for numbers that no drive has, and whose squares or sums would overflow."""
-    if not (np.abs(values) <= MOST).all():  # NaN is not, either
-        raise FormatError(f"numbers from {np.min(values):g} to {np.max(values):g}, expected {MOST:g} at most")
+    """Raise FormatError for numbers that no drive has; NaN is one of them."""
+    if not (np.abs(values) <= LARGEST).all():
+        raise FormatError(
+            f"numbers from {np.min(values):g} to {np.max(values):g}, expected at most {LARGEST:g}"
+        )
 
 
 def _command(message: Recorded) -> Command:

@@ -1,11 +1,22 @@
-"""Trace of one run for the reports, from a simulation or a recording."""
+"""Trace of one run, simulated or recorded: its motion, its potentials, and the effect of each synapse.
+
+A current alone misleads: as a neuron rises, the excitation that lifts it gets weaker. The pull of a synapse
+compares with the circuit without it. At constant potentials, neuron i approaches
+
+    V_i = (G_i E_L,i + sum_k g_k E_k) / (G_i + sum_k g_k)
+
+where E_k is the synapse's reversal potential (for a gap junction the potential of its source). The pull is
+V_i minus its value with that one synapse cut.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rover_ncp.circuit.circuit import REVERSAL_MV, Circuit, SynapseKind
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.solver_reference import conductances
 
 FloatArray = NDArray[np.float64]
 
@@ -18,11 +29,11 @@ class Trace:
     times: FloatArray
     """(T,) s since the first tick, at each tick's start."""
     poses: FloatArray
-    """(T + 1, 3) x, y in m and theta in rad in the course's frame: at each tick's start, and at the end."""
+    """(T + 1, 3) x, y in m and theta in rad in the course frame: at each tick's start, and at the end."""
     commands: FloatArray
     """(T, outputs) the circuit's commands."""
     potentials: FloatArray
-    """(T, n) mV, as the tick left them."""
+    """(T, n) mV, at each tick's end."""
 
     @property
     def neurons(self) -> tuple[str, ...]:
@@ -36,10 +47,10 @@ class Trace:
 
 
 def motor_shares(policy: Policy, potentials: FloatArray) -> list[tuple[str, FloatArray]]:
-    """Return what each motor neuron adds to the outputs, (T, outputs), at potentials (T, n) in mV.
+    """Return the contribution of each motor neuron to the outputs, (T, outputs), at potentials (T, n) in mV.
 
-    A neuron that drives several channels stands there once for each. Together they may go beyond an output's
-    limit, which only `motor_outputs` keeps.
+    A neuron that drives several channels is listed once for each. The sum may exceed an output's limit, which
+    only `motor_outputs` applies.
     """
     motors, circuit = policy.motors, policy.circuit
     layer = np.eye(len(motors.channels)) if policy.output_layer is None else policy.output_layer
@@ -55,7 +66,37 @@ def motor_shares(policy: Policy, potentials: FloatArray) -> list[tuple[str, Floa
 
 
 def motor_outputs(policy: Policy, potentials: FloatArray) -> FloatArray:
-    """Return the outputs (T, outputs) that potentials (T, n) in mV mean."""
+    """Return the outputs (T, outputs) at potentials (T, n) in mV."""
     outputs: FloatArray = np.sum([share for _, share in motor_shares(policy, potentials)], axis=0)
     limits = policy.motors.limits
     return outputs if limits is None else np.clip(outputs, -np.array(limits), np.array(limits))
+
+
+@dataclass(frozen=True, eq=False)
+class Currents:
+    """The synapses of a circuit over T moments."""
+
+    current: FloatArray
+    """(T, m) mA; positive raises the destination's potential."""
+    pull: FloatArray
+    """(T, m) mV."""
+    target: FloatArray
+    """(T, n) mV, the potential that each neuron approaches."""
+
+
+def synapse_currents(circuit: Circuit, potentials: FloatArray) -> Currents:
+    """Return the currents and pulls of the synapses at potentials (T, n) in mV."""
+    conductance = np.array([conductances(circuit, row) for row in potentials])
+    chemical = np.array([REVERSAL_MV.get(SynapseKind(kind), 0.0) for kind in circuit.kind])
+    reversal = np.where(circuit.chemical, chemical, potentials[:, circuit.source])
+    to = circuit.destination
+    receives = np.equal.outer(to, np.arange(circuit.size)).astype(float)  # (m, n)
+    total = circuit.leak + conductance @ receives
+    inflow = circuit.leak * circuit.leak_potential + (conductance * reversal) @ receives
+    target = inflow / total
+    without = (inflow[:, to] - conductance * reversal) / (total[:, to] - conductance)
+    return Currents(
+        current=conductance * (reversal - potentials[:, to]),
+        pull=target[:, to] - without,
+        target=target,
+    )

@@ -5,38 +5,34 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import Output, Overwrite
+from deploy.options import Namespace, Robot, ZenohConfig
+from rover_ncp.core.console import Json, Output, Overwrite
 
 
 def teleop(
     *,
-    robot: Annotated[
-        str,
-        typer.Option(help="Where the bridge listens: PROTOCOL/HOST[:PORT], such as tcp/192.168.1.20."),
-    ],
+    robot: Robot,
     record: Annotated[
         Path | None,
         typer.Option(help="Record the drive to this MCAP file; 'rover-ncp course new' makes a course of it."),
     ] = None,
     overwrite: Overwrite = False,
-    namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
-    zenoh_config: Annotated[
-        Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates or user and password.")
-    ] = None,
-    json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")
-    ] = False,
+    namespace: Namespace = "",
+    zenoh_config: ZenohConfig = None,
+    json: Json = False,
 ) -> int:
     """Drive the robot behind a bridge with the keyboard: hold a key to drive, release it to stop.
 
     u i o, j k l and m , . drive in the direction in which they lie around k, which stops; the arrows do as
     i , j l. A terminal reports a held key only by repeating it, so a key counts for 0.4 s after it was last
-    sent; a single press is a small step at half speed. q and Ctrl-C stop the rover and release the lease.
+    sent. A single press is a small step at half speed. q and Ctrl-C stop the rover and release the lease.
 
     It drives through the same lease, gate and limits as 'rover-ncp deploy'. Ends with 0, 3 no bridge, no
     robot, not authorised or another driver, 4 stopped by a safety rule, which is named, 130 Ctrl-C.
     """
-    from deploy.teleop.teleop import Options, run
+    from deploy.recorder import Recorder
+    from deploy.teleop.teleop import run
+    from deploy.zenoh_client import BridgeAddress
 
-    options = Options(robot, record, overwrite, namespace, zenoh_config)
-    return run(options, Output(json, controls=True))
+    address = BridgeAddress(robot, namespace, zenoh_config)
+    return run(address, Recorder(record, overwrite=overwrite), Output(json, controls=True))

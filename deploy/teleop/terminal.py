@@ -34,15 +34,15 @@ class Terminal:
         # Neither may wait: `read` does, with a limit.
         settings[_CHARACTERS][termios.VMIN] = settings[_CHARACTERS][termios.VTIME] = 0
         settings[_CHARACTERS][termios.VSUSP] = os.fpathconf(self._fd, "PC_VDISABLE").to_bytes()
-        # TCSAFLUSH would wait until the terminal has taken all output, which a stopped one never does.
-        self.forget()
+        # TCSAFLUSH would wait until the terminal has written all output, which a stopped one never does.
+        self.discard()
         termios.tcsetattr(self._fd, termios.TCSANOW, settings)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # A terminal that was closed cannot be set back, and need not be; one that is stuck is not waited for.
+        # A closed terminal cannot be set back, and need not be. There is no wait for one that is stuck.
         with contextlib.suppress(termios.error):
             termios.tcflush(self._fd, termios.TCIFLUSH)
             termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
@@ -58,6 +58,6 @@ class Terminal:
             return None
         return data.decode(errors="replace") if data else None
 
-    def forget(self) -> None:
+    def discard(self) -> None:
         """Discard unread keys."""
         termios.tcflush(self._fd, termios.TCIFLUSH)

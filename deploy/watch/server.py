@@ -1,4 +1,4 @@
-"""The live page: served to this machine alone, fed ten times a second, with a Stop button.
+"""The live page: served to this machine alone, updated ten times a second, with a Stop button.
 
 Server-sent events carry new data; a browser that lost the connection reconnects and gets everything.
 Only pages of this server may press its buttons: other pages in the same browser have another origin, and
@@ -10,8 +10,6 @@ import json
 import socket
 import time
 from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import uvicorn
@@ -24,9 +22,9 @@ from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingR
 from starlette.routing import Route
 
 from deploy.report.page.feed import Feed, Place
-from deploy.report.page.page import html
-from deploy.report.page.page_data import circuit_data, course_data
+from deploy.report.page.page import watch_page
 from deploy.watch.viewer import Viewer
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import PortInUse, UnreachableError
@@ -38,53 +36,27 @@ INTERRUPTED = 130
 PERIOD_S = 0.1
 
 
-@dataclass(frozen=True)
-class Options:
-    """The command line of ``rover-ncp watch``."""
-
-    robot: str
-    policy: str
-    course: str
-    port: int
-    namespace: str
-    zenoh_config: Path | None
-
-
-def run(options: Options, output: Output) -> int:
-    """Serve until interrupted. Raises RoverNcpError for what keeps it from beginning."""
-    policy, course = load_policy(options.policy), load_course(options.course)
-    feed = Feed(policy, course)
-    listener = _listener(options.port)
-    address = f"http://{HOST}:{listener.getsockname()[1]}/"
-    page = html(
-        f"Watching {options.robot}",
-        {"live": True, "course": course_data(course), "circuit": circuit_data(policy)},
-        connect="'self'",
-    )
-    with (
-        listener,
-        Viewer(options.robot, options.namespace, options.zenoh_config, feed.take) as viewer,
-    ):
-        served = application(page, feed, viewer, ending=lambda: server.should_exit)
+def run(address: BridgeAddress, policy: str, course: str, port: int, output: Output) -> int:
+    """Serve until interrupted. Raises RoverNcpError if it could not begin."""
+    the_policy, the_course = load_policy(policy), load_course(course)
+    feed = Feed(the_policy, the_course)
+    page = watch_page(address.robot, the_policy, the_course)
+    with _listener(port) as listener, Viewer(address, feed.take) as viewer:
+        url = f"http://{HOST}:{listener.getsockname()[1]}/"
+        application = _application(page, feed, viewer, ending=lambda: server.should_exit)
         config = uvicorn.Config(
-            served, log_level="warning", access_log=False, lifespan="off", timeout_graceful_shutdown=1
+            application, log_level="warning", access_log=False, lifespan="off", timeout_graceful_shutdown=1
         )
         server = uvicorn.Server(config)
-        output.announce(f"watching at {address}")
+        output.announce(f"watching at {url}")
         # The server ends in order on a signal, and then raises the signal again.
         with Interrupts():
             server.run(sockets=[listener])
-    output.result({"address": address, "robot": viewer.robot}, "interrupted; no longer watching")
+    output.result({"address": url, "robot": viewer.robot}, "interrupted; no longer watching")
     return INTERRUPTED
 
 
-def application(
-    page: str,
-    feed: Feed,
-    viewer: Viewer,
-    clock: Callable[[], float] = time.monotonic,
-    ending: Callable[[], bool] = lambda: False,
-) -> Starlette:
+def _application(page: str, feed: Feed, viewer: Viewer, ending: Callable[[], bool]) -> Starlette:
     """Return the web application. Streams of events end soon after ``ending`` returns True."""
 
     async def show(request: Request) -> Response:
@@ -94,10 +66,10 @@ def application(
         return StreamingResponse(_events(feed, viewer, ending), media_type="text/event-stream")
 
     async def stop(request: Request) -> Response:
-        return await _ask(request, viewer, clock, release=False)
+        return await _request_stop(request, viewer, release=False)
 
     async def release(request: Request) -> Response:
-        return await _ask(request, viewer, clock, release=True)
+        return await _request_stop(request, viewer, release=True)
 
     return Starlette(
         routes=[
@@ -114,21 +86,22 @@ async def _events(feed: Feed, viewer: Viewer, ending: Callable[[], bool]) -> Asy
     place = Place()
     yield "retry: 500\n\n"
     while not ending():
-        news: dict[str, Any] = await run_in_threadpool(feed.news, place)
-        news |= {"bridge": viewer.bridge_alive, "mayStop": viewer.may_stop}
+        bridge = viewer.bridge_alive
+        news: dict[str, Any] = await run_in_threadpool(feed.news, place, bridge)
+        news |= {"bridge": bridge, "mayStop": viewer.may_stop}
         yield f"data: {json.dumps(news, allow_nan=False, separators=(',', ':'))}\n\n"
         await asyncio.sleep(PERIOD_S)
 
 
-async def _ask(request: Request, viewer: Viewer, clock: Callable[[], float], release: bool) -> Response:
+async def _request_stop(request: Request, viewer: Viewer, release: bool) -> Response:
     if request.headers.get("origin") != f"{request.url.scheme}://{request.headers.get('host')}":
         return JSONResponse({"error": "only the page itself may do this"}, 403)
-    began = clock()
+    began_s = time.monotonic()
     try:
         reply = await run_in_threadpool(viewer.stop, release)
     except UnreachableError as error:
         return JSONResponse({"error": str(error)}, 502)
-    return JSONResponse({"stopped": reply.stopped, "took_s": clock() - began})
+    return JSONResponse({"stopped": reply.stopped, "took_s": time.monotonic() - began_s})
 
 
 def _listener(port: int) -> socket.socket:

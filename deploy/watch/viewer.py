@@ -3,15 +3,10 @@
 import contextlib
 import time
 from collections.abc import Callable
-from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
 
-import zenoh
-
-from deploy.drive.zenoh_config import client_config, refused
+from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.core.errors import FormatError, NoBridge, NotAuthorised
-from rover_ncp.core.key_table import KEYS, Kind, key, spec
+from rover_ncp.core.key_table import KeySpec
 from rover_ncp.core.protocol import StopReply, StopRequest, dump_json, parse_json
 from rover_ncp.core.recording import Recorded
 
@@ -19,49 +14,24 @@ STOP_TIMEOUT_S = 1.0
 REASON = "the Stop button of a viewer"
 
 
-class Viewer:
-    """One session with one bridge. Opening it raises NoBridge or NotAuthorised."""
+class Viewer(ZenohClient):
+    """One session with one bridge; ``take`` gets every message. Raises as `ZenohClient`."""
 
-    def __init__(
-        self, robot: str, namespace: str, zenoh_config: Path | None, hear: Callable[[Recorded], None]
-    ) -> None:
-        self._namespace = namespace
-        self._hear = hear
-        self._key("odom")  # a bad namespace is said before anything is opened
-        config, self.robot = client_config(robot, zenoh_config)
-        self.bridge_alive = False
-        try:
-            self._session = zenoh.open(config)
-        except zenoh.ZError as error:
-            raise refused(self.robot) from error
-        try:
-            self._subscribers = [
-                self._session.declare_subscriber(self._key(row.name), self._hearing(row.name))
-                for row in KEYS
-                if row.kind is Kind.MESSAGE
-            ]
-            self._token = self._session.liveliness().declare_subscriber(
-                self._key("rover/alive/bridge"), self._token_changed, history=True
-            )
-            self._stopper = self._session.declare_querier(self._key("rover/stop"), timeout=STOP_TIMEOUT_S)
-        except BaseException:
-            self._session.close()  # type: ignore[no-untyped-call]
-            raise
+    def __init__(self, address: BridgeAddress, take: Callable[[Recorded], None]) -> None:
+        def receive(row: KeySpec, data: bytes) -> None:
+            now = time.time_ns()
+            with contextlib.suppress(FormatError):
+                take(Recorded(row.name, row.type, data, now, now))
 
-    def __enter__(self) -> Self:
-        return self
+        super().__init__(address, receive)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._session.close()  # type: ignore[no-untyped-call]
+    def _declare(self) -> None:
+        self._stopper = self._session.declare_querier(self.key("rover/stop"), timeout=STOP_TIMEOUT_S)
 
     @property
     def may_stop(self) -> bool:
-        """Whether a bridge takes our stop: one that we may not stop does not show its queryable."""
-        # The object is truthy whatever it says, and Zenoh's stub takes it for a bool.
-        status: Any = self._stopper.matching_status
-        return bool(status.matching)
+        """Whether a bridge takes our stop: it hides its queryable from users without permission."""
+        return matches(self._stopper)
 
     def stop(self, release: bool = False) -> StopReply:
         """Stop the rover until released, or release it.
@@ -80,21 +50,3 @@ class Viewer:
         if not self.bridge_alive:
             raise NoBridge(f"no bridge shows itself at {self.robot}: nothing to stop")
         raise NotAuthorised(f"not authorised to stop: the bridge at {self.robot} accepts no stop from us")
-
-    def _key(self, name: str) -> str:
-        return key(self._namespace, name)
-
-    def _hearing(self, name: str) -> Callable[[zenoh.Sample], None]:
-        ros_type, limit = spec(name).type, spec(name).max_bytes
-
-        def hear(sample: zenoh.Sample) -> None:
-            data = sample.payload.to_bytes()
-            if len(data) <= limit:
-                now = time.time_ns()
-                with contextlib.suppress(FormatError):
-                    self._hear(Recorded(name, ros_type, data, now, now))
-
-        return hear
-
-    def _token_changed(self, sample: zenoh.Sample) -> None:
-        self.bridge_alive = sample.kind == zenoh.SampleKind.PUT

@@ -162,43 +162,36 @@ class Circuit:
         if not 1 <= n <= MAXIMUM_NEURONS:
             return [f"1..{MAXIMUM_NEURONS} neurons are possible, got {n}"]
         problems = [f"two neurons are called {name!r}" for name in _repeated(self.neurons)]
-        for name in ("source", "destination", *_SYNAPSE_ARRAYS):
-            if getattr(self, name).shape != (m,):
-                problems.append(f"{name} needs one value for each of {m} synapses")
-        problems += [
-            f"{name} needs one value for each of {n} neurons"
-            for name in _NEURON_ARRAYS
-            if getattr(self, name).shape != (n,)
-        ]
+        for names, count, what in (
+            (("source", "destination", *_SYNAPSE_ARRAYS), m, "synapses"),
+            (_NEURON_ARRAYS, n, "neurons"),
+        ):
+            problems += [
+                f"{name} needs one value for each of {count} {what}"
+                for name in names
+                if getattr(self, name).shape != (count,)
+            ]
         if problems:
             return problems
-        for name, values, top in (
-            ("kind", self.kind, len(SynapseKind)),
-            ("source", self.source, n),
-            ("destination", self.destination, n),
-        ):
+        for name, top in (("kind", len(SynapseKind)), ("source", n), ("destination", n)):
+            values = getattr(self, name)
             problems += [
                 f"synapse {s}: {name} {values[s]} is not in 0..{top - 1}"
                 for s in np.flatnonzero((values < 0) | (values >= top))
             ]
-        problems += [f"held neuron {i} is not in 0..{n - 1}" for i in self.held if not 0 <= i < n]
-        return problems
+        return problems + [f"held neuron {i} is not in 0..{n - 1}" for i in self.held if not 0 <= i < n]
 
     def _value_problems(self) -> list[str]:
         problems = []
-        for kind in _SYNAPSE_ARRAYS:
-            values = getattr(self, kind)
-            checked = self.chemical if kind is ParameterKind.SIGMA else np.ones(len(values), bool)
-            problems += [
-                f"{self.label(int(s))}: {kind} {values[s]:g} is outside {BOUNDS[kind]}"
-                for s in np.flatnonzero(_outside(values, BOUNDS[kind]) & checked)
-            ]
-        for kind in _NEURON_ARRAYS:
-            values = getattr(self, kind)
-            problems += [
-                f"{self.neurons[i]}: {kind} {values[i]:g} is outside {BOUNDS[kind]}"
-                for i in np.flatnonzero(_outside(values, BOUNDS[kind]))
-            ]
+        for kind in (*_SYNAPSE_ARRAYS, *_NEURON_ARRAYS):
+            values, bounds = getattr(self, kind), BOUNDS[kind]
+            # Written so that NaN is out of bounds, too.
+            outside = ~((values >= bounds.lower) & (values <= bounds.upper))
+            if kind is ParameterKind.SIGMA:
+                outside &= self.chemical
+            for i in np.flatnonzero(outside).tolist():
+                owner = self.label(i) if kind in _SYNAPSE_ARRAYS else self.neurons[i]
+                problems.append(f"{owner}: {kind} {values[i]:g} is outside {bounds}")
         bounds = BOUNDS[ParameterKind.LEAK_POTENTIAL]
         problems += [
             f"{self.neurons[i]}: held at {value:g} mV, outside {bounds}"
@@ -206,10 +199,9 @@ class Circuit:
             if not bounds.lower <= value <= bounds.upper
         ]
         triples = list(zip(self.kind, self.source, self.destination, strict=True))
-        problems += [
+        return problems + [
             f"the synapse {self.label(triples.index(triple))} appears twice" for triple in _repeated(triples)
         ]
-        return problems
 
 
 def build_circuit(
@@ -239,11 +231,6 @@ def _frozen(values: ArrayLike, dtype: type) -> NDArray[Any]:
     array: NDArray[Any] = np.array(values, dtype)
     array.flags.writeable = False
     return array
-
-
-def _outside(values: FloatArray, bounds: Bounds) -> NDArray[np.bool_]:
-    """Return where values are out of bounds; NaN is out of every bound."""
-    return ~((values >= bounds.lower) & (values <= bounds.upper))
 
 
 def _repeated(items: Sequence[Item]) -> list[Item]:

@@ -6,6 +6,7 @@ No output delays the process that writes it. `install` replaces ``sys.stdout`` a
 by streams that end in a `Writer`. That covers all Python code: rich, logging, warnings and tracebacks too.
 """
 
+import contextlib
 import inspect
 import io
 import json
@@ -16,7 +17,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, TextIO
 
 import typer
@@ -204,6 +205,24 @@ class Output:
     def announce(self, text: str) -> None:
         """Print a line that programs wait for; it is never dropped while they read."""
         keep(sys.stderr if self.as_json else sys.stdout, printable(text) + "\n")
+
+    @contextlib.contextmanager
+    def live(self, line: Callable[[], str]) -> Iterator[None]:
+        """Show a changing line, on a terminal only; a thread draws it, so no terminal delays the caller."""
+        if not self.console.is_terminal:
+            yield
+            return
+        from rich.live import Live
+
+        with Live(
+            get_renderable=line,
+            console=self.console,
+            refresh_per_second=5,
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        ):
+            yield
 
     def result(self, fields: Mapping[str, Any], text: str) -> None:
         """End a command: the fields as JSON, or the text, whichever was asked for."""

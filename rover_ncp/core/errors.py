@@ -1,20 +1,11 @@
 """The error tree: every error that a public function raises on purpose.
 
     RoverNcpError
-    ├── UsageError            the caller asked for something that cannot be: exit code 2
-    │   ├── ConfigError       a YAML file or option is wrong; lists every problem with its path
-    │   ├── FileError         a file is missing, unreadable, damaged or of another format
-    │   ├── PortInUse         another process listens there
-    │   └── MissingExtra      a library is missing; names the extra that installs it
-    ├── UnreachableError      the peer cannot be used: exit code 3
-    │   ├── NoRobot           nothing, or nonsense, answers on the base's line
-    │   ├── NoBridge          no bridge answers on Zenoh
-    │   ├── OtherVersion      the bridge uses another version of the protocol
-    │   ├── NotAuthorised     the bridge is there but does not let us drive
-    │   ├── AnotherDriver     another driver holds the lease
-    │   └── NoPose            no external pose arrives
-    ├── FormatError           bytes or text from a peer are not what their key promises
-    └── SafetyStop            a safety rule, named, stopped the rover: exit code 4
+    ├── UsageError          exit code 2: ConfigError, FileError, PortInUse, MissingExtra
+    ├── UnreachableError    exit code 3: NoRobot, NoBridge, OtherVersion, NotAuthorised, AnotherDriver,
+    │                       NoPose
+    ├── FormatError
+    └── SafetyStop          exit code 4
 
 A message is one line that names what was found, where, and what was expected. Errors of libraries are
 wrapped with ``raise ... from``. Anything else that reaches the user is a bug and shows its traceback.

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import zenoh
 
-from deploy.app import Options, run
-from deploy.drive.zenoh_config import client_config
+from deploy.app import run
+from deploy.zenoh_client import BridgeAddress, client_config
 from rover_ncp.core.console import Output
 
 PING, PONG = "bench/ping", "bench/pong"
@@ -33,8 +33,8 @@ def _echo(robot: str) -> int:
 
 
 def _deploy(robot: str, course: str, recording: str, period_s: str) -> int:
-    options = Options(robot, "parking", course, Path(recording), None, False, "", None)
-    return run(options, Output(True), float(period_s))
+    address, output, period = BridgeAddress(robot), Output(True), float(period_s)
+    return run(address, output, policy="parking", course=course, record=Path(recording), period_s=period)
 
 
 if __name__ == "__main__":

@@ -1,28 +1,38 @@
 """Report on a training run, read from its folder: curves, intermediate drives, final parameters.
 
-The drives are simulated again here. A run that still goes on, or was killed, is reported as far as it got.
+The drives are simulated again here. The report of a run that continues, or was killed, covers it up to now.
 """
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from markupsafe import escape
 from numpy.typing import NDArray
 
+from deploy.report.page.page import drive_page, fragment, page
+from deploy.report.page.page_data import course_data
+from deploy.report.recorded_drive import read_drive
+from deploy.report.sentences import number
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import load_yaml
 from rover_ncp.core.errors import ConfigError, FileError
-from rover_ncp.core.files import read_text
+from rover_ncp.core.files import existing_file, read_text, require_writable, write_atomic
 from rover_ncp.course.course import Course
-from sim.explain.sensitivity import parameter_names
+from sim.explain.what_if import parameter_names
 from sim.learn.curve import curve_iterations
 from sim.learn.record import Record, TrainSettings
 from sim.learn.rollout import Rollout, rollout
 
 FloatArray = NDArray[np.float64]
+
+LEAST_LOSS = 1e-4
+"""Smaller losses are drawn here: the axis is logarithmic."""
+BINS = 24
+"""Of a histogram of parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +42,18 @@ class Agent:
     number: int
     iterations: int
     improvements: tuple[tuple[int, float], ...]
-    """(iteration, return) wherever its best return rose."""
+    """(iteration, return) at each rise of its best return."""
     parameters: FloatArray
     run: Rollout
 
     def value_at(self, iteration: int) -> float:
         """Return its best return after an iteration."""
         return [value for at, value in self.improvements if at <= iteration][-1]
+
+    @property
+    def best(self) -> float:
+        """Its best return."""
+        return self.improvements[-1][1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +66,7 @@ class Milestone:
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """A training run; agents by number, milestones in order, the last one as it stands now."""
+    """A training run: its agents by number, and its milestones in order, the last one from now."""
 
     record: Record[TrainSettings]
     course: Course
@@ -60,9 +75,22 @@ class Training:
     milestones: tuple[Milestone, ...]
 
     @property
+    def iterations(self) -> int:
+        """Iterations that all agents have made."""
+        return min(agent.iterations for agent in self.agents)
+
+    @property
     def best(self) -> Agent:
         """The agent of the highest return."""
-        return max(self.agents, key=lambda agent: (agent.value_at(agent.iterations), -agent.number))
+        return max(self.agents, key=lambda agent: (agent.best, -agent.number))
+
+
+class Page(NamedTuple):
+    """A page that was written; ``kind`` is drive or training."""
+
+    path: Path
+    kind: str
+    size: int
 
 
 def read_training(folder: Path) -> Training:
@@ -103,84 +131,93 @@ def _agent(path: Path, policy: Policy, course: Course) -> Agent:
         raise FileError(f"{path}: damaged, or not an agent of this run") from error
 
 
+def write_page(source: Path, out: Path | None = None) -> Page:
+    """Write the report of a recording beside it, or of a training run into its folder.
+
+    Raises FileError and ConfigError.
+    """
+    if source.is_dir():
+        kind, path = "training", out or source / "report.html"
+    else:
+        kind, path = "drive", out or existing_file(source).with_suffix(".html")
+    require_writable(path)
+    text = training_page(read_training(source)) if kind == "training" else drive_page(read_drive(source))
+    write_atomic(path, text)
+    return Page(path, kind, len(text.encode()))
+
+
+def training_page(training: Training) -> str:
+    """Return the page of a training run as HTML."""
+    record, best = training.record, training.best
+    settings, verdict = record.settings, best.run.verdict
+    badge, kind = ("Parks", "good") if verdict.parked else ("Does not park yet", "bad")
+    words = f"agent {best.number:02}, return {number(best.best, 4)}"
+    words += f", {1000 * verdict.error_m:.0f} mm from the goal"
+    return page(
+        "training.html",
+        title=f"{badge}: {words} ({settings.course})",
+        data=training_data(training),
+        html={
+            "title": fragment("title", badge, kind, words),
+            "subline": escape(
+                f"{settings.agents} agents, {settings.search} search, {training.iterations} of "
+                f"{settings.iterations} iterations, course {training.course.name}, seed {settings.seed}"
+            ),
+        },
+        agents=sorted(training.agents, key=lambda agent: -agent.best),
+        origin=[
+            ("Command", record.command),
+            ("Made with", ", ".join(f"{name} {version}" for name, version in record.made_with.items())),
+        ],
+    )
+
+
 def training_data(training: Training) -> dict[str, Any]:
-    """Return what the page of a training shows, as plain values."""
-    last = min(agent.iterations for agent in training.agents)
-    iterations = curve_iterations(last)
-    best, settings = training.best, training.record.settings
+    """Return the data of the page's charts as plain values."""
+    iterations = curve_iterations(training.iterations)
+    losses = -np.array([[agent.value_at(i) for i in iterations] for agent in training.agents])
+    losses = np.maximum(losses, LEAST_LOSS)
     return {
-        "subline": (
-            f"{settings.agents} agents, {settings.search} search, {last} of {settings.iterations} "
-            f"iterations, course {training.course.name}, seed {settings.seed}"
-        ),
-        "parked": best.run.verdict.parked,
-        "headline": _headline(best),
+        "course": course_data(training.course),
         "curves": {
             "iterations": iterations,
-            "agents": [
-                [_digits(agent.value_at(iteration)) for iteration in iterations] for agent in training.agents
-            ],
-            "numbers": [agent.number for agent in training.agents],
-            "best": training.agents.index(best),
+            "losses": losses.round(5).tolist(),
+            "quartiles": np.percentile(losses, [25, 50, 75], axis=0).round(5).tolist(),
+            "best": training.agents.index(training.best),
         },
-        "agents": [
-            {
-                "number": agent.number,
-                "value": _digits(agent.value_at(agent.iterations)),
-                "parked": agent.run.verdict.parked,
-                "reason": agent.run.verdict.reason,
-                "errorM": _digits(agent.run.verdict.error_m),
-                "errorRad": _digits(agent.run.verdict.error_rad),
-                "last": agent.improvements[-1][0],
-                **_way(agent.run),
-            }
-            for agent in training.agents
-        ],
+        "agents": [_path(agent.run) for agent in training.agents],
         "milestones": [
             {
                 "iterations": milestone.iterations,
-                "value": _digits(milestone.run.total),
+                "value": round(milestone.run.total, 5),
                 "parked": milestone.run.verdict.parked,
-                **_way(milestone.run),
+                **_path(milestone.run),
             }
             for milestone in training.milestones
         ],
         "parameters": _parameters(training),
-        "origin": [
-            ["Command", training.record.command],
-            ["Made with", ", ".join(f"{name} {v}" for name, v in training.record.made_with.items())],
-        ],
     }
 
 
-def _headline(best: Agent) -> str:
-    verdict, value = best.run.verdict, best.value_at(best.iterations)
-    number = f"{value:.4f}".replace("-", "−")
-    ending = "Parks" if verdict.parked else "Does not park yet"
-    return f"{ending}: agent {best.number:02}, return {number}, {1000 * verdict.error_m:.0f} mm from the goal"
-
-
-def _way(run: Rollout) -> dict[str, Any]:
-    return {"x": [_digits(x) for x in run.poses[:, 0]], "y": [_digits(y) for y in run.poses[:, 1]]}
+def _path(run: Rollout) -> dict[str, Any]:
+    return {name: run.poses[:, column].round(5).tolist() for column, name in enumerate("xy")}
 
 
 def _parameters(training: Training) -> list[dict[str, Any]]:
-    """Return, by kind, every agent's values against the bounds, and who owns them."""
-    layout, names = training.policy.layout(), parameter_names(training.policy)
-    every = np.array([agent.parameters for agent in training.agents])
-    best = training.agents.index(training.best)
-    return [
-        {
-            "kind": str(block.kind).replace("_", " "),
-            "lower": block.lower,
-            "upper": block.upper,
-            "names": [name for _, name in names[block.slice]],
-            "values": [[_digits(value) for value in row] for row in every[:, block.slice]],
-            "best": best,
-        }
-        for block in layout.blocks
-    ]
-
-
-def _digits(value: float) -> float:
-    return round(float(value), 5)
+    """Return, for each kind of parameter, a histogram of all values and the best agent's values by name."""
+    names = parameter_names(training.policy)
+    found = []
+    for kind, block, lower, upper in training.policy.layout().blocks:
+        values = np.array([agent.parameters[block] for agent in training.agents])
+        found.append(
+            {
+                "kind": str(kind).replace("_", " "),
+                "lower": lower,
+                "upper": upper,
+                "counts": np.histogram(values, BINS, (lower, upper))[0].tolist(),
+                "at_bounds": float(np.mean((values <= lower) | (values >= upper))),
+                "best": training.best.parameters[block].round(5).tolist(),
+                "names": [name for _, name in names[block]],
+            }
+        )
+    return found

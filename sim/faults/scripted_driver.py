@@ -10,7 +10,7 @@ from contextlib import suppress
 import zenoh
 
 from deploy.drive.lease import DriverLease
-from deploy.drive.zenoh_config import client_config
+from deploy.zenoh_client import client_config
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.messages import read_odometry, read_text, twist_stamped

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 import zenoh
 
-from deploy.drive.zenoh_config import client_config
+from deploy.zenoh_client import client_config
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.key_table import key
 from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance, read_text

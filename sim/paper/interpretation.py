@@ -3,8 +3,12 @@
 from collections import Counter
 from typing import Any
 
-from deploy.report.interpretation import contributions, time_constant_ranges
-from deploy.report.published import CONTRIBUTIONS, TIME_CONSTANTS_S
+from deploy.report.interpretation import (
+    PUBLISHED_SIGNS,
+    PUBLISHED_TIME_CONSTANTS_S,
+    contributions,
+    time_constant_ranges,
+)
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import load_course
@@ -41,7 +45,7 @@ def parking_time_constants(store: ResultStore) -> dict[str, Any]:
             "neuron": neuron,
             "best": best,
             "all": (min(r[neuron][0] for r in ranges), max(r[neuron][1] for r in ranges)),
-            "published": TIME_CONSTANTS_S.get(neuron),
+            "published": PUBLISHED_TIME_CONSTANTS_S.get(neuron),
         }
         for neuron, best in ranges[0].items()
     ]
@@ -52,7 +56,7 @@ def parking_contributions(store: ResultStore) -> dict[str, Any]:
     """Return Definition 1 for the neuron that turns right: signs by neuron, of how many circuits."""
     runs = [contributions(policy.circuit.neurons, drive.potentials) for policy, drive in _drives(store)]
     rows = []
-    for pair, published in CONTRIBUTIONS.items():
+    for pair, published in PUBLISHED_SIGNS.items():
         best = runs[0][pair]
         signs = Counter(found[pair].sign for found in runs)
         rows.append(

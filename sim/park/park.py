@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from deploy.report.charts.path import drive_chart
 from deploy.report.page.page import drive_page
 from deploy.report.recorded_drive import read_drive
 from rover_ncp.circuit.policy import Policy
@@ -28,7 +29,6 @@ from sim.live.live_run import LiveRun
 from sim.live.processes import Finished, ProcessError
 from sim.live.truth import TRUTH, judge_truth, recorded_truth
 from sim.park.commands import ParkOptions
-from sim.park.picture import trajectory_png
 
 TRAIN_LIMIT_S = 100.0
 """How long the search may take to find a circuit that parks in simulation."""
@@ -67,7 +67,7 @@ def run_park(options: ParkOptions) -> int:
     began_ns = drive.timeline.ticks[0].wall_ns
     true_path = [state.pose for state in truth if state.wall_ns >= began_ns]
     estimates = [tick.estimate.pose for tick in drive.timeline.ticks]
-    write_atomic(picture, trajectory_png(course, true_path, estimates))
+    write_atomic(picture, drive_chart(course, true_path, estimates).png)
     write_atomic(report, drive_page(drive))
     verdict = judge_truth(course, truth, began_ns)
     fields = {

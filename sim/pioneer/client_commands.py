@@ -48,7 +48,7 @@ IGNORED = frozenset(
         *(226, 230, 231, 232, 233, 236, 238, 239, 251, 252, 255),
     }
 )
-"""Documented commands that a mock has nothing to show for."""
+"""Documented commands without an effect on the mock."""
 
 _NO_ARGUMENT = {
     *(Command.PULSE, Command.OPEN, Command.CLOSE, Command.SETO, Command.CONFIG, Command.STOP, Command.E_STOP),
@@ -58,7 +58,7 @@ _SIGNED = {
     *(Command.SETA, Command.VEL, Command.RVEL, Command.SETRA, MockCommand.MOVE, MockCommand.ROTATE),
     *(MockCommand.HEAD, MockCommand.DHEAD, MockCommand.DCHEAD, MockCommand.VEL2),
 }
-"""Of these the type byte 0x1B negates the argument; of the others it says nothing."""
+"""For these the type byte 0x1B negates the argument; the others ignore it."""
 
 
 def decode_argument(command: int, payload: bytes) -> int | bytes | tuple[int, int, int] | None:

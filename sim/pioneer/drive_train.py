@@ -1,7 +1,7 @@
 """How a base turns setpoints into motion, and motion into odometry.
 
 Translation follows a speed or a distance (MOVE), rotation a rate or a heading (HEAD); the latest command of
-each kind wins, VEL2 replaces both. Speeds are held within SETV and SETRV, the rover keeps the acceleration
+each kind counts, VEL2 replaces both. Speeds are held within SETV and SETRV, the rover keeps the acceleration
 limits and its own delays. Wheels that push against something stall: their motors rest, then try again (AROS
 manual p. 28). Sources: AROS manual p. 44 (which command replaces which), Adept manual p. 38 (VEL2).
 """

@@ -47,7 +47,7 @@ class Fault:
 
 
 def parse_fault(text: str) -> Fault:
-    """Read ``NAME[=VALUE][@START[-END]]``. Raises UsageError that says what is expected."""
+    """Read ``NAME[=VALUE][@START[-END]]``. Raises UsageError with the expected form."""
     what, at, when = text.partition("@")
     name, has_value, value = what.partition("=")
     if name not in FAULTS:

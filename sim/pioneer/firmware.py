@@ -7,9 +7,8 @@ Rules of this file:
 2. Waiting for a client, SYNC0, SYNC1 and SYNC2 are echoed in order; a repeated one is echoed again, one out
    of order starts over, all else is ignored. In a session the same numbers are PULSE, OPEN and CLOSE.
 3. Any valid packet feeds the watchdog. When it has starved for 2 s the base halts; motors, session and
-   setpoints stay, and the next packet of any kind lets the setpoints go on.
-4. No byte, packet or argument can do anything but what is written here: what is unknown, cut short or of the
-   wrong type is counted and ignored. Commands that a mock has nothing to show for change nothing.
+   setpoints stay, and the next packet of any kind makes the base follow its setpoints again.
+4. Unknown commands and arguments that are cut short or of the wrong type are counted and ignored.
 5. The session belongs to the base, not to the line: a client that vanishes leaves it open.
 
 Sources: Adept Pioneer 3 manual p. 33, 37, 38, 43, 46, 50; AROS manual p. 28, 42 to 44. AMRISim differs in
@@ -86,7 +85,7 @@ class Firmware:
         self._reporter = Reporter(self.robot, self._config, self.drive, self._sonars)
         self._gyro = Gyro(rover)
         self._faults = faults or Faults()
-        self._observe = observe
+        self.observe = observe
         self._home = rover.pose
         self.baudrate = RATES[0]
         """The rate of its serial line: HOSTBAUD changes it, the end of a session restores FLASH's."""
@@ -101,7 +100,7 @@ class Firmware:
         self._handlers = self._make_handlers()
         self._power_up()
 
-    # What the line calls.
+    # Calls of the line.
 
     @property
     def now(self) -> float:
@@ -127,25 +126,25 @@ class Firmware:
         return data
 
     def line_changed(self) -> None:
-        """Another client is on the line: what is half received or not yet sent was the last one's."""
+        """Drop half-received and unsent bytes: they belong to the last client."""
         self.decoder.drop()
         self._out.clear()
 
     def inject(self, fault: Fault) -> None:
-        """Have one more fault from now on; its times count from now, if the motors were ever enabled."""
+        """Add a fault from now on; its times count from now, if the motors were ever enabled."""
         self._faults.add(fault, self._enabled_s)
 
     # Time.
 
     def _substep(self) -> None:
-        self._endure()
+        self._apply_faults()
         starved = self.now - self._fed_s >= self._config.watchdog / 1000 - 1e-9
         self.drive.substep(halted=starved or self.panel.blocked)
         self._substeps += 1
         self._decode(b"", self.now)
-        self._sonars.listen(self.drive.rover, self.now)
-        if self._observe:
-            self._observe(self.now)
+        self._sonars.fire(self.drive.rover, self.now)
+        if self.observe:
+            self.observe(self.now)
         if self.client is ClientState.OPEN and self.now >= self._measure_due_s - 1e-9:
             self._measure_due_s += self._config.sip_cycle / 1000
             self._reporter.measure()
@@ -167,7 +166,7 @@ class Firmware:
             self._emit(self._reporter.encoders())
 
     def _begin_tick(self) -> None:
-        """Let the trial go on, once the motors were enabled."""
+        """Begin the trial's next tick, once the motors were enabled."""
         if self._enabled_first_s is None:
             return
         self._trial.tick += 1
@@ -200,8 +199,8 @@ class Firmware:
     def _fault(self, name: str) -> float | None:
         return self._faults.value(name, self._enabled_s)
 
-    def _endure(self) -> None:
-        """Let the hardware have its faults of this moment."""
+    def _apply_faults(self) -> None:
+        """Apply the faults that are active now."""
         panel, reporter = self.panel, self._reporter
         pressed = self._fault("stop-button") is not None
         if pressed and not panel.stop_pressed and panel.e_stall:

@@ -12,7 +12,6 @@ from bridge.pioneer.arcos import Packet
 from bridge.pioneer.odometry import COUNTER_BITS, HEADING_BITS
 from bridge.pioneer.packets import ConfigPac, Flag, Sip
 from bridge.pioneer.robots import WHEEL_SPEED_M_S, RobotParameters
-from rover_ncp.core.geometry import Pose
 from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.models import TICKS_PER_MM
 from sim.pioneer.sensors import Sonars
@@ -43,7 +42,7 @@ class Panel:
     front_bumpers: int = 0
     """Bit 0 is the left-most segment."""
     blocked: bool = False
-    """Both motors stall whatever the wheels do."""
+    """Both motors stall, even if the wheels turn."""
     analog_port: int = 0
     digout: int = 0
 
@@ -61,18 +60,6 @@ class Panel:
         self.e_stall = bool(on)
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """Motion as odometry and encoders report it."""
-
-    odometry: Pose
-    heading_setpoint: float
-    wheel_speeds: tuple[float, float]
-    omega: float
-    wheels_m: tuple[float, float]
-    moving: bool
-
-
 class Reporter:
     """Writes the packets of one base."""
 
@@ -86,39 +73,36 @@ class Reporter:
         self._config = config
         self._drive = drive
         self._sonars = sonars
-        self._last = self._motion()
-
-    def _motion(self) -> _Motion:
-        drive = self._drive
-        return _Motion(
-            odometry=drive.odometry,
-            heading_setpoint=drive.heading_setpoint,
-            wheel_speeds=drive.wheel_speeds,
-            omega=drive.measured.omega,
-            wheels_m=drive.wheels_m,
-            moving=drive.moving,
-        )
+        self.measure()
 
     def measure(self) -> None:
         """Store the motion that the next packets report."""
-        if not self.odometry_frozen:
-            self._last = self._motion()
+        if self.odometry_frozen:
+            return
+        drive = self._drive
+        left, right = (round(speed / WHEEL_SPEED_M_S) for speed in drive.wheel_speeds)
+        self._odometry, self._wheels_m = drive.odometry, drive.wheels_m
+        self._motion = Sip(
+            left=left,
+            right=right,
+            control=_heading(drive.heading_setpoint),
+            rotvel=round(math.degrees(drive.measured.omega) * 10),
+            moving=drive.moving,
+        )
 
     def sip(self) -> Packet:
         """Return the SIP of the motion last measured; sonar readings are those since the last SIP."""
-        motion, panel, robot = self._last, self.panel, self._robot
-        left, right = (round(speed / WHEEL_SPEED_M_S) for speed in motion.wheel_speeds)
+        panel, pose, noise = self.panel, self._odometry, self.noise
+        distance_m = self._robot.distance_m
         stalled = (True, True) if panel.blocked else self._drive.stalled
-        return Sip(
-            x=_counter((motion.odometry.x + self.noise.x + self.odometry_jump_m) / robot.distance_m),
-            y=_counter((motion.odometry.y + self.noise.y) / robot.distance_m),
-            theta=_heading(motion.odometry.theta + self.noise.theta),
-            left=left,
-            right=right,
+        return replace(
+            self._motion,
+            x=_counter((pose.x + noise.x + self.odometry_jump_m) / distance_m),
+            y=_counter((pose.y + noise.y) / distance_m),
+            theta=_heading(pose.theta + noise.theta),
             battery_dv=min(panel.battery_dv, 255),
             stall_left=int(stalled[0]),
             stall_right=int(stalled[1]) | panel.front_bumpers << 1,
-            control=_heading(motion.heading_setpoint),
             flags=self._flags(),
             compass=0,
             grip_state=0,
@@ -128,13 +112,11 @@ class Reporter:
             digout=panel.digout,
             battery_x10=panel.battery_dv,
             charge_state=0,
-            rotvel=round(math.degrees(motion.omega) * 10),
             faults=UNDER_VOLTAGE if panel.battery_dv < self._config.low_battery else 0,
             latvel=0,
             temperature=NO_TEMPERATURE,
             state_of_charge=0,
             sonar=self._sonars.take(),
-            moving=motion.moving,
         ).encode()
 
     def _flags(self) -> int:
@@ -162,7 +144,7 @@ class Reporter:
 
     def encoders(self) -> Packet:
         """Return the ENCODERpac: ticks since power-up, which wrap at 32 bits."""
-        left, right = (round(way * 1000 * TICKS_PER_MM) for way in self._last.wheels_m)
+        left, right = (round(way * 1000 * TICKS_PER_MM) for way in self._wheels_m)
         return Packet(ENCODER, struct.pack("<2i", _signed(left, 32), _signed(right, 32)))
 
     def io(self) -> Packet:

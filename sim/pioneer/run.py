@@ -1,16 +1,15 @@
 """The ``mock`` command: reads its options, serves until a signal arrives, reports."""
 
 import io
-import signal
-import socket
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from bridge.pioneer.robots import ROBOTS
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
+from rover_ncp.core.process import Interrupts
 from rover_ncp.course.course import load_course
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
@@ -53,17 +52,17 @@ def run_mock(
     trials = draw_trials(ranges, ideal, seed, count=1, ticks=ticks, first=trial)
     rover = rover_of(trials, ideal, Ground(known.obstacles if known else ()))
 
-    def make(start_s: float, observe: Callable[[float], None]) -> Firmware:
-        return Firmware(model, rover, injected, start_s, observe, trial=BaseTrial(trials))
-
-    server = Server(host, port, make, TruthFile(truth, overwrite=overwrite) if truth else None, output.say)
+    firmware = Firmware(model, rover, injected, time.monotonic(), trial=BaseTrial(trials))
+    server = Server(
+        host, port, firmware, TruthFile(truth, overwrite=overwrite) if truth else None, output.say
+    )
     try:
-        with _until_signal() as wake:
+        with Interrupts() as interrupts:
             output.announce(f"listening on {server.host}:{server.port}")
-            server.serve(wake, fault_lines)
+            server.serve(lambda: interrupts.raised, fault_lines)
     finally:
         server.close()
-    firmware, pose = server.firmware, rover.pose
+    pose = rover.pose
     output.result(
         {
             "listen": f"{server.host}:{server.port}",
@@ -83,22 +82,3 @@ def run_mock(
         f"{server.connections} connections, {firmware.decoder.packets} packets; "
         f"the rover stands at x={pose.x:.3f} m, y={pose.y:.3f} m, theta={pose.theta:.3f} rad",
     )
-
-
-@contextmanager
-def _until_signal() -> Iterator[socket.socket]:
-    """Give a socket that becomes readable when SIGINT or SIGTERM comes, instead of their usual effect."""
-    wake, bell = socket.socketpair()
-    bell.setblocking(False)
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    fd = signal.set_wakeup_fd(bell.fileno())
-    for number in before:
-        signal.signal(number, lambda *_: None)
-    try:
-        yield wake
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        signal.set_wakeup_fd(fd)
-        wake.close()
-        bell.close()

@@ -30,7 +30,7 @@ class Sonars:
         self._order = [list(range(ARRAY)), list(range(ARRAY, 2 * ARRAY))]
         self._turns = [0, 0]
         self._due_s = 0.0
-        self._heard: dict[int, int] = {}
+        self._readings: dict[int, int] = {}
 
     @property
     def flags(self) -> int:
@@ -55,7 +55,7 @@ class Sonars:
         """SONARCYCLE; 0 goes back to FLASH."""
         self._cycle_s = milliseconds / 1000 or self._flash_cycle_s
 
-    def listen(self, rover: Rover, now: float) -> None:
+    def fire(self, rover: Rover, now: float) -> None:
         """Fire what is due at ``now``."""
         if now < self._due_s:
             return
@@ -65,12 +65,12 @@ class Sonars:
             if self._on[index] and order:
                 number = order[self._turns[index] % len(order)]
                 self._turns[index] += 1
-                self._heard[number] = self._range_mm(rover, number)
+                self._readings[number] = self._range_mm(rover, number)
 
     def take(self) -> tuple[tuple[int, int], ...]:
         """Return (number, mm) of the readings since the last call."""
-        heard, self._heard = self._heard, {}
-        return tuple(sorted(heard.items()))
+        readings, self._readings = self._readings, {}
+        return tuple(sorted(readings.items()))
 
     def _range_mm(self, rover: Rover, number: int) -> int:
         echo_m = rover.range_along(compose(rover.pose, self._poses[number]), NO_ECHO_MM / 1000)

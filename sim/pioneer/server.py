@@ -1,6 +1,6 @@
-"""The mock's line to the world: one client at a time on TCP, in real time, and the true pose into a file.
+"""The mock's TCP server: one client at a time on TCP, in real time, and the true pose into a file.
 
-One thread: it sleeps until a client speaks or the next SIP is due, then lets the firmware catch up.
+One thread: it sleeps until bytes arrive or the next SIP is due, then advances the firmware to the present.
 """
 
 import errno
@@ -77,7 +77,7 @@ class TruthFile:
 
 
 class Server:
-    """Serves the firmware that ``make`` returns, given the starting time and an observer, on TCP.
+    """Serves a firmware, whose clock is the machine's monotonic clock, on TCP.
 
     Raises PortInUse, or UsageError for an address that cannot be listened on.
     """
@@ -86,7 +86,7 @@ class Server:
         self,
         host: str,
         port: int,
-        make: Callable[[float, Callable[[float], None]], Firmware],
+        firmware: Firmware,
         truth: TruthFile | None = None,
         say: Callable[[str], None] = print,
     ) -> None:
@@ -98,29 +98,22 @@ class Server:
         """Whether the rover ever touched anything."""
         self._truth, self._say = truth, say
         self._due_s, self._late_s = math.inf, 0.0
-        self._start_s = time.monotonic()
-        self.firmware = make(self._start_s, self._observe)
+        self.firmware, self._start_s = firmware, firmware.now
+        firmware.observe = self._observe
         self._client: socket.socket | None = None
         self._backlog = bytearray()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
-    def serve(self, wake: socket.socket, fault_lines: FileIO | None = None) -> None:
-        """Serve until ``wake`` has something to read; each line of ``fault_lines`` is one more fault.
+    def serve(self, stopping: Callable[[], bool], fault_lines: FileIO | None = None) -> None:
+        """Serve until ``stopping``; each line of ``fault_lines`` is one more fault.
 
         Each line is answered by ``applied t_ns=… late_ns=…``: the simulation clock when the fault began, and
         how late the loop ended a turn at worst since the line before. An empty line asks only for the answer.
         """
-        stop = False
-
-        def wake_up() -> None:
-            nonlocal stop
-            stop = True
-
-        self._selector.register(wake, selectors.EVENT_READ, wake_up)
         if fault_lines is not None:
             self._selector.register(fault_lines, selectors.EVENT_READ, lambda: self._read_fault(fault_lines))
-        while not stop:
+        while not stopping():
             now_s = time.monotonic()
             sleep_s = max(min(self.firmware.sip_due_s - now_s, PERIOD_S), 0.0)
             self._due_s = now_s + sleep_s

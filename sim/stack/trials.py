@@ -9,14 +9,13 @@ import copy
 from bisect import bisect_right
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 from bridge.pioneer.robots import ROBOTS
 from deploy.drive.config import DriveConfig, settings_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
-from deploy.drive.link import Link
-from deploy.drive.status_publisher import Reporter
+from deploy.drive.publisher import Publisher
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile
@@ -103,9 +102,8 @@ class Stack:
             estimator=settings_for(self.known),
             rover=self.known,
         )
-        link = cast(Link, air)
-        reporter = Reporter(link, lambda message: None, self.policy.circuit.neurons, world)
-        drive = Drive(link, self._driver(number), reporter, config, lambda: False, clock=world)
+        publisher = Publisher(air, lambda message: None, self.policy.circuit.neurons, world)
+        drive = Drive(air, self._driver(number), publisher, config, lambda: False, clock=world)
         drive.wait()
         drive.run({})
         report = drive.keeper.report()

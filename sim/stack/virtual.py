@@ -15,7 +15,7 @@ from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
 from bridge.pioneer.base import ArcosBase
 from deploy.drive.lease import DriverLease
-from deploy.drive.link import Arrival, Inbox, Mailbox
+from deploy.drive.measurements import Arrival, Inbox
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.key_table import spec
@@ -155,33 +155,33 @@ class World:
         self.hear(name, data)
 
 
-class _Mailbox(Mailbox):
-    """A mailbox that time passes while one waits at."""
+class _OdometryInbox(Inbox):
+    """The newest odometry; time passes while the driver waits for it."""
 
     def __init__(self, world: World) -> None:
-        super().__init__()
+        super().__init__(1)
         self._world = world
 
-    def take(self, timeout_s: float) -> Arrival | None:
-        self._world.wait(timeout_s, lambda: self._newest is not None)
-        return super().take(0)
+    def take(self, timeout_s: float = 0.0) -> list[Arrival]:
+        self._world.wait(timeout_s, lambda: bool(self._arrivals))
+        return super().take()
 
 
 class Air:
-    """Replacement of the driver's `deploy.drive.link.Link`.
+    """A driver's `deploy.drive.link.Link`.
 
     Until the driver requests the lease, external localisation reports that the rover stands at ``start``.
     Received messages go to ``record``.
     """
 
-    robot = "virtual"
+    robot, where = "virtual", ""
     bridge_alive = True
 
     def __init__(
         self, world: World, start: Pose, record: Callable[[Recorded], None] = lambda message: None
     ) -> None:
         self._world, self._start, self._record = world, start, record
-        self.odometry, self.poses, self.gyro = _Mailbox(world), Inbox(), Inbox()
+        self.odometry, self.poses, self.gyro = _OdometryInbox(world), Inbox(), Inbox()
         self.gate = GateStatus()
         self.first_command_ns: int | None = None
         """When the first command was sent."""
@@ -240,4 +240,4 @@ class Air:
             self.gate = parse_json(GateStatus, read_text(data))
 
     def _arrival(self, data: bytes) -> Arrival:
-        return Arrival(data, self._world.now_ns, self._world.time_ns())
+        return Arrival(data, self._world.now_ns)

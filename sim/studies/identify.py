@@ -15,17 +15,15 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from statistics import median
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.progress import track
 
 from bridge.pioneer.robots import ROBOTS
 from bridge.pioneer.setpoints import MotionLimits
-from deploy.drive.link import Link
-from deploy.drive.measurements import Intake
-from deploy.drive.safety_monitor import Guard
-from deploy.drive.waits import Waits
+from deploy.drive.measurements import Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify.excitation import FENCE_M, excite
 from deploy.identify.fit import identify
 from deploy.identify.motion_log import motion_log
@@ -88,11 +86,10 @@ def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Reco
             look()
 
     air = Air(world, rover.pose, record)
-    link = cast(Link, air)
-    intake = Intake(link.odometry)
-    guard = Guard(link, intake, Waits(), lambda: False, world)
-    guard.wait(True, "")
-    excite(link, intake, guard, FENCE_M, world)
+    measurements = Measurements(air)
+    monitor = SafetyMonitor(air, measurements, lambda: False, clock=world)
+    monitor.wait()
+    excite(air, measurements, monitor, FENCE_M, world)
     return heard
 
 

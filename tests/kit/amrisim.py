@@ -4,8 +4,8 @@ What it says of itself, names and CONFIGpac, are the recorded bytes of a real AM
 recorded sessions show and its source says (EmulatePioneer.cc; facts only).
 """
 
-import socket
 import threading
+import time
 from dataclasses import replace
 
 from arcos_captures import CAPTURES
@@ -58,14 +58,11 @@ class AmriSimServer:
     def __init__(self):
         self.rover = PymunkRover(rover_model_of(ROBOTS[MODEL]), Ground())
         flash = ConfigPac.decode(RECORDED[Kind.CONFIG].payload)
-
-        def make(start_s, observe):
-            return AmriSim(MODEL, self.rover, None, start_s, observe, config=flash)
-
-        self.server = Server("127.0.0.1", 0, make)
+        firmware = AmriSim(MODEL, self.rover, None, time.monotonic(), config=flash)
+        self.server = Server("127.0.0.1", 0, firmware)
         self.base = f"tcp/127.0.0.1:{self.server.port}"
-        self._wake, self._bell = socket.socketpair()
-        self._thread = threading.Thread(target=self.server.serve, args=(self._wake,), daemon=True)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self.server.serve, args=(self._stop.is_set,), daemon=True)
         self._thread.start()
 
     @property
@@ -73,11 +70,9 @@ class AmriSimServer:
         return self.server.firmware.client is ClientState.OPEN
 
     def close(self):
-        self._bell.send(b"!")
+        self._stop.set()
         self._thread.join()
         self.server.close()
-        self._wake.close()
-        self._bell.close()
 
     def __enter__(self):
         return self

@@ -9,8 +9,9 @@ import time
 import zenoh
 
 from deploy import app as node
-from deploy.app import Options, run
+from deploy.app import run
 from deploy.drive.config import DriveConfig
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
 from rover_ncp.core.console import Output
@@ -170,19 +171,15 @@ def driver(bridge, folder, capsys, monkeypatch):
     monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, still_s=0.15))
     policy, course = untuned_policy(folder), short_course(folder)
 
-    def drive(**changes):
+    def drive(robot=bridge.robot, namespace=bridge.namespace, zenoh_config=None, **changes):
         options = {
-            "robot": bridge.robot,
             "policy": str(policy),
             "course": str(course),
             "record": folder / "run.mcap",
             "overwrite": True,
-            "duration_s": None,
-            "dry_run": False,
-            "namespace": bridge.namespace,
-            "zenoh_config": None,
         }
-        code = run(Options(**options | changes), Output(as_json=True))
+        address = BridgeAddress(robot, namespace, zenoh_config)
+        code = run(address, Output(as_json=True), **options | changes)
         return code, json.loads(capsys.readouterr().out)
 
     return drive

@@ -11,7 +11,7 @@ import zenoh
 from bridge_bench import Rig, wait_for
 
 from deploy.drive.lease import DriverLease
-from deploy.drive.zenoh_config import client_config
+from deploy.zenoh_client import client_config
 from rover_ncp import cli
 from rover_ncp.core.credentials import access_control
 from rover_ncp.core.geometry import Velocity

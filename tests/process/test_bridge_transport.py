@@ -2,24 +2,17 @@
 
 import os
 import pty
-import select
 import socket
-import threading
 import time
 import tty
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 
 import pytest
-from pioneer_bench import Pioneer
 
-from bridge.base import BaseReport, Lost
 from bridge.pioneer.arcos import Command, encode_command
-from bridge.pioneer.session import Session
-from bridge.pioneer.states import SessionState
 from bridge.transport import DEFAULT_PORT, Transport, open_transport
 from rover_ncp.core.errors import NoRobot, UsageError
-from rover_ncp.core.geometry import Velocity
 
 
 @contextmanager
@@ -184,86 +177,6 @@ def test_the_last_command_arrives_although_sips_lie_unread() -> None:
         line.close()
         far.settimeout(2.0)
         assert far.recv(100) == encode_command(Command.CLOSE)
-
-
-class Base(threading.Thread):
-    """A mock Pioneer behind a pseudo-terminal, in real time; ends on request or when its line is gone."""
-
-    def __init__(self, far: int, *faults: str) -> None:
-        super().__init__()
-        self.pioneer = Pioneer("p3at-sh", *faults)
-        self.ending = threading.Event()
-        self._far = far
-
-    def run(self) -> None:
-        start, firmware = time.monotonic(), self.pioneer.firmware
-        while not self.ending.is_set():
-            readable, _, _ = select.select([self._far], [], [], 0.01)
-            now = time.monotonic() - start
-            firmware.advance(now)
-            if readable:
-                firmware.receive(os.read(self._far, 4096), now)
-            os.write(self._far, firmware.data_to_send())
-
-
-@contextmanager
-def base_on_a_serial_line(*faults: str) -> Iterator[tuple[Transport, Base]]:
-    with serial_pair() as (line, far):
-        base = Base(far, *faults)
-        base.start()
-        try:
-            yield line, base
-        finally:
-            base.ending.set()
-            base.join()
-
-
-def turn(
-    session: Session, line: Transport, until: object, timeout: float = 10.0
-) -> list[tuple[float, object]]:
-    """Let a session run until ``until()``; return its events and when they came."""
-    deadline, happened = time.monotonic() + timeout, []
-    while not until():  # type: ignore[operator]
-        assert time.monotonic() < deadline, "timed out"
-        data = line.read(0.02)
-        events = session.receive(data, time.monotonic()) if data else []
-        events += session.tick(time.monotonic())
-        happened += [(time.monotonic(), event) for event in events]
-        line.write(session.data_to_send())
-    return happened
-
-
-def test_a_base_on_a_serial_line_is_connected_driven_and_left() -> None:
-    with base_on_a_serial_line() as (line, base):
-        session = Session()
-        session.connect(time.monotonic())
-        line.write(b"WMS2\r")  # what ARIA sends first
-        turn(session, line, lambda: session.state is SessionState.READY)
-        session.enable(True)
-        turn(session, line, lambda: base.pioneer.firmware.drive.enabled)
-        turn(
-            session, line, lambda: session.set_motion(Velocity(0.3, 0.0)) or base.pioneer.rover.pose.x > 0.02
-        )
-        session.close(time.monotonic())
-        line.write(session.data_to_send())
-        deadline = time.monotonic() + 5
-        while base.pioneer.speed or base.pioneer.firmware.drive.enabled:
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-
-
-def test_a_base_on_a_bad_serial_line_that_falls_silent_is_lost_in_time() -> None:
-    with base_on_a_serial_line("corrupt=0.05", "drop=0.05", "noise=0.05", "mute@0.7") as (line, _):
-        session = Session()
-        session.connect(time.monotonic())
-        turn(session, line, lambda: session.state is SessionState.READY, timeout=30)
-        session.enable(True)
-        happened = turn(session, line, lambda: session.state is SessionState.LOST)
-        (reported_s, _), (lost_s, lost) = [
-            item for item in happened if isinstance(item[1], BaseReport | Lost)
-        ][-2:]
-        assert lost_s - reported_s < 0.7
-        assert isinstance(lost, Lost)
 
 
 def test_a_serial_line_behind_a_url_of_pyserial_carries_bytes_both_ways():

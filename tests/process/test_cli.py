@@ -70,6 +70,20 @@ def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, expected, c
     assert err.count("\n") == 1
 
 
+@pytest.fixture
+def run_command(monkeypatch):
+    """Run a command line where a function is the only command, called ``it``."""
+
+    def run(function, *arguments):
+        app = typer.Typer()
+        app.callback()(lambda: None)
+        app.command("it")(function)
+        monkeypatch.setattr(cli, "_app", lambda: app)
+        return cli.run(["it", *arguments])
+
+    return run
+
+
 @pytest.mark.parametrize(
     ("raised", "code"),
     [
@@ -82,15 +96,11 @@ def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, expected, c
         (ModuleNotFoundError("no", name="plotly.graph_objects"), 2),
     ],
 )
-def test_errors_become_one_line_an_exit_code_and_one_json_object(raised, code, capsys, monkeypatch):
+def test_errors_become_one_line_an_exit_code_and_one_json_object(raised, code, capsys, run_command):
     def fail(json: bool = False) -> None:
         raise raised
 
-    app = typer.Typer()
-    app.callback()(lambda: None)
-    app.command("fail")(fail)
-    monkeypatch.setattr(cli, "_app", lambda: app)
-    assert cli.run(["fail", "--json"]) == code
+    assert run_command(fail, "--json") == code
     out, err = capsys.readouterr()
     assert err.count("\n") == 1
     assert "Traceback" not in err
@@ -100,17 +110,20 @@ def test_errors_become_one_line_an_exit_code_and_one_json_object(raised, code, c
     assert fields["error"] in err
 
 
-def test_missing_extra_names_the_extras_to_install(capsys, monkeypatch):
-    app = typer.Typer()
-    app.callback()(lambda: None)
-
-    @app.command("fail")
+def test_a_bug_is_a_traceback_not_a_user_error(run_command):
     def fail() -> None:
-        raise ModuleNotFoundError("No module named 'numba'", name="numba")
+        raise ZeroDivisionError
 
-    monkeypatch.setattr(cli, "_app", lambda: app)
-    assert cli.run(["fail"]) == 2
-    assert "pip install 'rover-ncp[drive]'" in capsys.readouterr().err
+    with pytest.raises(ZeroDivisionError):
+        run_command(fail)
+
+
+@pytest.mark.parametrize(("returned", "code"), [(1, 1), (None, 0)])
+def test_a_commands_return_value_is_the_exit_code(returned, code, run_command):
+    def give() -> int | None:
+        return returned
+
+    assert run_command(give) == code
 
 
 NEEDS = {
@@ -118,11 +131,11 @@ NEEDS = {
         "urdf",
         "recover no.mcap",
         "bridge --base tcp/127.0.0.1:1 --limits no.yaml",
+        f"check --on-blocks {NO_BRIDGE}",
+        f"teleop {NO_BRIDGE}",
     ],
     "drive": [
         f"deploy {NO_BRIDGE}",
-        f"check --on-blocks {NO_BRIDGE}",
-        f"teleop {NO_BRIDGE}",
         "replay no.mcap",
         "identify no.mcap",
         "course check parking",
@@ -192,33 +205,3 @@ def test_the_extras_that_are_named_are_enough(extras, tmp_path):
         missing -= {"matplotlib"}  # of both
     for line, words in without(missing, NEEDS[extras], tmp_path):
         assert "is not installed" not in words, line
-
-
-def test_a_bug_is_a_traceback_not_a_user_error(monkeypatch):
-    app = typer.Typer()
-    app.callback()(lambda: None)
-
-    @app.command("fail")
-    def fail() -> None:
-        raise ZeroDivisionError
-
-    monkeypatch.setattr(cli, "_app", lambda: app)
-    with pytest.raises(ZeroDivisionError):
-        cli.run(["fail"])
-
-
-def test_a_commands_return_value_is_the_exit_code(monkeypatch):
-    app = typer.Typer()
-    app.callback()(lambda: None)
-
-    @app.command("one")
-    def one() -> int:
-        return 1
-
-    @app.command("none")
-    def none() -> None:
-        return None
-
-    monkeypatch.setattr(cli, "_app", lambda: app)
-    assert cli.run(["one"]) == 1
-    assert cli.run(["none"]) == 0

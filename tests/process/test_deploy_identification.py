@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from deploy.drive.measurements import Intake
-from deploy.drive.safety_monitor import Guard
-from deploy.drive.waits import Waits
+from deploy.drive.measurements import Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify import excitation
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
 from deploy.identify.excitation import FENCE_M, excite, steps
@@ -233,11 +232,11 @@ def excited(trials, fence_m):
     )
     world = World(firmware)
     air = Air(world, start)
-    intake = Intake(air.odometry)
-    guard = Guard(air, intake, Waits(), lambda: False, world)
-    guard.wait(True, "")
+    measurements = Measurements(air)
+    monitor = SafetyMonitor(air, measurements, lambda: False, clock=world)
+    monitor.wait()
     try:
-        excite(air, intake, guard, fence_m, world)
+        excite(air, measurements, monitor, fence_m, world)
         stopped = None
     except SafetyStop as stop:
         stopped = stop.rule

@@ -6,7 +6,8 @@ import time
 import pytest
 import zenoh
 
-from deploy.drive.link import ASK_TRIES, ROUND_TRIP_S, Link
+from deploy.drive.zenoh_link import REQUEST_TRIES, ROUND_TRIP_S, ZenohLink
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.errors import OtherVersion, SafetyStop
 from rover_ncp.core.protocol import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
 
@@ -52,7 +53,7 @@ def ask():
     def ask(*delays):
         bridge = SlowBridge(*delays)
         try:
-            with Link(bridge.robot, "", None, lambda _: None) as link:
+            with ZenohLink(BridgeAddress(bridge.robot), lambda _: None) as link:
                 return link.request_motors("test"), bridge
         finally:
             bridge.session.close()
@@ -65,7 +66,7 @@ def test_a_link_that_is_always_slow_refuses_the_drive(ask):
     with pytest.raises(
         SafetyStop, match=r"stopped by slow-link: the bridge at tcp/127.* takes 0.[2-9]"
     ) as stop:
-        ask(*[late] * ASK_TRIES)
+        ask(*[late] * REQUEST_TRIES)
     assert stop.value.exit_code == 4
 
 
@@ -90,7 +91,7 @@ def test_a_bridge_of_an_older_version_is_named_with_our_own():
     bridge = OldBridge()
     try:
         with (
-            Link(bridge.robot, "", None, lambda _: None) as link,
+            ZenohLink(BridgeAddress(bridge.robot), lambda _: None) as link,
             pytest.raises(
                 OtherVersion, match="the bridge uses protocol version 1, the driver version 2"
             ) as error,

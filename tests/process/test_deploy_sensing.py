@@ -10,6 +10,7 @@ from deploy import app as node
 from deploy.drive.config import DriveConfig
 from deploy.drive_records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import NoPose
 from rover_ncp.core.geometry import Pose, compose, distance, inverse
@@ -103,17 +104,9 @@ def test_poses_that_come_only_after_the_start_are_not_used_and_that_is_said(
         return there(*sample) if bridge.commands else odometry(*sample)
 
     bridge.odom = odom
-    options = node.Options(
-        bridge.robot,
-        str(untuned_policy(tmp_path)),
-        str(short_course(tmp_path)),
-        record=None,
-        duration_s=0.6,
-        dry_run=False,
-        namespace="",
-        zenoh_config=None,
-    )
-    assert node.run(options, Output(as_json=False)) == 1
+    address = BridgeAddress(bridge.robot)
+    files = {"policy": str(untuned_policy(tmp_path)), "course": str(short_course(tmp_path))}
+    assert node.run(address, Output(as_json=False), **files, duration_s=0.6) == 1
     said = " ".join(capsys.readouterr().out.split())
     assert "external poses came, but none while the rover stood at the start: none was used" in said
 

@@ -4,6 +4,7 @@ import pytest
 from bridge_bench import Rig, wait_for
 
 from deploy.watch.viewer import Viewer
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp import cli
 from rover_ncp.core.errors import NoBridge, NotAuthorised
 from rover_ncp.core.messages import read_text
@@ -30,7 +31,7 @@ def gates(heard):
 
 def test_a_viewer_receives_everything_and_stops_nothing(rig, keys):
     heard = []
-    with Viewer(rig.locator, "", keys / "viewer.json5", heard.append) as viewer:
+    with Viewer(BridgeAddress(rig.locator, "", keys / "viewer.json5"), heard.append) as viewer:
         wait_for(lambda: {"odom", "rover/gate", "tf"} <= {message.topic for message in heard})
         assert viewer.bridge_alive
         assert viewer.may_stop is False
@@ -43,7 +44,7 @@ def test_a_viewer_receives_everything_and_stops_nothing(rig, keys):
 
 def test_who_may_drive_may_stop_and_release(rig, keys):
     heard = []
-    with Viewer(rig.locator, "", keys / "driver.json5", heard.append) as viewer:
+    with Viewer(BridgeAddress(rig.locator, "", keys / "driver.json5"), heard.append) as viewer:
         wait_for(lambda: viewer.may_stop)
         assert viewer.stop().stopped is True
         wait_for(lambda: gates(heard) and gates(heard)[-1].held == "stopped")
@@ -53,7 +54,7 @@ def test_who_may_drive_may_stop_and_release(rig, keys):
 
 
 def test_the_end_of_the_bridge_is_noticed(tmp_path):
-    with Rig(tmp_path) as rig, Viewer(rig.locator, "", None, lambda message: None) as viewer:
+    with Rig(tmp_path) as rig, Viewer(BridgeAddress(rig.locator), lambda message: None) as viewer:
         wait_for(lambda: viewer.bridge_alive and viewer.may_stop)
         rig.bridge.stop()
         wait_for(lambda: not viewer.bridge_alive and not viewer.may_stop)
@@ -63,4 +64,4 @@ def test_the_end_of_the_bridge_is_noticed(tmp_path):
 
 def test_no_bridge_is_an_error_with_its_address():
     with pytest.raises(NoBridge, match="nothing answers"):
-        Viewer("tcp/127.0.0.1:9", "", None, lambda message: None)
+        Viewer(BridgeAddress("tcp/127.0.0.1:9"), lambda message: None)

@@ -8,7 +8,8 @@ import time
 import pytest
 from bridge_bench import Driver, Rig, client, wait_for
 
-from deploy.drive.link import Link
+from deploy.drive.zenoh_link import ZenohLink
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.messages import twist_stamped
@@ -115,7 +116,7 @@ def test_a_peer_that_relays_the_request_does_not_get_to_share_the_key(rig):
 
         threading.Thread(target=ask, daemon=True).start()
 
-    with Driver(rig.locator) as other, Link(rig.locator, "", None, lambda _: None) as link:
+    with Driver(rig.locator) as other, ZenohLink(BridgeAddress(rig.locator), lambda _: None) as link:
         wait_for(lambda: other.odom is not None)
         held = peer.declare_queryable("rover/motors", relay, complete=True)
         time.sleep(0.3)

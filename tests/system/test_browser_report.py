@@ -9,7 +9,7 @@ from recorded_drives import BEGAN_NS, TICK_NS, write_drive
 from rover_ncp.core import messages
 from rover_ncp.core.protocol import DriverStatus, dump_json
 from rover_ncp.core.recording import Recorded
-from sim.explain.pages import write_page
+from sim.explain.training import write_page
 from sim.learn.record import TrainSettings
 from sim.learn.train import train
 

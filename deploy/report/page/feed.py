@@ -1,131 +1,136 @@
-"""Live data of a drive: the changes since a viewer's last request, ready for its page.
+"""News of a running drive: the changes since a viewer's last request, ready for its page.
 
-One feed serves any number of viewers, each with its own place (`Place`). A new viewer, or one that asks after
+One feed serves any number of viewers, each with its own place (`Place`). A new viewer, and every viewer after
 a new drive has begun, gets everything. Messages come from one thread, requests of viewers from another.
 """
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
-from deploy.report.analysis import analyse
-from deploy.report.page.page_data import command_columns, event_rows, findings, frames, moved_columns
-from deploy.report.recorded_drive import judge
+from markupsafe import Markup, escape
+
+from deploy.report.findings import analyse
+from deploy.report.page.page import findings_data, findings_html, fragment
+from deploy.report.page.page_data import columns, event_rows
+from deploy.report.recorded_drive import facts
 from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.recording import Recorded
 from rover_ncp.course.course import Course
 
 FINAL = frozenset({"parked", "ended", "fault"})
+"""States of a driver whose drive has ended."""
 BEFORE = 50
-"""Odometry and commands kept while no drive has begun; a page needs no more."""
+"""Odometry and commands kept before a drive begins."""
 EXPLAIN_EVERY_S = 1.0
-
-
-Coverage = tuple[int, bool]
-"""Range of an explanation: its number of ticks, and whether it is that of the drive's end."""
 
 
 @dataclass
 class Place:
-    """How much of the drive a viewer has received; nothing at first."""
+    """What a viewer has received: rows of each stream, and the text of each part of the page."""
 
     generation: int = -1
-    ticks: int = 0
-    odometry: int = 0
-    asked: int = 0
-    let_through: int = 0
-    explained: Coverage = (0, False)
+    rows: Counter[str] = field(default_factory=Counter)
+    html: dict[str, Markup] = field(default_factory=dict)
+    findings: dict[str, Any] | None = None
 
 
 class Feed:
-    """The newest drive on a robot."""
+    """The newest drive of a robot."""
 
     def __init__(self, policy: Policy, course: Course, clock: Callable[[], float] = time.monotonic) -> None:
         self._policy, self._course, self._clock = policy, course, clock
         self._lock = threading.Lock()
         self._generation = 0
-        self._timeline = Timeline(policy, course)
-        self._over = False
-        self._explained: dict[str, Any] = {}
-        self._explained_of: Coverage = (0, False)
-        self._explained_at = -EXPLAIN_EVERY_S
+        self._ended = False
+        self._begin()
 
     def take(self, message: Recorded) -> None:
-        """Take in a message of the robot's, or of its driver's."""
+        """Process a message of the robot or of its driver."""
+        with self._lock:
+            if self._ended and message.topic not in {"rover/status", "rover/gate"}:
+                return  # the data of a finished drive stay unchanged until the next one begins
+            self._timeline.take(message)
+            status = self._timeline.status
+            if message.topic == "rover/status" and status is not None:
+                if self._ended and status.state not in FINAL:
+                    self._begin()
+                    self._timeline.take(message)
+                self._ended = status.state in FINAL
+            if not self._timeline.ticks:
+                for rows in (self._timeline.odometry, self._timeline.asked, self._timeline.let_through):
+                    del rows[:-BEFORE]
+
+    def news(self, place: Place, bridge: bool = True) -> dict[str, Any]:
+        """Return the new data for a viewer and move its place on; ``bridge`` is False without a bridge."""
         with self._lock:
             timeline = self._timeline
-            if self._over and message.topic not in {"rover/status", "rover/gate"}:
-                return  # the data of a finished drive stay unchanged until the next one begins
-            timeline.take(message)
-            if message.topic == "rover/status" and timeline.status is not None:
-                state = timeline.status.state
-                if self._over and state not in FINAL:
-                    self._begin(message)
-                self._over = state in FINAL
-            if not timeline.ticks:
-                del timeline.odometry[:-BEFORE], timeline.asked[:-BEFORE], timeline.let_through[:-BEFORE]
-
-    def news(self, place: Place) -> dict[str, Any]:
-        """Return the new data for a viewer, and move its place on."""
-        with self._lock:
             reset = place.generation != self._generation
             if reset:
-                place.__dict__.update(vars(Place(generation=self._generation)))
-            news: dict[str, Any] = {"reset": reset, **self._state()}
-            if self._timeline.began_ns is not None:
-                news |= self._columns(place)
+                place.__dict__.update(vars(Place(self._generation)))
+            news: dict[str, Any] = {
+                "reset": reset,
+                "status": timeline.status and timeline.status.model_dump(),
+                "gate": timeline.gate and timeline.gate.model_dump(),
+                "events": event_rows(timeline),
+            }
+            if timeline.ticks:
+                news |= columns(timeline, place.rows)
+                place.rows = Counter({name: len(rows) for name, rows in timeline.streams.items()})
+            self._explain()
+            if self._findings is not place.findings:
+                news["findings"] = place.findings = self._findings
+            html = {**self._state_html(bridge), **self._findings_html}
+            news["html"] = {name: text for name, text in html.items() if place.html.get(name) != text}
+            place.html = html
             return news
 
-    def _begin(self, message: Recorded) -> None:
+    def _begin(self) -> None:
         self._generation += 1
         self._timeline = Timeline(self._policy, self._course)
-        self._timeline.take(message)
-        self._explained, self._explained_of = {}, (0, False)
+        self._ended = False
+        self._findings: dict[str, Any] | None = None
+        self._findings_html: dict[str, Markup] = {}
+        self._explained = (0, False)
+        self._explained_at = -EXPLAIN_EVERY_S
 
-    def _state(self) -> dict[str, Any]:
-        status, gate = self._timeline.status, self._timeline.gate
+    def _state_html(self, bridge: bool) -> dict[str, Markup]:
+        """Return the parts of the page that change with the states of driver and gate."""
+        timeline, notes = self._timeline, []
+        status, gate = timeline.status, timeline.gate
+        state = (status.state if status else "waiting") if bridge else "no bridge"
+        kind = {"parked": "good", "fault": "bad", "no bridge": "bad"}.get(state, "")
+        if status:
+            notes.append(f"policy {status.policy} on course {status.course}")
+        if gate and gate.lease:
+            notes.append(f"{gate.driver_name or 'a driver without a name'} holds the lease")
+            notes += [f"the gate holds the rover: {gate.held}"] if gate.held else []
+        elif gate:
+            notes.append("no driver holds the lease")
+        if timeline.foreign:
+            notes.append(
+                "the driver's neurons are not those of this page's policy: start watch with --policy"
+            )
         return {
-            "status": None if status is None else status.model_dump(),
-            "gate": None if gate is None else gate.model_dump(),
-            "verdict": self._verdict() if self._over and self._timeline.ticks else None,
-            "foreign": self._timeline.foreign,
-            "events": event_rows(self._timeline),
+            "title": fragment("title", state, kind, status.reason if status else ""),
+            "subline": escape("; ".join(notes)),
+            "summary": fragment("rows", facts(timeline, self._ended)),
+            "events": fragment("events", event_rows(timeline)),
         }
-
-    def _verdict(self) -> str:
-        verdict = judge(self._timeline)[-1].verdict
-        where = f"{1000 * verdict.error_m:.0f} mm and {1000 * verdict.error_rad:.0f} mrad from the goal"
-        return f"{where}, by the estimate"
-
-    def _columns(self, place: Place) -> dict[str, Any]:
-        timeline = self._timeline
-        ticks, odometry = timeline.ticks[place.ticks :], timeline.odometry[place.odometry :]
-        asked, let_through = timeline.asked[place.asked :], timeline.let_through[place.let_through :]
-        columns: dict[str, Any] = {
-            "ticks": frames(timeline, ticks),
-            "odometry": moved_columns(timeline, odometry, on_course=True),
-            "asked": command_columns(timeline, asked),
-            "letThrough": command_columns(timeline, let_through),
-        }
-        place.ticks, place.odometry = len(timeline.ticks), len(timeline.odometry)
-        place.asked, place.let_through = len(timeline.asked), len(timeline.let_through)
-        self._explain()
-        if self._explained_of > place.explained:
-            columns["findings"] = self._explained
-            place.explained = self._explained_of
-        return columns
 
     def _explain(self) -> None:
-        """Explain the drive so far, once a second and at its end."""
+        """Explain the drive so far once a second, and completely at its end."""
         count, now = len(self._timeline.ticks), self._clock()
-        if (count, self._over) == self._explained_of or count < 2:
+        if (count, self._ended) == self._explained or count < 2:
             return
-        if not self._over and now - self._explained_at < EXPLAIN_EVERY_S:
+        if not self._ended and now - self._explained_at < EXPLAIN_EVERY_S:
             return
-        explained = findings(analyse(self._timeline.trace()))
-        if not self._over:
-            explained = {name: explained[name] for name in ("phases", "rings")}
-        self._explained, self._explained_of, self._explained_at = explained, (count, self._over), now
+        findings = analyse(self._timeline.trace())
+        self._findings, self._findings_html = findings_data(findings), findings_html(findings)
+        if not self._ended:  # contributions need a whole drive
+            del self._findings["contributions"], self._findings_html["signs"], self._findings_html["taus"]
+        self._explained, self._explained_at = (count, self._ended), now

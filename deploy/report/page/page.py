@@ -1,77 +1,113 @@
-"""The page: one self-contained HTML file without external requests."""
+"""Pages: each is one self-contained HTML file, rendered from a template, without external requests.
 
-import json
-import re
+Text from peers and policies reaches a page only through templates, which escape it, and through JSON.
+"""
+
+from collections import Counter
 from importlib import resources
-from typing import Any, NamedTuple
+from typing import Any
 
-from deploy.report.analysis import analyse
-from deploy.report.page.page_data import circuit_data, course_data, drive_data, findings
-from deploy.report.recorded_drive import Drive
-from deploy.report.summary import summarise
+from jinja2 import Environment, PackageLoader
+from markupsafe import Markup, escape
 
+from deploy.report.findings import Findings, analyse
+from deploy.report.interpretation import PUBLISHED_SIGNS, SYMBOLS
+from deploy.report.page.page_data import circuit_data, columns, course_data, event_rows, rings
+from deploy.report.recorded_drive import Drive, summarise
+from deploy.report.sentences import number
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.course.course import Course
 
-class Template(NamedTuple):
-    """A page's frame, and its scripts in the order in which they build on each other."""
-
-    frame: str
-    scripts: tuple[str, ...]
-
-
-DRIVE = Template(
-    "page.html",
-    ("shapes.js", "circuit.js", "plots.js", "pairs.js", "player.js", "page.js", "live.js"),
-)
-TRAINING = Template("training.html", ("shapes.js", "plots.js", "training.js"))
 _ASSETS = resources.files("deploy.report.page") / "assets"
+_TEMPLATES = Environment(
+    loader=PackageLoader("deploy.report.page", "assets"), autoescape=True, trim_blocks=True
+)
+_TEMPLATES.filters["number"] = number
+_TEMPLATES.globals |= {
+    "asset": lambda name: Markup((_ASSETS / name).read_text("utf-8")),
+    "symbols": SYMBOLS,
+    "published": PUBLISHED_SIGNS,
+}
+_TEMPLATES.policies["json.dumps_kwargs"] = {
+    "allow_nan": False,
+    "separators": (",", ":"),
+    "ensure_ascii": False,
+}
 
 
 def drive_page(drive: Drive) -> str:
     """Return the report of a recorded drive as HTML."""
-    summary = summarise(drive)
-    return html(
-        f"{summary.headline}: {drive.policy.circuit.name} on {drive.course.name}",
-        {
-            "live": False,
-            "parked": summary.parked,
-            "headline": summary.headline,
-            "subline": summary.subline,
-            "summary": summary.rows,
-            "origin": summary.origin,
-            "course": course_data(drive.course),
-            "circuit": circuit_data(drive.policy),
-            "drive": drive_data(drive.timeline),
-            "findings": findings(analyse(drive.timeline.trace())),
+    summary, findings = summarise(drive), analyse(drive.timeline.trace())
+    events = event_rows(drive.timeline)
+    verdict, _, reason = summary.headline.partition(": ")
+    return page(
+        "page.html",
+        title=f"{summary.headline}: {drive.policy.circuit.name} on {drive.course.name}",
+        data={
+            **_frame(drive.policy, drive.course),
+            "news": {
+                "reset": True,
+                **columns(drive.timeline, Counter()),
+                "events": events,
+                "findings": findings_data(findings),
+            },
         },
+        html={
+            "title": fragment("title", verdict, "good" if summary.parked else "bad", reason),
+            "subline": escape(summary.subline),
+            "summary": fragment("rows", summary.rows),
+            "events": fragment("events", events),
+            **findings_html(findings),
+        },
+        origin=summary.origin,
     )
 
 
-def html(title: str, data: dict[str, Any], template: Template = DRIVE, connect: str = "'none'") -> str:
-    """Return a page that shows ``data``; ``connect`` is the CSP source to which its script may connect.
+def watch_page(robot: str, policy: Policy, course: Course) -> str:
+    """Return the page of ``watch`` as HTML; its script gets all news from the server."""
+    title = fragment("title", "waiting", "", "for the bridge")
+    return page(
+        "page.html",
+        title=f"Watching {robot}",
+        data=_frame(policy, course),
+        html={"title": title},
+        live=True,
+    )
 
-    Everything is in the file, and its content security policy forbids the browser to fetch anything else.
+
+def page(template: str, *, title: str, data: dict[str, Any], html: dict[str, Markup], **parts: Any) -> str:
+    """Return a page with its script's ``data`` and the parts ``html``, by id.
+
+    With ``live=True`` its script may connect to the page's own server.
     """
     from plotly.offline import get_plotlyjs
 
-    parts = {
-        "title": _escaped(title),
-        "connect": connect,
-        "style": _asset("page.css"),
-        "data": _in_script(json.dumps(data, allow_nan=False, separators=(",", ":"), ensure_ascii=False)),
-        "script": _in_script("\n".join(_asset(name) for name in template.scripts)),
-        "plotly": _in_script(get_plotlyjs()),
+    return _TEMPLATES.get_template(template).render(
+        title=title, data=data, html=html, plotly=Markup(get_plotlyjs()), **parts
+    )
+
+
+def fragment(name: str, *arguments: Any) -> Markup:
+    """Return a part of a page, made by a macro of ``fragments.html``."""
+    made: Markup = getattr(_TEMPLATES.get_template("fragments.html").module, name)(*arguments)
+    return made
+
+
+def findings_data(findings: Findings) -> dict[str, Any]:
+    """Return the findings that a script shows: phases, and the contributions of all pairs."""
+    fields = findings.fields(findings.contributions)
+    return {name: fields[name] for name in ("phases", "contributions")}
+
+
+def findings_html(findings: Findings) -> dict[str, Markup]:
+    """Return the findings as parts of a page, by id."""
+    return {
+        "phases": fragment("phases", findings.sentences, findings.explanations),
+        "rings": fragment("rings", rings(findings)),
+        "signs": fragment("contributions", findings),
+        "taus": fragment("time_constants", findings.time_constants),
     }
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _asset(template.frame))
 
 
-def _asset(name: str) -> str:
-    return (_ASSETS / name).read_text("utf-8")
-
-
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-
-
-def _in_script(text: str) -> str:
-    """Return a script whose strings cannot end the element it stands in, nor open a comment there."""
-    return re.sub(r"<(?=/script|script|!--)", r"\\u003c", text, flags=re.IGNORECASE)
+def _frame(policy: Policy, course: Course) -> dict[str, Any]:
+    return {"course": course_data(course), "circuit": circuit_data(policy)}

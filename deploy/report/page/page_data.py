@@ -1,41 +1,42 @@
-"""Data of a page as plain values for its script: one drawing, and columns over time.
+"""Data of a page as plain values for its script: the course, the circuit's drawing, and columns over time.
 
-Columns are rounded to what a screen can show: a page of a drive of 32 s stays well under a megabyte without
-its plotting library.
+Columns are rounded to screen precision, so the page of a drive of 32 s stays far below a megabyte without its
+plotting library.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deploy.report.analysis import Analysis
-from deploy.report.charts.shapes import OUTLINE, ellipse, rectangle
-from deploy.report.charts.style import ring_radius
-from deploy.report.currents import synapse_currents
+from deploy.report.charts.figure import OUTLINE, FloatArray, rectangle, ring_radius
+from deploy.report.charts.path import deadlines
+from deploy.report.findings import Findings
 from deploy.report.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out
-from deploy.report.published import CONTRIBUTIONS
 from deploy.report.timeline import Command, Moved, Tick, Timeline
+from deploy.report.trace import synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import Course
 
 TRUTH_STEP_NS = 50_000_000
-"""A mock writes the true pose at 100 Hz; a picture needs no more than 20."""
+"""A mock records the true pose at 100 Hz; a page shows 20 Hz."""
+LEAST_RING = 1.5
+"""Least width of a ring, so that a constant time constant has a visible one."""
 
 
 def course_data(course: Course) -> dict[str, Any]:
     """Return a course and the rover's outline."""
     return {
-        "name": course.name,
         "checkpoints": [[p.t, p.x, p.y, p.theta] for p in course.checkpoints],
+        "deadlines": deadlines(course),
         "obstacles": [
-            _rounded(rectangle(o.length, o.width, (o.x, o.y, o.theta)).ravel()) for o in course.obstacles
+            rectangle(o.length, o.width, (o.x, o.y, o.theta)).round(4).tolist() for o in course.obstacles
         ],
         "goal": [course.goal.x, course.goal.y, course.parked.position_m],
-        "startSignal": course.start_signal_s,
         "horizon": course.horizon_s,
         "outline": OUTLINE.tolist(),
     }
@@ -43,15 +44,13 @@ def course_data(course: Course) -> dict[str, Any]:
 
 def circuit_data(policy: Policy) -> dict[str, Any]:
     """Return a circuit as it is drawn."""
-    circuit, layout = policy.circuit, lay_out(policy)
-    meanings = labels(policy)
+    circuit, layout, meanings = policy.circuit, lay_out(policy), labels(policy)
     return {
-        "name": circuit.name,
         "size": [WIDTH, HEIGHT, RADIUS],
         "neurons": [
             {
                 "name": name,
-                "layer": str(layer),
+                "layer": layer,
                 "x": round(x, 1),
                 "y": round(y, 1),
                 "label": meanings.get(name, ""),
@@ -72,112 +71,86 @@ def circuit_data(policy: Policy) -> dict[str, Any]:
     }
 
 
-def frames(timeline: Timeline, ticks: Sequence[Tick]) -> dict[str, Any]:
-    """Return columns over some of a drive's ticks; times in s since its first tick."""
+def rings(findings: Findings) -> list[tuple[str, float, float, float, float]]:
+    """Return the rings of the time constants: neuron, x and y of the centre, inner radius and width."""
+    policy = findings.trace.policy
+    places = dict(zip(policy.circuit.neurons, lay_out(policy).places, strict=True))
+    found = []
+    for neuron, lowest, highest in findings.time_constants:
+        inner, outer = ring_radius(lowest), ring_radius(highest)
+        found.append((neuron, *places[neuron], inner, max(outer - inner, LEAST_RING)))
+    return found
+
+
+def columns(timeline: Timeline, first: Mapping[str, int]) -> dict[str, dict[str, Any]]:
+    """Return all streams over time, each from a row on: columns with times in s since the first tick."""
+    new = {name: rows[first[name] :] for name, rows in timeline.streams.items()}
+    truth = {row.wall_ns // TRUTH_STEP_NS: row for row in new["truth"]}
+    return {
+        "ticks": _ticks(timeline, new["ticks"]),
+        "odometry": _moved(timeline, new["odometry"], timeline.on_course),
+        "truth": _moved(timeline, list(truth.values()), lambda pose: pose),
+        "asked": _commands(timeline, new["asked"]),
+        "letThrough": _commands(timeline, new["letThrough"]),
+    }
+
+
+def event_rows(timeline: Timeline) -> list[dict[str, Any]]:
+    """Return the events with their times."""
+    if timeline.began_ns is None:
+        return []
+    times = _since(timeline, [event.wall_ns for event in timeline.events])
+    return [
+        {"t": t, "kind": event.kind, "text": event.text}
+        for t, event in zip(times, timeline.events, strict=True)
+    ]
+
+
+def _ticks(timeline: Timeline, ticks: Sequence[Tick]) -> dict[str, Any]:
     if not ticks:
         return {}
     potentials = np.array([tick.potentials for tick in ticks])
     currents = synapse_currents(timeline.policy.circuit, potentials)
-    poses = np.array([tick.estimate.pose for tick in ticks])
-    ellipses = [ellipse(tick.estimate.covariance[:2, :2]) for tick in ticks]
+    x, y, theta = np.array([tick.estimate.pose for tick in ticks]).T
     return {
-        "t": _since(timeline, (tick.wall_ns for tick in ticks)),
-        "x": _rounded(poses[:, 0], 4),
-        "y": _rounded(poses[:, 1], 4),
-        "theta": _rounded(poses[:, 2], 4),
-        "ellipse": [_rounded(one, 6) for one in ellipses],
+        "t": _since(timeline, [tick.wall_ns for tick in ticks]),
+        "x": _rounded(x),
+        "y": _rounded(y),
+        "theta": _rounded(theta),
+        "ellipse": [_rounded(_ellipse(tick.estimate.covariance[:2, :2]), 6) for tick in ticks],
         "potentials": [_rounded(column, 2) for column in potentials.T],
         "currents": [_rounded(column, 3) for column in currents.current.T],
         "pulls": [_rounded(column, 2) for column in currents.pull.T],
     }
 
 
-def moved_columns(timeline: Timeline, rows: Sequence[Moved], on_course: bool) -> dict[str, Any]:
-    """Return poses over time; ``on_course`` lays odometry onto the course."""
-    poses = [timeline.on_course(row.pose) if on_course else row.pose for row in rows]
-    known = [(row, pose) for row, pose in zip(rows, poses, strict=True) if pose is not None]
+def _moved(
+    timeline: Timeline, rows: Sequence[Moved], on_course: Callable[[Pose], Pose | None]
+) -> dict[str, Any]:
+    known = [(row, pose) for row in rows if (pose := on_course(row.pose)) is not None]
     return {
-        "t": _since(timeline, (row.wall_ns for row, _ in known)),
-        "x": _rounded([pose.x for _, pose in known], 4),
-        "y": _rounded([pose.y for _, pose in known], 4),
-        "theta": _rounded([pose.theta for _, pose in known], 4),
-        "v": _rounded([row.velocity.v if row.velocity else 0.0 for row, _ in known], 4),
-        "omega": _rounded([row.velocity.omega if row.velocity else 0.0 for row, _ in known], 4),
+        **_commands(timeline, [Command(row.wall_ns, row.velocity) for row, _ in known]),
+        **{name: _rounded([getattr(pose, name) for _, pose in known]) for name in Pose._fields},
     }
 
 
-def command_columns(timeline: Timeline, rows: Sequence[Command]) -> dict[str, Any]:
-    """Return commands over time."""
+def _commands(timeline: Timeline, rows: Sequence[Command]) -> dict[str, Any]:
     return {
-        "t": _since(timeline, (row.wall_ns for row in rows)),
-        "v": _rounded([row.velocity.v for row in rows], 4),
-        "omega": _rounded([row.velocity.omega for row in rows], 4),
+        "t": _since(timeline, [row.wall_ns for row in rows]),
+        "v": _rounded([row.velocity.v for row in rows]),
+        "omega": _rounded([row.velocity.omega for row in rows]),
     }
 
 
-def event_rows(timeline: Timeline) -> list[dict[str, Any]]:
-    """Return the events with their times."""
-    began = timeline.began_ns
-    if began is None:
-        return []
-    return [
-        {"t": round((event.wall_ns - began) * 1e-9, 2), "kind": event.kind, "text": event.text}
-        for event in timeline.events
-    ]
+def _ellipse(covariance: FloatArray) -> tuple[float, float, float]:
+    """Return half axes and direction of the ellipse of one standard deviation of a 2 x 2 covariance."""
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
+    major, minor = np.sqrt(np.clip(values[::-1], 0.0, None))
+    return major, minor, np.arctan2(vectors[1, 1], vectors[0, 1])
 
 
-def drive_data(timeline: Timeline) -> dict[str, Any]:
-    """Return everything over time of a whole drive."""
-    thinned: list[Moved] = []
-    for moved in timeline.truth:
-        if not thinned or moved.wall_ns - thinned[-1].wall_ns >= TRUTH_STEP_NS:
-            thinned.append(moved)
-    return {
-        "ticks": frames(timeline, timeline.ticks),
-        "odometry": moved_columns(timeline, timeline.odometry, on_course=True),
-        "truth": moved_columns(timeline, thinned, on_course=False),
-        "asked": command_columns(timeline, timeline.asked),
-        "letThrough": command_columns(timeline, timeline.let_through),
-        "events": event_rows(timeline),
-    }
-
-
-def findings(analysis: Analysis) -> dict[str, Any]:
-    """Return the findings of a run: phases, contributions, time constants."""
-    return {
-        "phases": [
-            {
-                "label": each.phase.label,
-                "start": round(each.phase.start_s, 2),
-                "end": round(each.phase.end_s, 2),
-                "text": each.text,
-                "neurons": [level.neuron for level in (each.behind, each.motor) if level is not None],
-            }
-            for each in analysis.explanations
-        ],
-        "rings": {
-            row.neuron: [round(ring_radius(row.lowest_s), 1), round(ring_radius(row.highest_s), 1)]
-            for row in analysis.time_constants
-        },
-        "timeConstants": [[row.neuron, row.lowest_s, row.highest_s] for row in analysis.time_constants],
-        "sources": analysis.sources,
-        "motors": analysis.motors,
-        "contributions": {
-            f"{a} {b}": [str(one.sign), one.positive, one.negative, one.flat, list(one.bins)]
-            for (a, b), one in analysis.contributions.items()
-        },
-        "driving": {
-            f"{a} {b}": [str(one.sign), one.positive, one.negative]
-            for (a, b), one in analysis.driving.items()
-        },
-        "paper": {f"{a} {b}": str(sign) for (a, b), sign in CONTRIBUTIONS.items()},
-    }
-
-
-def _since(timeline: Timeline, moments: Iterable[int]) -> list[float]:
-    began = timeline.began_ns
-    assert began is not None  # nothing has a time before the first tick
-    return [round((moment - began) * 1e-9, 3) for moment in moments]
+def _since(timeline: Timeline, times_ns: Iterable[int]) -> list[float]:
+    return [round((time - timeline.ticks[0].wall_ns) * 1e-9, 3) for time in times_ns]
 
 
 def _rounded(values: ArrayLike, digits: int = 4) -> list[float | None]:

@@ -1,6 +1,7 @@
 """The gate: which commands it accepts. Stale, replayed, foreign, malformed, plain ROS."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from gate_bench import LIMITS, SECRET, SLOW, Gate
@@ -12,9 +13,10 @@ from bridge.gate.state import (
     Reason,
     Tick,
     VelocityCommand,
+    read_tag,
 )
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.protocol import CommandTag
+from rover_ncp.core.protocol import CommandTag, Signed
 
 # Lateness
 
@@ -242,6 +244,21 @@ def test_nonsense_from_others_changes_nothing():
     gate = Gate().driving()
     assert gate.drive(0.1, None, signed=False).velocity == SLOW
     assert gate.at(0.1, VelocityCommand(None)).velocity == SLOW
+
+
+def test_signature_is_valid_for_its_lease_key_kind_and_bytes_only():
+    lease = Gate().driving().state.lease
+    tag = CommandTag(1, 9, 0).sign(SECRET, Signed.COMMAND, "cmd_vel", b"x")
+    assert lease.signed(read_tag(tag.pack()), Signed.COMMAND, "cmd_vel", b"x")
+    assert not lease.signed(tag, Signed.MOTORS, "cmd_vel", b"x")
+    assert not lease.signed(tag, Signed.COMMAND, "bot1/cmd_vel", b"x")
+    assert not lease.signed(tag, Signed.COMMAND, "cmd_vel", b"y")
+    assert not replace(lease, number=2).signed(tag, Signed.COMMAND, "cmd_vel", b"x")
+    assert not replace(lease, secret=bytes(32)).signed(tag, Signed.COMMAND, "cmd_vel", b"x")
+    assert not replace(lease, secret=None).signed(tag, Signed.COMMAND, "cmd_vel", b"x")
+    for attachment in (None, b"", b"x" * 39):
+        assert not lease.signed(read_tag(attachment), Signed.COMMAND, "cmd_vel", b"x")
+    assert read_tag(b"x" * 39) is not None  # with an attachment it is no plain ROS command
 
 
 # Plain ROS commands

@@ -7,8 +7,15 @@ from hypothesis import strategies as st
 
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind, SynapseKind, build_circuit
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
-from rover_ncp.circuit.tap_withdrawal import SENSORY, parking_circuit, tap_withdrawal_circuit
-from rover_ncp.core.errors import ConfigError
+from rover_ncp.circuit.tap_withdrawal import (
+    PARKING_NEURONS,
+    SENSORY,
+    four_dof_circuit,
+    parking_circuit,
+    random_circuit,
+    tap_withdrawal_circuit,
+)
+from rover_ncp.core.errors import ConfigError, UsageError
 
 CIRCUIT_KINDS = [
     kind for kind in ParameterKind if kind not in (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
@@ -24,12 +31,17 @@ FIGURE = {
 }
 BENCHMARK = FIGURE | {"FWD": "ex AVB", "REV": "ex AVA"}
 PARKING = FIGURE | {"LFT": "ex AVB", "RGT": "ex AVA", "FWD": "ex AVB, ex AVA"}
+FOUR_DOF = FIGURE | {"LFT": "ex AVB", "RGT": "ex AVA", "FWD": "ex AVB", "REV": "ex AVA"}
 WORDS = {"ex": SynapseKind.EXCITATORY, "in": SynapseKind.INHIBITORY, "gap": SynapseKind.GAP}
 
 
 @pytest.mark.parametrize(
     ("circuit", "figure", "synapses"),
-    [(tap_withdrawal_circuit(), BENCHMARK, 28), (parking_circuit(), PARKING, 30)],
+    [
+        (tap_withdrawal_circuit(), BENCHMARK, 28),
+        (parking_circuit(), PARKING, 30),
+        (four_dof_circuit(), FOUR_DOF, 30),
+    ],
 )
 def test_wiring_is_the_papers(circuit, figure, synapses):
     expected = set()
@@ -49,7 +61,7 @@ def test_sparsity_is_that_of_the_paper():
     assert round(100 * (1 - circuit.synapse_count / circuit.size**2)) == 77
 
 
-@pytest.mark.parametrize("build", [tap_withdrawal_circuit, parking_circuit])
+@pytest.mark.parametrize("build", [tap_withdrawal_circuit, parking_circuit, four_dof_circuit])
 def test_shipped_circuit_files_are_the_tables(build):
     circuit = build()
     assert circuit_to_yaml(load_circuit(circuit.name)) == circuit_to_yaml(circuit)
@@ -110,3 +122,22 @@ def test_cannot_be_changed_in_place():
     circuit = parking_circuit()
     with pytest.raises(ValueError, match="read-only"):
         circuit.weight[0] = 1.0
+
+
+def test_random_circuits_have_the_tap_withdrawal_circuits_size_and_differ():
+    circuits = [random_circuit(seed) for seed in range(10)]
+    for circuit in circuits:
+        assert (circuit.size, circuit.synapse_count) == (11, 28)
+        assert not {circuit.neurons[i] for i in circuit.destination} & set(SENSORY)
+        assert np.all((circuit.weight >= 0) & (circuit.weight <= 2))
+        assert set(circuit.capacitance) == {0.05}
+    assert len({tuple(circuit.label(s) for s in range(28)) for circuit in circuits}) == 10
+    assert {kind for circuit in circuits for kind in circuit.kind} == set(SynapseKind)
+    assert np.array_equal(random_circuit(3).weight, circuits[3].weight)
+
+
+def test_random_circuit_has_as_many_synapses_as_asked_for_or_is_refused():
+    assert random_circuit(0, PARKING_NEURONS, 30).synapse_count == 30
+    assert random_circuit(0, ("A", "B"), 6, ("A",)).synapse_count == 6
+    with pytest.raises(UsageError):
+        random_circuit(0, ("A", "B"), 7, ("A",))

@@ -7,11 +7,12 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from rover_ncp.circuit.circuit import build_circuit
-from rover_ncp.circuit.motors import Motors, parking_motors
-from rover_ncp.circuit.policy import Policy, PolicyRunner, course_policy, parking_policy
+from rover_ncp.circuit.motors import Motors, four_dof_motors, parking_motors
+from rover_ncp.circuit.policy import Policy, PolicyRunner, absolute_policy, course_policy, parking_policy
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing, shifted_sensing
-from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
+from rover_ncp.circuit.tap_withdrawal import four_dof_circuit, parking_circuit, tap_withdrawal_circuit
 from rover_ncp.core.errors import ConfigError
+from rover_ncp.course.course import load_course
 
 UNCONNECTED = build_circuit("unconnected", ("up", "down", "alone", "M", "N"), ())
 MOTORS = Motors(outputs=("y",), channels=(Channel(name="y", positive="M", maximum=1.0),))
@@ -52,32 +53,39 @@ def test_sensory_potentials(clamp, pair, single, expected):
     assert potentials_of(clamp, pair, single) == pytest.approx(expected, abs=1e-9)
 
 
-def held_motors(positive_mV, negative_mV):
-    circuit = build_circuit("held", ("S", "LFT", "RGT", "FWD"), ())
-    object.__setattr__(circuit, "held", {1: positive_mV, 2: negative_mV, 3: positive_mV})
+MOTOR_NEURONS = ("FWD", "REV", "LFT", "RGT")
+
+
+def outputs_of(motors, potentials):
+    """Return the outputs for motor neurons held at these potentials in mV."""
+    circuit = build_circuit("held", ("S", *MOTOR_NEURONS), ())
+    object.__setattr__(circuit, "held", dict(enumerate(map(float, potentials), 1)))
     sensing = Sensing(name="test", inputs=("x",), channels=(Channel(name="x", positive="S", maximum=1.0),))
-    return PolicyRunner(Policy(circuit, sensing, parking_motors())).tick([0.0])
+    return PolicyRunner(Policy(circuit, sensing, motors)).tick([0.0])
 
 
 @pytest.mark.parametrize(
-    ("positive_mV", "negative_mV", "v", "omega"),
+    ("motors", "potentials", "expected"),
     [
-        (-60.0, -60.0, 0.0, 0.0),
-        (-20.0, -60.0, 0.16, 0.18),
-        (-60.0, -20.0, 0.0, -0.18),
-        (-20.0, -20.0, 0.16, 0.0),
-        (-40.0, -50.0, 0.08, 0.045),
-        (-90.0, -61.0, 0.0, 0.0),
-        (0.0, -90.0, 0.16, 0.18),
+        (parking_motors(), (-60, 0, -60, -60), (0.0, 0.0)),
+        (parking_motors(), (-20, 0, -20, -60), (0.16, 0.18)),
+        (parking_motors(), (-60, 0, -60, -20), (0.0, -0.18)),
+        (parking_motors(), (-40, 0, -40, -50), (0.08, 0.045)),
+        (parking_motors(), (-90, 0, -90, -61), (0.0, 0.0)),
+        (parking_motors(), (0, 0, 0, -90), (0.16, 0.18)),
+        (four_dof_motors(), (-60, -20, -60, -60), (-0.16, 0.0)),
+        (four_dof_motors(), (-20, -20, -20, -20), (0.0, 0.0)),
+        (four_dof_motors(), (-20, -40, -60, -30), (0.08, -0.135)),
+        (four_dof_motors(), (-90, 0, 0, -90), (-0.16, 0.18)),
     ],
 )
-def test_motor_outputs(positive_mV, negative_mV, v, omega):
-    assert held_motors(positive_mV, negative_mV) == pytest.approx((v, omega), abs=1e-12)
+def test_motor_outputs(motors, potentials, expected):
+    assert outputs_of(motors, potentials) == pytest.approx(expected, abs=1e-12)
 
 
 @given(st.floats(-90, 0), st.floats(-90, 0))
 def test_commands_never_leave_the_motors_range(positive_mV, negative_mV):
-    v, omega = held_motors(positive_mV, negative_mV)
+    v, omega = outputs_of(parking_motors(), (positive_mV, 0.0, positive_mV, negative_mV))
     assert 0 <= v <= 0.16
     assert -0.18 <= omega <= 0.18
 
@@ -119,21 +127,29 @@ def test_refuses_a_motor_range_upside_down():
         Motors(outputs=("y",), channels=MOTORS.channels, low_mV=-20.0, high_mV=-60.0)
 
 
-def test_one_neuron_may_drive_two_outputs():
-    # The four-degrees-of-freedom variant (supplement 6): AVA right and backward, AVB left and forward.
-    motors = Motors(
-        outputs=("v", "omega"),
-        channels=(
-            Channel(name="v", positive="AVB", maximum=0.16, negative="AVA", minimum=-0.16),
-            Channel(name="omega", positive="AVB", maximum=0.18, negative="AVA", minimum=-0.18),
-        ),
-    )
-    runner = PolicyRunner(Policy(parking_circuit(), parking_sensing(), motors))
-    v, omega = runner.tick([0.3, 0.2, 0.1, 1.0])
-    share = np.clip((runner.potentials[[5, 2]] + 60) / 40, 0, 1)
-    assert v == pytest.approx(0.16 * (share[0] - share[1]), abs=1e-12)
-    assert omega == pytest.approx(0.18 * (share[0] - share[1]), abs=1e-12)
-    assert v != 0
+def test_a_circuit_with_a_neuron_for_backward_gets_the_motors_for_it():
+    assert parking_policy(four_dof_circuit()).motors == four_dof_motors()
+    assert parking_policy(parking_circuit()).motors == parking_motors()
+
+
+@pytest.mark.parametrize(
+    ("name", "downward"),
+    [
+        ("parking", ()),
+        ("longer", ()),
+        ("mirrored", ("y", "theta")),
+        ("reverse", ("x", "theta")),
+    ],
+)
+def test_sensors_reach_to_the_side_where_the_course_goes(name, downward):
+    policy = absolute_policy(parking_circuit(), load_course(name))
+    assert policy.courses == (name,)
+    assert policy.sensing == parking_sensing(downward=downward)
+    seen = {"x": 0.3, "y": 0.2, "theta": 0.5, "start": 1.0}
+    flipped = [-value if key in downward else value for key, value in seen.items()]
+    runner, papers = PolicyRunner(policy), PolicyRunner(parking_policy(parking_circuit()))
+    assert runner.tick(flipped) == papers.tick(list(seen.values()))
+    assert (runner.potentials == papers.potentials).all()
 
 
 @pytest.mark.parametrize(

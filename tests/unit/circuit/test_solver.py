@@ -153,30 +153,24 @@ def run_lanes(policy, vectors, observations):
     return potentials, commands
 
 
-@pytest.mark.parametrize("width", [2, 7, 8, 9, 16, 33])
-def test_a_lane_does_not_notice_its_neighbours(width):
+LAYERED = Policy(
+    parking_circuit(),
+    Sensing(name="layered", inputs=tuple("abcde"), channels=parking_sensing().channels),
+    Motors(outputs=("p", "q", "r"), channels=parking_motors().channels),
+    input_layer=np.zeros((4, 5)),
+    output_layer=np.zeros((3, 2)),
+)
+
+
+@pytest.mark.parametrize(
+    ("policy", "width"), [*((PARKING, width) for width in (2, 7, 8, 9, 16, 33)), (LAYERED, 11)]
+)
+def test_a_lane_does_not_notice_its_neighbours(policy, width):
     rng = np.random.default_rng(width)
-    vectors = in_bounds(PARKING, rng.random((width, SIZE)))
-    observations = rng.uniform(-0.5, 1.5, (30, 4, width))
-    potentials, commands = run_lanes(PARKING, vectors, observations)
-    for lane in range(width):
-        runner = PolicyRunner(PARKING.with_parameters(vectors[lane]))
-        for observation in observations:
-            command = runner.tick(observation[:, lane])
-        assert runner.potentials.tobytes() == potentials[:, lane].tobytes()
-        assert np.array(command).tobytes() == commands[:, lane].tobytes()
-
-
-def test_lanes_with_layers_equal_single_runs():
-    rng = np.random.default_rng(5)
-    sensing = Sensing(name="layered", inputs=tuple("abcde"), channels=parking_sensing().channels)
-    motors = Motors(outputs=("p", "q", "r"), channels=parking_motors().channels)
-    layers = {"input_layer": np.zeros((4, 5)), "output_layer": np.zeros((3, 2))}
-    policy = Policy(parking_circuit(), sensing, motors, **layers)
-    vectors = in_bounds(policy, rng.random((11, policy.layout().size)))
-    observations = rng.uniform(-1, 1, (20, 5, 11))
+    vectors = in_bounds(policy, rng.random((width, policy.layout().size)))
+    observations = rng.uniform(-0.5, 1.5, (30, len(policy.sensing.inputs), width))
     potentials, commands = run_lanes(policy, vectors, observations)
-    for lane in range(11):
+    for lane in range(width):
         runner = PolicyRunner(policy.with_parameters(vectors[lane]))
         for observation in observations:
             command = runner.tick(observation[:, lane])

@@ -1,4 +1,4 @@
-"""ROS messages: bytes against an independent layout, values there and back, garbage refused."""
+"""ROS messages: bytes against a CDR writer that shares nothing with ours, values there and back, garbage."""
 
 import math
 import struct
@@ -16,15 +16,10 @@ from rover_ncp.core.key_table import KEYS, Kind
 from rover_ncp.core.messages import imu, read_imu
 
 STAMP = 1_700_000_123_456_789_012
-STAMP_PARTS = (1_700_000_123, 456_789_012)
+UNKNOWN = 1e6
 numbers = st.floats(-1e6, 1e6)
 stamps = st.integers(0, 2**31 * 10**9 - 1)
 ROS_TYPES = sorted({row.type for row in KEYS if row.kind is Kind.MESSAGE} | {"geometry_msgs/msg/Twist"})
-
-
-def header(frame: str) -> bytes:
-    name = frame.encode() + b"\0"
-    return b"\0\1\0\0" + struct.pack("<iII", *STAMP_PARTS, len(name)) + name
 
 
 def samples() -> dict[str, bytes]:
@@ -55,54 +50,101 @@ def test_a_sample_stands_for_every_type_on_the_wire():
     assert sorted(samples()) == ROS_TYPES
 
 
-def test_twist_stamped_has_the_bytes_that_others_send():
-    expected = header("base_link") + b"\0\0" + struct.pack("<6d", 0.16, 0, 0, 0, 0, -0.18)
-    assert messages.twist_stamped(Velocity(0.16, -0.18), STAMP) == expected
-    assert len(expected) == 76
+class Cdr:
+    """Little-endian XCDR1: each number at a multiple of its size, counted from behind the header."""
+
+    def __init__(self):
+        self.data = bytearray()
+
+    def put(self, kind, *values):
+        size = struct.calcsize(f"<{kind}")
+        for value in values:
+            self.data += bytes(-len(self.data) % size) + struct.pack(f"<{kind}", value)
+        return self
+
+    def text(self, text):
+        self.put("I", len(text.encode()) + 1)
+        self.data += text.encode() + b"\0"
+        return self
+
+    def octets(self, *values):
+        self.put("I", len(values))
+        self.data += bytes(values)
+        return self
+
+    def header(self, frame):
+        return self.put("i", 1_700_000_123).put("I", 456_789_012).text(frame)
+
+    def vector(self, x, y, z):
+        return self.put("d", x, y, z)
+
+    def turn(self, yaw):
+        return self.put("d", 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+
+    def diagonal(self, *values):
+        return self.put("d", *(values[i] if i == j else 0.0 for i in range(6) for j in range(6)))
+
+    def done(self):
+        return b"\0\1\0\0" + bytes(self.data)
 
 
-def test_odometry_has_the_bytes_that_others_send():
-    pose, velocity = Pose(1.5, -2.25, 2.0), Velocity(0.16, -0.18)
-    pose_covariance = np.diag([0.1, 0.2, 1e6, 1e6, 1e6, 0.3])
-    velocity_covariance = np.diag([0.4, 0.0, 1e6, 1e6, 1e6, 0.5])
-    expected = (
-        header("odom")
-        + b"\0\0\0"
-        + struct.pack("<I", 10)
-        + b"base_link\0"
-        + b"\0" * 6
-        + struct.pack("<7d", 1.5, -2.25, 0, 0, 0, math.sin(1.0), math.cos(1.0))
-        + pose_covariance.astype("<f8").tobytes()
-        + struct.pack("<6d", 0.16, 0, 0, 0, 0, -0.18)
-        + velocity_covariance.astype("<f8").tobytes()
-    )
-    data = messages.odometry(pose, velocity, STAMP, (0.1, 0.2, 0.3), (0.4, 0.5))
-    assert data == expected
-    assert len(data) == 724
-    assert struct.unpack_from("<3d", data, 44) == (1.5, -2.25, 0.0)
-    assert struct.unpack_from("<d", data, 388) == (0.16,)
-    assert struct.unpack_from("<d", data, 428) == (-0.18,)
+def test_odometry_has_the_bytes_of_ros():
+    expected = Cdr().header("odom").text("base_link").vector(1.0, 2.0, 0.0).turn(0.5)
+    expected.diagonal(0.1, 0.2, UNKNOWN, UNKNOWN, UNKNOWN, 0.3)
+    expected.vector(0.16, 0.0, 0.0).vector(0.0, 0.0, -0.18).diagonal(0.4, 0.0, *[UNKNOWN] * 3, 0.5)
+    sent = messages.odometry(Pose(1.0, 2.0, 0.5), Velocity(0.16, -0.18), STAMP, (0.1, 0.2, 0.3), (0.4, 0.5))
+    assert sent == expected.done()
 
 
-def test_a_battery_has_the_layout_of_ros():
-    data = messages.battery_state(12.5, STAMP, charge=0.75, charging=True)
-    start = len(header("base_link")) + 2  # the floats are aligned to 4 behind the header
-    values = struct.unpack_from("<7f3B?", data, start)
-    assert values[0] == 12.5
-    assert all(math.isnan(value) for value in values[1:6])
-    assert values[6:] == (0.75, 1, 0, 0, True)
-
-
-def test_a_point_cloud_says_where_its_floats_are():
-    cloud = messages.decode("sensor_msgs/msg/PointCloud2", samples()["sensor_msgs/msg/PointCloud2"])
-    assert (cloud.height, cloud.width, cloud.point_step, cloud.row_step) == (1, 2, 12, 24)
-    assert [(field.name, field.offset, field.datatype) for field in cloud.fields] == [
-        ("x", 0, 7),
-        ("y", 4, 7),
-        ("z", 8, 7),
+def test_transforms_have_the_bytes_of_ros():
+    expected = Cdr().put("I", 2)
+    expected.header("odom").text("base_link").vector(1.0, 2.0, 0.0).turn(0.5)
+    expected.header("base_link").text("sonar_0").vector(0.1, -0.2, 0.25).turn(-1.5)
+    items = [
+        messages.Transform("odom", "base_link", 1.0, 2.0, 0.0, 0.5),
+        messages.Transform("base_link", "sonar_0", 0.1, -0.2, 0.25, -1.5),
     ]
-    assert struct.unpack("<6f", cloud.data.tobytes()) == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-    assert messages.decode("sensor_msgs/msg/PointCloud2", messages.point_cloud([], STAMP)).width == 0
+    assert messages.transforms(items, STAMP) == expected.done()
+
+
+@pytest.mark.parametrize(
+    ("known", "percentage", "status"),
+    [({}, math.nan, 0), ({"charge": 0.75, "charging": True}, 0.75, 1), ({"charging": False}, math.nan, 2)],
+)
+def test_battery_has_the_bytes_of_ros(known, percentage, status):
+    expected = Cdr().header("base_link").put("f", 12.5, *[math.nan] * 5, percentage)
+    expected.put("B", status, 0, 0, True).put("I", 0, 0).text("").text("")
+    assert messages.battery_state(12.5, STAMP, **known) == expected.done()
+
+
+def test_sonar_has_the_bytes_of_ros():
+    points = [(0.25, 1.0, 0.5), (-2.0, 0.125, 0.5)]
+    expected = Cdr().header("base_link").put("I", 1, 2, 3)
+    for offset, name in enumerate("xyz"):
+        expected.text(name).put("I", 4 * offset).put("B", 7).put("I", 1)
+    expected.put("B", False).put("I", 12, 24).octets(*struct.pack("<6f", *points[0], *points[1])).put(
+        "B", True
+    )
+    assert messages.point_cloud(points, STAMP) == expected.done()
+
+
+def test_bumpers_have_the_bytes_of_ros():
+    expected = Cdr().put("I", 1).text("front,rear").put("I", 2, 2).put("I", 0).octets(0b101, 0b10)
+    assert messages.bumpers(0b101, 0b10) == expected.done()
+
+
+def test_diagnostics_have_the_bytes_of_ros():
+    expected = Cdr().header("base_link").put("I", 1)
+    expected.put("B", 1).text("bridge: gate").text("silence").text("Pioneer p3at-sh")
+    expected.put("I", 2).text("driver").text("ros").text("accepted").text("3")
+    item = messages.Diagnostic("bridge: gate", 1, "silence", {"driver": "ros", "accepted": "3"})
+    assert messages.diagnostics([item], STAMP, "Pioneer p3at-sh") == expected.done()
+
+
+def test_command_and_status_have_the_bytes_of_ros():
+    expected = Cdr().header("base_link").vector(0.16, 0.0, 0.0).vector(0.0, 0.0, -0.18)
+    assert messages.twist_stamped(Velocity(0.16, -0.18), STAMP) == expected.done()
+    assert messages.text('{"held":""}') == Cdr().text('{"held":""}').done()
 
 
 @pytest.mark.parametrize(

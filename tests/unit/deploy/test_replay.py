@@ -1,4 +1,4 @@
-"""Recordings made without a network: the real controller and reporter on a made-up robot's odometry."""
+"""Recordings made without a network: the real controller and publisher on a made-up robot's odometry."""
 
 import json
 import zlib
@@ -9,8 +9,9 @@ import pytest
 
 from deploy.drive.config import POLICY_FILE, DriveConfig, attachments
 from deploy.drive.controller import Controller
-from deploy.drive.status_publisher import Reporter
-from deploy.drive_records import SampleRef, StartRecord, TickRecord, numbers, seconds
+from deploy.drive.measurements import SampleRef
+from deploy.drive.publisher import Publisher
+from deploy.drive_records import StartRecord, TickRecord, numbers
 from deploy.replay import replay
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml, save_policy
@@ -65,7 +66,7 @@ def record_drive(path, policy):
         for name, content in files.items():
             writer.attach(name, content)
         wire = Wire(writer.write)
-        reporter = Reporter(wire, writer.write, policy.circuit.neurons)
+        publisher = Publisher(wire, writer.write, policy.circuit.neurons)
 
         def sip(at_ns):
             data = odometry(pose, velocity, at_ns)
@@ -75,7 +76,8 @@ def record_drive(path, policy):
         first, sample = sip(T0)
         controller.start(sample.pose, 0.0)
         crcs = {name: zlib.crc32(content) for name, content in files.items()}
-        reporter.start(StartRecord(sample=first, pose=(0, 0, 0), attachments=crcs), sample.pose)
+        start = StartRecord(sample=first, pose=(0, 0, 0), attachments=crcs)
+        publisher.start(start, sample.pose)
         for index in range(TICKS + 1):
             at_ns = T0 + (index + 1) * 100 * MS + int(rng.integers(0, 2 * MS))
             pose = compose(pose, Pose(0.1 * velocity.v, 0.0, 0.1 * velocity.omega))
@@ -84,10 +86,10 @@ def record_drive(path, policy):
             if not lost:
                 ref, sample = sip(at_ns)
                 refs.append(ref)
-                controller.odometry(sample.pose, sample.velocity, seconds(ref.measured_ns, first))
+                controller.take(sample, start.seconds(ref.measured_ns))
             now_ns = at_ns - T0 + (50 if lost else 2) * MS
             wall_ns = T0 + now_ns
-            t, last = seconds(now_ns, first), index == TICKS
+            t, last = start.seconds(now_ns), index == TICKS
             tick = None if last else controller.tick(index, t)
             estimate = tick.estimate if tick else controller.look(index, t)
             sequence = None if last else wire.command(tick.command, wall_ns)
@@ -102,7 +104,7 @@ def record_drive(path, policy):
                 command=tick.command if tick else None,
                 sequence=sequence,
             )
-            reporter.tick(record, estimate, tick)
+            publisher.tick(record, estimate, tick)
             if index % 5 == 0:
                 writer.flush()
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.viewer_topics import Views
+from deploy.drive.publisher import ViewerTopics
 from rover_ncp.circuit.tap_withdrawal import PARKING_NEURONS
 from rover_ncp.core.cdr import decode
 from rover_ncp.core.geometry import Pose, compose
@@ -21,7 +21,7 @@ LAYOUT = Path("docs/viewing/rover-ncp.json")
 
 def recorded(ticks=3):
     messages = []
-    views = Views(messages.append, NAMES, "course")
+    views = ViewerTopics(messages.append, NAMES)
     views.start(1_000, Pose(0.5, 0.0, 0.1), Pose(3.0, -2.0, 1.0))
     for k in range(ticks):
         last = k == ticks - 1
@@ -31,7 +31,7 @@ def recorded(ticks=3):
     return messages
 
 
-def test_odometry_lies_where_the_course_says():
+def test_transform_places_odometry_on_the_course():
     frames = next(message for message in recorded() if message.topic == "deploy/frames")
     transform = decode(frames.type, frames.data).transforms[0]
     assert (transform.header.frame_id, transform.child_frame_id) == ("course", "odom")
@@ -40,7 +40,7 @@ def test_odometry_lies_where_the_course_says():
     assert compose(odom, Pose(3.0, -2.0, 1.0)) == pytest.approx(Pose(0.5, 0.0, 0.1))
 
 
-def test_each_neuron_is_a_series_of_its_own_name():
+def test_each_neuron_is_a_topic_of_its_own():
     messages = [message for message in recorded() if message.topic.startswith("neurons/")]
     assert [message.topic for message in messages[:3]] == ["neurons/A", "neurons/B", "neurons/Long_name"]
     assert [read_neurons(message.data) for message in messages] == [
@@ -60,9 +60,6 @@ def test_the_path_is_whole_and_there_from_the_start():
     poses = decode(path.type, path.data).poses
     assert [pose.pose.position.x for pose in poses] == pytest.approx([0.0, 0.1, 0.2])
     assert [m.topic for m in messages].count("deploy/pose") == 3
-
-
-def test_a_drive_without_a_tick_has_no_path():
     assert [message.topic for message in recorded(ticks=0)] == ["deploy/frames"]
 
 

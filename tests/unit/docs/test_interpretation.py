@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from sim.explain.explain import explain
-from sim.explain.prose import prose
+from sim.explain.files import markdown
 
 FOLDER = Path("docs/interpretation")
 AGAIN = (
@@ -13,7 +13,7 @@ AGAIN = (
 
 
 def test_the_shipped_circuit_is_the_one_that_is_explained():
-    assert (FOLDER / "explanation.md").read_text() == prose(explain("parking")), AGAIN
+    assert (FOLDER / "explanation.md").read_text() == markdown(explain("parking")), AGAIN
 
 
 def test_every_picture_of_the_page_is_there():

@@ -1,3 +1,4 @@
+import csv
 import json
 import xml.etree.ElementTree as ET
 
@@ -5,14 +6,14 @@ import numpy as np
 import pytest
 from recorded_drives import write_drive
 
+from deploy.report.charts.circuit import circuit
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
-from sim.explain.explain import explain
-from sim.explain.knockout import knock_outs, without_neuron, without_synapse
-from sim.explain.sensitivity import parameter_names, sensitivities
+from sim.explain.explain import explain, traced
+from sim.explain.what_if import knock_outs, parameter_names, sensitivities, without_neuron, without_synapse
 from sim.learn.evaluator import Evaluator
 from sim.learn.rollout import rollout
 
@@ -39,20 +40,6 @@ def test_without_a_sensory_neuron_what_it_senses_makes_no_difference(parking):
     one, other = PolicyRunner(blind), PolicyRunner(blind)
     for _ in range(20):
         assert one.tick([0.9, 0.1, 0.5, 1.0]) == other.tick([0.0, 0.1, 0.5, 1.0])
-
-
-def test_without_a_neuron_its_destinations_do_not_hear_it(parking):
-    circuit = parking.circuit
-    deaf = without_neuron(parking, "AVD").circuit
-    own = circuit.source == circuit.index("AVD")
-    assert (deaf.weight[own] == 0).all()
-    assert (deaf.weight[~own] == circuit.weight[~own]).all()
-
-
-def test_a_synapse_that_is_cut_weighs_nothing(parking):
-    cut = without_synapse(parking, 7).circuit.weight
-    assert cut[7] == 0
-    assert (np.delete(cut, 7) == np.delete(parking.circuit.weight, 7)).all()
 
 
 def test_knock_outs_are_the_drives_without_each_part(parking):
@@ -93,9 +80,8 @@ def test_a_recording_is_explained_from_its_potentials_as_its_simulation_is(tmp_p
     write_drive(tmp_path / "run.mcap", course=SHORT)
     recorded, simulated = explain(str(tmp_path / "run.mcap")), explain("parking", SHORT)
     assert recorded.course == simulated.course
-    assert recorded.analysis.contributions == simulated.analysis.contributions
-    texts = [[each.text for each in found.analysis.explanations] for found in (recorded, simulated)]
-    assert texts[0] == texts[1]
+    assert recorded.findings.contributions == simulated.findings.contributions
+    assert recorded.findings.sentences == simulated.findings.sentences
     assert recorded.knock_outs == simulated.knock_outs
 
 
@@ -120,6 +106,25 @@ def test_command_writes_tables_pictures_and_one_json_object(tmp_path, capsys):
     sentence = fields["phases"][0]["sentence"]
     assert sentence in (tmp_path / "out" / "explanation.md").read_text()
     assert sentence in said.err
+    tables = {p.stem: [*csv.reader(p.read_text().splitlines())] for p in (tmp_path / "out").glob("*.csv")}
+    assert {name: len(rows) - 1 for name, rows in tables.items()} == {
+        "contributions": 12 * 11,
+        "knock_outs": 12 + 30,
+        "phases": len(fields["phases"]),
+        "potentials": 40,
+        "sensitivities": 94,
+        "time_constants": 8,
+    }
+    header, *rows = tables["contributions"]
+    row = next(dict(zip(header, row, strict=True)) for row in rows if row[:2] == ["AVM", "RGT"])
+    assert (row["sign"], int(row["P"])) == (to_rgt["AVM"]["sign"], to_rgt["AVM"]["positive"])
+    assert row["paper_sign"] == "positive"
+    assert [int(row[f"bin_{k}"]) for k in range(10)] == to_rgt["AVM"]["bins"]
+
+
+def test_figure_has_the_same_bytes_each_time(parking):
+    trace = traced(parking, rollout(parking, load_course(SHORT)))
+    assert circuit(trace, ()) == circuit(trace, ())
 
 
 def test_command_names_a_file_that_is_no_recording(tmp_path, capsys):

@@ -8,8 +8,7 @@ import pytest
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core.errors import FileError
-from sim.explain.pages import write_page
-from sim.explain.training import read_training, training_data
+from sim.explain.training import read_training, training_data, write_page
 from sim.learn.record import TrainSettings
 from sim.learn.rollout import rollout
 from sim.learn.train import train
@@ -46,8 +45,9 @@ def test_the_page_shows_curves_drives_and_parameters(folder, tmp_path):
     training = read_training(folder)
     table = np.genfromtxt(folder / "curve.csv", delimiter=",", skip_header=1)
     assert data["curves"]["iterations"] == table[:, 0].tolist()
-    curves = np.array(data["curves"]["agents"]).T
-    assert curves == pytest.approx(table[:, 1:], abs=1e-4)
+    losses = np.array(data["curves"]["losses"]).T
+    assert losses == pytest.approx(np.maximum(-table[:, 1:], 1e-4), abs=1e-4)
+    assert data["curves"]["quartiles"][1] == pytest.approx(np.median(losses, axis=1), abs=1e-4)
     assert [row["iterations"] for row in data["milestones"]] == [0, 100, 150]
     assert data["milestones"][1]["x"] == pytest.approx(training.milestones[1].run.poses[:, 0], abs=1e-4)
     layout = training.policy.layout()
@@ -55,7 +55,8 @@ def test_the_page_shows_curves_drives_and_parameters(folder, tmp_path):
         (b.lower, b.upper) for b in layout.blocks
     ]
     for block, shown in zip(layout.blocks, data["parameters"], strict=True):
-        assert np.array(shown["values"]).shape == (3, block.size) == (3, len(shown["names"]))
+        assert len(shown["best"]) == len(shown["names"]) == block.size
+        assert sum(shown["counts"]) == 3 * block.size
     assert len(page.path.read_bytes()) < 10_000_000
 
 
@@ -80,7 +81,7 @@ def test_unfinished_run_is_reported_as_far_as_it_got(folder, tmp_path):
         (lambda run: (run / "milestones/9x.yaml").write_text(""), "named for its iterations"),
     ],
 )
-def test_what_is_damaged_is_named(folder, tmp_path, spoil, words):
+def test_damaged_file_is_named(folder, tmp_path, spoil, words):
     shutil.copytree(folder, tmp_path / "run")
     spoil(tmp_path / "run")
     with pytest.raises(FileError, match=re.escape(words)):
@@ -92,5 +93,5 @@ def test_command_writes_the_page_into_the_folder(folder, capsys):
     said = json.loads(capsys.readouterr().out)
     assert said["page"] == str(folder / "report.html")
     assert said["kind"] == "training"
-    # The folder can still be gone on with.
+    # The run can still be continued.
     train(TrainSettings(course=SHORT, seed=1, agents=3, iterations=150), folder, processes=1, resume=True)

@@ -168,10 +168,6 @@ def test_damage_hits_its_share_of_packets_the_same_ones_for_a_seed(name: str) ->
         assert not any(whole in Decoder().feed(data) for data in damaged)
 
 
-def test_a_healthy_line_changes_nothing() -> None:
-    assert Faults().damage(b"\xfa\xfb", 1.0) == b"\xfa\xfb"
-
-
 def test_injected_fault_counts_from_its_injection() -> None:
     pioneer = Pioneer("p3at-sh").open()
     for _ in range(2):

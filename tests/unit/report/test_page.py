@@ -9,9 +9,8 @@ import pytest
 from recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
 
 from deploy.report.page.feed import Feed, Place
-from deploy.report.page.page import drive_page, html
-from deploy.report.recorded_drive import read_drive
-from deploy.report.summary import summarise
+from deploy.report.page.page import drive_page, fragment, page
+from deploy.report.recorded_drive import read_drive, summarise
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.cli import run
 from rover_ncp.core import messages
@@ -26,7 +25,7 @@ STRING = "std_msgs/msg/String"
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory):
+def drive(tmp_path_factory):
     path = tmp_path_factory.mktemp("drive") / "run.mcap"
     simulated = write_drive(path, course=SHORT)
     return drive_page(read_drive(path)), simulated
@@ -38,7 +37,7 @@ def data_of(text):
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e308, -1e308])
 @pytest.mark.parametrize("topic", ["rover/neurons", "rover/estimate", "truth/pose", "odom", "cmd_vel"])
-def test_numbers_that_no_drive_has_are_left_out(topic, value, tmp_path, capsys):
+def test_messages_with_impossible_numbers_are_skipped(topic, value, tmp_path, capsys):
     policy, course = load_policy("parking"), load_course(SHORT)
     bad = {
         "rover/neurons": lambda: messages.neurons([value] * 12, policy.circuit.neurons),
@@ -61,19 +60,19 @@ def test_numbers_that_no_drive_has_are_left_out(topic, value, tmp_path, capsys):
     for message in received:
         feed.take(message)
         json.dumps(feed.news(place), allow_nan=False)
-    assert feed.news(place)["foreign"] is False
+    assert "neurons are not those" not in place.html["subline"]
 
 
-def test_the_page_holds_plotly_once_and_is_small(page):
-    text, _ = page
+def test_page_contains_plotly_once_and_is_small(drive):
+    text, _ = drive
     assert len(re.findall(r"plotly\.js v\d", text)) == 1
     assert len(text.encode()) < 10_000_000
 
 
-def test_the_page_refers_to_nothing_outside(page):
+def test_the_page_refers_to_nothing_outside(drive):
     from plotly.offline import get_plotlyjs
 
-    own = page[0].replace(get_plotlyjs(), "")
+    own = drive[0].replace(get_plotlyjs(), "")
     assert not re.findall(r"""(?:src|href)\s*=\s*["'](?!data:|#)""", own)
     assert set(re.findall(r"https?://[^\s\"'<>)]+", own)) <= {
         "http://www.w3.org/2000/svg"
@@ -82,38 +81,49 @@ def test_the_page_refers_to_nothing_outside(page):
     assert "connect-src 'none'" in own
 
 
-def test_the_data_are_the_run(page):
-    text, simulated = page
+def test_the_data_are_the_run(drive):
+    text, simulated = drive
     data = data_of(text)
-    ticks = data["drive"]["ticks"]
+    news = data["news"]
+    ticks = news["ticks"]
     assert ticks["t"] == pytest.approx(simulated.times[:-1], abs=1e-3)
     assert ticks["x"] == pytest.approx(simulated.poses[:-1, 0], abs=1e-4)
     assert ticks["potentials"][5] == pytest.approx(simulated.potentials[:, 5], abs=0.01)
     assert len(ticks["currents"]) == len(data["circuit"]["synapses"]) == 30
-    assert data["drive"]["odometry"]["x"] == pytest.approx(simulated.poses[:, 0], abs=1e-4)
-    assert data["drive"]["truth"]["y"] == pytest.approx(simulated.poses[:, 1], abs=1e-4)
-    assert data["drive"]["letThrough"]["v"] == pytest.approx(simulated.commands[:, 0], abs=1e-4)
-    assert len(data["findings"]["contributions"]) == 12 * 11
+    assert news["odometry"]["x"] == pytest.approx(simulated.poses[:, 0], abs=1e-4)
+    assert news["truth"]["y"] == pytest.approx(simulated.poses[:, 1], abs=1e-4)
+    assert news["letThrough"]["v"] == pytest.approx(simulated.commands[:, 0], abs=1e-4)
+    assert len(news["findings"]["contributions"]) == 12 * 11
     assert len(data["course"]["checkpoints"]) == 2
 
 
-def test_an_ellipse_has_the_axes_of_its_covariance(page):
+def test_an_ellipse_has_the_axes_of_its_covariance(drive):
     # The helper gives tick k the variances (1 + k) * 1e-6 in x and (1 + k) * 2e-6 in y.
-    major, minor, direction = data_of(page[0])["drive"]["ticks"]["ellipse"][7]
+    major, minor, direction = data_of(drive[0])["news"]["ticks"]["ellipse"][7]
     assert (major, minor) == pytest.approx(((8 * 2e-6) ** 0.5, (8 * 1e-6) ** 0.5), abs=1e-6)
     assert abs(direction) == pytest.approx(1.5708, abs=1e-3)
 
 
-def test_text_from_peers_cannot_leave_its_place():
-    evil = "</script><script>alert(1)</script><!--"
-    text = html(f"{evil} & more", {"words": evil})
+def test_text_from_peers_is_escaped(drive):
+    evil = "</script><script>alert(1)</script><!-- {{plotly}}"
+    rows = fragment("rows", [(evil, evil)])
+    text = page("page.html", title=evil, data=data_of(drive[0]) | {"words": evil}, html={"summary": rows})
     assert "<script>alert" not in text
     assert "&lt;/script&gt;&lt;script&gt;" in text
-    assert data_of(text) == {"words": evil}
+    assert data_of(text)["words"] == evil
 
 
-def test_a_placeholder_among_the_data_is_data():
-    assert data_of(html("t", {"words": "{{plotly}} {{script}}"})) == {"words": "{{plotly}} {{script}}"}
+def test_text_from_peers_is_escaped_in_news():
+    feed = Feed(load_policy("parking"), load_course(SHORT))
+    evil = "<img src=x onerror=alert(1)>"
+    status = DriverStatus(state="fault", reason=evil, policy=evil, course=evil)
+    feed.take(Recorded("rover/status", STRING, messages.text(dump_json(status).decode()), 1, 1))
+    gate = GateStatus(lease=1, driver_name=evil, held=evil, accepted=1, dropped={evil: 1})
+    feed.take(Recorded("rover/gate", STRING, messages.text(dump_json(gate).decode()), 2, 2))
+    html = feed.news(Place())["html"]
+    assert "&lt;img" in html["title"]
+    assert "&lt;img" in html["subline"]
+    assert "<img" not in "".join(html.values())
 
 
 def summary_of(tmp_path, **options):
@@ -128,7 +138,7 @@ def test_the_summary_names_verdict_rates_and_origin(tmp_path):
     assert summary.headline.startswith("Not parked: ")
     assert "from the goal" in rows["By the true pose"]
     assert rows["Ticks"] == "40 at 10.00 Hz, 0 late, 0 on prediction"
-    assert rows["Odometry"] == "10.00 Hz"
+    assert rows["Odometry"] == "41 at 10.00 Hz"
     assert rows["Gate"] == "40 commands accepted, 0 dropped, 0 limited, 0 stops"
     assert rows["Battery"] == "12.8 to 12.8 V"
     assert origin["Driven with"] == "rover-ncp 0.1.0"
@@ -164,6 +174,6 @@ def test_command_writes_the_page_beside_the_recording(tmp_path, capsys):
     assert (tmp_path / "other.html").read_bytes() == page.read_bytes()
 
 
-def test_command_names_what_cannot_be_reported(tmp_path, capsys):
+def test_command_names_a_missing_recording(tmp_path, capsys):
     assert run(["report", str(tmp_path / "none.mcap")]) == 2
     assert "none.mcap" in capsys.readouterr().err

@@ -1,11 +1,8 @@
-import math
-
 import numpy as np
 import pytest
 from recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
 
-from deploy.report.drive_events import Watcher
-from deploy.report.recorded_drive import judge, read_drive
+from deploy.report.recorded_drive import read_drive
 from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core import messages
@@ -39,14 +36,16 @@ def text(topic, model, ns):
 
 def test_a_drive_gives_back_the_run_it_was_recorded_from(short):
     policy, course, received, run = short
-    trace = timeline_of(policy, course, received).trace()
+    timeline = timeline_of(policy, course, received)
+    assert np.allclose(timeline.ticks[3].estimate.covariance, np.diag([4e-6, 8e-6, 4e-6]))
+    trace = timeline.trace()
     assert trace.times == pytest.approx(run.times[:-1])
     assert trace.poses == pytest.approx(run.poses)
     assert (trace.potentials == run.potentials).all()
     assert trace.commands == pytest.approx(run.commands, abs=1e-12)
 
 
-def test_odometry_is_laid_onto_the_course(short):
+def test_odometry_is_transformed_to_the_course_frame(short):
     policy, course, received, run = short
     timeline = timeline_of(policy, course, received)
     assert len(timeline.odometry) == len(run.poses)
@@ -60,25 +59,30 @@ def test_before_the_first_tick_there_is_no_run(short):
     timeline = timeline_of(policy, course, received[:2])
     assert timeline.began_ns is None
     assert timeline.on_course(Pose(0, 0, 0)) is None
-    with pytest.raises(ValueError, match="without a tick"):
-        timeline.trace()
+    for use in (timeline.trace, timeline.judge):
+        with pytest.raises(ValueError, match="without a tick"):
+            use()
 
 
-def test_events_are_the_news_among_the_words_of_driver_and_gate():
-    watcher = Watcher()
-    watcher.driver(1, DriverStatus(state="armed"))
-    watcher.driver(2, DriverStatus(state="driving"))
-    watcher.driver(3, DriverStatus(state="driving"))
-    watcher.bridge(4, GateStatus(accepted=11, held="bumper"))
-    watcher.bridge(5, GateStatus(accepted=11, held="bumper"))
-    watcher.bridge(6, GateStatus(accepted=12))
-    watcher.driver(7, DriverStatus(state="driving", tick=14, overruns=1))
-    watcher.bridge(8, GateStatus(accepted=12, limited={"speed": 1}))
-    watcher.bridge(9, GateStatus(accepted=13, limited={"speed": 2}, dropped={"stale": 1}))
-    watcher.bridge(10, GateStatus(accepted=13, held="stopped", stop_reason="a person"))
-    watcher.bridge(11, GateStatus(accepted=13, held="stopped", ended="stopped"))
-    watcher.driver(12, DriverStatus(state="fault", reason="stopped by lease"))
-    assert watcher.events == [
+def test_events_are_the_changes_of_driver_and_gate(short):
+    held = {"accepted": 13, "held": "stopped"}
+    states = [
+        DriverStatus(state="armed"),
+        DriverStatus(state="driving"),
+        DriverStatus(state="driving"),
+        GateStatus(accepted=11, held="bumper"),
+        GateStatus(accepted=11, held="bumper"),
+        GateStatus(accepted=12),
+        DriverStatus(state="driving", tick=14, overruns=1),
+        GateStatus(accepted=12, limited={"speed": 1}),
+        GateStatus(accepted=13, limited={"speed": 2}, dropped={"stale": 1}),
+        GateStatus(**held, stop_reason="a person"),
+        GateStatus(**held, ended="stopped"),
+        DriverStatus(state="fault", reason="stopped by lease"),
+    ]
+    topics = {DriverStatus: "rover/status", GateStatus: "rover/gate"}
+    received = [text(topics[type(state)], state, number) for number, state in enumerate(states, 1)]
+    assert timeline_of(*short[:2], received).events == [
         (1, "state", "armed"),
         (2, "state", "driving"),
         (4, "stop", "the gate holds the rover, bumper"),
@@ -112,7 +116,7 @@ def test_a_rover_held_before_its_first_command_is_no_event(short):
 
 
 @pytest.mark.parametrize("topic", ["odom", "rover/neurons", "rover/estimate", "cmd_vel", "rover/gate"])
-def test_what_cannot_be_read_is_counted_and_left_out(short, topic):
+def test_unreadable_messages_are_counted_and_skipped(short, topic):
     policy, course, received, _ = short
     garbage = Recorded(topic, STRING, b"\x00\x01garbage", BEGAN_NS, BEGAN_NS)
     timeline = timeline_of(policy, course, [garbage, *received])
@@ -120,7 +124,7 @@ def test_what_cannot_be_read_is_counted_and_left_out(short, topic):
     assert len(timeline.ticks) == course.ticks
 
 
-def test_neurons_of_another_circuit_are_not_taken(short):
+def test_neurons_of_another_circuit_are_rejected(short):
     policy, course, received, _ = short
     other = Recorded(
         "rover/neurons", "std_msgs/msg/Float64MultiArray", messages.neurons([-70.0], ["X"]), BEGAN_NS, 0
@@ -129,30 +133,27 @@ def test_neurons_of_another_circuit_are_not_taken(short):
     assert timeline.unreadable == {"rover/neurons": 1}
 
 
-def test_a_recording_is_judged_by_the_truth_and_by_the_estimate(tmp_path):
-    run = write_drive(tmp_path / "run.mcap", course=SHORT)
+@pytest.mark.parametrize("truth", [True, False])
+def test_drive_is_judged_by_the_true_and_the_estimated_pose(tmp_path, truth):
+    run = write_drive(tmp_path / "run.mcap", course=SHORT, truth=truth)
     drive = read_drive(tmp_path / "run.mcap")
     assert drive.complete
     assert drive.settings["version"] == "0.1.0"
-    judged = judge(drive.timeline)
-    assert [one.by for one in judged] == ["true", "estimated"]
-    for one in judged:
-        assert one.verdict.error_m == pytest.approx(run.verdict.error_m)
-        assert one.verdict.parked is run.verdict.parked
+    verdicts = drive.timeline.judge()
+    assert list(verdicts) == ["true", "estimated"][not truth :]
+    for verdict in verdicts.values():
+        assert verdict.error_m == pytest.approx(run.verdict.error_m)
+        assert verdict.parked is run.verdict.parked
 
 
-def test_without_truth_only_the_estimate_judges(tmp_path):
-    write_drive(tmp_path / "run.mcap", course=SHORT, truth=False)
-    assert [one.by for one in judge(read_drive(tmp_path / "run.mcap").timeline)] == ["estimated"]
-
-
-def test_a_bumper_is_a_touch(tmp_path):
+def test_bumper_counts_as_contact(short):
+    policy, course, received, _ = short
     bump = text("rover/gate", GateStatus(accepted=9, held="bumper", stops={"bumper": 1}), BEGAN_NS + 10**10)
-    write_drive(tmp_path / "run.mcap", course=SHORT, more=[bump])
-    assert judge(read_drive(tmp_path / "run.mcap").timeline)[0].verdict.reason == "touched an obstacle"
+    verdicts = timeline_of(policy, course, [*received, bump]).judge()
+    assert {verdict.reason for verdict in verdicts.values()} == {"touched an obstacle"}
 
 
-def test_refuses_what_is_no_recorded_drive(tmp_path):
+def test_incomplete_recordings_are_rejected(tmp_path):
     empty = tmp_path / "empty.mcap"
     with RecordingWriter(empty):
         pass
@@ -171,10 +172,3 @@ def test_refuses_what_is_no_recorded_drive(tmp_path):
         writer.attach("course.yaml", b"")
     with pytest.raises(ConfigError, match=r"broken\.mcap, policy\.yaml"):
         read_drive(broken)
-
-
-def test_covariances_come_through(short):
-    policy, course, received, _ = short
-    tick = timeline_of(policy, course, received).ticks[3]
-    assert np.allclose(tick.estimate.covariance, np.diag([4e-6, 8e-6, 4e-6]))
-    assert math.isclose(tick.estimate.pose.x, 0.0, abs_tol=1e-9)

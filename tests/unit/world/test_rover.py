@@ -17,7 +17,7 @@ WALL = Obstacle(x=1.0, y=0.0, length=0.2, width=4.0)
 WALL_FACE_X = 0.9
 
 
-def papers_kinematics(commands, delay_v=15, delay_omega=10):
+def papers_kinematics(commands, delay_v, delay_omega):
     """Poses (ticks + 1, 3) of the paper's point rover for commands (ticks, 2), in its order of operations."""
     dt, accel, alpha = 0.01, 0.31, 1.25
     x = y = theta = v = omega = 0.0
@@ -59,10 +59,11 @@ def drives(draw):
 
 
 @settings(max_examples=40, deadline=None)
-@given(drives())
-def test_follows_the_papers_kinematics_in_open_ground(commands):
-    driven = drive(PymunkRover(RoverModel(), Ground()), commands.tolist())
-    expected = papers_kinematics(commands.tolist())
+@given(drives(), st.sampled_from([(15, 10), (3, 27)]))
+def test_follows_the_papers_kinematics_in_open_ground(commands, delays):
+    model = RoverModel(delay_v_s=delays[0] / 100, delay_omega_s=delays[1] / 100)
+    driven = drive(PymunkRover(model, Ground()), commands.tolist())
+    expected = papers_kinematics(commands.tolist(), *delays)
     assert np.abs(driven[:, :2] - expected[:, :2]).max() < 1e-4
     turned = np.array([math.remainder(a, math.tau) for a in driven[:, 2] - expected[:, 2]])
     assert np.abs(turned).max() < 1e-4
@@ -81,13 +82,6 @@ def test_a_command_is_obeyed_after_exactly_its_delay(delay_v, delay_omega):
         moving.append((rover.velocity.v > 0, rover.velocity.omega > 0))
     assert [v for v, _ in moving].index(True) == delay_v
     assert [omega for _, omega in moving].index(True) == delay_omega
-
-
-def test_delays_that_are_no_multiple_of_a_tick_follow_the_kinematics():
-    rng = np.random.default_rng(5)
-    commands = rng.uniform((0, -0.18), (0.16, 0.18), (320, 2)).tolist()
-    driven = drive(PymunkRover(RoverModel(delay_v_s=0.03, delay_omega_s=0.27), Ground()), commands)
-    assert np.abs(driven - papers_kinematics(commands, 3, 27)).max() < 1e-4
 
 
 def test_limits_may_change_while_driving():
@@ -158,16 +152,14 @@ def test_a_wall_stops_the_rover(heading):
     assert 0 < deepest < 0.002
     assert touched
     assert rover.in_contact
-
-
-def test_a_rover_that_drives_squarely_at_a_wall_stalls():
-    _, _, rover = drive_at_the_wall(Pose(0.0, 0.0, 0.0))
     assert rover.target == Velocity(0.16, 0.0)
-    assert abs(rover.velocity.v) < 1e-3
-    before = rover.pose
-    for _ in range(100):
-        rover.substep()
-    assert rover.pose == pytest.approx(before, abs=1e-4)
+    if heading == 0.0:  # it stalls, and backs off freely
+        assert abs(rover.velocity.v) < 1e-3
+        rover.command(-0.16, 0.0)
+        for _ in range(200):
+            rover.substep()
+        assert rover.velocity.v == pytest.approx(-0.16)
+        assert not rover.in_contact
 
 
 def test_it_is_the_shape_that_stops_the_rover():
@@ -175,15 +167,6 @@ def test_it_is_the_shape_that_stops_the_rover():
     assert deepest > 1.0
     assert not touched
     assert rover.velocity.v == pytest.approx(0.16)
-
-
-def test_a_rover_backs_off_a_wall_freely():
-    _, _, rover = drive_at_the_wall(Pose(0.0, 0.0, 0.0))
-    rover.command(-0.16, 0.0)
-    for _ in range(200):
-        rover.substep()
-    assert rover.velocity.v == pytest.approx(-0.16)
-    assert not rover.in_contact
 
 
 def test_placing_a_rover_forgets_its_contact_and_its_commands():
@@ -215,20 +198,16 @@ def push_a_box(mass, solid=True):
     return math.dist(box.position, (0.6, 0.0)), rover
 
 
-def test_a_heavy_box_cannot_be_pushed():
-    moved, rover = push_a_box(mass=200.0)
-    assert moved < 0.005  # 0.2 mm/s: Chipmunk shares out the correction of overlaps by mass alone
-    assert rover.in_contact
-    assert abs(rover.velocity.v) < 1e-3
-
-
-def test_only_a_solid_rover_is_held_by_a_box():
-    moved, rover = push_a_box(mass=200.0, solid=False)
-    assert moved == 0.0
-    assert rover.velocity.v == pytest.approx(0.16)
-
-
-def test_a_light_box_is_pushed_along():
-    moved, rover = push_a_box(mass=0.2)
-    assert moved > 1.0
-    assert rover.velocity.v > 0.1
+@pytest.mark.parametrize(
+    ("mass", "solid", "least", "most"),
+    [(200.0, True, 0.0, 0.005), (200.0, False, 0.0, 0.0), (0.2, True, 1.0, 5.0)],
+)
+def test_a_light_box_is_pushed_along_and_a_heavy_one_is_not(mass, solid, least, most):
+    # The heavy one creeps at 0.2 mm/s: Chipmunk shares out the correction of overlaps by mass alone.
+    moved, rover = push_a_box(mass, solid)
+    assert least <= moved <= most
+    assert rover.in_contact == solid
+    if mass == 200.0:
+        assert rover.velocity.v == pytest.approx(0.0 if solid else 0.16, abs=1e-3)
+    else:
+        assert rover.velocity.v > 0.1

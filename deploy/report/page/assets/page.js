@@ -1,118 +1,96 @@
-// The page: builds all parts from the data and ties them to one time.
-const EMPTY = { t: [], x: [], y: [], theta: [], v: [], omega: [], ellipse: [] };
-const model = JSON.parse($("data").textContent);
-model.findings = model.findings || {};
-model.drive = model.drive || {};
-for (const name of ["ticks", "odometry", "truth", "asked", "letThrough"]) model.drive[name] = { ...structuredClone(EMPTY), ...model.drive[name] };
-if (!model.drive.ticks.potentials) {
-  model.drive.ticks.potentials = model.circuit.neurons.map(() => []);
-  model.drive.ticks.currents = model.circuit.synapses.map(() => []);
-  model.drive.ticks.pulls = model.circuit.synapses.map(() => []);
-}
-model.drive.events = model.drive.events || [];
-model.end = model.drive.ticks.t.length ? model.drive.ticks.t.at(-1) : model.course.horizon;
+// The page of a drive: takes news of it, all at once or while a rover drives, and ties all parts to one time.
+const PER_UNIT = new Set(["potentials", "currents", "pulls"]); // one column for each neuron or synapse
+const STREAMS = ["ticks", "odometry", "truth", "asked", "letThrough"];
+const model = { circuit: data.circuit, course: data.course, end: data.course.horizon };
+let strongest = 1e-9, lastPhase = null;
 
-function headline(words, parked, subline) {
-  const badge = $("badge");
-  const [first, ...rest] = words.split(": ");
-  badge.textContent = first;
-  badge.className = parked === true ? "good" : parked === false ? "bad" : "";
-  $("headline").textContent = rest.join(": ");
-  $("subline").textContent = subline;
+function reset() {
+  model.drive = Object.fromEntries(STREAMS.map((name) => [name, { t: [], x: [], y: [], theta: [], v: [], omega: [] }]));
+  model.events = [];
+  model.findings = {};
+  for (const id of ["phases", "events", "rings", "signs", "taus"]) if (data.news === undefined) $(id).replaceChildren();
 }
 
-function definitions(list, rows) {
-  list.replaceChildren(...rows.flatMap(([what, words]) => [element("dt", {}, what), element("dd", {}, words)]));
+function append(columns, more) {
+  if (!columns.t.length) Object.assign(columns, more);
+  else for (const [name, values] of Object.entries(more)) {
+    if (PER_UNIT.has(name)) values.forEach((column, k) => columns[name][k].push(...column));
+    else columns[name].push(...values);
+  }
 }
 
-function phaseList(phases) {
-  $("phases").replaceChildren(...phases.map((phase) => {
-    const [head, ...rest] = phase.text.split(": ");
-    const jump = element("button", { type: "button" }, head);
-    jump.addEventListener("click", () => player.set(phase.start));
-    return element("li", {}, jump, rest.join(": "));
-  }));
+// Take news; return whether the plots have to be drawn again at once.
+function take(news) {
+  if (news.reset) reset();
+  for (const name of STREAMS) if (news[name]) append(model.drive[name], news[name]);
+  for (const column of news.ticks?.currents || []) for (const current of column) strongest = Math.max(strongest, Math.abs(current));
+  for (const [id, html] of Object.entries(news.html || {})) $(id).innerHTML = html;
+  const changed = news.reset || news.findings || news.events.length !== model.events.length;
+  model.events = news.events;
+  if (news.findings) {
+    model.findings = news.findings;
+    lastPhase = null;
+  }
+  for (const id of ["contributions", "pair"]) $(id).hidden = !model.findings.contributions;
+  return changed;
 }
 
-function eventList(events) {
-  const words = { state: "state", start: "signal", gate: "gate", stop: "STOP", late: "LATE" };
-  $("events").replaceChildren(...events.map((event) => {
-    const jump = element("button", { type: "button" }, `${number(event.t, 1)} s`);
-    jump.addEventListener("click", () => player.set(event.t));
-    return element("li", { class: event.kind }, element("span", { class: "kind" }, words[event.kind] || event.kind), " ", jump, ` ${event.text}`);
-  }));
-}
-
-const strongest = () => Math.max(1e-9, ...model.drive.ticks.currents.map((column) => column.reduce((most, current) => Math.max(most, Math.abs(current)), 0)));
+reset();
 const pathPlot = new PathPlot($("path-plot"), model);
-const circuit = new Circuit($("circuit"), model.circuit, model.findings.rings || {}, strongest(), chooseNeuron);
-circuitLegend($("circuit-legend"));
+const circuit = new Circuit(model.circuit, chooseNeuron);
 const player = new Player(model, show);
 const lanes = new Lanes($("lanes"), model, (t) => player.set(t));
 const commands = new Commands($("commands"), model, (t) => player.set(t));
-let pair = null, lastPhase = null;
+const pair = new Pair(model);
 
 function chooseNeuron(index) {
   circuit.choose(index);
-  $("paint").value = index < 0 ? "" : String(index);
+  $("paint").value = String(index);
   pathPlot.choose(index);
   show(player.t);
 }
 
-// Everything that depends on the time.
+// Update everything that depends on the time.
 function show(t) {
   const { ticks } = model.drive, i = locate(ticks.t, t);
-  pathPlot.update(i, t);
-  $("path-now").textContent = pathPlot.words(i, t);
-  circuit.update(ticks, i);
-  $("neuron-now").textContent = i < 0 ? "" : circuit.chosen < 0 ? "Choose a neuron to see what drives it, and to paint the path with it." : circuit.words(ticks, i, circuit.chosen) + ".";
-  lanes.update(t);
-  commands.update(t);
-  if (pair) pair.update(i);
+  $("path-now").textContent = pathPlot.update(i, t);
+  circuit.update(ticks, i, strongest);
+  $("neuron-now").textContent = circuit.words(ticks, i);
+  for (const over of [lanes, commands]) over.update(t);
+  pair.update(i);
   const phases = model.findings.phases || [];
-  const now = phases.findIndex((phase) => t >= phase.start - 1e-6 && t < phase.end - 1e-6);
-  const k = now < 0 && phases.length ? phases.length - 1 : now;
-  $("time").setAttribute("aria-valuetext", `${number(t, 1)} seconds${k < 0 ? "" : ", " + phases[k].label}`);
-  if (k !== lastPhase) {
-    lastPhase = k;
-    $("caption").textContent = k < 0 ? "" : `${k + 1}. ${phases[k].text}`;
-    [...$("phases").children].forEach((item, own) => item.classList.toggle("current", own === k));
-  }
+  const now = phases.findIndex((phase) => t >= phase.start_s - 1e-6 && t < phase.end_s - 1e-6);
+  const k = now < 0 ? phases.length - 1 : now;
+  $("time").setAttribute("aria-valuetext", `${number(t, 1)} seconds${k < 0 ? "" : `, ${phases[k].label}`}`);
+  if (k === lastPhase) return;
+  lastPhase = k;
+  $("caption").textContent = k < 0 ? "" : `${k + 1}. ${phases[k].sentence}`;
+  [...$("phases").children].forEach((item, own) => item.classList.toggle("current", own === k));
 }
 
 function drawAll() {
-  pathPlot.draw();
-  lanes.draw();
-  commands.draw();
-}
-
-$("paint").append(...model.circuit.neurons.map((neuron, index) => element("option", { value: String(index) }, neuron.name)));
-$("paint").addEventListener("change", () => chooseNeuron($("paint").value === "" ? -1 : Number($("paint").value)));
-
-drawAll();
-eventList(model.drive.events);
-definitions($("summary"), model.summary || []);
-definitions($("origin"), model.origin || []);
-$("origin-box").hidden = !(model.origin || []).length;
-// Findings about the circuit: all of them at the end of a drive, the phases also during it.
-function showFindings() {
-  const { findings } = model;
-  phaseList(findings.phases || []);
-  lastPhase = null;
-  if (!findings.contributions) return;
-  for (const id of ["contributions", "pair"]) $(id).hidden = false;
-  if (!pair) pair = new Pair(model);
-  pair.draw();
-  signTable($("signs"), findings, (source, destination) => pair.choose(source, destination));
-  constantsTable($("taus"), findings.timeConstants);
-}
-
-showFindings();
-if (!model.live) {
-  headline(model.headline, model.parked, model.subline);
-  player.set(0);
-}
-window.addEventListener("resize", () => {
-  drawAll();
+  for (const part of [pathPlot, lanes, commands]) part.draw();
+  if (model.findings.contributions) {
+    if (!pair.x) {
+      const last = $("signs").querySelector("tr:last-child button").dataset;
+      [pair.ends[0].value, pair.ends[1].value] = [last.from, last.to];
+    }
+    pair.draw();
+  }
   show(player.t);
+}
+
+$("paint").addEventListener("change", () => chooseNeuron(Number($("paint").value)));
+document.addEventListener("click", ({ target }) => {
+  const button = target.closest("button");
+  if (button?.dataset.t) player.set(Number(button.dataset.t));
+  if (button?.dataset.from) pair.choose(button.dataset);
 });
+window.addEventListener("resize", drawAll);
+if (data.news) {
+  take(data.news);
+  model.end = model.drive.ticks.t.at(-1);
+}
+player.stretch();
+drawAll();
+player.set(0);

@@ -1,113 +1,58 @@
-// The page of a training run: curves, drives at milestones, agents, parameters.
-const model = JSON.parse($("data").textContent);
-const MUTED = "#b9bec6";
-const PLAIN = { font: PLOT_FONT, plot_bgcolor: "#fff", paper_bgcolor: "rgba(0,0,0,0)", dragmode: false, showlegend: false };
-const LEAST_LOSS = 1e-4;
-const CURVES = [["all agents", { color: MUTED, width: 1.2 }], ["median, with the middle half", { color: COLOR.blue, width: 3 }], ["best agent", { color: COLOR.red, width: 2.5, dash: "dash" }]];
-const DRIVES = [["at this milestone", { color: COLOR.blue, width: 3.5 }], ["at the others", { color: MUTED, width: 1.3 }], ["goal and tolerance", { color: COLOR.green, width: 2, dash: "dash" }]];
+// The page of a training run: curves, drives at milestones, parameters.
+const CURVES = [["all agents", { color: "#b9bec6", width: 1.2 }], ["median, with the middle half", { color: COLOR.blue, width: 3 }], ["best agent", { color: COLOR.red, width: 2.5, dash: "dash" }]];
+const DRIVES = [["at this milestone", { color: COLOR.blue, width: 3.5 }], ["at the others", CURVES[0][1]], GOAL];
 
-const quantile = (sorted, part) => {
-  const place = part * (sorted.length - 1), low = Math.floor(place);
-  return sorted[low] + (place - low) * ((sorted[low + 1] ?? sorted[low]) - sorted[low]);
-};
-
+// Returns differ by orders of magnitude, so the axis is that of −return, logarithmic and upside down.
 function curves() {
-  const { iterations, agents, best } = model.curves;
-  const losses = agents.map((row) => row.map((value) => Math.max(-value, LEAST_LOSS)));
-  const columns = iterations.map((_, k) => losses.map((row) => row[k]).sort((a, b) => a - b));
-  const line = (y, rest) => ({ x: iterations, y, mode: "lines", line: { shape: "hv" }, hoverinfo: "skip", ...rest });
-  const band = { line: { width: 0, shape: "hv" } };
-  const traces = losses.map((row) => line(row, { line: { ...CURVES[0][1], shape: "hv" } }));
-  traces.push(line(columns.map((column) => quantile(column, 0.25)), band));
-  traces.push(line(columns.map((column) => quantile(column, 0.75)), { ...band, fill: "tonexty", fillcolor: "rgba(0,114,178,0.15)" }));
-  traces.push(line(columns.map((column) => quantile(column, 0.5)), { line: { ...CURVES[1][1], shape: "hv" } }));
-  traces.push(line(losses[best], { line: { ...CURVES[2][1], shape: "hv" } }));
-  const all = losses.flat(), ticks = [];
-  for (let power = Math.floor(Math.log10(Math.min(...all))); power <= Math.ceil(Math.log10(Math.max(...all))); power += 1) ticks.push(10 ** power);
-  lineLegend($("curves-legend"), CURVES);
-  Plotly.react($("curves"), traces, {
-    ...PLAIN, height: hold($("curves"), narrow() ? 320 : 420), margin: { l: 62, r: 12, t: 8, b: 44 }, hovermode: false,
-    xaxis: { title: { text: "iteration", standoff: 6 }, gridcolor: GRID, zeroline: false, fixedrange: true },
-    yaxis: { type: "log", autorange: "reversed", tickvals: ticks, ticktext: ticks.map((tick) => `−${tick}`), gridcolor: GRID, fixedrange: true, title: { text: "best return so far", standoff: 4 } },
-  }, PLOT_CONFIG);
+  const { iterations, losses, quartiles, best } = data.curves, [all, median, winner] = CURVES.map(([, line]) => line);
+  const curve = (y, line, rest = {}) => ({ x: iterations, y, mode: "lines", line: { ...line, shape: "hv" }, hoverinfo: "skip", ...rest });
+  const [low, middle, high] = quartiles, powers = [];
+  const [least, most] = range(losses, 0).map(Math.log10);
+  for (let power = Math.floor(least); power <= Math.ceil(most); power += 1) powers.push(10 ** power);
+  legend($("curves-legend"), CURVES);
+  plot($("curves"), narrow() ? 320 : 420, [
+    ...losses.map((row) => curve(row, all)), curve(low, { width: 0 }), curve(high, { width: 0 }, { fill: "tonexty", fillcolor: "rgba(0,114,178,0.15)" }),
+    curve(middle, median), curve(losses[best], winner),
+  ], {
+    margin: { l: 62, r: 12, t: 8, b: 44 }, xaxis: axis("iteration"),
+    yaxis: axis("best return so far", { type: "log", autorange: "reversed", tickvals: powers, ticktext: powers.map((power) => `−${power}`) }),
+  });
 }
 
 function drives() {
-  const { course, milestones, agents } = model, chosen = Number($("milestone").value);
-  const [gx, gy, radius] = course.goal;
-  const others = $("all-agents").checked ? agents : milestones.filter((_, k) => k !== chosen);
-  const traces = others.map((run) => ({ x: run.x, y: run.y, mode: "lines", line: DRIVES[1][1], hoverinfo: "skip" }));
-  traces.push({
-    x: course.checkpoints.map((p) => p[1]), y: course.checkpoints.map((p) => p[2]), mode: "markers", hoverinfo: "skip",
-    marker: { symbol: "arrow", angle: course.checkpoints.map((p) => 90 - (p[3] * 180) / Math.PI), angleref: "up", size: 12, color: COLOR.ink },
-  });
-  const now = milestones[chosen];
-  traces.push({ x: now.x, y: now.y, mode: "lines", line: DRIVES[0][1], hoverinfo: "skip" });
-  traces.push({ x: [now.x.at(-1)], y: [now.y.at(-1)], mode: "markers", marker: { symbol: "square", size: 9, color: COLOR.blue }, hoverinfo: "skip" });
-  const shapes = [{ type: "circle", x0: gx - radius, x1: gx + radius, y0: gy - radius, y1: gy + radius, line: { color: COLOR.green, width: 2, dash: "dash" }, layer: "below" }];
-  for (const corners of course.obstacles) {
-    const points = [];
-    for (let k = 0; k < corners.length; k += 2) points.push(`${corners[k]},${corners[k + 1]}`);
-    shapes.push({ type: "path", path: `M${points.join("L")}Z`, fillcolor: "#dfe2e7", line: { color: COLOR.grey, width: 1 }, layer: "below" });
-  }
-  // The course decides what is shown: an early policy that drives off would shrink everything else.
-  const margin = 0.45;
-  const [left, right] = extent([course.checkpoints.map((p) => p[1])]), [low, high] = extent([course.checkpoints.map((p) => p[2])]);
-  lineLegend($("drives-legend"), [DRIVES[0], [$("all-agents").checked ? "of all agents at the end" : DRIVES[1][0], DRIVES[1][1]], DRIVES[2]], ["square: where it ended"]);
-  const axis = { gridcolor: GRID, zeroline: false, fixedrange: true };
-  Plotly.react($("drives"), traces, {
-    ...PLAIN, datarevision: (revision += 1), height: hold($("drives"), narrow() ? 320 : 420), margin: { l: 46, r: 8, t: 8, b: 40 }, hovermode: false, shapes,
-    xaxis: { ...axis, title: { text: "x (m)", standoff: 6 }, range: [left - margin, right + margin] },
-    yaxis: { ...axis, title: { text: "y (m)", standoff: 4 }, range: [low - margin, high + margin], scaleanchor: "x" },
-  }, PLOT_CONFIG);
-  const words = `${now.iterations} iterations: return ${number(now.value, 3)}, ${now.parked ? "parks" : "does not park"}`;
+  const { course, milestones, agents } = data, chosen = Number($("milestone").value), ofAgents = $("all-agents").checked;
+  const [now, other] = DRIVES.map(([, line]) => line), { iterations, value, parked, x, y } = milestones[chosen];
+  const others = ofAgents ? agents : milestones.filter((_, k) => k !== chosen);
+  const points = checkpoints(course);
+  legend($("drives-legend"), [DRIVES[0], [ofAgents ? "of all agents at the end" : DRIVES[1][0], other], GOAL], ["square: end of the drive"]);
+  plot($("drives"), narrow() ? 320 : 420, [
+    ...others.map((run) => ({ x: run.x, y: run.y, mode: "lines", line: other })), points,
+    { x, y, mode: "lines", line: now }, { x: [x.at(-1)], y: [y.at(-1)], mode: "markers", marker: { symbol: "square", size: 9, color: COLOR.blue } },
+    // The course sets the axes: an early policy that drives away would shrink everything else.
+  ], { ...meters(range([points.x], 0.45), range([points.y], 0.45)), shapes: ground(course) });
+  const words = `${iterations} iterations: return ${number(value, 3)}, ${parked ? "parks" : "does not park"}`;
   $("milestone-words").textContent = words;
   $("milestone").setAttribute("aria-valuetext", words);
 }
 
-function agentTable() {
-  const order = [...model.agents].sort((a, b) => b.value - a.value);
-  const head = element("tr", {}, ...["agent", "return", "parks", "from the goal", "last improved at", "why not"].map((words) => element("th", { scope: "col" }, words)));
-  $("agents").replaceChildren(element("thead", {}, head), element("tbody", {}, ...order.map((agent) => element("tr", {},
-    element("th", { scope: "row" }, String(agent.number).padStart(2, "0")),
-    ...[number(agent.value, 4), agent.parked ? "yes" : "no", `${number(1000 * agent.errorM)} mm, ${number(1000 * agent.errorRad)} mrad`, String(agent.last), agent.reason].map((words) => element("td", {}, words))))));
+function histogram(holder, { kind, lower, upper, counts, at_bounds, best, names }) {
+  const width = (upper - lower) / counts.length, top = Math.max(...counts), margin = 0.03 * (upper - lower);
+  const bound = (x) => ({ type: "line", xref: "x", yref: "paper", x0: x, x1: x, y0: 0, y1: 1, line: { color: COLOR.ink, width: 2 } });
+  plot(holder, 190, [
+    { type: "bar", x: counts.map((_, k) => lower + (k + 0.5) * width), y: counts, width: 0.9 * width, marker: { color: COLOR.blue, opacity: 0.55 }, hoverinfo: "skip" },
+    {
+      x: best, y: best.map((_, k) => top * (1.08 + 0.05 * (k % 3))), mode: "markers", marker: { symbol: "diamond", size: 7, color: COLOR.red },
+      text: best.map((value, k) => `${names[k]}: ${value}`), hovertemplate: "%{text}<extra></extra>",
+    },
+  ], {
+    margin: { l: 44, r: 10, t: 26, b: 28 }, hovermode: "closest", shapes: [bound(lower), bound(upper)],
+    title: { text: `${kind}, ${number(100 * at_bounds)} % at a bound`, font: { size: 13 }, x: 0.02, xanchor: "left", y: 0.97 },
+    xaxis: axis("", { range: [lower - margin, upper + margin] }), yaxis: axis("", { range: [0, 1.25 * top] }),
+  });
 }
 
-function histograms() {
-  const bins = 24;
-  // All places first: what stands beside a plot decides how wide it is.
-  const holders = model.parameters.map(({ kind }) => element("div", { class: "plot", role: "img", "aria-label": `Histogram of ${kind}` }));
-  $("histograms").replaceChildren(...holders);
-  for (const [place, { kind, lower, upper, values, names, best }] of model.parameters.entries()) {
-    const holder = holders[place];
-    const all = values.flat(), width = (upper - lower) / bins, counts = new Array(bins).fill(0);
-    for (const value of all) counts[clamp(Math.floor((value - lower) / width), 0, bins - 1)] += 1;
-    const top = Math.max(...counts);
-    const bounds = [lower, upper].map((x) => ({ type: "line", xref: "x", yref: "paper", x0: x, x1: x, y0: 0, y1: 1, line: { color: COLOR.ink, width: 2 } }));
-    const atBound = all.filter((value) => value <= lower || value >= upper).length;
-    Plotly.react(holder, [
-      { type: "bar", x: counts.map((_, k) => lower + (k + 0.5) * width), y: counts, width: counts.map(() => 0.9 * width), marker: { color: COLOR.blue, opacity: 0.55 }, hoverinfo: "skip" },
-      { x: values[best], y: values[best].map((_, k) => top * (1.08 + 0.05 * (k % 3))), mode: "markers", marker: { symbol: "diamond", size: 7, color: COLOR.red }, text: values[best].map((value, k) => `${names[k]}: ${value}`), hovertemplate: "%{text}<extra></extra>" },
-    ], {
-      ...PLAIN, height: hold(holder, 190), margin: { l: 44, r: 10, t: 26, b: 28 }, hovermode: "closest", shapes: bounds,
-      title: { text: `${kind}, ${Math.round((100 * atBound) / all.length)} % at a bound`, font: { size: 13 }, x: 0.02, xanchor: "left", y: 0.97 },
-      xaxis: { range: [lower - 0.03 * (upper - lower), upper + 0.03 * (upper - lower)], gridcolor: GRID, zeroline: false, fixedrange: true },
-      yaxis: { gridcolor: GRID, fixedrange: true, range: [0, 1.25 * top] },
-    }, PLOT_CONFIG);
-  }
-}
-
-const [first, ...rest] = model.headline.split(": ");
-$("badge").textContent = first;
-$("badge").className = model.parked ? "good" : "bad";
-$("headline").textContent = rest.join(": ");
-$("subline").textContent = model.subline;
-$("origin").replaceChildren(...model.origin.flatMap(([what, words]) => [element("dt", {}, what), element("dd", {}, words)]));
-$("milestone").max = String(model.milestones.length - 1);
-$("milestone").value = $("milestone").max;
 $("milestone").addEventListener("input", drives);
 $("all-agents").addEventListener("change", drives);
 curves();
 drives();
-agentTable();
-histograms();
+[...$("histograms").children].forEach((holder, k) => histogram(holder, data.parameters[k]));

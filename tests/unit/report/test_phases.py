@@ -1,11 +1,10 @@
 import dataclasses
-import itertools
 
 import numpy as np
 import pytest
 
-from deploy.report.phases import phases
-from deploy.report.sentences import explain
+from deploy.report.findings import analyse
+from deploy.report.phases import explain, phases
 from deploy.report.trace import Trace, motor_outputs, motor_shares
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
 from rover_ncp.circuit.motors import Motors
@@ -13,6 +12,7 @@ from rover_ncp.circuit.policy import Policy, course_policy, parking_policy
 from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
 from rover_ncp.course.course import load_course
+from sim.explain.explain import traced
 from sim.learn.rollout import rollout
 
 EX, IN = SynapseKind.EXCITATORY, SynapseKind.INHIBITORY
@@ -69,121 +69,97 @@ def test_phases_are_the_signs_of_the_commands():
     assert [p.turned_rad for p in found] == pytest.approx([0, 0, 0.45, -0.15, 0.15])
 
 
-def test_a_tenth_of_the_reach_is_no_command():
+def test_command_below_a_tenth_of_the_range_counts_as_zero():
     assert phases(trace_of([(0.0159, 0.0179)] * 9))[0].label == "standing still"
     assert phases(trace_of([(0.0161, -0.0181)] * 9))[0].label == "right turn"
 
 
-def test_a_short_phase_belongs_to_its_longer_neighbour():
+def test_short_phase_is_merged_with_its_longer_neighbour():
     found = phases(trace_of([LEFT] * 20 + [AHEAD] * 4 + [RIGHT] * 10))
     assert [(p.label, p.first, p.last) for p in found] == [("left turn", 0, 24), ("right turn", 24, 34)]
-    flutter = [LEFT, RIGHT] * 8 + [AHEAD] * 6
-    found = phases(trace_of(flutter))
+    alternating = [LEFT, RIGHT] * 8 + [AHEAD] * 6
+    found = phases(trace_of(alternating))
     assert [p.first for p in found[1:]] == [p.last for p in found[:-1]]
-    assert (found[0].first, found[-1].last) == (0, len(flutter))
-
-
-def test_a_run_without_ticks_has_no_phases():
+    assert (found[0].first, found[-1].last) == (0, len(alternating))
     assert phases(trace_of(np.zeros((0, 2)))) == ()
 
 
-def test_shares_of_the_motors_make_the_command():
-    policy = parking_policy(parking_circuit())
-    run = rollout(policy, load_course("parking"))
-    shares = sum(share for _, share in motor_shares(policy, run.potentials))
-    assert shares == pytest.approx(run.commands, abs=1e-12)
-    assert motor_outputs(policy, run.potentials) == pytest.approx(run.commands, abs=1e-12)
-
-
-def test_a_layer_mixes_the_motors_and_its_limits_hold():
-    policy = course_policy(tap_withdrawal_circuit())
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("make", [parking_policy, course_policy])
+def test_motor_outputs_are_the_commands_of_the_run(make, seed):
+    policy = make(parking_circuit() if make is parking_policy else tap_withdrawal_circuit())
     layout = policy.layout()
-    for seed in range(3):
-        vector = np.random.default_rng(seed).uniform(layout.lower, layout.upper)
-        driven = policy.with_parameters(vector)
-        run = rollout(driven, load_course("parking"))
-        assert motor_outputs(driven, run.potentials) == pytest.approx(run.commands, abs=1e-12)
-        explained = explain(Trace(driven, run.times[:-1], run.poses, run.commands, run.potentials))
-        assert {part.motor.neuron for part in explained} <= {"FWD", "REV"}
+    policy = policy.with_parameters(np.random.default_rng(seed).uniform(layout.lower, layout.upper))
+    run = rollout(policy, load_course("parking"))
+    assert motor_outputs(policy, run.potentials) == pytest.approx(run.commands, abs=1e-12)
+    if policy.motors.limits is None:
+        shares = sum(share for _, share in motor_shares(policy, run.potentials))
+        assert shares == pytest.approx(run.commands, abs=1e-12)
+    motors = {neuron for channel in policy.motors.channels for neuron, _ in channel.sides}
+    assert {part.motor.neuron for part in explain(traced(policy, run))} <= motors
 
 
 def test_a_left_turn_is_explained_from_its_numbers():
     #        X    A    B    L    R    F
     rest = [-70, -70, -70, -70, -70, -30]
     turn = [-20, -30, -80, -25, -60, -30]
-    found = explain(trace_of([AHEAD] * 10 + [LEFT] * 10, [rest] * 10 + [turn] * 10))
-    ahead, left = found
+    found = analyse(trace_of([AHEAD] * 10 + [LEFT] * 10, [rest] * 10 + [turn] * 10))
+    ahead, left = found.explanations
     assert (ahead.motor.neuron, ahead.behind) == ("F", None)
-    assert ahead.text == "Straight ahead 0.0 to 1.0 s (0.10 m): F at −30 mV by its own leak."
+    assert found.sentences[0] == "Straight ahead 0.0 to 1.0 s (0.10 m): F at −30 mV by its own leak."
     assert (left.motor, left.behind, left.activity) == (("L", -25), ("A", -30), "active")
     # By hand: A rests at -70 mV with 1 S; X at -20 mV opens 2 S by 1 / (1 + exp(-0.1 * 20)) = 0.8808.
     pull = -70 / (1 + 2 * 0.880797) + 70
     assert left.pulls == (("X", pytest.approx(pull)),)
     before = -70 / (1 + 2 * 0.047426) + 70  # X at -70 mV
     assert left.change == ("X", pytest.approx(before, abs=1e-4), pytest.approx(pull))
-    assert left.text == (
+    assert found.sentences[1] == (
         "Left turn 1.0 to 2.0 s (0.10 m, +9°): A active (−30 mV), driven by X [x] (+45 mV); "
         "it puts L at −25 mV. What changed: the pull of X [x] on A grew from +6 mV to +45 mV."
     )
 
 
-def test_a_motor_neuron_without_a_pull_acts_on_its_own_leak():
-    quiet = [-70, -70, -70, -30, -70, -30]
+def explained(potentials, policy=None):
+    """The only phase, a left turn, and its sentence."""
+    found = analyse(trace_of([LEFT] * 10, potentials, policy))
+    return *found.explanations, *found.sentences
+
+
+def test_motor_neuron_without_strong_pull_acts_by_its_leak():
     policy = small_policy()
     weak = dataclasses.replace(policy.circuit, weight=np.full(4, 0.5))
-    (left,) = explain(trace_of([LEFT] * 10, [quiet] * 10, dataclasses.replace(policy, circuit=weak)))
+    quiet = [[-70, -70, -70, -30, -70, -30]] * 10
+    left, text = explained(quiet, dataclasses.replace(policy, circuit=weak))
     assert left.by_leak
-    assert "L at −30 mV by its own leak, A quiet (−70 mV)" in left.text
+    assert "L at −30 mV by its own leak, A quiet (−70 mV)" in text
 
 
-def test_a_rival_is_named():
-    turn = [-20, -40, -50, -25, -45, -30]
-    (left,) = explain(trace_of([LEFT] * 10, [turn] * 10))
+def test_rival_motor_neuron_is_named():
+    left, text = explained([[-20, -40, -50, -25, -45, -30]] * 10)
     assert left.rival == ("R", -45)
-    assert "; against it R at −45 mV" in left.text
+    assert "; against it R at −45 mV" in text
 
 
-def test_a_neuron_that_swings_from_tick_to_tick_is_named():
+def test_neuron_that_alternates_from_tick_to_tick_is_named():
     high, low = [-20, -30, -80, -25, -60, -30], [-20, -50, -80, -25, -60, -30]
-    (left,) = explain(trace_of([LEFT] * 10, [high, low] * 5))
+    left, text = explained([high, low] * 5)
     assert left.swinging == (("A", 20),)
-    assert left.text.endswith(" From tick to tick A (by 20 mV) swings.")
-    rising = [[-20, -70 + 5 * k, -80, -25, -60, -30] for k in range(10)]
-    (left,) = explain(trace_of([LEFT] * 10, rising))
-    assert left.swinging == ()
+    assert text.endswith(" From tick to tick A (by 20 mV) swings.")
+    assert explained([[-20, -70 + 5 * k, -80, -25, -60, -30] for k in range(10)])[0].swinging == ()
 
 
-def test_mirrored_motors_tell_the_mirrored_story():
-    policy = parking_policy(_random_circuit(3))
+def test_mirrored_motors_give_mirrored_phases():
+    policy = parking_policy(parking_circuit())
+    layout = policy.layout()
+    policy = policy.with_parameters(np.random.default_rng(3).uniform(layout.lower, layout.upper))
     v, omega = policy.motors.channels
-    mirrored = Channel(
-        name="omega", positive=omega.negative, maximum=0.18, negative=omega.positive, minimum=-0.18
-    )
+    mirrored = omega.model_copy(update={"positive": omega.negative, "negative": omega.positive})
     mirror = dataclasses.replace(policy, motors=policy.motors.model_copy(update={"channels": (v, mirrored)}))
     run = rollout(policy, load_course("parking"))
-    plain = explain(Trace(policy, run.times[:-1], run.poses, run.commands, run.potentials))
+    plain = explain(traced(policy, run))
     flipped = Trace(mirror, run.times[:-1], run.poses * [1, -1, -1], run.commands * [1, -1], run.potentials)
     for one, other in zip(plain, explain(flipped), strict=True):
         swapped = one.phase.label.replace("left", "L").replace("right", "left").replace("L", "right")
         assert other.phase.label == swapped
         assert (one.motor, one.behind, one.pulls) == (other.motor, other.behind, other.pulls)
     assert any("turn" in one.phase.label for one in plain)
-
-
-def test_another_policy_gets_other_sentences():
-    course = load_course("parking")
-    stories = []
-    for seed in range(4):
-        policy = parking_policy(_random_circuit(seed))
-        run = rollout(policy, course)
-        trace = Trace(policy, run.times[:-1], run.poses, run.commands, run.potentials)
-        stories.append(" ".join(part.text for part in explain(trace)))
-    for one, other in itertools.combinations(stories, 2):
-        assert one != other
-
-
-def _random_circuit(seed):
-    rng = np.random.default_rng(seed)
-    policy = parking_policy(parking_circuit())
-    layout = policy.layout()
-    return policy.with_parameters(rng.uniform(layout.lower, layout.upper)).circuit

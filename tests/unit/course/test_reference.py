@@ -83,6 +83,20 @@ def test_backward_where_the_course_goes_backward():
     assert reference.motion[:, 0].min() < -0.08
 
 
+def found_again(knots):
+    """Return a drive through knots (v, omega), 0.5 s apart, and the reference of its checkpoints."""
+    knots = np.array(knots)
+    ticks = np.arange(5 * (len(knots) - 1) + 1) / 5
+    v, omega = (np.interp(ticks, np.arange(len(knots)), column) for column in knots.T)
+    drive = drive_profile(Pose(0, 0, 0), v.tolist(), omega.tolist())
+    require_drivable(drive)
+    horizon = round(0.1 * drive.ticks, 1)
+    points = [(t, *drive.at(t)[0]) for t in [*np.arange(0.0, horizon, 1.0), horizon]]
+    found = plan_reference(course_of(*points, horizon_s=horizon))
+    require_drivable(found)
+    return drive, found
+
+
 @pytest.mark.parametrize(
     "pieces",
     [
@@ -93,17 +107,19 @@ def test_backward_where_the_course_goes_backward():
 )
 def test_a_drive_that_changes_direction_is_found_again(pieces):
     rest = [(0.0, 0.0)] * 4
-    knots = np.array([*rest, *(knot for piece in pieces for knot in [*[piece] * 8, (0.0, 0.0)]), *rest])
-    ticks = np.arange(5 * (len(knots) - 1) + 1) / 5
-    v, omega = (np.interp(ticks, np.arange(len(knots)), column) for column in knots.T)
-    drive = drive_profile(Pose(0, 0, 0), v.tolist(), omega.tolist())
-    horizon = round(0.1 * drive.ticks, 1)
-    points = [(t, *drive.at(t)[0]) for t in [*np.arange(0.0, horizon, 1.0), horizon]]
-    found = plan_reference(course_of(*points, horizon_s=horizon))
-    require_drivable(found)
+    moving = [knot for piece in pieces for knot in [*[piece] * 8, (0.0, 0.0)]]
+    drive, found = found_again([*rest, *moving, *rest])
     assert np.hypot(*(found.poses - drive.poses)[-1, :2]) < 0.001
     assert np.hypot(*(found.poses - drive.poses)[:, :2].T).max() < 0.02
     assert np.abs(found.motion[:, 0] - drive.motion[:, 0]).max() < 0.06
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.tuples(st.floats(0, 0.15), st.floats(-0.17, 0.17)), min_size=2, max_size=6))
+def test_a_drive_is_found_again_from_its_checkpoints(pieces):
+    drive, found = found_again([(0.0, 0.0), *np.repeat(np.array(pieces), 5, axis=0), *[(0.0, 0.0)] * 4])
+    assert np.hypot(*(found.poses - drive.poses)[-1, :2]) < 0.003
+    assert np.hypot(*(found.poses - drive.poses)[:, :2].T).max() < 0.04
 
 
 def test_a_course_that_stays_has_a_reference_that_stays():
@@ -127,23 +143,6 @@ def test_between_ticks_and_after_the_end(parking):
     assert motion.v == pytest.approx((before[1].v + after[1].v) / 2)
     assert reference.at(99.0)[0] == reference.tick(320)[0] == reference.tick(999)[0]
     assert reference.at(99.0)[1] == (0.0, 0.0)
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.lists(st.tuples(st.floats(0, 0.15), st.floats(-0.17, 0.17)), min_size=2, max_size=6))
-def test_a_drive_is_found_again_from_its_checkpoints(pieces):
-    knots = np.repeat(np.array(pieces), 5, axis=0)
-    knots = np.vstack([np.zeros((1, 2)), knots, np.zeros((4, 2))])
-    ticks = np.arange(5 * (len(knots) - 1) + 1) / 5
-    v, omega = (np.interp(ticks, np.arange(len(knots)), column) for column in knots.T)
-    drive = drive_profile(Pose(0, 0, 0), v.tolist(), omega.tolist())
-    require_drivable(drive)
-    horizon = 0.1 * drive.ticks
-    points = [(t, *drive.at(t)[0]) for t in [*np.arange(0.0, horizon, 1.0), horizon]]
-    found = plan_reference(course_of(*points, horizon_s=round(horizon, 1)))
-    require_drivable(found)
-    assert np.hypot(*(found.poses - drive.poses)[-1, :2]) < 0.003
-    assert np.hypot(*(found.poses - drive.poses)[:, :2].T).max() < 0.04
 
 
 finite = st.floats(-5, 5)

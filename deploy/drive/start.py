@@ -1,0 +1,91 @@
+"""The start of a drive: the rover must stand still, and external poses may show where it stands."""
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.drive.config import DriveConfig
+from deploy.drive.controller import ORIGIN
+from deploy.drive.link import Link
+from deploy.drive.measurements import NS, Measurement, Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
+from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
+from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.core.messages import OdometrySample, PoseSample
+from rover_ncp.core.process import Clock
+
+
+class StartDetector:
+    """Waits for a rover that stands still by its odometry, and collects external poses meanwhile."""
+
+    def __init__(self, link: Link, measurements: Measurements, config: DriveConfig, clock: Clock) -> None:
+        self._link, self._measurements = link, measurements
+        self._config, self._clock = config, clock
+        self._standing: deque[Measurement[OdometrySample]] = deque()
+        """Odometry of the rover at one place, from the first sample there."""
+        self._poses: list[Measurement[PoseSample]] = []
+
+    def wait(self, monitor: SafetyMonitor) -> Measurement[OdometrySample]:
+        """Return the odometry at the start. Raises SafetyStop, NoPose, AnotherDriver, KeyboardInterrupt."""
+        config = self._config
+        if not monitor.until(self._stands, config.still_wait_s):
+            raise SafetyStop("not-standing", f"the rover does not stand still for {config.still_s:g} s")
+        if config.pose == "required" and not monitor.until(
+            lambda: self._stands() and bool(self._poses), config.pose_wait_s
+        ):
+            raise NoPose(f"no external pose of the rover arrived on 'pose' within {config.pose_wait_s:g} s")
+        assert self._measurements.newest is not None  # it stands, so there was a sample
+        return self._measurements.newest
+
+    def pose(self) -> tuple[Pose, NDArray[np.float64] | None]:
+        """Return the start pose on the course with its covariance: the origin and None without poses."""
+        if not self._poses:
+            return ORIGIN, None
+        # The covariance of the last one: errors of these poses are not independent.
+        return _median([seen.sample.pose for seen in self._poses]), self._poses[-1].sample.covariance
+
+    def _stands(self) -> bool:
+        gate = self._link.gate
+        if gate.lease and not self._config.dry_run:
+            # A rover that another driver drives does not stand still until that driver releases the lease.
+            holder = gate.driver_name or "a driver without a name"
+            raise AnotherDriver(
+                f"the bridge at {self._link.robot} refuses the motors: {holder} holds the lease"
+            )
+        if self._config.pose != "none":
+            self._collect_poses()
+        measured = self._measurements.odometry(0)
+        if measured is None:
+            return False
+        self._standing.append(measured)
+        while len(self._standing) > 1 and not self._same_place(
+            self._standing[0].sample.pose, measured.sample.pose
+        ):
+            self._standing.popleft()
+        return measured.ref.measured_ns - self._standing[0].ref.measured_ns >= round(
+            self._config.still_s * NS
+        )
+
+    def _same_place(self, a: Pose, b: Pose) -> bool:
+        config = self._config
+        return distance(a, b) <= config.still_m and abs(wrap_angle(a.theta - b.theta)) <= config.still_rad
+
+    def _collect_poses(self) -> None:
+        """Keep the finite external poses of the time in which the rover must stand."""
+        oldest = self._clock.monotonic_ns() - self._config.still_s * NS
+        self._poses = [
+            seen
+            for seen in [*self._poses, *self._measurements.poses()]
+            if seen.ref.measured_ns >= oldest
+            and np.isfinite([*seen.sample.pose, *seen.sample.covariance.ravel()]).all()
+        ]
+
+
+def _median(poses: Sequence[Pose]) -> Pose:
+    """Return the median of poses that should be the same, heading by heading around the last."""
+    x, y, theta = np.array(poses).T
+    last = float(theta[-1])
+    turned = np.median([wrap_angle(angle - last) for angle in theta.tolist()])
+    return Pose(float(np.median(x)), float(np.median(y)), wrap_angle(last + float(turned)))

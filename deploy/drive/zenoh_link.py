@@ -1,0 +1,211 @@
+"""The driver's Zenoh session with the bridge.
+
+Callbacks record a message, note the time and store it. Only the queries block the control loop, and they are
+bounded.
+"""
+
+import contextlib
+import time
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from deploy.drive.lease import DriverLease
+from deploy.drive.measurements import Arrival, Inbox
+from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
+from rover_ncp.core.errors import (
+    AnotherDriver,
+    FormatError,
+    NoBridge,
+    NotAuthorised,
+    OtherVersion,
+    SafetyStop,
+)
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, spec
+from rover_ncp.core.messages import read_text, twist_stamped
+from rover_ncp.core.protocol import (
+    PROTOCOL,
+    VERSION_REASON,
+    GateStatus,
+    MotorsReply,
+    MotorsRequest,
+    Signed,
+    dump_json,
+    other_version,
+    parse_json,
+)
+from rover_ncp.core.recording import Recorded, header_stamp_ns
+
+QUERY_TIMEOUT_S = 2.0
+RELEASE_TIMEOUT_S = 1.0
+ROUND_TRIP_S, REQUEST_TRIES = 0.2, 3
+"""The gate takes the request's transit time as the shortest one. It could not distinguish commands with a
+constant delay from fresh ones. So a driver refuses to drive over a slower link; two slow answers by chance
+are allowed."""
+ANOTHER_DRIVER = "another-driver"
+"""The gate's reason when another driver holds the lease."""
+_OWN = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.DRIVER}]
+
+
+class ZenohLink(ZenohClient):
+    """The link of one driver; ``record`` gets every message in both directions. Raises as `ZenohClient`."""
+
+    def __init__(self, address: BridgeAddress, record: Callable[[Recorded], None]) -> None:
+        self._record = record
+        self.lease = DriverLease()
+        self.odometry = Inbox(1)
+        self.gyro = Inbox()
+        self.poses = Inbox()
+        self.gate = GateStatus()
+        self._token: Any = None
+        self._takers: dict[str, Callable[[Arrival], None]] = {
+            "odom": self.odometry.put,
+            "imu": self.gyro.put,
+            "pose": self.poses.put,
+            "rover/gate": self._update_gate,
+        }
+        super().__init__(address, self._take, own=_OWN)
+
+    @property
+    def where(self) -> str:
+        """The namespace as a part of an error message."""
+        return self.address.where
+
+    def _declare(self) -> None:
+        self._publishers = {
+            name: self._session.declare_publisher(
+                self.key(name),
+                encoding=zenoh.Encoding.APPLICATION_CDR,
+                # A command that cannot leave at once would be stale later.
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            for name in _OWN
+        }
+
+    def authorised(self) -> bool:
+        """Whether a subscriber takes our commands: a bridge without permission for us has none."""
+        return matches(self._publishers["cmd_vel"])
+
+    def request_motors(self, name: str) -> MotorsReply:
+        """Request the motors and with them the lease, or renew the current lease.
+
+        After a slow answer it sends a signed renewal. If the answer was lost, the gate refuses every driver,
+        this one too, until that lease lapses.
+
+        Raises AnotherDriver, NotAuthorised, NoBridge (no answer), OtherVersion, or SafetyStop when the gate
+        has a reason or the link is too slow.
+        """
+        if self._token is None:
+            self._token = self._session.liveliness().declare_token(self.key("rover/alive/driver"))
+        for _ in range(REQUEST_TRIES):
+            sent_s = time.monotonic()
+            reply = self._motors(enable=True, name=name, timeout_s=QUERY_TIMEOUT_S)
+            round_trip_s = time.monotonic() - sent_s
+            if reply is not None and reply.granted:
+                self.lease.grant(reply)
+            if round_trip_s <= ROUND_TRIP_S:
+                break
+        if reply is None:
+            raise NotAuthorised(
+                f"not authorised: the bridge at {self.robot} does not take our request for the motors"
+            )
+        if not reply.granted:
+            words = f"the bridge at {self.robot} refuses the motors: {reply.detail or reply.reason}"
+            if reply.reason == VERSION_REASON:
+                raise OtherVersion(words)
+            if reply.reason == ANOTHER_DRIVER:
+                raise AnotherDriver(words)
+            raise SafetyStop(reply.reason or "gate", words)
+        if not self.lease.number:
+            raise NoBridge(f"the bridge at {self.robot} grants the motors without a key")
+        if round_trip_s > ROUND_TRIP_S:
+            raise SafetyStop(
+                "slow-link",
+                f"the bridge at {self.robot} takes {round_trip_s:.2f} s to answer (at most {ROUND_TRIP_S} s)",
+            )
+        return reply
+
+    def _motors(self, enable: bool, name: str, timeout_s: float) -> MotorsReply | None:
+        now_ns = time.monotonic_ns()
+        payload = dump_json(MotorsRequest(enable=enable, name=name, sent_ns=now_ns))
+        where, tag = self.key("rover/motors"), None
+        if self.lease.number:
+            tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
+        # Every peer that would answer is asked, and every answer is read: a peer that relayed the request to
+        # the bridge and passed the answer on would have the key.
+        replies = list(
+            self._session.get(
+                where,
+                payload=payload,
+                attachment=tag,
+                timeout=timeout_s,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+        )
+        if len(replies) > 1:
+            raise NoBridge(
+                f"{len(replies)} answers on {where} at {self.robot}, expected one: a peer beside the bridge "
+                "answers requests for the motors; keep it out with 'rover-ncp keys'"
+            )
+        for reply in replies:
+            # A bridge of version 1 cannot read the request, and says so; later ones answer with a refusal.
+            if reply.err is not None and reply.err.payload.to_bytes().startswith(b"MotorsRequest: "):
+                words = other_version(1, PROTOCOL)
+                raise OtherVersion(f"the bridge at {self.robot} refuses the motors: {words}")
+            if reply.ok is None:
+                raise NoBridge(f"the bridge at {self.robot} does not answer within {timeout_s:g} s")
+            try:
+                return parse_json(MotorsReply, reply.ok.payload.to_bytes())
+            except FormatError as error:
+                raise NoBridge(f"the bridge at {self.robot} sends an unreadable answer: {error}") from error
+        return None
+
+    def release(self) -> None:
+        """Stop the rover and release the lease, if we hold it.
+
+        Never raises: if the bridge does not receive it, its own timeout stops the rover.
+        """
+        if not self.lease.number:
+            return
+        with contextlib.suppress(zenoh.ZError):
+            self.command(Velocity(0.0, 0.0))
+        with contextlib.suppress(zenoh.ZError, NoBridge, OtherVersion):
+            self._motors(enable=False, name="", timeout_s=RELEASE_TIMEOUT_S)
+        self.lease.end()
+
+    def command(self, velocity: Velocity) -> int:
+        """Send a command, v in m/s and omega in rad/s, and return its sequence number."""
+        wall_ns = time.time_ns()
+        data = twist_stamped(velocity, wall_ns)
+        tag = self.lease.sign(Signed.COMMAND, self.key("cmd_vel"), data, time.monotonic_ns())
+        self._publishers["cmd_vel"].put(data, attachment=tag.pack())
+        self._record(Recorded("cmd_vel", spec("cmd_vel").type, data, wall_ns, wall_ns, tag.sequence))
+        return tag.sequence
+
+    def publish(self, name: str, data: bytes, wall_ns: int) -> None:
+        """Send and record one of the driver's own messages."""
+        self._publishers[name].put(data)
+        self._record(Recorded(name, spec(name).type, data, time.time_ns(), wall_ns))
+
+    def close(self) -> None:
+        """Release the lease and end the session."""
+        try:
+            self.release()
+        finally:
+            super().close()
+
+    def _take(self, row: KeySpec, data: bytes) -> None:
+        arrival, wall_ns = Arrival(data, time.monotonic_ns()), time.time_ns()
+        stamp_ns = header_stamp_ns(row.type, data) or wall_ns
+        # Recorded first, so that a recording has all inputs of its drive.
+        self._record(Recorded(row.name, row.type, data, wall_ns, stamp_ns))
+        if row.name in self._takers:
+            self._takers[row.name](arrival)
+
+    def _update_gate(self, arrival: Arrival) -> None:
+        # An unreadable status is ignored: the previous one stays valid.
+        with contextlib.suppress(FormatError):
+            self.gate = parse_json(GateStatus, read_text(arrival.data))

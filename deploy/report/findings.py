@@ -1,0 +1,107 @@
+"""Findings about one run of a circuit: phases, contributions and time constants."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from deploy.report.interpretation import (
+    PUBLISHED_SIGNS,
+    PUBLISHED_TIME_CONSTANTS_S,
+    THRESHOLD,
+    Contribution,
+    TimeConstant,
+    contributions,
+    time_constant_ranges,
+)
+from deploy.report.layout import labels, layers
+from deploy.report.phases import Explanation, explain
+from deploy.report.sentences import sentence
+from deploy.report.trace import Trace
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """A run's circuit explained."""
+
+    trace: Trace
+    threshold: float
+    contributions: dict[tuple[str, str], Contribution]
+    """Definition 1 over the whole run, for all pairs."""
+    driving: dict[tuple[str, str], Contribution]
+    """The same without the rest at both ends of the run, where most potentials are constant."""
+    time_constants: tuple[TimeConstant, ...]
+    explanations: tuple[Explanation, ...]
+    sentences: tuple[str, ...]
+    """One for each explanation."""
+
+    @property
+    def motors(self) -> tuple[str, ...]:
+        """The motor neurons, in the circuit's order."""
+        return self._of("motor")
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Sensory, inter and command neurons, in this order."""
+        return self._of("sensory") + self._of("inter") + self._of("command")
+
+    def fields(self, pairs: Iterable[tuple[str, str]]) -> dict[str, Any]:
+        """Return the findings as plain values, with the contributions of some pairs."""
+        return {
+            "phases": [_phase(*both) for both in zip(self.explanations, self.sentences, strict=True)],
+            "threshold": self.threshold,
+            "contributions": [
+                {
+                    **vars(self.contributions[pair]),
+                    "driving": {
+                        name: getattr(self.driving[pair], name) for name in ("sign", "positive", "negative")
+                    },
+                    "paper": PUBLISHED_SIGNS.get(pair),
+                }
+                for pair in pairs
+            ],
+            "time_constants": [
+                {**row._asdict(), "paper_s": PUBLISHED_TIME_CONSTANTS_S.get(row.neuron)}
+                for row in self.time_constants
+            ],
+        }
+
+    def _of(self, layer: str) -> tuple[str, ...]:
+        own = layers(self.trace.policy)
+        return tuple(name for name, is_in in zip(self.trace.neurons, own, strict=True) if is_in == layer)
+
+
+def analyse(trace: Trace, threshold: float = THRESHOLD) -> Findings:
+    """Explain a run. The policy's outputs must be v and omega."""
+    explanations = explain(trace)
+    moving = [each.phase for each in explanations if any(each.phase.signs)]
+    potentials, sensing = trace.potentials, trace.policy.sensing.neurons
+    driving = potentials[moving[0].first : moving[-1].last] if moving else potentials[:1]
+    senses = {neuron: label for neuron, label in labels(trace.policy).items() if neuron in sensing}
+    return Findings(
+        trace=trace,
+        threshold=threshold,
+        contributions=contributions(trace.neurons, potentials, threshold=threshold),
+        driving=contributions(trace.neurons, driving, threshold=threshold),
+        time_constants=time_constant_ranges(trace.policy.circuit, potentials, sensing),
+        explanations=explanations,
+        sentences=tuple(sentence(each, senses) for each in explanations),
+    )
+
+
+def _phase(explained: Explanation, text: str) -> dict[str, Any]:
+    phase = explained.phase
+    return {
+        "label": phase.label,
+        "start_s": phase.start_s,
+        "end_s": phase.end_s,
+        "driven_m": phase.driven_m,
+        "turned_rad": phase.turned_rad,
+        "motor": explained.motor._asdict(),
+        "rival": explained.rival._asdict() if explained.rival else None,
+        "behind": explained.behind._asdict() if explained.behind else None,
+        "by_leak": explained.by_leak,
+        "activity": explained.activity,
+        "pulls": [pull._asdict() for pull in explained.pulls],
+        "change": explained.change._asdict() if explained.change else None,
+        "sentence": text,
+    }

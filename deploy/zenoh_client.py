@@ -1,0 +1,173 @@
+"""Zenoh session of a client of the bridge: its configuration, its subscriptions, its end.
+
+The values of the configuration are measured; see the comments beside them.
+"""
+
+import json
+import re
+import socket
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+
+from rover_ncp.core.errors import FileError, NoBridge, NotAuthorised, UnreachableError, UsageError
+from rover_ncp.core.files import existing_file
+from rover_ncp.core.key_table import KEYS, KeySpec, Kind, key
+
+PORT = 7447
+"""Zenoh's own port, where the bridge listens."""
+MOST_PORT = 65535
+PROBE_S = 1.0
+
+_LOCATOR = re.compile(
+    r"(?P<protocol>[a-z]+)/(?P<host>\[[0-9A-Fa-f:.]+\]|[^/:#?\s]+)(?P<port>:\d+)?(?P<rest>[#?]\S*)?"
+)
+_SETTINGS = {
+    "mode": "client",
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    # How long we may be silent before the bridge drops us; it must be announced by the silent side.
+    "transport/link/tx/lease": 1000,
+    "transport/link/tx/keep_alive": 4,
+    "transport/shared_memory/enabled": False,
+    "connect/timeout_ms": 2000,
+    # The default waits up to 4 s between attempts, which made reconnecting as slow.
+    "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+}
+
+
+@dataclass(frozen=True)
+class BridgeAddress:
+    """How to reach a bridge: ``--robot``, ``--namespace`` and ``--zenoh-config`` of a command."""
+
+    robot: str
+    namespace: str = ""
+    zenoh_config: Path | None = None
+
+    @property
+    def where(self) -> str:
+        """The namespace as a part of an error message."""
+        return f" in namespace {self.namespace}" if self.namespace else ""
+
+
+class ZenohClient:
+    """A session with one bridge. It gives every message of the bridge to ``receive``, except ``own`` ones.
+
+    ``receive`` runs in Zenoh's thread. Opening raises NoBridge when nothing answers at the address, and
+    NotAuthorised when the bridge rejects the session.
+    """
+
+    def __init__(
+        self, address: BridgeAddress, receive: Callable[[KeySpec, bytes], None], own: Collection[str] = ()
+    ) -> None:
+        self.address = address
+        self.key("odom")  # an invalid namespace is reported before anything is opened
+        config, self.robot = client_config(address.robot, address.zenoh_config)
+        self.bridge_alive = False
+        self._receive = receive
+        try:
+            self._session = zenoh.open(config)
+        except zenoh.ZError as error:
+            raise _refused(self.robot) from error
+        try:
+            self._declare()
+            self._held: list[Any] = [
+                self._session.declare_subscriber(self.key(row.name), self._receiving(row))
+                for row in KEYS
+                if row.kind is Kind.MESSAGE and row.name not in own
+            ]
+            alive = self._session.liveliness()
+            self._held.append(
+                alive.declare_subscriber(
+                    self.key("rover/alive/bridge"), self._bridge_token_changed, history=True
+                )
+            )
+        except BaseException:
+            self._session.close()  # type: ignore[no-untyped-call]
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the session."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def key(self, name: str) -> str:
+        """Return the key expression of a row of the table, with the namespace."""
+        return key(self.address.namespace, name)
+
+    def _declare(self) -> None:
+        """Declare what a subclass sends, before the first message arrives."""
+
+    def _receiving(self, row: KeySpec) -> Callable[[zenoh.Sample], None]:
+        def receive(sample: zenoh.Sample) -> None:
+            data = sample.payload.to_bytes()
+            if len(data) <= row.max_bytes:
+                self._receive(row, data)
+
+        return receive
+
+    def _bridge_token_changed(self, sample: zenoh.Sample) -> None:
+        self.bridge_alive = sample.kind == zenoh.SampleKind.PUT
+
+
+def matches(declared: Any) -> bool:
+    """Return whether a subscriber or queryable exists for a publisher or querier."""
+    # Zenoh's stub declares a bool; the returned object is always truthy.
+    return bool(declared.matching_status.matching)
+
+
+def client_config(robot: str, file: Path | None) -> tuple[zenoh.Config, str]:
+    """Return the session's configuration and the bridge's locator.
+
+    ``file`` may hold what a network needs (TLS, user and password). It does not change how the client
+    connects, nor how soon the bridge notices its silence. Raises UsageError and FileError.
+    """
+    endpoint = _locator(robot)
+    if file is not None:
+        existing_file(file)
+    try:
+        config = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
+    except zenoh.ZError as error:
+        raise FileError(f"{file}: not a Zenoh configuration: {error}") from error
+    for path, value in {**_SETTINGS, "connect/endpoints": [endpoint]}.items():
+        config.insert_json5(path, json.dumps(value))
+    return config, endpoint
+
+
+def _locator(robot: str) -> str:
+    """Return ``robot`` as a Zenoh locator, with the default port if it has none. Raises UsageError."""
+    match = _LOCATOR.fullmatch(robot)
+    if match is None:
+        raise UsageError(
+            f"--robot {robot}: expected PROTOCOL/HOST[:PORT], for example tcp/192.168.1.20:{PORT}"
+        )
+    if match["port"] is not None and not 1 <= int(match["port"][1:]) <= MOST_PORT:
+        raise UsageError(f"--robot {robot}: expected a port from 1 to {MOST_PORT}")
+    return f"{match['protocol']}/{match['host']}{match['port'] or f':{PORT}'}{match['rest'] or ''}"
+
+
+def _refused(endpoint: str) -> UnreachableError:
+    """Return the error for a failed session. Zenoh reports an unused port and a rejection alike."""
+    match = _LOCATOR.fullmatch(endpoint)
+    assert match is not None  # or there would have been no session to open
+    try:
+        socket.create_connection((match["host"].strip("[]"), int(match["port"][1:])), PROBE_S).close()
+    except OSError:
+        return NoBridge(
+            f"nothing answers at {endpoint}: is 'rover-ncp bridge' running there, listening on that address?"
+        )
+    return NotAuthorised(
+        f"not authorised: the process at {endpoint} accepts no session from us; it may want a certificate, "
+        "user and password (--zenoh-config, see 'rover-ncp keys'), or is no bridge, or hangs"
+    )

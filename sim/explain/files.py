@@ -1,0 +1,226 @@
+"""An explanation as text and files: sections for terminal and Markdown, tables in CSV, figures."""
+
+import csv
+import io
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from deploy.report.charts.circuit import circuit
+from deploy.report.charts.figure import Picture
+from deploy.report.charts.neuron_pairs import phase_plots, slope_histograms
+from deploy.report.charts.path import activity, trajectory
+from deploy.report.findings import Findings
+from deploy.report.interpretation import (
+    BINS,
+    PUBLISHED_SIGNS,
+    PUBLISHED_TIME_CONSTANTS_S,
+    SYMBOLS,
+    Contribution,
+)
+from deploy.report.sentences import number
+from rover_ncp.core.files import write_atomic
+from sim.explain.charts import knock_out_chart, sensitivity_chart
+from sim.explain.explain import Explanation
+from sim.explain.what_if import STEP
+
+SHOWN, DRAWN = 12, 25
+"""Parameters in the text and in the chart; the CSV file has them all."""
+UNCHANGED = 0.01
+"""Least change of the return that counts."""
+
+
+class Section(NamedTuple):
+    """A section of the text: a table with words before and after it, and the figures that belong to it."""
+
+    title: str
+    before: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    after: str
+    pictures: Sequence[str]
+
+
+def sections(found: Explanation) -> Iterator[Section]:
+    """Yield the sections of an explanation."""
+    run, sign = found.findings, f"{found.findings.threshold:g}"
+    yield Section(
+        "Contributions to the motor neurons",
+        f"Definition 1, P/Q: + positive if P > {sign} Q, − antagonistic if Q > {sign} P, ± phase-switching.\n"
+        "Vertical slopes, where the source's potential was constant, count.",
+        ["from", *(f"to {motor}" for motor in run.motors)],
+        [[name, *(_signs(run.contributions[name, motor]) for motor in run.motors)] for name in run.sources],
+        "",
+        ["slopes", "phase_plots"],
+    )
+    if pairs := [pair for pair in PUBLISHED_SIGNS if pair in run.contributions]:
+        yield _compared(run, pairs)
+    yield Section(
+        "Time constants (s)",
+        "",
+        ["neuron", "this run", "in the paper (Table S7)"],
+        [
+            [neuron, f"{low:.3g} to {high:.3g}", "{:.3g} to {:.3g}".format(*paper) if paper else ""]
+            for neuron, low, high in run.time_constants
+            for paper in [PUBLISHED_TIME_CONSTANTS_S.get(neuron)]
+        ],
+        "",
+        [],
+    )
+    needed = sorted((row for row in found.knock_outs if not row.parked), key=lambda row: row.total)
+    spared = [row.title for row in found.knock_outs if row.parked and abs(row.change) < UNCHANGED]
+    yield Section(
+        "Without a part",
+        f"Without any of these {len(needed)} it does not park:",
+        ["without", "return", "m from the goal"],
+        [[row.title, number(row.total, 2), f"{row.error_m:.2f}"] for row in needed],
+        f"Without any of these nothing changes: {', '.join(spared)}." if spared else "",
+        ["knock_outs"],
+    )
+    yield Section(
+        f"Change of the return when a parameter moves by {100 * STEP:g} % of its range",
+        "",
+        ["parameter", "value", "lower", "higher"],
+        [
+            [row.title, f"{row.value:.4g} {row.unit}".replace("-", "−")]
+            + [number(change, 3, signed=True) for change in (row.change_down, row.change_up)]
+            for row in sorted(found.sensitivities, key=lambda row: row.worst)[:SHOWN]
+        ],
+        "",
+        ["sensitivities"],
+    )
+
+
+def markdown(found: Explanation) -> str:
+    """Return an explanation as Markdown; it links figures in the same folder."""
+    verdict = found.verdict
+    ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
+    blocks = [
+        f"# {found.policy.circuit.name} on {found.course.name}",
+        f"Made by `rover-ncp explain {found.source} --out FOLDER`.\n"
+        f"This run: {ending}; return in simulation {number(found.intact.total, 4)}.",
+        "\n".join(f"{i}. {sentence}" for i, sentence in enumerate(found.findings.sentences, 1)),
+        "A pull is how far one synapse moves the potential its neuron is heading for, in mV, as a mean over\n"
+        "the phase.",
+        _images(["trajectory", "circuit", "activity"]),
+    ]
+    for title, before, header, rows, after, pictures in sections(found):
+        lines = [f"| {' | '.join(row)} |" for row in (header, *rows)]
+        lines.insert(1, "|---" * len(header) + "|")
+        blocks += [f"## {title}", before, "\n".join(lines), after, _images(pictures)]
+    return "\n\n".join(block for block in blocks if block) + "\n"
+
+
+def write(found: Explanation, folder: Path) -> list[Path]:
+    """Write text, tables and figures into a folder; return the files. Raises FileError."""
+    files: dict[str, bytes | str] = {"explanation.md": markdown(found)}
+    for name, text in _tables(found).items():
+        files[f"{name}.csv"] = text
+    for name, picture in _pictures(found).items():
+        files |= {f"{name}.svg": picture.svg, f"{name}.png": picture.png}
+    for name, content in files.items():
+        write_atomic(folder / name, content)
+    return [folder / name for name in sorted(files)]
+
+
+def _compared(run: Findings, pairs: Sequence[tuple[str, str]]) -> Section:
+    rows = []
+    for pair in pairs:
+        one, driving = run.contributions[pair], run.driving[pair]
+        words = f"{one.vertical} of {one.positive + one.negative}"
+        rows.append([*pair, str(one.sign), words, str(driving.sign), str(PUBLISHED_SIGNS[pair])])
+    same, same_driving = (
+        sum(found[pair].sign is PUBLISHED_SIGNS[pair] for pair in pairs)
+        for found in (run.contributions, run.driving)
+    )
+    return Section(
+        "Comparison with the paper's circuit",
+        "",
+        ["from", "to", "whole run", "vertical", "while driving", "in the paper"],
+        rows,
+        f"{same} of {len(pairs)} signs are the paper's over the whole run, {same_driving} while driving.\n"
+        "Circuits of one wiring that were trained separately solve the task in different ways: the signs\n"
+        "describe one circuit, not the wiring.",
+        [],
+    )
+
+
+def _tables(found: Explanation) -> dict[str, str]:
+    run = found.findings
+    trace, counts = run.trace, ("sign", "P", "Q", "flat", "vertical")
+    figures = ("label", "start_s", "end_s", "driven_m", "turned_rad")
+    return {
+        "potentials": _csv(
+            ["t_s", *(f"{name}_mV" for name in trace.neurons)],
+            ([t, *row] for t, row in zip(trace.times.tolist(), trace.potentials.tolist(), strict=True)),
+        ),
+        "contributions": _csv(
+            ["source", "destination", *counts, *(f"driving_{name}" for name in counts), "paper_sign"]
+            + [f"bin_{bin_}" for bin_ in range(BINS)],
+            (
+                [*pair, *_counts(one), *_counts(run.driving[pair]), PUBLISHED_SIGNS.get(pair), *one.bins]
+                for pair, one in run.contributions.items()
+            ),
+        ),
+        "time_constants": _csv(
+            ["neuron", "lowest_s", "highest_s", "paper_lowest_s", "paper_highest_s"],
+            ([*row, *PUBLISHED_TIME_CONSTANTS_S.get(row.neuron, (None, None))] for row in run.time_constants),
+        ),
+        "phases": _csv(
+            ["phase", *figures[1:], "motor", "behind", "activity", "sentence"],
+            (
+                [
+                    *(getattr(one.phase, name) for name in figures),
+                    one.motor.neuron,
+                    one.behind and one.behind.neuron,
+                    one.activity,
+                    sentence,
+                ]
+                for one, sentence in zip(run.explanations, run.sentences, strict=True)
+            ),
+        ),
+        "knock_outs": _csv(vars(found.knock_outs[0]), (vars(row).values() for row in found.knock_outs)),
+        "sensitivities": _csv(
+            [*vars(found.sensitivities[0]), "slope"],
+            ([*vars(row).values(), row.slope] for row in found.sensitivities),
+        ),
+    }
+
+
+def _pictures(found: Explanation) -> dict[str, Picture]:
+    run, course = found.findings, found.course
+    trace, pairs = run.trace, run.contributions
+    deepest = sorted(found.sensitivities, key=lambda row: row.worst)[:DRAWN]
+    return {
+        "trajectory": trajectory(trace, course, [each.phase for each in run.explanations]),
+        "activity": activity(trace, course),
+        "circuit": circuit(trace, run.time_constants),
+        "slopes": slope_histograms(pairs, run.sources, run.motors),
+        "slopes_of_all_pairs": slope_histograms(pairs, trace.neurons, trace.neurons),
+        "phase_plots": phase_plots(trace, run.sources, run.motors),
+        "knock_outs": knock_out_chart(
+            found.knock_outs, found.intact.verdict.error_m, course.parked.position_m
+        ),
+        "sensitivities": sensitivity_chart(deepest),
+    }
+
+
+def _csv(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """Return a CSV file: numbers with all their digits, empty cells for None."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return buffer.getvalue()
+
+
+def _signs(one: Contribution) -> str:
+    return f"{SYMBOLS[one.sign]} {one.positive}/{one.negative}"
+
+
+def _counts(one: Contribution) -> list[Any]:
+    return [one.sign, one.positive, one.negative, one.flat, one.vertical]
+
+
+def _images(names: Iterable[str]) -> str:
+    return "\n".join(f"![{name.replace('_', ' ')}]({name}.png)" for name in names)

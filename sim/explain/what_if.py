@@ -1,0 +1,147 @@
+"""What-ifs: a circuit simulated without each part, and with each parameter changed a little."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.course.course import Course
+from sim.learn.evaluator import Evaluator
+from sim.learn.rollout import Rollout, rollout
+
+STEP = 0.01
+"""Step of a parameter, as a fraction of the range between its bounds."""
+
+
+@dataclass(frozen=True)
+class Knockout:
+    """A drive without a part."""
+
+    kind: str
+    """neuron or synapse."""
+    name: str
+    total: float
+    """The return."""
+    change: float
+    """Difference of the return to that of the intact circuit."""
+    error_m: float
+    """Final position error."""
+    error_rad: float
+    """Final heading error."""
+    parked: bool
+
+    @property
+    def title(self) -> str:
+        """The part's name for tables and charts."""
+        return f"neuron {self.name}" if self.kind == "neuron" else self.name.replace("->", "→")
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """One parameter with its value, its steps, and the changes of the return."""
+
+    kind: str
+    name: str
+    unit: str
+    value: float
+    down: float
+    up: float
+    """Step; 0 at a bound."""
+    change_down: float
+    change_up: float
+    """Change of the return."""
+
+    @property
+    def slope(self) -> float:
+        """Change of the return per unit; 0 for a parameter that cannot change."""
+        span = self.down + self.up
+        return (self.change_up - self.change_down) / span if span else 0.0
+
+    @property
+    def worst(self) -> float:
+        """Change of the return in the worse direction; positive if both improve it."""
+        return min(self.change_down, self.change_up)
+
+    @property
+    def title(self) -> str:
+        """The parameter's name for tables and charts."""
+        return f"{self.kind.replace('_', ' ')}, {self.name.replace('->', '→')}"
+
+
+def knock_outs(policy: Policy, course: Course, intact: Rollout) -> tuple[Knockout, ...]:
+    """Drive the course once without each neuron and each synapse. Raises ConfigError."""
+    found = []
+    for kind, name, damaged in _damaged(policy):
+        run = rollout(damaged, course)
+        verdict, change = run.verdict, run.total - intact.total
+        found.append(
+            Knockout(kind, name, run.total, change, verdict.error_m, verdict.error_rad, verdict.parked)
+        )
+    return tuple(found)
+
+
+def without_neuron(policy: Policy, neuron: str) -> Policy:
+    """Return a policy without the outputs of a neuron.
+
+    Its synapses are cut. It is held at the lowest potential, where a motor neuron commands nothing.
+    """
+    circuit = policy.circuit
+    index = circuit.index(neuron)
+    weight = np.where(circuit.source == index, 0.0, circuit.weight)
+    held = dict(circuit.held)
+    if neuron not in policy.sensing.neurons:  # an input clamps a sensory neuron
+        held[index] = BOUNDS[ParameterKind.LEAK_POTENTIAL].lower
+    return replace(policy, circuit=replace(circuit, weight=weight, held=held))
+
+
+def without_synapse(policy: Policy, synapse: int) -> Policy:
+    """Return a policy with the weight of one synapse set to 0."""
+    weight = policy.circuit.weight.copy()
+    weight[synapse] = 0.0
+    return replace(policy, circuit=replace(policy.circuit, weight=weight))
+
+
+def sensitivities(policy: Policy, course: Course, step: float = STEP) -> tuple[Sensitivity, ...]:
+    """Score a policy with each parameter moved by ``step`` of its range, at most to its bound.
+
+    Raises ConfigError.
+    """
+    layout, intact = policy.layout(), policy.parameters()
+    span = step * (layout.upper - layout.lower)
+    down, up = np.minimum(span, intact - layout.lower), np.minimum(span, layout.upper - intact)
+    vectors = np.concatenate([[intact], intact - np.diag(down), intact + np.diag(up)])
+    returns = Evaluator(policy, course).returns(np.clip(vectors, layout.lower, layout.upper))
+    lower, higher = (returns[1:] - returns[0]).reshape(2, -1)
+    return tuple(
+        Sensitivity(str(kind), name, BOUNDS[kind].unit, *map(float, numbers))
+        for (kind, name), *numbers in zip(
+            parameter_names(policy), intact, down, up, lower, higher, strict=True
+        )
+    )
+
+
+def parameter_names(policy: Policy) -> list[tuple[ParameterKind, str]]:
+    """Return kind and owner of each parameter, in the order of the policy's vector (P,)."""
+    circuit = policy.circuit
+    names: list[tuple[ParameterKind, str]] = []
+    for block in policy.layout().blocks:
+        if block.kind is ParameterKind.WEIGHT:
+            owners = [circuit.label(s) for s in range(circuit.synapse_count)]
+        elif block.kind is ParameterKind.SIGMA:
+            owners = [circuit.label(int(s)) for s in np.flatnonzero(circuit.chemical)]
+        elif block.kind in {ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER}:
+            layer = getattr(policy, block.kind)
+            owners = [f"row {row}, column {column}" for row, column in np.ndindex(layer.shape)]
+        else:
+            owners = list(circuit.neurons)
+        names += [(block.kind, owner) for owner in owners]
+    return names
+
+
+def _damaged(policy: Policy) -> Iterator[tuple[str, str, Policy]]:
+    for neuron in policy.circuit.neurons:
+        yield "neuron", neuron, without_neuron(policy, neuron)
+    for synapse in range(policy.circuit.synapse_count):
+        yield "synapse", policy.circuit.label(synapse), without_synapse(policy, synapse)

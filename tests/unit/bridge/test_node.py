@@ -1,0 +1,85 @@
+"""The bridge's loop with gate, session and mock base, on a virtual clock."""
+
+import math
+
+import pytest
+
+from bridge.pioneer.arcos import Command, Decoder
+from deploy.drive.lease import DriverLease
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.messages import read_odometry, read_twist, twist_stamped
+from rover_ncp.core.protocol import MotorsReply, MotorsRequest, Signed, dump_json, parse_json
+from sim.pioneer.client_commands import decode_argument
+from sim.pioneer.firmware import Firmware
+from sim.stack.virtual import WALL_NS, World
+from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.world.rover import RoverModel
+
+HOUR_NS = 3600 * 1_000_000_000
+SECOND_NS = 1_000_000_000
+
+
+class Bridge(World):
+    """A bridge whose wall clock can be set, with what it published and what it sent to the base."""
+
+    set_ns = 0
+
+    def __init__(self):
+        self.stamps, self.published, self.sent = [], [], []
+        self._decoder = Decoder()
+        super().__init__(Firmware("p3at-sh", PymunkRover(RoverModel(), Ground(()))))
+        self.sleep(3.0)
+        assert abs(self.stamps[-1]) < SECOND_NS / 10
+
+    def time_ns(self):
+        return super().time_ns() + self.set_ns
+
+    def publish(self, name, data):
+        if name == "odom":
+            self.stamps.append(read_odometry(data).stamp_ns - WALL_NS - self.now_ns)
+        if name == "rover/cmd_out":
+            self.published.append(read_twist(data).velocity)
+
+    def write(self, data):
+        for packet in self._decoder.feed(data, self.monotonic()):
+            if packet.kind in {Command.VEL, Command.RVEL}:
+                self.sent.append((Command(packet.kind), decode_argument(packet.kind, packet.payload)))
+        super().write(data)
+
+    def motors(self):
+        request = MotorsRequest(enable=True, name="x", sent_ns=self.now_ns)
+        return parse_json(MotorsReply, self.ask("rover/motors", dump_json(request)))
+
+
+@pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS])
+def test_stamps_do_not_step_during_a_lease_and_are_right_again_after_it(step_ns):
+    bridge = Bridge()
+    assert bridge.motors().granted
+    bridge.set_ns = step_ns
+    del bridge.stamps[:]
+    bridge.sleep(0.8)
+    assert len(bridge.stamps) >= 7
+    assert all(abs(stamp) < SECOND_NS / 10 for stamp in bridge.stamps)
+    bridge.sleep(1.8)  # the lease lapses: no command arrives
+    assert abs(bridge.stamps[-1] - step_ns) < SECOND_NS / 10
+
+
+@pytest.mark.parametrize("wanted", [Velocity(9.0, -9.0), Velocity(-0.1234, 0.0567), Velocity(0.0, 0.59)])
+def test_base_gets_the_published_setpoint_rounded_to_its_units(wanted):
+    """The gate has the last word: its output is published, and only rounding changes it."""
+    bridge, lease = Bridge(), DriverLease()
+    lease.grant(bridge.motors())
+    for _ in range(60):
+        data = twist_stamped(wanted, bridge.time_ns())
+        bridge.command(data, lease.sign(Signed.COMMAND, "cmd_vel", data, bridge.now_ns).pack())
+        bridge.published.clear()
+        bridge.sent.clear()
+        bridge.sleep(0.1)
+        for command, value in bridge.sent:
+            factor, axis, step = (1000.0, 0, 0.5) if command is Command.VEL else (math.degrees(1.0), 1, 1.0)
+            passed = [velocity[axis] * factor for velocity in bridge.published]
+            assert min(passed) - step <= value <= max(passed) + step
+    limits = Velocity(0.3, 0.6)
+    assert bridge.published[-1] == tuple(
+        math.copysign(min(abs(each), limit), each) for each, limit in zip(wanted, limits, strict=True)
+    )

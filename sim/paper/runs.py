@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import replace
-from enum import StrEnum
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from sim.learn.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector
 from sim.learn.workers import LocalProcesses
+from sim.paper import BudgetName
 from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
 from sim.paper.evaluator import Evaluator, draw_seeds
@@ -40,14 +40,6 @@ _QUICK_STEPS = 400_000
 TOLERANCE = 1e-9
 """Difference in a return that another machine may make. A half-cheetah's contacts amplify a last bit, so its
 replay is compared by its verdict."""
-
-
-class BudgetName(StrEnum):
-    """Budget of a run."""
-
-    QUICK = "quick"
-    DEFAULT = "default"
-    PUBLISHED = "published"
 
 
 def budget_for(task: Task, name: BudgetName) -> Budget:

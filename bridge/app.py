@@ -9,6 +9,8 @@ from bridge.gate.limits import Limits
 from bridge.inbox import Inbox
 from bridge.node import Node
 from bridge.pioneer.base import ArcosBase
+from bridge.pioneer.session import Session
+from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros import messages as ros_messages
 from bridge.ros.discovery import Convention
 from bridge.zenoh_link import ZenohLink
@@ -35,20 +37,20 @@ def run_bridge(
     """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
     output = Output(as_json, controls=True)
     allowed = Limits() if limits is None else load_yaml(limits, Limits)
+    session = Session(model, MotionLimits(v=allowed.v_max, omega=allowed.omega_max))
     inbox = Inbox()
     with (
         Interrupts() as interrupts,
         ZenohLink(listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros) as link,
     ):
         line = BaseConnection(base, inbox)
-        robot = ArcosBase(line, model, allowed.v_max, allowed.omega_max)
 
         def ready() -> None:
             link.announce()
             output.announce(f"ready zenoh={link.locator} base={base}")
 
         node = Node(
-            robot,
+            ArcosBase(line, session),
             link,
             inbox,
             limits=allowed,

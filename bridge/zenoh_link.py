@@ -17,7 +17,7 @@ import zenoh
 from bridge.inbox import CommandMessage, Inbox, Query, ThreadError
 from bridge.ros.discovery import Convention, bridge_token, topic_token
 from bridge.ros.rmw import domain_id
-from bridge.ros.rmw_node import RmwNode, latching_publisher, read_command
+from bridge.ros.rmw_node import RmwNode, publisher, read_command
 from bridge.zenoh_config import any_port, configured, reason
 from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key, spec
@@ -103,7 +103,9 @@ class ZenohLink:
 
     def _declare(self) -> None:
         ours = [row for row in KEYS if row.senders == {Role.BRIDGE} and row.kind is Kind.MESSAGE]
-        self._publishers = {row.name: self._publisher(row) for row in ours}
+        self._publishers = {
+            row.name: publisher(self._session, self.key(row.name), row.latched) for row in ours
+        }
         self._held.append(self._session.declare_subscriber(self.key("cmd_vel"), self._guard(self._command)))
         for row in KEYS:
             if row.kind is Kind.QUERYABLE:
@@ -112,15 +114,6 @@ class ZenohLink:
         if Convention.RMW_ZENOH in self._ros:
             commanded = self._guard(lambda sample: self._inbox.put(read_command(sample)))
             self._rmw = RmwNode(self._session, domain_id(os.environ), self._namespace, ours, commanded)
-
-    def _publisher(self, row: KeySpec) -> Any:
-        if row.latched:
-            return latching_publisher(self._session, self.key(row.name))
-        return self._session.declare_publisher(
-            self.key(row.name),
-            encoding=zenoh.Encoding.APPLICATION_CDR,
-            congestion_control=zenoh.CongestionControl.DROP,
-        )
 
     def _guard(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         """Hand an error in a callback to the loop; Zenoh would print it and go on."""

@@ -6,7 +6,6 @@ from typing import Protocol
 from bridge.base import BaseEvent, Failed, LinkHealth, Ready, Setpoint
 from bridge.base_connection import Broken, Opened, Received
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
-from bridge.pioneer.setpoints import MotionLimits
 from rover_ncp.core.geometry import Velocity
 
 
@@ -35,14 +34,10 @@ class Connection(Protocol):
 
 
 class ArcosBase:
-    """One Pioneer. ``model`` is a key of ``ROBOTS`` or "auto"; raises UsageError for another.
+    """One Pioneer."""
 
-    It limits its own motors to ``v_max`` and ``omega_max`` (m/s, rad/s).
-    """
-
-    def __init__(self, connection: Connection, model: str, v_max: float, omega_max: float) -> None:
-        self._connection = connection
-        self._session = Session(model, MotionLimits(v=v_max, omega=omega_max))
+    def __init__(self, connection: Connection, session: Session) -> None:
+        self._connection, self._session = connection, session
         self._last = Setpoint(Velocity(0.0, 0.0), motors=False, emergency=False)
         self._was_ready = self._reopening = False
 

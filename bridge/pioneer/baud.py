@@ -1,4 +1,4 @@
-"""The rate of a serial line: looking for the one a base listens at, and asking for a faster one.
+"""The rate of a serial line: the search for the base's rate, and the request for a faster one.
 
 A base begins at the rate in its FLASH, 9600 as shipped, takes another with HOSTBAUD, and goes back to its own
 with CLOSE. At 9600 a SIP with 16 sonars fills 93 ms of its 100 (Adept Pioneer 3 manual p. 43), so ARIA asks
@@ -21,29 +21,23 @@ _SEARCHED = (9600, 38400, 115200, 19200, 57600)
 
 
 class Rates:
-    """The rate a line was opened with, and the one it runs at. Neither exists on a line that has no rate."""
+    """The rate at which a line runs, None for a line without one, and the rates to try on it."""
 
     def __init__(self) -> None:
-        self.home: int | None = None
-        self.current: int | None = None
-        self.before: int | None = None
-        """The rate that a switch would be taken back to."""
+        self.begin(None)
 
-    def begin(self, home: int | None) -> None:
+    def begin(self, rate: int | None) -> None:
         """Take over a line just opened at this rate."""
-        self.home = self.current = self.before = home
-
-    @property
-    def tries(self) -> int:
-        """Number of further tries without an answer until every rate has been tried."""
-        return 0 if self.home is None else len(self._search())
+        self.current = self._before_switch = rate
+        self.search = () if rate is None else (rate, *(other for other in _SEARCHED if other != rate))
+        """In the order of trying, from the rate that the line was opened at."""
 
     def look(self, attempt: int) -> int | None:
-        """Go to the rate of the n-th attempt, from 0; return it if that is another than now."""
-        if self.home is None:
-            return None
-        search = self._search()
-        return self._go(search[attempt % len(search)])
+        """Go to the rate of the n-th attempt, from 0, and return it; None if it is the present one."""
+        before = self.current
+        if self.search:
+            self.current = self.search[attempt % len(self.search)]
+        return None if self.current == before else self.current
 
     def faster(self, config: ConfigPac | None) -> int | None:
         """Return HOSTBAUD's argument for a faster line, if there is a rate and the base can."""
@@ -54,18 +48,10 @@ class Rates:
 
     def switch(self) -> int:
         """Go to the fast rate."""
-        self.before, self.current = self.current, FAST
+        self._before_switch, self.current = self.current, FAST
         return FAST
 
     def back(self) -> int | None:
         """Go back to the rate before the switch."""
-        self.current = self.before
+        self.current = self._before_switch
         return self.current
-
-    def _go(self, rate: int) -> int | None:
-        changed, self.current = rate != self.current, rate
-        return rate if changed else None
-
-    def _search(self) -> tuple[int, ...]:
-        assert self.home is not None
-        return (self.home, *(rate for rate in _SEARCHED if rate != self.home))

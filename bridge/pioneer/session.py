@@ -232,7 +232,7 @@ class Session:
 
     def _do_try_again(self) -> None:
         self._silent_tries += 1
-        if self._silent_tries >= self._silent_limit + self._rates.tries:
+        if self._silent_tries >= self._silent_limit + len(self._rates.search):
             self._dispatch(Input.GAVE_UP)
         elif self._silent_tries > POLITE_TRIES:
             self._change_baud(self._rates.look(self._silent_tries - POLITE_TRIES - 1))

@@ -18,8 +18,14 @@ HEARTBEAT_S = 0.5
 """Period of heartbeats, which give a publisher's last sequence number after a change; as in rmw_zenoh."""
 
 
-def latching_publisher(session: zenoh.Session, key_expr: str) -> Any:
-    """Declare a publisher whose last message also reaches late subscribers, as ROS bridges require it."""
+def publisher(session: zenoh.Session, key_expr: str, latched: bool) -> Any:
+    """Declare a publisher that never waits. Late subscribers receive a ``latched`` one's last message."""
+    if not latched:
+        return session.declare_publisher(
+            key_expr,
+            encoding=zenoh.Encoding.APPLICATION_CDR,
+            congestion_control=zenoh.CongestionControl.DROP,
+        )
     return zenoh.ext.declare_advanced_publisher(
         session,
         key_expr,
@@ -75,15 +81,7 @@ class _Publisher:
 
     def __init__(self, session: zenoh.Session, key_expr: str, latched: bool, gid_: bytes) -> None:
         self._gid, self._sequence = gid_, 0
-        self._publisher: Any = (
-            latching_publisher(session, key_expr)
-            if latched
-            else session.declare_publisher(
-                key_expr,
-                encoding=zenoh.Encoding.APPLICATION_CDR,
-                congestion_control=zenoh.CongestionControl.DROP,
-            )
-        )
+        self._publisher: Any = publisher(session, key_expr, latched)
 
     def put(self, data: bytes) -> None:
         self._sequence += 1

@@ -93,7 +93,7 @@ class Drive:
 
     @property
     def measurement_counts(self) -> dict[str, dict[str, int]]:
-        """What became of odometry and external poses, as the result reports it."""
+        """Counts of odometry samples and external poses by their outcome, as the result reports them."""
         taken, unreadable = self.measurements.taken, self.measurements.unreadable
         estimator = self._controller.estimator
         outcomes = estimator.poses

@@ -126,7 +126,7 @@ class SafetyMonitor:
         ``motion`` is the estimated motion before this command.
         """
         if not all(map(math.isfinite, command)):
-            raise SafetyStop("command", f"the circuit asks for {command}")
+            raise SafetyStop("command", f"the circuit's command is not finite: {command}")
         if missing := self._response.tick(command, motion):
             gate = self._link.gate
             held = f" (the gate reports: {gate.held})" if gate.held else ""

@@ -151,7 +151,7 @@ class ZenohLink(ZenohClient):
                 "answers requests for the motors; keep it out with 'rover-ncp keys'"
             )
         for reply in replies:
-            # A bridge of version 1 cannot read the request, and says so; later ones answer with a refusal.
+            # A bridge of version 1 reports that it cannot read the request; later ones answer with a refusal.
             if reply.err is not None and reply.err.payload.to_bytes().startswith(b"MotorsRequest: "):
                 words = other_version(1, PROTOCOL)
                 raise OtherVersion(f"the bridge at {self.robot} refuses the motors: {words}")

@@ -2,12 +2,13 @@
 
 Rules of this file:
 
-1. Odometry moves the rover from one of its samples to the next; how wrong it may be (scale of distance and
-   of turns, wheels that differ, drift of the heading) is estimated beside the pose. A gyro says how far the
-   same step turned, but for its bias.
-2. An external pose belongs to the moment at which it was measured. One that comes late is put where it
-   belongs in a short history, and what came after is applied again; one that is newer than odometry waits.
-3. A pose is accepted or rejected once, when it is first evaluated: by its NIS.
+1. Odometry moves the rover from one of its samples to the next. Its errors (scale of distance and of turns,
+   wheels that differ, drift of the heading) are estimated beside the pose. A gyro measures the turn of the
+   same step, apart from its bias.
+2. An external pose belongs to the moment at which it was measured. A late one is inserted into a short
+   history, and later measurements are applied again. One that is newer than odometry waits.
+3. A pose is accepted or rejected once, when it is first evaluated: by its normalised
+   innovation squared (NIS).
 
 State: x, y, θ in the course's frame, the turn δ of the last step, and the errors of odometry: ``scale`` of
 distances, ``skid`` of turns, ``pull`` in rad per m, ``drift`` in rad/s; then the gyro's ``bias`` in rad/s.

@@ -1,10 +1,10 @@
 """Motion of the base by its own odometry: an extended Kalman filter with a gate before it.
 
-The state is (x, y, θ, v, ω) in odometry's frame. Between measurements v and ω stay as they are but for
-white noise in the two accelerations; the noise is chosen so that one tick at the base's full acceleration
-(0.31 m/s², 1.25 rad/s²) is one standard deviation. Encoders resolve 1 mm and 0.09°, far finer than that, so
-the filter follows odometry almost without lag, bridges missing samples, and rejects impossible ones: a
-circuit trained on exact poses must not get late ones.
+The state is (x, y, θ, v, ω) in odometry's frame. Between measurements v and ω are constant apart from white
+noise in the two accelerations. One tick at the base's full acceleration (0.31 m/s², 1.25 rad/s²) is one
+standard deviation of that noise. Encoders resolve 1 mm and 0.09°, far finer than that. So the filter follows
+odometry almost without lag, bridges missing samples, and rejects impossible ones. A circuit that was trained
+on exact poses must not get late ones.
 """
 
 import math
@@ -20,8 +20,8 @@ from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 X, Y, THETA, V, OMEGA = range(5)
 
 BLOCKS = (slice(X, V), slice(V, OMEGA + 1))
-"""Pose and motion are taken in one after the other, which is the same, as their errors are independent.
-Together they would need a 5 × 5 inverse, which scipy hands to threads: 50 ms where other processes work."""
+"""Pose and motion are applied one after the other, which is equivalent, as their errors are independent.
+Together they would need a 5 × 5 inverse, for which scipy uses threads: 50 ms on a busy machine."""
 
 Array = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class OdometryFilter:
         ekf = self._filter
         self._predict(t)
         innovation = _residual(z, ekf.x)
-        # As a sum of squares it cannot come out negative: absurd values give infinity or NaN, refused below.
+        # A sum of squares is never negative: absurd values give infinity or NaN, which are rejected below.
         with np.errstate(over="ignore", invalid="ignore"):
             white = np.linalg.solve(np.linalg.cholesky(ekf.P + self._noise), innovation)
             nis = float(white @ white)
@@ -86,7 +86,7 @@ class OdometryFilter:
         return pose, Velocity(float(x[V]), float(x[OMEGA])), covariance
 
     def _correct(self, z: Array, rows: slice) -> None:
-        """Take some rows of a measurement of the whole state into the filter."""
+        """Apply some rows of a measurement of the whole state."""
 
         def residual(measured: Array, expected: Array) -> Array:
             return _residual(measured, expected)[rows]

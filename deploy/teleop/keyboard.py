@@ -8,7 +8,7 @@ second, then again 10 to 30 times a second. It never reports the release of a ke
    drives at full speed. Where a terminal waits longer than `HOLD_S` before it repeats, the rover stands until
    then.
 3. Any other key stops the rover at once.
-4. Keys that were read late are stale: they are discarded (`teleop.py`).
+4. Keys that were read late are stale and discarded (`teleop.py`).
 """
 
 from enum import StrEnum
@@ -36,7 +36,7 @@ KEYS: dict[str, tuple[int, int]] = {
     "\x1b[c": (0, -1),
     "\x1b[d": (0, 1),
 }
-"""Key: share of speed, share of turn rate (left is positive)."""
+"""Share of speed and share of turn rate (left is positive) of each key."""
 QUIT = frozenset("q\x03\x04\x1a")
 """q, and Ctrl-C, Ctrl-D, Ctrl-Z where the terminal hands them on."""
 HELP = """hold a key to drive, release it to stop:
@@ -67,7 +67,7 @@ def presses(text: str) -> list[str]:
 
 
 class Keyboard:
-    """The key that is held, and what it asks for. Times are seconds on one clock."""
+    """The key that is held, and its command. Times are seconds on one clock."""
 
     def __init__(self) -> None:
         self._key = ""

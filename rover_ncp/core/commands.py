@@ -61,8 +61,9 @@ def recover(
 ) -> None:
     """Make a recording whole that was cut off: every message it holds, and the index that viewers need.
 
-    What a killed process had not yet written is gone, half a second at most. The file is replaced at once or
-    not at all. A recording that is whole already stays as it is, and so does one that is still being written.
+    Messages that a killed process had not yet written are lost, half a second at most. The file is replaced
+    at once or not at all. A recording that is whole already stays as it is, and so does one that is still
+    being written.
     """
     from rover_ncp.core.files import require_creatable
     from rover_ncp.core.recording import read_recording, require_finished, rewrite

@@ -1,4 +1,4 @@
-"""What a process that drives a rover needs of the system: a clock, and termination signals that wait."""
+"""The clock of a process that drives a rover, and termination signals that are recorded instead of obeyed."""
 
 import signal
 from types import FrameType, TracebackType

@@ -100,7 +100,7 @@ def _missed(course: Course, misses: tuple[Deviation, ...]) -> list[Problem]:
         missed = f"missed by {miss.error_m:.2f} m and {miss.error_rad:.2f} rad"
         cause, why = Cause.BEND, "the motors cannot follow the way there"
         if demands:
-            # What a course asks too much of shows also before and after: the reference spreads the misses.
+            # An excessive demand shows at its neighbours, too: the reference spreads the misses.
             into, cause, why = min(demands, key=lambda demand: abs(demand[0] - number))
             why += "" if into == number else f" into checkpoint {into}"
         problems.append(Problem(number, miss.t, cause, f"{why}; {missed}"))

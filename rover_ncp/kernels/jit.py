@@ -56,7 +56,7 @@ def borrowed(_context: Any, value: Any) -> Any:
     """Within a kernel: return an array, or a tuple with the arrays in it, that count no references.
 
     numba counts up and down, by slow atomic operations, whenever an array is taken out of a tuple; in a
-    loop over ticks that takes longer than much of the work. What is lent must outlive its use, as arguments
+    loop over ticks that takes longer than much of the work. The array must outlive this use, as arguments
     from Python do.
     """
 

@@ -8,7 +8,7 @@ import typer
 
 from rover_ncp.core.console import MOST_SEED, Json, Output
 from rover_ncp.core.files import require_writable, write_atomic
-from sim.learn.commands import SearchName
+from sim.learn.search import SearchName
 
 
 class What(StrEnum):
@@ -67,7 +67,7 @@ def bench(
 
         fields = bench_deploy(seconds, output.say)
         slow = fields["rates"][0]["above_bare_ms"]["p99"]
-        output.result(fields, f"at 10 Hz the slowest in a hundred take {slow:.2f} ms more than the bare way")
+        output.result(fields, f"10 Hz: the 99th percentile is {slow:.2f} ms above the bare half round trip")
         return
     if what is What.TRAIN:
         from sim.benchmarks.train import bench_train

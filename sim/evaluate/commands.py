@@ -35,7 +35,9 @@ class EvalOptions:
     ] = 0
     randomize: Annotated[
         str | None,
-        typer.Option(help="Ranges of the trials: none, mild, full, harsh or YAML file.", show_default="none"),
+        typer.Option(
+            help="Randomization of the trials: none, mild, full, harsh or YAML file.", show_default="none"
+        ),
     ] = None
     random_courses: Annotated[
         int | None,
@@ -164,8 +166,8 @@ def _drive_once(options: EvalOptions) -> int:
     ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
     Output(options.json).result(
         fields,
-        f"{ending}; return {run.total:.4f}, {1000 * verdict.error_m:.0f} mm and "
-        f"{1000 * verdict.error_rad:.0f} mrad off at the end, {1000 * run.rms_m:.0f} mm rms on the way",
+        f"{ending}; return {run.total:.4f}; final errors {1000 * verdict.error_m:.0f} mm and "
+        f"{1000 * verdict.error_rad:.0f} mrad; {1000 * run.rms_m:.0f} mm rms from the checkpoints",
     )
     return 0 if verdict.parked else 1
 
@@ -182,6 +184,6 @@ def _play_task(options: EvalOptions, task: str) -> int:
     Output(options.json).result(
         found,
         f"{task}: return {found['return']:.2f} ± {found['std']:.2f} in {found['episodes']} episodes, "
-        f"{found['successes']} of them a success",
+        f"{found['successes']} of them successful",
     )
     return 1 if trials == 1 and not found["success"] else 0

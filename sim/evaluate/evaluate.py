@@ -1,6 +1,5 @@
 """Many trials of one policy, and their outcomes. The true pose is judged."""
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -17,7 +16,6 @@ from sim.learn.evaluator import Evaluator, Outcomes
 from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import RoverModel
 
-_NORMAL_95 = 1.959963984540054
 _BATCH = 500
 """Trials at a time, so that drawn noise takes some 10 MB whatever is asked for."""
 
@@ -124,11 +122,18 @@ def tally(error_m: NDArray[np.float64], error_rad: NDArray[np.float64], causes: 
     return Evaluation(
         trials=count,
         success_rate=successes / count,
-        success_ci95=wilson(successes, count),
+        success_ci95=_wilson(successes, count),
         error_m=Spread.of(error_m),
         error_rad=Spread.of(error_rad),
         failures=dict(failures.most_common()),
     )
+
+
+def _wilson(successes: int, count: int) -> tuple[float, float]:
+    from scipy.stats import binomtest
+
+    low, high = binomtest(successes, count).proportion_ci(method="wilson")
+    return float(low), float(high)
 
 
 def cause(verdict: Verdict, rule: ParkedRule) -> str:
@@ -140,15 +145,6 @@ def cause(verdict: Verdict, rule: ParkedRule) -> str:
     if not verdict.error_m <= rule.position_m:
         return FAR
     return MOVING if verdict.error_rad <= rule.heading_rad else TURNED
-
-
-def wilson(successes: int, count: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a probability, from so many successes."""
-    share, z2 = successes / count, _NORMAL_95**2
-    middle = (share + z2 / (2 * count)) / (1 + z2 / count)
-    half = _NORMAL_95 / (1 + z2 / count) * math.sqrt(share * (1 - share) / count + z2 / (4 * count**2))
-    # At the ends the exact bounds, which rounding would miss.
-    return 0.0 if successes == 0 else middle - half, 1.0 if successes == count else middle + half
 
 
 def unseen_courses(seed: int, count: int) -> list[Course]:

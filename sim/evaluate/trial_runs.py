@@ -17,8 +17,7 @@ from sim.evaluate.commands import EvalOptions
 from sim.evaluate.evaluate import Evaluation, Spread, evaluate, tally, unseen_courses
 from sim.evaluate.laws import LAWS
 from sim.live.trials import drive_live, trial_folder
-from sim.stack.parallel import drive_all
-from sim.stack.trials import Driven, Stack
+from sim.stack.trials import Driven, Stack, drive_all
 from sim.world.randomization import ranges_for
 
 
@@ -116,17 +115,17 @@ def _words(found: Evaluation, more: dict[str, Any]) -> Iterator[str]:
     low, high = found.success_ci95
     yield f"{found.success_rate:.1%} of {found.trials} trials parked (95 % interval {low:.1%} to {high:.1%})"
     for name, spread, unit in (
-        ("distance to the goal", found.error_m, "mm"),
-        ("angle to its heading", found.error_rad, "mrad"),
+        ("final position error", found.error_m, "mm"),
+        ("final heading error", found.error_rad, "mrad"),
     ):
         p50, p95, most = (1000 * error for error in spread)
-        yield f"{name}: median {p50:.0f}, 95 % below {p95:.0f}, at most {most:.0f} {unit}"
+        yield f"{name}: median {p50:.0f}, 95th percentile {p95:.0f}, largest {most:.0f} {unit}"
     for reason, count in found.failures.items():
-        yield f"{count} of those that did not: {reason}"
+        yield f"not parked, {reason}: {count}"
     if more:
         yield f"{more['bytes_to_base']} bytes to the bases, {more['bytes_from_base']} from them"
     if "times_real_time" in more:
-        yield f"{more['times_real_time']:.0f} times as fast as in reality"
+        yield f"{more['times_real_time']:.0f} times real time"
     if "apart_m" in more:
         apart_m, apart_rad = more["apart_m"], more["apart_rad"]
         yield (

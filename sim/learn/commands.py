@@ -1,6 +1,5 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -8,17 +7,10 @@ import typer
 
 from rover_ncp.core.console import MOST_SEED, Json, Output
 from rover_ncp.core.errors import UsageError
+from sim.learn.search import SearchName
 
 if TYPE_CHECKING:
     from sim.learn.record import RobustSettings
-
-
-class SearchName(StrEnum):
-    """The search strategies; listed here so that --help need not import them."""
-
-    GAUSS_NEWTON = "gauss-newton"
-    PUBLISHED = "published"
-    ALGORITHM1 = "algorithm1"
 
 
 def train(

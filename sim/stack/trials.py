@@ -6,7 +6,12 @@ true pose is judged.
 """
 
 import copy
+import multiprocessing
+import os
 from bisect import bisect_right
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -17,19 +22,23 @@ from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import Course, Verdict
 from sim.evaluate.evaluate import cause
+from sim.learn.workers import starting_processes
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.trial import BaseTrial, rover_of
-from sim.stack.virtual import Air, World
+from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import RoverModel
 
 MODEL = "p3at-sh"
+_WORTH_A_PROCESS = 6
+"""Fewer trials take no longer than a process takes to start."""
 
 
 class Driven(NamedTuple):
@@ -90,10 +99,10 @@ class Stack:
         start = Pose(*trials.start[0].tolist())
         rover = rover_of(trials, self.model, Ground(course.obstacles))
         truth = _Truth(rover, watch=bool(course.obstacles))
-        world = World(Firmware(MODEL, rover, observe=truth.note, trial=BaseTrial(trials)))
-        air = Air(world, start)
+        bridge = VirtualBridge(Firmware(MODEL, rover, observe=truth.note, trial=BaseTrial(trials)))
+        link = VirtualLink(bridge, start)
         config = DriveConfig(
-            robot=air.robot,
+            robot=link.robot,
             namespace="",
             policy=self.policy.circuit.name,
             course=course.name,
@@ -102,12 +111,12 @@ class Stack:
             estimator=settings_for(self.known),
             rover=self.known,
         )
-        publisher = Publisher(air, lambda message: None, self.policy.circuit.neurons, world)
-        drive = Drive(air, self._driver(number), publisher, config, lambda: False, clock=world)
+        publisher = Publisher(link, lambda message: None, self.policy.circuit.neurons, bridge)
+        drive = Drive(link, self._driver(number), publisher, config, lambda: False, clock=bridge)
         drive.wait()
         drive.run({})
         report = drive.keeper.report()
-        verdict = truth.judge(course, air.first_command_ns)
+        verdict = truth.judge(course, link.first_command_ns)
         return Driven(
             verdict.parked and drive.stop is None,
             cause(verdict, course.parked) if drive.stop is None else f"stopped by {drive.stop.rule}",
@@ -116,8 +125,8 @@ class Stack:
             rover.pose,
             report.ticks,
             report.overruns,
-            world.bytes_to_base,
-            world.bytes_from_base,
+            bridge.bytes_to_base,
+            bridge.bytes_from_base,
         )
 
     def _driver(self, number: int) -> Controller:
@@ -150,3 +159,52 @@ class _Truth:
         first, last = (bisect_right(self._times, began + t) for t in (-1e-6, course.horizon_s + 1e-6))
         times = [now - began for now in self._times[first:last]]
         return course.judge(times, self._poses[first:last], self._touched)
+
+
+class WorkerDied(RoverNcpError):
+    """A process that drove trials ended without being asked to."""
+
+
+_stack: Stack | None = None
+"""The stack of a pool's process."""
+
+
+def drive_all(
+    stack: Stack, count: int, processes: int | None, on_done: Callable[[], None] = lambda: None
+) -> list[Driven]:
+    """Drive trials 0 to ``count`` − 1 of a stack; ``on_done`` is called after each. Raises WorkerDied.
+
+    ``processes`` is by default as many as there are cores and work for.
+    """
+    hands = processes or min(len(os.sched_getaffinity(0)), max(count // _WORTH_A_PROCESS, 1))
+    found: dict[int, Driven] = {}
+    if hands == 1:
+        for number in range(count):
+            found[number] = stack.drive(number)
+            on_done()
+        return list(found.values())
+    # Spawned, never forked: numba and cffi do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(hands, context, _set_stack, (stack,)) as pool:
+        try:
+            with starting_processes():  # the pool starts them as work is handed in
+                waiting = {pool.submit(_drive, number): number for number in range(count)}
+            for done in as_completed(waiting):
+                found[waiting[done]] = done.result()
+                on_done()
+        except BrokenProcessPool as error:
+            raise WorkerDied("a process that drove trials ended without being asked to") from error
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [found[number] for number in range(count)]
+
+
+def _set_stack(stack: Stack) -> None:
+    global _stack  # noqa: PLW0603  # a pool hands on what all its tasks share in no other way
+    _stack = stack
+
+
+def _drive(number: int) -> Driven:
+    assert _stack is not None  # set by the pool
+    return _stack.drive(number)

@@ -1,9 +1,9 @@
 """Stack simulation: base, bridge and network on a virtual clock, without sockets, Zenoh and waiting.
 
-Firmware and bridge loop are those of the processes, and exchange the same bytes. The driver uses `Air` in
-place of its Zenoh session. Time passes only while the driver waits, in the order of events: bytes reach the
-bridge when the base sends them, and the bridge's loop turns when something arrives or its timer expires. A
-delay of a millisecond in a live run is zero here.
+Firmware and bridge loop are those of the processes, and exchange the same bytes. The driver uses
+`VirtualLink` in place of its Zenoh session. Time passes only while the driver waits, in the order of events:
+bytes reach the bridge when the base sends them, and the bridge's loop turns when something arrives or its
+timer expires. A delay of a millisecond in a live run is zero here.
 """
 
 import math
@@ -14,6 +14,8 @@ from bridge.gate.limits import Limits
 from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
 from bridge.pioneer.base import ArcosBase
+from bridge.pioneer.session import Session
+from bridge.pioneer.setpoints import MotionLimits
 from deploy.drive.lease import DriverLease
 from deploy.drive.measurements import Arrival, Inbox
 from rover_ncp.core.errors import SafetyStop
@@ -39,19 +41,19 @@ _LATE_NS = 1000
 """A loop wakes up so much after it asked to: no rounding makes it too early."""
 
 
-class World:
+class VirtualBridge:
     """A base with its bridge. The firmware's clock must begin at 0."""
 
     def __init__(self, firmware: Firmware, limits: Limits | None = None) -> None:
         self.firmware = firmware
         self.now_ns = 0
         self.bytes_to_base = self.bytes_from_base = 0
-        self.hear: Callable[[str, bytes], None] = lambda name, data: None
+        self.deliver: Callable[[str, bytes], None] = lambda name, data: None
         """Called with all that the bridge publishes: its key and the CDR bytes."""
         allowed = limits or Limits()
         self._inbox: list[object] = [Opened()]
         self._node = Node(
-            ArcosBase(self, "auto", allowed.v_max, allowed.omega_max),
+            ArcosBase(self, Session("auto", MotionLimits(v=allowed.v_max, omega=allowed.omega_max))),
             self,
             self,
             limits=allowed,
@@ -103,11 +105,11 @@ class World:
     # What the driver sends.
 
     def command(self, data: bytes, attachment: bytes) -> None:
-        """Bring a command to the bridge, which takes it in before any more time passes."""
+        """Send a command; the bridge receives it before more time passes."""
         self._inbox.append(CommandMessage(data, attachment))
 
-    def ask(self, name: str, payload: bytes, attachment: bytes | None = None) -> bytes:
-        """Ask the bridge, and return its answer. Raises RuntimeError when it cannot read the question."""
+    def query(self, name: str, payload: bytes, attachment: bytes | None = None) -> bytes:
+        """Return the bridge's reply to a query. Raises RuntimeError when it cannot read the query."""
         replies: list[bytes] = []
         self._inbox.append(Query(name, payload, attachment, replies.append, lambda reason: None))
         self._turn()
@@ -115,7 +117,7 @@ class World:
             raise RuntimeError(f"the bridge does not answer {name}")
         return replies[0]
 
-    # What the bridge's loop calls: its inbox, its line to the base, its Zenoh session.
+    # What the bridge's loop calls: its inbox, its connection to the base, its Zenoh session.
 
     endpoint = "virtual"
 
@@ -125,19 +127,19 @@ class World:
         return [(self.monotonic(), arrival) for arrival in arrived]
 
     def use(self) -> None:
-        """There is but one line."""
+        """Do nothing: there is only one connection."""
 
     def drop(self) -> None:
-        """It never breaks."""
+        """Do nothing: the connection never breaks."""
 
     def close(self) -> None:
-        """It stays open."""
+        """Do nothing: the connection stays open."""
 
     def set_baudrate(self, baudrate: int) -> None:
-        """It has no rate."""
+        """Do nothing: the connection has no rate."""
 
     def reopen(self, reason: str) -> None:
-        """Begin a new connection on the one line."""
+        """Open a new connection."""
         self._inbox.append(Opened())
 
     def write(self, data: bytes) -> None:
@@ -152,23 +154,23 @@ class World:
 
     def publish(self, name: str, data: bytes) -> None:
         """Deliver a message to the driver."""
-        self.hear(name, data)
+        self.deliver(name, data)
 
 
 class _OdometryInbox(Inbox):
     """The newest odometry; time passes while the driver waits for it."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, bridge: VirtualBridge) -> None:
         super().__init__(1)
-        self._world = world
+        self._bridge = bridge
 
     def take(self, timeout_s: float = 0.0) -> list[Arrival]:
-        self._world.wait(timeout_s, lambda: bool(self._arrivals))
+        self._bridge.wait(timeout_s, lambda: bool(self._arrivals))
         return super().take()
 
 
-class Air:
-    """A driver's `deploy.drive.link.Link`.
+class VirtualLink:
+    """A driver's `deploy.drive.link.Link` on the virtual clock.
 
     Until the driver requests the lease, external localisation reports that the rover stands at ``start``.
     Received messages go to ``record``.
@@ -178,24 +180,24 @@ class Air:
     bridge_alive = True
 
     def __init__(
-        self, world: World, start: Pose, record: Callable[[Recorded], None] = lambda message: None
+        self, bridge: VirtualBridge, start: Pose, record: Callable[[Recorded], None] = lambda message: None
     ) -> None:
-        self._world, self._start, self._record = world, start, record
-        self.odometry, self.poses, self.gyro = _OdometryInbox(world), Inbox(), Inbox()
+        self._bridge, self._start, self._record = bridge, start, record
+        self.odometry, self.poses, self.gyro = _OdometryInbox(bridge), Inbox(), Inbox()
         self.gate = GateStatus()
         self.first_command_ns: int | None = None
         """When the first command was sent."""
         self.lease = DriverLease()
-        self._asked = False
-        world.hear = self._hear
+        self._requested = False
+        bridge.deliver = self._receive
 
     def authorised(self) -> bool:
         """Return True: the simulation authorises every driver."""
         return True
 
     def request_motors(self, name: str) -> MotorsReply:
-        """Ask for the motors. Raises SafetyStop when they are refused."""
-        self._asked = True
+        """Request the lease. Raises SafetyStop when it is refused."""
+        self._requested = True
         reply = self._motors(enable=True, name=name)
         if not reply.granted:
             raise SafetyStop(reply.reason or "gate", reply.detail)
@@ -203,7 +205,7 @@ class Air:
         return reply
 
     def release(self) -> None:
-        """Stop, and give the motors back if we have them."""
+        """Stop and release the lease, if we hold it."""
         if self.lease.number:
             self.command(Velocity(0.0, 0.0))
             self._motors(enable=False, name="")
@@ -211,33 +213,33 @@ class Air:
 
     def command(self, velocity: Velocity) -> int:
         """Send a command and return its sequence number."""
-        world = self._world
+        bridge = self._bridge
         if self.first_command_ns is None:
-            self.first_command_ns = world.now_ns
-        data = twist_stamped(velocity, world.time_ns())
-        tag = self.lease.sign(Signed.COMMAND, "cmd_vel", data, world.now_ns)
-        world.command(data, tag.pack())
+            self.first_command_ns = bridge.now_ns
+        data = twist_stamped(velocity, bridge.time_ns())
+        tag = self.lease.sign(Signed.COMMAND, "cmd_vel", data, bridge.now_ns)
+        bridge.command(data, tag.pack())
         return tag.sequence
 
     def publish(self, name: str, data: bytes, wall_ns: int) -> None:
         """Discard a message: the simulation has no subscriber to the driver's own topics."""
 
     def _motors(self, enable: bool, name: str) -> MotorsReply:
-        payload = dump_json(MotorsRequest(enable=enable, name=name, sent_ns=self._world.now_ns))
+        payload = dump_json(MotorsRequest(enable=enable, name=name, sent_ns=self._bridge.now_ns))
         tag = None
         if self.lease.number:
-            tag = self.lease.sign(Signed.MOTORS, "rover/motors", payload, self._world.now_ns).pack()
-        return parse_json(MotorsReply, self._world.ask("rover/motors", payload, tag))
+            tag = self.lease.sign(Signed.MOTORS, "rover/motors", payload, self._bridge.now_ns).pack()
+        return parse_json(MotorsReply, self._bridge.query("rover/motors", payload, tag))
 
-    def _hear(self, name: str, data: bytes) -> None:
-        wall_ns = self._world.time_ns()
+    def _receive(self, name: str, data: bytes) -> None:
+        wall_ns = self._bridge.time_ns()
         self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
         if name == "odom":
             self.odometry.put(self._arrival(data))
-            if not self._asked:
+            if not self._requested:
                 self.poses.put(self._arrival(known_pose(self._start, wall_ns)))
         elif name == "rover/gate":
             self.gate = parse_json(GateStatus, read_text(data))
 
     def _arrival(self, data: bytes) -> Arrival:
-        return Arrival(data, self._world.now_ns)
+        return Arrival(data, self._bridge.now_ns)

@@ -11,10 +11,9 @@ error over standard deviation. Values that were found to be zero have no interva
 import argparse
 import math
 import multiprocessing
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +34,7 @@ from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.trials import MODEL
-from sim.stack.virtual import Air, World
+from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.pymunk_rover import Ground
 from sim.world.randomization import Randomization, Trials, draw_trials, load_randomization
 from sim.world.rover import SUBSTEP_S
@@ -49,22 +48,10 @@ INTERVAL = 1.96
 
 
 class Error(NamedTuple):
-    """A value's found minus true, and the standard deviation that was said with it; in its unit."""
+    """Found minus true value, and the standard deviation in the profile; in the value's unit."""
 
     error: float
     std: float
-
-
-class Coverage(NamedTuple):
-    """Coverage of one value over many robots."""
-
-    share: float
-    """Share of the 95 % intervals that hold the truth."""
-    robots: int
-    std: float
-    """Median."""
-    rms: float
-    """Root mean square of error / standard deviation; 1 is ideal."""
 
 
 def robot(ranges: Randomization, seed: int, number: int) -> Trials:
@@ -76,20 +63,20 @@ def robot(ranges: Randomization, seed: int, number: int) -> Trials:
 def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Recorded]:
     """Drive a robot as `identify` does, through firmware, bridge and driver's code on a virtual clock."""
     rover = rover_of(trials, rover_model_of(ROBOTS[MODEL]), Ground(()))
-    world = World(Firmware(MODEL, rover, trial=BaseTrial(trials)))
+    bridge = VirtualBridge(Firmware(MODEL, rover, trial=BaseTrial(trials)))
     heard: list[Recorded] = []
-    look = _camera(rover, world, heard, np.random.default_rng(seed)) if outside else lambda: None
+    look = _camera(rover, bridge, heard, np.random.default_rng(seed)) if outside else lambda: None
 
     def record(message: Recorded) -> None:
         heard.append(message)
         if message.topic == "odom":
             look()
 
-    air = Air(world, rover.pose, record)
-    measurements = Measurements(air)
-    monitor = SafetyMonitor(air, measurements, lambda: False, clock=world)
+    link = VirtualLink(bridge, rover.pose, record)
+    measurements = Measurements(link)
+    monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
     monitor.wait()
-    excite(air, measurements, monitor, FENCE_M, world)
+    excite(link, measurements, monitor, FENCE_M, bridge)
     return heard
 
 
@@ -99,14 +86,14 @@ def identified(trials: Trials, *, outside: bool = False, seed: int = 0) -> Rover
 
 
 def _camera(
-    rover: Any, world: World, heard: list[Recorded], noise: np.random.Generator
+    rover: Any, bridge: VirtualBridge, heard: list[Recorded], noise: np.random.Generator
 ) -> Callable[[], None]:
     """Return a camera above the ground, which publishes where the rover is when it is called."""
     spread = np.diag(np.square([OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]))
 
     def look() -> None:
         seen = np.array(rover.pose) + noise.normal(size=3) * [OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]
-        now = world.time_ns()
+        now = bridge.time_ns()
         data = pose_with_covariance(Pose(*seen.tolist()), spread, now, COURSE_FRAME)
         heard.append(Recorded("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", data, now, now))
 
@@ -141,24 +128,19 @@ def errors(found: RoverProfile, true: dict[str, float]) -> dict[str, Error]:
     return {key: Error(getattr(found, key) - true[key], std) for key, std in found.std.items()}
 
 
-def coverage(found: Iterable[dict[str, Error]]) -> dict[str, Coverage]:
-    """Return the coverage of each value, and of ``all`` together."""
+def table(found: Iterable[dict[str, Error]]) -> Iterator[str]:
+    """Yield the table: a row for each value, and one for ``all`` together."""
     pooled: dict[str, list[Error]] = {}
     for one in found:
         for key, error in one.items():
             pooled.setdefault(key, []).append(error)
-            pooled.setdefault("all", []).append(error)
-    return {key: _coverage(pooled[key]) for key in sorted(pooled, key=lambda key: (key == "all", key))}
-
-
-def _coverage(found: Sequence[Error]) -> Coverage:
-    ratios = np.array([error / std for error, std in found])
-    return Coverage(
-        float(np.mean(np.abs(ratios) <= INTERVAL)),
-        len(found),
-        median(std for _, std in found),
-        float(np.sqrt(np.mean(np.square(ratios)))),
-    )
+    yield f"{'value':18} {'coverage':>8} {'n':>5} {'median ±':>9} {'rms error/σ':>11}"
+    every = [error for errors in pooled.values() for error in errors]
+    for key, errors in [*sorted(pooled.items()), ("all", every)]:
+        ratios = np.array([error / std for error, std in errors])
+        share, rms = np.mean(np.abs(ratios) <= INTERVAL), np.sqrt(np.mean(ratios**2))
+        std = "" if key == "all" else f"{np.median([std for _, std in errors]):.5f}"
+        yield f"{key:18} {100 * share:6.1f} % {len(errors):5} {std:>9} {rms:11.2f}"
 
 
 def _study(name: str, seed: int, outside: bool, number: int) -> dict[str, Error]:
@@ -181,10 +163,7 @@ def main() -> None:
     # Spawned, never forked: numba and cffi do not survive a fork.
     with ProcessPoolExecutor(chosen.processes, multiprocessing.get_context("spawn")) as pool:
         found = list(track(pool.map(study, range(chosen.robots)), "robots", total=chosen.robots))
-    print(f"{'value':18} {'coverage':>8} {'n':>5} {'median ±':>9} {'rms error/σ':>11}")
-    for key, row in coverage(found).items():
-        std = "" if key == "all" else f"{row.std:.5f}"
-        print(f"{key:18} {100 * row.share:6.1f} % {row.robots:5} {std:>9} {row.rms:11.2f}")
+    print("\n".join(table(found)))
 
 
 if __name__ == "__main__":

@@ -6,13 +6,13 @@ prints one JSON object; with UNSEEN, on so many courses outside the training set
 """
 
 import json
-import math
 import sys
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import Course, load_course
@@ -34,14 +34,8 @@ class Paired(NamedTuple):
     @property
     def p(self) -> float:
         """McNemar's exact test, two-sided: the chance of so uneven a split if both were equally good."""
-        return exact_p(self.first_only, self.second_only)
-
-
-def exact_p(first: int, second: int) -> float:
-    """Return the chance that ``first + second`` throws of a coin come out as unevenly, or more so."""
-    throws = first + second
-    tail: int = sum(math.comb(throws, k) for k in range(min(first, second) + 1))
-    return min(2 * tail / (1 << throws), 1.0)
+        differing = self.first_only + self.second_only
+        return float(binomtest(self.first_only, differing).pvalue) if differing else 1.0
 
 
 def parked(

@@ -3,9 +3,9 @@
 One pymunk rover stepped from Python costs some 6 µs a substep, nearly all of it Python; Chipmunk's own work
 is 0.07 µs. So kernels compiled by numba call ``cpSpaceStep`` by its address and read and write the bodies'
 fields in place. That needs two things pymunk does not promise: its cffi handle (``pymunk._chipmunk_cffi``)
-and where a body's fields lie in memory. Neither is taken on trust: ``find_layout`` puts known values into a
-body through pymunk's public properties, looks where they appear, writes others there, lets Chipmunk step,
-and refuses to go on when anything is not as expected.
+and the places of a body's fields in memory. ``find_layout`` verifies both: it sets known values through
+pymunk's public properties, finds them in memory, writes others there, lets Chipmunk step, and raises an error
+if anything is not as expected.
 
 The holder of an address must keep the pymunk object alive: dropping it frees the memory.
 """
@@ -18,13 +18,10 @@ from typing import Any, NamedTuple
 import pymunk
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 from pymunk._chipmunk_cffi import ffi, lib
 
 from rover_ncp.core.errors import RoverNcpError
-
-# A caller does not pass the typing context, which numba's own annotation has him do.
-_intrinsic: Any = intrinsic
+from rover_ncp.kernels.jit import in_kernels
 
 # Bytes of a body that are searched; the structure is longer in every Chipmunk since version 7.0.
 _SEARCHED = 248
@@ -164,7 +161,7 @@ def leave_velocities(space: pymunk.Space, body: pymunk.Body) -> None:
     space.damping = 0.0
 
 
-@_intrinsic
+@in_kernels
 def call_with_number(_context: Any, function: Any, thing: Any, number: Any) -> Any:
     """Within a kernel: call a C function of a pointer and a double; it returns nothing."""
 
@@ -178,7 +175,7 @@ def call_with_number(_context: Any, function: Any, thing: Any, number: Any) -> A
     return types.void(types.int64, types.int64, types.float64), generate
 
 
-@_intrinsic
+@in_kernels
 def call_with_thing(_context: Any, function: Any, thing: Any, other: Any) -> Any:
     """Within a kernel: call a C function of two pointers, whose result is not wanted."""
 
@@ -191,7 +188,7 @@ def call_with_thing(_context: Any, function: Any, thing: Any, other: Any) -> Any
     return types.void(types.int64, types.int64, types.int64), generate
 
 
-@_intrinsic
+@in_kernels
 def load(_context: Any, address: Any) -> Any:
     """Within a kernel: read the double at an address."""
 
@@ -201,7 +198,7 @@ def load(_context: Any, address: Any) -> Any:
     return types.float64(types.int64), generate
 
 
-@_intrinsic
+@in_kernels
 def load_word(_context: Any, address: Any) -> Any:
     """Within a kernel: read the 64-bit word at an address."""
 
@@ -211,7 +208,7 @@ def load_word(_context: Any, address: Any) -> Any:
     return types.int64(types.int64), generate
 
 
-@_intrinsic
+@in_kernels
 def store(_context: Any, address: Any, value: Any) -> Any:
     """Within a kernel: write a double to an address."""
 

@@ -154,8 +154,8 @@ def _limits(model: RoverModel) -> tuple[tuple[float, float], ...]:
 def place(fleet: FleetArrays, lane: int, x: float, y: float, theta: float) -> None:
     """Put a rover somewhere, standing still, its commands forgotten.
 
-    What Chipmunk holds back of a contact, to apply it in the next step, it keeps: a rover that touched
-    something is placed for good only when it is placed again after a step in the open.
+    Chipmunk keeps the part of a contact that it applies in the next step: a rover that touched something must
+    be placed a second time, after a step in the open.
     """
     body, layout, has_shape = fleet.bodies[lane], fleet.layout, len(fleet.shapes) > 0
     space = fleet.spaces[lane // fleet.sharing]

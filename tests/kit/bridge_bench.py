@@ -1,10 +1,8 @@
 """A mock Pioneer and a bridge as real processes, and a scripted driver. Run as a program, it drives."""
 
-import csv
 import json
 import sys
 import time
-from pathlib import Path
 
 import zenoh
 
@@ -22,21 +20,13 @@ from rover_ncp.core.protocol import (
     dump_json,
     parse_json,
 )
-from sim.live.processes import Process
+from sim.live.live_run import LiveRun
+from sim.live.processes import wait_for
 
 PERIOD_S = 0.05
 BRAKING_M_S2, DELAY_S = 0.31, 0.15
 MACHINE_S = 0.1
 """What two busy cores may add to any measured time."""
-
-
-def wait_for(condition, timeout_s=5.0):
-    """Poll until ``condition()`` is true, and return it."""
-    deadline = time.monotonic() + timeout_s
-    while not (found := condition()):
-        assert time.monotonic() < deadline, "timed out"
-        time.sleep(0.01)
-    return found
 
 
 def client(locator):
@@ -139,65 +129,21 @@ class Driver:
         self.close()
 
 
-class Rig:
-    """Mock and bridge; ``truth`` is what the mock's rover really did."""
+class Rig(LiveRun):
+    """Mock and bridge; times of the rover's true motion are of the wall clock."""
 
-    def __init__(self, folder: Path, mock=(), bridge=()):
-        folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self._bridge_arguments = folder, bridge
-        self.mock = Process(
-            "mock", ["--listen", "127.0.0.1:0", "--truth", str(folder / "truth.csv"), *mock], folder
-        )
-        self.bridge = None
-        try:
-            self.base = self.mock.wait_for_line("listening on ")
-            self.start_bridge()
-        except BaseException:
-            self.close()
-            raise
+    @property
+    def locator(self):
+        return self.robot
 
-    def start_bridge(self):
-        arguments = ["--base", f"tcp/{self.base}", "--listen", "tcp/127.0.0.1:0", *self._bridge_arguments]
-        self.bridge = Process("bridge", arguments, self.folder)
-        ready = dict(part.split("=", 1) for part in self.bridge.wait_for_line("ready ").split())
-        self.locator = ready["zenoh"]
-
-    def close(self):
-        for process in (self.bridge, self.mock):
-            if process is not None:
-                process.stop()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
-
-    def truth(self):
-        """Rows of (wall clock in ns, x, v, omega)."""
-        with (self.folder / "truth.csv").open() as file:
-            return [
-                (int(row["t_ns"]), float(row["x"]), float(row["v"]), float(row["omega"]))
-                for row in csv.DictReader(file)
-                if None not in row.values()
-            ]
-
-    def stood_after(self, since_ns, still_s=0.4):
-        """Wait until it has stood for ``still_s``; return how long after ``since_ns`` it came to stand."""
-
-        def standing():
-            rows = [row for row in self.truth() if row[0] >= since_ns]
-            moving = [t for t, _, v, omega in rows if abs(v) > 1e-3 or abs(omega) > 1e-3]
-            last_ns = moving[-1] if moving else since_ns
-            enough = rows and rows[-1][0] - last_ns > still_s * 1e9
-            return ((last_ns - since_ns) * 1e-9,) if enough else None
-
-        return wait_for(standing, 8.0)[0]
+    def stood_after(self, wall_ns, still_s=0.4):
+        """Wait until it has stood for ``still_s``; return how long after ``wall_ns`` it came to stand."""
+        newest = self.truth.read()[-1]
+        return self.truth.stood_after(wall_ns - newest.wall_ns + newest.clock_ns, 8.0, still_s)
 
     def speed_at(self, wall_ns):
-        """Return the true speed at a moment of the past."""
-        wait_for(lambda: self.truth()[-1][0] >= wall_ns)
-        return next(v for t, _, v, _ in self.truth() if t >= wall_ns)
+        """Return the true speed at a moment."""
+        return wait_for(lambda: next((s.velocity for s in self.truth.read() if s.wall_ns >= wall_ns), None)).v
 
 
 def braking_s(v):

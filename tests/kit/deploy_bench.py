@@ -65,6 +65,8 @@ class Bridge:
         self.gate = GateStatus()
         self.refusal = ""
         self.secret = bytes(range(32))
+        self.delays = []
+        """Of the next grants, in s."""
         self.drops = None
         """The reason to drop all commands; with "" it reports none."""
         self.accepted = -1
@@ -110,19 +112,22 @@ class Bridge:
 
     def _answer(self, query):
         with query:
-            request = parse_json(MotorsRequest, query.payload.to_bytes())
+            where, payload = self._key("rover/motors"), query.payload.to_bytes()
+            request = parse_json(MotorsRequest, payload)
             self.requests.append(request)
             granted = request.enable and not self.refusal
             reply = MotorsReply(granted=granted, reason=self.refusal, detail="it is pressed", lease_s=1.0)
-            if granted:
-                self.gate = GateStatus(lease=LEASE)
-                reply = reply.model_copy(update={"lease": LEASE, "key": self.secret.hex()})
-            elif query.attachment is not None:
+            if query.attachment is not None:  # a renewal or a release
                 tag = CommandTag.unpack(query.attachment.to_bytes())
-                where, payload = self._key("rover/motors"), query.payload.to_bytes()
                 assert tag.verify(self.secret, Signed.MOTORS, where, payload)
+            if granted:
+                secret = "" if query.attachment is not None else self.secret.hex()
+                self.gate = GateStatus(lease=LEASE)
+                reply = reply.model_copy(update={"lease": LEASE, "key": secret})
+                time.sleep(self.delays.pop(0) if self.delays else 0.0)
+            elif query.attachment is not None:
                 self.gate, self.velocity = GateStatus(), STILL
-            query.reply(self._key("rover/motors"), dump_json(reply))
+            query.reply(where, dump_json(reply))
             if not request.enable:
                 self.released.set()
 

@@ -20,17 +20,10 @@ RECOVERY_S = 5.0
 class RelayedRig(Rig):
     """The bridge reaches the mock through ``relay``."""
 
-    relay = None
-
-    def start_bridge(self):
-        self.relay = Proxy(self.base, self.folder, "line")
-        self.base = self.relay.address
-        super().start_bridge()
-
-    def close(self):
-        super().close()
-        if self.relay is not None:
-            self.relay.stop()
+    def start_mock(self):
+        base = super().start_mock()
+        self.relay = self.start_process(lambda: Proxy(base, self.folder, "line"))
+        return self.relay.address
 
 
 def reopenings(rig):

@@ -187,7 +187,7 @@ def test_a_flood_of_commands_does_not_fill_the_memory_nor_push_out_bytes():
     assert inbox.flooded == 100
 
 
-def test_waiting_ends_by_itself():
+def test_inbox_waits_no_longer_than_its_timeout():
     began = time.monotonic()
     assert Inbox().take(0.05) == []
     assert 0.04 < time.monotonic() - began < 1.0

@@ -15,6 +15,7 @@ from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, wait_for
 from rover_ncp import cli
 from rover_ncp.core.protocol import MotorsReply, MotorsRequest, dump_json, parse_json
 from sim.live.processes import Process
+from sim.live.truth import TruthReader
 
 STOP_S = 0.5
 PLAIN_TWIST = b"\0\1\0\0" + struct.pack("<6d", 0.15, 0, 0, 0, 0, 0)
@@ -66,8 +67,9 @@ def test_a_restarted_base_is_found_again_and_stands_until_a_driver_asks(tmp_path
         wait_for(lambda: driver.gate.held == "no-base")
         assert driver.motors().reason == "no-base"
         truth = ["--truth", str(tmp_path / "truth.csv"), "--overwrite"]
-        rig.mock = Process("mock", ["--listen", rig.base, *truth], tmp_path)
-        rig.mock.wait_for_line("listening on ")
+        mock = rig.start_process(lambda: Process("mock", ["--listen", rig.base, *truth], tmp_path))
+        mock.wait_for_line("listening on ")
+        rig.truth = TruthReader(tmp_path / "truth.csv")
         began_ns = time.time_ns()
         wait_for(lambda: driver.drive(PERIOD_S) and driver.gate.held != "no-base", 8.0)
         assert driver.gate.lease == 0
@@ -79,7 +81,7 @@ def test_a_restarted_base_is_found_again_and_stands_until_a_driver_asks(tmp_path
         assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
 
 
-def test_options_do_what_they_say(tmp_path):
+def test_options_set_limits_namespace_and_plain_commands(tmp_path):
     limits = tmp_path / "limits.yaml"
     limits.write_text("v_max: 0.1\nlease_s: 2.0\n")
     options = ["--namespace", "/lab/bot1", "--limits", str(limits), "--accept-ros"]
@@ -207,7 +209,7 @@ def test_a_zenoh_configuration_says_where_to_listen_and_garbage_is_refused(
     assert line.startswith(f"{config}: not a Zenoh configuration: ")
 
 
-def test_the_bridge_is_light():
+def test_bridge_imports_no_heavy_library():
     heavy = "numba pymunk filterpy matplotlib gymnasium scipy llvmlite rover_ncp.circuit sim deploy"
     program = f"""
 import sys

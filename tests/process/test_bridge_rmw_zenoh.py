@@ -51,7 +51,7 @@ def test_tokens_have_the_form_that_ros_nodes_read():
 
 
 @pytest.mark.parametrize("namespace", ["bot-1", "1bot", "lab//bot", "lab/", "böt"])
-def test_a_namespace_that_ros_does_not_know_is_refused(namespace):
+def test_namespace_that_ros_does_not_accept_is_rejected(namespace):
     with pytest.raises(UsageError, match="for ROS"):
         Graph(0, "a1b2", namespace)
 
@@ -70,7 +70,7 @@ def test_attachments_are_what_zenohs_own_serializer_makes():
 
 
 @pytest.mark.parametrize("data", [b"", bytes(32), bytes(33), bytes(34), b"\x10" * 34])
-def test_what_is_no_attachment_is_refused(data):
+def test_invalid_attachment_is_rejected(data):
     with pytest.raises(FormatError, match="not an attachment"):
         Attachment.unpack(data)
 
@@ -78,12 +78,12 @@ def test_what_is_no_attachment_is_refused(data):
 @pytest.mark.parametrize(
     ("environment", "expected"), [({}, 0), ({"ROS_DOMAIN_ID": ""}, 0), ({"ROS_DOMAIN_ID": "232"}, 232)]
 )
-def test_the_domain_is_that_of_ros(environment, expected):
+def test_domain_is_ros_domain_id(environment, expected):
     assert domain_id(environment) == expected
 
 
 @pytest.mark.parametrize("value", ["233", "-1", "one", "1.5", "²"])
-def test_a_domain_that_is_none_is_refused(value):
+def test_invalid_domain_is_rejected(value):
     with pytest.raises(UsageError, match=f"ROS_DOMAIN_ID={value}"):
         domain_id({"ROS_DOMAIN_ID": value})
 
@@ -121,7 +121,7 @@ def domain_5(monkeypatch):
         (list(Convention), True, True),
     ],
 )
-def test_the_tokens_are_those_of_the_conventions_asked_for(domain_5, conventions, dds, rmw):
+def test_tokens_follow_the_chosen_conventions(domain_5, conventions, dds, rmw):
     with Link5(*conventions) as bridge:
         assert bool(bridge.tokens("@/*/@ros2_lv/**")) is dds
         assert bool(bridge.tokens("@ros2_lv/**")) is rmw
@@ -160,7 +160,7 @@ def late_joiner(session, key):
         subscriber.undeclare()
 
 
-def test_who_comes_late_gets_the_static_transforms_all_the_same(domain_5):
+def test_late_subscribers_receive_static_transforms(domain_5):
     data = transforms([Transform("base_link", "sonar_0", 0.1, 0.2, 0.0, 0.5)], 1)
     with Link5(Convention.RMW_ZENOH) as bridge:
         bridge.link.publish("tf_static", data)
@@ -173,7 +173,7 @@ def test_who_comes_late_gets_the_static_transforms_all_the_same(domain_5):
     assert Attachment.unpack(got[0].attachment.to_bytes())[::2] == (1, gid(token))
 
 
-def test_a_ros_nodes_command_is_as_old_as_its_attachment_says(domain_5):
+def test_age_of_a_ros_nodes_command_is_in_its_attachment(domain_5):
     twist = b"\0\1\0\0" + struct.pack("<6d", 0.15, 0, 0, 0, 0, 0)
     tag = Attachment(1, 123_456_789, bytes(16)).pack()
     with Link5(Convention.RMW_ZENOH) as bridge:

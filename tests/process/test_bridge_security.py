@@ -98,7 +98,7 @@ def test_a_driver_sees_everything_and_drives(rig, keys):
         wait_for(lambda: driver.gate.lease == 0)  # it fell silent
 
 
-def test_a_viewer_sees_everything_and_drives_by_no_means(rig, keys):
+def test_viewer_receives_everything_and_cannot_drive(rig, keys):
     with User(rig, keys / "viewer.json5") as viewer:
         wait_for(lambda: {*HEARD} - SELDOM <= viewer.heard.keys())
         before = viewer.gate
@@ -121,7 +121,7 @@ def test_a_viewer_sees_everything_and_drives_by_no_means(rig, keys):
     )
 
 
-def test_a_localiser_says_where_the_rover_is_and_nothing_else(rig, keys):
+def test_localiser_can_publish_the_pose_only(rig, keys):
     with User(rig, keys / "driver.json5") as driver, User(rig, keys / "localiser.json5") as localiser:
         poses, others = [], []
         own = [
@@ -205,7 +205,7 @@ def test_a_certificate_goes_with_its_own_user_only(rig, keys, tmp_path):
         assert mixed.heard == {}
 
 
-def test_a_drivers_certificate_is_none_to_listen_with(keys, tmp_path):
+def test_drivers_certificate_is_not_valid_for_listening(keys, tmp_path):
     tls = read(keys / "driver.json5")["transport"]["link"]["tls"]
     for name in ("certificate", "private_key"):
         tls[f"listen_{name}_base64"] = tls[f"connect_{name}_base64"]
@@ -252,7 +252,7 @@ def test_listening_beyond_this_machine_needs_users(listen, capsys, tmp_path):
     assert cli.run([*arguments[:4], "tcp/127.0.0.1:0", "--zenoh-config", str(config)]) == 2
 
 
-def test_insecure_is_a_word_to_be_said(capsys):
+def test_insecure_option_allows_listening_beyond_this_machine(capsys):
     # What fails then is the robot, which is not there: the bridge did listen.
     arguments = ["bridge", "--base", "tcp/127.0.0.1:1", "--listen", "tcp/0.0.0.0:0", "--insecure"]
     assert cli.run(arguments) == 3

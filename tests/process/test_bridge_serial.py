@@ -17,7 +17,7 @@ from sim.pioneer.faults import parse_fault
 from sim.pioneer.firmware import ClientState
 
 
-def test_soar_connects_drives_and_leaves_in_its_own_manner() -> None:
+def test_soar_connects_drives_and_disconnects() -> None:
     with SerialBase() as base:
         peer = ROOT / "tests/kit/soar_peer.py"
         done = subprocess.run(
@@ -78,7 +78,7 @@ def test_a_bridge_on_a_serial_line_asks_for_a_faster_rate_and_drives(bridge_on) 
     assert base.rates == [9600, 38400, 9600, 38400]
 
 
-def test_a_wrong_rate_is_found_out(bridge_on) -> None:
+def test_wrong_baud_rate_is_corrected(bridge_on) -> None:
     with SerialBase(strict=True, rate=19200) as base:
         bridge_on(base, 9600)[0].stop()
     assert base.rates == [19200, 38400]

@@ -47,7 +47,7 @@ def test_help_teaches_and_imports_nothing_heavy():
         assert "--json" in text or not name
 
 
-@pytest.mark.parametrize("name", ["park", "train", "deploy"])
+@pytest.mark.parametrize("name", ["park", "train", "bench", "deploy", "report", "recover"])
 def test_a_command_imports_no_other_commands_module(name):
     modules = {point.name: point.module for point in entry_points(group=cli.GROUP)}
     [(_, _, loaded)] = help_of([[name]])

@@ -22,7 +22,7 @@ from rover_ncp.core.robot_profile import load_profile
 from sim.live.live_run import LiveRun
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, rover_of
-from sim.stack.virtual import Air, World
+from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.studies.identify import driven, errors, identified, robot, truth
 from sim.world.pymunk_rover import Ground
 from sim.world.randomization import load_randomization
@@ -230,8 +230,8 @@ def excited(trials, fence_m):
         trial=BaseTrial(trials),
         observe=lambda now: farthest.append(max(farthest[-1], distance(rover.pose, start))),
     )
-    world = World(firmware)
-    air = Air(world, start)
+    world = VirtualBridge(firmware)
+    air = VirtualLink(world, start)
     measurements = Measurements(air)
     monitor = SafetyMonitor(air, measurements, lambda: False, clock=world)
     monitor.wait()

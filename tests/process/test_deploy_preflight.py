@@ -22,7 +22,7 @@ def check(capsys):
 def test_a_robot_that_is_well(tmp_path, check):
     with Rig(tmp_path) as rig:
         code, said, _ = check(rig.locator)
-        stopped = rig.stood_after(rig.truth()[-1][0])
+        stopped = rig.stood_after(rig.truth.read()[-1].wall_ns)
         gate = rig.bridge.stop().result
     assert (code, said["ready"]) == (0, True), said
     assert [finding["name"] for finding in said["findings"]] == [
@@ -46,7 +46,7 @@ def test_a_robot_that_is_well(tmp_path, check):
 def test_a_robot_that_is_not(tmp_path, check, faults, name, words):
     with Rig(tmp_path, mock=[item for fault in faults for item in ("--fault", fault)]) as rig:
         code, said, err = check(rig.locator)
-        rig.stood_after(rig.truth()[-1][0])
+        rig.stood_after(rig.truth.read()[-1].wall_ns)
     assert (code, said["ready"]) == (1, False)
     assert said["findings"][-1]["name"] == name
     assert words in said["findings"][-1]["detail"]

@@ -111,10 +111,10 @@ def sit_down(rig, tmp_path):
 
 def moved_since(rig, began_ns):
     """Return how far the rover drove and turned in truth, and how far along x it came: m, rad, m."""
-    rows = [row for row in rig.truth() if row[0] >= began_ns]
-    steps = [((b[0] - a[0]) * 1e-9, b) for a, b in pairwise(rows)]
-    driven, turned = (sum(dt * abs(row[i]) for dt, row in steps) for i in (2, 3))
-    return driven, turned, rows[-1][1] - rows[0][1]
+    states = [state for state in rig.truth.read() if state.wall_ns >= began_ns]
+    steps = [((b.wall_ns - a.wall_ns) * 1e-9, b.velocity) for a, b in pairwise(states)]
+    driven, turned = (sum(dt * abs(velocity[i]) for dt, velocity in steps) for i in range(2))
+    return driven, turned, states[-1].pose.x - states[0].pose.x
 
 
 def test_it_drives_while_a_key_repeats_and_stands_when_it_is_released(rig, sit_down, tmp_path):
@@ -127,10 +127,10 @@ def test_it_drives_while_a_key_repeats_and_stands_when_it_is_released(rig, sit_d
         stood = rig.stood_after(last_ns)
         assert 0.3 < stood < 0.5 + braking_s(V_M_S) + MACHINE_S
     # A single press is a small step, and no more.
-    before = rig.truth()[-1][1]
+    before = rig.truth.read()[-1].pose.x
     last_ns = person.type("i")
     assert rig.stood_after(last_ns) < 0.5 + braking_s(V_M_S) + MACHINE_S
-    assert 0.005 < abs(rig.truth()[-1][1] - before) < 0.06
+    assert 0.005 < abs(rig.truth.read()[-1].pose.x - before) < 0.06
     # Another key stops at once.
     person.hold("i", 1.0)
     last_ns = person.type("k")
@@ -202,14 +202,14 @@ def test_keys_that_piled_up_while_it_slept_move_nothing(rig, sit_down):
     person.process.send_signal(signal.SIGSTOP)
     rig.stood_after(time.time_ns())
     person.type("i" * 50)
-    where = rig.truth()[-1][1]
+    where = rig.truth.read()[-1].pose.x
     person.process.send_signal(signal.SIGCONT)
     # The lease went with the silence: that ends it, with its name.
     code, result = person.end()
     assert code == 4
     assert result["stopped_by"]
     assert person.settings == person.before
-    assert rig.truth()[-1][1] == pytest.approx(where, abs=1e-4)
+    assert rig.truth.read()[-1].pose.x == pytest.approx(where, abs=1e-4)
 
 
 def test_a_bridge_that_dies_ends_it_with_a_name(sit_down, rig):

@@ -18,9 +18,9 @@ from paths import DATA
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
-from sim.learn.commands import SearchName
 from sim.learn.evaluator import Evaluator
 from sim.learn.progress import TrainProgress
+from sim.learn.search import SearchName
 from sim.learn.search.strategies import STRATEGIES
 
 COURSE = DATA / "short_course.yaml"

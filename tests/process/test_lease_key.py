@@ -5,12 +5,12 @@ import json
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.protocol import MotorsReply, parse_json
 from sim.pioneer.firmware import Firmware
-from sim.stack.virtual import Air, World
+from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.rover import RoverModel
 
 
-class OpenWorld(World):
+class OpenWorld(VirtualBridge):
     """A world that keeps all that the bridge publishes and all that it answers."""
 
     def __init__(self):
@@ -21,8 +21,8 @@ class OpenWorld(World):
         self.published.append(data)
         super().publish(name, data)
 
-    def ask(self, name, payload, attachment=None):
-        answer = super().ask(name, payload, attachment)
+    def query(self, name, payload, attachment=None):
+        answer = super().query(name, payload, attachment)
         self.answered.append(parse_json(MotorsReply, answer))
         return answer
 
@@ -33,7 +33,7 @@ class OpenWorld(World):
 
 def test_the_key_is_in_the_first_answer_and_in_no_message_recording_or_state():
     world, recorded = OpenWorld(), []
-    driver = Air(world, Pose(0.0, 0.0, 0.0), recorded.append)
+    driver = VirtualLink(world, Pose(0.0, 0.0, 0.0), recorded.append)
     world.sleep(3.0)
     driver.request_motors("test")
     for _ in range(20):
@@ -59,7 +59,7 @@ def test_the_key_is_in_the_first_answer_and_in_no_message_recording_or_state():
 
 def test_two_leases_have_two_keys():
     world = OpenWorld()
-    driver = Air(world, Pose(0.0, 0.0, 0.0))
+    driver = VirtualLink(world, Pose(0.0, 0.0, 0.0))
     world.sleep(3.0)
     for _ in range(2):
         driver.request_motors("test")

@@ -78,7 +78,7 @@ def test_the_manuals_examples_are_what_the_encoder_writes() -> None:
     assert syncs == VECTORS["manual_SYNC"]["hex"]
 
 
-def test_what_does_not_fit_is_refused_when_encoding() -> None:
+def test_encoder_rejects_values_that_do_not_fit() -> None:
     with pytest.raises(ValueError, match="32767"):
         encode_command(Command.VEL, 32768)
     with pytest.raises(ValueError, match="249"):

@@ -29,7 +29,7 @@ class Clearance:
 
 
 @pytest.mark.parametrize("model", ROBOTS)
-def test_four_sonars_watch_each_way_and_the_others_look_aside(model):
+def test_four_sonars_count_in_each_direction(model):
     for numbers, place in ((AHEAD, 0), (BEHIND, 1)):
         for number in numbers:
             room = Clearance(ROBOTS[model]).update(everything() | {number: 0.3}, 10.0)
@@ -38,7 +38,7 @@ def test_four_sonars_watch_each_way_and_the_others_look_aside(model):
         assert Clearance(ROBOTS[model]).update(everything() | {number: 0.3}, 10.0) == (5.0, 5.0)
 
 
-def test_ranges_that_come_one_by_one_are_put_together():
+def test_ranges_of_several_reports_are_combined():
     clearance = Clearance()
     for k, number in enumerate(AHEAD[:-1]):
         room = clearance.update({number: 1.0 + 0.1 * k}, 10.0 + 0.04 * k)
@@ -47,7 +47,7 @@ def test_ranges_that_come_one_by_one_are_put_together():
     assert clearance.update({AHEAD[0]: 3.0}, 10.3)[0] == 1.1
 
 
-def test_a_sonar_that_fell_silent_leaves_its_way_unknown_and_the_other_way_known():
+def test_silent_sonar_makes_only_its_own_direction_unknown():
     clearance = Clearance()
     clearance.update(everything(), 10.0)
     later = {number: 5.0 for number in range(16) if number != AHEAD[1]}

@@ -21,7 +21,7 @@ from rover_ncp.core.geometry import Velocity
 # What it takes to drive
 
 
-def test_nothing_moves_before_the_base_was_heard():
+def test_nothing_moves_before_the_first_base_report():
     gate = Gate()
     assert gate.at(0.0, Tick()).held is Reason.NO_BASE
     assert gate.enable(0.1).refusal is Reason.NO_BASE
@@ -29,7 +29,7 @@ def test_nothing_moves_before_the_base_was_heard():
     assert (verdict.velocity, verdict.motors, verdict.dropped) == (ZERO, False, Reason.NO_BASE)
 
 
-def test_nothing_moves_before_a_driver_asked():
+def test_nothing_moves_without_a_lease():
     gate = Gate()
     gate.at(0.0, BaseReport(motors_on=True))
     verdict = gate.drive(0.1)
@@ -95,7 +95,7 @@ def test_speeds_grow_no_faster_than_allowed_and_brake_at_once():
     assert gate.drive(0.08, Velocity(-0.3, 0.0)).velocity == pytest.approx((-0.02, 0.0))
 
 
-def test_a_loop_that_slept_earns_no_acceleration():
+def test_delayed_loop_gains_no_acceleration():
     gate = Gate(LIMITS.model_copy(update={"silence_s": 0.4}))
     gate.driving()
     gate.at(0.25, BaseReport())
@@ -124,7 +124,7 @@ FENCE = LIMITS.model_copy(update={"fence": Fence(x_min=-1.0, x_max=2.0, y_min=-1
         (BaseReport(x=2.5, theta=math.pi / 2), Velocity(0.1, 0.0), False),
     ],
 )
-def test_fence_holds_the_way_out_but_not_the_way_back(base, velocity, passes):
+def test_fence_holds_motion_outward_only(base, velocity, passes):
     gate = Gate(FENCE).driving()
     gate.at(0.1, base)
     verdict = gate.drive(0.1, velocity)
@@ -154,7 +154,7 @@ NEARER = math.nextafter(0.4, 0.0)
         (math.inf, math.nan, Velocity(0.1, 0.0), True),
     ],
 )
-def test_sonars_hold_the_way_to_an_obstacle_but_not_the_way_back(ahead_m, behind_m, velocity, passes):
+def test_sonars_hold_motion_toward_an_obstacle_only(ahead_m, behind_m, velocity, passes):
     gate = Gate().driving()
     gate.limits = SONAR
     gate.at(0.1, BaseReport(clear_ahead_m=ahead_m, clear_behind_m=behind_m))
@@ -210,7 +210,7 @@ def test_a_hazard_stops_and_ends_the_lease(event, reason):
         (Reason.NO_LEASE, False),
     ],
 )
-def test_only_what_may_have_hurt_brakes_harder_than_usual(reason, emergency):
+def test_only_stop_button_bumper_and_stall_brake_harder(reason, emergency):
     gate = Gate().driving()
     events = {value: event for event, value in HAZARDS} | {Reason.STOPPED: Stop("now")}
     verdict = gate.at(0.35, BaseReport())
@@ -222,7 +222,7 @@ def test_only_what_may_have_hurt_brakes_harder_than_usual(reason, emergency):
     assert verdict.emergency is emergency
 
 
-def test_a_stop_is_latched_until_released_and_the_driver_asks_again():
+def test_stop_is_latched_until_released_and_needs_a_new_lease():
     gate = Gate().driving()
     assert gate.at(0.0, Stop("child on the floor")).velocity == ZERO
     assert gate.state.latched == "child on the floor"
@@ -234,7 +234,7 @@ def test_a_stop_is_latched_until_released_and_the_driver_asks_again():
     assert gate.enable(0.3).refusal is None
 
 
-def test_a_hazard_ends_no_lease_that_was_given_back_before():
+def test_hazard_after_a_release_is_not_its_reason():
     gate = Gate().driving()
     gate.release(0.05)
     assert gate.at(0.1, BaseReport(bumpers=(1, 0))).held is Reason.BUMPER
@@ -242,7 +242,7 @@ def test_a_hazard_ends_no_lease_that_was_given_back_before():
     assert gate.state.stops == {}
 
 
-def test_a_low_battery_counts_when_it_lasts():
+def test_low_battery_is_a_hazard_only_when_it_lasts():
     gate = Gate().driving()
     low, fine = BaseReport(battery_v=10.9), BaseReport(battery_v=11.0)
     for k, report in enumerate([low] * 19 + [fine] + [low] * 20):
@@ -294,7 +294,7 @@ def test_motors_stay_on_until_the_rover_stands():
     assert not gate.at(0.4, BaseReport(v=0.2)).motors
 
 
-def test_motors_do_not_wait_for_ever():
+def test_motors_go_off_at_the_latest_after_the_coasting_time():
     gate = Gate().driving()
     gate.at(0.0, BaseReport(v=0.2))
     gate.release(0.0)

@@ -32,7 +32,7 @@ def test_silence_stops_and_a_later_command_drives_on():
     assert gate.drive(0.6).velocity != ZERO
 
 
-def test_a_command_that_was_under_way_for_long_counts_for_less_long():
+def test_delayed_command_is_in_force_for_less_time():
     gate = Gate().driving()
     gate.drive(0.2, age=0.15)
     gate.at(0.3, BaseReport())
@@ -50,7 +50,7 @@ def test_the_lease_lapses_without_commands():
     assert gate.enable(1.05).refusal is None
 
 
-def test_odometry_that_stops_stops_the_rover_and_goes_on_when_it_comes_back():
+def test_stale_odometry_holds_the_rover_until_reports_return():
     gate = Gate().driving()
     for k in range(1, 7):
         verdict = gate.drive(0.05 * k)
@@ -62,7 +62,7 @@ def test_odometry_that_stops_stops_the_rover_and_goes_on_when_it_comes_back():
 
 @pytest.mark.parametrize("field", ["x", "y", "theta", "v", "omega"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_odometry_in_no_numbers_is_none(field, value):
+def test_odometry_that_is_not_finite_holds_the_rover(field, value):
     gate = Gate().driving()
     verdict = gate.at(0.05, BaseReport(**{field: value}))
     assert (verdict.velocity, verdict.held) == (ZERO, Reason.ODOMETRY)
@@ -78,7 +78,7 @@ def test_a_link_that_stalls_delivers_nothing_but_stale_commands():
         assert verdict.dropped in {Reason.NO_LEASE, Reason.STALE}
 
 
-def test_commands_older_than_the_lease_do_not_count_however_young_they_look():
+def test_commands_older_than_the_lease_are_stale():
     gate = Gate()
     gate.at(0.0, BaseReport())
     gate.enable(0.0)
@@ -86,7 +86,7 @@ def test_commands_older_than_the_lease_do_not_count_however_young_they_look():
     assert gate.at(0.0, VelocityCommand(SLOW, CommandTag(1, 1, stamp), signed=True)).dropped is Reason.STALE
 
 
-def test_a_link_that_is_slow_from_the_first_command_on_is_found_out():
+def test_delay_from_the_first_command_on_is_detected():
     gate = Gate()
     gate.at(9.9, BaseReport())
     gate.enable(9.9)
@@ -95,7 +95,7 @@ def test_a_link_that_is_slow_from_the_first_command_on_is_found_out():
     assert gate.drive(10.25, age=0.21).dropped is Reason.STALE
 
 
-def test_asking_again_forgets_what_was_known_of_the_clock():
+def test_renewal_resets_the_clock_offset():
     gate = Gate().driving()
     gate.ahead_s += 3600.0
     assert gate.drive(0.1).dropped is None  # it seems quicker than any before it
@@ -107,7 +107,7 @@ def test_asking_again_forgets_what_was_known_of_the_clock():
 
 
 @pytest.mark.parametrize(("after_s", "dropped"), [(59.0, Reason.STALE), (62.0, None)])
-def test_the_quickest_command_is_remembered_for_a_minute(after_s, dropped):
+def test_smallest_delay_is_kept_for_a_minute(after_s, dropped):
     begun = 1000.0
     gate = Gate().driving(begun)
     for k in range(1, round(after_s * 4)):
@@ -117,7 +117,7 @@ def test_the_quickest_command_is_remembered_for_a_minute(after_s, dropped):
     assert gate.drive(begun + after_s, age=0.3).dropped is dropped
 
 
-def test_the_quickest_command_may_come_in_between():
+def test_smallest_delay_may_come_at_any_time():
     gate = Gate().driving()
     for k in range(1, 120):
         gate.at(0.25 * k, BaseReport())
@@ -140,7 +140,7 @@ def test_clocks_that_drift_apart_for_three_hours_do_not_matter(drift):
 # Whose command
 
 
-def test_the_commands_of_others_do_not_count():
+def test_unsigned_commands_are_dropped():
     gate = Gate().driving()
     assert gate.drive(0.01, Velocity(-0.3, 0.6), signed=False).velocity == SLOW
     assert gate.at(0.02, VelocityCommand(Velocity(-0.3, 0.6))).velocity == SLOW
@@ -148,13 +148,13 @@ def test_the_commands_of_others_do_not_count():
 
 
 @pytest.mark.parametrize("sequence", [3, 2, 0])
-def test_repeated_and_overtaken_commands_do_not_count(sequence):
+def test_repeated_and_overtaken_commands_are_dropped(sequence):
     gate = Gate().driving()
     verdict = gate.drive(0.01, Velocity(-0.3, 0.6), sequence=sequence)
     assert (verdict.velocity, verdict.dropped) == (SLOW, Reason.REPEATED)
 
 
-def test_asking_again_does_not_make_old_commands_new():
+def test_renewal_does_not_accept_old_sequence_numbers():
     gate = Gate().driving()
     assert gate.renew(0.1).refusal is None
     assert gate.drive(0.11, sequence=3).dropped is Reason.REPEATED
@@ -233,14 +233,14 @@ def test_the_key_is_in_no_text_about_the_gate():
         (Velocity(-math.inf, 0.0), Reason.NOT_FINITE),
     ],
 )
-def test_nonsense_from_the_driver_stops_the_rover_until_it_makes_sense(velocity, reason):
+def test_invalid_command_of_the_driver_holds_the_rover_until_a_valid_one(velocity, reason):
     gate = Gate().driving()
     verdict = gate.drive(0.1, velocity)
     assert (verdict.velocity, verdict.held, verdict.dropped) == (ZERO, reason, reason)
     assert gate.drive(0.2).velocity != ZERO
 
 
-def test_nonsense_from_others_changes_nothing():
+def test_invalid_commands_of_others_change_nothing():
     gate = Gate().driving()
     assert gate.drive(0.1, None, signed=False).velocity == SLOW
     assert gate.at(0.1, VelocityCommand(None)).velocity == SLOW
@@ -276,14 +276,14 @@ def test_plain_commands_drive_where_they_are_accepted():
 
 
 @pytest.mark.parametrize("age_s", [0.31, -0.31, 3600.0, math.nan, math.inf])
-def test_plain_commands_of_another_time_do_not_count(age_s):
+def test_plain_commands_with_a_stale_stamp_are_dropped(age_s):
     gate = Gate(accept_ros=True)
     gate.at(0.0, BaseReport())
     assert gate.at(0.1, VelocityCommand(SLOW, age_s=age_s)).dropped is Reason.STALE
     assert gate.state.lease is None
 
 
-def test_a_command_counts_until_its_time_is_over_and_no_longer():
+def test_command_is_in_force_for_exactly_the_silence_time():
     gate = Gate(accept_ros=True)
     gate.at(0.0, BaseReport())
     gate.at(0.0, VelocityCommand(SLOW))
@@ -291,14 +291,14 @@ def test_a_command_counts_until_its_time_is_over_and_no_longer():
     assert gate.at(math.nextafter(LIMITS.silence_s, 1.0), Tick()).held is Reason.SILENCE
 
 
-def test_an_old_plain_command_counts_for_less_long():
+def test_delayed_plain_command_is_in_force_for_less_time():
     gate = Gate(accept_ros=True)
     gate.at(0.0, BaseReport())
     assert gate.at(0.1, VelocityCommand(SLOW, age_s=0.2)).held is None
     assert gate.at(0.21, BaseReport()).held is Reason.SILENCE
 
 
-def test_a_plain_lease_serves_no_other_driver():
+def test_plain_lease_is_valid_for_no_signed_driver():
     gate = Gate(accept_ros=True)
     gate.at(0.0, BaseReport())
     gate.at(0.1, VelocityCommand(SLOW))
@@ -306,13 +306,13 @@ def test_a_plain_lease_serves_no_other_driver():
     assert gate.at(0.2, VelocityCommand(SLOW)).dropped is None
 
 
-def test_a_driver_with_a_lease_has_the_rover_to_itself():
+def test_plain_commands_are_dropped_during_a_lease():
     gate = Gate(accept_ros=True).driving()
     verdict = gate.at(0.01, VelocityCommand(Velocity(-0.3, 0.6)))
     assert (verdict.velocity, verdict.dropped) == (SLOW, Reason.FOREIGN)
 
 
-def test_plain_commands_do_not_push_on_after_a_bump():
+def test_plain_commands_need_a_zero_after_a_hazard():
     gate = Gate(accept_ros=True)
     gate.at(0.0, BaseReport())
     gate.at(0.0, VelocityCommand(SLOW))
@@ -324,7 +324,7 @@ def test_plain_commands_do_not_push_on_after_a_bump():
     assert gate.at(0.4, VelocityCommand(SLOW)).velocity != ZERO
 
 
-def test_plain_commands_drive_again_after_a_pause():
+def test_plain_commands_drive_after_a_pause():
     gate = Gate(accept_ros=True)
     gate.at(0.0, BaseReport())
     gate.at(0.0, VelocityCommand(SLOW))
@@ -333,7 +333,7 @@ def test_plain_commands_drive_again_after_a_pause():
     assert gate.at(1.2, VelocityCommand(SLOW)).dropped is None
 
 
-def test_plain_commands_do_not_drive_a_base_that_is_late():
+def test_plain_commands_get_no_lease_with_stale_odometry():
     gate = Gate(accept_ros=True)
     gate.at(0.0, BaseReport())
     assert gate.at(0.5, VelocityCommand(SLOW)).dropped is Reason.ODOMETRY

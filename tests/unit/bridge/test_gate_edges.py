@@ -15,7 +15,7 @@ from rover_ncp.core.protocol import CommandTag
 
 
 @pytest.mark.parametrize("motion", [{"v": 0.05}, {"v": -0.05}, {"omega": 0.1}, {"omega": -0.1}])
-def test_a_base_that_drives_and_reports_the_same_pose_is_not_driven(motion):
+def test_frozen_odometry_ends_the_lease(motion):
     gate = Gate().driving()
     gate.at(0.1, BaseReport(x=1.0, **motion))
     assert gate.at(0.2, BaseReport(x=1.0, **motion)).held is None
@@ -28,7 +28,7 @@ def test_a_base_that_drives_and_reports_the_same_pose_is_not_driven(motion):
 
 
 @pytest.mark.parametrize("steps", [{"x": 0.001}, {"y": 0.001}, {"theta": 0.0015}])
-def test_one_step_is_enough_to_be_believed(steps):
+def test_one_changed_count_is_no_frozen_odometry(steps):
     gate = Gate().driving()
     for k in range(1, 40):
         pose = {name: (k // 2) * step for name, step in steps.items()}
@@ -36,7 +36,7 @@ def test_one_step_is_enough_to_be_believed(steps):
         assert gate.drive(0.1 * k).held is None
 
 
-def test_only_the_slower_of_two_reports_counts():
+def test_frozen_distance_uses_the_slower_of_two_reports():
     gate = Gate().driving()
     for k in range(1, 40):
         fast = 0.3 * (k % 2)
@@ -45,7 +45,7 @@ def test_only_the_slower_of_two_reports_counts():
 
 
 @pytest.mark.parametrize(("motion", "frozen"), [({"v": 0.01}, True), ({"omega": 0.02}, True), ({}, False)])
-def test_so_far_and_no_farther(motion, frozen):
+def test_odometry_is_frozen_from_exactly_this_distance_on(motion, frozen):
     gate = Gate().driving()
     gate.at(1.0, BaseReport(x=1.0, **motion))
     gate.at(1.5, BaseReport(x=1.0, **motion))
@@ -53,7 +53,7 @@ def test_so_far_and_no_farther(motion, frozen):
 
 
 @pytest.mark.parametrize("motion", [{"v": 0.3}, {"omega": 0.6}])
-def test_noisy_odometry_may_hit_upon_the_same_pose_once(motion):
+def test_noisy_odometry_may_repeat_a_pose_once(motion):
     gate = Gate().driving()
     gate.at(0.1, BaseReport(x=1.0, **motion))
     assert gate.at(0.2, BaseReport(x=1.0, **motion)).held is None
@@ -64,7 +64,7 @@ def test_noisy_odometry_may_hit_upon_the_same_pose_once(motion):
 
 
 @pytest.mark.parametrize("motion", [{"v": 0.05}, {"omega": 0.1}])
-def test_a_base_that_comes_back_starts_anew(motion):
+def test_reconnected_base_has_no_frozen_odometry(motion):
     gate = Gate()
     for moment in (0.0, 0.1, 0.2):
         gate.at(moment, BaseReport(x=1.0, **motion))
@@ -85,7 +85,7 @@ def test_plain_commands_are_dropped_unless_allowed():
     assert gate.at(0.2, BaseReport()).velocity == ZERO
 
 
-def test_asking_again_clears_what_was_in_force_and_why_it_was_not():
+def test_renewal_clears_command_and_hold_reason():
     gate = Gate().driving()
     verdict = gate.renew(0.1)
     assert (verdict.velocity, verdict.held) == (ZERO, Reason.SILENCE)
@@ -102,7 +102,7 @@ def test_a_new_request_clears_the_reason_of_the_last_end():
     assert gate.state.ended is None
 
 
-def test_nonsense_uses_up_its_number():
+def test_invalid_command_uses_its_sequence_number():
     gate = Gate().driving()
     gate.drive(0.1, None, sequence=50)
     assert gate.drive(0.1, sequence=50).dropped is Reason.REPEATED
@@ -115,13 +115,13 @@ def after(moment):
     return math.nextafter(moment, math.inf)
 
 
-def test_a_base_counts_as_heard_for_so_long():
+def test_odometry_is_stale_after_exactly_this_time():
     gate = Gate(Limits(silence_s=0.4)).driving()
     assert gate.at(LIMITS.odometry_s, Tick()).held is None
     assert gate.at(after(LIMITS.odometry_s), Tick()).held is Reason.ODOMETRY
 
 
-def test_a_lease_lasts_for_so_long():
+def test_lease_expires_after_exactly_this_time():
     gate = Gate().driving()
     gate.at(LIMITS.lease_s, Tick())
     assert gate.state.lease is not None
@@ -129,7 +129,7 @@ def test_a_lease_lasts_for_so_long():
     assert gate.state.lease is None
 
 
-def test_a_command_may_be_so_old_and_as_old_as_the_lease():
+def test_command_is_stale_beyond_exactly_this_age():
     gate = Gate(Limits(stale_s=0.25), ahead_s=0.0)
     gate.at(0.0, BaseReport())
     gate.enable(0.0)
@@ -138,13 +138,13 @@ def test_a_command_may_be_so_old_and_as_old_as_the_lease():
 
 
 @pytest.mark.parametrize("age_s", [0.3, -0.3])
-def test_a_plain_command_may_be_so_old(age_s):
+def test_plain_command_of_exactly_the_allowed_age_is_accepted(age_s):
     gate = Gate(accept_ros=True)
     gate.at(0.0, BaseReport())
     assert gate.at(0.1, VelocityCommand(SLOW, age_s=age_s)).dropped is None
 
 
-def test_the_stick_may_be_held_again_after_so_long():
+def test_plain_commands_are_accepted_after_exactly_this_pause():
     gate = Gate(accept_ros=True)
     gate.at(1.0, BaseReport())
     gate.at(1.0, VelocityCommand(SLOW))
@@ -155,7 +155,7 @@ def test_the_stick_may_be_held_again_after_so_long():
 
 
 @pytest.mark.parametrize("motion", [{"v": 0.01}, {"v": -0.01}, {"omega": 0.01}])
-def test_without_a_lease_motors_stay_on_while_it_moves_and_for_so_long(motion):
+def test_motors_of_a_moving_rover_go_off_after_exactly_this_time(motion):
     gate = Gate().driving(1.0)
     gate.at(1.0, BaseReport(**motion))
     gate.release(1.0)
@@ -163,7 +163,7 @@ def test_without_a_lease_motors_stay_on_while_it_moves_and_for_so_long(motion):
     assert not gate.at(3.0, Tick()).motors
 
 
-def test_without_a_lease_motors_go_off_once_it_is_slow_enough():
+def test_motors_go_off_below_exactly_this_speed():
     gate = Gate().driving(1.0)
     slow = math.nextafter(0.01, 0.0)
     gate.at(1.0, BaseReport(v=slow, omega=-slow))
@@ -177,7 +177,7 @@ def test_half_a_volt_is_low():
     assert gate.at(2.0, BaseReport(battery_v=0.5)).held is Reason.LOW_BATTERY
 
 
-def test_a_base_that_comes_back_has_its_time_to_recover_its_voltage():
+def test_reconnected_base_has_time_to_recover_its_voltage():
     gate = Gate()
     gate.at(0.0, BaseReport(battery_v=10.0))
     gate.at(1.5, BaseLost())
@@ -203,14 +203,14 @@ FENCE = LIMITS.model_copy(
         (BaseReport(y=0.976, theta=math.pi / 6), False),
     ],
 )
-def test_the_fence_lies_where_the_rover_would_come_to_stand(base, passes):
+def test_fence_limits_the_point_of_standstill(base, passes):
     gate = Gate(FENCE).driving()
     gate.at(0.1, base)
     assert gate.drive(0.1, Velocity(0.1, 0.0)).held is (None if passes else Reason.GEOFENCE)
 
 
 @pytest.mark.parametrize(("after_s", "dropped"), [(60.5, Reason.STALE), (61.5, None)])
-def test_the_quickest_command_is_remembered_for_whole_seconds(after_s, dropped):
+def test_smallest_delay_is_kept_for_whole_seconds(after_s, dropped):
     begun = 1000.0
     gate = Gate().driving(begun)
     for k in range(1, round(after_s * 4)):
@@ -220,7 +220,7 @@ def test_the_quickest_command_is_remembered_for_whole_seconds(after_s, dropped):
     assert gate.drive(begun + after_s, age=0.3).dropped is dropped
 
 
-def test_one_moment_of_a_second_is_remembered():
+def test_one_minimum_is_kept_for_each_second():
     gate = Gate().driving()
     for k in range(100):
         gate.at(0.05 * k, BaseReport())
@@ -228,7 +228,7 @@ def test_one_moment_of_a_second_is_remembered():
     assert len(gate.state.minima) <= 6
 
 
-def test_a_base_that_creeps_may_stay_in_one_place_for_a_while_however_late_it_is():
+def test_creeping_base_is_no_frozen_odometry():
     gate = Gate().driving(1000.0)
     for k in range(1, 20):
         gate.at(1000.0 + 0.1 * k, BaseReport(x=1.0, v=0.001))

@@ -8,7 +8,7 @@ from bridge.gate.limits import Fence, Limits
 STOP_S = 0.5
 
 
-def test_a_fence_measures_how_far_out_a_point_is():
+def test_fence_measures_the_distance_of_points_outside():
     fence = Fence(x_min=-1.0, x_max=2.0, y_min=-1.0, y_max=1.0)
     assert fence.outside(0.0, 0.0) == 0.0
     assert fence.outside(2.0, 1.0) == 0.0
@@ -26,7 +26,7 @@ def test_a_fence_without_an_inside_is_refused(sides):
 
 
 @pytest.mark.parametrize("name", ["silence_s", "stale_s", "odometry_s"])
-def test_no_watch_may_be_set_as_long_as_the_requirement(name):
+def test_no_timeout_may_be_as_long_as_the_requirement(name):
     with pytest.raises(ValidationError):
         Limits(**{name: STOP_S})
     with pytest.raises(ValidationError):

@@ -11,7 +11,7 @@ from rover_ncp.core.messages import read_odometry, read_twist, twist_stamped
 from rover_ncp.core.protocol import MotorsReply, MotorsRequest, Signed, dump_json, parse_json
 from sim.pioneer.client_commands import decode_argument
 from sim.pioneer.firmware import Firmware
-from sim.stack.virtual import WALL_NS, World
+from sim.stack.virtual import WALL_NS, VirtualBridge
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.rover import RoverModel
 
@@ -19,7 +19,7 @@ HOUR_NS = 3600 * 1_000_000_000
 SECOND_NS = 1_000_000_000
 
 
-class Bridge(World):
+class Bridge(VirtualBridge):
     """A bridge whose wall clock can be set, with what it published and what it sent to the base."""
 
     set_ns = 0
@@ -48,7 +48,7 @@ class Bridge(World):
 
     def motors(self):
         request = MotorsRequest(enable=True, name="x", sent_ns=self.now_ns)
-        return parse_json(MotorsReply, self.ask("rover/motors", dump_json(request)))
+        return parse_json(MotorsReply, self.query("rover/motors", dump_json(request)))
 
 
 @pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS])

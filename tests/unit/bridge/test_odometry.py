@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import bridge.pioneer.odometry
 from bridge.base import BaseReport
 from bridge.pioneer.arcos import Command, Decoder
-from bridge.pioneer.odometry import Odometer, counter_difference
+from bridge.pioneer.odometry import Odometer
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
 from bridge.pioneer.robots import ROBOTS
 from sim.pioneer.client_commands import MockCommand
@@ -148,11 +148,6 @@ def test_the_pose_is_the_sum_of_the_steps_wherever_the_counters_started(
         angle = start[2] * unit
         ahead = ((x - start[0]) * math.cos(angle) + (y - start[1]) * math.sin(angle)) / 1000
         assert state.x == pytest.approx(ahead, abs=1e-9)
-
-
-@given(st.integers(0, 0x7FFF), st.integers(-0x4000, 0x3FFF))
-def test_a_counters_difference_is_what_was_counted(old: int, step: int) -> None:
-    assert counter_difference((old + step) % 0x8000, old, 15) == step
 
 
 def test_a_reset_zeroes_the_pose_when_the_base_has_done_it_not_before() -> None:

@@ -55,7 +55,7 @@ def test_echoes_lie_where_the_sonars_look():
     assert back == pytest.approx((-0.241 + 2 * math.cos(angle), -0.027 + 2 * math.sin(angle), 0.25), abs=1e-6)
 
 
-def test_a_base_that_heard_no_sonar_sends_no_cloud():
+def test_report_without_sonar_sends_no_point_cloud():
     assert "sonar" not in ros.each_report(STATE, ROBOT, STAMP)
 
 
@@ -118,7 +118,7 @@ def levels(base, gate=None, health=CLEAN):
     return {status.name.split(": ")[1]: (status.level, status.message) for status in message.status}
 
 
-def test_a_healthy_bridge_says_so():
+def test_diagnostics_of_a_healthy_bridge():
     healthy = replace(STATE, bumpers=(0, 0))
     assert levels(healthy) == {
         "link to the base": (0, "clean"),
@@ -127,7 +127,7 @@ def test_a_healthy_bridge_says_so():
     }
 
 
-def test_troubles_are_named():
+def test_diagnostics_name_the_problems():
     ill = replace(STATE, stop_pressed=True, stalled=(False, True), faults=8)
     found = levels(ill, GateState(held=Reason.SILENCE))
     assert found["base"] == (2, "STOP button pressed, stalled, bumper pressed, reports faults")
@@ -136,7 +136,7 @@ def test_troubles_are_named():
     assert levels(STATE, GateState(held=Reason.NO_LEASE, ended=Reason.STALL))["gate"] == (1, "stall")
 
 
-def test_damaged_packets_show():
+def test_diagnostics_show_damaged_packets():
     assert levels(STATE, health=DAMAGED)["link to the base"] == (
         1,
         "packets were damaged",

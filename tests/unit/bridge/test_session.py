@@ -33,7 +33,7 @@ def test_a_silent_line_is_given_up_after_a_few_seconds_and_close_is_tried() -> N
     assert "no answer" in failed.reason
 
 
-def test_nonsense_is_distinguished_from_silence() -> None:
+def test_invalid_bytes_give_another_reason_than_silence() -> None:
     bench = Bench()
     bench.connect()
     while bench.session.state is not SessionState.IDLE:
@@ -45,7 +45,7 @@ def test_nonsense_is_distinguished_from_silence() -> None:
     assert "not one valid packet" in failed.reason
 
 
-def test_a_base_that_never_gets_anywhere_is_given_up_too() -> None:
+def test_base_that_never_completes_the_handshake_is_given_up() -> None:
     bench = Bench()
     bench.connect()
     while bench.session.state is not SessionState.IDLE and bench.now < 200:
@@ -127,7 +127,7 @@ def test_a_base_with_a_gyro_for_its_client_is_asked_to_send_it() -> None:
     assert isinstance(state, BaseReport)
 
 
-def test_the_chosen_model_wins_over_what_the_base_says() -> None:
+def test_chosen_model_has_precedence_over_the_reported_one() -> None:
     bench = Bench("p3dx")
     bench.go_to(SessionState.SYNC2)
     bench.hear(STRANGER + CONFIG + sip())
@@ -156,7 +156,7 @@ def test_limits_are_sent_in_the_bases_units() -> None:
     ]
 
 
-def test_motors_are_off_until_asked_for_and_setpoints_are_zero_before() -> None:
+def test_motors_are_off_until_requested_and_setpoints_are_zero_before() -> None:
     bench = Bench()
     bench.go_to(SessionState.READY)
     bench.session.set_motion(Velocity(0.2, 0.1))
@@ -167,7 +167,7 @@ def test_motors_are_off_until_asked_for_and_setpoints_are_zero_before() -> None:
     assert sent[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.ENABLE, 1)]
 
 
-def test_speeds_go_out_only_when_the_base_says_that_its_motors_are_on() -> None:
+def test_speeds_are_sent_only_while_the_base_reports_its_motors_on() -> None:
     bench = Bench()
     bench.go_to(SessionState.READY)
     bench.session.enable(True)
@@ -225,7 +225,7 @@ def test_ticks_keep_the_watchdog_fed(motors: bool) -> None:
     assert max(pauses) <= (0.26 if motors else 0.56)
 
 
-def test_a_lost_base_is_sent_zeros_once_and_then_nothing() -> None:
+def test_lost_base_gets_zeros_once_and_then_nothing() -> None:
     bench = driving()
     for _ in range(11):
         bench.wait(0.05)
@@ -237,7 +237,7 @@ def test_a_lost_base_is_sent_zeros_once_and_then_nothing() -> None:
     assert bench.sent() == []
 
 
-def test_a_base_that_comes_back_stands_until_the_motors_are_asked_for_again() -> None:
+def test_recovered_base_stands_until_the_motors_are_requested() -> None:
     bench = driving()
     bench.wait(0.5)
     bench.sent()
@@ -250,7 +250,7 @@ def test_a_base_that_comes_back_stands_until_the_motors_are_asked_for_again() ->
     assert {argument for command, argument in sent if command in (Command.VEL, Command.RVEL)} == {0}
 
 
-def test_an_unanswered_enable_is_repeated_but_motors_that_went_off_are_left_off() -> None:
+def test_unanswered_enable_is_repeated_but_motors_that_went_off_stay_off() -> None:
     bench = Bench()
     bench.go_to(SessionState.READY)
     bench.session.enable(True)
@@ -272,7 +272,7 @@ def test_an_unanswered_enable_is_repeated_but_motors_that_went_off_are_left_off(
     assert (Command.ENABLE, 1) in bench.sent()
 
 
-def test_motors_that_are_on_unasked_are_switched_off() -> None:
+def test_motors_that_are_on_without_a_request_are_switched_off() -> None:
     """AMRISim reports them on from the start."""
     bench = Bench()
     bench.go_to(SessionState.READY)
@@ -281,7 +281,7 @@ def test_motors_that_are_on_unasked_are_switched_off() -> None:
     assert (Command.ENABLE, 0) in bench.sent()
 
 
-def test_asking_again_for_motors_that_are_on_changes_nothing() -> None:
+def test_repeated_request_for_motors_that_are_on_changes_nothing() -> None:
     bench = driving()
     bench.session.enable(True)
     assert bench.sent() == []
@@ -295,7 +295,7 @@ def test_emergency_stop_goes_out_at_once() -> None:
     assert bench.sent() == []
 
 
-def test_a_reset_of_odometry_is_asked_for_until_the_counters_show_it() -> None:
+def test_odometry_reset_is_repeated_until_the_counters_show_it() -> None:
     bench = Bench()
     bench.go_to(SessionState.READY)
     bench.hear(sip(x=5000))
@@ -329,7 +329,9 @@ CALLS = [
 
 
 @given(st.booleans(), st.lists(st.one_of(CALLS), max_size=60))
-def test_nothing_moves_that_was_not_asked_for(ready: bool, story: list[tuple[str, tuple]]) -> None:
+def test_no_speed_is_sent_unless_motors_were_requested_and_run(
+    ready: bool, story: list[tuple[str, tuple]]
+) -> None:
     """Invariant: speeds other than 0 go only to a ready base whose motors were asked for and reported on."""
     bench = Bench()
     if ready:
@@ -365,7 +367,7 @@ def test_reset_notices_of_both_kinds_are_understood() -> None:
 
 
 @pytest.mark.parametrize("capture", CAPTURES, ids=lambda c: c.name)
-def test_recorded_robots_are_followed_played_by_the_clock_alone(capture: Capture) -> None:
+def test_recorded_robots_are_followed(capture: Capture) -> None:
     """They answer other clients, at those clients' times; the last pose is that of the recording's end."""
     bench = Bench()
     bench.connect()

@@ -168,7 +168,7 @@ def test_a_damaged_file_is_refused_with_its_name_or_read_to_the_damage(written, 
             assert "damaged.mcap" in str(error)
             refused += 1
         else:
-            # What a checksum guards is never read wrong: topics and bytes are those that were written.
+            # Data with a checksum is never read wrong: topics and bytes are those that were written.
             assert {message.data for message in part.messages} <= {message.data for message in whole.messages}
     assert refused > 20
 

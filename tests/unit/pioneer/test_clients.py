@@ -105,7 +105,7 @@ COMMAND = st.builds(
 
 
 @given(st.lists(st.one_of(COMMAND, st.binary(max_size=30)), max_size=30))
-def test_whatever_clients_send_the_base_goes_on(pieces: list[bytes]) -> None:
+def test_firmware_survives_any_bytes(pieces: list[bytes]) -> None:
     """Invariant: after any bytes the firmware lives, its rover is somewhere, and a client can connect."""
     pioneer = Pioneer().open()
     for piece in pieces:

@@ -24,7 +24,7 @@ from sim.pioneer.firmware import ClientState
         ("low-battery=10.8@8", Fault("low-battery", 10.8, 8.0)),
     ],
 )
-def test_faults_are_written_in_one_word(text: str, fault: Fault) -> None:
+def test_fault_texts_are_parsed(text: str, fault: Fault) -> None:
     assert parse_fault(text) == fault
 
 
@@ -43,7 +43,7 @@ def test_faults_are_written_in_one_word(text: str, fault: Fault) -> None:
         ("", "NAME one of"),
     ],
 )
-def test_a_fault_that_makes_no_sense_is_refused(text: str, expected: str) -> None:
+def test_invalid_fault_is_rejected(text: str, expected: str) -> None:
     with pytest.raises(UsageError, match=expected):
         parse_fault(text)
 
@@ -79,7 +79,7 @@ def driven(*faults: str) -> Pioneer:
     return pioneer
 
 
-def test_mute_sends_nothing_and_goes_on_driving() -> None:
+def test_mute_base_sends_nothing_and_keeps_driving() -> None:
     pioneer = driven("mute@2")
     assert len(pioneer.sips()) == pytest.approx(20, abs=1)
     assert pioneer.speed == pytest.approx(0.2)
@@ -112,7 +112,7 @@ def test_stall_blocks_the_wheels() -> None:
     assert pioneer.sips()[-1].stall_left == pioneer.sips()[-1].stall_right == 1
 
 
-def test_the_stop_button_switches_the_motors_off_for_good() -> None:
+def test_stop_button_switches_the_motors_off_until_enabled() -> None:
     pioneer = driven("stop-button@2-3")
     pressed = [sip for sip in pioneer.sips() if sip.flags & Flag.STOP_BUTTON]
     assert len(pressed) == pytest.approx(10, abs=1)

@@ -85,7 +85,7 @@ def test_connecting_takes_less_than_a_second(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", list(ROBOTS))
-def test_rover_follows_setpoints_and_state_reports_its_motion(model: str) -> None:
+def test_rover_follows_setpoints_and_reports_its_motion(model: str) -> None:
     pair = Pair(Pioneer(model)).driving(0.16, 0.137)
     pair.run(10.0)
     assert pair.state.v == pytest.approx(0.16, abs=0.001)
@@ -123,7 +123,7 @@ def test_a_base_in_an_old_session_does_not_move_when_a_new_driver_connects() -> 
     assert pair.state.x == pytest.approx(0.0, abs=1e-9)
 
 
-def test_no_word_from_the_base_stops_the_rover() -> None:
+def test_silent_base_is_stopped() -> None:
     pair = Pair().driving(0.2, 0.0)
     pair.run(3.0)
     pair.cut_up = True
@@ -161,7 +161,7 @@ def test_a_base_that_restarts_is_connected_to_again() -> None:
     assert pair.pioneer.rover.velocity.v == 0.0
 
 
-def test_a_power_cycle_without_a_notice_is_noticed() -> None:
+def test_restart_without_a_notice_is_detected() -> None:
     pair = Pair().ready()
     pair.run(1.0)
     pair.pioneer.firmware.receive(encode_command(Command.CLOSE), pair.now)
@@ -208,7 +208,7 @@ def test_a_bad_line_is_survived_both_ways(faults: tuple[str, ...], seed: int) ->
         max_size=8,
     )
 )
-def test_whatever_line_is_cut_when_the_rover_stands_soon_after(
+def test_rover_stands_soon_after_any_cut_of_the_line(
     story: list[tuple[float, bool, bool, float, float]],
 ) -> None:
     """Invariant: no command for 3 s (0.5 s and braking, or the base's 2 s and braking): the rover stands."""
@@ -229,7 +229,7 @@ def test_whatever_line_is_cut_when_the_rover_stands_soon_after(
 
 
 @pytest.mark.parametrize(("has_gyro", "sends"), [(0, False), (1, True), (2, False)])
-def test_a_gyro_for_the_client_tells_how_the_rover_truly_turns(has_gyro: int, sends: bool) -> None:
+def test_client_side_gyro_measures_the_true_turn_rate(has_gyro: int, sends: bool) -> None:
     pair = Pair(Pioneer(config=replace(config_of("p3at-sh"), has_gyro=has_gyro))).ready()
     pair.run(3.0)
     rest = [event.rate for event in pair.of(TurnRate)]

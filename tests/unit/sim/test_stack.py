@@ -15,8 +15,7 @@ from rover_ncp.core.robot_profile import RoverProfile, load_profile
 from rover_ncp.course.course import load_course
 from sim.learn.rollout import rollout
 from sim.pioneer.trial import BaseTrial
-from sim.stack.parallel import drive_all
-from sim.stack.trials import Stack
+from sim.stack.trials import Stack, drive_all
 from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials, ranges_for
 from sim.world.rover import RoverModel
 
@@ -197,3 +196,36 @@ def test_the_command_line_drives_through_the_stack(capsys):
 def test_options_that_exclude_each_other_are_refused(arguments, words, capsys):
     assert run(["eval", *arguments]) == 2
     assert words in capsys.readouterr().err
+
+
+CIRCUITS, SPREAD = 5, 0.01
+ROOM = 0.9
+"""Circuits that use more of a tolerance may miss it by a small difference."""
+STILL_S = 2.0
+
+
+def parks_with_room(policy, course):
+    driven = rollout(policy, course)
+    last, before = (np.array(driven.poses[k]) for k in (-1, -1 - round(STILL_S / 0.1)))
+    moved = abs(last - before)
+    allowed = course.parked
+    return (
+        driven.verdict.parked
+        and driven.verdict.error_m <= ROOM * allowed.position_m
+        and driven.verdict.error_rad <= ROOM * allowed.heading_rad
+        and np.hypot(*moved[:2]) <= ROOM * allowed.still_m
+        and moved[2] <= ROOM * allowed.still_rad
+    )
+
+
+def test_circuits_that_park_without_quantisation_park_with_it():
+    course, shipped = load_course("parking"), load_policy("parking")
+    layout, stream, found = shipped.layout(), np.random.default_rng(5), 0
+    while found < CIRCUITS:
+        noise = SPREAD * stream.normal(size=layout.size) * (layout.upper - layout.lower)
+        vector = np.clip(shipped.parameters() + noise, layout.lower, layout.upper)
+        policy = shipped.with_parameters(vector)
+        if parks_with_room(policy, course):
+            found += 1
+            driven = Stack(policy, (course,), load_randomization("none"), 0).drive(0)
+            assert driven.parked, driven

@@ -1,4 +1,4 @@
-"""Rovers of a fleet against the rover alone, to the last bit; and the doubts about Chipmunk's memory."""
+"""Rovers of a fleet against the rover alone, to the last bit; and the checks of Chipmunk's memory."""
 
 import math
 
@@ -105,7 +105,7 @@ def test_shapes_and_mirrored_drives_change_no_bit_on_open_ground(seed):
     assert np.array_equal(*unmirrored)
 
 
-def test_a_rover_placed_again_is_as_good_as_new():
+def test_a_rover_placed_again_drives_as_a_new_one():
     start, model = Pose(0.0, 0.0, 0.0), RoverModel()
     commands = random_commands(8, 200, 8, 0.5, 2.0)
     fleet = Fleet([model] * 8, BOX)

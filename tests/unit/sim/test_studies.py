@@ -1,9 +1,14 @@
-"""Other controllers in the circuit's place: each is searched and judged as the circuit is."""
+"""Comparisons of controllers: each is searched and judged as the circuit is, on the same trials."""
 
 import numpy as np
 import pytest
 
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.course.course import load_course
+from sim.evaluate.evaluate import evaluate
 from sim.studies.compare import compare, find_agent
+from sim.studies.paired import Paired, paired, parked
+from sim.world.randomization import load_randomization
 
 
 @pytest.mark.parametrize(
@@ -39,3 +44,24 @@ def test_a_comparison_says_how_far_the_search_came_and_repeats_itself(agent):
 
 def test_what_knows_one_course_is_not_judged_on_others():
     assert "unseen" not in compare("paper", seed=1, generations=1, rollouts=1, trained_on="none")
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "p"), [(0, 0, 1.0), (3, 3, 1.0), (0, 5, 2 / 32), (5, 0, 2 / 32), (1, 9, 22 / 1024)]
+)
+def test_the_chance_of_a_split_is_that_of_a_coin(first, second, p):
+    assert Paired(both=7, first_only=first, second_only=second, neither=2).p == pytest.approx(p)
+
+
+def test_trials_are_counted_pair_by_pair():
+    one = np.array([True, True, True, False, False])
+    other = np.array([True, False, False, True, False])
+    assert paired(one, other) == Paired(both=1, first_only=2, second_only=1, neither=1)
+
+
+@pytest.mark.parametrize("driver", ["course", "kanayama"])
+def test_the_trials_are_those_of_an_evaluation(driver):
+    course, ranges = load_course("parking"), load_randomization("harsh")
+    found = parked(driver, [course], ranges, trials=100, seed=9)
+    same = driver if driver == "kanayama" else load_policy(driver)
+    assert found.mean() == evaluate(same, [course], ranges, trials=100, seed=9).success_rate

@@ -2,15 +2,11 @@
 
 import importlib
 import math
-import multiprocessing
 import shlex
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import as_completed
 from dataclasses import replace
-from enum import StrEnum
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -20,10 +16,12 @@ import numpy as np
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.core.errors import UsageError
+from sim.learn.cluster import DaskCluster
 from sim.learn.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector
-from sim.learn.workers import WorkerDied, starting_processes
+from sim.learn.workers import LocalProcesses
+from sim.paper import BudgetName
 from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
 from sim.paper.evaluator import Evaluator, draw_seeds
@@ -42,14 +40,6 @@ _QUICK_STEPS = 400_000
 TOLERANCE = 1e-9
 """Difference in a return that another machine may make. A half-cheetah's contacts amplify a last bit, so its
 replay is compared by its verdict."""
-
-
-class BudgetName(StrEnum):
-    """Budget of a run."""
-
-    QUICK = "quick"
-    DEFAULT = "default"
-    PUBLISHED = "published"
 
 
 def budget_for(task: Task, name: BudgetName) -> Budget:
@@ -221,33 +211,11 @@ def make_runs(
     cannot be before the first one begins, and WorkerDied.
     """
     _require(names, circuit)
-
-    def keep(result: Result) -> None:
-        store.save(result)
-        on_result(result)
-
-    if cluster is not None:
-        _make_on_cluster(names, budget, cluster, keep)
-        return
-    if processes == 1:
-        for name in names:
-            keep(train_run(name, budget, circuit))
-        return
-    # Spawned, never forked: numba and MuJoCo do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(processes, len(names)), context) as pool:
-        try:
-            with starting_processes():  # the pool starts them as work is handed in
-                runs = [pool.submit(train_run, name, budget, circuit) for name in names]
-            for run in as_completed(runs):
-                keep(run.result())
-        except BaseException as error:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for child in multiprocessing.active_children():
-                child.kill()
-            if isinstance(error, BrokenProcessPool):
-                raise WorkerDied("the process of a run ended; repeat the command to continue") from error
-            raise
+    with DaskCluster(cluster) if cluster else LocalProcesses(min(processes, len(names))) as workers:
+        for run in as_completed([workers.submit(train_run, name, budget, circuit) for name in names]):
+            result = run.result()
+            store.save(result)
+            on_result(result)
 
 
 def _require(names: Sequence[RunName], circuit: Path | None) -> None:
@@ -260,40 +228,3 @@ def _require(names: Sequence[RunName], circuit: Path | None) -> None:
             importlib.import_module("stable_baselines3")
         if isinstance(task, Benchmark) and task.model:
             importlib.import_module("mujoco")
-
-
-# A worker of a cluster may have several threads; a run's time is that of its process.
-_one_run = threading.Lock()
-
-
-def _make_on_cluster(
-    names: Sequence[RunName], budget: BudgetName, address: str, on_result: Callable[[Result], None]
-) -> None:
-    """Make runs on a cluster's workers. Runs of a worker that dies are made by another one."""
-    import distributed  # an extra that one machine does without
-
-    from sim.learn.cluster import RETRIES, connect, told_plainly, versions
-
-    client = connect(address)
-    try:
-        with told_plainly(address):
-            wanted = versions()
-            runs = [
-                client.submit(
-                    _run_on_worker, name, budget, wanted, pure=False, retries=RETRIES, priority=-number
-                )
-                for number, name in enumerate(names)
-            ]
-            as_completed: Any = distributed.as_completed
-            for run in as_completed(runs, loop=client.loop):
-                on_result(run.result())
-    finally:
-        client.close()
-
-
-def _run_on_worker(name: RunName, budget: BudgetName, wanted: Mapping[str, str]) -> Result:
-    from sim.learn.cluster import require_versions
-
-    require_versions(wanted)
-    with _one_run:
-        return train_run(name, budget)

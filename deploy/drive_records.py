@@ -33,10 +33,6 @@ class StartRecord(StrictModel):
         """The covariance (3, 3)."""
         return None if self.covariance is None else np.array(self.covariance).reshape(3, 3)
 
-    def seconds(self, moment_ns: int) -> float:
-        """Return a moment of the driver's clock as the controller's time: seconds since the start."""
-        return (moment_ns - self.sample.measured_ns) * 1e-9
-
 
 class TickRecord(StrictModel):
     """One tick: its inputs, in the order in which they were applied, and its outputs.

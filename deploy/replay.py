@@ -106,7 +106,7 @@ def _compared(
             quantity = f"the {INPUTS[missing[0].topic]} of stamp {missing[0].stamp_ns}"
             yield record, Difference(record.index, quantity, ABSENT, "needed")
             return
-        now = start.seconds(record.now_ns)
+        now = start.sample.seconds_to(record.now_ns)
         try:
             if record is records[0]:
                 first = wanted.pop(0)
@@ -114,7 +114,7 @@ def _compared(
                 controller.start(began.pose, 0.0, Pose(*start.pose), start.covariance_matrix)
             for ref in wanted:
                 sample = READERS[ref.topic](data[ref.topic, ref.crc])
-                controller.take(sample, start.seconds(ref.measured_ns))
+                controller.take(sample, start.sample.seconds_to(ref.measured_ns))
             tick = controller.tick(record.index, now) if record.command is not None else None
             estimate = tick.estimate if tick else controller.look(record.index, now)
         except ValueError as error:  # such as a time that goes back

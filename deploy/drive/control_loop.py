@@ -145,14 +145,16 @@ class Drive:
         self._enter(Phase.ARMED)
         pose, covariance = detector.pose()
         self._placed = covariance is not None
-        self._start = StartRecord(
+        self._start = start.ref
+        """The controller's time is in seconds from this sample."""
+        record = StartRecord(
             sample=start.ref,
             pose=pose,
             covariance=None if covariance is None else tuple(covariance.ravel().tolist()),
             attachments=attachments,
         )
         self._controller.start(start.sample.pose, 0.0, pose, covariance)
-        self._publisher.start(self._start, start.sample.pose)
+        self._publisher.start(record, start.sample.pose)
         if not self._config.dry_run:
             self._link.request_motors(f"policy {self._config.policy}")
             self._monitor.granted()
@@ -180,7 +182,7 @@ class Drive:
             self._check()
 
     def _tick(self, newest: Measurement[OdometrySample], now_ns: int, predicted: bool, last: bool) -> None:
-        controller, t = self._controller, self._start.seconds(now_ns)
+        controller, t = self._controller, self._start.seconds_to(now_ns)
         index = self._config.ticks if last else self.keeper.index
         tick = None if last else controller.tick(index, t)
         estimate = tick.estimate if tick else controller.look(index, t)
@@ -215,7 +217,7 @@ class Drive:
         if self._placed:
             measured += sorted(poses, key=lambda pose: pose.ref.measured_ns)
         for sample, ref, _ in measured:
-            self._controller.take(sample, self._start.seconds(ref.measured_ns))
+            self._controller.take(sample, self._start.seconds_to(ref.measured_ns))
             self._used.append(ref)
         return odometry
 

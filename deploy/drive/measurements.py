@@ -119,6 +119,10 @@ class SampleRef(NamedTuple):
         """Name a sample."""
         return cls(stamp_ns, zlib.crc32(data), measured_ns, topic)
 
+    def seconds_to(self, moment_ns: int) -> float:
+        """Return the time from this sample to a moment of the driver's clock, in s."""
+        return (moment_ns - self.measured_ns) * 1e-9
+
 
 class Measurement(NamedTuple, Generic[SampleT]):
     """A decoded sample. Its values are not checked and may be NaN."""

@@ -10,8 +10,6 @@ import typer
 from rover_ncp.core.console import Json, Output
 from rover_ncp.core.errors import UsageError
 
-PICTURES = (".png", ".svg")
-
 
 class What(StrEnum):
     """Actions on a course."""
@@ -51,7 +49,6 @@ def course(
 
     Ends with 1 if the course cannot be driven; new writes its file all the same.
     """
-    from rover_ncp.core.files import require_writable
     from rover_ncp.course.course import load_course
     from rover_ncp.course.feasibility import check_course
 
@@ -61,26 +58,31 @@ def course(
     else:
         if name is not None:
             raise UsageError("--name is for new")
-        if out is not None and out.suffix not in PICTURES:
-            raise UsageError(f"--out {out}: expected a picture, .png or .svg")
-        if out is not None:
-            require_writable(out)
         made = load_course(source)
         found = check_course(made)
         if out is not None:
             _draw(out, made, found)
+    miss_m = max(miss.error_m for miss in found.misses)
+    miss_rad = max(miss.error_rad for miss in found.misses)
     fields = {
         "course": made.name,
         "drivable": found.drivable,
         "problems": [vars(problem) | {"cause": problem.cause.value} for problem in found.problems],
         "checkpoints": len(made.checkpoints),
         "horizon_s": made.horizon_s,
-        "worst_miss_m": max(miss.error_m for miss in found.misses),
-        "worst_miss_rad": max(miss.error_rad for miss in found.misses),
+        "worst_miss_m": miss_m,
+        "worst_miss_rad": miss_rad,
         "clearance_m": found.clearance_m,
         "out": str(out) if out else None,
     }
-    output.result(fields, _words(fields, found.problems))
+    words = (
+        f"{made.name}: {'' if found.drivable else 'not '}drivable; {len(made.checkpoints)} checkpoints, "
+        f"{made.horizon_s:g} s; the nearest drive misses them by at most {1000 * miss_m:.0f} mm and "
+        f"{1000 * miss_rad:.0f} mrad"
+    )
+    if found.clearance_m is not None:
+        words += f"; {1000 * found.clearance_m:.0f} mm from the nearest obstacle"
+    output.result(fields, "\n".join([words, *map(str, found.problems), *([f"wrote {out}"] if out else [])]))
     return 0 if found.drivable else 1
 
 
@@ -90,29 +92,21 @@ def _new(source: Path, out: Path | None, name: str | None) -> Any:
 
     if out is None or out.suffix not in {".yaml", ".yml"}:
         raise UsageError("--out: expected the new course's file, .yaml")
-    called = name or re.sub(r"[^a-z0-9_-]+", "-", out.stem.lower()).strip("-_") or "course"
-    if not re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", called):
-        raise UsageError(f"--name {called}: expected small letters, digits, - and _, at most 64")
+    name = name or re.sub(r"[^a-z0-9_-]+", "-", out.stem.lower()).strip("-_") or "course"
+    if not re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", name):
+        raise UsageError(f"--name {name}: expected small letters, digits, - and _, at most 64")
     require_writable(out)
-    made, found = make_course(called, source.name, read_poses(source))
+    made, found = make_course(name, source.name, read_poses(source))
     write_atomic(out, course_yaml(made))
     return made, found
 
 
 def _draw(out: Path, made: Any, found: Any) -> None:
     from deploy.report.charts.path import course_picture
-    from rover_ncp.core.files import write_atomic
+    from rover_ncp.core.files import require_writable, write_atomic
 
+    if out.suffix not in {".png", ".svg"}:
+        raise UsageError(f"--out {out}: expected a picture, .png or .svg")
+    require_writable(out)
     picture = course_picture(made, found)
     write_atomic(out, picture.png if out.suffix == ".png" else picture.svg)
-
-
-def _words(fields: dict[str, Any], problems: Any) -> str:
-    first = (
-        f"{fields['course']}: {'' if fields['drivable'] else 'not '}drivable; {fields['checkpoints']} "
-        f"checkpoints, {fields['horizon_s']:g} s; the nearest drive misses them by at most "
-        f"{1000 * fields['worst_miss_m']:.0f} mm and {1000 * fields['worst_miss_rad']:.0f} mrad"
-    )
-    if fields["clearance_m"] is not None:
-        first += f"; {1000 * fields['clearance_m']:.0f} mm from the nearest obstacle"
-    return "\n".join([first, *map(str, problems), *([f"wrote {fields['out']}"] if fields["out"] else [])])

@@ -1,7 +1,7 @@
 """How long the driver takes from odometry to command: ``rover-ncp bench deploy``.
 
 The driver is the real process, recording as in a drive; odometry comes from a peer that stands in for the
-bridge, at the rates asked for, and half a period after each sample the same bytes go to a process that sends
+bridge, at the requested rates, and half a period after each sample the same bytes go to a process that sends
 them straight back. What the driver adds is its time beyond half of that round trip.
 """
 
@@ -53,7 +53,7 @@ def bench_deploy(seconds: float, say: Callable[[str], None]) -> dict[str, Any]:
         name: fastest[name]
         for name in ("rate_hz", "ticks", "predicted", "missed", "tick_rate_hz", "cpu_share")
     }
-    say("{tick_rate_hz:.1f} ticks a second when asked for {rate_hz:.0f}, {missed} missed".format(**fastest))
+    say("{rate_hz:.0f} Hz requested: {tick_rate_hz:.1f} ticks a second, {missed} missed".format(**fastest))
     fields["load_after"] = os.getloadavg()[0]
     return fields
 

@@ -23,7 +23,7 @@ from rover_ncp.course.reference import Reference
 from rover_ncp.kernels.jit import kernel
 from sim.learn.commander import Commander
 from sim.learn.evaluator import Evaluator
-from sim.learn.search.unit_box import reflected
+from sim.learn.search.unit_box import UnitBox
 from sim.world.fleet import wrapped
 from sim.world.randomization import Trials
 
@@ -137,18 +137,7 @@ def law_evaluator(
     return Evaluator(policy, courses, trials=trials, references=references, commander=commander)
 
 
-class GainCube:
-    """Gains in a tenth to ten times those a tuning starts from, by their logarithm."""
-
-    def __init__(self, law: Law) -> None:
-        self._first = np.array(law.start)
-
-    @property
-    def start(self) -> FloatArray:
-        """(G,) the middle."""
-        return np.full(len(self._first), 0.5)
-
-    def vector(self, place: FloatArray) -> FloatArray:
-        """Return the gains (G,) at a place."""
-        gains: FloatArray = self._first * 10.0 ** (2.0 * reflected(place) - 1.0)
-        return gains
+def gain_box(law: Law) -> UnitBox:
+    """Return the search space of a tuning: a tenth to ten times the gains that it starts from."""
+    first = np.array(law.start)
+    return UnitBox(0.1 * first, 10.0 * first, first, np.ones(len(first), np.bool_))

@@ -1,7 +1,7 @@
 """Scripted driver: drives at constant speed, and can send the messages of a hostile or broken driver.
 
-It uses the protocol of ``rover-ncp deploy``. Whenever it has no lease it requests one again, and it sends
-commands whatever the gate's state is. So the gate stops the rover, never the driver.
+It uses the protocol of ``rover-ncp deploy``. Without a lease it requests one again, and it sends commands in
+every state of the gate. So the gate stops the rover, never the driver.
 """
 
 import time

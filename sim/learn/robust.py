@@ -6,26 +6,24 @@ trials: far from the goal a rough estimate suffices, and close to it a good one 
 depends on its number, never on the number of later ones. The winner is the average of the distribution's last
 means, which depends on no single lucky trial.
 
-Parameters are searched in the unit cube, at whose walls the search is reflected. Leak conductances and
-capacitances, which span decades, are scaled by their logarithm, all others linearly. The parameters of
-sensory neurons are dead and stay.
+Parameters are searched in the unit box, at whose walls the search is reflected.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.circuit import ParameterKind
+from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import Course
 from rover_ncp.course.random_course import mirrored, mirrored_reference, random_course
 from rover_ncp.course.reference import Reference
 from sim.learn.evaluator import Evaluator, Outcomes
 from sim.learn.search.cma import Cma, default_population
-from sim.learn.search.unit_box import reflected
+from sim.learn.search.unit_box import UnitBox, reflected
 from sim.world.randomization import Randomization, draw_trials
 from sim.world.rover import RoverModel
 
@@ -65,7 +63,7 @@ Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stage: the costs (k, trials)."""
 
 _FIRST_SPREAD, _MOST_SPREAD = 0.04, 0.1
-"""First and greatest spread. Where all costs are equal, noise would let it grow beyond the cube."""
+"""First and greatest spread. Where all costs are equal, noise would let it grow beyond the box."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
 _STILL = (0.003, 0.0006)
@@ -89,48 +87,9 @@ class Generation(NamedTuple):
     best: float
 
 
-class Cube(Protocol):
-    """Search space, scaled to 0..1."""
-
-    @property
-    def start(self) -> FloatArray:
-        """(A,) where the search begins."""
-
-    def vector(self, place: FloatArray) -> FloatArray:
-        """Return what the engine takes, for a place (A,) that may lie outside."""
-
-
-class UnitCube:
-    """The parameters of a policy that decide something, each as a number in 0..1."""
-
-    def __init__(self, policy: Policy) -> None:
-        layout = policy.layout()
-        kinds = np.repeat([str(block.kind) for block in layout.blocks], [b.size for b in layout.blocks])
-        self._start = policy.parameters()
-        self._lower, self._upper = layout.lower, layout.upper
-        self._log = np.isin(kinds, [ParameterKind.LEAK, ParameterKind.CAPACITANCE])
-        self.active = np.ones(layout.size, np.bool_)
-        driven = [policy.circuit.index(neuron) for neuron in policy.sensing.neurons]
-        for kind in (ParameterKind.LEAK_POTENTIAL, ParameterKind.LEAK, ParameterKind.CAPACITANCE):
-            self.active[layout.block(kind).slice.start + np.array(driven)] = False
-
-    @property
-    def start(self) -> FloatArray:
-        """(A,) where the policy itself is."""
-        low, high = self._scaled(self._lower), self._scaled(self._upper)
-        place: FloatArray = (self._scaled(self._start) - low) / (high - low)
-        return place[self.active]
-
-    def vector(self, place: FloatArray) -> FloatArray:
-        """Return the parameter vector (P,) at a place (A,), which may lie outside."""
-        low, high = self._scaled(self._lower), self._scaled(self._upper)
-        scaled = self._scaled(self._start)
-        scaled[self.active] = low[self.active] + reflected(place) * (high - low)[self.active]
-        vector = np.where(self._log, np.exp(np.where(self._log, scaled, 0.0)), scaled)
-        return np.where(self.active, np.clip(vector, self._lower, self._upper), self._start)
-
-    def _scaled(self, vector: FloatArray) -> FloatArray:
-        return np.where(self._log, np.log(np.where(self._log, vector, 1.0)), vector)
+def policy_box(policy: Policy) -> UnitBox:
+    """Return the search space of a policy; the parameters of sensory neurons are inert and stay."""
+    return UnitBox.of(policy.layout(), policy.parameters(), inert_parameters(policy))
 
 
 def costs(found: Outcomes, stage: Stage = _STAGES[0]) -> FloatArray:
@@ -213,12 +172,12 @@ def _stage(number: int) -> Stage:
 
 
 class RobustSearch:
-    """A search from the cube's start, generation by generation. The same seed gives the same search."""
+    """A search from the box's start, generation by generation. The same seed gives the same search."""
 
-    def __init__(self, cube: Cube, *, seed: int, rollouts: int, worst: int) -> None:
-        self._cube = cube
+    def __init__(self, box: UnitBox, *, seed: int, rollouts: int, worst: int) -> None:
+        self._box = box
         self._rollouts, self._worst = rollouts, worst
-        start = cube.start
+        start = box.start
         self.population = round(_POPULATION * default_population(len(start)))
         self._cma = Cma(start, _FIRST_SPREAD, seed=seed, population=self.population)
         self._means: list[list[float]] = []
@@ -232,7 +191,7 @@ class RobustSearch:
         """Do one generation, whose trials are driven by ``drive``."""
         stage = _stage(self.number)
         self._cma.limits = stage.least_spread, _MOST_SPREAD
-        vectors = np.array([self._cube.vector(place) for place in self._cma.ask()])
+        vectors = self._box.vectors(reflected(self._cma.ask()))
         count, worst = self._rollouts // stage.divisor, self._worst // stage.divisor
         found = drive(vectors, self.number * self._rollouts, max(count, 1), stage)
         values = np.array([-mean_of_worst((-row).tolist(), max(worst, 1)) for row in found])
@@ -251,9 +210,9 @@ class RobustSearch:
         """The vector (P,) that the search would end with now."""
         count = max(min(len(self._means), self.number // _AVERAGED_SHARE), 1)
         last = self._means[-count:] or [self._cma.mean.tolist()]
-        return self._cube.vector(
-            np.array([math.fsum(column) / len(last) for column in zip(*last, strict=True)])
-        )
+        mean = np.array([math.fsum(column) / len(last) for column in zip(*last, strict=True)])
+        winner: FloatArray = self._box.vectors(reflected(mean[None]))[0]
+        return winner
 
     def state(self) -> dict[str, Any]:
         """Return, between two generations, all that follows depends on, as JSON can keep it."""

@@ -29,8 +29,8 @@ from sim.learn.robust import (
     Drive,
     Generation,
     RobustSearch,
-    UnitCube,
     drive_trials,
+    policy_box,
     training_courses,
 )
 from sim.learn.run_folder import open_folder
@@ -108,7 +108,7 @@ class _Run:
         self._saved, self._curve_path = path / "search.json", path / "curve.csv"
         self._record, self._start, self._settings = record, start, record.settings
         self.search = RobustSearch(
-            UnitCube(start),
+            policy_box(start),
             seed=self._settings.seed,
             rollouts=self._settings.rollouts,
             worst=self._settings.worst,

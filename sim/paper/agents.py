@@ -20,7 +20,7 @@ from rover_ncp.circuit.tap_withdrawal import random_circuit
 from rover_ncp.core.errors import UsageError
 from sim.learn.networks import Net, NetKind, net_for
 from sim.learn.search.base import Vector
-from sim.learn.search.published import shake
+from sim.learn.search.random_search import shake
 from sim.paper.tasks import Task
 
 GRADIENTS = ("ppo", "a2c")

@@ -82,7 +82,7 @@ class Search:
     def __init__(
         self, agent: Policy | Net, start: Vector, seed: int, *, settings: dict[str, Any], separable: bool
     ) -> None:
-        self._box = UnitBox(agent.layout(), start, dead_parameters(agent))
+        self._box = UnitBox.of(agent.layout(), start, dead_parameters(agent))
         self._cma = Cma(
             self._box.start,
             settings["spread"],

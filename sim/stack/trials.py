@@ -67,7 +67,7 @@ class Stack:
 
     @cached_property
     def model(self) -> RoverModel:
-        """The rover as it would be on its best day."""
+        """The nominal rover."""
         return rover_model_of(ROBOTS[MODEL])
 
     @cached_property
@@ -148,7 +148,7 @@ class _Truth:
         self._touched = False
 
     def note(self, now: float) -> None:
-        """Take down where the rover is at ``now`` s."""
+        """Note the true pose at ``now`` s."""
         self._times.append(now)
         self._poses.append(self._rover.pose)
         self._touched = self._touched or (self._watch and self._rover.in_contact)
@@ -162,7 +162,7 @@ class _Truth:
 
 
 class WorkerDied(RoverNcpError):
-    """A process that drove trials ended without being asked to."""
+    """A process that drove trials ended unexpectedly."""
 
 
 _stack: Stack | None = None
@@ -176,16 +176,16 @@ def drive_all(
 
     ``processes`` is by default as many as there are cores and work for.
     """
-    hands = processes or min(len(os.sched_getaffinity(0)), max(count // _WORTH_A_PROCESS, 1))
+    workers = processes or min(len(os.sched_getaffinity(0)), max(count // _WORTH_A_PROCESS, 1))
     found: dict[int, Driven] = {}
-    if hands == 1:
+    if workers == 1:
         for number in range(count):
             found[number] = stack.drive(number)
             on_done()
         return list(found.values())
     # Spawned, never forked: numba and cffi do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(hands, context, _set_stack, (stack,)) as pool:
+    with ProcessPoolExecutor(workers, context, _set_stack, (stack,)) as pool:
         try:
             with starting_processes():  # the pool starts them as work is handed in
                 waiting = {pool.submit(_drive, number): number for number in range(count)}
@@ -193,7 +193,7 @@ def drive_all(
                 found[waiting[done]] = done.result()
                 on_done()
         except BrokenProcessPool as error:
-            raise WorkerDied("a process that drove trials ended without being asked to") from error
+            raise WorkerDied("a process that drove trials ended unexpectedly") from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise

@@ -38,7 +38,7 @@ NS = 1_000_000_000
 WALL_NS = 1_700_000_000 * NS
 """The wall clock's time when the virtual clock shows 0."""
 _LATE_NS = 1000
-"""A loop wakes up so much after it asked to: no rounding makes it too early."""
+"""Delay of each wake-up of a loop: rounding never makes it too early."""
 
 
 class VirtualBridge:

@@ -33,12 +33,12 @@ from rover_ncp.circuit.tap_withdrawal import random_circuit
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate.evaluate import unseen_courses
-from sim.evaluate.laws import LAWS, GainCube, law_evaluator
+from sim.evaluate.laws import LAWS, gain_box, law_evaluator
 from sim.learn.evaluator import Evaluator
 from sim.learn.networks import Net, NetKind, net_for, network_commander
 from sim.learn.record import RobustSettings, made_with
-from sim.learn.robust import Cube, RobustSearch, UnitCube, drive_trials, training_courses
-from sim.learn.search.unit_box import reflected
+from sim.learn.robust import RobustSearch, drive_trials, policy_box, training_courses
+from sim.learn.search.unit_box import UnitBox
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
@@ -52,35 +52,15 @@ _PROGRESS_GENERATIONS = 25
 class Agent(NamedTuple):
     """The search space, its engine, and whether the agent can follow any course."""
 
-    cube: Cube
+    box: UnitBox
     engine: Callable[..., Evaluator]
     any_course: bool
-
-
-class NetCube:
-    """A network's parameters, linear between their bounds."""
-
-    def __init__(self, net: Net, seed: int) -> None:
-        layout = net.layout()
-        self._lower, self._span = layout.lower, layout.upper - layout.lower
-        self._first = net.start(np.random.default_rng(np.random.SeedSequence(seed)))
-
-    @property
-    def start(self) -> FloatArray:
-        """(P,) an untrained network."""
-        place: FloatArray = (self._first - self._lower) / self._span
-        return place
-
-    def vector(self, place: FloatArray) -> FloatArray:
-        """Return the parameters (P,) at a place."""
-        vector: FloatArray = self._lower + reflected(place) * self._span
-        return vector
 
 
 def find_agent(name: str, seed: int) -> Agent:
     """Return an agent by its name; networks draw their start from the seed. Raises KeyError."""
     if name in LAWS:
-        return Agent(GainCube(LAWS[name]), partial(law_evaluator, name), True)
+        return Agent(gain_box(LAWS[name]), partial(law_evaluator, name), True)
     following = course_policy(load_circuit("tracking"))
     if name.startswith("random-"):
         following = course_policy(random_circuit(int(name.removeprefix("random-"))))
@@ -97,11 +77,13 @@ def find_agent(name: str, seed: int) -> Agent:
 
 
 def _circuit(policy: Policy, any_course: bool) -> Agent:
-    return Agent(UnitCube(policy), partial(Evaluator, policy), any_course)
+    return Agent(policy_box(policy), partial(Evaluator, policy), any_course)
 
 
 def _network(net: Net, policy: Policy, seed: int) -> Agent:
-    return Agent(NetCube(net, seed), partial(Evaluator, policy, commander=network_commander(net)), True)
+    start = net.start(np.random.default_rng(np.random.SeedSequence(seed)))
+    box = UnitBox.of(net.layout(), start)
+    return Agent(box, partial(Evaluator, policy, commander=network_commander(net)), True)
 
 
 def compare(name: str, *, seed: int, generations: int, rollouts: int, trained_on: str) -> dict[str, Any]:
@@ -116,7 +98,7 @@ def compare(name: str, *, seed: int, generations: int, rollouts: int, trained_on
     drive = drive_trials(
         agent.engine(courses, trials=nothing_yet, references=references), ranges, model, seed
     )
-    search = RobustSearch(agent.cube, seed=seed, rollouts=rollouts, worst=rollouts)
+    search = RobustSearch(agent.box, seed=seed, rollouts=rollouts, worst=rollouts)
     while search.number < generations:
         last = search.advance(drive)
         if last.number % _PROGRESS_GENERATIONS == 0:
@@ -140,7 +122,7 @@ def compare(name: str, *, seed: int, generations: int, rollouts: int, trained_on
         "trained_on": trained_on,
         "generations": generations,
         "rollouts": rollouts,
-        "numbers": len(agent.cube.start),
+        "numbers": agent.box.size,
         "episodes": search.episodes,
         "cpu_s": round(time.process_time() - began),
         "made_with": made_with(),

@@ -64,11 +64,11 @@ def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Reco
     """Drive a robot as `identify` does, through firmware, bridge and driver's code on a virtual clock."""
     rover = rover_of(trials, rover_model_of(ROBOTS[MODEL]), Ground(()))
     bridge = VirtualBridge(Firmware(MODEL, rover, trial=BaseTrial(trials)))
-    heard: list[Recorded] = []
-    look = _camera(rover, bridge, heard, np.random.default_rng(seed)) if outside else lambda: None
+    received: list[Recorded] = []
+    look = _camera(rover, bridge, received, np.random.default_rng(seed)) if outside else lambda: None
 
     def record(message: Recorded) -> None:
-        heard.append(message)
+        received.append(message)
         if message.topic == "odom":
             look()
 
@@ -77,7 +77,7 @@ def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Reco
     monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
     monitor.wait()
     excite(link, measurements, monitor, FENCE_M, bridge)
-    return heard
+    return received
 
 
 def identified(trials: Trials, *, outside: bool = False, seed: int = 0) -> RoverProfile:
@@ -86,7 +86,7 @@ def identified(trials: Trials, *, outside: bool = False, seed: int = 0) -> Rover
 
 
 def _camera(
-    rover: Any, bridge: VirtualBridge, heard: list[Recorded], noise: np.random.Generator
+    rover: Any, bridge: VirtualBridge, received: list[Recorded], noise: np.random.Generator
 ) -> Callable[[], None]:
     """Return a camera above the ground, which publishes where the rover is when it is called."""
     spread = np.diag(np.square([OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]))
@@ -95,7 +95,7 @@ def _camera(
         seen = np.array(rover.pose) + noise.normal(size=3) * [OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]
         now = bridge.time_ns()
         data = pose_with_covariance(Pose(*seen.tolist()), spread, now, COURSE_FRAME)
-        heard.append(Recorded("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", data, now, now))
+        received.append(Recorded("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", data, now, now))
 
     return look
 
@@ -109,7 +109,7 @@ def truth(ranges: Randomization, trials: Trials) -> dict[str, float]:
     return {
         "delay_v_s": delay_v,
         "delay_omega_s": delay_omega,
-        # As the bridge asks the base for them, in whole mm/s² and deg/s².
+        # As the bridge sets them in the base, in whole mm/s² and deg/s².
         "accel": round(limits.accel * 1000) / 1000 * effort_v,
         "alpha": math.radians(round(math.degrees(limits.alpha))) * effort_omega,
         "gain_v": gain_v,

@@ -12,22 +12,22 @@ from rover_ncp.core.robot_profile import load_profile
 SHORT = str(DATA / "short_course.yaml")
 
 
-def test_a_live_trial_ends_where_the_virtual_one_does(tmp_path, capsys):
+def test_live_and_virtual_trials_end_at_the_same_pose(tmp_path, capsys):
     out = tmp_path / "live"
     asked = ["--live", "1", "--stack", "--randomize", "full", "--seed", "4", "--course", SHORT]
-    # The short course ends on the move: what counts here is where the rover is then.
+    # The short course ends while the rover moves: the poses at that time are compared.
     assert run(["eval", "course", *asked, "--out", str(out), "--json"]) in {0, 1}
     fields = json.loads(capsys.readouterr().out)
     trial = fields["live"][0]
     assert (fields["trials"], trial["trial"], trial["course"]) == (1, 0, "short")
     assert not trial["reason"].startswith("stopped by")
-    # Still on the move when the time is over: how late the last look is shows, at 0.1 m/s.
+    # The rover still moves at 0.1 m/s then, so a delay of the last sample is a distance.
     assert fields["apart_m"]["max"] < 0.02
     assert fields["apart_rad"]["max"] < 0.05
     assert fields["bytes_to_base"] > 500
     recording = read_recording(out / "000" / "run.mcap")
     assert len(recording.topic("truth/pose")) > 400
-    # The driver knew how noisy odometry is, and where it stood; nothing else.
+    # The driver knew the noise of its odometry and its start pose, and nothing else.
     known = load_profile(out / "000" / "driver.yaml").model_dump(exclude_none=True)
     assert set(known) == {"format", "name", "noise_m", "noise_rad", "std", "measured"}
     assert known["std"] == {}

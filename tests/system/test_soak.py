@@ -22,7 +22,7 @@ SECOND_NS = 1_000_000_000
 SIP_NS = SECOND_NS // 10
 
 
-def test_a_few_faults_in_a_row_and_nothing_is_lost(tmp_path):
+def test_faults_in_a_row_lose_nothing(tmp_path):
     heard = []
     rows = [ROWS["deploy-killed"], ROWS["truncated"], ROWS["gone-bumper"]]
     soaked = soak(32.0, 1, tmp_path, lambda soaked, doing: heard.append(doing), rows)
@@ -70,7 +70,7 @@ def test_ended_process_ends_its_children(tmp_path, number, command):
     assert not any(process.is_running() for process in started)
 
 
-# What a process holds.
+# Leaks of a process.
 
 
 def test_usage_of_this_process_follows_what_it_opens(tmp_path):
@@ -99,7 +99,7 @@ def test_only_growth_is_a_leak():
     assert leaks(samples(30, memory_mb=5.0), 30).leaking == ()
 
 
-# What a recording holds.
+# Losses of a recording.
 
 
 def record(path, stamps, sequences=(), whole=True):
@@ -124,7 +124,7 @@ HEARD = [10 * SECOND_NS + n * SIP_NS for n in range(50)]
 BEGAN = HEARD[40] + 1
 
 
-def test_a_recording_that_holds_everything_has_lost_nothing(tmp_path):
+def test_complete_recording_has_lost_nothing(tmp_path):
     found = check_recording(
         record(tmp_path / "a.mcap", HEARD, range(5, 9)), HEARD, BEGAN, killed=False, losing=False
     )
@@ -150,14 +150,14 @@ def test_lost_messages_are_counted_unless_the_fault_explains_them(tmp_path, kept
     assert (found.missing, found.gaps) == lost
 
 
-def test_a_recording_cut_off_is_made_whole_and_a_lost_command_is_noticed(tmp_path):
+def test_cut_off_recording_is_repaired_and_a_lost_command_is_found(tmp_path):
     path = record(tmp_path / "a.mcap", HEARD, [1, 2, 4], whole=False)
     found = check_recording(path, HEARD, BEGAN, killed=False, losing=False)
     assert (found.recovered, found.skipped, found.lost) == (True, 1, 1)
     assert read_recording(path).complete
 
 
-# What it says.
+# The report.
 
 
 def test_report_lists_every_failed_check():

@@ -12,7 +12,8 @@ from typing import Any, Self
 import numpy as np
 
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.search.base import Search, Vector
+from sim.learn.search.base import Vector
+from sim.learn.search.random_search import RandomSearch
 
 ALPHA = 1.05
 ESTIMATE_AFTER = 100
@@ -33,26 +34,32 @@ class Scale:
     failures: int = 0
 
     def after_success(self) -> Self:
-        """Return a bolder scale."""
-        return replace(self, scale=min(self.scale * ALPHA, MOST_SCALE), failures=0)
+        """Return a greater scale."""
+        return type(self)(min(self.scale * ALPHA, MOST_SCALE))
 
     def after_failure(self) -> Self:
-        """Return a more careful scale."""
-        # Directly, as ``replace`` takes several times as long and every candidate comes by here twice.
+        """Return a smaller scale."""
         return type(self)(max(self.scale / ALPHA, LEAST_SCALE), self.failures + 1)
 
+    def restored(self, fields: Mapping[str, Any]) -> Self:
+        """Return the scale of saved fields."""
+        scale, failures = float(fields["scale"]), int(fields["failures"])
+        if not LEAST_SCALE <= scale <= MOST_SCALE or not 0 <= failures <= ESTIMATE_AFTER:
+            raise ValueError(f"a scale of {scale} after {failures} failures cannot be")
+        return type(self)(scale, failures)
 
-class Algorithm1(Search[Scale]):
+
+class Algorithm1(RandomSearch[Scale]):
     """The random search as the paper prints it."""
 
-    def __init__(self, layout: ParameterLayout, start: Vector, generator: np.random.Generator) -> None:
-        super().__init__(layout, start, generator, Scale())
-        self._width = self.upper - self.lower
+    def first_adaptation(self, layout: ParameterLayout) -> Scale:
+        """Return the first scale."""
+        return Scale()
 
     def propose(self, adaptation: Scale, generator: np.random.Generator) -> Vector:
         """Add noise to every entry."""
-        noise = generator.standard_normal(len(self._width))
-        return self.clip(self.incumbent + adaptation.scale * self._width * noise)
+        noise = adaptation.scale * (self.upper - self.lower) * generator.standard_normal(len(self.upper))
+        return self.clip(self.incumbent + noise)
 
     def wants_estimate(self, adaptation: Scale) -> bool:
         """Every N iterations without success."""
@@ -61,10 +68,3 @@ class Algorithm1(Search[Scale]):
     def after_estimate(self, adaptation: Scale) -> Scale:
         """Count the iterations without success anew; the scale stays."""
         return replace(adaptation, failures=0)
-
-    def load_adaptation(self, fields: Mapping[str, Any]) -> Scale:
-        """Rebuild the scale."""
-        scale, failures = float(fields["scale"]), int(fields["failures"])
-        if not LEAST_SCALE <= scale <= MOST_SCALE or not 0 <= failures <= ESTIMATE_AFTER:
-            raise ValueError(f"a scale of {scale} after {failures} failures cannot be")
-        return Scale(scale, failures)

@@ -1,75 +1,98 @@
-"""One descent: damped Gauss-Newton steps on the misses, and how it gets over what would stop it.
+"""One descent: damped Gauss-Newton steps on the misses, and the revival of dead parameters.
 
-A step minimises what the slopes predict (``damped_steps``); what came of it corrects them. Far from the goal
-a descent climbs how far the rover gets before it goes astray (``survival``), close to it the return.
+A step minimises what the slopes predict (``damped_steps``); its outcome corrects them. Far from the goal a
+descent climbs how far the rover gets before it goes astray (``survival``), close to it the return.
 
 Most descents that end in the deepest local optimum of a course (turn once, never back) have lost a motor
-neuron on the way: first it had better do less, then it stays below the potential at which its motor begins
-to act, and no parameter of it has a slope any more. So a descent that stalls looks for parameters without
-effect, moves each of them far, alone, and goes on from where one has an effect again.
+neuron on the way: at first less of it is better, then it stays below the potential at which its motor begins
+to act, and its parameters have no slope any more. A descent that stalls therefore looks for dead parameters,
+moves each of them far, alone, and continues from where one has an effect again.
 
-Values in, values out: what is evaluated is up to ``gauss_newton``.
+This module evaluates nothing; ``gauss_newton`` does.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import PlainSerializer, PlainValidator
 
-from sim.learn.search import least_squares
+from rover_ncp.kernels.jit import kernel
 from sim.learn.search.base import Vector
+from sim.learn.search.constants import CONSTANTS
+from sim.learn.search.least_squares import correct_slopes, damped_steps
 
-BOLDNESS = np.array([0.2, 10.0])
-"""Dampings of a batch's steps, in terms of the damping that worked last; only the first far from the goal."""
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 0.1, 1e-7, 1e4
-AFTER_FAILURE = 10.0
-LIFETIME_M2 = 5.0
-"""Loss that makes a checkpoint count 1/e in ``survival``."""
-CLOSE_M2 = 0.3 / 22
-"""Loss per checkpoint below which the return itself is climbed."""
-STALLED_M2 = 2.0 / 22
-"""Loss per checkpoint below which a descent that stalls goes on with the return itself."""
-WINDOW = 80
-LEAST_GAIN, LEAST_GAIN_OF_RETURN = 0.01, 0.05
-"""A descent ends when so many steps took less than this share off what is left to gain; the second where a
-return is climbed that is not yet near: at the first one's pace a crawl takes half an agent's candidates."""
-NEAR_M2 = 0.1 / 22
-"""Loss per checkpoint below which any gain will do."""
-OVERTAKING_WINDOW, OVERTAKING_WINDOWS = 30, 4.0
-"""And when, at the pace of so many steps, so many times as many would not bring it up to the best."""
-SILENT = 0.01
-"""Change of a miss (m, rad) that is none."""
-FAR = (0.05, 0.15, 0.4)
-"""How far silent parameters are moved."""
-FAIR_PRICE = 0.1
-"""Share of the checkpoints not yet survived that may be lost for an effect."""
-MOST_SILENT = 16
-"""The most that are moved: those with the smallest slopes."""
-MOST_WOKEN = 2
-"""How often a descent looks for silent parameters."""
+# The exponential of less underflows, and all weights would be 0.
+_LEAST_EXPONENT = -690.0
 
 
-class Outcome(NamedTuple):
-    """A point (D,), its return, and its misses (E, C, 3)."""
+def _array(value: Any) -> Vector:
+    return np.array(value, np.float64)
 
-    point: Vector
+
+Array = Annotated[Vector, PlainValidator(_array), PlainSerializer(np.ndarray.tolist)]
+"""An array that a saved state holds as nested lists; JSON keeps every bit."""
+
+
+@dataclass
+class Outcome:
+    """A point (D,), its return, and its misses (C, 3)."""
+
+    point: Array
     value: float
-    misses: Vector
+    misses: Array
 
 
-def stopped(outcome: Outcome, to_beat: float) -> Outcome:
-    """Return an outcome as it is when its episode is stopped as soon as it is lost."""
-    if to_beat == -math.inf:
-        return outcome
-    known, total = least_squares.lost_at(outcome.misses, to_beat)
-    if known == outcome.misses.shape[1]:
-        return outcome
-    misses = outcome.misses.copy()
-    misses[:, known:] = 0.0
-    return Outcome(outcome.point, total, misses)
+@kernel
+def survival(misses: Vector, lifetime: float) -> float:
+    """Return how far along an episode of ``misses`` (C, 3) stays on course: C if it never misses.
+
+    The sum over checkpoints of exp(-L / lifetime), L being the loss up to that checkpoint.
+    """
+    loss, survived = 0.0, 0.0
+    for checkpoint in range(len(misses)):
+        loss += (misses[checkpoint] ** 2).sum()
+        survived += math.exp(max(-loss / lifetime, _LEAST_EXPONENT))
+    return survived
+
+
+@kernel
+def survival_weights(misses: Vector, lifetime: float) -> Vector:
+    """Return the weights (3 C,) under which least squares climb ``survival``; their mean square is 1.
+
+    A squared miss at a checkpoint lowers the terms of this checkpoint and of all later ones: the weight of
+    the squares is the sum of these terms, that of the misses its root.
+    """
+    loss, later = 0.0, 0.0
+    terms = np.empty(len(misses))
+    for checkpoint in range(len(misses)):
+        loss += (misses[checkpoint] ** 2).sum()
+        terms[checkpoint] = math.exp(max(-loss / lifetime, _LEAST_EXPONENT))
+    squares = np.empty(misses.size)
+    for checkpoint in range(len(misses) - 1, -1, -1):
+        later += terms[checkpoint]
+        squares[3 * checkpoint : 3 * checkpoint + 3] = later
+    weights: Vector = np.sqrt(squares / squares.mean())
+    return weights
+
+
+@kernel
+def known_checkpoints(misses: Vector, to_beat: float) -> int:
+    """Return after how many checkpoints the return of ``misses`` (C, 3) is below ``to_beat``, C if never.
+
+    An episode may be truncated there; the misses behind it are not to be looked at. The sum is that of the
+    episode kernel, to the last bit.
+    """
+    total = 0.0
+    for checkpoint in range(len(misses)):
+        dx, dy, dtheta = misses[checkpoint]
+        total -= dx * dx + dy * dy + dtheta * dtheta
+        if total < to_beat:
+            return checkpoint + 1
+    return len(misses)
 
 
 @dataclass
@@ -79,133 +102,130 @@ class Descent:
     at: Outcome
     survives: bool
     """Whether ``survival`` is climbed, not the return."""
-    hopped: bool
-    """Whether it began at a hop, not at a sample."""
-    slopes: Vector
+    restarted: bool
+    """Whether it began at a restart, not at a sample."""
+    slopes: Array
     """(D, R) of all misses."""
     damping: float
     scores: list[float]
-    """After the last steps, WINDOW + 1 at most."""
-    woken: int = 0
-    """How often it has looked for what had fallen silent."""
-
-    def __post_init__(self) -> None:
-        """Make room for the weights (E, C, 3) of the misses."""
-        self._weights = np.empty_like(self.at.misses)
+    """After the last steps, at most the window and one."""
+    revivals: int = 0
+    """How often dead parameters were looked for."""
 
     @property
-    def boldness(self) -> Vector:
-        """Dampings of a batch's steps, in terms of the damping that worked last."""
-        return BOLDNESS[:1] if self.survives else BOLDNESS
-
-    def score(self, outcome: Outcome) -> float:
-        """Return what is climbed."""
-        return float(least_squares.survival(outcome.misses, LIFETIME_M2)) if self.survives else outcome.value
-
-    def measure(self, probe: Outcome) -> None:
-        """Take the slopes of the one parameter in which a probe differs."""
-        at = self.at
-        least_squares.measure_slope(self.slopes, at.point, at.misses, probe.point, probe.misses)
+    def step_dampings(self) -> tuple[float, ...]:
+        """Factors of the damping, one for each step of a batch."""
+        return CONSTANTS.step_dampings[:1] if self.survives else CONSTANTS.step_dampings
 
     @property
     def to_beat(self) -> float:
-        """The threshold for a step's return, at each checkpoint; minus infinity where no step is pruned."""
-        episodes, _, _ = self.at.misses.shape
-        return -math.inf if self.survives or episodes > 1 else self.at.value
+        """What a step's return must exceed, at each checkpoint; minus infinity if its misses count anyhow."""
+        return -math.inf if self.survives else self.at.value
 
-    def learn(self, step: Outcome) -> None:
-        """Correct the slopes by what came of a step, as far as it got."""
-        at, to_beat, known = self.at, self.to_beat, step.misses.shape[1]
-        if to_beat > -math.inf:
-            known, _ = least_squares.lost_at(step.misses, to_beat)
-        least_squares.correct_slopes(self.slopes, at.point, at.misses, step.point, step.misses, known)
+    def score(self, outcome: Outcome) -> float:
+        """Return what is climbed."""
+        return float(survival(outcome.misses, CONSTANTS.lifetime)) if self.survives else outcome.value
 
-    def overtakes(self, best: float) -> bool:
-        """Return whether a climb of the return is above ``best``, or will be there in time."""
-        gap = best - self.at.value
-        if self.survives or gap <= 0.0 or len(self.scores) <= OVERTAKING_WINDOW + 1:
-            return True
-        gain = self.scores[-1] - self.scores[-1 - OVERTAKING_WINDOW]
-        return gain * OVERTAKING_WINDOWS >= gap
+    def targets(self) -> Vector:
+        """Return where the steps of a batch lead, (n, D)."""
+        misses = self.at.misses
+        weights = survival_weights(misses, CONSTANTS.lifetime) if self.survives else np.ones(misses.size)
+        dampings = np.array([self.damping * factor for factor in self.step_dampings])
+        targets: Vector = damped_steps(self.slopes, misses.ravel(), weights, self.at.point, dampings)
+        return targets
 
-    def write_targets(self, targets: Vector) -> None:
-        """Write where the steps of a batch lead, (n, D)."""
-        at, weights, dampings = self.at, self._weights, self.damping * self.boldness
-        if self.survives:
-            least_squares.survival_weights(at.misses, LIFETIME_M2, weights)
-        else:
-            weights.fill(1.0)
-        least_squares.damped_steps(
-            self.slopes, at.misses.ravel(), weights.ravel(), at.point, dampings, targets
-        )
-
-    def climb_return(self) -> None:
-        """Climb the return from now on."""
-        self.survives = False
-        self.scores = [self.at.value]
+    def measure(self, probe: Outcome) -> None:
+        """Take the slopes of the one parameter in which a probe differs."""
+        moved = probe.point - self.at.point
+        parameter = np.abs(moved).argmax()
+        self.slopes[parameter] = (probe.misses - self.at.misses).ravel() / moved[parameter]
 
     def take(self, steps: Sequence[Outcome]) -> bool:
-        """Go where the best step leads if that is higher; return whether the descent goes on."""
+        """Move to the best step if it is higher; return whether the descent continues."""
         scores = [self.score(step) for step in steps]
         best = max(range(len(steps)), key=scores.__getitem__)
         if scores[best] > self.scores[-1]:
-            self.learn(steps[best])
+            self._learn(steps[best])
             self.at = steps[best]
-            self.damping = min(max(self.damping * float(BOLDNESS[best]), LEAST_DAMPING), MOST_DAMPING)
+            damping = self.damping * CONSTANTS.step_dampings[best]
             self.scores.append(scores[best])
         else:
-            self.learn(steps[-1])  # the careful one: where slopes are most nearly right
-            self.damping = min(self.damping * AFTER_FAILURE, MOST_DAMPING)
+            self._learn(steps[-1])  # the careful one: there the slopes are most nearly right
+            damping = self.damping * CONSTANTS.damping_after_failure
             self.scores.append(self.scores[-1])
-        del self.scores[: -WINDOW - 1]
-        return self._goes_on()
+        self.damping = min(max(damping, CONSTANTS.least_damping), CONSTANTS.most_damping)
+        del self.scores[: -CONSTANTS.window - 1]
+        return self._continues()
 
-    def _goes_on(self) -> bool:
+    def _learn(self, step: Outcome) -> None:
+        known = known_checkpoints(step.misses, self.to_beat)
+        change = (step.misses[:known] - self.at.misses[:known]).ravel()
+        correct_slopes(self.slopes, step.point - self.at.point, change)
+
+    def _continues(self) -> bool:
         """Return whether recent steps gained enough; a climb of the survival may become one of the return."""
-        _, checkpoints, _ = self.at.misses.shape
+        checkpoints = len(self.at.misses)
         loss = -self.at.value / checkpoints
-        if self.survives and loss < CLOSE_M2:
-            self.climb_return()
-        if len(self.scores) <= WINDOW:
+        if self.survives and loss < CONSTANTS.close_loss:
+            self._climb_return()
+        if len(self.scores) <= CONSTANTS.window:
             return True
         left = checkpoints - self.scores[-1] if self.survives else -self.scores[-1]
-        least = LEAST_GAIN if self.survives or loss < NEAR_M2 else LEAST_GAIN_OF_RETURN
+        slow = self.survives or loss < CONSTANTS.near_loss
+        least = CONSTANTS.least_gain if slow else CONSTANTS.least_gain_of_return
         if self.scores[-1] - self.scores[0] >= least * left:
             return True
-        if self.survives and loss < STALLED_M2:
-            self.climb_return()
+        if self.survives and loss < CONSTANTS.stalled_loss:
+            self._climb_return()
             return True
         return False
 
-    @property
-    def silent(self) -> NDArray[np.int64]:
-        """Parameters that would move no miss by much, anywhere in their range, if slopes are believed."""
-        effects = np.abs(self.slopes).max(axis=1)
-        silent: NDArray[np.int64] = np.argsort(effects, kind="stable")[: np.count_nonzero(effects < SILENT)]
-        return silent[:MOST_SILENT]
+    def _climb_return(self) -> None:
+        self.survives = False
+        self.scores = [self.at.value]
 
-    def far_probes(self) -> Vector:
-        """Return the point with each silent parameter moved far, alone: (n, D), n > 0 if any is silent."""
+    def overtakes(self, best: float) -> bool:
+        """Return whether a climb of the return is above ``best``, or will be there in time."""
+        gap, window = best - self.at.value, CONSTANTS.overtaking_window
+        if self.survives or gap <= 0.0 or len(self.scores) <= window + 1:
+            return True
+        gain = self.scores[-1] - self.scores[-1 - window]
+        return gain * CONSTANTS.overtaking_windows >= gap
+
+    def may_revive(self) -> bool:
+        """Return whether a descent that ended should look for dead parameters."""
+        return self.survives and self.revivals < CONSTANTS.revivals and len(self._dead()) > 0
+
+    def _dead(self) -> NDArray[np.int64]:
+        """Return the parameters that, by their slopes, move no miss by much anywhere in their range."""
+        effects = np.abs(self.slopes).max(axis=1)
+        dead: NDArray[np.int64] = effects.argsort(kind="stable")[: (effects < CONSTANTS.dead_effect).sum()]
+        return dead[: CONSTANTS.most_dead]
+
+    def revival_probes(self) -> Vector:
+        """Return the point with each dead parameter moved far, alone: (n, D)."""
         probes = []
-        for parameter in self.silent.tolist():
-            for move in FAR:
+        for parameter in self._dead().tolist():
+            for move in CONSTANTS.revival_moves:
                 for there in (self.at.point[parameter] - move, self.at.point[parameter] + move):
                     if 0.0 <= there <= 1.0:
                         probes.append(self.at.point.copy())
                         probes[-1][parameter] = there
-        return np.array(probes).reshape(-1, len(self.at.point))
+        return np.array(probes)
 
-    def wake(self, probes: Sequence[Outcome]) -> bool:
-        """Go where a silent parameter has the most effect at a fair price, if one has any; all slopes are
-        then to be measured again."""
-        self.woken += 1
-        _, checkpoints, _ = self.at.misses.shape
-        least = self.scores[-1] - FAIR_PRICE * (checkpoints - self.scores[-1])
+    def revive_dead_parameters(self, probes: Sequence[Outcome]) -> bool:
+        """Move to the probe with the most effect at a fair price, if any; then measure all slopes again."""
+        self.revivals += 1
+        price = CONSTANTS.revival_price * (len(self.at.misses) - self.scores[-1])
         effects = [float(np.abs(probe.misses - self.at.misses).max()) for probe in probes]
-        awake = [n for n, probe in enumerate(probes) if effects[n] > SILENT and self.score(probe) >= least]
-        if not awake:
+        alive = [
+            number
+            for number, probe in enumerate(probes)
+            if effects[number] > CONSTANTS.dead_effect and self.score(probe) >= self.scores[-1] - price
+        ]
+        if not alive:
             return False
-        self.at = probes[max(awake, key=effects.__getitem__)]
+        self.at = probes[max(alive, key=effects.__getitem__)]
         self.scores = [self.score(self.at)]
-        self.damping = FIRST_DAMPING
+        self.damping = CONSTANTS.first_damping
         return True

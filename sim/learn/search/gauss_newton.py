@@ -1,113 +1,103 @@
 """Damped Gauss-Newton descents on the misses of every checkpoint, from many starts.
 
 A return is one number. Its misses are three numbers for each checkpoint; they show the search the direction
-of each error. So: draw samples around the untuned start, take the best, measure how every parameter moves
-the misses (finite differences), and descend by damped Gauss-Newton steps. From then on every batch is a
-bold step, close to the goal also a careful one, and the finite difference of one parameter, each in its turn;
-what a step taught corrects the other slopes (Broyden). Damping follows success and failure (Levenberg,
-Marquardt).
+of each error. The search draws samples around the untuned start, takes the best, measures how every parameter
+moves the misses (finite differences), and descends by damped Gauss-Newton steps. From then on every batch
+holds a bold step, close to the goal also a careful one, and the finite difference of one parameter, each in
+its turn. The outcome of a step corrects the other slopes (Broyden). Damping follows success and failure
+(Levenberg, Marquardt).
 
-Three things get it past the local optima of a course:
+Three rules get it past the local optima of a course:
   * Far from the goal it does not climb the return but how far the rover gets before it goes astray
-    (``survival``): misses behind a lost turn say nothing about what comes before it, and pull the wrong way.
-  * A descent that stalls there looks for motors that have fallen silent, and wakes them (``descent``).
-  * A descent that gains little over a window of steps ends, and so does one that gains too slowly to overtake
-    the best. Then come hops: the point reached, with some parameters moved far. Where hops are fruitless, the
-    next descent starts from new samples, and hops go from its end if that is nearly as good as the best. So
-    no agent spends its candidates on one place that leads nowhere, unless that is good. There hops are wider
-    and many: all but the first few race against the best of them, which costs less than half as much as
-    whole episodes do.
+    (``survival``). Misses behind a lost turn say nothing about what comes before it, and pull the wrong way.
+  * A descent that stalls there looks for dead parameters and revives them (``descent``).
+  * A descent ends when it gains little over a window of steps, or too slowly to overtake the best. Then come
+    restarts: the point reached, with some parameters moved far. After restarts without gain, the next descent
+    starts from new samples, and restarts begin at its end if that is nearly as good as the best. So no agent
+    spends its candidates on one place that leads nowhere, unless that is good. There restarts are wider and
+    many: all but the first few race against the best of them, which costs less than half as much as whole
+    episodes do.
 
 Rules of this file
   * A search knows points of the unit box; neither circuit nor simulator nor clock.
-  * All candidates count, those that measure slopes too. They go out in batches, a batch in any portions, and
-    only a whole batch decides anything. ``state`` may be taken within a batch.
-  * A step or hop whose return is lost may be stopped there: nothing behind that checkpoint is looked at, and
-    all decisions are those of whole episodes.
-  * All arithmetic is in a fixed order: the same bits on every machine.
-
-Constants were tuned on seeds that no reported figure uses: ``docs/search.md``.
+  * All candidates count, those that measure slopes too. They are handed out in batches, a batch in any
+    portions, and only a whole batch decides anything. ``state`` may be taken within a batch.
+  * A step or a candidate of a race whose return is lost may be truncated there: no decision depends on the
+    misses behind that checkpoint.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import FiniteFloat, TypeAdapter
 
+from rover_ncp.circuit.policy import ParameterLayout
 from sim.learn.search.base import SearchState, Vector
-from sim.learn.search.descent import (
-    CLOSE_M2,
-    FIRST_DAMPING,
-    MOST_DAMPING,
-    MOST_WOKEN,
-    WINDOW,
-    Descent,
-    Outcome,
-    stopped,
-)
-from sim.learn.search.packed import pack, unpack
+from sim.learn.search.constants import CONSTANTS
+from sim.learn.search.descent import Array, Descent, Outcome
 from sim.learn.search.unit_box import UnitBox, reflected
-
-SAMPLES = 50
-SPREAD = 0.1
-"""Samples of a start, and their standard deviation."""
-HOPS = 10
-HOP_SHARE, WIDE_HOP_SHARE = 0.1, 0.2
-HOP_SPREAD = 0.2
-"""Samples of a hop, the share of parameters that one moves, elsewhere and where the best is good, and how
-far."""
-HOP_RACES = 60
-"""So many times as many follow where the best is good, and race against the best of all before."""
-PROBE = 3e-3
-"""Step of a finite difference."""
-GOOD_M2 = 0.07 / 22
-"""Loss per checkpoint of the best below which all starts are hops from it."""
-FAIR_M2 = 1.0 / 22
-"""And above which none is."""
-PATIENCE = 4
-"""Fruitless hops after which new samples are drawn, where the return is climbed; elsewhere after one."""
-FRUITFUL = 0.1
-"""Share of the loss that a hop must take off to count."""
-NEAR_BEST = 3.0
-"""Loss in terms of the best's up to which hops go from where a descent from samples ended."""
 
 
 class _Phase(StrEnum):
+    """What the candidates of a batch are."""
+
     START = "start"
     SAMPLES = "samples"
-    HOPS = "hops"
+    RESTARTS = "restarts"
     SLOPES = "slopes"
     STEPS = "steps"
-    FAR = "far"
+    REVIVAL = "revival"
 
 
 @dataclass
-class _Base:
-    """Start of hops."""
+class _Origin:
+    """Where restarts begin."""
 
-    point: Vector
-    value: float
-    fruitless: int = 0
-    """Hops since the last that was worth it."""
+    point: Array
+    value: FiniteFloat
+    without_gain: int = 0
+    """Restarts since the last gain."""
 
 
 @dataclass
-class _Hops:
-    """Samples around the base, on the way to a descent."""
+class _Race:
+    """Candidates of a restart, compared batch by batch."""
 
     best: Outcome
-    races: int = 0
+    batches: int = 0
     """Batches that raced."""
 
 
-class GaussNewton:
-    """A search that maximises a return made of misses: minus the sum of their squares.
+@dataclass
+class _Progress:
+    """All that the next ``ask`` depends on but the random generator."""
 
-    With E episodes to a return (several courses, or trials), it is the mean over them.
-    """
+    best: Array
+    """(D,)."""
+    batch: Array
+    """(n, D) candidates."""
+    phase: _Phase = _Phase.START
+    value: FiniteFloat | None = None
+    evaluations: int = 0
+    values: list[float] = field(default_factory=list)
+    """Returns of the first candidates of the batch."""
+    misses: list[Array] = field(default_factory=list)
+    """(C, 3) each."""
+    descent: Descent | None = None
+    origin: _Origin | None = None
+    race: _Race | None = None
+
+
+_PROGRESS = TypeAdapter(_Progress)
+
+
+class GaussNewton:
+    """A search that maximises a return made of misses: minus the sum of their squares."""
 
     needs_misses: ClassVar[bool] = True
     most_ahead: ClassVar[int] = 1000  # a batch is less
@@ -116,44 +106,51 @@ class GaussNewton:
     def __init__(self, box: UnitBox, generator: np.random.Generator) -> None:
         self._box = box
         self._generator = generator
-        self.value: float | None = None
-        self.evaluations = 0
-        self._best = box.start
-        self._phase = _Phase.START
-        self._batch = self._best[None].copy()
-        self._outcomes: list[Outcome] = []
         self._asked = 0
-        self._descent: Descent | None = None
-        self._base = _Base(self._best, -math.inf)
-        self._hops: _Hops | None = None
+        self._progress = _Progress(box.start, box.start[None])
+
+    @classmethod
+    def begin(
+        cls,
+        layout: ParameterLayout,
+        defaults: Vector,
+        generator: np.random.Generator,
+        inert: NDArray[np.bool_] | None = None,
+    ) -> Self:
+        """Begin at the defaults (P,)."""
+        return cls(UnitBox.of(layout, defaults, inert), generator)
 
     @property
     def incumbent(self) -> Vector:
         """The best vector (P,) so far; the untuned start before there is any."""
-        vector: Vector = self._box.vectors(self._best[None])[0]
+        vector: Vector = self._box.vectors(self._progress.best[None])[0]
         return vector
+
+    @property
+    def value(self) -> float | None:
+        """The incumbent's return."""
+        return self._progress.value
+
+    @property
+    def evaluations(self) -> int:
+        """Returns taken."""
+        return self._progress.evaluations
 
     @property
     def iterations(self) -> int:
         """Returns taken after that of the start."""
-        return max(self.evaluations - 1, 0)
+        return max(self._progress.evaluations - 1, 0)
 
     @property
     def to_beat(self) -> Vector:
-        """(n,) what steps and hops must exceed; minus infinity for what is wanted whole."""
-        return np.array(self._to_beat())
-
-    def _to_beat(self) -> list[float]:
-        """Return what each candidate that was handed out must exceed."""
-        taken = len(self._outcomes)
-        if self._hops is not None:
-            episodes, _, _ = self._hops.best.misses.shape
-            return [self._hops.best.value if episodes == 1 else -math.inf] * self._asked
-        if self._phase is not _Phase.STEPS or self._descent is None:
-            return [-math.inf] * self._asked
-        steps = len(self._batch) - 1
-        to_beat = self._descent.to_beat
-        return [to_beat if number < steps else -math.inf for number in range(taken, taken + self._asked)]
+        """(n,) what steps and racing candidates must exceed; minus infinity for what is wanted whole."""
+        now = self._progress
+        to_beat = np.full(len(now.batch), -math.inf)
+        if now.race is not None:
+            to_beat[:] = now.race.best.value
+        elif now.phase is _Phase.STEPS and now.descent is not None:
+            to_beat[:-1] = now.descent.to_beat
+        return to_beat[len(now.values) :][: self._asked]
 
     def ask(self, count: int = 1) -> Vector:
         """Return the next candidates (n, P), 1 <= n <= count, at most what is left of the batch."""
@@ -161,12 +158,12 @@ class GaussNewton:
             raise RuntimeError("ask() again before tell()")
         if count < 1:
             raise ValueError(f"at least one candidate must be asked for, got {count}")
-        points = self._batch[len(self._outcomes) :][:count]
+        points = self._progress.batch[len(self._progress.values) :][:count]
         self._asked = len(points)
         return self._box.vectors(points)
 
     def tell(self, values: Sequence[float] | Vector, misses: Vector | None = None) -> int:
-        """Take the returns (n,) and misses (n, E, C, 3) of what ``ask`` gave; return n, as all count."""
+        """Take the returns (n,) and misses (n, 1, C, 3) of what ``ask`` gave; return n, as all count."""
         if misses is None:
             raise ValueError("this search needs the misses")
         if not len(values) == len(misses) == self._asked:
@@ -174,261 +171,198 @@ class GaussNewton:
         numbers = np.asarray(values, np.float64).tolist()
         if any(map(math.isnan, numbers)):
             raise ValueError("a return is not a number")
-        to_beat, points = self._to_beat(), self._batch[len(self._outcomes) :]
-        for point, value, row, least in zip(points, numbers, np.array(misses), to_beat, strict=False):
-            outcome = stopped(Outcome(point, value, row), least)
-            self._outcomes.append(outcome)
-            self.evaluations += 1
-            if self.value is None or outcome.value > self.value:
-                self.value, self._best = outcome.value, outcome.point
+        now = self._progress
+        highest = max(numbers)
+        if now.value is None or highest > now.value:
+            now.value = highest
+            now.best = now.batch[len(now.values) + numbers.index(highest)]
+        now.values += numbers
+        # A copy, because an evaluator may use its array again.
+        now.misses += list(np.array(misses).reshape(len(numbers), -1, 3))
+        now.evaluations += len(numbers)
         asked, self._asked = self._asked, 0
-        if len(self._outcomes) == len(self._batch):
-            outcomes, self._outcomes = self._outcomes, []
+        if len(now.values) == len(now.batch):
+            outcomes = list(map(Outcome, now.batch, now.values, now.misses))
+            now.values, now.misses = [], []
             self._decide(outcomes)
         return asked
 
     def _decide(self, outcomes: list[Outcome]) -> None:
         """Take in a batch and draw the next one."""
-        if self._descent is None:
-            self._start(outcomes)
-        elif self._phase is _Phase.FAR:
-            if self._descent.wake(outcomes):
-                self._measure_slopes()
-            else:
-                self._draw_samples(self._descent.at)
-        elif self._phase is _Phase.SLOPES:
-            for probe in outcomes:
-                self._descent.measure(probe)
-            self._step()
-        else:
-            *steps, probe = outcomes
-            self._descent.measure(probe)
-            assert self.value is not None
-            to_overtake = self._base.value if self._descent.hopped else self.value
-            if self._descent.take(steps) and self._descent.overtakes(to_overtake):
-                self._step()
-            elif self._descent.survives and self._descent.woken < MOST_WOKEN and self._descent.silent.size:
-                self._phase, self._batch = _Phase.FAR, self._descent.far_probes()
-            else:
-                self._draw_samples(self._descent.at)
-
-    def _start(self, outcomes: list[Outcome]) -> None:
-        """Take in what a descent may start from."""
-        if self._phase is _Phase.START:
-            self._draw_samples(outcomes[0])
-        elif self._phase is _Phase.HOPS:
-            self._race(max(outcomes, key=lambda outcome: outcome.value))
-        else:
+        now = self._progress
+        if now.phase is _Phase.START:
+            self._start_again(outcomes[0])
+        elif now.phase is _Phase.SAMPLES:
             self._descend(outcomes)
-
-    def _step(self) -> None:
-        assert self._descent is not None
-        self._phase = _Phase.STEPS
-        steps = len(self._descent.boldness)
-        self._batch = np.empty((steps + 1, self._box.size))
-        self._descent.write_targets(self._batch[:steps])
-        self._write_probes(self._batch[steps:], [self.evaluations // (steps + 1) % self._box.size])
-
-    def _draw_samples(self, last: Outcome) -> None:
-        """Draw the samples from which the next descent will start, ``last`` being where one ended."""
-        hopped = self._descent is not None and self._descent.hopped
-        self._descent = None
-        if self._hops_after(last, hopped):
-            self._phase = _Phase.HOPS
-            self._draw_hops(self._is_good(last))
+        elif now.phase is _Phase.RESTARTS:
+            self._race(max(outcomes, key=lambda outcome: outcome.value))
+        elif now.descent is None:
+            raise AssertionError(f"no descent in the phase {now.phase}")
+        elif now.phase is _Phase.SLOPES:
+            for probe in outcomes:
+                now.descent.measure(probe)
+            self._step(now.descent)
+        elif now.phase is _Phase.STEPS:
+            self._take(now.descent, outcomes[:-1], outcomes[-1])
+        elif now.descent.revive_dead_parameters(outcomes):
+            self._measure_slopes(now.descent)
         else:
-            self._phase = _Phase.SAMPLES
-            moves = SPREAD * self._generator.standard_normal((SAMPLES, self._box.size))
-            self._batch = reflected(self._box.start + moves)
+            self._start_again(now.descent.at)
 
-    def _draw_hops(self, wide: bool) -> None:
-        share = WIDE_HOP_SHARE if wide else HOP_SHARE
-        moved = self._generator.random((HOPS, self._box.size)) < share
-        moves = HOP_SPREAD * self._generator.standard_normal(moved.shape)
-        self._batch = reflected(self._base.point + np.where(moved, moves, 0.0))
+    def _take(self, descent: Descent, steps: list[Outcome], probe: Outcome) -> None:
+        now = self._progress
+        descent.measure(probe)
+        to_overtake = now.origin.value if descent.restarted and now.origin else self._best_value
+        if descent.take(steps) and descent.overtakes(to_overtake):
+            self._step(descent)
+        elif descent.may_revive():
+            now.phase, now.batch = _Phase.REVIVAL, descent.revival_probes()
+        else:
+            self._start_again(descent.at)
 
-    def _race(self, hop: Outcome) -> None:
-        """Take in the best of a batch of hops; draw others to race against it, or descend from it."""
-        hops = self._hops
-        if hops is None:
-            hops = self._hops = _Hops(hop)
+    @property
+    def _best_value(self) -> float:
+        assert self._progress.value is not None
+        return self._progress.value
+
+    # -- the next batch --
+
+    def _start_again(self, last: Outcome) -> None:
+        """Draw the candidates from which the next descent starts, ``last`` being where one ended."""
+        now = self._progress
+        restarts = self._restarts_after(last, now.descent is not None and now.descent.restarted)
+        now.descent = None
+        if restarts:
+            now.phase = _Phase.RESTARTS
+            self._draw_restarts(self._is_good(last))
         else:
-            hops.races += 1
-            if hop.value > hops.best.value:
-                hops.best = hop
-        if hops.races < HOP_RACES and self._is_good(hop):
-            self._draw_hops(wide=True)
+            now.phase = _Phase.SAMPLES
+            moves = self._generator.standard_normal((CONSTANTS.samples, self._box.size))
+            now.batch = reflected(self._box.start + CONSTANTS.sample_spread * moves)
+
+    def _restarts_after(self, last: Outcome, restarted: bool) -> bool:
+        """Choose the origin of restarts; return whether the next descent is one, and not from samples."""
+        now, checkpoints = self._progress, len(last.misses)
+        best = _Origin(now.best, self._best_value)
+        ended = _Origin(last.point, last.value)
+        if not restarted or now.origin is None:
+            now.origin = best if last.value < CONSTANTS.near_best * best.value else ended
+        elif last.value > (1.0 - CONSTANTS.gain_of_restart) * now.origin.value:
+            now.origin = ended
         else:
-            self._hops = None
-            self._descend([hops.best])
+            ended.without_gain = now.origin.without_gain = now.origin.without_gain + 1
+            if last.value > now.origin.value:
+                now.origin = ended
+        if self._is_good(last):
+            now.origin = best
+            return True
+        close = -now.origin.value < CONSTANTS.close_loss * checkpoints
+        patience = CONSTANTS.patience if close else 1
+        return -best.value < CONSTANTS.fair_loss * checkpoints and now.origin.without_gain < patience
 
     def _is_good(self, outcome: Outcome) -> bool:
-        """Return whether the best is good, as for so many checkpoints as an outcome has."""
-        assert self.value is not None
-        _, checkpoints, _ = outcome.misses.shape
-        good: bool = -self.value < GOOD_M2 * checkpoints
-        return good
+        """Return whether the best is good, for as many checkpoints as an outcome has."""
+        return -self._best_value < CONSTANTS.good_loss * len(outcome.misses)
 
-    def _hops_after(self, last: Outcome, hopped: bool) -> bool:
-        """Choose where hops go from, and return whether one comes next."""
-        assert self.value is not None
-        _, checkpoints, _ = last.misses.shape
-        best = _Base(self._best, self.value)
-        if not hopped:
-            self._base = best if last.value < NEAR_BEST * self.value else _Base(last.point, last.value)
-        elif last.value > (1.0 - FRUITFUL) * self._base.value:
-            self._base = _Base(last.point, last.value)
+    def _draw_restarts(self, wide: bool) -> None:
+        now = self._progress
+        assert now.origin is not None
+        share = CONSTANTS.wide_restart_share if wide else CONSTANTS.restart_share
+        moved = self._generator.random((CONSTANTS.restarts, self._box.size)) < share
+        moves = CONSTANTS.restart_spread * self._generator.standard_normal(moved.shape)
+        now.batch = reflected(now.origin.point + np.where(moved, moves, 0.0))
+
+    def _race(self, candidate: Outcome) -> None:
+        """Take in the best of a batch of restarts; draw others to race against it, or descend from it."""
+        now = self._progress
+        if now.race is None:
+            now.race = _Race(candidate)
         else:
-            self._base.fruitless += 1
-            if last.value > self._base.value:
-                self._base.point, self._base.value = last.point, last.value
-        if self._is_good(last):
-            self._base = best
-            return True
-        patience = PATIENCE if -self._base.value < CLOSE_M2 * checkpoints else 1
-        return -self.value < FAIR_M2 * checkpoints and self._base.fruitless < patience
+            now.race.batches += 1
+            if candidate.value > now.race.best.value:
+                now.race.best = candidate
+        if now.race.batches < CONSTANTS.races and self._is_good(candidate):
+            self._draw_restarts(wide=True)
+        else:
+            best, now.race = now.race.best, None
+            self._descend([best])
 
     def _descend(self, samples: list[Outcome]) -> None:
-        """Begin a descent from the best sample: measure all slopes there."""
-        hopped = self._phase is _Phase.HOPS
+        """Begin a descent from the best sample."""
+        now = self._progress
+        restarted = now.phase is _Phase.RESTARTS
         slopes = np.zeros((self._box.size, samples[0].misses.size))
-        self._descent = descent = Descent(samples[0], not hopped, hopped, slopes, FIRST_DAMPING, [])
-        scores = [descent.score(sample) for sample in samples]
-        best = max(range(len(samples)), key=scores.__getitem__)
-        descent.at, descent.scores = samples[best], [scores[best]]
-        self._measure_slopes()
+        now.descent = Descent(samples[0], not restarted, restarted, slopes, CONSTANTS.first_damping, [])
+        scores = [now.descent.score(sample) for sample in samples]
+        now.descent.at, now.descent.scores = samples[scores.index(max(scores))], [max(scores)]
+        self._measure_slopes(now.descent)
 
-    def _measure_slopes(self) -> None:
-        self._phase = _Phase.SLOPES
-        self._batch = np.empty((self._box.size, self._box.size))
-        self._write_probes(self._batch, range(self._box.size))
+    def _measure_slopes(self, descent: Descent) -> None:
+        self._progress.phase = _Phase.SLOPES
+        self._progress.batch = self._probes(descent, range(self._box.size))
 
-    def _write_probes(self, probes: Vector, parameters: Sequence[int]) -> None:
-        """Write the descent's point with one parameter moved, up or down, within the box: (n, D)."""
-        assert self._descent is not None
-        point = self._descent.at.point
-        probes[:] = point
+    def _step(self, descent: Descent) -> None:
+        targets = descent.targets()
+        parameter = self.evaluations // (len(targets) + 1) % self._box.size
+        self._progress.phase = _Phase.STEPS
+        self._progress.batch = np.concatenate([targets, self._probes(descent, [parameter])])
+
+    def _probes(self, descent: Descent, parameters: Sequence[int]) -> Vector:
+        """Return the descent's point with one parameter moved, up or down, within the box: (n, D)."""
+        point = descent.at.point
+        probes = np.array([point] * len(parameters))
         draws = self._generator.random(len(parameters)).tolist()
         for probe, parameter, draw in zip(probes, parameters, draws, strict=True):
             here = float(point[parameter])
-            there = here + (PROBE if draw < 0.5 else -PROBE)
-            if there > 1.0:
-                there = here - PROBE
-            elif there < 0.0:
-                there = here + PROBE
-            probe[parameter] = there
+            there = here + (CONSTANTS.probe if draw < 0.5 else -CONSTANTS.probe)
+            probe[parameter] = there if 0.0 <= there <= 1.0 else 2.0 * here - there
+        return probes
+
+    # -- its state --
 
     def state(self) -> SearchState:
         """Return all that the next ``ask`` depends on; only between ``tell`` and ``ask``."""
         if self._asked:
             raise RuntimeError("state() between ask() and tell()")
-        descent = self._descent
         return {
-            "evaluations": self.evaluations,
-            "value": self.value,
             "incumbent": self.incumbent.tolist(),
-            "best": pack(self._best),
             "generator": self._generator.bit_generator.state,
-            "phase": str(self._phase),
-            "batch": pack(self._batch),
-            "values": [outcome.value for outcome in self._outcomes],
-            "misses": pack(np.array([outcome.misses for outcome in self._outcomes])),
-            "hops": self._hops and {**_packed(self._hops.best), "races": self._hops.races},
-            "base": None if self.value is None else {**asdict(self._base), "point": pack(self._base.point)},
-            "descent": descent
-            and {
-                **_packed(descent.at),
-                "survives": descent.survives,
-                "hopped": descent.hopped,
-                "slopes": pack(descent.slopes),
-                "damping": descent.damping,
-                "scores": list(descent.scores),
-                "woken": descent.woken,
-            },
+            **_PROGRESS.dump_python(self._progress, mode="json"),
         }
 
     def restore(self, state: SearchState) -> None:
         """Continue from a ``state()``. Raises ValueError, KeyError or TypeError if it is not one of ours."""
-        value, evaluations = state["value"], int(state["evaluations"])
-        if (value is None) != (evaluations == 0) or (value is not None and not math.isfinite(value)):
-            raise ValueError(f"a return of {value} after {evaluations} evaluations cannot be")
-        best = unpack(state["best"], (self._box.size,))
-        if self._box.vectors(best[None])[0].tolist() != list(state["incumbent"]):
+        found = _PROGRESS.validate_python(state)
+        self._check(found)
+        if self._box.vectors(found.best[None])[0].tolist() != list(state["incumbent"]):
             raise ValueError("the best point is not the incumbent")
-        phase = _Phase(state["phase"])
-        sizes = {
-            _Phase.START: 1,
-            _Phase.SAMPLES: SAMPLES,
-            _Phase.HOPS: HOPS,
-            _Phase.SLOPES: self._box.size,
-            _Phase.STEPS: None,
-            _Phase.FAR: None,
-        }
-        batch = unpack(state["batch"], (sizes[phase], self._box.size))
-        values = [float(value) for value in state["values"]]
-        misses = unpack(state["misses"], (None, None, None, 3) if values else (0,))
-        if len(misses) != len(values) or len(values) >= len(batch):
-            raise ValueError(f"{len(values)} of a batch of {len(batch)} cannot have been evaluated")
-        descent = self._restored_descent(state["descent"])
-        if (descent is None) == (phase in (_Phase.SLOPES, _Phase.STEPS, _Phase.FAR)):
-            raise ValueError(f"a descent does not go with the phase {phase}")
-        if descent is not None and phase is _Phase.STEPS and len(batch) != len(descent.boldness) + 1:
-            raise ValueError(f"a batch of {len(batch)} cannot be")
-        hops = self._restored_hops(state["hops"])
-        if hops is not None and phase is not _Phase.HOPS:
-            raise ValueError(f"hops do not go with the phase {phase}")
-        base = self._restored_base(state["base"])
-        if (base is None) != (value is None):
-            raise ValueError("a base does not go with no return")
         self._generator.bit_generator.state = state["generator"]
-        self.value, self.evaluations, self._best = value, evaluations, best
-        self._phase, self._batch, self._descent, self._asked = phase, batch, descent, 0
-        self._base, self._hops = base or _Base(best, -math.inf), hops
-        self._outcomes = [Outcome(*fields) for fields in zip(batch, values, misses, strict=False)]
+        self._progress, self._asked = found, 0
 
-    def _restored_outcome(self, state: Mapping[str, Any]) -> Outcome:
-        point, misses = unpack(state["point"], (self._box.size,)), unpack(state["misses"], (None, None, 3))
-        return Outcome(point, float(state["value"]), misses)
-
-    def _restored_hops(self, state: Mapping[str, Any] | None) -> _Hops | None:
-        if state is None:
-            return None
-        hops = _Hops(self._restored_outcome(state), int(state["races"]))
-        if not math.isfinite(hops.best.value) or not 0 <= hops.races < HOP_RACES:
-            raise ValueError("hops of such a return cannot be")
-        return hops
-
-    def _restored_base(self, state: Mapping[str, Any] | None) -> _Base | None:
-        if state is None:
-            return None
-        base = _Base(
-            unpack(state["point"], (self._box.size,)), float(state["value"]), int(state["fruitless"])
+    def _check(self, found: _Progress) -> None:
+        """Raise ValueError unless the parts of a state fit together."""
+        size = self._box.size
+        descent, race = found.descent, found.race
+        points = [found.best]
+        points += [part.point for part in (found.origin, descent and descent.at, race and race.best) if part]
+        expected = {
+            _Phase.START: 1,
+            _Phase.SAMPLES: CONSTANTS.samples,
+            _Phase.RESTARTS: CONSTANTS.restarts,
+            _Phase.SLOPES: size,
+            _Phase.STEPS: len(descent.step_dampings) + 1 if descent else 0,
+        }
+        fits = (
+            all(point.shape == (size,) for point in points)
+            and found.batch.ndim == 2
+            and found.batch.shape == (expected.get(found.phase, len(found.batch)), size)
+            and len(found.misses) == len(found.values) < len(found.batch)
+            and all(misses.ndim == 2 for misses in found.misses)
+            and (found.value is None) == (found.origin is None) == (found.evaluations == 0)
+            and (descent is None) == (found.phase in {_Phase.START, _Phase.SAMPLES, _Phase.RESTARTS})
+            and (descent is None or descent.slopes.shape == (size, descent.at.misses.size))
+            and (descent is None or len(descent.scores) > 0)
+            and (race is None or found.phase is _Phase.RESTARTS)
         )
-        if not math.isfinite(base.value) or base.fruitless < 0:
-            raise ValueError("a base of such a return cannot be")
-        return base
-
-    def _restored_descent(self, state: Mapping[str, Any] | None) -> Descent | None:
-        if state is None:
-            return None
-        at = self._restored_outcome(state)
-        descent = Descent(
-            at=at,
-            survives=bool(state["survives"]),
-            hopped=bool(state["hopped"]),
-            slopes=unpack(state["slopes"], (self._box.size, at.misses.size)),
-            damping=float(state["damping"]),
-            scores=[float(score) for score in state["scores"]],
-            woken=int(state["woken"]),
-        )
-        if not 1 <= len(descent.scores) <= WINDOW + 1 or not 0.0 < descent.damping <= MOST_DAMPING:
-            raise ValueError("a descent of such scores or damping cannot be")
-        return descent
-
-
-def _packed(outcome: Outcome) -> dict[str, Any]:
-    return {
-        "point": pack(outcome.point),
-        "value": outcome.value,
-        "misses": pack(outcome.misses),
-    }
+        if not fits:
+            raise ValueError("the parts of the state do not fit together")

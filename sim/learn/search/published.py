@@ -8,53 +8,41 @@ the scale of the noise never adapts. Constants: the published parking search.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.search.base import Search, Vector
+from sim.learn.search.base import Vector
+from sim.learn.search.random_search import RandomSearch
 
 FAILURES_TO_WIDEN = 51
 """Failures in a row after which every cap grows by one, and the count begins anew."""
 
 
-@dataclass(frozen=True)
-class KindRule:
-    """How one kind is changed: the cap's range, the noise's range, and the shake of the start."""
+class KindRule(NamedTuple):
+    """The cap's range and the noise's range of one kind."""
 
     least: int
     most: int
     low: float
     high: float
-    start_changes: int
-    start_deviation: float
 
 
-_WEIGHTS = KindRule(4, 12, 0.01, 0.4, start_changes=15, start_deviation=0.5)
+_WEIGHTS = KindRule(4, 12, 0.01, 0.4)
 
 RULES: Mapping[ParameterKind, KindRule] = {
     # The noise is in the kind's own unit: S, 1/mV, mV, S, F.
     ParameterKind.WEIGHT: _WEIGHTS,
-    ParameterKind.SIGMA: KindRule(3, 8, 0.01, 0.05, start_changes=10, start_deviation=0.2),
-    ParameterKind.LEAK_POTENTIAL: KindRule(2, 6, 0.1, 3.0, start_changes=8, start_deviation=8.0),
-    ParameterKind.LEAK: KindRule(2, 6, 0.05, 0.5, start_changes=8, start_deviation=0.2),
-    ParameterKind.CAPACITANCE: KindRule(2, 4, 0.01, 0.1, start_changes=10, start_deviation=0.1),
+    ParameterKind.SIGMA: KindRule(3, 8, 0.01, 0.05),
+    ParameterKind.LEAK_POTENTIAL: KindRule(2, 6, 0.1, 3.0),
+    ParameterKind.LEAK: KindRule(2, 6, 0.05, 0.5),
+    ParameterKind.CAPACITANCE: KindRule(2, 4, 0.01, 0.1),
     # Parking has no layers. Ours: a layer's entries are weights too.
     ParameterKind.INPUT_LAYER: _WEIGHTS,
     ParameterKind.OUTPUT_LAYER: _WEIGHTS,
 }
-
-
-def shake(layout: ParameterLayout, defaults: Vector, generator: np.random.Generator) -> Vector:
-    """Return the defaults (P,) with noise on some entries of each kind, so that no two agents start alike."""
-    vector = np.array(defaults, dtype=np.float64)
-    for block in layout.blocks:
-        rule = RULES[block.kind]
-        entries = generator.integers(block.slice.start, block.slice.stop, rule.start_changes)
-        np.add.at(vector, entries, generator.normal(0.0, rule.start_deviation, rule.start_changes))
-    return np.minimum(np.maximum(vector, layout.lower), layout.upper)
 
 
 @dataclass(frozen=True)
@@ -67,30 +55,43 @@ class Caps:
     failures: int = 0
 
     def after_success(self) -> Self:
-        """Every cap shrinks by one, not below its least; the failures are forgotten."""
+        """Shrink every cap by one, not below its least; count failures anew."""
         caps = tuple(max(cap - 1, least) for cap, least in zip(self.caps, self.least, strict=True))
         return replace(self, caps=caps, failures=0)
 
     def after_failure(self) -> Self:
-        """One more failure; with the 51st every cap grows by one, not above its most."""
+        """Count a failure; with the 51st every cap grows by one, not above its most."""
         if self.failures + 1 < FAILURES_TO_WIDEN:
-            # Directly, as ``replace`` takes several times as long and every candidate comes by here twice.
+            # Not by ``replace``, which takes several times as long; every candidate comes here twice.
             return type(self)(self.least, self.most, self.caps, self.failures + 1)
         caps = tuple(min(cap + 1, most) for cap, most in zip(self.caps, self.most, strict=True))
         return replace(self, caps=caps, failures=0)
 
+    def restored(self, fields: Mapping[str, Any]) -> Self:
+        """Return the caps of saved fields; their range is that of this search."""
+        caps, failures = tuple(int(cap) for cap in fields["caps"]), int(fields["failures"])
+        limits = zip(self.least, caps, self.most, strict=True)
+        if not all(least <= cap <= most for least, cap, most in limits) or failures >= FAILURES_TO_WIDEN:
+            raise ValueError(f"caps {caps} after {failures} failures cannot be")
+        return replace(self, caps=caps, failures=failures)
 
-class Published(Search[Caps]):
+
+class Published(RandomSearch[Caps]):
     """The published variant of the random search."""
 
     def __init__(self, layout: ParameterLayout, start: Vector, generator: np.random.Generator) -> None:
+        super().__init__(layout, start, generator)
         rules = [RULES[block.kind] for block in layout.blocks]
-        least = tuple(rule.least for rule in rules)
-        super().__init__(layout, start, generator, Caps(least, tuple(rule.most for rule in rules), least))
         self._starts = np.array([block.slice.start for block in layout.blocks])
         self._stops = np.array([block.slice.stop for block in layout.blocks])
         self._low = np.array([rule.low for rule in rules])
         self._width = np.array([rule.high - rule.low for rule in rules])
+
+    def first_adaptation(self, layout: ParameterLayout) -> Caps:
+        """Return the least caps."""
+        rules = [RULES[block.kind] for block in layout.blocks]
+        least = tuple(rule.least for rule in rules)
+        return Caps(least, tuple(rule.most for rule in rules), least)
 
     def propose(self, adaptation: Caps, generator: np.random.Generator) -> Vector:
         """Draw the numbers of changes, the deviations, the entries and the noise, in this order."""
@@ -100,11 +101,3 @@ class Published(Search[Caps]):
         vector = self.incumbent.copy()
         np.add.at(vector, entries, np.repeat(deviations, counts) * generator.standard_normal(len(entries)))
         return self.clip(vector)
-
-    def load_adaptation(self, fields: Mapping[str, Any]) -> Caps:
-        """Rebuild the caps; only what moves is read, the rest are this search's constants."""
-        caps, failures = tuple(int(cap) for cap in fields["caps"]), int(fields["failures"])
-        limits = zip(self.adaptation.least, caps, self.adaptation.most, strict=True)
-        if not all(least <= cap <= most for least, cap, most in limits) or failures >= FAILURES_TO_WIDEN:
-            raise ValueError(f"caps {caps} after {failures} failures cannot be")
-        return replace(self.adaptation, caps=caps, failures=failures)

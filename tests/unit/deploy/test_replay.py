@@ -86,10 +86,10 @@ def record_drive(path, policy):
             if not lost:
                 ref, sample = sip(at_ns)
                 refs.append(ref)
-                controller.take(sample, start.seconds(ref.measured_ns))
+                controller.take(sample, first.seconds_to(ref.measured_ns))
             now_ns = at_ns - T0 + (50 if lost else 2) * MS
             wall_ns = T0 + now_ns
-            t, last = start.seconds(now_ns), index == TICKS
+            t, last = first.seconds_to(now_ns), index == TICKS
             tick = None if last else controller.tick(index, t)
             estimate = tick.estimate if tick else controller.look(index, t)
             sequence = None if last else wire.command(tick.command, wall_ns)

@@ -15,7 +15,7 @@ from sim.benchmarks.commands import bench
 from sim.benchmarks.search import MARKS, PASSED
 from sim.learn.agents import AgentState, Team
 from sim.learn.record import TrainSettings, resolve_task
-from sim.learn.search import least_squares
+from sim.learn.search import descent
 from sim.learn.search.strategies import STRATEGIES
 from sim.learn.train import training_plan
 
@@ -92,17 +92,17 @@ def test_the_speeds_and_their_shares(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_speed_does_not_count_first_call_of_a_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    kernel, calls = least_squares.damped_steps, 0
+    kernel, calls = descent.damped_steps, 0
 
-    def slow_at_first(*arguments: object) -> None:
+    def slow_at_first(*arguments: object) -> object:
         nonlocal calls
         calls += 1
         began = time.process_time()
         while calls == 1 and time.process_time() < began + 4.0:
             pass
-        kernel(*arguments)
+        return kernel(*arguments)
 
-    monkeypatch.setattr(least_squares, "damped_steps", slow_at_first)
+    monkeypatch.setattr(descent, "damped_steps", slow_at_first)
     settings = TrainSettings()
     task = resolve_task(settings)
     _, in_engine = bench_train._iterations_per_cpu_s(training_plan(settings, task), task, 100)

@@ -8,7 +8,7 @@ import pytest
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate.evaluate import evaluate
-from sim.evaluate.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, GainCube, law_command, law_evaluator
+from sim.evaluate.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, gain_box, law_command, law_evaluator
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
@@ -64,5 +64,6 @@ def test_a_law_parks_undisturbed_and_stands_still_below_its_thresholds(law):
 
 
 def test_a_tuning_begins_at_the_gains_set_by_hand():
-    cube = GainCube(LAWS["kanayama"])
-    assert cube.vector(cube.start) == pytest.approx(LAWS["kanayama"].start)
+    box = gain_box(LAWS["kanayama"])
+    assert box.start == pytest.approx(0.5)
+    assert box.vectors(box.start[None])[0] == pytest.approx(LAWS["kanayama"].start)

@@ -30,7 +30,7 @@ def test_setting_the_wall_clock_does_not_change_the_time(tmp_path, set_at):
     assert reader.stood_after(5 * STEP_NS, 0.5) == pytest.approx(0.20)  # to the first sample that stands
 
 
-def test_a_rover_that_stood_all_the_time_took_none_and_one_that_moves_is_not_still(tmp_path):
+def test_standing_rover_takes_no_time_and_moving_rover_times_out(tmp_path):
     reader = truth(tmp_path / "truth.csv", [0.1] * 5 + [0.0] * 50 + [0.1] * 20)
     with pytest.raises(TimedOut):
         reader.stood_after(0, 0.1)
@@ -46,6 +46,6 @@ def test_bound_is_the_requirement_plus_the_resolution_and_no_more(late_s):
     assert not in_time(bridge_hung, allowed + 0.001, braking, late_s)
 
 
-def test_no_time_is_good_enough_when_its_resolution_is_worse_than_a_tenth_of_a_second():
+def test_no_time_passes_with_a_resolution_above_a_tenth_of_a_second():
     assert in_time(ROWS["bridge-hung"], 0.0, braking_s(0.12), 0.1)
     assert not in_time(ROWS["bridge-hung"], 0.0, braking_s(0.12), 0.11)

@@ -1,6 +1,6 @@
 // The page while a rover drives: server-sent events bring news; a request stops the rover or releases the stop.
 const REDRAW_MS = 500;
-let drawn = 0, asking = false;
+let outdated = false, next = 0, asking = false;
 
 for (const control of [$("time"), $("play")]) control.addEventListener("pointerdown", () => ($("follow").checked = false));
 for (const action of ["stop", "release"]) $(action).addEventListener("click", () => ask(action));
@@ -15,13 +15,15 @@ source.onerror = () => {
 };
 
 function receive(news) {
-  const changed = take(news), { t } = model.drive.ticks, fresh = Boolean(news.ticks?.t?.length);
+  const changed = take(news), fresh = Boolean(news.ticks?.t?.length), now = performance.now();
   if (news.reset) player.set(0);
-  if (changed || (fresh && performance.now() - drawn > REDRAW_MS)) {
-    drawn = performance.now();
+  outdated = outdated || changed || fresh;
+  if (outdated && now >= next) {
     drawAll();
+    outdated = false;
+    next = performance.now() + Math.max(REDRAW_MS, 2 * (performance.now() - now)); // a slow machine keeps time for news
   }
-  if (fresh && $("follow").checked && !player.playing) player.set(t.at(-1));
+  if (fresh && $("follow").checked && !player.playing) player.set(model.drive.ticks.t.at(-1));
   stopControls(news);
 }
 

@@ -1,0 +1,61 @@
+"""The unit box: points and parameters are the same place, and walls reflect."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rover_ncp.circuit.circuit import ParameterKind
+from rover_ncp.circuit.compiled import inert_parameters
+from rover_ncp.circuit.policy import parking_policy
+from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.course.course import load_course
+from sim.learn.evaluator import Evaluator
+from sim.learn.search.unit_box import UnitBox, reflected
+
+POLICY = parking_policy(parking_circuit())
+LAYOUT = POLICY.layout()
+DEFAULTS = POLICY.parameters()
+
+
+def test_box_reaches_every_bound_and_returns_to_its_start() -> None:
+    box = UnitBox.of(LAYOUT, DEFAULTS)
+    corners = box.vectors(np.array([np.zeros(box.size), np.ones(box.size)]))
+    assert corners[0] == pytest.approx(LAYOUT.lower, rel=1e-12)
+    assert corners[1] == pytest.approx(LAYOUT.upper, rel=1e-12)
+    assert ((corners >= LAYOUT.lower) & (corners <= LAYOUT.upper)).all()
+    assert box.vectors(box.start[None])[0] == pytest.approx(DEFAULTS, rel=1e-12)
+
+
+def test_factors_go_by_their_logarithm_and_all_else_is_linear() -> None:
+    box = UnitBox.of(LAYOUT, DEFAULTS)
+    middle = box.vectors(np.full((1, box.size), 0.5))[0]
+    for block in LAYOUT.blocks:
+        factor = block.kind in (ParameterKind.LEAK, ParameterKind.CAPACITANCE)
+        mean = math.sqrt(block.lower * block.upper) if factor else (block.lower + block.upper) / 2
+        assert middle[block.slice] == pytest.approx(mean)
+
+
+def test_inert_parameters_keep_their_defaults() -> None:
+    inert = inert_parameters(POLICY)
+    box = UnitBox.of(LAYOUT, DEFAULTS, inert)
+    assert box.size == LAYOUT.size - inert.sum()
+    vectors = box.vectors(np.random.default_rng(0).random((5, box.size)))
+    assert (vectors[:, inert] == DEFAULTS[inert]).all()
+    assert (vectors[:, ~inert] != DEFAULTS[~inert]).all()
+
+
+def test_inert_parameters_change_no_miss_and_all_others_do() -> None:
+    rng = np.random.default_rng(1)
+    width = LAYOUT.upper - LAYOUT.lower
+    base = np.clip(DEFAULTS + 0.05 * width * rng.standard_normal(LAYOUT.size), LAYOUT.lower, LAYOUT.upper)
+    moves = np.where(base < LAYOUT.upper - 0.02 * width, 0.01, -0.01) * width
+    vectors = np.concatenate([base + np.diag(moves), base[None]])
+    _, misses = Evaluator(POLICY, load_course("parking")).run(vectors)
+    same = np.array([np.array_equal(row, misses[-1]) for row in misses[:-1]])
+    assert same.tolist() == inert_parameters(POLICY).tolist()
+
+
+def test_walls_reflect() -> None:
+    points = np.array([-0.25, 0.0, 0.3, 1.0, 1.2, 2.5, -1.5])
+    assert reflected(points) == pytest.approx([0.25, 0.0, 0.3, 1.0, 0.8, 0.5, 0.5])

@@ -12,7 +12,6 @@ import time
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -27,7 +26,7 @@ from rover_ncp.circuit.policy import ParameterLayout
 from sim.learn.evaluator import Evaluator, Stream
 from sim.learn.search.base import SearchState, Strategy, Vector
 from sim.learn.search.strategies import start_search
-from sim.learn.workers import MadeOnce, Workers
+from sim.learn.workers import MadeOnce, Result, Workers
 
 ROUND_ITERATIONS = 100
 """Short enough for a live display."""
@@ -223,7 +222,7 @@ def rounds(
     last, reached = list(agents), [0] * len(agents)
     waiting: list[deque[AgentState]] = [deque() for _ in agents]
 
-    def submit() -> list[tuple[list[int], Future[list[Progress]]]]:
+    def submit() -> list[tuple[list[int], Result]]:
         behind = [index for index, count in enumerate(reached) if count < len(targets)]
         return [
             (

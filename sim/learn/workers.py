@@ -1,7 +1,7 @@
 """Executors of the trainings: this process, processes on this machine, or a Dask cluster (``cluster.py``).
 
-All are executors of ``concurrent.futures`` with the number of tasks that they run at the same time. Processes
-are spawned, never forked: numba and cffi do not survive a fork.
+All take calls and give results as an executor of ``concurrent.futures`` does, and know how many calls they
+run at the same time. Processes are spawned, never forked: numba and cffi do not survive a fork.
 """
 
 import gc
@@ -11,15 +11,14 @@ import pickle
 import signal
 import threading
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from queue import SimpleQueue
-from types import TracebackType
 from typing import Any, Protocol, Self
 
 from rover_ncp.core.errors import RoverNcpError, UsageError
@@ -31,14 +30,21 @@ class WorkerDied(RoverNcpError):
     """A process that had work ended without being asked to."""
 
 
+class Result(Protocol):
+    """The part of a future of ``concurrent.futures`` that trainings need."""
+
+    def result(self) -> Any:
+        """Wait for the result, and return it or raise the error of the call."""
+
+
 class Workers(Protocol):
-    """An executor of ``concurrent.futures``."""
+    """The part of an executor of ``concurrent.futures`` that trainings need."""
 
     @property
     def count(self) -> int:
         """Tasks that run at the same time."""
 
-    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Result:
         """Call a function in a worker."""
 
 
@@ -60,17 +66,17 @@ class Inline:
         return future
 
 
-class LocalProcesses(ThreadPoolExecutor):
-    """Processes on this machine, a thread for each of them. Leaving its context ends them at once.
+class LocalProcesses:
+    """Processes on this machine, which take calls in turn. Leaving its context ends them at once.
 
-    A process whose parent has died finds its pipe closed and ends.
+    A process whose parent has died finds its pipe closed and ends. No thread waits for the answers: the main
+    thread receives them itself, where Ctrl-C interrupts it.
     """
 
     def __init__(self, count: int) -> None:
-        super().__init__(count)
         self.count = count
-        self._workers: list[tuple[BaseProcess, Connection]] = []
-        self._idle: SimpleQueue[tuple[BaseProcess, Connection]] = SimpleQueue()
+        self._calls: deque[_Call] = deque()
+        """The last call of each process, the one of longest ago first."""
 
     def __enter__(self) -> Self:
         context = multiprocessing.get_context("spawn")
@@ -83,39 +89,63 @@ class LocalProcesses(ThreadPoolExecutor):
                     )
                     process.start()
                     theirs.close()
-                    self._workers.append((process, ours))
-                    self._idle.put((process, ours))
+                    self._calls.append(_Call(process, ours, (None, None)))
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for process, _ in self._workers:
-            process.kill()  # it holds nothing that could be left half-done
-        self.shutdown(cancel_futures=True)
-        for process, connection in self._workers:
-            process.join()
-            process.close()
-            connection.close()
+    def __exit__(self, *error: object) -> None:
+        for call in self._calls:
+            call.process.kill()  # it holds nothing that could be left half-done
+            call.process.join()
+            call.process.close()
+            call.connection.close()
 
-    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:  # type: ignore[override]
-        """Call a function in a process. Raises WorkerDied, and RuntimeError for a programming error."""
-        return super().submit(self._call, function, arguments)
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> "_Call":
+        """Call a function in the process that has been without a new call for longest.
 
-    def _call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-        process, connection = worker = self._idle.get()
+        Waits until that one is idle. Raises WorkerDied if it has died.
+        """
+        last = self._calls[0]
+        last.receive()
+        call = _Call(last.process, last.connection)
         try:
-            connection.send((function, arguments))
-            answer, error = connection.recv()
-        except (EOFError, OSError) as lost:
-            raise _death(process) from lost
-        self._idle.put(worker)
+            call.connection.send((function, arguments))
+        except OSError as error:
+            raise _death(call.process) from error
+        self._calls.rotate(-1)
+        self._calls[-1] = call
+        return call
+
+
+class _Call:
+    """A call of a function in a process, with the result like that of a future."""
+
+    def __init__(
+        self,
+        process: BaseProcess,
+        connection: Connection,
+        answer: tuple[Any, Exception | None] | None = None,
+    ) -> None:
+        self.process, self.connection = process, connection
+        self._answer = answer
+
+    def receive(self) -> tuple[Any, Exception | None]:
+        """Wait for the answer: a value, or an error."""
+        if self._answer is None:
+            try:
+                self._answer = self.connection.recv()
+            except (EOFError, OSError) as error:
+                raise _death(self.process) from error
+        return self._answer
+
+    def result(self) -> Any:
+        """Return what the function returned. Raises WorkerDied, or RuntimeError for a programming error."""
+        value, error = self.receive()
         if error is not None:
             raise error
-        return answer
+        return value
 
 
 def _death(process: BaseProcess) -> WorkerDied:

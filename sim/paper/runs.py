@@ -2,10 +2,12 @@
 
 import importlib
 import math
+import multiprocessing
 import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -20,7 +22,7 @@ from sim.learn.cluster import DaskCluster
 from sim.learn.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector
-from sim.learn.workers import LocalProcesses
+from sim.learn.workers import WorkerDied, starting_processes
 from sim.paper import BudgetName
 from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
@@ -211,11 +213,32 @@ def make_runs(
     cannot be before the first one begins, and WorkerDied.
     """
     _require(names, circuit)
-    with DaskCluster(cluster) if cluster else LocalProcesses(min(processes, len(names))) as workers:
-        for run in as_completed([workers.submit(train_run, name, budget, circuit) for name in names]):
-            result = run.result()
-            store.save(result)
-            on_result(result)
+
+    def keep(run: Future[Result]) -> None:
+        result = run.result()
+        store.save(result)
+        on_result(result)
+
+    if cluster is not None:
+        with DaskCluster(cluster) as workers:
+            for run in as_completed([workers.submit(train_run, name, budget) for name in names]):
+                keep(run)
+        return
+    # Spawned, never forked: numba and MuJoCo do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(processes, len(names)), context) as pool:
+        try:
+            with starting_processes():  # the pool starts them as work is handed in
+                runs = [pool.submit(train_run, name, budget, circuit) for name in names]
+            for run in as_completed(runs):
+                keep(run)
+        except BaseException as error:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():
+                child.kill()
+            if isinstance(error, BrokenProcessPool):
+                raise WorkerDied("the process of a run ended; repeat the command to continue") from error
+            raise
 
 
 def _require(names: Sequence[RunName], circuit: Path | None) -> None:

@@ -30,6 +30,8 @@ _EXTRAS = {
     "filterpy": "drive",
     "scipy": "drive",
     "pymunk": "train",
+    "cmaes": "train",
+    "psutil": "train",
     "gymnasium": "train",
     "matplotlib": "train",
     "mujoco": "paper",

@@ -8,6 +8,7 @@ whatever the machine has: one AVX-512 register, two of AVX2, four of SSE2 or NEO
 Only kernels can use these functions; called from Python they raise NotImplementedError.
 """
 
+import functools
 import math
 import operator
 from collections.abc import Callable
@@ -65,12 +66,15 @@ def _spread(context: Any, builder: Any, value: Any, kind: Any) -> Any:
     return builder.shuffle_vector(first, first, zeros)
 
 
+def _spread_all(context: Any, builder: Any, signature: Any, arguments: Any) -> list[Any]:
+    return [_spread(context, builder, *pair) for pair in zip(arguments, signature.args, strict=True)]
+
+
 def _define(python_operator: Callable[[Any, Any], Any], instruction: str) -> None:
     @in_kernels
     def apply(typing_context: Any, a: Any, b: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            pairs = zip(arguments, signature.args, strict=True)
-            return getattr(builder, instruction)(*(_spread(context, builder, *pair) for pair in pairs))
+            return getattr(builder, instruction)(*_spread_all(context, builder, signature, arguments))
 
         return _vector(a, b), generate
 
@@ -136,6 +140,10 @@ def _integer(value: int) -> Any:
     return ir.Constant(ir.IntType(64), value)
 
 
+def _place(value: int) -> Any:
+    return ir.Constant(ir.IntType(32), value)
+
+
 @in_kernels
 def load_lanes(typing_context: Any, array: Any, row: Any, start: Any) -> Any:
     """Return eight lanes of a row of a C-contiguous (rows, L) array as a vector; beyond the last lane, that
@@ -157,7 +165,7 @@ def load_lanes(typing_context: Any, array: Any, row: Any, start: Any) -> Any:
                     is_there = builder.icmp_signed("<", _integer(i), last)
                     place = builder.select(is_there, _integer(i), last)
                     number = builder.load(builder.gep(first, [place]))
-                    gathered = builder.insert_element(gathered, number, ir.Constant(ir.IntType(32), i))
+                    gathered = builder.insert_element(gathered, number, _place(i))
                 part_block = builder.block
         value = builder.phi(_DOUBLES)
         value.add_incoming(together, whole_block)
@@ -184,7 +192,7 @@ def store_lanes(typing_context: Any, array: Any, row: Any, start: Any, value: An
                 for i in range(WIDTH):
                     place = builder.add(arguments[2], _integer(i))
                     with builder.if_then(builder.icmp_signed("<", place, lanes)):
-                        number = builder.extract_element(arguments[3], ir.Constant(ir.IntType(32), i))
+                        number = builder.extract_element(arguments[3], _place(i))
                         builder.store(number, builder.gep(first, [_integer(i)]))
         return context.get_dummy_value()
 
@@ -205,9 +213,7 @@ def _chosen(a: Any, b: Any, comparison: str) -> Any:
     """Return ``b`` where it compares so with ``a``, else ``a``; each a vector or a number."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        first, second = (
-            _spread(context, builder, *pair) for pair in zip(arguments, signature.args, strict=True)
-        )
+        first, second = _spread_all(context, builder, signature, arguments)
         return builder.select(builder.fcmp_ordered(comparison, second, first), second, first)
 
     return _vector(a, b), generate
@@ -230,9 +236,7 @@ def where_less(typing_context: Any, a: Any, b: Any, then: Any, otherwise: Any) -
     """Return ``then`` where ``a`` is less than ``b``, ``otherwise`` elsewhere, place by place."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        first, second, yes, no = (
-            _spread(context, builder, *pair) for pair in zip(arguments, signature.args, strict=True)
-        )
+        first, second, yes, no = _spread_all(context, builder, signature, arguments)
         return builder.select(builder.fcmp_ordered("<", first, second), yes, no)
 
     return _vector(a, b, then, otherwise), generate
@@ -256,7 +260,7 @@ def gather(typing_context: Any, addresses: Any, start: Any, offset: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         gathered = ir.Constant(_DOUBLES, ir.Undefined)
         for i, place in enumerate(_places(context, builder, signature, arguments)):
-            gathered = builder.insert_element(gathered, builder.load(place), ir.Constant(ir.IntType(32), i))
+            gathered = builder.insert_element(gathered, builder.load(place), _place(i))
         return gathered
 
     return _vector(addresses, types.intp, types.intp), generate
@@ -269,7 +273,7 @@ def scatter(typing_context: Any, addresses: Any, start: Any, offset: Any, value:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         for i, place in enumerate(_places(context, builder, signature, arguments)):
-            builder.store(builder.extract_element(arguments[3], ir.Constant(ir.IntType(32), i)), place)
+            builder.store(builder.extract_element(arguments[3], _place(i)), place)
         return context.get_dummy_value()
 
     return types.void(addresses, types.intp, types.intp, value), generate
@@ -280,13 +284,8 @@ def total(typing_context: Any, vector: Any) -> Any:
     """Return the sum of a vector's eight numbers, added from the first to the last."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        numbers = [
-            builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), i)) for i in range(WIDTH)
-        ]
-        result = numbers[0]
-        for number in numbers[1:]:
-            result = builder.fadd(result, number)
-        return result
+        numbers = [builder.extract_element(arguments[0], _place(i)) for i in range(WIDTH)]
+        return functools.reduce(builder.fadd, numbers)
 
     return types.float64(_vector), generate
 

@@ -11,20 +11,21 @@ from collections.abc import Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Generic, Literal, NamedTuple, Self, TypeVar
+from typing import Annotated, Any, Generic, Literal, NamedTuple, Self, TypeVar
 
 import yaml
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from rover_ncp.circuit.policy import Policy, absolute_policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import Course, load_course
+from sim.learn.search import SearchName
 from sim.world.pymunk_rover import require_free_start
 from sim.world.rover import RoverModel
 
-_LIBRARIES = ("rover-ncp", "numpy", "numba", "pymunk")
+_LIBRARIES = ("rover-ncp", "numpy", "scipy", "numba", "pymunk")
 _GIT_TIMEOUT_S = 5.0
 
 
@@ -39,6 +40,12 @@ class _Settings(StrictModel):
         return shlex.join(["rover-ncp", "train", *options])
 
 
+def _known_search(name: str) -> str:
+    if name not in list(SearchName):
+        raise ValueError(f"no search {name!r}; expected {', '.join(SearchName)}")
+    return name
+
+
 class TrainSettings(_Settings):
     """Settings that decide a training run's result; the number of processes does not."""
 
@@ -47,7 +54,7 @@ class TrainSettings(_Settings):
     seed: int = Field(default=0, ge=0)
     agents: int = Field(default=12, ge=1, le=1000)
     iterations: int = Field(default=20_000, ge=1)
-    search: Literal["gauss-newton", "published", "algorithm1"] = "gauss-newton"
+    search: Annotated[str, AfterValidator(_known_search)] = SearchName.GAUSS_NEWTON.value
 
 
 class RobustSettings(_Settings):

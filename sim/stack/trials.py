@@ -7,7 +7,6 @@ true pose is judged.
 
 import copy
 import multiprocessing
-import os
 from bisect import bisect_right
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -22,12 +21,11 @@ from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import Course, Verdict
 from sim.evaluate.evaluate import cause
-from sim.learn.workers import starting_processes
+from sim.learn.workers import WorkerDied, available_processes, starting_processes
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import rover_model_of
 from sim.pioneer.trial import BaseTrial, rover_of
@@ -161,10 +159,6 @@ class _Truth:
         return course.judge(times, self._poses[first:last], self._touched)
 
 
-class WorkerDied(RoverNcpError):
-    """A process that drove trials ended unexpectedly."""
-
-
 _stack: Stack | None = None
 """The stack of a pool's process."""
 
@@ -176,7 +170,7 @@ def drive_all(
 
     ``processes`` is by default as many as there are cores and work for.
     """
-    workers = processes or min(len(os.sched_getaffinity(0)), max(count // _WORTH_A_PROCESS, 1))
+    workers = processes or min(available_processes(), max(count // _WORTH_A_PROCESS, 1))
     found: dict[int, Driven] = {}
     if workers == 1:
         for number in range(count):

@@ -97,8 +97,7 @@ class Fleet:
             for ground in self.grounds:
                 ground.space.iterations = 1  # there will be no contact to solve
                 ground.space.collision_bias = 0.0
-        limits = [_limits(model) for model in models]
-        rise, fall, top, delay = (np.array(rows).T.copy() for rows in zip(*limits, strict=True))
+        delay = np.array([(m.delay_v_substeps, m.delay_omega_substeps) for m in models]).T.copy()
         ticks_kept = int(delay.max()) // SUBSTEPS + 2
         bodies = np.array([chipmunk.body_address(body) for body in self.bodies])
         self.arrays = FleetArrays(
@@ -110,10 +109,10 @@ class Fleet:
                 [chipmunk.shape_address(shape) for body in self.bodies for shape in body.shapes], np.int64
             ),
             eights=np.pad(bodies, (0, -lanes % WIDTH), mode="edge"),
-            rise=rise,
-            fall=fall,
-            grip=np.array([[model.friction * GRAVITY_M_S2 * SUBSTEP_S for model in models]]),
-            top=top,
+            rise=SUBSTEP_S * np.array([(m.accel, m.alpha) for m in models]).T.copy(),
+            fall=SUBSTEP_S * np.array([(m.decel, m.alpha_decel) for m in models]).T.copy(),
+            grip=np.array([[m.friction * GRAVITY_M_S2 * SUBSTEP_S for m in models]]),
+            top=np.array([(m.v_max, m.omega_max) for m in models]).T.copy(),
             delay=delay,
             sent=np.zeros((ticks_kept, 2, lanes)),
             clock=np.zeros(1, np.int64),
@@ -139,15 +138,6 @@ class Fleet:
     def touched(self) -> NDArray[np.bool_]:
         """(L,) which rovers touched anything since they were placed."""
         return self.arrays.touched.astype(bool)
-
-
-def _limits(model: RoverModel) -> tuple[tuple[float, float], ...]:
-    return (
-        (model.accel * SUBSTEP_S, model.alpha * SUBSTEP_S),
-        (model.decel * SUBSTEP_S, model.alpha_decel * SUBSTEP_S),
-        (model.v_max, model.omega_max),
-        (model.delay_v_substeps, model.delay_omega_substeps),
-    )
 
 
 @kernel

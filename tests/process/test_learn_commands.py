@@ -20,8 +20,6 @@ from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
 from sim.learn.progress import TrainProgress
-from sim.learn.search import SearchName
-from sim.learn.search.strategies import STRATEGIES
 
 COURSE = DATA / "short_course.yaml"
 TRAIN = ["train", "--course", str(COURSE), "--agents", "2", "--seed", "11", "--iterations", "500"]
@@ -147,10 +145,6 @@ def test_a_terminal_shows_the_best_return(
     with TrainProgress(20):
         pass
     assert capsys.readouterr().err == ""
-
-
-def test_the_searches_of_the_command_are_the_strategies() -> None:
-    assert [name.value for name in SearchName] == list(STRATEGIES)
 
 
 # -- what it refuses ---------------------------------------------------------------------------------------

@@ -4,7 +4,11 @@ from enum import StrEnum
 
 
 class SearchName(StrEnum):
-    """The search strategies; listed here so that --help need not import them."""
+    """The searches, listed here so that --help need not import them.
+
+    ``some-name`` is ``SEARCH`` of the module ``some_name`` of this folder: a new search is one file, and one
+    line here.
+    """
 
     GAUSS_NEWTON = "gauss-newton"
     PUBLISHED = "published"

@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.search.base import Vector
+from sim.learn.search.base import Strategy, Vector
 from sim.learn.search.random_search import RandomSearch
 
 ALPHA = 1.05
@@ -68,3 +68,6 @@ class Algorithm1(RandomSearch[Scale]):
     def after_estimate(self, adaptation: Scale) -> Scale:
         """Count the iterations without success anew; the scale stays."""
         return replace(adaptation, failures=0)
+
+
+SEARCH: type[Strategy] = Algorithm1

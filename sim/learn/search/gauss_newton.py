@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from pydantic import FiniteFloat, TypeAdapter
 
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.search.base import SearchState, Vector
+from sim.learn.search.base import SearchState, Strategy, Vector
 from sim.learn.search.constants import CONSTANTS
 from sim.learn.search.descent import Array, Descent, Outcome
 from sim.learn.search.unit_box import UnitBox, reflected
@@ -366,3 +366,6 @@ class GaussNewton:
         )
         if not fits:
             raise ValueError("the parts of the state do not fit together")
+
+
+SEARCH: type[Strategy] = GaussNewton

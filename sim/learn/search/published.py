@@ -14,7 +14,7 @@ import numpy as np
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.search.base import Vector
+from sim.learn.search.base import Strategy, Vector
 from sim.learn.search.random_search import RandomSearch
 
 FAILURES_TO_WIDEN = 51
@@ -101,3 +101,6 @@ class Published(RandomSearch[Caps]):
         vector = self.incumbent.copy()
         np.add.at(vector, entries, np.repeat(deviations, counts) * generator.standard_normal(len(entries)))
         return self.clip(vector)
+
+
+SEARCH: type[Strategy] = Published

@@ -1,20 +1,17 @@
-"""The searches by name. A new one is a module with a class like these, and its line here."""
+"""The searches by name."""
 
 from collections.abc import Mapping
+from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.search.algorithm1 import Algorithm1
+from sim.learn.search import SearchName
 from sim.learn.search.base import Strategy, Vector
-from sim.learn.search.gauss_newton import GaussNewton
-from sim.learn.search.published import Published
 
 STRATEGIES: Mapping[str, type[Strategy]] = {
-    "gauss-newton": GaussNewton,
-    "published": Published,
-    "algorithm1": Algorithm1,
+    name.value: import_module(f"sim.learn.search.{name.replace('-', '_')}").SEARCH for name in SearchName
 }
 
 

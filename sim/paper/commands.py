@@ -8,6 +8,7 @@ import typer
 
 from rover_ncp.core.console import Json, Output
 from rover_ncp.core.errors import UsageError
+from sim.paper import BudgetName
 
 
 class What(StrEnum):
@@ -23,14 +24,6 @@ class What(StrEnum):
     TIME_CONSTANTS = "time-constants"
     CONTRIBUTIONS = "contributions"
     CURVES = "curves"
-
-
-class Budget(StrEnum):
-    """Budgets of a run; listed here so that --help need not import the tasks."""
-
-    QUICK = "quick"
-    DEFAULT = "default"
-    PUBLISHED = "published"
 
 
 def paper(
@@ -57,8 +50,8 @@ def paper(
         typer.Option(help="A wiring of your own, YAML or .bnn, as one more agent.", show_default=False),
     ] = None,
     budget: Annotated[
-        Budget, typer.Option(help="quick: seconds a run. default: minutes. published: the paper's.")
-    ] = Budget.DEFAULT,
+        BudgetName, typer.Option(help="quick: seconds a run. default: minutes. published: the paper's.")
+    ] = BudgetName.DEFAULT,
     runs: Annotated[Path, typer.Option(help="Folder of your runs; they precede the shipped ones.")] = Path(
         "runs/paper"
     ),
@@ -121,7 +114,7 @@ def _make(
     store: Any,
     names: list[Any],
     *,
-    budget: Budget,
+    budget: BudgetName,
     circuit: Path | None,
     processes: int | None,
     cluster: str | None,
@@ -132,7 +125,7 @@ def _make(
 
     from rover_ncp.core.files import require_writable
     from sim.learn.workers import available_processes
-    from sim.paper.runs import BudgetName, make_runs
+    from sim.paper.runs import make_runs
 
     made: list[dict[str, Any]] = []
     console = Console(stderr=True)
@@ -140,8 +133,8 @@ def _make(
     bar = progress.add_task("runs", total=len(names))
 
     def on_result(result: Any) -> None:
-        fields = ("mean", "std", "plain_mean", "success", "cpu_s", "steps", "ended", "budget")
-        summary = {field: getattr(result, field) for field in fields}
+        fields = {"mean", "std", "plain_mean", "success", "cpu_s", "steps", "ended", "budget"}
+        summary = result.model_dump(include=fields)
         made.append({"path": str(result.name.path(store.own)), **result.name.model_dump(), **summary})
         progress.advance(bar)
         output.say(
@@ -152,9 +145,7 @@ def _make(
     require_writable(names[0].path(store.own))
     count = processes or available_processes()
     with progress:
-        make_runs(
-            names, store, BudgetName(budget), circuit, processes=count, cluster=cluster, on_result=on_result
-        )
+        make_runs(names, store, budget, circuit, processes=count, cluster=cluster, on_result=on_result)
     return made
 
 

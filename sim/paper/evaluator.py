@@ -1,10 +1,11 @@
-"""Whole episodes of a benchmark in one kernel: lanes of controllers, each with a plant.
+"""Whole episodes of a benchmark in one kernel: each lane has a controller and a plant.
 
 Episodes wait in a queue for a free lane. The result of an episode depends neither on its lane nor on the
 other episodes.
 """
 
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH
-from sim.learn.networks import Net
-from sim.paper.controller import Controller, make_controller, start_lane, tick_controller
+from sim.learn.commander import circuit_commander
+from sim.learn.networks import Net, network_commander
 from sim.paper.plants.lanes import NO_MUJOCO, Plants, observe, reset_plant, step_plant
 from sim.paper.tasks import Benchmark
 
@@ -27,45 +28,62 @@ _LOST = -1e6
 """Return of an episode whose simulation became unstable."""
 
 
-@kernel
-def run_episodes(
-    controller: Controller, plants: Plants, vectors: FloatArray, starts: FloatArray, horizon: int
-) -> FloatArray:
-    """Run an episode for each vector (E, P) and first state (E, S).
+class Episodes(NamedTuple):
+    """E episodes: their parameter vectors (E, P), first states (E, S), and the steps after which they end."""
 
-    Returns (E, 3): Gymnasium's return, the sum of bonuses, and steps.
-    """
-    count = plants.state.shape[1]
-    observations = np.zeros((controller.inputs, count))
-    commands = np.zeros((controller.outputs, count))
-    episodes, ticks = np.full(count, _IDLE), np.zeros(count, np.int64)
-    results = np.zeros((len(vectors), 3))
-    waiting, running = 0, 0
-    while True:
-        for lane in range(count):
-            if episodes[lane] == _IDLE and waiting < len(results):
-                start_lane(controller, lane, vectors[waiting])
-                reset_plant(plants, lane, starts[waiting])
-                episodes[lane], ticks[lane] = waiting, 0
-                waiting += 1
-                running += 1
-            if episodes[lane] != _IDLE:
-                observe(plants, lane, observations)
-        if running == 0:
-            return results
-        tick_controller(controller, observations, commands)
-        for lane in range(count):
-            episode = episodes[lane]
-            if episode == _IDLE:
-                continue
-            reward, bonus, terminated = step_plant(plants, lane, commands)
-            ticks[lane] += 1
-            results[episode, 0] += reward
-            results[episode, 1] += bonus
-            results[episode, 2] = ticks[lane]
-            if terminated or ticks[lane] == horizon:
-                episodes[lane] = _IDLE
-                running -= 1
+    vectors: FloatArray
+    starts: FloatArray
+    horizon: int
+
+
+@cache
+def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
+    """Return the kernel that runs episodes with a commander's two kernels."""
+
+    @kernel
+    def run_episodes(arrays: Any, plants: Plants, shape: tuple[int, int], queue: Episodes) -> FloatArray:
+        """Return (E, 3): Gymnasium's return, the sum of bonuses, and steps.
+
+        ``shape`` holds the numbers of a controller's inputs and outputs.
+        """
+        count = plants.state.shape[1]
+        observations, commands = np.zeros((shape[0], count)), np.zeros((shape[1], count))
+        episodes, ticks = np.full(count, _IDLE), np.zeros(count, np.int64)
+        results = np.zeros((len(queue.vectors), 3))
+        waiting, running = 0, 0
+        while True:
+            for lane in range(count):
+                if episodes[lane] == _IDLE and waiting < len(results):
+                    start_lane(arrays, lane, queue.vectors[waiting])
+                    reset_plant(plants, lane, queue.starts[waiting])
+                    episodes[lane], ticks[lane] = waiting, 0
+                    waiting += 1
+                    running += 1
+                if episodes[lane] != _IDLE:
+                    observe(plants, lane, observations)
+            if running == 0:
+                return results
+            tick_lanes(arrays, observations, commands)
+            for lane in range(count):
+                episode = episodes[lane]
+                if episode == _IDLE:
+                    continue
+                reward, bonus, terminated = step_plant(plants, lane, commands)
+                ticks[lane] += 1
+                results[episode, 0] += reward
+                results[episode, 1] += bonus
+                results[episode, 2] = ticks[lane]
+                if terminated or ticks[lane] == queue.horizon:
+                    episodes[lane] = _IDLE
+                    running -= 1
+
+    return run_episodes
+
+
+def draw_seeds(root: int, key: tuple[int, ...], count: int) -> Seeds:
+    """Return the seeds (count,) of a stream."""
+    sequence = np.random.SeedSequence(root, spawn_key=key)
+    return sequence.generate_state(count, np.uint64).astype(np.uint64, copy=False)
 
 
 def make_plants(task: Benchmark, count: int, *, for_search: bool = False) -> tuple[Plants, Any]:
@@ -91,12 +109,6 @@ def make_plants(task: Benchmark, count: int, *, for_search: bool = False) -> tup
     return plants, pool
 
 
-def draw_seeds(root: int, key: tuple[int, ...], count: int) -> Seeds:
-    """Return the seeds (count,) of a stream."""
-    sequence = np.random.SeedSequence(root, spawn_key=key)
-    return sequence.generate_state(count, np.uint64).astype(np.uint64, copy=False)
-
-
 class Evaluator:
     """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time.
 
@@ -110,7 +122,14 @@ class Evaluator:
         uses_mujoco = task.model is not None and not (for_search and task.search_plant is not None)
         count = lanes or (_MUJOCO_LANES if uses_mujoco else _LANES)
         self._plants, self._pool = make_plants(task, count, for_search=for_search)
-        self._controller = make_controller(agent, count)
+        if isinstance(agent, Policy):
+            commander = circuit_commander(agent)
+            self._shape = len(agent.sensing.inputs), len(agent.motors.outputs)
+        else:
+            commander = network_commander(agent)
+            self._shape = len(agent.scale), len(agent.high)
+        self._arrays = commander.allocate(count)
+        self._kernel = episode_kernel(commander.start_lane, commander.tick_lanes)
 
     def starts(self, seeds: Seeds) -> FloatArray:
         """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
@@ -118,13 +137,14 @@ class Evaluator:
         return np.array([self.task.start(generator) for generator in generators])
 
     def run(self, vectors: ArrayLike, seeds: Seeds, *, horizon: int | None = None) -> FloatArray:
-        """Run one episode for each vector (n, P) and seed (n,); return (n, 3), see ``run_episodes``.
+        """Run one episode for each vector (n, P) and seed (n,).
 
-        ``steps`` counts the environments' steps. The default horizon is the task's.
+        Returns (n, 3): Gymnasium's return, the sum of bonuses, and steps, which ``self.steps`` counts. The
+        default horizon is the task's.
         """
         rows = np.ascontiguousarray(vectors, np.float64)
-        ticks = horizon or self.task.horizon
-        results: FloatArray = run_episodes(self._controller, self._plants, rows, self.starts(seeds), ticks)
+        queue = Episodes(rows, self.starts(seeds), horizon or self.task.horizon)
+        results: FloatArray = self._kernel(self._arrays, self._plants, self._shape, queue)
         self.steps += int(results[:, 2].sum())
         return results
 

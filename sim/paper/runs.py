@@ -6,10 +6,9 @@ import multiprocessing
 import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
-from enum import StrEnum
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,12 @@ import numpy as np
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.core.errors import UsageError
+from sim.learn.cluster import DaskCluster
 from sim.learn.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector
 from sim.learn.workers import WorkerDied, starting_processes
+from sim.paper import BudgetName
 from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
 from sim.paper.evaluator import Evaluator, draw_seeds
@@ -41,14 +42,6 @@ _QUICK_STEPS = 400_000
 TOLERANCE = 1e-9
 """Difference in a return that another machine may make. A half-cheetah's contacts amplify a last bit, so its
 replay is compared by its verdict."""
-
-
-class BudgetName(StrEnum):
-    """Budget of a run."""
-
-    QUICK = "quick"
-    DEFAULT = "default"
-    PUBLISHED = "published"
 
 
 def budget_for(task: Task, name: BudgetName) -> Budget:
@@ -221,16 +214,15 @@ def make_runs(
     """
     _require(names, circuit)
 
-    def keep(result: Result) -> None:
+    def keep(run: Future[Result]) -> None:
+        result = run.result()
         store.save(result)
         on_result(result)
 
     if cluster is not None:
-        _make_on_cluster(names, budget, cluster, keep)
-        return
-    if processes == 1:
-        for name in names:
-            keep(train_run(name, budget, circuit))
+        with DaskCluster(cluster) as workers:
+            for run in as_completed([workers.submit(train_run, name, budget) for name in names]):
+                keep(run)
         return
     # Spawned, never forked: numba and MuJoCo do not survive a fork.
     context = multiprocessing.get_context("spawn")
@@ -239,7 +231,7 @@ def make_runs(
             with starting_processes():  # the pool starts them as work is handed in
                 runs = [pool.submit(train_run, name, budget, circuit) for name in names]
             for run in as_completed(runs):
-                keep(run.result())
+                keep(run)
         except BaseException as error:
             pool.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():
@@ -259,14 +251,3 @@ def _require(names: Sequence[RunName], circuit: Path | None) -> None:
             importlib.import_module("stable_baselines3")
         if isinstance(task, Benchmark) and task.model:
             importlib.import_module("mujoco")
-
-
-def _make_on_cluster(
-    names: Sequence[RunName], budget: BudgetName, address: str, on_result: Callable[[Result], None]
-) -> None:
-    """Make runs on a cluster's workers. Runs of a worker that dies are made by another one."""
-    from sim.learn.cluster import DaskCluster  # an extra that one machine does without
-
-    with DaskCluster(address) as cluster:
-        for run in as_completed([cluster.submit(train_run, name, budget) for name in names]):
-            on_result(run.result())

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sim.paper import BudgetName
 from sim.paper.agents import GRADIENTS
 from sim.paper.results import Result, ResultStore
-from sim.paper.runs import BudgetName, budget_for
+from sim.paper.runs import budget_for
 from sim.paper.selection import GRID, Group
 from sim.paper.tasks import TASKS
 

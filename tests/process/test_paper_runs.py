@@ -14,8 +14,9 @@ from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.circuit.tap_withdrawal import tap_withdrawal_circuit
 from rover_ncp.cli import run
 from rover_ncp.core.errors import FileError, UsageError
+from sim.paper import BudgetName
 from sim.paper.results import Result, ResultStore, RunName, load_result
-from sim.paper.runs import BudgetName, budget_for, replay, train_run
+from sim.paper.runs import budget_for, replay, train_run
 from sim.paper.selection import select
 from sim.paper.tasks import TASKS
 

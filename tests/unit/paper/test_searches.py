@@ -1,17 +1,17 @@
-"""The benchmarks' searches: better with time, the same bits again, and confirmation of what is enough."""
+"""The benchmarks' searches: better with time, the same bits again, and a confirmed return at the end."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sim.paper import cma_search
+from sim.paper import BudgetName, cma_search
 from sim.paper.agents import build_agent
 from sim.paper.cma_search import search_by_cma, search_by_halving, spread_seeds
 from sim.paper.evaluator import Evaluator, draw_seeds
 from sim.paper.parking import ParkingEvaluator, search_parking
 from sim.paper.random_search import estimate
-from sim.paper.runs import BudgetName, budget_for
+from sim.paper.runs import budget_for
 from sim.paper.tasks import TASKS
 
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from rover_ncp.cli import run
+from sim.paper import BudgetName
 from sim.paper.curves import curves_png
 from sim.paper.results import Packed, Result, ResultStore, RunName
-from sim.paper.runs import BudgetName, agrees, replay, train_run
+from sim.paper.runs import agrees, replay, train_run
 from sim.paper.selection import GRID, coverage
 from sim.paper.tables import Published, Verdict, compare, parameters, table
 from sim.paper.tasks import TASKS

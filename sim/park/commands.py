@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import MOST_SEED, Json, Overwrite, command
-from sim.evaluate.commands import evaluate  # noqa: F401  # for installations with older entry points
 
 
 @dataclass(frozen=True, kw_only=True)

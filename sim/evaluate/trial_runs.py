@@ -23,7 +23,8 @@ from sim.world.randomization import ranges_for
 
 def run_trials(options: EvalOptions) -> int:
     """Drive trials, report, and return the exit code: 1 if a single one was driven and did not park."""
-    ranges = ranges_for(options.randomize or "none", options.profile)
+    randomize = "none" if options.randomize is None else options.randomize
+    ranges = ranges_for(randomize, options.profile)
     courses = [load_course(name) for name in options.courses]
     if options.random_courses:
         courses = unseen_courses(options.seed, options.random_courses)
@@ -39,7 +40,7 @@ def run_trials(options: EvalOptions) -> int:
         driver = options.policy if law else load_policy(options.policy)
         found = evaluate(driver, courses, ranges, trials=trials, seed=options.seed)
     fields = found.fields() | {
-        "randomize": options.randomize or "none",
+        "randomize": randomize,
         "seed": options.seed,
         "random_courses": options.random_courses or 0,
         "course": ",".join(options.courses),

@@ -68,7 +68,7 @@ def test_each_setpoint_is_next_to_the_gates_value(commands: list[tuple[float, fl
                 assert (mm_s, deg_s) == (0, 0)
             else:
                 assert abs(mm_s - v * 1000) <= 0.5
-                assert abs(deg_s - math.degrees(omega)) < 1.0
+                assert math.floor(math.degrees(omega)) <= deg_s <= math.ceil(math.degrees(omega))
             now += pause
 
 

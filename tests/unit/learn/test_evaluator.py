@@ -155,6 +155,7 @@ def test_courses_and_trials_in_one_batch_as_each_alone():
         engine.outcomes(vectors).total[:, :1],
         Evaluator(TRACKER, courses[1:], model, trials, references[1:]).outcomes(vectors).total[:, :1],
     )
+    engine.change_trials(trials)
     for j in range(4):
         course, drive = courses[j % 2], references[j % 2]
         policy = TRACKER.with_parameters(vectors[3])

@@ -16,15 +16,15 @@ from sim.world.randomization import load_randomization
     [("circuit", 89), ("mlp", 90), ("lstm-small", 116), ("smooth", 6), ("random-0", None), ("paper", None)],
 )
 def test_agents_start_inside_their_bounds(name, numbers):
-    cube = find_agent(name, 3).cube
-    assert numbers is None or len(cube.start) == numbers
-    assert ((cube.start >= 0.0) & (cube.start <= 1.0)).all()
-    again = find_agent(name, 3).cube
-    assert np.array_equal(cube.vector(cube.start), again.vector(again.start))
+    box = find_agent(name, 3).box
+    assert numbers is None or len(box.start) == numbers
+    assert ((box.start >= 0.0) & (box.start <= 1.0)).all()
+    again = find_agent(name, 3).box
+    assert np.array_equal(box.vectors(box.start[None]), again.vectors(again.start[None]))
 
 
 def test_networks_draw_their_start_from_the_seed():
-    starts = [find_agent("mlp", seed).cube.start for seed in (1, 2)]
+    starts = [find_agent("mlp", seed).box.start for seed in (1, 2)]
     assert not np.array_equal(*starts)
 
 

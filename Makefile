@@ -6,20 +6,26 @@ STAMP := $(VENV)/.installed
 BROWSER_STAMP := $(VENV)/.browser
 GRADIENTS_STAMP := $(VENV)/.gradients
 
-.PHONY: park test test-browser check lint types contracts safety clean paper paper-quick paper-gradients
+.PHONY: park test test-system test-browser check lint types contracts safety clean paper paper-quick paper-gradients
 
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park --overwrite
 
-# Three workers, each with whole files: many tests wait for real processes, and CI has two cores.
+# Unit and process tests in two workers, each with whole files: CI has two cores. Then a short set of system tests, alone,
+# because they measure times.
 test: $(STAMP)
-	$(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest tests/unit tests/process --numprocesses 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest tests/system -m short
+
+# The other system tests: every row of the safety matrix, the soak, live drives, installations.
+test-system: $(STAMP)
+	$(BIN)/pytest tests/system -m "not short and not browser"
 
 # Tests of the pages in Debian's chromium (installed if missing) and of recordings in Rerun; pictures in runs/browser.
 test-browser: $(BROWSER_STAMP)
 	$(BIN)/pytest -m browser
 
-check: lint types contracts test
+check: lint types contracts test test-system
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -22,7 +22,7 @@ settings.load_profile("rover-ncp")
 settings.register_profile("mutants", deadline=None, database=None, phases=[Phase.explicit, Phase.generate])
 
 # Files that wait longest for real processes begin first, so that they do not run alone at the end.
-LONGEST = ["test_safety_matrix.py", "test_deploy_teleop.py", "test_soak.py"]
+LONGEST = ["test_bridge_dead_line.py", "test_learn_cluster.py", "test_deploy_identification.py"]
 
 
 def pytest_collection_modifyitems(items):

@@ -9,8 +9,7 @@ import os
 from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import zenoh
 
@@ -21,9 +20,10 @@ from bridge.ros.rmw_node import RmwNode, publisher, read_command
 from bridge.zenoh_config import any_port, configured, reason
 from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key, spec
+from rover_ncp.core.process import ClosedAtExit
 
 
-class ZenohLink:
+class ZenohLink(ClosedAtExit):
     """An open session, listening. Raises UsageError, FileError (``config``) or PortInUse.
 
     Beyond this machine it requires authentication, unless ``insecure``. ``ros`` selects the form in which ROS
@@ -59,14 +59,6 @@ class ZenohLink:
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def announce(self) -> None:
         """Announce the bridge, and its topics to ROS bridges."""

@@ -10,11 +10,11 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import require_creatable
+from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.core.recording import Recorded, RecordingWriter
 
 FLUSH_S = 0.4
@@ -24,7 +24,7 @@ QUEUE_LENGTH = 10_000
 CLOSE_TIMEOUT_S = 10.0
 
 
-class Recorder:
+class Recorder(ClosedAtExit):
     """Writes one recording, or none for the path None. Only `open` and the constructor raise.
 
     Messages that come before `open`, such as the static transforms, wait in the queue.
@@ -41,14 +41,6 @@ class Recorder:
         self.dropped = 0
         self._queue: queue.Queue[Recorded | None] = queue.Queue(QUEUE_LENGTH)
         self._thread: threading.Thread | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def open(self, attachments: Mapping[str, bytes]) -> None:
         """Begin the file with its attachments. Raises FileError."""

@@ -9,14 +9,14 @@ import socket
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import zenoh
 
 from rover_ncp.core.errors import FileError, NoBridge, NotAuthorised, UnreachableError, UsageError
 from rover_ncp.core.files import existing_file
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, key
+from rover_ncp.core.process import ClosedAtExit
 
 PORT = 7447
 """Zenoh's own port, where the bridge listens."""
@@ -54,7 +54,7 @@ class BridgeAddress:
         return f" in namespace {self.namespace}" if self.namespace else ""
 
 
-class ZenohClient:
+class ZenohClient(ClosedAtExit):
     """A session with one bridge. It gives every message of the bridge to ``receive``, except ``own`` ones.
 
     ``receive`` runs in Zenoh's thread. Opening raises NoBridge when nothing answers at the address, and
@@ -89,14 +89,6 @@ class ZenohClient:
         except BaseException:
             self._session.close()  # type: ignore[no-untyped-call]
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the session."""

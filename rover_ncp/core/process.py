@@ -1,6 +1,7 @@
-"""The clock of a process that drives a rover, and termination signals that are recorded instead of obeyed."""
+"""A process's clock, its termination signals (recorded, not obeyed), and what a ``with`` block closes."""
 
 import signal
+from abc import ABC, abstractmethod
 from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
 
@@ -19,6 +20,22 @@ class Clock(Protocol):
 
     def sleep(self, seconds: float, /) -> None:
         """Wait."""
+
+
+class ClosedAtExit(ABC):
+    """Something that the end of a ``with`` block closes."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close it."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
 
 class Interrupts:

@@ -25,6 +25,7 @@ from functools import cached_property
 from pathlib import Path
 
 from sim.live.processes import Applied, Process
+from sim.pioneer.lateness import Lateness
 
 CHUNK_BYTES = 1 << 16
 TURN_S = 0.005
@@ -78,22 +79,20 @@ class _Link:
         self._up_open, self._down_open = asyncio.Event(), asyncio.Event()
         self._bytes_s: int | None = None
         self._refusing = False
-        self._due_s, self._late_s = time.monotonic() + TURN_S, 0.0
+        self._lateness = Lateness()
         self._release()
 
     async def watch_delay(self) -> None:
         """Note the longest delay of the event loop."""
         while True:
-            self._due_s = time.monotonic() + TURN_S
+            self._lateness.begin(TURN_S)
             await asyncio.sleep(TURN_S)
-            self._late_s = max(self._late_s, time.monotonic() - self._due_s)
+            self._lateness.end()
 
     def apply(self, line: str) -> Applied:
         """Apply a command line. The time returned is from before its effect: no fault looks younger."""
         word, _, number = line.strip().partition(" ")
-        # The delay of the turn under way was before this line, not after it.
-        late_s = max(self._late_s, time.monotonic() - self._due_s)
-        self._due_s, self._late_s = time.monotonic() + TURN_S, 0.0
+        late_s = self._lateness.take()
         applied = Applied(time.monotonic_ns(), round(late_s * 1e9))
         if word in {"hold", "hold_both_ways"}:
             self._up_open.clear()

@@ -5,16 +5,16 @@ Each process is the command that a user would type. Leaving the ``with`` block e
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Self, TypeVar
 
+from rover_ncp.core.process import ClosedAtExit
 from sim.live.processes import Process, compile_driver, uninterrupted
 from sim.live.truth import TRUTH, TruthReader
 
 Started = TypeVar("Started", bound=Process)
 
 
-class LiveRun:
+class LiveRun(ClosedAtExit):
     """Mock and bridge, ready one after the other, and drivers; logs and the mock's truth go to ``folder``.
 
     ``mock`` and ``bridge`` are more arguments for these commands. ``outlet`` is the kind of `Outlet` that
@@ -39,11 +39,6 @@ class LiveRun:
             self.close()
             raise
         return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def start(self) -> None:
         """Start the mock and the bridge. Raises ProcessError or TimedOut."""

@@ -2,7 +2,6 @@
 
 import threading
 import time
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -12,6 +11,7 @@ from deploy.zenoh_client import client_config
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.key_table import key
 from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance, read_text
+from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.core.protocol import GateStatus, parse_json
 
 KNOWN_M, KNOWN_RAD = 0.001, 0.001
@@ -19,7 +19,7 @@ KNOWN_M, KNOWN_RAD = 0.001, 0.001
 PERIOD_S = 0.1
 
 
-class Peer:
+class Peer(ClosedAtExit):
     """A Zenoh session and a thread that runs `run`, from `start` or the beginning of the ``with`` block on.
 
     `close`, or the end of the block, sets ``closing`` and waits for the thread.
@@ -49,11 +49,6 @@ class Peer:
 
     def __enter__(self) -> Self:
         return self.start()
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def known_pose(pose: Pose, wall_ns: int) -> bytes:

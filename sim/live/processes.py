@@ -25,7 +25,7 @@ APPLIED = "applied "
 """Begins the line in which a child reports that it applied a line of its input."""
 APPLIED_TIMEOUT_S = 5.0
 
-TERMINAL, PIPE, GONE = OUTLETS = ("terminal", "pipe", "gone")
+TERMINAL, PIPE, GONE = ("terminal", "pipe", "gone")
 
 Found = TypeVar("Found")
 

@@ -4,7 +4,6 @@ One thread: it sleeps until bytes arrive or the next SIP is due, then advances t
 """
 
 import errno
-import math
 import selectors
 import socket
 import time
@@ -17,6 +16,7 @@ from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.files import create
 from sim.pioneer.faults import parse_fault
 from sim.pioneer.firmware import Firmware
+from sim.pioneer.lateness import Lateness
 from sim.world.rover import SUBSTEP_S
 
 PERIOD_S = SUBSTEP_S
@@ -97,7 +97,7 @@ class Server:
         self.touched = False
         """Whether the rover ever touched anything."""
         self._truth, self._say = truth, say
-        self._due_s, self._late_s = math.inf, 0.0
+        self._lateness = Lateness()
         self.firmware, self._start_s = firmware, firmware.now
         firmware.observe = self._observe
         self._client: socket.socket | None = None
@@ -114,16 +114,15 @@ class Server:
         if fault_lines is not None:
             self._selector.register(fault_lines, selectors.EVENT_READ, lambda: self._read_fault(fault_lines))
         while not stopping():
-            now_s = time.monotonic()
-            sleep_s = max(min(self.firmware.sip_due_s - now_s, PERIOD_S), 0.0)
-            self._due_s = now_s + sleep_s
+            sleep_s = max(min(self.firmware.sip_due_s - time.monotonic(), PERIOD_S), 0.0)
+            self._lateness.begin(sleep_s)
             for key, _ in self._selector.select(sleep_s):
                 key.data()
             self.firmware.advance(time.monotonic())
             self._send()
             if self._truth:
                 self._truth.flush()
-            self._late_s = max(self._late_s, time.monotonic() - self._due_s)
+            self._lateness.end()
 
     def close(self) -> None:
         """Hang up and close everything."""
@@ -147,10 +146,8 @@ class Server:
         self.firmware.advance(time.monotonic())
         if fault is not None:
             self.firmware.inject(fault)
-        # The delay of the turn under way was before this line, not after it.
-        late_s = max(self._late_s, time.monotonic() - self._due_s, 0.0)
-        self._due_s, self._late_s = time.monotonic(), 0.0
-        self._say(f"applied t_ns={clock_ns(self.firmware.now)} late_ns={clock_ns(late_s)} {text}".rstrip())
+        late_ns = clock_ns(self._lateness.take())
+        self._say(f"applied t_ns={clock_ns(self.firmware.now)} late_ns={late_ns} {text}".rstrip())
 
     def _observe(self, now: float) -> None:
         contact = self.firmware.drive.rover.in_contact

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from bridge_bench import Rig, wait_for
+from bridge_bench import wait_for
 
 from deploy.drive.lease import DriverLease
 from deploy.zenoh_client import client_config
@@ -23,20 +23,6 @@ from sim.live.processes import Process, compile_driver
 HEARD = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.BRIDGE}]
 SELDOM = {"sonar", "imu"}
 """Only where something is near, and from a base with a gyro."""
-
-
-@pytest.fixture(scope="module")
-def keys(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("keys")
-    assert cli.run(["keys", "--out", str(folder)]) == 0
-    return folder
-
-
-@pytest.fixture(scope="module")
-def rig(keys, tmp_path_factory):
-    listen = ["--listen", "tls/127.0.0.1:0", "--zenoh-config", str(keys / "bridge.json5")]
-    with Rig(tmp_path_factory.mktemp("rig"), bridge=listen) as rig:
-        yield rig
 
 
 def read(path: Path):
@@ -89,8 +75,8 @@ class User:
         self.session.close()
 
 
-def test_a_driver_sees_everything_and_drives(rig, keys):
-    with User(rig, keys / "driver.json5") as driver:
+def test_a_driver_sees_everything_and_drives(secured, keys):
+    with User(secured, keys / "driver.json5") as driver:
         wait_for(lambda: driver.may_drive and {*HEARD} - SELDOM <= driver.heard.keys())
         (reply,) = wait_for(lambda: (found := driver.enable()) and found[0].granted and found)
         assert reply.granted
@@ -98,8 +84,8 @@ def test_a_driver_sees_everything_and_drives(rig, keys):
         wait_for(lambda: driver.gate.lease == 0)  # it fell silent
 
 
-def test_viewer_receives_everything_and_cannot_drive(rig, keys):
-    with User(rig, keys / "viewer.json5") as viewer:
+def test_viewer_receives_everything_and_cannot_drive(secured, keys):
+    with User(secured, keys / "viewer.json5") as viewer:
         wait_for(lambda: {*HEARD} - SELDOM <= viewer.heard.keys())
         before = viewer.gate
         for name in ("cmd_vel", "*", "**", "cmd_$*", "cmd_vel/**"):
@@ -121,8 +107,8 @@ def test_viewer_receives_everything_and_cannot_drive(rig, keys):
     )
 
 
-def test_localiser_can_publish_the_pose_only(rig, keys):
-    with User(rig, keys / "driver.json5") as driver, User(rig, keys / "localiser.json5") as localiser:
+def test_localiser_can_publish_the_pose_only(secured, keys):
+    with User(secured, keys / "driver.json5") as driver, User(secured, keys / "localiser.json5") as localiser:
         poses, others = [], []
         own = [
             driver.session.declare_subscriber("pose", lambda sample: poses.append(sample.payload.to_bytes())),
@@ -145,8 +131,8 @@ def test_localiser_can_publish_the_pose_only(rig, keys):
             subscriber.undeclare()
 
 
-def test_no_client_can_publish_or_answer_for_the_bridge(rig, keys):
-    with User(rig, keys / "driver.json5") as driver, User(rig, keys / "viewer.json5") as viewer:
+def test_no_client_can_publish_or_answer_for_the_bridge(secured, keys):
+    with User(secured, keys / "driver.json5") as driver, User(secured, keys / "viewer.json5") as viewer:
         wait_for(lambda: "rover/gate" in viewer.heard and driver.may_drive)
         token = driver.session.liveliness().declare_token("rover/alive/bridge")
         own = driver.session.liveliness().declare_token("rover/alive/driver")
@@ -183,7 +169,7 @@ def spoil_key(transport, stranger):
 
 
 @pytest.mark.parametrize("spoil", [spoil_certificate, spoil_password, spoil_user, spoil_key])
-def test_a_stranger_cannot_connect(rig, keys, tmp_path, spoil):
+def test_a_stranger_cannot_connect(secured, keys, tmp_path, spoil):
     stranger = tmp_path / "stranger"
     assert cli.run(["keys", "--out", str(stranger)]) == 0
     transport = read(keys / "driver.json5")["transport"]
@@ -191,15 +177,15 @@ def test_a_stranger_cannot_connect(rig, keys, tmp_path, spoil):
     spoil(transport, stranger)
     transport.pop("ca")
     (tmp_path / "zenoh.json5").write_text(json.dumps({"transport": transport}))
-    with pytest.raises(zenoh.ZError), User(rig, tmp_path / "zenoh.json5"):
+    with pytest.raises(zenoh.ZError), User(secured, tmp_path / "zenoh.json5"):
         pass
 
 
-def test_a_certificate_goes_with_its_own_user_only(rig, keys, tmp_path):
+def test_a_certificate_goes_with_its_own_user_only(secured, keys, tmp_path):
     viewer, driver = (read(keys / f"{role}.json5")["transport"] for role in ("viewer", "driver"))
     viewer["auth"] = driver["auth"]
     (tmp_path / "zenoh.json5").write_text(json.dumps({"transport": viewer}))
-    with User(rig, tmp_path / "zenoh.json5") as mixed:
+    with User(secured, tmp_path / "zenoh.json5") as mixed:
         assert mixed.enable() == []
         assert not mixed.may_drive
         assert mixed.heard == {}
@@ -225,8 +211,8 @@ def test_drivers_certificate_is_not_valid_for_listening(keys, tmp_path):
             zenoh.open(client_config(locator, keys / "driver.json5")[0])
 
 
-def test_deploy_says_not_authorised_and_drives_when_it_is(rig, keys, tmp_path, capsys):
-    options = ["deploy", "--robot", rig.locator]
+def test_deploy_says_not_authorised_and_drives_when_it_is(secured, keys, tmp_path, capsys):
+    options = ["deploy", "--robot", secured.locator]
     assert cli.run([*options, "--zenoh-config", str(keys / "viewer.json5")]) == 3
     viewer = capsys.readouterr().err
     assert viewer.startswith("rover-ncp: not authorised: the bridge at tls/127.0.0.1")

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from deploy_bench import LEASE, ODOM_AT_START, STILL, Bridge, driver, free_port
+from deploy_bench import LEASE, ODOM_AT_START, STILL, free_port
 
 from deploy import app as node
 from deploy.drive.config import DriveConfig
@@ -19,18 +19,6 @@ from rover_ncp.core.geometry import Pose, Velocity, compose, distance
 from rover_ncp.core.messages import odometry, read_pose
 from rover_ncp.core.protocol import GateStatus
 from rover_ncp.core.recording import read_recording
-
-
-@pytest.fixture
-def bridge():
-    bridge = Bridge()
-    yield bridge
-    bridge.close()
-
-
-@pytest.fixture
-def drive(bridge, tmp_path, capsys, monkeypatch):
-    return driver(bridge, tmp_path, capsys, monkeypatch)
 
 
 @pytest.fixture

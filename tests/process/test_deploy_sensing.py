@@ -4,7 +4,7 @@ import dataclasses
 import functools
 
 import pytest
-from deploy_bench import ODOM_AT_START, STILL, Bridge, driver, short_course, untuned_policy
+from deploy_bench import ODOM_AT_START, STILL, short_course, untuned_policy
 
 from deploy import app as node
 from deploy.drive.config import DriveConfig
@@ -18,18 +18,6 @@ from rover_ncp.core.key_table import key
 from rover_ncp.core.messages import imu, odometry, pose_with_covariance, read_pose, read_text
 from rover_ncp.core.protocol import parse_json
 from rover_ncp.core.recording import read_recording, rewrite
-
-
-@pytest.fixture
-def bridge():
-    bridge = Bridge()
-    yield bridge
-    bridge.close()
-
-
-@pytest.fixture
-def drive(bridge, tmp_path, capsys, monkeypatch):
-    return driver(bridge, tmp_path, capsys, monkeypatch)
 
 
 def localised(bridge, course_odom, frame="course"):

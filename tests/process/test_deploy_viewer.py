@@ -5,33 +5,18 @@ from bridge_bench import Rig, wait_for
 
 from deploy.watch.viewer import Viewer
 from deploy.zenoh_client import BridgeAddress
-from rover_ncp import cli
 from rover_ncp.core.errors import NoBridge, NotAuthorised
 from rover_ncp.core.messages import read_text
 from rover_ncp.core.protocol import GateStatus, parse_json
-
-
-@pytest.fixture(scope="module")
-def keys(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("keys")
-    assert cli.run(["keys", "--out", str(folder)]) == 0
-    return folder
-
-
-@pytest.fixture(scope="module")
-def rig(keys, tmp_path_factory):
-    listen = ["--listen", "tls/127.0.0.1:0", "--zenoh-config", str(keys / "bridge.json5")]
-    with Rig(tmp_path_factory.mktemp("rig"), bridge=listen) as rig:
-        yield rig
 
 
 def gates(heard):
     return [parse_json(GateStatus, read_text(m.data)) for m in heard if m.topic == "rover/gate"]
 
 
-def test_a_viewer_receives_everything_and_stops_nothing(rig, keys):
+def test_a_viewer_receives_everything_and_stops_nothing(secured, keys):
     heard = []
-    with Viewer(BridgeAddress(rig.locator, "", keys / "viewer.json5"), heard.append) as viewer:
+    with Viewer(BridgeAddress(secured.locator, "", keys / "viewer.json5"), heard.append) as viewer:
         wait_for(lambda: {"odom", "rover/gate", "tf"} <= {message.topic for message in heard})
         assert viewer.bridge_alive
         assert viewer.may_stop is False
@@ -42,9 +27,9 @@ def test_a_viewer_receives_everything_and_stops_nothing(rig, keys):
         assert gates(heard)[-1].held != "stopped"
 
 
-def test_who_may_drive_may_stop_and_release(rig, keys):
+def test_who_may_drive_may_stop_and_release(secured, keys):
     heard = []
-    with Viewer(BridgeAddress(rig.locator, "", keys / "driver.json5"), heard.append) as viewer:
+    with Viewer(BridgeAddress(secured.locator, "", keys / "driver.json5"), heard.append) as viewer:
         wait_for(lambda: viewer.may_stop)
         assert viewer.stop().stopped is True
         wait_for(lambda: gates(heard) and gates(heard)[-1].held == "stopped")

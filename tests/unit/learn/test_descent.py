@@ -1,0 +1,154 @@
+"""One descent of the Gauss-Newton search and its least squares."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sim.learn.search.constants import CONSTANTS
+from sim.learn.search.descent import Descent, Outcome, known_checkpoints, survival, survival_weights
+from sim.learn.search.least_squares import correct_slopes, damped_steps
+
+
+def descent_at(value: float, gain: float, steps: int) -> Descent:
+    """A climb of the return of 22 checkpoints that gained so much before its last ``steps`` steps."""
+    misses = np.zeros((22, 3))
+    misses[0, 0] = math.sqrt(-value)
+    at = Outcome(np.zeros(4), value, misses)
+    return Descent(at, False, False, np.zeros((4, 66)), 0.1, [value - gain] + [value] * steps)
+
+
+@pytest.mark.parametrize(("value", "share"), [(-0.5, 0.05), (-0.09, 0.01)])
+def test_slow_descent_ends_sooner_far_from_the_goal(value: float, share: float) -> None:
+    for factor, continues in ((0.97, False), (1.03, True)):
+        descent = descent_at(value, -share * factor * value, CONSTANTS.window - 1)
+        worse = Outcome(np.full(4, 0.01), value - 1.0, descent.at.misses * 2.0)
+        assert descent.take([worse]) == continues
+
+
+def test_descent_that_would_not_overtake_the_best_in_time_ends() -> None:
+    window = CONSTANTS.overtaking_window
+    for gain, continues in ((0.026, True), (0.024, False)):
+        descent = descent_at(-0.5, gain, window)
+        assert descent.overtakes(-0.4)  # too few scores to judge
+        descent.scores = [-0.6, *descent.scores]
+        assert descent.overtakes(-0.4) == continues
+        assert descent.overtakes(-0.5)
+
+
+def stalled() -> Descent:
+    """A descent at a point of four parameters, of which the second and the last have no slope."""
+    slopes = np.full((4, 6), 0.5)
+    slopes[[1, 3]] = 0.0
+    at = Outcome(np.array([0.5, 0.5, 0.5, 0.98]), -0.6, np.full((2, 3), math.sqrt(0.1)))
+    descent = Descent(at, True, False, slopes, 1e3, [])
+    descent.scores = [descent.score(at)]
+    return descent
+
+
+def test_only_dead_parameters_are_moved_far_and_stay_in_the_box() -> None:
+    descent = stalled()
+    probes = descent.revival_probes()
+    moves = probes - descent.at.point
+    far = CONSTANTS.revival_moves
+    assert ((probes >= 0.0) & (probes <= 1.0)).all()
+    assert ((moves != 0).sum(axis=1) == 1).all()
+    assert not moves[:, [0, 2]].any()
+    assert sorted(moves[moves[:, 1] != 0, 1]) == pytest.approx(sorted([*far, *np.negative(far)]))
+    assert sorted(-moves[moves[:, 3] != 0, 3]) == pytest.approx(far)
+
+
+def test_revival_takes_the_largest_effect_at_a_fair_price() -> None:
+    descent = stalled()
+
+    def probe(miss: float) -> Outcome:
+        misses = descent.at.misses.copy()
+        misses[1, 2] += miss
+        return Outcome(np.full(4, miss), -float((misses**2).sum()), misses)
+
+    dear, fair, slight, none = probe(3.0), probe(0.02), probe(-0.011), probe(CONSTANTS.dead_effect / 2)
+    assert not descent.revive_dead_parameters([dear, none])
+    assert descent.may_revive()
+    assert descent.revive_dead_parameters([slight, dear, fair, none])
+    assert descent.at is fair
+    assert descent.scores == [descent.score(fair)]
+    assert not descent.may_revive()
+
+
+# -- arithmetic --------------------------------------------------------------------------------------------
+
+
+@given(
+    parameters=st.integers(1, 30),
+    residuals=st.integers(1, 30),
+    damping=st.floats(1e-2, 1e3),
+    seed=st.integers(0, 10**6),
+)
+@settings(max_examples=60, deadline=None)
+def test_steps_solve_the_damped_normal_equations(
+    parameters: int, residuals: int, damping: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    slopes, misses = rng.standard_normal((parameters, residuals)), rng.standard_normal(residuals)
+    point = np.where(rng.random(parameters) < 0.3, np.round(rng.random(parameters)), rng.random(parameters))
+    weights = np.where(rng.random(residuals) < 0.5, 1.0, rng.random(residuals))
+    dampings = np.array([damping, 10 * damping])
+    targets = damped_steps(slopes, misses, weights, point, dampings)
+    slopes, misses = slopes * weights, misses * weights
+    gradient = slopes @ misses
+    held = ((point == 0) & (gradient > 0)) | ((point == 1) & (gradient < 0))
+    free = np.where(held[:, None], 0.0, slopes)
+    for target, lam in zip(targets, dampings, strict=True):
+        step = np.linalg.solve(free @ free.T + lam * np.eye(parameters), -free @ misses)
+        assert target == pytest.approx(np.clip(point + step, 0, 1), abs=1e-8)
+
+
+def test_singular_system_almost_without_damping_still_gives_a_step() -> None:
+    ones = np.ones(66)
+    targets = damped_steps(np.full((5, 66), 1e4), ones, ones, np.full(5, 0.5), np.array([1e-9]))
+    assert np.isfinite(targets).all()
+
+
+def test_correction_explains_the_step_and_changes_nothing_across_it() -> None:
+    rng = np.random.default_rng(0)
+    slopes, step, change = rng.normal(size=(7, 12)), rng.normal(size=7), rng.normal(size=6)
+    before = slopes.copy()
+    correct_slopes(slopes, step, change)  # of a truncated step the first residuals are known
+    assert step @ slopes[:, :6] == pytest.approx(change)
+    assert slopes[:, 6:].tolist() == before[:, 6:].tolist()
+    across = rng.normal(size=7)
+    across -= step * (across @ step) / (step @ step)
+    assert across @ slopes == pytest.approx(across @ before)
+    once = slopes.copy()
+    correct_slopes(slopes, np.zeros(7), change)
+    assert slopes.tolist() == once.tolist()
+
+
+def test_survival_counts_checkpoints_and_its_weights_are_its_slopes() -> None:
+    rng = np.random.default_rng(2)
+    misses, lifetime = rng.normal(size=(6, 3)), 5.0
+    assert survival(np.zeros((6, 3)), lifetime) == 6.0
+    assert survival(np.full((6, 3), 1e6), lifetime) == pytest.approx(0.0, abs=1e-200)
+    loss = np.cumsum((misses**2).sum(axis=1))
+    assert survival(misses, lifetime) == pytest.approx(np.exp(-loss / lifetime).sum())
+    weights = survival_weights(misses, lifetime).reshape(misses.shape)
+    assert np.mean(weights**2) == pytest.approx(1.0)
+    # The gradient of survival is that of the weighted squares, but for sign and scale.
+    step, slopes = 1e-6, np.empty_like(misses)
+    for at in np.ndindex(*misses.shape):
+        moved = misses.copy()
+        moved[at] += step
+        slopes[at] = (survival(moved, lifetime) - survival(misses, lifetime)) / step
+    ratio = slopes / (weights**2 * misses)
+    assert ratio == pytest.approx(np.full_like(ratio, ratio.flat[0]), rel=1e-3)
+    assert ratio.flat[0] < 0
+
+
+@pytest.mark.parametrize(
+    ("to_beat", "known"), [(-0.05, 1), (-0.1001, 2), (-0.7, 3), (-0.9, 3), (-math.inf, 3)]
+)
+def test_misses_are_known_up_to_the_checkpoint_where_the_return_is_lost(to_beat: float, known: int) -> None:
+    misses = np.sqrt(np.array([[0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.0, 0.5]]))
+    assert known_checkpoints(misses, to_beat) == known

@@ -12,13 +12,12 @@ from rover_ncp.core.messages import pose_stamped
 from rover_ncp.core.recording import Recorded
 from rover_ncp.course.course import TICK_S, Course, Verdict
 from sim.live.processes import GrowingFile, TimedOut
+from sim.world.rover import STILL_M_S, STILL_RAD_S
 
 TRUTH = "truth.csv"
 """Name of the mock's file in the folder of a run."""
 TRUTH_TOPIC = "truth/pose"
 TRUTH_FRAME = "course"
-STILL_M_S, STILL_RAD_S = 1e-3, 1e-3
-"""Below both speeds a rover stands."""
 SAMPLE_S = 0.01
 """Time between two lines of the mock's file; also the mock's step."""
 

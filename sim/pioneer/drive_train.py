@@ -11,7 +11,7 @@ import math
 from bridge.pioneer.robots import RobotParameters
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from sim.pioneer.trial import BaseTrial
-from sim.world.rover import SUBSTEP_S, Rover
+from sim.world.rover import STILL_M_S, SUBSTEP_S, Rover
 
 DISTANCE_GAIN, HEADING_GAIN = 2.0, 3.0
 """Speed per way left, in 1/s: a third of what would overshoot with the rover's delays."""
@@ -20,8 +20,6 @@ DISTANCE_DONE_M, HEADING_DONE_RAD = 0.002, 0.005
 
 BRAKING_SHARE = 0.5
 """How much of the deceleration limit a MOVE or HEAD plans with."""
-
-STILL_M_S, STILL_RAD_S = 1e-3, 1e-3
 
 E_STOP_DECEL, E_STOP_ALPHA = 5.0, 20.0
 """Braking beyond the deceleration limit, m/s² and rad/s² (chosen)."""
@@ -132,8 +130,8 @@ class DriveTrain:
 
     @property
     def measured(self) -> Velocity:
-        """The motion as encoders and gyro see it."""
-        return self._trial.measured(self.rover.velocity)
+        """The motion as the base measures it: the encoders', with the trial's errors."""
+        return self._trial.measured(self.rover.encoders)
 
     @property
     def wheel_speeds(self) -> tuple[float, float]:
@@ -143,8 +141,7 @@ class DriveTrain:
     @property
     def moving(self) -> bool:
         """Whether the base reports motion."""
-        v, omega = self.rover.velocity
-        return abs(v) > STILL_M_S or abs(omega) > STILL_RAD_S
+        return self.rover.moving
 
     @property
     def _obeys(self) -> bool:
@@ -181,7 +178,7 @@ class DriveTrain:
         speed = self._v
         if self._way_left is not None:
             speed = self._approach(self._way_left, DISTANCE_GAIN, self.limits["decel"])
-            if abs(self._way_left) < DISTANCE_DONE_M and abs(self.rover.velocity.v) < STILL_M_S * 5:
+            if abs(self._way_left) < DISTANCE_DONE_M and abs(self.rover.encoders.v) < STILL_M_S * 5:
                 self._way_left = None
         return min(max(speed, -self.v_limit), self.v_limit)
 

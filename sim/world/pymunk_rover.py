@@ -10,7 +10,16 @@ import pymunk
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from rover_ncp.course.course import Course, Obstacle
-from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, Limits, RoverModel, own_axes, toward
+from sim.world.rover import (
+    GRAVITY_M_S2,
+    STILL_M_S,
+    STILL_RAD_S,
+    SUBSTEP_S,
+    Limits,
+    RoverModel,
+    own_axes,
+    toward,
+)
 
 COLLISION_SLOP_M = 0.001
 """How deep shapes may rest in each other. Chipmunk's default of 0.1 would be 10 cm in our metres."""
@@ -153,6 +162,15 @@ class PymunkRover:
         cos, sin = self.body.rotation_vector
         vx, vy = self.body.velocity
         return Velocity(cos * vx + sin * vy, self.body.angular_velocity)
+
+    @property
+    def encoders(self) -> Velocity:
+        return self.velocity
+
+    @property
+    def moving(self) -> bool:
+        v, omega = self.encoders
+        return abs(v) > STILL_M_S or abs(omega) > STILL_RAD_S
 
     @property
     def in_contact(self) -> bool:

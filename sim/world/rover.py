@@ -25,6 +25,8 @@ SUBSTEP_S = 0.01
 SUBSTEPS = 10
 """Physics steps in a control tick."""
 GRAVITY_M_S2 = 9.81
+STILL_M_S, STILL_RAD_S = 1e-3, 1e-3
+"""Below both speeds a rover stands."""
 
 
 class RoverModel(StrictModel):
@@ -108,7 +110,15 @@ class Rover(Protocol):
 
     @property
     def velocity(self) -> Velocity:
-        """The body's motion along the rover and its rotation; a stalled rover's is zero."""
+        """The body's true motion along the rover and its rotation; a stalled rover's is zero."""
+
+    @property
+    def encoders(self) -> Velocity:
+        """The motion that the encoders see: the wheels' mean speed, and the turn by the nominal track."""
+
+    @property
+    def moving(self) -> bool:
+        """Whether the encoders see motion, beyond ``STILL_M_S`` or ``STILL_RAD_S``."""
 
     @property
     def in_contact(self) -> bool:

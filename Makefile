@@ -14,7 +14,7 @@ park: $(STAMP)
 # Unit and process tests in two workers, each with whole files: CI has two cores. Then a short set of system tests, alone,
 # because they measure times.
 test: $(STAMP)
-	$(BIN)/pytest tests/unit tests/process --numprocesses 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest tests/unit tests/process --numprocesses 4 --dist worksteal
 	$(BIN)/pytest tests/system -m short
 
 # The other system tests: every row of the safety matrix, the soak, live drives, installations.

@@ -17,11 +17,11 @@ from rover_ncp.course.reference import seen_from
 from rover_ncp.kernels.jit import borrowed, inlined_kernel, kernel
 from sim.world.fleet import FleetArrays, advance, place, push, read_pose, read_poses, send, wrapped
 from sim.world.randomization import (
-    BaseErrors,
-    OdometryErrors,
     Trials,
     apply_base_errors,
+    base_errors,
     dead_reckon,
+    odometry_errors,
     quantise,
 )
 from sim.world.rover import SUBSTEP_S
@@ -118,6 +118,7 @@ class Queue(NamedTuple):
 
 
 _seen_from = kernel(seen_from)
+_base_errors, _odometry_errors = kernel(base_errors), kernel(odometry_errors)
 _apply_base_errors = kernel(apply_base_errors)
 _dead_reckon = kernel(dead_reckon)
 _quantise = kernel(quantise)
@@ -226,9 +227,11 @@ def start_episode(
     lanes.earlier[:, lane] = trials.start[trial]
     for axis in range(2):
         factor = trials.acceleration[trial, axis]
-        fleet.rise[axis, lane] = (tasks.limits[2 * axis] * factor) * SUBSTEP_S
-        fleet.fall[axis, lane] = (tasks.limits[2 * axis + 1] * factor) * SUBSTEP_S
+        gain = trials.turning[trial, 0] if axis == 1 else 1.0
+        fleet.rise[axis, lane] = (tasks.limits[2 * axis] * factor) * SUBSTEP_S * gain
+        fleet.fall[axis, lane] = (tasks.limits[2 * axis + 1] * factor) * SUBSTEP_S * gain
         fleet.delay[axis, lane] = trials.delay[trial, axis]
+        fleet.turning[axis, lane] = trials.turning[trial, axis]
     put_at_start(trials, lanes, fleet, trial, lane)
     observe(signal_at, tasks, trials, lanes, task, trial, lane, 0, 0.0)
 
@@ -288,9 +291,7 @@ def pass_commands(trials: Trials, lanes: Lanes, queue: Queue) -> None:
         lanes.driven[0, lane], lanes.driven[1, lane] = _apply_base_errors(
             held[0, lane],
             held[1, lane],
-            BaseErrors(
-                trials.gain[trial, 0], trials.gain[trial, 1], trials.imbalance[trial], trials.slip[trial]
-            ),
+            _base_errors(trials, trial),
         )
 
 
@@ -302,7 +303,7 @@ def finish_tick(
     # Local names: numba counts references whenever an array is taken out of a tuple.
     episodes, ticks, total, poses, tail = lanes.episode, lanes.tick, lanes.total, lanes.poses, lanes.tail
     due, checkpoints, reference = tasks.due, tasks.checkpoints, tasks.reference
-    odometry, misses = lanes.odometry, queue.misses
+    odometry, misses, sees_pose = lanes.odometry, queue.misses, trials.exact or trials.sensors[1]
     ended = 0
     for lane in range(len(episodes)):
         episode = episodes[lane]
@@ -331,15 +332,16 @@ def finish_tick(
         lanes.tracking[1, lane] += dtheta * dtheta
         length = tail.shape[1]
         if not trials.exact:
+            lanes.earlier[:, lane] = odometry[:, lane]
+        if not sees_pose:
             reckon(trials, lanes, trial, lane, tail[lane, now % length])
-        place = (now + 1) % length
-        for axis in range(3):
-            if trials.exact:
-                odometry[axis, lane] = poses[axis, lane]
-            tail[lane, place, axis] = poses[axis, lane]
         if now + 1 == trials.bump[trial, 0] and not trials.exact:
             bump(trials, lanes, fleet, trial, lane)
-            tail[lane, place] = poses[:, lane]
+        place = (now + 1) % length
+        for axis in range(3):
+            if sees_pose:
+                odometry[axis, lane] = poses[axis, lane]
+            tail[lane, place, axis] = poses[axis, lane]
         if now + 1 == tasks.ticks[task] or total[lane] < queue.stop_below[episode]:
             conclude(tasks, lanes, fleet, task, lane, queue.results[episode])
             episodes[lane] = IDLE
@@ -353,24 +355,17 @@ def finish_tick(
 def reckon(trials: Trials, lanes: Lanes, trial: int, lane: int, before: FloatArray) -> None:
     """Move odometry by what a tick seemed to be."""
     poses, odometry = lanes.poses, lanes.odometry
-    lanes.earlier[:, lane] = odometry[:, lane]
     odometry[0, lane], odometry[1, lane], odometry[2, lane] = _dead_reckon(
         Pose(odometry[0, lane], odometry[1, lane], odometry[2, lane]),
         Pose(before[0], before[1], before[2]),
         Pose(poses[0, lane], poses[1, lane], poses[2, lane]),
-        OdometryErrors(
-            trials.odometry[trial, 0],
-            trials.odometry[trial, 1],
-            trials.imbalance[trial],
-            trials.slip[trial],
-            trials.drift[trial],
-        ),
+        _odometry_errors(trials, trial),
     )
 
 
 @kernel
 def bump(trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, lane: int) -> None:
-    """Push the rover, unseen by its odometry."""
+    """Push the rover, unseen by its wheels."""
     _, x, y, theta = trials.bump[trial]
     push(fleet, lane, x, y, theta)
     read_pose(fleet, lanes.poses, lane)

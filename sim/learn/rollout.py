@@ -21,12 +21,12 @@ from rover_ncp.course.course import TICK_S, Course, Verdict, due_checkpoints, re
 from rover_ncp.course.reference import SIGNALS, Reference, needs_reference, plan_reference, see
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.randomization import (
-    BaseErrors,
-    OdometryErrors,
     Trials,
     apply_base_errors,
+    base_errors,
     dead_reckon,
     nominal_trials,
+    odometry_errors,
     quantise,
     trial_model,
 )
@@ -77,22 +77,21 @@ class _Odometry:
 
     def __init__(self, trials: Trials, row: int) -> None:
         self._trials, self._row = trials, row
+        self._errors = odometry_errors(trials, row)
+        self._sees_pose = trials.exact or trials.sensors[1]
         self._now = self._earlier = self._true = Pose(*trials.start[row].tolist())
 
     def moved(self, pose: Pose) -> None:
         """Take in where a tick brought the rover."""
-        trials, row = self._trials, self._row
         self._earlier = self._now
-        if trials.exact:
-            self._now = pose
-        else:
-            errors = *trials.odometry[row], trials.imbalance[row], trials.slip[row], trials.drift[row]
-            self._now = dead_reckon(self._now, self._true, pose, OdometryErrors(*map(float, errors)))
+        self._now = pose if self._sees_pose else dead_reckon(self._now, self._true, pose, self._errors)
         self._true = pose
 
     def pushed(self, pose: Pose) -> None:
-        """Take in nothing of a push: the next tick begins from where it brought the rover."""
+        """Take in a push, which no wheel sees: the next tick begins from where it brought the rover."""
         self._true = pose
+        if self._sees_pose:
+            self._now = pose
 
     def seen(self, tick: int) -> Pose:
         """Return the pose shown at the start of a tick."""
@@ -136,8 +135,7 @@ def rollout(
         return [signals[i] for i in chosen]
 
     runner.tick(observation(0, 0.0))
-    gain_v, gain_omega = trials.gain[row].tolist()
-    base = BaseErrors(gain_v, gain_omega, float(trials.imbalance[row]), float(trials.slip[row]))
+    base = base_errors(trials, row)
     held = (0.0, 0.0)
     poses, seen, commands, potentials, misses = [rover.pose], [], [], [], []
     touched, total = False, 0.0

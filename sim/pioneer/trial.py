@@ -9,7 +9,7 @@ pose in that tick. Quantised commands are not among a trial's errors here: ARCOS
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import TICK_S
 from sim.world.pymunk_rover import Ground, PymunkRover
-from sim.world.randomization import BaseErrors, OdometryErrors, Trials, apply_base_errors
+from sim.world.randomization import Trials, apply_base_errors, base_errors, odometry_errors, trial_body
 from sim.world.rover import SUBSTEP_S, RoverModel
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
@@ -20,13 +20,8 @@ class BaseTrial:
 
     def __init__(self, trials: Trials, row: int = 0) -> None:
         self._trials, self._row = trials, row
-        gain_v, gain_omega = trials.gain[row].tolist()
-        distance_scale, heading_scale = trials.odometry[row].tolist()
-        imbalance, slip = float(trials.imbalance[row]), float(trials.slip[row])
-        self._base = BaseErrors(gain_v, gain_omega, imbalance, slip)
-        self._odometry = OdometryErrors(
-            distance_scale, heading_scale, imbalance, slip, float(trials.drift[row])
-        )
+        self._base = base_errors(trials, row)
+        self._odometry = odometry_errors(trials._replace(sensors=(False, False)), row)
         self.effort_v, self.effort_omega = trials.acceleration[row].tolist()
         """Factors on the acceleration limits that are set in the base."""
         self.tick = -1
@@ -71,7 +66,5 @@ class BaseTrial:
 
 
 def rover_of(trials: Trials, model: RoverModel, ground: Ground, row: int = 0) -> PymunkRover:
-    """Return the rover of a trial at its start, with its delays; what else is wrong is a `BaseTrial`'s."""
-    delay_v, delay_omega = (trials.delay[row] * SUBSTEP_S).tolist()
-    slow = model.model_copy(update={"delay_v_s": delay_v, "delay_omega_s": delay_omega})
-    return PymunkRover(slow, ground, Pose(*trials.start[row].tolist()))
+    """Return the rover of a trial at its start; its accelerations and other errors are a `BaseTrial`'s."""
+    return PymunkRover(trial_body(model, trials, row), ground, Pose(*trials.start[row].tolist()))

@@ -24,7 +24,6 @@ from rover_ncp.course.course import Obstacle
 from rover_ncp.kernels.jit import inlined_kernel, kernel
 from rover_ncp.kernels.vectors import (
     WIDTH,
-    everywhere,
     gather,
     larger,
     load_lanes,
@@ -60,11 +59,14 @@ class FleetArrays(NamedTuple):
     """The bodies once more, the last of them until all eights are full."""
     rise: FloatArray
     fall: FloatArray
-    """(2, L) the most that v and omega change in a substep, while they grow and while they shrink."""
+    """(2, L) the most that v and the body's omega change in a substep, while they grow and while they
+    shrink."""
     grip: FloatArray
     """(1, L) the most that the sideways speed changes in a substep."""
     top: FloatArray
-    """(2, L) limits of v and omega."""
+    """(2, L) limits of v and omega, of the wheels."""
+    turning: FloatArray
+    """(2, L) turn gain, and the sideways speed over the turn rate in m."""
     delay: IntArray
     """(2, L) substeps that still run with the old v and omega."""
     sent: FloatArray
@@ -113,6 +115,7 @@ class Fleet:
             fall=SUBSTEP_S * np.array([(m.decel, m.alpha_decel) for m in models]).T.copy(),
             grip=np.array([[m.friction * GRAVITY_M_S2 * SUBSTEP_S for m in models]]),
             top=np.array([(m.v_max, m.omega_max) for m in models]).T.copy(),
+            turning=np.array([(m.turn_gain, m.rotation_center_m) for m in models]).T.copy(),
             delay=delay,
             sent=np.zeros((ticks_kept, 2, lanes)),
             clock=np.zeros(1, np.int64),
@@ -121,6 +124,8 @@ class Fleet:
             late=np.zeros((2, lanes)),
             touched=np.zeros(lanes, np.int64),
         )
+        for limit in (self.arrays.rise, self.arrays.fall):
+            limit[1] *= self.arrays.turning[0]
 
     def place(self, lane: int, pose: Pose) -> None:
         """Put a rover somewhere, standing still, its commands forgotten."""
@@ -174,6 +179,8 @@ def send(fleet: FleetArrays, commands: FloatArray) -> None:
         for start in range(0, len(fleet.bodies), WIDTH):
             limit = load_lanes(top, axis, start)
             command = smaller(larger(load_lanes(commands, axis, start), -1.0 * limit), limit)
+            if axis == 1:
+                command = load_lanes(fleet.turning, 0, start) * command
             store_lanes(now, axis, start, command)
 
 
@@ -184,7 +191,7 @@ def advance(fleet: FleetArrays) -> None:
     # Local names: numba counts references whenever an array is taken out of a tuple.
     layout, bodies, eights, spaces = fleet.layout, fleet.bodies, fleet.eights, fleet.spaces
     old, new, late, rise, fall, grip = fleet.old, fleet.new, fleet.late, fleet.rise, fleet.fall, fleet.grip
-    shapes, touched, sharing = fleet.shapes, fleet.touched, fleet.sharing
+    turning, shapes, touched, sharing = fleet.turning, fleet.shapes, fleet.touched, fleet.sharing
     # Whole vectors and whole spaces: few enough rovers to stay in a core's first cache over a tick.
     together = max(sharing, WIDTH)
     for first in range(0, len(bodies), together):
@@ -200,12 +207,12 @@ def advance(fleet: FleetArrays) -> None:
                     now, load_lanes(late, 0, start), load_lanes(old, 0, start), load_lanes(new, 0, start)
                 )
                 forward = toward(forward, target, load_lanes(rise, 0, start), load_lanes(fall, 0, start))
-                friction = load_lanes(grip, 0, start)
-                sideways = toward(sideways, everywhere(0.0), friction, friction)
                 target = where_less(
                     now, load_lanes(late, 1, start), load_lanes(old, 1, start), load_lanes(new, 1, start)
                 )
                 omega = toward(omega, target, load_lanes(rise, 1, start), load_lanes(fall, 1, start))
+                friction = load_lanes(grip, 0, start)
+                sideways = toward(sideways, load_lanes(turning, 1, start) * omega, friction, friction)
                 scatter(eights, start, layout.velocity, cos * forward - sin * sideways)
                 scatter(eights, start, layout.velocity + 8, sin * forward + cos * sideways)
                 scatter(eights, start, layout.angular_velocity, omega)

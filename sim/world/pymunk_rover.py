@@ -130,11 +130,12 @@ class PymunkRover:
         forward, sideways = own_axes(cos, sin, *body.velocity, body.angular_velocity)
         forward = toward(forward, target.v, limits.accel * SUBSTEP_S, limits.decel * SUBSTEP_S)
         grip = self.model.friction * GRAVITY_M_S2 * SUBSTEP_S
-        sideways = toward(sideways, 0.0, grip, grip)
+        gain = self.model.turn_gain
+        rise, fall = limits.alpha * SUBSTEP_S * gain, limits.alpha_decel * SUBSTEP_S * gain
+        omega = toward(body.angular_velocity, target.omega * gain, rise, fall)
+        sideways = toward(sideways, self.model.rotation_center_m * omega, grip, grip)
         body.velocity = (cos * forward - sin * sideways, sin * forward + cos * sideways)
-        body.angular_velocity = toward(
-            body.angular_velocity, target.omega, limits.alpha * SUBSTEP_S, limits.alpha_decel * SUBSTEP_S
-        )
+        body.angular_velocity = omega
 
     def range_along(self, ray: Pose, most_m: float) -> float | None:
         end = (ray.x + most_m * math.cos(ray.theta), ray.y + most_m * math.sin(ray.theta))
@@ -165,7 +166,9 @@ class PymunkRover:
 
     @property
     def encoders(self) -> Velocity:
-        return self.velocity
+        body = self.body
+        forward, _ = own_axes(*body.rotation_vector, *body.velocity, body.angular_velocity)
+        return Velocity(forward, body.angular_velocity / self.model.turn_gain)
 
     @property
     def moving(self) -> bool:

@@ -24,6 +24,11 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+Sensors = Literal["encoders", "gyro", "camera"]
+"""What the pose that a policy sees is made from: wheels alone; their way and a gyro's turn; or it is the true
+pose, with noise."""
+
+
 class Randomization(StrictModel):
     """Ranges of deviations from the model; ± unless stated otherwise. The defaults change nothing."""
 
@@ -48,6 +53,11 @@ class Randomization(StrictModel):
     drift_rad_s: float = Field(default=0.0, ge=0, description="of the seen heading")
     bump_m: float = Field(default=0.0, ge=0, description="one push on the way, unseen")
     bump_rad: float = Field(default=0.0, ge=0)
+    turn_gain: tuple[float, float] | None = Field(
+        default=None, description="least and most; of the wheels' turn"
+    )
+    rotation_center_m: float = Field(default=0.0, ge=0, description="behind the middle, or ahead")
+    sensors: Sensors = Field(default="encoders", description="of the seen pose, but for the stack")
     rover: RoverProfile | None = Field(default=None, description="what is known, and so not drawn")
 
 
@@ -56,6 +66,8 @@ class Trials(NamedTuple):
 
     exact: bool
     """The rover sees its true pose; all of odometry, noise and age is left out."""
+    sensors: tuple[bool, bool]
+    """Whether sensors see the true turn, and the true pose."""
     start: FloatArray
     """(N, 3) pose in the course's frame."""
     acceleration: FloatArray
@@ -80,6 +92,8 @@ class Trials(NamedTuple):
     """(N, T) whether the command of a tick is lost."""
     step: FloatArray
     """(2,) of v and omega; 0 for none."""
+    turning: FloatArray
+    """(N, 2) turn gain, and the centre of rotation in m."""
 
     @property
     def size(self) -> int:
@@ -112,13 +126,17 @@ def draw_trials(
     streams = [
         np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first + i,))) for i in range(count)
     ]
-    # (N, 17) in −1..1; new parameters go to the end, so that the others stay.
+    # (N, 17) in −1..1.
     u = np.array([stream.uniform(-1.0, 1.0, 17) for stream in streams])
     noise = np.array([stream.normal(size=(ticks + 1, 3)) for stream in streams])
     chance = np.array([stream.random((ticks + 1, 2)) for stream in streams])
+    # From other streams: more draws of the first ones would change the noise, or depend on the ticks.
+    others = [np.random.SeedSequence(seed, spawn_key=(first + i, 1)) for i in range(count)]
+    skid = np.array([np.random.default_rng(other).uniform(-1.0, 1.0, 2) for other in others])
     nominal = (model.delay_v_s, model.delay_v_s), (model.delay_omega_s, model.delay_omega_s)
     least, most = np.array([ranges.delay_v_s or nominal[0], ranges.delay_omega_s or nominal[1]]).T
     delay_s = least + (most - least) * 0.5 * (1.0 + u[:, 3:5])
+    least_gain, most_gain = ranges.turn_gain or (model.turn_gain, model.turn_gain)
     sigma = np.array([ranges.noise_m, ranges.noise_m, ranges.noise_rad])
     push = np.array([ranges.bump_m, ranges.bump_m, ranges.bump_rad])
     return Trials(
@@ -130,8 +148,11 @@ def draw_trials(
             or ranges.bump_m
             or ranges.bump_rad
             or ranges.jitter_s
+            or ranges.turn_gain
+            or ranges.rotation_center_m
             or sigma.any()
         ),
+        sensors=(ranges.sensors != "encoders", ranges.sensors == "camera"),
         start=u[:, 0:3] * np.array([ranges.start_m, ranges.start_m, ranges.start_rad]),
         acceleration=1.0 + ranges.acceleration * u[:, 5:7],
         delay=np.rint(delay_s / SUBSTEP_S).astype(np.int64),
@@ -146,6 +167,12 @@ def draw_trials(
         age=ranges.jitter_s / TICK_S * chance[:, :, 1],
         lost=_lost(ranges, chance[:, :ticks, 0]),
         step=np.array([ranges.speed_step_m_s, ranges.turn_step_rad_s]),
+        turning=np.column_stack(
+            [
+                least_gain + (most_gain - least_gain) * 0.5 * (1.0 + skid[:, 0]),
+                model.rotation_center_m + ranges.rotation_center_m * skid[:, 1],
+            ]
+        ),
     )
 
 
@@ -172,12 +199,18 @@ def _of_known(
     drift = _columns(drawn.drift[:, None], known.drift_rad_s)[:, 0]
     drawn_delay_s: FloatArray = drawn.delay.astype(np.float64) * SUBSTEP_S
     delay_s = _columns(drawn_delay_s, known.delay_v_s, known.delay_omega_s)
+    turn_gain = drawn.turning[:, 0]
+    if known.odometry_heading is not None:
+        odometry[:, 1] *= turn_gain  # known is the share of the true turn, not of the wheels'
+    acceleration = _columns(
+        drawn.acceleration, _share(known.accel, model.accel), _share(known.alpha, model.alpha)
+    )
+    if known.alpha is not None:
+        acceleration[:, 1] /= turn_gain
     errs = (odometry - 1.0).any() or imbalance.any() or slip.any() or drift.any()
     return drawn._replace(
         exact=drawn.exact and not errs,
-        acceleration=_columns(
-            drawn.acceleration, _share(known.accel, model.accel), _share(known.alpha, model.alpha)
-        ),
+        acceleration=acceleration,
         delay=np.rint(delay_s / SUBSTEP_S).astype(np.int64),
         # A profile's gains are those that odometry sees.
         gain=_columns(drawn.gain * odometry, known.gain_v, known.gain_omega) / odometry,
@@ -216,15 +249,26 @@ def _lost(ranges: Randomization, chance: FloatArray) -> NDArray[np.bool_]:
 def trial_model(model: RoverModel, trials: Trials, row: int) -> RoverModel:
     """Return the rover of one trial."""
     forward, turning = trials.acceleration[row].tolist()
-    delay_v, delay_omega = trials.delay[row].tolist()
-    return model.model_copy(
+    return trial_body(model, trials, row).model_copy(
         update={
             "accel": model.accel * forward,
             "decel": model.decel * forward,
             "alpha": model.alpha * turning,
             "alpha_decel": model.alpha_decel * turning,
+        }
+    )
+
+
+def trial_body(model: RoverModel, trials: Trials, row: int) -> RoverModel:
+    """Return the rover of one trial with the accelerations of the model."""
+    delay_v, delay_omega = trials.delay[row].tolist()
+    turn_gain, rotation_center_m = trials.turning[row].tolist()
+    return model.model_copy(
+        update={
             "delay_v_s": delay_v * SUBSTEP_S,
             "delay_omega_s": delay_omega * SUBSTEP_S,
+            "turn_gain": turn_gain,
+            "rotation_center_m": rotation_center_m,
         }
     )
 
@@ -239,13 +283,15 @@ class BaseErrors(NamedTuple):
 
 
 class OdometryErrors(NamedTuple):
-    """Errors between motion and odometry; scales, rad/m, s, rad/s."""
+    """Errors between motion and odometry; scales, rad/m, s, rad/s, gain, m."""
 
     distance_scale: float
     heading_scale: float
     imbalance: float
     slip: float
     drift: float
+    turn_gain: float = 1.0
+    rotation_center: float = 0.0
 
 
 # The functions below are compiled into the engine's kernel as they are, and called by the plain rollout.
@@ -254,6 +300,24 @@ class OdometryErrors(NamedTuple):
 def quantise(value: float, step: float) -> float:
     """Return the nearest whole multiple of ``step``; the value itself if that is 0."""
     return value if step == 0.0 else step * math.floor(value / step + 0.5)
+
+
+def base_errors(trials: Trials, row: int) -> BaseErrors:
+    """Return the errors of a trial's base."""
+    gain = trials.gain[row]
+    return BaseErrors(float(gain[0]), float(gain[1]), float(trials.imbalance[row]), float(trials.slip[row]))
+
+
+def odometry_errors(trials: Trials, row: int) -> OdometryErrors:
+    """Return the errors of the odometry that a trial's sensors make."""
+    scale, drift, center = trials.odometry[row, 0], trials.drift[row], trials.turning[row, 1]
+    heading_scale, imbalance, slip, turn_gain = 1.0, 0.0, 0.0, 1.0
+    if not trials.sensors[0]:
+        heading_scale, turn_gain = float(trials.odometry[row, 1]), float(trials.turning[row, 0])
+        imbalance, slip = float(trials.imbalance[row]), float(trials.slip[row])
+    return OdometryErrors(
+        float(scale), heading_scale, imbalance, slip, float(drift), turn_gain, float(center)
+    )
 
 
 def apply_base_errors(v: float, omega: float, base: BaseErrors) -> tuple[float, float]:
@@ -266,18 +330,21 @@ def apply_base_errors(v: float, omega: float, base: BaseErrors) -> tuple[float, 
 def dead_reckon(believed: Pose, before: Pose, after: Pose, errors: OdometryErrors) -> Pose:
     """Return where odometry believes to be after a tick, its heading not wrapped.
 
-    It measures the motion in the rover's frame: distances and turn with their scales, the turn also with
-    what slipped away and without what no encoder sees. True headings are within (−π, π].
+    It measures the motion of the centre of rotation, which does not slide, in the rover's frame: distances
+    and turn with their scales, the turn by the wheels, with what slipped away and without what no encoder
+    sees. True headings are within (−π, π].
     """
     dx, dy = after.x - before.x, after.y - before.y
     cos, sin = math.cos(before.theta), math.sin(before.theta)
-    ahead = errors.distance_scale * (cos * dx + sin * dy)
-    left = errors.distance_scale * (cos * dy - sin * dx)
     turn = after.theta - before.theta
     if turn > math.pi:
         turn -= math.tau
     elif turn <= -math.pi:
         turn += math.tau
+    # To the second order of a tick's turn, less than 0.1 rad.
+    ahead = errors.distance_scale * (cos * dx + sin * dy + 0.5 * errors.rotation_center * turn * turn)
+    left = errors.distance_scale * (cos * dy - sin * dx - errors.rotation_center * turn) / errors.turn_gain
+    turn /= errors.turn_gain
     turn = turn * (1.0 + errors.slip * abs(turn) / TICK_S) - errors.imbalance * ahead
     cos, sin = math.cos(believed.theta), math.sin(believed.theta)
     return Pose(

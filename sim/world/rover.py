@@ -7,7 +7,10 @@
    and a rover can push no harder than its wheels accelerate it. A speed that is being turned is not lost: the
    wheels' sideways force does no work (without that, a substep of turning would cost v·(ω·dt)²/2 of speed,
    which adds up to more than 0.1 mm over a manoeuvre).
-3. The position moves with the new velocity and the old heading, then the heading: the paper's kinematics.
+3. A skid-steered rover turns ``turn_gain`` times as much as its wheels say, and about a centre that lies
+   ``rotation_center_m`` behind its middle, because its weight does. Limits and commands of the turn rate are
+   those of the wheels; the sideways speed tends to ``rotation_center_m`` · ω in place of zero.
+4. The position moves with the new velocity and the old heading, then the heading: the paper's kinematics.
 
 ``pymunk_rover.py`` implements them for one rover, ``fleet.py`` for many, with the same bits.
 """
@@ -47,6 +50,8 @@ class RoverModel(StrictModel):
     length: float = Field(default=0.626, gt=0)
     width: float = Field(default=0.505, gt=0)
     mass: float = Field(default=12.0, gt=0)
+    turn_gain: float = Field(default=1.0, gt=0, description="turn of the rover over that of its wheels")
+    rotation_center_m: float = Field(default=0.0, description="sideways speed over turn rate")
     friction: float = Field(default=0.6, ge=0, description="μ of the wheels across the rover")
     shell_friction: float = Field(default=0.3, ge=0, description="of its sides against an obstacle")
 

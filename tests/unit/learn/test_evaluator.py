@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from typing import get_args
 
 import gymnasium
 import numpy as np
@@ -17,7 +18,7 @@ from rover_ncp.course.reference import plan_reference
 from sim.learn.evaluator import Evaluator
 from sim.learn.rollout import rollout
 from sim.world.env import ENV_ID
-from sim.world.randomization import draw_trials, load_randomization
+from sim.world.randomization import Sensors, draw_trials, load_randomization
 from sim.world.rover import RoverModel
 
 COURSE = load_course("parking")
@@ -118,10 +119,14 @@ def test_other_rovers_other_returns():
 
 
 @pytest.mark.parametrize("policy", [POLICY, TRACKER], ids=["absolute", "course"])
-@pytest.mark.parametrize("level", ["none", "full", "harsh"])
-def test_trials_end_as_a_rover_alone_does(policy, level):
+@pytest.mark.parametrize(
+    ("level", "sensors"),
+    [("none", "encoders"), ("full", "encoders"), *(("skid", each) for each in get_args(Sensors))],
+)
+def test_trials_end_as_a_rover_alone_does(policy, level, sensors):
     model = RoverModel()
-    trials = draw_trials(load_randomization(level), model, 5, count=3, ticks=COURSE.ticks)
+    ranges = load_randomization(level).model_copy(update={"sensors": sensors})
+    trials = draw_trials(ranges, model, 5, count=3, ticks=COURSE.ticks)
     vectors = candidates(3, seed=5, policy=policy)
     found = Evaluator(policy, COURSE, model, trials).outcomes(vectors)
     reference = plan_reference(COURSE)
@@ -138,7 +143,8 @@ def test_trials_end_as_a_rover_alone_does(policy, level):
             tail = run.poses[-21:]
             moved = np.hypot(*(tail[:, :2] - tail[-1, :2]).T).max()
             assert found.moved_m[i, j] == pytest.approx(moved, abs=1e-12)
-            assert found.turned_rad[i, j] == pytest.approx(np.abs(tail[:, 2] - tail[-1, 2]).max(), abs=1e-12)
+            turned = max(abs(wrap_angle(heading - tail[-1, 2])) for heading in tail[:, 2])
+            assert found.turned_rad[i, j] == pytest.approx(turned, abs=1e-12)
     assert len(np.unique(found.total)) == (3 if level == "none" else 9)
 
 

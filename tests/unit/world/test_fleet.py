@@ -35,6 +35,8 @@ def models(count):
             delay_omega_s=0.60 - 0.02 * i,
             friction=0.01 + 0.05 * i,
             omega_max=1.5,
+            turn_gain=1.0 + 0.1 * (i % 5),
+            rotation_center_m=0.02 * (i % 4) - 0.03,
         )
         for i in range(count)
     ]

@@ -5,9 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rover_ncp.circuit.policy import course_policy
+from rover_ncp.circuit.tap_withdrawal import tap_withdrawal_circuit
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose, compose, inverse
+from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.course.course import load_course
 from rover_ncp.course.random_course import random_course
+from sim.learn.rollout import rollout
+from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import (
     BaseErrors,
     OdometryErrors,
@@ -23,6 +29,7 @@ from sim.world.randomization import (
 from sim.world.rover import RoverModel
 
 MODEL = RoverModel()
+TRACKER = course_policy(tap_withdrawal_circuit())
 TICKS = 320
 N = 400
 
@@ -60,6 +67,60 @@ def test_harder_ranges_stretch_the_same_draws():
     assert np.allclose(2 * mild.start, full.start, atol=1e-6)
     assert np.array_equal(full.gain, harsh.gain)
     assert np.array_equal(full.noise, harsh.noise)
+
+
+def test_skid_is_drawn_beside_the_rest_whatever_the_horizon():
+    harsh, skid = drawn("harsh", 5), drawn("skid", 5)
+    assert np.array_equal(skid.gain, harsh.gain)
+    assert np.array_equal(skid.lost, harsh.lost)
+    assert np.array_equal(harsh.turning, [[1.0, 0.0]] * 5)
+    longer = draw_trials(load_randomization("skid"), MODEL, 1, count=5, ticks=2 * TICKS)
+    assert np.array_equal(longer.turning, skid.turning)
+    gains, centers = drawn("skid").turning.T
+    assert (gains.min(), gains.max()) == pytest.approx((1.0, 1.4), abs=0.01)
+    assert (centers.min(), centers.max()) == pytest.approx((-0.06, 0.06), abs=0.003)
+
+
+@pytest.mark.parametrize("start", [Pose(0.0, 0.0, 0.0), Pose(1.0, -2.0, 3.0)])
+@pytest.mark.parametrize(("gain", "center"), [(1.4, 0.06), (1.2, -0.06)])
+def test_odometry_of_a_skidding_rover_is_that_of_its_wheels(start, gain, center):
+    """A rover that turns by ``gain`` and slides, and one without skid: their wheels go the same way."""
+    skidding = PymunkRover(RoverModel(turn_gain=gain, rotation_center_m=center), Ground(), start)
+    plain = PymunkRover(RoverModel(), Ground(), start)
+    errors = OdometryErrors(1.0, 1.0, 0.0, 0.0, 0.0, gain, center)
+    seen = before = start
+    for tick in range(150):
+        for rover in (skidding, plain):
+            rover.command(0.1 * math.cos(0.2 * tick), 0.3 * math.sin(0.1 * tick))
+            for _ in range(10):
+                rover.substep()
+        seen, before = dead_reckon(seen, before, skidding.pose, errors), skidding.pose
+        assert skidding.encoders == pytest.approx(plain.encoders, abs=1e-9)
+    # Substeps are straight: in each the centre moves by half of its offset times the turn squared.
+    moved = 1500 * abs(center) * (0.3 * gain * 0.01) ** 2 / 2
+    assert seen == pytest.approx((*plain.pose[:2], plain.turned), abs=moved)
+    assert math.dist(skidding.pose[:2], plain.pose[:2]) > 0.02
+
+
+@pytest.mark.parametrize(("sensors", "sees"), [("encoders", 0), ("gyro", 1), ("camera", 2)])
+def test_sensors_see_through_the_skid(sensors, sees):
+    ranges = Randomization(name="x", turn_gain=(1.3, 1.3), rotation_center_m=0.06, sensors=sensors)
+    course = load_course("parking")
+    run = rollout(TRACKER, course, trials=draw_trials(ranges, MODEL, 1, count=1, ticks=course.ticks))
+    off = np.abs(run.seen - run.poses[:-1])
+    assert (off[:, 2].max() < 1e-9) == (sees >= 1)
+    assert (off[:, :2].max() < 1e-9) == (sees == 2)
+
+
+def test_known_odometry_holds_whatever_the_turn_gain():
+    known = RoverProfile(name="mine", odometry_heading=0.8, gain_omega=0.9, alpha=1.0)
+    ranges = load_randomization("skid").model_copy(update={"rover": known})
+    trials = draw_trials(ranges, MODEL, 1, count=5, ticks=TICKS)
+    gain = trials.turning[:, 0]
+    assert len(np.unique(gain)) == 5
+    assert trials.odometry[:, 1] / gain == pytest.approx(0.8)
+    assert trials.gain[:, 1] * trials.odometry[:, 1] == pytest.approx(0.9)
+    assert [trial_model(MODEL, trials, row).alpha * gain[row] for row in range(5)] == pytest.approx([1.0] * 5)
 
 
 def test_a_trial_is_the_same_in_any_company():

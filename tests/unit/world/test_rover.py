@@ -113,6 +113,33 @@ def test_starts_at_its_pose_and_slides_no_further_sideways():
     assert rover.velocity.v == 0.0
 
 
+@pytest.mark.parametrize("center", [0.06, -0.04])
+def test_a_turn_on_the_spot_leaves_the_centre_of_rotation_where_it_is(center):
+    rover = PymunkRover(RoverModel(turn_gain=1.3, rotation_center_m=center), Ground(), Pose(1.0, 2.0, 0.5))
+
+    def centre():
+        x, y, theta = rover.pose
+        return x - center * math.cos(theta), y - center * math.sin(theta)
+
+    before = centre()
+    rover.command(0.0, 0.18)
+    for _ in range(1000):
+        rover.substep()
+    assert rover.velocity.omega == pytest.approx(1.3 * 0.18)
+    assert rover.encoders == pytest.approx(Velocity(0.0, 0.18), abs=1e-9)
+    # Substeps are straight: in each the centre moves by half of its offset times the turn squared.
+    assert math.dist(centre(), before) < 1000 * abs(center) * (1.3 * 0.18 * 0.01) ** 2 / 2
+
+
+def test_wheels_without_grip_do_not_slide_the_rover():
+    rover = PymunkRover(RoverModel(rotation_center_m=0.06, friction=0.0), Ground())
+    rover.command(0.0, 0.18)
+    for _ in range(300):
+        rover.substep()
+    assert rover.pose[:2] == (0.0, 0.0)
+    assert rover.velocity.omega == pytest.approx(0.18)
+
+
 @pytest.mark.parametrize("command", [(math.nan, 0.0), (0.0, math.inf)])
 def test_refuses_a_command_that_is_no_number(command):
     rover = PymunkRover(RoverModel(), Ground())

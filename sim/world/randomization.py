@@ -304,8 +304,8 @@ def quantise(value: float, step: float) -> float:
 
 def base_errors(trials: Trials, row: int) -> BaseErrors:
     """Return the errors of a trial's base."""
-    gain = trials.gain[row]
-    return BaseErrors(float(gain[0]), float(gain[1]), float(trials.imbalance[row]), float(trials.slip[row]))
+    gain_v, gain_omega = float(trials.gain[row, 0]), float(trials.gain[row, 1])
+    return BaseErrors(gain_v, gain_omega, float(trials.imbalance[row]), float(trials.slip[row]))
 
 
 def odometry_errors(trials: Trials, row: int) -> OdometryErrors:

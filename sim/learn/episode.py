@@ -118,7 +118,7 @@ class Queue(NamedTuple):
 
 
 _seen_from = kernel(seen_from)
-_base_errors, _odometry_errors = kernel(base_errors), kernel(odometry_errors)
+_base_errors, _odometry_errors = inlined_kernel(base_errors), inlined_kernel(odometry_errors)
 _apply_base_errors = kernel(apply_base_errors)
 _dead_reckon = kernel(dead_reckon)
 _quantise = kernel(quantise)

@@ -82,6 +82,8 @@ class Trials(NamedTuple):
     slip: FloatArray
     drift: FloatArray
     """(N,) each."""
+    turning: FloatArray
+    """(N, 2) turn gain, and the centre of rotation in m."""
     bump: FloatArray
     """(N, 4): the tick at whose start it comes, then x, y, theta in m and rad."""
     noise: FloatArray
@@ -92,8 +94,6 @@ class Trials(NamedTuple):
     """(N, T) whether the command of a tick is lost."""
     step: FloatArray
     """(2,) of v and omega; 0 for none."""
-    turning: FloatArray
-    """(N, 2) turn gain, and the centre of rotation in m."""
 
     @property
     def size(self) -> int:

@@ -11,10 +11,11 @@ GRADIENTS_STAMP := $(VENV)/.gradients
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park --overwrite
 
-# Unit and process tests in two workers, each with whole files: CI has two cores. Then a short set of system tests, alone,
-# because they measure times.
+# Unit tests in two workers, as CI has two cores; process tests in four, as they mostly wait for real processes. Then a
+# short set of system tests, alone, because they measure times.
 test: $(STAMP)
-	$(BIN)/pytest tests/unit tests/process --numprocesses 4 --dist worksteal
+	$(BIN)/pytest tests/unit --numprocesses 2 --dist worksteal
+	$(BIN)/pytest tests/process --numprocesses 4 --dist worksteal
 	$(BIN)/pytest tests/system -m short
 
 # The other system tests: every row of the safety matrix, the soak, live drives, installations.

@@ -1,6 +1,7 @@
 """``check`` against a healthy robot and against faulty ones: real processes."""
 
 import json
+import re
 
 import pytest
 from bridge_bench import BRAKING_M_S2, Rig
@@ -36,9 +37,14 @@ def test_a_robot_that_is_well(tmp_path, check):
 @pytest.mark.parametrize(
     ("faults", "name", "words"),
     [
-        (["low-battery=11.2"], "battery", "11.2 V"),
+        (["low-battery=11.2"], "battery", r"11\.2 V"),
         (["stop-button"], "stop", "held by stop-button"),
-        (["freeze-odometry@0"], "forward", "reports 0.00 m/s and 0.00 m: the gate passed all commands on"),
+        # A busy machine may send a command late; the check then says that the gate dropped it.
+        (
+            ["freeze-odometry@0"],
+            "forward",
+            r"reports 0\.00 m/s and 0\.00 m: the gate (passed all commands on|dropped commands: stale)",
+        ),
         (["bumper@0.5"], "forward", "the gate stopped the robot: bumper"),
         (["bumper@2.3"], "left", "the gate stopped the robot: bumper"),
     ],
@@ -49,7 +55,7 @@ def test_a_robot_that_is_not(tmp_path, check, faults, name, words):
         rig.stood_after(rig.truth.read()[-1].wall_ns)
     assert (code, said["ready"]) == (1, False)
     assert said["findings"][-1]["name"] == name
-    assert words in said["findings"][-1]["detail"]
+    assert re.search(words, said["findings"][-1]["detail"])
     assert f"no: {name}: " in err or not err
 
 

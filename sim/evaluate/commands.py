@@ -36,7 +36,7 @@ class EvalOptions:
     randomize: Annotated[
         str | None,
         typer.Option(
-            help="Randomization of the trials: none, mild, full, harsh or YAML file.", show_default="none"
+            help="Randomization of the trials: none, mild, full, harsh, skid or a file.", show_default="none"
         ),
     ] = None
     random_courses: Annotated[

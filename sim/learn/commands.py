@@ -47,7 +47,7 @@ def train(
     randomize: Annotated[
         str | None,
         typer.Option(
-            help="Train on random trials: mild, full, harsh or a YAML file of ranges.", show_default=False
+            help="Train on random trials: mild, full, harsh, skid or a YAML file.", show_default=False
         ),
     ] = None,
     rollouts: Annotated[

@@ -32,7 +32,7 @@ def mock(
     ] = None,
     randomize: Annotated[
         str,
-        typer.Option(help="Simulate a randomised robot: preset none, mild, full or harsh, or a YAML file."),
+        typer.Option(help="Simulate a randomised robot: preset none, mild, full, harsh or skid, or a file."),
     ] = "none",
     trial: Annotated[
         int,

@@ -113,7 +113,7 @@ def compare(name: str, *, seed: int, generations: int, rollouts: int, trained_on
             "error_m_p95": float(np.percentile(found.error_m, 95)),
         }
 
-    results = {ranges: judged([course], ranges) for ranges in ("mild", "full", "harsh")}
+    results = {ranges: judged([course], ranges) for ranges in ("mild", "full", "harsh", "skid")}
     if agent.any_course:
         results["unseen"] = judged(unseen_courses(_TRIALS_SEED, _UNSEEN), "full")
     return {

@@ -102,7 +102,7 @@ class Trials(NamedTuple):
 
 
 def load_randomization(name_or_path: str | Path) -> Randomization:
-    """Load shipped ranges by name (none, mild, full, harsh) or a file by path."""
+    """Load shipped ranges by name (none, mild, full, harsh, skid) or a file by path."""
     return load_yaml(resolve("randomizations", name_or_path), Randomization)
 
 

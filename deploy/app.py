@@ -139,7 +139,7 @@ def _result(drive: Drive, config: DriveConfig) -> dict[str, Any]:
             "p50": float(np.percentile(latencies_ms, 50)),
             "p99": float(np.percentile(latencies_ms, 99)),
         },
-        **drive.measurement_counts,
+        **drive.measurements_used,
         "course": config.course,
         "dry_run": config.dry_run,
         "exit_code": code,

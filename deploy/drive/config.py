@@ -24,7 +24,7 @@ PoseUse = Literal["auto", "required", "none"]
 class DriveConfig(Timeouts):
     """The settings of one drive; times in s."""
 
-    format: int = Field(default=1, ge=1, le=1)
+    format: int = Field(default=2, ge=2, le=2)
     version: str = Field(default_factory=lambda: version("rover-ncp"))
     robot: str
     namespace: str
@@ -43,16 +43,29 @@ class DriveConfig(Timeouts):
 
 
 def settings_for(rover: RoverProfile | None) -> EstimatorSettings:
-    """Return the estimator's settings for a robot, whose odometry may be noisier than its resolution."""
+    """Return the estimator's settings for a robot, from what was measured of its odometry.
+
+    A value without a standard deviation is as uncertain as that of an unmeasured robot.
+    """
     usual = EstimatorSettings()
     if rover is None:
         return usual
-    return usual.model_copy(
-        update={
-            "position_m": max(usual.position_m, rover.noise_m or 0.0),
-            "heading_rad": max(usual.heading_rad, rover.noise_rad or 0.0),
-        }
-    )
+    known: dict[str, float | None] = {
+        "position_m": max(usual.position_m, rover.noise_m or 0.0),
+        "heading_rad": max(usual.heading_rad, rover.noise_rad or 0.0),
+        "slip_s": rover.slip_s,
+        "imbalance_rad_m": rover.imbalance_rad_m,
+        "imbalance_std_rad_m": rover.std.get("imbalance_rad_m"),
+        "rotation_center_m": rover.rotation_center_m,
+        "rotation_center_std_m": rover.std.get("rotation_center_m"),
+    }
+    # A profile has odometry's motion over the true one, the estimator the inverse.
+    for key, ratio in (("distance_gain", "odometry_distance"), ("turn_gain", "odometry_heading")):
+        if value := getattr(rover, ratio):
+            known[key] = 1.0 / value
+            if std := rover.std.get(ratio):
+                known[f"{key}_std"] = std / value**2
+    return usual.model_copy(update={name: value for name, value in known.items() if value is not None})
 
 
 def attachments(policy: Policy, course: Course, config: DriveConfig) -> dict[str, bytes]:

@@ -92,11 +92,11 @@ class Drive:
         return f"{self.phase.value}  t {keeper.index * TICK_S:.1f} s  {where}  overruns {keeper.overruns}"
 
     @property
-    def measurement_counts(self) -> dict[str, dict[str, int]]:
+    def measurements_used(self) -> dict[str, dict[str, Any]]:
         """Counts of odometry samples and external poses by their outcome, as the result reports them."""
         taken, unreadable = self.measurements.taken, self.measurements.unreadable
         estimator = self._controller.estimator
-        outcomes = estimator.poses
+        outcomes, nis = estimator.poses, estimator.nis
         return {
             "odometry": {
                 "taken": taken["odom"],
@@ -110,6 +110,7 @@ class Drive:
                 "used": outcomes[Outcome.ACCEPTED],
                 "refused": outcomes[Outcome.OUTLIER] + outcomes[Outcome.NOT_FINITE],
                 "too_late": outcomes[Outcome.TOO_OLD],
+                "nis": nis,
             },
         }
 

@@ -11,6 +11,7 @@ Rules of this file:
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import Pose, Velocity, compose
 from rover_ncp.core.messages import OdometrySample, PoseSample, TurnSample
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import TICK_S, Course, Verdict
@@ -58,7 +59,7 @@ class Controller:
         self.estimator = Estimator(settings)
         self._gains = _gains(rover)
         self._times: list[float] = []
-        self._poses: list[Pose] = []
+        self._estimates: list[Estimate] = []
 
     def start(
         self,
@@ -103,15 +104,23 @@ class Controller:
         """Note the estimate at time ``t`` for the verdict, without a tick of the circuit."""
         estimate = self.estimator.at(t)
         self._times.append(index * TICK_S)
-        self._poses.append(estimate.pose)
+        self._estimates.append(estimate)
         return estimate
 
     def verdict(self) -> Verdict:
-        """Judge the drive so far on the estimate.
+        """Judge the drive so far on the estimate: the last pose, and the motion that led there.
 
-        Contact is not judged here: the gate stops at the first bump, and the drive ends as a fault.
+        External poses also correct the estimate of a rover that stands, so the poses before the last are
+        those of its motion alone. Contact is not judged here: the gate stops at the first bump, and the drive
+        ends as a fault.
         """
-        return self._course.judge(self._times, self._poses, touched=False)
+        if not self._estimates:
+            return self._course.judge([], [], touched=False)
+        path = [self._estimates[-1].pose]
+        for before, after in pairwise(reversed(self._estimates)):
+            v, omega = 0.5 * (np.array(before.velocity) + after.velocity) * (after.t - before.t)
+            path.append(compose(path[-1], Pose(v, 0.0, omega)))
+        return self._course.judge(self._times, path[::-1], touched=False)
 
     def _observation(self, pose: Pose, index: int, start: float) -> NDArray[np.float64]:
         signals = see(pose, start, self._reference.tick(index) if self._reference else None)

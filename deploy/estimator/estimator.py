@@ -2,28 +2,23 @@
 
 Rules of this file:
 
-1. The filters are seeded once, by `Estimator.start`, and never again. Measurements that do not fit are
+1. The filter is seeded once, by `Estimator.start`, and never again. Measurements that do not fit are
    rejected; too many rejections in a row are a fault, which stays.
-2. Nothing that is not finite reaches a filter.
+2. Nothing that is not finite reaches the filter.
 3. Reading the estimate (`Estimator.at`) changes nothing.
 
-Two extended Kalman filters, one after the other: `odometry_filter` follows what the base reports in
-odometry's own frame, rejects jumps and bridges gaps; `course_filter` transforms that into the course's frame,
-models the errors of odometry, and corrects them with external poses and a gyro.
+One extended Kalman filter: `motion` is its model, `history` applies the measurements, also late ones.
 """
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deploy.estimator.course_filter import PULL, SCALE, SKID, CourseFilter, Moment
-from deploy.estimator.odometry_filter import OdometryFilter
+from deploy.estimator.history import History
+from deploy.estimator.motion import DISTANCE, GAIN, OMEGA, POSE, PULL, SIZE, Array, V, true_motion
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity
-
-Array = NDArray[np.float64]
 
 GYRO_GAP_S = 0.25
 """After a longer gap, a gyro gives no turn for the time of the gap."""
@@ -67,12 +62,14 @@ class _Gyro:
 
 
 class Estimator:
-    """The filters with their gates. Times are seconds on one clock, any zero."""
+    """The filter with its faults. Times are seconds on one clock, any zero."""
 
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
         self._settings = settings or EstimatorSettings()
-        self._odometry: OdometryFilter | None = None
+        self._started: History | None = None
         self._gyro = _Gyro()
+        self._angle = math.nan
+        """The gyro's at the newest odometry."""
         self.rejected = 0
         """Odometry samples refused so far."""
         self.poses = dict.fromkeys(Outcome, 0)
@@ -86,12 +83,12 @@ class Estimator:
     def start(
         self, pose: Pose, t: float, odometry: Pose | None = None, covariance: Array | None = None
     ) -> None:
-        """Seed the filters, once: the rover stands at ``pose`` (course frame) at time ``t``.
+        """Seed the filter, once: the rover stands at ``pose`` (course frame) at time ``t``.
 
         ``odometry`` is the pose in odometry's own frame, by default the same. ``covariance`` (3, 3) is that
         of ``pose``; by default the pose defines the course's frame, and so is exact.
         """
-        if self._odometry is not None:
+        if self._started is not None:
             raise RuntimeError("the estimator is seeded once and never again")
         own = pose if odometry is None else odometry
         if not all(map(math.isfinite, (*pose, *own, t))):
@@ -99,16 +96,20 @@ class Estimator:
         sure = np.zeros((3, 3)) if covariance is None else self._spread(covariance)
         if sure is None:
             raise ValueError(f"cannot start with the covariance {covariance}")
-        self._odometry = OdometryFilter(self._settings, own, t)
-        self._course = CourseFilter(self._settings, pose, sure, Moment(t, own))
+        self._started = History(self._settings, t, own, pose, sure)
 
     def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
         """Apply odometry measured at ``t``: pose in its own frame, v in m/s, ω in rad/s."""
-        outcome = self._base.measure(pose, velocity, t)
+        z = np.array([*pose, *velocity])
+        if not (np.isfinite(z).all() and math.isfinite(t)):
+            outcome = Outcome.NOT_FINITE
+        else:
+            angle = self._gyro.angle(t)
+            outcome, waited = self._history.odometry(z, angle - self._angle, t)
         if outcome is Outcome.ACCEPTED:
-            self._in_a_row = 0
-            for waited in self._course.odometry(Moment(t, self._base.pose, self._gyro.angle(t))):
-                self._count(waited)
+            self._in_a_row, self._angle = 0, angle
+            for seen in waited:
+                self._count(seen)
             return outcome
         self.rejected += 1
         self._in_a_row += 1
@@ -123,7 +124,7 @@ class Estimator:
             self._gyro.measure(rate, t)
 
     def external(self, pose: Pose, covariance: Array, t: float) -> Outcome:
-        """Apply an external pose (course frame) that was measured at ``t`` and may come late.
+        """Apply an external pose (course frame) that was measured at ``t`` or earlier, and may come late.
 
         ``covariance`` (3, 3) is that of (x, y, θ); a variance of 0 means unknown.
         """
@@ -131,32 +132,33 @@ class Estimator:
         if noise is None or not all(map(math.isfinite, (*pose, t))):
             outcome = Outcome.NOT_FINITE
         else:
-            outcome = self._course.pose(self._course.seen(pose, noise, t))
+            outcome = self._history.pose(np.array(pose), noise, t)
         self._count(outcome)
         return outcome
 
     def at(self, t: float) -> Estimate:
         """Return the estimate predicted to ``t``, which must not lie before the last odometry."""
-        own, velocity, motion = self._base.at(t)
-        x, covariance = self._course.at(Moment(t, own))
-        turned = x[2] - own.theta
-        c, s = math.cos(turned), math.sin(turned)
-        to_course = np.eye(5)
-        to_course[:2, :2] = [[c, -s], [s, c]]
-        spread = to_course @ motion @ to_course.T
-        spread[:3, :3] += covariance[:3, :3]
-        v, omega = velocity
-        forward, turn = (1.0 + x[SCALE]) * v, (1.0 + x[SKID]) * omega + x[PULL] * v
-        spread[3, 3] += v * v * covariance[SCALE, SCALE]
-        spread[4, 4] += omega * omega * covariance[SKID, SKID]
-        pose = Pose(float(x[0]), float(x[1]), float(x[2]))
-        return Estimate(t, pose, Velocity(float(forward), float(turn)), spread)
+        x, P = self._history.at(t)
+        ahead, _, turn = true_motion(x, self._settings)
+        rows = np.zeros((5, SIZE))
+        rows[:3, POSE] = np.eye(3)
+        rows[3, V], rows[3, DISTANCE] = x[DISTANCE], x[V]
+        rows[4, OMEGA], rows[4, GAIN], rows[4, V], rows[4, PULL] = x[GAIN], x[OMEGA], x[PULL], x[V]
+        pose = Pose(*x[POSE].tolist())
+        return Estimate(t, pose, Velocity(ahead, turn), rows @ P @ rows.T)
 
     @property
-    def _base(self) -> OdometryFilter:
-        if self._odometry is None:
+    def nis(self) -> dict[str, float | None]:
+        """Mean NIS of the accepted external poses while the rover stood and moved; 3 is expected."""
+        sums = self._started.nis if self._started else {}
+        means = {stood: total / count for stood, (count, total) in sums.items() if count}
+        return {"standing": means.get(True), "moving": means.get(False)}
+
+    @property
+    def _history(self) -> History:
+        if self._started is None:
             raise RuntimeError("the estimator was not started")
-        return self._odometry
+        return self._started
 
     def _spread(self, covariance: Array) -> Array | None:
         """Return a covariance with unknown variances filled in; None if it is invalid."""

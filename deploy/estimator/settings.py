@@ -1,4 +1,4 @@
-"""Noises and limits of the estimator's two filters, and the outcomes of a measurement."""
+"""Noises, priors and limits of the estimator, and the outcomes of a measurement."""
 
 from enum import Enum
 
@@ -8,7 +8,7 @@ from rover_ncp.core.config import StrictModel
 
 
 class EstimatorSettings(StrictModel):
-    """SI units. The errors of odometry are those of an unmeasured base (standard deviations)."""
+    """SI units. Deviations (``_std``) are those of an unmeasured skid-steered base."""
 
     position_m: float = Field(default=0.0005, gt=0, description="odometry, position: steps of 1 mm")
     heading_rad: float = Field(default=0.0007, gt=0, description="odometry, heading: steps of 0.09°")
@@ -20,18 +20,30 @@ class EstimatorSettings(StrictModel):
     gate: float = Field(default=25.74, gt=0, description="largest NIS: 1 in 10,000 of a χ² with 5 degrees")
     rejected_in_a_row: int = Field(default=3, ge=1, description="so many rejected in a row are a fault")
 
-    distance_scale: float = Field(default=0.0173, gt=0, description="share: ±3 % evenly spread")
-    turn_scale: float = Field(default=0.03, gt=0, description="share: ±3 %, and what wheels skid")
-    imbalance_rad_m: float = Field(default=0.0173, gt=0, description="unseen turn per way: ±0.03 rad/m")
-    drift_rad_s: float = Field(default=0.0005, gt=0, description="of the heading: ±0.05 °/s")
+    distance_gain: float = Field(default=1.0, gt=0, description="true distance over odometry's")
+    distance_gain_std: float = Field(default=0.0173, gt=0, description="±3 % evenly spread")
+    turn_gain: float = Field(default=1.0, gt=0, description="true turn over odometry's")
+    turn_gain_std: float = Field(default=0.2, gt=0, description="weight off the middle: up to 1.35")
+    slip_s: float = Field(default=0.0, ge=0, description="share of a turn that slips away, per rad/s")
+    imbalance_rad_m: float = Field(default=0.0, description="unseen turn per way")
+    imbalance_std_rad_m: float = Field(default=0.0173, gt=0, description="±0.03 rad/m evenly spread")
+    rotation_center_m: float = Field(default=0.0, description="lateral velocity over turn rate")
+    rotation_center_std_m: float = Field(default=0.06, gt=0)
+    drift_std_rad_s: float = Field(default=0.0005, gt=0, description="of odometry's heading: ±0.05 °/s")
+    gyro_bias_std_rad_s: float = Field(default=0.2, gt=0)
+    gyro_rad: float = Field(default=0.0007, gt=0, description="noise of a gyro's turn in 0.1 s")
+
     wander_m: float = Field(default=0.001, gt=0, description="random, after a metre")
     wander_rad: float = Field(default=0.002, gt=0, description="random, after a metre")
+    skid_m: float = Field(default=0.002, gt=0, description="random, after a turn of 1 rad")
     skid_rad: float = Field(default=0.003, gt=0, description="random, after a turn of 1 rad")
-    gyro_bias_rad_s: float = Field(default=0.2, gt=0, description="bias of a gyro")
-    gyro_rad: float = Field(default=0.0007, gt=0, description="noise of a gyro's turn in 0.1 s")
+    turn_gain_walk: float = Field(default=0.02, gt=0, description="random change after a turn of 1 rad")
+    rotation_center_walk_m: float = Field(default=0.005, gt=0, description="the same")
 
     pose_m: float = Field(default=0.02, gt=0, description="external pose without a covariance")
     pose_rad: float = Field(default=0.035, gt=0)
+    pose_delay_s: float = Field(default=0.05, ge=0, description="least delay that all poses have")
+    pose_delay_std_s: float = Field(default=0.05, gt=0)
     pose_gate: float = Field(default=21.11, gt=0, description="largest NIS: 1 in 10,000 with 3 degrees")
     poses_rejected_in_a_row: int = Field(default=5, ge=1, description="so many are a fault")
     history_s: float = Field(default=1.0, gt=0, description="how late an external pose may come")

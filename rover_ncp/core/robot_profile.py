@@ -33,6 +33,8 @@ class RoverProfile(StrictModel):
     odometry_distance: float | None = _Factor
     """Ratios of odometry's report to the true motion."""
     odometry_heading: float | None = _Factor
+    rotation_center_m: float | None = Field(default=None, ge=-0.5, le=0.5)
+    """Lateral velocity over turn rate: the rover turns about a point so far behind its middle."""
     imbalance_rad_m: float | None = None
     """Turn per way that no encoder sees."""
     slip_s: float | None = Field(default=None, ge=0)

@@ -1,0 +1,154 @@
+"""Motion of a skid-steered rover and of its odometry, with Jacobian and process noise.
+
+State: the pose x, y, θ in the course's frame; the pose in odometry's own frame; speed v and turn rate ω as
+the encoders see them; the turn of the true heading since the last odometry; then the errors of odometry and
+of the sensors, which the filter estimates beside the pose:
+
+    DISTANCE  true distance over odometry's
+    GAIN      true turn over odometry's; a skid-steered robot with its weight off the middle turns more
+    PULL      turn per distance that no encoder sees, rad/m
+    CENTER    lateral velocity over turn rate, m: the centre of rotation lies so far behind the base's middle
+    DRIFT     of odometry's heading, rad/s, also while the rover stands
+    BIAS      of the gyro, rad/s
+    DELAY     of the external poses, s, beyond what their stamps show
+
+v and ω are constant but for white noise of the accelerations; one tick at the base's full acceleration
+(0.31 m/s², 1.25 rad/s²) is one standard deviation. So the filter follows odometry almost without lag: a
+circuit that was trained on exact poses must not get late ones. While the rover stands, only odometry's own
+pose may change. What odometry does not see grows with distance and turn.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.estimator.settings import EstimatorSettings
+from rover_ncp.core.geometry import wrap_angle
+
+X, Y, THETA, OWN_X, OWN_Y, OWN_THETA, V, OMEGA, TURN = range(9)
+DISTANCE, GAIN, PULL, CENTER, DRIFT, BIAS, DELAY = range(9, 16)
+SIZE = 16
+POSE, OWN, MOTION = slice(X, THETA + 1), slice(OWN_X, OWN_THETA + 1), slice(V, OMEGA + 1)
+
+Array = NDArray[np.float64]
+
+STANDING_SHARE = 0.01
+"""Process noise of odometry's own pose while the rover stands, as a share of that on the way."""
+
+
+class Step(NamedTuple):
+    """The state after a step (16,), its Jacobian and its process noise (16, 16)."""
+
+    x: Array
+    jacobian: Array
+    noise: Array
+
+
+def initial(settings: EstimatorSettings) -> tuple[Array, Array]:
+    """Return state and covariance of a rover that stands at both origins, its course pose exact."""
+    s = settings
+    x, deviations = np.zeros(SIZE), np.zeros(SIZE)
+    x[[DISTANCE, GAIN, PULL, CENTER, DELAY]] = (
+        s.distance_gain,
+        s.turn_gain,
+        s.imbalance_rad_m,
+        s.rotation_center_m,
+        s.pose_delay_s,
+    )
+    deviations[OWN] = s.position_m, s.position_m, s.heading_rad
+    deviations[DISTANCE:] = (
+        s.distance_gain_std,
+        s.turn_gain_std,
+        s.imbalance_std_rad_m,
+        s.rotation_center_std_m,
+        s.drift_std_rad_s,
+        s.gyro_bias_std_rad_s,
+        s.pose_delay_std_s,
+    )
+    return x, np.diag(np.square(deviations))
+
+
+def true_motion(x: Array, settings: EstimatorSettings) -> tuple[float, float, float]:
+    """Return the true speed ahead and to the left (m/s) and the turn rate (rad/s)."""
+    v, omega = float(x[V]), float(x[OMEGA])
+    turn = float(x[GAIN]) * omega * (1.0 - settings.slip_s * abs(omega)) + float(x[PULL]) * v
+    return float(x[DISTANCE]) * v, float(x[CENTER]) * turn, turn
+
+
+def standing(x: Array, dt: float, settings: EstimatorSettings) -> Step:
+    """Return the step of a rover that stands for ``dt`` s."""
+    moved, jacobian, noise = x.copy(), np.eye(SIZE), np.zeros((SIZE, SIZE))
+    for row in (V, OMEGA, TURN):
+        moved[row] = jacobian[row, row] = 0.0
+    moved[OWN_THETA] = wrap_angle(x[OWN_THETA] + x[DRIFT] * dt)
+    jacobian[OWN_THETA, DRIFT] = dt
+    noise[OWN, OWN] = STANDING_SHARE * settings.slip * dt * np.eye(3)
+    return Step(moved, jacobian, noise)
+
+
+def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) -> Step:
+    """Return the step of a moving rover by the midpoint rule; a ``new_turn`` begins at 0."""
+    s = settings
+    v, omega = float(x[V]), float(x[OMEGA])
+    ahead, left, turn = (rate * dt for rate in true_motion(x, s))
+    moved, jacobian = x.copy(), np.eye(SIZE)
+    if new_turn:
+        moved[TURN] = jacobian[TURN, TURN] = 0.0
+    # Columns: the derivatives of all poses by distance and turn of the encoders, and by the unseen turn.
+    by_way, by_turn, by_unseen = np.zeros((3, SIZE))
+    own = x[OWN_THETA] + 0.5 * omega * dt
+    c, z = math.cos(own), math.sin(own)
+    by_way[OWN_X], by_way[OWN_Y] = c, z
+    by_turn[OWN] = -0.5 * v * dt * z, 0.5 * v * dt * c, 1.0
+    moved[OWN_X] += v * dt * c
+    moved[OWN_Y] += v * dt * z
+    moved[OWN_THETA] = wrap_angle(x[OWN_THETA] + (omega + x[DRIFT]) * dt)
+    jacobian[OWN_X, OWN_THETA], jacobian[OWN_Y, OWN_THETA] = -v * dt * z, v * dt * c
+    jacobian[OWN_THETA, DRIFT] = dt
+
+    heading = x[THETA] + 0.5 * turn
+    cos, sin = math.cos(heading), math.sin(heading)
+    dx, dy = cos * ahead - sin * left, sin * ahead + cos * left
+    moved[X] += dx
+    moved[Y] += dy
+    moved[THETA] = wrap_angle(x[THETA] + turn)
+    moved[TURN] += turn
+    jacobian[X, THETA], jacobian[Y, THETA] = -dy, dx
+    center = x[CENTER]
+    by_unseen[POSE] = -0.5 * dy - center * sin, 0.5 * dx + center * cos, 1.0
+    by_unseen[TURN] = 1.0
+    by_way += x[PULL] * by_unseen
+    by_way[X] += x[DISTANCE] * cos
+    by_way[Y] += x[DISTANCE] * sin
+    by_turn += x[GAIN] * (1.0 - 2.0 * s.slip_s * abs(omega)) * by_unseen
+    jacobian[:, V] += dt * by_way
+    jacobian[:, OMEGA] += dt * by_turn
+    jacobian[X, DISTANCE], jacobian[Y, DISTANCE] = v * dt * cos, v * dt * sin
+    jacobian[X, CENTER], jacobian[Y, CENTER] = -turn * sin, turn * cos
+    jacobian[:, GAIN] += omega * (1.0 - s.slip_s * abs(omega)) * dt * by_unseen
+    jacobian[:, PULL] += v * dt * by_unseen
+
+    noise = np.zeros((SIZE, 11))
+    noise[:, :4] = _acceleration_noise(by_way, by_turn, dt, s)
+    slip = math.sqrt(s.slip * dt)
+    noise[[OWN_X, OWN_Y, X, Y], 4] = slip * c, slip * z, slip * cos, slip * sin
+    noise[[OWN_X, OWN_Y, X, Y], 5] = -slip * z, slip * c, -slip * sin, slip * cos
+    length, angle = abs(ahead), abs(turn)
+    noise[X, 6] = noise[Y, 7] = math.sqrt(s.wander_m**2 * length + s.skid_m**2 * angle)
+    noise[:, 8] = math.sqrt(s.wander_rad**2 * length + s.skid_rad**2 * angle) * by_unseen
+    noise[GAIN, 9] = s.turn_gain_walk * math.sqrt(angle)
+    noise[CENTER, 10] = s.rotation_center_walk_m * math.sqrt(angle)
+    return Step(moved, jacobian, noise @ noise.T)
+
+
+def _acceleration_noise(by_way: Array, by_turn: Array, dt: float, settings: EstimatorSettings) -> Array:
+    """Return the effects (16, 4) of white accelerations on speeds and poses, which are correlated."""
+    noise = np.zeros((SIZE, 4))
+    densities = settings.acceleration, settings.angular_acceleration
+    for column, (by, rate) in enumerate(((by_way, V), (by_turn, OMEGA))):
+        root = math.sqrt(densities[column] * dt)
+        noise[:, 2 * column] = root * dt / math.sqrt(3.0) * by
+        noise[rate, 2 * column : 2 * column + 2] = root * math.sqrt(3.0) / 2.0, root / 2.0
+    return noise

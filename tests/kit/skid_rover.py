@@ -1,0 +1,137 @@
+"""Drives of a skid-steered rover by its kinematics, with all errors that the estimator has states for."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from base_odometry import reported
+
+from deploy.estimator.estimator import Estimator
+from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
+from rover_ncp.course.random_course import random_course
+
+TICK_S, PARTS = 0.1, 10
+ACCEL = np.array([0.31, 1.25])
+
+
+@dataclass(frozen=True)
+class Camera:
+    """External poses: each so many ticks, seconds late, standard deviations of x, y (m) and heading (rad)."""
+
+    every: int = 2
+    until: int = 10_000
+    delay_s: float = 0.1
+    sigma: tuple[float, float, float] = (0.02, 0.02, math.radians(1.0))
+
+    @property
+    def covariance(self):
+        return np.diag(np.square(self.sigma))
+
+
+class SkidDrive:
+    """One drive over a random course, with errors drawn from the priors of ``settings``."""
+
+    def __init__(self, settings, seed, number, *, turn_gain=None, before_s=1.0, after_s=2.0, gyro_bias=0.1):
+        rng = np.random.default_rng([seed, number])
+        s = settings
+        draw = lambda mean, std: mean + std * rng.normal()  # noqa: E731
+        self.distance = draw(s.distance_gain, s.distance_gain_std)
+        self.gain = draw(s.turn_gain, s.turn_gain_std) if turn_gain is None else turn_gain
+        self.pull = draw(s.imbalance_rad_m, s.imbalance_std_rad_m)
+        self.center = draw(s.rotation_center_m, s.rotation_center_std_m)
+        self.drift = draw(0.0, s.drift_std_rad_s)
+        self.bias = gyro_bias * rng.normal()
+        motion = np.array(random_course(seed, number)[1].motion)
+        motion = motion[: np.flatnonzero(motion.any(axis=1))[-1] + 1]
+        rest = [np.zeros((round(t / TICK_S), 2)) for t in (before_s, after_s)]
+        commands = np.vstack([rest[0], motion, rest[1]])
+        self.ticks = len(commands)
+        start = Pose(*(rng.normal(size=3) * [0.05, 0.05, 0.05]))
+        h = TICK_S / PARTS
+        x = np.array([*start, *rng.uniform(-3, 3, 3), 0.0, 0.0])
+        self.states, self.turned = [x.copy()], [0.0]
+        for command in commands:
+            begin = x[2]
+            for _ in range(PARTS):
+                x[6:] += np.clip(command - x[6:], -ACCEL * h, ACCEL * h)
+                x = self._moved(x, h, rng, s)
+            self.states.append(x.copy())
+            self.turned.append(x[2] - begin)
+        self.rng = rng
+
+    def _moved(self, x, h, rng, s):
+        v, omega = x[6:]
+        turn = self.gain * omega + self.pull * v
+        ahead, left = self.distance * v, self.center * turn
+        length, angle = abs(ahead) * h, abs(turn) * h
+        self.gain += s.turn_gain_walk * math.sqrt(angle) * rng.normal()
+        self.center += s.rotation_center_walk_m * math.sqrt(angle) * rng.normal()
+        heading, own = x[2] + 0.5 * h * turn, x[5] + 0.5 * h * omega
+        spread = math.sqrt(s.wander_m**2 * length + s.skid_m**2 * angle)
+        return x + np.array(
+            [
+                h * (ahead * math.cos(heading) - left * math.sin(heading)) + spread * rng.normal(),
+                h * (ahead * math.sin(heading) + left * math.cos(heading)) + spread * rng.normal(),
+                h * turn + math.sqrt(s.wander_rad**2 * length + s.skid_rad**2 * angle) * rng.normal(),
+                h * v * math.cos(own),
+                h * v * math.sin(own),
+                h * (omega + self.drift),
+                0.0,
+                0.0,
+            ]
+        )
+
+    def pose(self, tick):
+        x, y, theta = self.states[tick][:3]
+        return Pose(x, y, wrap_angle(theta))
+
+    def between(self, t):
+        """The true pose at ``t`` s."""
+        at = min(max(t / TICK_S, 0.0), self.ticks)
+        a = min(int(at), self.ticks - 1)
+        x, y, theta = (a + 1 - at) * self.states[a][:3] + (at - a) * self.states[a + 1][:3]
+        return Pose(x, y, wrap_angle(theta))
+
+    def follow(self, settings=None, camera=None, gyro=False, carried=None):
+        """Run an estimator along the drive; return errors (ticks, 3), covariances (ticks, 3, 3), estimator.
+
+        From tick ``carried[0]`` on, the rover is displaced by ``carried[1]``.
+        """
+        rng = self.rng
+        estimator = Estimator(settings)
+        start, spread = self.states[0], (0.002, 0.002, 0.002)
+        at = Pose(*(start[:3] + rng.normal(size=3) * spread))
+        estimator.start(at, 0.0, self.report(0)[0], np.diag(np.square(spread)))
+        coming, errors, covariances = [], [], []
+        next_pose = rng.uniform(0.0, 0.2)
+        self.stopped = None
+        for tick in range(1, self.ticks + 1):
+            t = tick * TICK_S
+            if gyro:
+                step = math.radians(0.954)
+                rate = self.turned[tick] / TICK_S + self.bias
+                readings = [round(rate / step + 0.7 * rng.normal()) for _ in range(4)]
+                estimator.gyro(step * np.mean(readings), t)
+            estimator.odometry(*self.report(tick), t)
+            while camera is not None and next_pose <= t and tick <= camera.until:
+                seen = np.array(self.between(next_pose)) + rng.normal(size=3) * camera.sigma
+                if carried is not None and tick > carried[0]:
+                    seen += carried[1]
+                coming.append((next_pose + camera.delay_s, next_pose, Pose(*seen[:2], wrap_angle(seen[2]))))
+                next_pose += camera.every * TICK_S
+            while coming and coming[0][0] <= t:
+                arrival, _, seen = coming.pop(0)
+                # The stamps' clock is unknown: a delay that all poses have does not show.
+                estimator.external(seen, camera.covariance, arrival)
+            if estimator.fault and self.stopped is None:
+                self.stopped = tick
+            estimate = estimator.at(t)
+            error = np.array(estimate.pose) - self.pose(tick)
+            error[2] = wrap_angle(error[2])
+            errors.append(error)
+            covariances.append(estimate.covariance[:3, :3])
+        return np.array(errors), np.array(covariances), estimator
+
+    def report(self, tick):
+        x, y, theta, v, omega = self.states[tick][3:]
+        return reported(Pose(x, y, theta), Velocity(v, omega))

@@ -9,7 +9,7 @@ from deploy.drive.safety_monitor import Timeouts
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
-from rover_ncp.core.config import dump_yaml, parse_yaml
+from rover_ncp.core.config import dump_yaml, parse_yaml, read_yaml
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording
 from rover_ncp.core.robot_profile import RoverProfile
@@ -89,5 +89,16 @@ def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
     return (
         policy_from_yaml(texts[POLICY_FILE], where[POLICY_FILE]),
         parse_yaml(texts[COURSE_FILE], Course, where[COURSE_FILE]),
-        parse_yaml(texts[CONFIG_FILE], DriveConfig, where[CONFIG_FILE]),
+        _drive_config(texts[CONFIG_FILE], where[CONFIG_FILE]),
     )
+
+
+def _drive_config(text: str, where: str) -> DriveConfig:
+    settings = read_yaml(text, where)
+    if isinstance(settings, dict) and settings.get("format") == 1:
+        version = settings.get("version", "an earlier version")
+        raise FileError(
+            f"{where}: recorded with rover-ncp {version}, whose estimator was another; "
+            f"only that version can recompute the drive"
+        )
+    return parse_yaml(text, DriveConfig, where)

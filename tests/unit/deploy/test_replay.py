@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.drive.config import POLICY_FILE, DriveConfig, attachments
+from deploy.drive.config import CONFIG_FILE, POLICY_FILE, DriveConfig, attachments
 from deploy.drive.controller import Controller
 from deploy.drive.measurements import SampleRef
 from deploy.drive.publisher import Publisher
@@ -284,6 +284,14 @@ def test_the_command_says_same_or_different_by_its_exit_code(recorded, policy, t
     fields = json.loads(capsys.readouterr().out)
     assert fields["difference"]["tick"] == 0
     assert not fields["same"]
+
+
+def test_recording_of_an_earlier_estimator_is_one_line_and_exit_code_2(recorded, tmp_path, capsys):
+    source, path = read_recording(recorded), tmp_path / "earlier.mcap"
+    earlier = source.attachments[CONFIG_FILE].replace(b"format: 2", b"format: 1")
+    rewrite(replace(source, attachments={**source.attachments, CONFIG_FILE: earlier}), path)
+    assert shell(["replay", str(path)]) == 2
+    assert "only that version can recompute the drive" in capsys.readouterr().err
 
 
 def test_what_is_no_recording_of_a_drive_is_one_line_and_exit_code_2(recorded, tmp_path, capsys):

@@ -8,7 +8,7 @@ import typer
 
 from rover_ncp.core.console import MOST_SEED, Json, Output
 from rover_ncp.core.files import require_writable, write_atomic
-from sim.learn.search import SearchName
+from sim.learn.search.strategies import SearchName
 
 
 class What(StrEnum):

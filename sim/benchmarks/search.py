@@ -6,7 +6,7 @@ from typing import Any
 
 from sim.learn.agents import AgentState, Snapshot, run_rounds
 from sim.learn.record import TrainSettings, resolve_task
-from sim.learn.search.strategies import STRATEGIES
+from sim.learn.search.strategies import SearchName
 from sim.learn.train import find_workers, training_plan
 from sim.learn.workers import available_processes
 
@@ -21,7 +21,7 @@ def bench_search(
     agents: int,
     iterations: int,
     say: Callable[[str], None],
-    strategies: Sequence[str] = tuple(STRATEGIES),
+    strategies: Sequence[str] = tuple(SearchName),
 ) -> tuple[Mapping[str, Any], Mapping[str, Sequence[AgentState]]]:
     """Train with these strategies from one root seed; return what to report, and the agents by strategy."""
     marks = [mark for mark in MARKS if mark < iterations] + [iterations]

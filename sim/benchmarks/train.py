@@ -27,7 +27,7 @@ from sim.learn.agents import AgentState, Plan, Team, split
 from sim.learn.evaluator import STREAM_LANES, Answer, Evaluator, Stream
 from sim.learn.record import Task, TrainSettings, resolve_task
 from sim.learn.rollout import rollout
-from sim.learn.search.strategies import STRATEGIES
+from sim.learn.search.strategies import SearchName
 from sim.learn.train import training_plan
 from sim.learn.workers import LocalProcesses, MadeOnce, available_processes
 from sim.world.fleet import Fleet, advance, send
@@ -59,7 +59,7 @@ print(time.process_time() - began)
 
 def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
     """Measure everything on the parking course; ``iterations`` of 12 agents for each strategy and speed."""
-    settings = {name: TrainSettings.model_validate({"search": name}) for name in STRATEGIES}
+    settings = {str(name): TrainSettings.model_validate({"search": name}) for name in SearchName}
     task = resolve_task(settings["gauss-newton"])
     plans = {name: training_plan(each, task) for name, each in settings.items()}
     cores = available_processes()

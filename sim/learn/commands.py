@@ -7,7 +7,7 @@ import typer
 
 from rover_ncp.core.console import MOST_SEED, Json, Output
 from rover_ncp.core.errors import UsageError
-from sim.learn.search import SearchName
+from sim.learn.search.strategies import SearchName
 
 if TYPE_CHECKING:
     from sim.learn.record import RobustSettings

@@ -21,7 +21,7 @@ from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import Course, load_course
-from sim.learn.search import SearchName
+from sim.learn.search.strategies import SearchName
 from sim.world.pymunk_rover import require_free_start
 from sim.world.rover import RoverModel
 

@@ -58,6 +58,7 @@ _NEEDS = {
     "explain": {"train"},
     "report": {"report", "train"},
     "course": {"drive"},
+    "export": {"drive"},
     "watch": {"drive", "report"},
     "soak": {"train"},
     "paper": {"train"},

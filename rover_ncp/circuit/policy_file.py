@@ -125,6 +125,11 @@ def policy_from_yaml(text: str, source: str) -> Policy:
 
 def policy_to_yaml(policy: Policy) -> str:
     """Return the text of a policy's file."""
+    return dump_yaml(policy_data(policy))
+
+
+def policy_data(policy: Policy) -> dict[str, Any]:
+    """Return the content of a policy's file as plain values."""
     data: dict[str, Any] = {
         "format": 1,
         "circuit": _circuit_data(policy.circuit),
@@ -141,7 +146,7 @@ def policy_to_yaml(policy: Policy) -> str:
         "courses": list(policy.courses),
         "provenance": dict(policy.provenance),
     }
-    return dump_yaml(data)
+    return data
 
 
 def circuit_to_yaml(circuit: Circuit) -> str:

@@ -34,12 +34,14 @@ V_MAX = 0.16
 OMEGA_MAX = 0.18
 """Fastest turn of a reference in rad/s: the paper's motors."""
 
+KNOT_TICKS = 5
+"""Speed and turn of a planned reference are linear between knots so many ticks apart."""
+
 REFERENCE_SIGNALS = ("longitudinal", "lateral", "heading", "speed", "turn")
 """Signals that need a course's reference."""
 SIGNALS = ("x", "y", "theta", "start", *REFERENCE_SIGNALS)
 """In the order of ``see``."""
 
-_KNOT_TICKS = 5
 _DECIMALS = 5
 # One unit of the sum of squares: so far off a checkpoint, or so sharp a bend of v or ω between knots.
 _POSITION_M, _HEADING_RAD = 0.01, 0.02
@@ -161,7 +163,7 @@ class _Fit:
         points = course.checkpoints
         self.start = points[0].pose if points[0].t == 0 else Pose(0.0, 0.0, 0.0)
         self._points = [(0.0, self.start), *((point.t, point.pose) for point in points if point.t > 0)]
-        self.knots = -(-course.ticks // _KNOT_TICKS) + 1
+        self.knots = -(-course.ticks // KNOT_TICKS) + 1
         self.free = _moving(course, self.knots)
         headings = np.unwrap([self.start.theta, *(point.theta for point in points)])[1:]
         self._targets = np.array([[point.x for point in points], [point.y for point in points], headings])
@@ -170,14 +172,14 @@ class _Fit:
             at_goal, _GOAL_WEIGHT, 1.0
         )
         self._due = _hat(np.array([point.t for point in points]) / TICK_S, course.ticks + 1)
-        blend = _hat(np.arange(course.ticks + 1) / _KNOT_TICKS, self.knots)[:, self.free]
+        blend = _hat(np.arange(course.ticks + 1) / KNOT_TICKS, self.knots)[:, self.free]
         # At the middle of each tick, as a mean of the unknowns.
         self._mean = 0.5 * (blend[1:] + blend[:-1])
         self._bend = np.diff(np.eye(self.knots), 2, axis=0)[:, self.free]
 
     def chords(self) -> FloatArray:
         """Return the unknowns of a drive along the chords between checkpoints."""
-        times = TICK_S * _KNOT_TICKS * np.arange(self.knots)[self.free]
+        times = TICK_S * KNOT_TICKS * np.arange(self.knots)[self.free]
         middles, v, omega = [], [], []
         for (t_a, a), (t_b, b) in pairwise(self._points):
             ahead, turn = _chord(a, b)
@@ -218,7 +220,7 @@ class _Fit:
 
 def _moving(course: Course, knots: int) -> NDArray[np.bool_]:
     """Return (knots,) where the course moves: not between equal neighbours, nor behind the last one."""
-    times = TICK_S * _KNOT_TICKS * np.arange(knots)
+    times = TICK_S * KNOT_TICKS * np.arange(knots)
     free = times < course.checkpoints[-1].t
     free[0] = False
     for a, b in pairwise(course.checkpoints):
@@ -231,7 +233,7 @@ def _between(knots: FloatArray) -> list[float]:
     """Return the values at ticks from those at knots, one after the other: no library's order of sums."""
     values = []
     for a, b in pairwise(knots.tolist()):
-        values += [a + (b - a) * i / _KNOT_TICKS for i in range(_KNOT_TICKS)]
+        values += [a + (b - a) * i / KNOT_TICKS for i in range(KNOT_TICKS)]
     return [*values, float(knots[-1])]
 
 

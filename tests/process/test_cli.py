@@ -139,6 +139,8 @@ NEEDS = {
         "replay no.mcap",
         "identify no.mcap",
         "course check parking",
+        "export no.yaml --to json --out exported",
+        "export parking --to json --out exported",
     ],
     "drive,report": [f"watch {NO_BRIDGE} --port 0"],
     "keys": ["keys --out keys"],

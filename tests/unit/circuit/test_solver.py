@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
+from wirings import in_bounds, unit_vectors, wirings
 
 from rover_ncp.circuit import solver_reference as reference
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
 from rover_ncp.circuit.compiled import allocate_lanes, fill_lane, make_program, resting_potentials
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
-from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
+from rover_ncp.circuit.sensing import Sensing, parking_sensing
 from rover_ncp.circuit.solver import exp2, tick_lanes
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.kernels.jit import kernel
@@ -24,48 +24,6 @@ PARKING = parking_policy(parking_circuit())
 SIZE = PARKING.layout().size
 ANY_INPUT = st.floats(allow_nan=False, allow_infinity=False)
 NEAR_INPUT = st.floats(-2, 2)
-
-
-def unit_vectors(size):
-    """Vectors in [0, 1]: where in their bounds parameters lie; the bounds themselves are likely."""
-    return hnp.arrays(np.float64, size, elements=st.floats(0, 1) | st.sampled_from([0.0, 1.0]))
-
-
-def in_bounds(policy, unit):
-    layout = policy.layout()
-    return np.clip(layout.lower + unit * (layout.upper - layout.lower), layout.lower, layout.upper)
-
-
-@st.composite
-def wirings(draw):
-    """Policies on any wiring of up to 8 neurons, loops and synapses into sensory neurons included."""
-    count = draw(st.integers(4, 8))
-    neuron = st.integers(0, count - 1)
-    synapse = st.tuples(st.sampled_from(SynapseKind), neuron, neuron)
-    synapses = draw(st.lists(synapse, max_size=24, unique=True))
-    circuit = build_circuit("any", [f"n{i}" for i in range(count)], [(*row, 1.0) for row in synapses])
-    if draw(st.booleans()):
-        object.__setattr__(circuit, "held", {3: draw(st.floats(-90, 0)), 0: -10.0})
-    layered = draw(st.booleans())
-    sensing = Sensing(
-        name="any",
-        inputs=("a", "b", "c") if layered else ("a", "b"),
-        channels=(
-            Channel(name="a", positive="n0", maximum=1.0, negative="n1", minimum=-0.5),
-            Channel(name="b", positive="n2", maximum=2.0),
-        ),
-        clamp=draw(st.booleans()),
-    )
-    motors = Motors(
-        outputs=("u", "v", "w") if layered else ("u", "v"),
-        channels=(
-            Channel(name="u", positive="n3", maximum=1.0, negative="n0", minimum=-1.0),
-            Channel(name="v", negative="n3", minimum=-0.5),
-        ),
-    )
-    layers = {"input_layer": np.zeros((2, 3)), "output_layer": np.zeros((3, 2))} if layered else {}
-    policy = Policy(circuit, sensing, motors, **layers)
-    return policy.with_parameters(in_bounds(policy, draw(unit_vectors(policy.layout().size))))
 
 
 @kernel

@@ -1,0 +1,58 @@
+"""The command ``export``; heavy libraries load only when it runs."""
+
+import re
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rover_ncp.core.console import Json, Output
+
+
+class Target(StrEnum):
+    """What a policy is exported to."""
+
+    C = "c"
+    JSON = "json"
+    NCPS = "ncps"
+
+
+def export(
+    policy: Annotated[str, typer.Argument(help="Policy: a name, a YAML file, or a .bnn circuit.")],
+    *,
+    to: Annotated[Target, typer.Option(help="c: C99 sources. json: plain form. ncps: wiring for ncps.")],
+    out: Annotated[Path, typer.Option(help="Folder for the files; those of the same names are replaced.")],
+    course: Annotated[
+        str | None,
+        typer.Option(
+            help="Course of the C sources and test vectors, by name or YAML file.", show_default="parking"
+        ),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Write a policy for other programs.
+
+    To c: NAME.h and NAME.c turn an observation into a command, without allocation or libraries beyond math.h;
+    NAME_course.h and NAME_course.c turn the rover's pose into an observation; NAME_check.c tests a build. All
+    are double unless ROVER_NCP_FLOAT is defined.
+
+        rover-ncp export course --to c --out firmware
+        cc -std=c99 -O2 -ffp-contract=off -o check firmware/*.c -lm && ./check
+
+    To json: NAME.json, the policy with the constants of its equations and test vectors. To ncps:
+    NAME_ncps.json, the wiring for ncps.wirings.Wiring.from_config.
+    """
+    from rover_ncp.circuit.policy_file import load_policy
+    from rover_ncp.core.files import require_writable, write_atomic
+    from rover_ncp.course.course import load_course
+    from rover_ncp.export.export import exported
+
+    name = re.sub(r"[^a-z0-9]+", "_", Path(policy).stem.lower()).strip("_")
+    name = name if name[:1].isalpha() else f"policy_{name}".rstrip("_")
+    require_writable(out / name)
+    files = exported(load_policy(policy), to, name, load_course(course or "parking"))
+    for file, content in files.items():
+        write_atomic(out / file, content)
+    paths = [str(out / file) for file in files]
+    Output(json).result({"policy": policy, "to": str(to), "name": name, "files": paths}, "\n".join(paths))

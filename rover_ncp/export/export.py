@@ -1,0 +1,26 @@
+"""The files of an exported policy, by target."""
+
+from importlib.metadata import version
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.course.course import Course
+from rover_ncp.course.reference import needs_reference, plan_reference
+from rover_ncp.export.circuit_c import circuit_files
+from rover_ncp.export.course_c import course_files
+from rover_ncp.export.plain import json_file, ncps_file
+from rover_ncp.export.vectors import check_file, drives, make_vectors
+
+
+def exported(policy: Policy, to: str, name: str, course: Course) -> dict[str, str]:
+    """Return the text of each file. Raises ConfigError for a wiring that the target cannot hold."""
+    if to == "ncps":
+        return {f"{name}_ncps.json": ncps_file(policy)}
+    reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
+    vectors = make_vectors(policy, course, reference)
+    if to == "json":
+        return {f"{name}.json": json_file(policy, vectors)}
+    made_by = version("rover-ncp")
+    files = circuit_files(policy, name, made_by)
+    if drives(policy):
+        files |= course_files(policy, course, reference, name, made_by)
+    return files | {f"{name}_check.c": check_file(vectors, name)}

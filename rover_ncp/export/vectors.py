@@ -1,0 +1,98 @@
+"""Test vectors of an exported policy: what the solver answers, for the C check and for other ports."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.core.geometry import Pose
+from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.course.reference import SIGNALS, Reference, see
+from rover_ncp.export.circuit_c import fill, literal
+
+FloatArray = NDArray[np.float64]
+
+TICKS = 120
+_FAR = (0.1, 0.1, 0.2)
+"""Standard deviation of the poses from the reference, m, m, rad: the sensors reach their ends."""
+FLOAT_TOLERANCE = 1e-4
+
+
+class Vectors(NamedTuple):
+    """T ticks in a row from rest."""
+
+    poses: FloatArray | None
+    """(T, 3) m, m, rad; None for a policy whose inputs no course gives."""
+    observations: FloatArray
+    """(T, inputs)."""
+    commands: FloatArray
+    """(T, outputs)."""
+    potentials: FloatArray
+    """(T, n) mV, after each tick."""
+
+
+def drives(policy: Policy) -> bool:
+    """Whether a course gives all that a policy observes."""
+    return set(policy.sensing.inputs) <= set(SIGNALS)
+
+
+def make_vectors(policy: Policy, course: Course, reference: Reference | None, seed: int = 0) -> Vectors:
+    """Run a policy on random observations: poses near the course, or numbers in -1..1 without one."""
+    generator = np.random.default_rng(seed)
+    poses = None
+    observations = generator.uniform(-1.0, 1.0, (TICKS, len(policy.sensing.inputs)))
+    if drives(policy):
+        poses = generator.normal(0.0, _FAR, (TICKS, 3))
+        chosen = [SIGNALS.index(name) for name in policy.sensing.inputs]
+        for k in range(TICKS):
+            tick = max(k - 1, 0)  # the first is the warm-up
+            where = reference.tick(tick) if reference else None
+            if where:
+                poses[k, :2] += where[0][:2]
+            signal = 0.0 if k == 0 else course.start_signal(tick * TICK_S)
+            signals = see(Pose(*poses[k].tolist()), signal, where)
+            observations[k] = [signals[i] for i in chosen]
+    runner = PolicyRunner(policy)
+    commands, potentials = [], []
+    for observation in observations:
+        commands.append(runner.tick(observation))
+        potentials.append(runner.potentials)
+    return Vectors(poses, observations, np.array(commands), np.array(potentials))
+
+
+def check_file(vectors: Vectors, name: str) -> str:
+    """Return ``NAME_check.c``, a program that compares a build with the vectors."""
+    sources, header = [f"{name}_check.c", f"{name}.c"], f"{name}.h"
+    poses = start = see_it = ""
+    if vectors.poses is not None:
+        sources.append(f"{name}_course.c")
+        header = f"{name}_course.h"
+        poses = f"static const real poses[TICKS][3] = {{\n{_rows(vectors.poses)}\n}};"
+        start = (
+            f"    {name}_course course;\n    real seen[{name.upper()}_INPUTS];\n\n"
+            f"    {name}_course_start(&course);"
+        )
+        see_it = (
+            f"        {name}_observe(&course, poses[k][0], poses[k][1], poses[k][2], seen);\n"
+            f"        seen_apart = apart(seen_apart, seen, observations[k], {name.upper()}_INPUTS);\n"
+            f"        {name}_course_advance(&course);"
+        )
+    return fill(
+        "check.c",
+        name=name,
+        guard=name.upper(),
+        sources=" ".join(sources),
+        header=header,
+        float_tolerance=repr(FLOAT_TOLERANCE),
+        tick_count=len(vectors.observations),
+        poses=poses,
+        observations=_rows(vectors.observations),
+        commands=_rows(vectors.commands),
+        start=start,
+        see=see_it,
+    )
+
+
+def _rows(table: FloatArray) -> str:
+    return "\n".join("    {" + ", ".join(literal(value) for value in row) + "}," for row in table)

@@ -47,6 +47,7 @@ def run(
     course: str = "parking",
     profile: Path | None = None,
     pose: PoseUse = "auto",
+    require_accuracy_m: float | None = None,
     duration_s: float | None = None,
     dry_run: bool = False,
     record: Path | None = None,
@@ -72,6 +73,7 @@ def run(
         dry_run=dry_run,
         ticks=ticks,
         pose=pose,
+        require_accuracy_m=require_accuracy_m,
         estimator=settings_for(rover),
         rover=rover,
     )
@@ -81,7 +83,15 @@ def run(
     _prepare_for_real_time()
     with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:
         publisher = Publisher(link, recorder.put, the_policy.circuit.neurons)
-        drive = Drive(link, controller, publisher, config, lambda: interrupts.raised, period_s=period_s)
+        drive = Drive(
+            link,
+            controller,
+            publisher,
+            config,
+            lambda: interrupts.raised,
+            say=output.say,
+            period_s=period_s,
+        )
         drive.wait()
         recorder.open(files)
         with output.live(lambda: drive.progress):
@@ -127,6 +137,7 @@ def _result(drive: Drive, config: DriveConfig) -> dict[str, Any]:
         "state": drive.phase.value,
         "reason": drive.reason,
         "stopped_by": drive.stop.rule if drive.stop else None,
+        "predicted_error_m": drive.predicted_error_m,
         "estimate_error_m": verdict.error_m if verdict else None,
         "estimate_error_rad": verdict.error_rad if verdict else None,
         "ticks": report.ticks,

@@ -37,6 +37,15 @@ def deploy(
             "or ignore them."
         ),
     ] = "auto",
+    require_accuracy: Annotated[
+        float | None,
+        typer.Option(
+            min=0.001,
+            help="Without external poses, do not drive if the predicted position error at the goal is more "
+            "than so many metres (exit 4, accuracy).",
+            show_default=False,
+        ),
+    ] = None,
     profile: Annotated[
         Path | None,
         typer.Option(
@@ -69,6 +78,7 @@ def deploy(
         course=course,
         profile=profile,
         pose=pose,
+        require_accuracy_m=require_accuracy,
         duration_s=duration,
         dry_run=dry_run,
         record=record,

@@ -38,6 +38,9 @@ class DriveConfig(Timeouts):
     still_rad: float = Field(default=0.005, gt=0)
     pose: PoseUse = "auto"
     pose_wait_s: float = Field(default=10.0, gt=0, description="for the first external pose, if required")
+    require_accuracy_m: float | None = Field(
+        default=None, gt=0, description="without external poses, the largest predicted error at the goal"
+    )
     estimator: EstimatorSettings = EstimatorSettings()
     rover: RoverProfile | None = Field(default=None, description="what was measured of this robot")
 

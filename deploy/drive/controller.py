@@ -15,6 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.settings import EstimatorSettings, Outcome
@@ -27,6 +28,8 @@ from rover_ncp.course.course import TICK_S, Course, Verdict
 from rover_ncp.course.reference import SIGNALS, needs_reference, plan_reference, see
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
+FORECAST_TICKS = 2
+"""Steps of a forecast; a gyro's readings may be 0.25 s apart."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,20 @@ class Controller:
         self._runner.reset()
         self._runner.tick(self._observation(pose, 0, 0.0))
 
+    def predicted_error_m(self, *, gyro: bool) -> float:
+        """Return within how many metres of the truth the estimate at the goal will be in 95 % of such drives.
+
+        After `start`; for a drive along the course's reference without further external poses.
+        """
+        reference = self._reference or plan_reference(self._course)
+        ticks = [reference.tick(index) for index in range(0, reference.ticks + 1, FORECAST_TICKS)]
+        path, motion = zip(*ticks, strict=True)
+        covariance = self.estimator.forecast(path, motion, FORECAST_TICKS * TICK_S, gyro=gyro)
+        # The squared distance is a sum of two scaled χ²; one of the same mean and variance stands for it.
+        variances = np.linalg.eigvalsh(covariance[:2, :2])
+        scale = float(np.square(variances).sum() / variances.sum())
+        return math.sqrt(scale * chi2.ppf(0.95, float(variances.sum()) / scale))
+
     def take(self, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:
         """Give the estimator a sample that was measured at time ``t``; None for a gyro reading."""
         match sample:
@@ -106,6 +123,11 @@ class Controller:
         self._times.append(index * TICK_S)
         self._estimates.append(estimate)
         return estimate
+
+    @property
+    def plans(self) -> bool:
+        """Whether the course's reference is planned, which takes up to a second."""
+        return self._reference is not None
 
     def verdict(self) -> Verdict:
         """Judge the drive so far on the estimate: the last pose, and the motion that led there.

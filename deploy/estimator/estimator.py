@@ -10,15 +10,17 @@ Rules of this file:
 One extended Kalman filter: `motion` is its model, `history` applies the measurements, also late ones.
 """
 
+import copy
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from deploy.estimator.history import History
-from deploy.estimator.motion import DISTANCE, GAIN, OMEGA, POSE, PULL, SIZE, Array, V, true_motion
+from deploy.estimator.motion import DISTANCE, GAIN, OMEGA, OWN, POSE, PULL, SIZE, Array, V, true_motion
 from deploy.estimator.settings import EstimatorSettings, Outcome
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 
 GYRO_GAP_S = 0.25
 """After a longer gap, a gyro gives no turn for the time of the gap."""
@@ -146,6 +148,25 @@ class Estimator:
         rows[4, OMEGA], rows[4, GAIN], rows[4, V], rows[4, PULL] = x[GAIN], x[OMEGA], x[PULL], x[V]
         pose = Pose(*x[POSE].tolist())
         return Estimate(t, pose, Velocity(ahead, turn), rows @ P @ rows.T)
+
+    def forecast(
+        self, path: Sequence[Pose], motion: Sequence[Velocity], period_s: float, gyro: bool
+    ) -> Array:
+        """Return the covariance (3, 3) after a drive along ``path`` (odometry's poses, any frame), from here.
+
+        ``motion`` is that at each of its poses, ``period_s`` apart. With odometry and the gyro, if the base
+        has one, and without external poses; changes nothing.
+        """
+        ahead = copy.deepcopy(self)
+        x, _ = self._history.at(self._history.t)
+        own_path = compose(Pose(*x[OWN].tolist()), inverse(path[0]))
+        t = self._history.t
+        for pose, velocity in zip(path, motion, strict=True):
+            if gyro:
+                ahead.gyro(velocity.omega, t)
+            ahead.odometry(compose(own_path, pose), velocity, t)
+            t += period_s
+        return ahead.at(t).covariance[:3, :3]
 
     @property
     def nis(self) -> dict[str, float | None]:

@@ -85,6 +85,7 @@ def standing(x: Array, dt: float, settings: EstimatorSettings) -> Step:
     moved[OWN_THETA] = wrap_angle(x[OWN_THETA] + x[DRIFT] * dt)
     jacobian[OWN_THETA, DRIFT] = dt
     noise[OWN, OWN] = STANDING_SHARE * settings.slip * dt * np.eye(3)
+    noise[POSE, POSE] = dt * np.diag(np.square([settings.creep_m, settings.creep_m, settings.creep_rad]))
     return Step(moved, jacobian, noise)
 
 

@@ -31,12 +31,12 @@ class Camera:
 class SkidDrive:
     """One drive over a random course, with errors drawn from the priors of ``settings``."""
 
-    def __init__(self, settings, seed, number, *, turn_gain=None, before_s=1.0, after_s=2.0, gyro_bias=0.1):
+    def __init__(self, settings, seed, number, *, before_s=1.0, after_s=2.0, gyro_bias=0.1):
         rng = np.random.default_rng([seed, number])
         s = settings
         draw = lambda mean, std: mean + std * rng.normal()  # noqa: E731
         self.distance = draw(s.distance_gain, s.distance_gain_std)
-        self.gain = draw(s.turn_gain, s.turn_gain_std) if turn_gain is None else turn_gain
+        self.gain = draw(s.turn_gain, s.turn_gain_std)
         self.pull = draw(s.imbalance_rad_m, s.imbalance_std_rad_m)
         self.center = draw(s.rotation_center_m, s.rotation_center_std_m)
         self.drift = draw(0.0, s.drift_std_rad_s)
@@ -61,6 +61,9 @@ class SkidDrive:
 
     def _moved(self, x, h, rng, s):
         v, omega = x[6:]
+        if v == omega == 0.0:
+            creep = np.array([s.creep_m, s.creep_m, s.creep_rad]) * math.sqrt(h) * rng.normal(size=3)
+            return x + np.array([*creep, 0.0, 0.0, h * self.drift, 0.0, 0.0])
         turn = self.gain * omega + self.pull * v
         ahead, left = self.distance * v, self.center * turn
         length, angle = abs(ahead) * h, abs(turn) * h

@@ -126,3 +126,14 @@ def test_a_rover_that_was_carried_away_is_stopped(bridge, drive, tmp_path):
     ]
     assert max(abs(pose.y) for pose in estimates) < 0.05  # it never believed it
     assert replay(tmp_path / "run.mcap").difference is None
+
+
+def test_without_the_required_accuracy_the_rover_is_not_driven(bridge, drive):
+    code, result = drive(require_accuracy_m=0.01)
+    assert (code, result["stopped_by"]) == (4, "accuracy")
+    assert result["predicted_error_m"] > 0.01
+    assert "expected 0.01 m at most" in result["reason"]
+    assert bridge.requests == []
+    bridge.odom = localised(bridge, inverse(ODOM_AT_START))
+    code, result = drive(require_accuracy_m=0.01, duration_s=0.3)
+    assert (code, result["stopped_by"]) == (1, None)

@@ -34,7 +34,7 @@ _EXTRAS = {
     "psutil": "train",
     "gymnasium": "train",
     "matplotlib": "train",
-    "mujoco": "paper",
+    "mujoco": "mujoco",
     "imageio": "paper",
     "stable_baselines3": "paper",
     "torch": "paper",

@@ -1,6 +1,7 @@
 """The command ``eval``; heavy libraries load only when it runs."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,16 @@ import typer
 
 from rover_ncp.core.console import MOST_SEED, Json, Output, command
 from rover_ncp.core.errors import UsageError
+from sim.world.bodies import PRESET_WORDS, PRESETS, Body, BodyOption
+
+
+class Sensors(StrEnum):
+    """What the driver of a stack simulation has beside encoders."""
+
+    ENCODERS = "encoders"
+    GYRO = "gyro"
+    CAMERA = "camera"
+    BOTH = "both"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,9 +47,10 @@ class EvalOptions:
     randomize: Annotated[
         str | None,
         typer.Option(
-            help="Randomization of the trials: none, mild, full, harsh, skid or a file.", show_default="none"
+            help=f"Randomization of the trials: {PRESET_WORDS}; or a YAML file.", show_default="none; nominal"
         ),
     ] = None
+    body: BodyOption = Body.PYMUNK
     random_courses: Annotated[
         int | None,
         typer.Option(
@@ -49,6 +61,18 @@ class EvalOptions:
         bool,
         typer.Option("--stack", help="Drive through firmware, bridge and driver, on a virtual clock."),
     ] = False
+    sensors: Annotated[
+        Sensors,
+        typer.Option(help="With --stack: what the driver has beside encoders: a gyro, a camera, both."),
+    ] = Sensors.ENCODERS
+    camera_hz: Annotated[float, typer.Option(min=0.1, max=100.0, help="Rate of the camera.")] = 5.0
+    camera_noise: Annotated[
+        float,
+        typer.Option(
+            min=0.0, max=1.0, help="Standard deviation of its x and y in m; of its heading 1 degree for 2 cm."
+        ),
+    ] = 0.02
+    camera_delay: Annotated[float, typer.Option(min=0.0, max=1.0, help="Delay of its poses in s.")] = 0.1
     live: Annotated[
         int | None,
         typer.Option(
@@ -96,6 +120,11 @@ class EvalOptions:
         """The names or files of the courses."""
         return self.course or ["parking"]
 
+    @property
+    def randomization(self) -> str:
+        """The name or file of the randomization."""
+        return self.randomize or PRESETS[self.body][0]
+
 
 @command
 def evaluate(options: EvalOptions) -> int:
@@ -118,6 +147,12 @@ def evaluate(options: EvalOptions) -> int:
 
         rover-ncp eval course --trials 300 --randomize full --stack
 
+    --body mujoco drives a rover with four wheels, friction, weight and motors, which can have a slope or
+    cables under it. It does not move as the body of the training does: it turns more than its encoders
+    report, and slides. --sensors gives the driver a gyro or a camera.
+
+        rover-ncp eval course --trials 300 --stack --body mujoco --randomize varied --sensors gyro
+
     --live drives each of them as three real processes, over TCP and Zenoh. The driver does not know the mock
     robot's errors. With --stack too, trials are driven both ways, and the distance between their ends is
     printed.
@@ -136,6 +171,10 @@ def evaluate(options: EvalOptions) -> int:
         return _play_task(options, options.task)
     if options.range_:
         raise UsageError("--range needs --task")
+    if options.body is Body.MUJOCO and not (options.stack or options.live):
+        raise UsageError("--body mujoco needs --stack or --live: plain simulation is pymunk's")
+    if options.sensors is not Sensors.ENCODERS and not options.stack:
+        raise UsageError("--sensors needs --stack")
     if options.processes is not None and not (options.stack or options.live):
         raise UsageError("--processes needs --stack or --live")
     random = (options.trials, options.randomize, options.random_courses, options.live, options.profile)

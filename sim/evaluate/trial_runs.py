@@ -13,18 +13,18 @@ from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import distance, wrap_angle
 from rover_ncp.course.course import load_course
-from sim.evaluate.commands import EvalOptions
+from sim.evaluate.commands import EvalOptions, Sensors
 from sim.evaluate.evaluate import Evaluation, Spread, evaluate, tally, unseen_courses
 from sim.evaluate.laws import LAWS
 from sim.live.trials import drive_live, trial_folder
+from sim.stack.camera import Camera
 from sim.stack.trials import Driven, Stack, drive_all
 from sim.world.randomization import ranges_for
 
 
 def run_trials(options: EvalOptions) -> int:
     """Drive trials, report, and return the exit code: 1 if a single one was driven and did not park."""
-    randomize = "none" if options.randomize is None else options.randomize
-    ranges = ranges_for(randomize, options.profile)
+    ranges = ranges_for(options.randomization, options.profile, options.body)
     courses = [load_course(name) for name in options.courses]
     if options.random_courses:
         courses = unseen_courses(options.seed, options.random_courses)
@@ -33,20 +33,34 @@ def run_trials(options: EvalOptions) -> int:
     if options.stack or options.live:
         if law:
             raise UsageError(f"{options.policy}: the classical laws drive in plain simulation alone")
-        stack = Stack(load_policy(options.policy), tuple(courses), ranges, options.seed)
+        stack = Stack(
+            load_policy(options.policy),
+            tuple(courses),
+            ranges,
+            options.seed,
+            gyro=options.sensors in {Sensors.GYRO, Sensors.BOTH},
+            camera=_camera(options),
+        )
         drive = _live if options.live else _through_stack
         found, more = drive(output, stack, options, trials)
     else:
         driver = options.policy if law else load_policy(options.policy)
         found = evaluate(driver, courses, ranges, trials=trials, seed=options.seed)
     fields = found.fields() | {
-        "randomize": randomize,
+        "randomize": options.randomization,
+        "body": options.body.value,
         "seed": options.seed,
         "random_courses": options.random_courses or 0,
         "course": ",".join(options.courses),
     }
     output.result(fields | more, "\n".join(_words(found, more)))
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
+
+
+def _camera(options: EvalOptions) -> Camera | None:
+    if options.sensors in {Sensors.CAMERA, Sensors.BOTH}:
+        return Camera(options.camera_hz, options.camera_noise, options.camera_delay)
+    return None
 
 
 def _through_stack(

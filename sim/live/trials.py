@@ -11,7 +11,6 @@ from pathlib import Path
 from deploy.report.recorded_drive import read_drive
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.files import write_atomic
-from rover_ncp.core.geometry import Pose
 from rover_ncp.core.recording import read_recording, rewrite
 from sim.evaluate.commands import EvalOptions
 from sim.evaluate.evaluate import cause
@@ -59,8 +58,9 @@ class _LiveTrial(LiveRun):
         self._out, self._stack, self._number = trial_folder(options.out, number), stack, number
         self._policy, self._course_file = options.policy, str(self._out / "course.yaml")
         self._localiser = ExitStack()
-        robot = ["--randomize", options.randomize or "none", "--trial", str(number)]
-        robot += ["--seed", str(options.seed)]
+        robot = ["--body", options.body.value, "--randomize", options.randomization]
+        robot += ["--trial", str(number), "--seed", str(options.seed)]
+        robot += ["--gyro"] if stack.gyro else []
         if options.profile is not None:
             robot += ["--profile", str(options.profile)]
         super().__init__(self._out / "log", mock=["--model", MODEL, "--course", self._course_file, *robot])
@@ -75,7 +75,7 @@ class _LiveTrial(LiveRun):
 
     def start_driver(self) -> None:
         """Publish the rover's start pose, and start the driver."""
-        start = Pose(*self._stack.trials(self._number).start[0].tolist())
+        start = self._stack.robot(self._number).rover.pose
         self._localiser.enter_context(StartPosePublisher(self.robot, start))
         self._driver = self.deploy(
             *("--policy", self._policy, "--course", self._course_file),

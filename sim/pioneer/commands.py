@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import MOST_SEED, Json, Overwrite
+from sim.world.bodies import PRESET_WORDS, Body, BodyOption
 
 
 def mock(
@@ -30,10 +31,14 @@ def mock(
             "standard input, one a line; their seconds count from when the line is read."
         ),
     ] = None,
+    body: BodyOption = Body.PYMUNK,
     randomize: Annotated[
-        str,
-        typer.Option(help="Simulate a randomised robot: preset none, mild, full, harsh or skid, or a file."),
-    ] = "none",
+        str | None,
+        typer.Option(
+            help=f"Simulate a randomised robot: {PRESET_WORDS}.",
+            show_default="none; nominal",
+        ),
+    ] = None,
     trial: Annotated[
         int,
         typer.Option(min=0, max=MOST_SEED, help="Number of the random trial, as in 'eval --trials'."),
@@ -50,6 +55,7 @@ def mock(
             min=0, max=MOST_SEED, help="Seed of the trial and of the packets that random faults damage."
         ),
     ] = 0,
+    gyro: Annotated[bool, typer.Option("--gyro", help="Give the base a gyro that its client reads.")] = False,
     json: Json = False,
 ) -> None:
     """Simulate a Pioneer: its firmware on a simulated rover, over TCP, in real time.
@@ -60,6 +66,8 @@ def mock(
 
     With --randomize the mock has the errors of one random trial: its delays, gains, noise and start, lost
     commands and a push, for as long as the --course lasts. They begin when the motors are first enabled.
+
+    --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
     """
     from sim.pioneer.run import run_mock
     from sim.world.randomization import ranges_for
@@ -72,7 +80,8 @@ def mock(
         overwrite=overwrite,
         faults=fault or [],
         seed=seed,
-        ranges=ranges_for(randomize, profile),
+        ranges=ranges_for(randomize, profile, body),
         trial=trial,
+        gyro=gyro,
         as_json=json,
     )

@@ -58,7 +58,7 @@ class Firmware:
 
     ``observe`` is called after each substep with its time in s, on the clock that ``start_s`` is of.
     ``config`` holds the FLASH values if they are not those of the model; ``trial`` has the
-    errors of the base.
+    errors of the base, ``gyro_seed`` is that of a gyro's noise.
     """
 
     def __init__(
@@ -71,6 +71,7 @@ class Firmware:
         *,
         config: ConfigPac | None = None,
         trial: BaseTrial | None = None,
+        gyro_seed: int = 0,
     ) -> None:
         self.robot = ROBOTS[model]
         self.decoder = Decoder()
@@ -83,7 +84,7 @@ class Firmware:
         self._config = config or config_of(model)
         self._sonars = Sonars(self.robot, self._config.sonar_cycle / 1000)
         self._reporter = Reporter(self.robot, self._config, self.drive, self._sonars)
-        self._gyro = Gyro(rover)
+        self._gyro = Gyro(rover, gyro_seed)
         self._faults = faults or Faults()
         self.observe = observe
         self._home = rover.pose

@@ -4,6 +4,7 @@ import io
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from bridge.pioneer.robots import ROBOTS
@@ -13,14 +14,12 @@ from rover_ncp.core.process import Interrupts
 from rover_ncp.course.course import load_course
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
-from sim.pioneer.models import rover_model_of
+from sim.pioneer.models import config_of, rover_model_of
 from sim.pioneer.server import Server, TruthFile, parse_listen
-from sim.pioneer.trial import BaseTrial, rover_of
-from sim.world.pymunk_rover import Ground
-from sim.world.randomization import Randomization, draw_trials
+from sim.pioneer.trial import BaseTrial, draw_rover
+from sim.world.bodies import Body
+from sim.world.randomization import Randomization
 
-TRIAL_TICKS = 600
-"""Length of a trial without a course; its noise then begins again."""
 FROM_STDIN = "-"
 """In place of a fault: read more faults from standard input."""
 
@@ -36,6 +35,7 @@ def run_mock(
     seed: int,
     ranges: Randomization,
     trial: int,
+    gyro: bool,
     as_json: bool,
 ) -> None:
     """See ``commands.mock``. Raises UsageError, PortInUse or FileError before anything listens."""
@@ -43,16 +43,19 @@ def run_mock(
     host, port = parse_listen(listen)
     if model not in ROBOTS:
         raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}")
+    if ranges.body is Body.MUJOCO and not model.startswith("p3at"):
+        raise UsageError(f"--model {model}: the body mujoco has four wheels, expected p3at or p3at-sh")
     injected = Faults([parse_fault(text) for text in faults if text != FROM_STDIN], seed)
     # Unbuffered, so that the server's selector sees every line that is left to read.
     fault_lines = io.FileIO(sys.stdin.fileno(), closefd=False) if FROM_STDIN in faults else None
     known = load_course(course) if course else None
     ideal = rover_model_of(ROBOTS[model])
-    ticks = known.ticks if known else TRIAL_TICKS
-    trials = draw_trials(ranges, ideal, seed, count=1, ticks=ticks, first=trial)
-    rover = rover_of(trials, ideal, Ground(known.obstacles if known else ()))
+    rover, trials = draw_rover(ranges, ideal, known, seed=seed, number=trial)
+    flash = replace(config_of(model), has_gyro=int(gyro))
 
-    firmware = Firmware(model, rover, injected, time.monotonic(), trial=BaseTrial(trials))
+    firmware = Firmware(
+        model, rover, injected, time.monotonic(), config=flash, trial=BaseTrial(trials), gyro_seed=seed
+    )
     server = Server(
         host, port, firmware, TruthFile(truth, overwrite=overwrite) if truth else None, output.say
     )

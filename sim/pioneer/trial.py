@@ -6,13 +6,26 @@ of them. While the window of a lost tick is open, setpoints do not arrive. A SIP
 pose in that tick. Quantised commands are not among a trial's errors here: ARCOS has its own steps.
 """
 
+from typing import NamedTuple
+
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.course.course import TICK_S
+from rover_ncp.course.course import TICK_S, Course
 from sim.world.pymunk_rover import Ground, PymunkRover
-from sim.world.randomization import Trials, apply_base_errors, base_errors, odometry_errors, trial_body
-from sim.world.rover import SUBSTEP_S, RoverModel
+from sim.world.randomization import (
+    Randomization,
+    Trials,
+    apply_base_errors,
+    base_errors,
+    draw_trials,
+    odometry_errors,
+    trial_body,
+)
+from sim.world.rover import SUBSTEP_S, Rover, RoverModel
+from sim.world.skid_robot import draw_robot
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
+TRIAL_TICKS = 600
+"""Length of a trial without a course; its noise then begins again."""
 
 
 class BaseTrial:
@@ -68,3 +81,26 @@ class BaseTrial:
 def rover_of(trials: Trials, model: RoverModel, ground: Ground, row: int = 0) -> PymunkRover:
     """Return the rover of a trial at its start; its accelerations and other errors are a `BaseTrial`'s."""
     return PymunkRover(trial_body(model, trials, row), ground, Pose(*trials.start[row].tolist()))
+
+
+class Drawn(NamedTuple):
+    """One random robot."""
+
+    rover: Rover
+    """At its start, with its delays."""
+    trials: Trials
+    """Its trial, as row 0."""
+
+
+def draw_rover(
+    ranges: Randomization, model: RoverModel, course: Course | None, *, seed: int, number: int
+) -> Drawn:
+    """Draw trial ``number`` of a seed, for as long as the course lasts."""
+    ticks, obstacles = (course.ticks, course.obstacles) if course else (TRIAL_TICKS, ())
+    trials = draw_trials(ranges, model, seed, count=1, ticks=ticks, first=number)
+    if ranges.skid_steer is None:
+        return Drawn(rover_of(trials, model, Ground(obstacles)), trials)
+    from sim.world.mujoco_rover import MujocoRover  # needs an extra of its own
+
+    robot, start = draw_robot(ranges.skid_steer, seed, number), Pose(*trials.start[0].tolist())
+    return Drawn(MujocoRover(trial_body(model, trials, 0), robot, obstacles, start), trials)

@@ -11,9 +11,11 @@ from bisect import bisect_right
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
+
+import numpy as np
 
 from bridge.pioneer.robots import ROBOTS
 from deploy.drive.config import DriveConfig, settings_for
@@ -27,12 +29,12 @@ from rover_ncp.course.course import Course, Verdict
 from sim.evaluate.evaluate import cause
 from sim.learn.workers import WorkerDied, available_processes, starting_processes
 from sim.pioneer.firmware import Firmware
-from sim.pioneer.models import rover_model_of
-from sim.pioneer.trial import BaseTrial, rover_of
+from sim.pioneer.models import config_of, rover_model_of
+from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
+from sim.stack.camera import Camera, Localiser
 from sim.stack.virtual import VirtualBridge, VirtualLink
-from sim.world.pymunk_rover import Ground, PymunkRover
-from sim.world.randomization import Randomization, Trials, draw_trials
-from sim.world.rover import RoverModel
+from sim.world.randomization import Randomization
+from sim.world.rover import Rover, RoverModel
 
 MODEL = "p3at-sh"
 _WORTH_A_PROCESS = 6
@@ -62,6 +64,10 @@ class Stack:
     courses: tuple[Course, ...]
     ranges: Randomization
     seed: int
+    gyro: bool = False
+    """Whether the base has a gyro for its driver."""
+    camera: Camera | None = None
+    """External localisation while the rover drives."""
 
     @cached_property
     def model(self) -> RoverModel:
@@ -86,19 +92,35 @@ class Stack:
         """Return the course of a trial."""
         return self.courses[number % len(self.courses)]
 
-    def trials(self, number: int) -> Trials:
-        """Draw one trial, as row 0."""
-        ticks = self.course(number).ticks
-        return draw_trials(self.ranges, self.model, self.seed, count=1, ticks=ticks, first=number)
+    def robot(self, number: int) -> Drawn:
+        """Return the robot of a trial."""
+        return draw_rover(self.ranges, self.model, self.course(number), seed=self.seed, number=number)
 
     def drive(self, number: int) -> Driven:
         """Drive a trial from power-up to the motors' release."""
-        course, trials = self.course(number), self.trials(number)
-        start = Pose(*trials.start[0].tolist())
-        rover = rover_of(trials, self.model, Ground(course.obstacles))
+        course, (rover, trials) = self.course(number), self.robot(number)
+        flash = replace(config_of(MODEL), has_gyro=int(self.gyro))
+        camera_seed, gyro_seed = np.random.SeedSequence(self.seed, spawn_key=(number, 2)).spawn(2)
+        firmware = Firmware(
+            MODEL,
+            rover,
+            config=flash,
+            trial=BaseTrial(trials),
+            gyro_seed=int(gyro_seed.generate_state(1)[0]),
+        )
+        bridge = VirtualBridge(firmware)
+        link = VirtualLink(bridge, rover.pose)
         truth = _Truth(rover, watch=bool(course.obstacles))
-        bridge = VirtualBridge(Firmware(MODEL, rover, observe=truth.note, trial=BaseTrial(trials)))
-        link = VirtualLink(bridge, start)
+        watching = [truth.note]
+        if self.camera is not None:
+            stream = np.random.default_rng(camera_seed)
+            watching.append(Localiser(self.camera, rover, stream, link.localise).observe)
+
+        def observe(now: float) -> None:
+            for watch in watching:
+                watch(now)
+
+        firmware.observe = observe
         config = DriveConfig(
             robot=link.robot,
             namespace="",
@@ -139,7 +161,7 @@ class Stack:
 class _Truth:
     """True poses of the rover at every substep."""
 
-    def __init__(self, rover: PymunkRover, watch: bool) -> None:
+    def __init__(self, rover: Rover, watch: bool) -> None:
         self._rover, self._watch = rover, watch
         self._times: list[float] = []
         self._poses: list[Pose] = []

@@ -238,8 +238,16 @@ class VirtualLink:
             self.odometry.put(self._arrival(data))
             if not self._requested:
                 self.poses.put(self._arrival(known_pose(self._start, wall_ns)))
+        elif name == "imu":
+            self.gyro.put(self._arrival(data))
         elif name == "rover/gate":
             self.gate = parse_json(GateStatus, read_text(data))
+
+    def localise(self, data: bytes, now_ns: int) -> None:
+        """Deliver an external pose that arrives now."""
+        wall_ns = WALL_NS + now_ns
+        self._record(Recorded("pose", spec("pose").type, data, wall_ns, wall_ns))
+        self.poses.put(Arrival(data, now_ns))
 
     def _arrival(self, data: bytes) -> Arrival:
         return Arrival(data, self._bridge.now_ns)

@@ -1,9 +1,7 @@
 """One rover on pymunk, and the ground that it drives on."""
 
 import math
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
 
 import pymunk
 
@@ -15,7 +13,7 @@ from sim.world.rover import (
     STILL_M_S,
     STILL_RAD_S,
     SUBSTEP_S,
-    Limits,
+    CommandQueue,
     RoverModel,
     own_axes,
     toward,
@@ -83,32 +81,20 @@ class PymunkRover:
     def __init__(self, model: RoverModel, ground: Ground, pose: Pose = _ORIGIN) -> None:
         self.model = model
         self.ground = ground
-        self.limits = Limits(
-            model.accel, model.decel, model.alpha, model.alpha_decel, model.v_max, model.omega_max
-        )
+        self.commands = CommandQueue(model)
         self.body = rover_body(model, ground, pose)
-        self.substeps = 0
-        self._v_target = self._omega_target = 0.0
-        # (first substep that obeys it, value)
-        self._v_queue: deque[tuple[int, float]] = deque()
-        self._omega_queue: deque[tuple[int, float]] = deque()
 
     def command(self, v: float, omega: float) -> None:
-        if not (math.isfinite(v) and math.isfinite(omega)):
-            raise ValueError(f"a command must be finite, got v={v}, omega={omega}")
-        self._v_queue.append((self.substeps + self.model.delay_v_substeps, v))
-        self._omega_queue.append((self.substeps + self.model.delay_omega_substeps, omega))
+        self.commands.put(v, omega)
 
     def change_limits(self, **limits: float) -> None:
-        self.limits = replace(self.limits, **limits)
+        self.commands.change_limits(**limits)
 
     def set_pose(self, pose: Pose) -> None:
         # A new body, because the old one would carry the last contact's correction into its next step.
         self.ground.space.remove(self.body, *self.body.shapes)
         self.body = rover_body(self.model, self.ground, pose)
-        self._v_queue.clear()
-        self._omega_queue.clear()
-        self._v_target = self._omega_target = 0.0
+        self.commands.clear()
 
     def push(self, shift: Pose) -> None:
         x, y = self.body.position
@@ -116,16 +102,11 @@ class PymunkRover:
         self.body.angle += shift.theta
 
     def substep(self) -> None:
-        while self._v_queue and self._v_queue[0][0] <= self.substeps:
-            self._v_target = self._v_queue.popleft()[1]
-        while self._omega_queue and self._omega_queue[0][0] <= self.substeps:
-            self._omega_target = self._omega_queue.popleft()[1]
-        self._accelerate()
+        self._accelerate(self.commands.begin_substep())
         self.ground.space.step(SUBSTEP_S)
-        self.substeps += 1
 
-    def _accelerate(self) -> None:
-        limits, target, body = self.limits, self.target, self.body
+    def _accelerate(self, target: Velocity) -> None:
+        limits, body = self.commands.limits, self.body
         cos, sin = body.rotation_vector
         forward, sideways = own_axes(cos, sin, *body.velocity, body.angular_velocity)
         forward = toward(forward, target.v, limits.accel * SUBSTEP_S, limits.decel * SUBSTEP_S)
@@ -144,10 +125,7 @@ class PymunkRover:
 
     @property
     def target(self) -> Velocity:
-        v_max, omega_max = self.limits.v_max, self.limits.omega_max
-        return Velocity(
-            min(max(self._v_target, -v_max), v_max), min(max(self._omega_target, -omega_max), omega_max)
-        )
+        return self.commands.target
 
     @property
     def pose(self) -> Pose:

@@ -7,18 +7,21 @@ stretch the same draws. Parameters are uniform in their ranges; noise is Gaussia
 
 import math
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from rover_ncp.core.config import StrictModel, load_yaml
+from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile, load_profile
 from rover_ncp.course.course import TICK_S
+from sim.world.bodies import PRESETS, Body
 from sim.world.rover import SUBSTEP_S, RoverModel
+from sim.world.skid_robot import SkidRanges
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -34,6 +37,8 @@ class Randomization(StrictModel):
 
     format: Literal[1] = 1
     name: str = Field(min_length=1)
+    body: Body = Field(default=Body.PYMUNK, description="the simulator of the rover")
+    skid_steer: SkidRanges | None = Field(default=None, description="of the body mujoco, and only there")
     start_m: float = Field(default=0.0, ge=0, description="start in x and in y, known to the rover")
     start_rad: float = Field(default=0.0, ge=0)
     delay_v_s: tuple[float, float] | None = Field(default=None, description="least and most, not the model's")
@@ -59,6 +64,12 @@ class Randomization(StrictModel):
     rotation_center_m: float = Field(default=0.0, ge=0, description="behind the middle, or ahead")
     sensors: Sensors = Field(default="encoders", description="of the seen pose, but for the stack")
     rover: RoverProfile | None = Field(default=None, description="what is known, and so not drawn")
+
+    @model_validator(mode="after")
+    def _fits_its_body(self) -> Self:
+        if (self.skid_steer is not None) != (self.body is Body.MUJOCO):
+            raise ValueError("a randomization has the key skid_steer if its body is mujoco, and only then")
+        return self
 
 
 class Trials(NamedTuple):
@@ -101,14 +112,22 @@ class Trials(NamedTuple):
         return len(self.start)
 
 
-def load_randomization(name_or_path: str | Path) -> Randomization:
-    """Load shipped ranges by name (none, mild, full, harsh, skid) or a file by path."""
-    return load_yaml(resolve("randomizations", name_or_path), Randomization)
+def load_randomization(name_or_path: str | Path, body: Body = Body.PYMUNK) -> Randomization:
+    """Load shipped ranges by name or a file by path. Raises UsageError if they are for another body."""
+    ranges = load_yaml(resolve("randomizations", name_or_path), Randomization)
+    if ranges.body != body:
+        raise UsageError(
+            f"randomization {name_or_path} is for the body {ranges.body}, expected one for {body}: "
+            f"{', '.join(PRESETS[body])}, or a YAML file"
+        )
+    return ranges
 
 
-def ranges_for(name_or_path: str | Path, profile: Path | None) -> Randomization:
-    """Load ranges, and the profile of the rover that they are for, if there is one."""
-    ranges = load_randomization(name_or_path)
+def ranges_for(
+    name_or_path: str | Path | None, profile: Path | None, body: Body = Body.PYMUNK
+) -> Randomization:
+    """Load ranges, a body's nominal ones by default, and the profile of the known rover, if any."""
+    ranges = load_randomization(name_or_path or PRESETS[body][0], body)
     return ranges if profile is None else ranges.model_copy(update={"rover": load_profile(profile)})
 
 

@@ -15,7 +15,9 @@
 ``pymunk_rover.py`` implements them for one rover, ``fleet.py`` for many, with the same bits.
 """
 
-from dataclasses import dataclass
+import math
+from collections import deque
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from pydantic import Field
@@ -76,6 +78,54 @@ class Limits:
     alpha_decel: float
     v_max: float
     omega_max: float
+
+
+class CommandQueue:
+    """The commands of one rover, each obeyed after the model's delays, and the limits in force."""
+
+    def __init__(self, model: RoverModel) -> None:
+        self._model, self._substep = model, 0
+        self.limits = Limits(
+            model.accel, model.decel, model.alpha, model.alpha_decel, model.v_max, model.omega_max
+        )
+        # (first substep that obeys it, value)
+        self._v: deque[tuple[int, float]] = deque()
+        self._omega: deque[tuple[int, float]] = deque()
+        self.clear()
+
+    def put(self, v: float, omega: float) -> None:
+        """Take a command (m/s, rad/s). Raises ValueError when it is not finite."""
+        if not (math.isfinite(v) and math.isfinite(omega)):
+            raise ValueError(f"a command must be finite, got v={v}, omega={omega}")
+        self._v.append((self._substep + self._model.delay_v_substeps, v))
+        self._omega.append((self._substep + self._model.delay_omega_substeps, omega))
+
+    def clear(self) -> None:
+        """Forget all commands: the target is zero."""
+        self._v.clear()
+        self._omega.clear()
+        self._v_target = self._omega_target = 0.0
+
+    def change_limits(self, **limits: float) -> None:
+        """Replace some of the limits, by name."""
+        self.limits = replace(self.limits, **limits)
+
+    def begin_substep(self) -> Velocity:
+        """Return the target of the substep that begins."""
+        while self._v and self._v[0][0] <= self._substep:
+            self._v_target = self._v.popleft()[1]
+        while self._omega and self._omega[0][0] <= self._substep:
+            self._omega_target = self._omega.popleft()[1]
+        self._substep += 1
+        return self.target
+
+    @property
+    def target(self) -> Velocity:
+        """The delayed command within the speed limits."""
+        v_max, omega_max = self.limits.v_max, self.limits.omega_max
+        return Velocity(
+            min(max(self._v_target, -v_max), v_max), min(max(self._omega_target, -omega_max), omega_max)
+        )
 
 
 class Rover(Protocol):

@@ -15,16 +15,19 @@ from rover_ncp.core.robot_profile import RoverProfile, load_profile
 from rover_ncp.course.course import load_course
 from sim.learn.rollout import rollout
 from sim.pioneer.trial import BaseTrial
+from sim.stack.camera import Camera
 from sim.stack.trials import Stack, drive_all
+from sim.world.bodies import Body
 from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials, ranges_for
 from sim.world.rover import RoverModel
+from sim.world.skid_robot import SkidRanges
 
 SHORT = str(DATA / "short_course.yaml")
 
 
-def stack(ranges="none", seed=1, course=SHORT):
-    known = ranges if isinstance(ranges, Randomization) else load_randomization(ranges)
-    return Stack(load_policy("course"), (load_course(course),), known, seed)
+def stack(ranges="none", seed=1, course=SHORT, body=Body.PYMUNK, **sensors):
+    known = ranges if isinstance(ranges, Randomization) else load_randomization(ranges, body)
+    return Stack(load_policy("course"), (load_course(course),), known, seed, **sensors)
 
 
 def apart(one, other):
@@ -52,7 +55,7 @@ def test_trials_park_and_what_went_over_the_line_is_counted(parking):
 def test_the_stack_drives_the_trials_of_plain_simulation(parking):
     driven, found = parking
     for number, trial in enumerate(found):
-        plain = rollout(driven.policy, driven.course(number), trials=driven.trials(number))
+        plain = rollout(driven.policy, driven.course(number), trials=driven.robot(number).trials)
         assert plain.verdict.parked
         # What differs: whole mm/s and deg/s, encoder steps, and an estimate that is less noisy.
         assert apart(plain.poses[-1], trial.pose) < 0.025
@@ -75,7 +78,7 @@ def test_without_errors_the_stack_ends_where_the_simulator_does():
 def test_a_known_start_reaches_the_driver_through_external_poses():
     driven = stack(Randomization(name="far", start_m=0.1, start_rad=0.1745), seed=5)
     for number in range(2):
-        trials = driven.trials(number)
+        trials = driven.robot(number).trials
         plain = rollout(driven.policy, driven.course(number), trials=trials)
         assert np.hypot(*trials.start[0, :2]) > 0.05
         assert apart(plain.poses[-1], driven.drive(number).pose) < 0.01
@@ -185,9 +188,36 @@ def test_the_command_line_drives_through_the_stack(capsys):
     assert math.isfinite(fields["times_real_time"])
 
 
+SKIDDING = Randomization(
+    name="off centre", body=Body.MUJOCO, skid_steer=SkidRanges(mass_center_m=0.06, friction=(0.4, 0.4))
+)
+
+
+def test_a_gyro_and_a_camera_see_what_the_encoders_of_a_skidding_robot_do_not():
+    errors = {}
+    for name, sensors in {
+        "encoders": {},
+        "gyro": {"gyro": True},
+        "camera": {"camera": Camera(noise_m=0.005, delay_s=0.1)},
+    }.items():
+        errors[name] = stack(SKIDDING, seed=7, course="parking", **sensors).drive(1).error_m
+    assert max(errors["gyro"], errors["camera"]) < 0.7 * errors["encoders"]
+
+
+def test_the_command_line_drives_another_body(capsys):
+    sensors = ["--sensors", "camera", "--camera-noise", "0.01"]
+    assert run(["eval", "course", "--stack", "--body", "mujoco", *sensors, "--json"]) == 0
+    fields = json.loads(capsys.readouterr().out)
+    assert (fields["body"], fields["randomize"], fields["success_rate"]) == ("mujoco", "nominal", 1.0)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (["course", "--trials", "2", "--stack", "--randomize", "varied"], "expected one for pymunk"),
+        (["course", "--trials", "2", "--stack", "--body", "mujoco", "--randomize", "full"], "for mujoco"),
+        (["course", "--trials", "2", "--body", "mujoco"], "needs --stack"),
+        (["course", "--trials", "2", "--sensors", "gyro"], "--sensors needs --stack"),
         (["kanayama", "--trials", "2", "--stack"], "plain simulation alone"),
         (["course", "--processes", "2"], "--processes needs --stack or --live"),
         (["course", "--trials", "2", "--live", "3"], "there are only 2 trials"),

@@ -1,0 +1,58 @@
+"""External localisation of a simulated rover: a camera with a rate, noise and a delay."""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rover_ncp.core.geometry import Pose
+from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance
+from sim.stack.virtual import NS, WALL_NS
+from sim.world.rover import Rover
+
+RAD_PER_M = math.radians(1.0) / 0.02
+"""Noise of the heading for a noise of the position: 1 degree for 2 cm."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Its properties; the noise is the standard deviation of x and of y."""
+
+    hz: float = 5.0
+    noise_m: float = 0.02
+    delay_s: float = 0.1
+
+    @property
+    def noise(self) -> tuple[float, float, float]:
+        """Standard deviations of x, y and heading."""
+        return self.noise_m, self.noise_m, RAD_PER_M * self.noise_m
+
+
+class Localiser:
+    """Sees one rover through a camera, and sends its pose as a message. ``stream`` draws noise and phase."""
+
+    def __init__(
+        self, camera: Camera, rover: Rover, stream: np.random.Generator, send: Callable[[bytes, int], None]
+    ) -> None:
+        self._camera, self._rover, self._stream, self._send = camera, rover, stream, send
+        self._next_s = float(stream.uniform(0.0, 1.0)) / camera.hz
+        self._pending: deque[tuple[float, bytes]] = deque()
+        """When a message arrives, and its bytes."""
+
+    def observe(self, now: float) -> None:
+        """Let the camera see the rover at ``now`` s, and deliver what arrives by then."""
+        if now >= self._next_s:
+            self._next_s += 1.0 / self._camera.hz
+            noise = self._camera.noise
+            x, y, theta = np.array(self._rover.pose) + self._stream.normal(size=3) * noise
+            covariance = np.diag(np.square(noise))
+            wall_ns = WALL_NS + round(now * NS)
+            data = pose_with_covariance(
+                Pose(float(x), float(y), float(theta)), covariance, wall_ns, COURSE_FRAME
+            )
+            self._pending.append((now + self._camera.delay_s, data))
+        while self._pending and self._pending[0][0] <= now:
+            due, data = self._pending.popleft()
+            self._send(data, round(due * NS))

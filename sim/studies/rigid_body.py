@@ -1,0 +1,159 @@
+"""The MuJoCo body against theory, and how far its results depend on the simulator's contacts.
+
+    python -m sim.studies.rigid_body
+
+prints how a robot drives straight, brakes, turns on the spot and stands on a slope, beside what Coulomb
+friction predicts; then the same turns under other contact settings.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from sim.world.mujoco_rover import Contact, MujocoRover
+from sim.world.rover import SUBSTEP_S, RoverModel
+from sim.world.skid_robot import SkidRobot
+
+V_M_S, OMEGA_RAD_S = 0.16, 0.18
+"""The fastest that a policy drives."""
+SETTLED_S = 3.0
+"""Time from a command until the motion is steady."""
+
+
+class Motion(NamedTuple):
+    """Steady motion for the motion that the encoders see."""
+
+    forward_m_s: float
+    turn_gain: float
+    """True turn over the encoders' turn; NaN without one."""
+    slide_m: float
+    """Speed to the left over the rate of turn; NaN without one."""
+
+
+def coulomb(robot: SkidRobot, v: float, omega: float) -> Motion:
+    """Return the motion of a robot with dry friction whose encoders see ``v`` and ``omega``.
+
+    The tyres slide so that friction dissipates the least power: its forces and moments are then balanced.
+    With the weight in the middle, the effective half track is t + L²/t, of half the track and wheelbase.
+    """
+    wheelbase, track = robot.half_wheelbase_m, robot.half_track_m
+    ahead = wheelbase * np.array([1.0, 1.0, -1.0, -1.0])
+    left = track * np.array([1.0, -1.0, 1.0, -1.0])
+    x, y = robot.mass_center_m
+    load = (1.0 + ahead * x / wheelbase**2) * (1.0 + left * y / track**2)
+    rim = v - np.sign(left) * omega * robot.nominal_half_track_m
+
+    def power(motion: NDArray[np.float64]) -> float:
+        forward, aside, turn = motion
+        return float(np.sum(load * np.hypot(rim - (forward - turn * left), aside + turn * ahead)))
+
+    found = np.array([v, 0.0, omega])
+    for _ in range(2):  # the simplex may collapse on an edge, and is then built again
+        settings = {"xatol": 1e-10, "fatol": 1e-14, "maxiter": 5000}
+        found = minimize(power, found, method="Nelder-Mead", options=settings).x
+    forward, aside, turn = found.tolist()
+    return Motion(forward, turn / omega if omega else math.nan, aside / turn if omega else math.nan)
+
+
+def measure(robot: SkidRobot, v: float, omega: float, contact: Contact | None = None) -> Motion:
+    """Drive with a steady command and return the motion."""
+    rover = MujocoRover(RoverModel(), robot, contact=contact)
+    rover.command(v, omega)
+    advance(rover, SETTLED_S)
+    start, seconds = rover.turned, 5.0
+    ways = np.zeros(3)  # ahead, to the left, turned by the encoders
+    for _ in range(round(seconds / SUBSTEP_S)):
+        x, y, _ = rover.pose
+        rover.substep()
+        theta = rover.pose.theta
+        dx, dy = rover.pose.x - x, rover.pose.y - y
+        cos, sin = math.cos(theta), math.sin(theta)
+        ways += cos * dx + sin * dy, cos * dy - sin * dx, SUBSTEP_S * rover.encoders.omega
+    turned = rover.turned - start
+    return Motion(
+        float(ways[0]) / seconds,
+        turned / float(ways[2]) if omega else math.nan,
+        float(ways[1]) / turned if omega else math.nan,
+    )
+
+
+def advance(rover: MujocoRover, seconds: float) -> None:
+    """Let time pass."""
+    for _ in range(round(seconds / SUBSTEP_S)):
+        rover.substep()
+
+
+def stopping_m(robot: SkidRobot, v: float) -> float:
+    """Return the way from the moment at which braking begins at ``v``."""
+    rover = MujocoRover(RoverModel(delay_v_s=0.0), robot)
+    rover.command(v, 0.0)
+    advance(rover, SETTLED_S)
+    start = rover.pose.x
+    rover.command(0.0, 0.0)
+    advance(rover, 2.0)
+    return rover.pose.x - start
+
+
+def creep_m_s(robot: SkidRobot, contact: Contact | None = None) -> float:
+    """Return the speed of a rover that stands on its slope."""
+    rover = MujocoRover(RoverModel(), robot, contact=contact)
+    advance(rover, SETTLED_S)
+    start, seconds = rover.pose, 10.0
+    advance(rover, seconds)
+    return math.hypot(rover.pose.x - start.x, rover.pose.y - start.y) / seconds
+
+
+def bounce_m(robot: SkidRobot, omega: float, contact: Contact | None = None) -> float:
+    """Return how far the rover moves up and down while it turns on the spot."""
+    rover = MujocoRover(RoverModel(), robot, contact=contact)
+    rover.command(0.0, omega)
+    advance(rover, SETTLED_S)
+    heights = []
+    for _ in range(300):
+        rover.substep()
+        heights.append(float(rover.data.qpos[2]))
+    return max(heights) - min(heights)
+
+
+SETTINGS = {
+    "as shipped": Contact(),
+    "half the step": Contact(step_s=0.5 * Contact().step_s),
+    "10 times stickier": Contact(stickiness=10.0),
+    "stiffer tyres": Contact(tyre_s=0.5 * Contact().tyre_s),
+    "softer tyres": Contact(tyre_s=2.0 * Contact().tyre_s),
+}
+OFF_CENTRE_M = (0.0, 0.015, 0.03, 0.06)
+
+
+def main() -> None:
+    """Print the tables."""
+    usual, model = SkidRobot(), RoverModel()
+    straight = measure(usual, V_M_S, 0.0)
+    print(f"straight at {V_M_S} m/s: {straight.forward_m_s:.4f} m/s")
+    print(
+        f"stops after {1000 * stopping_m(usual, V_M_S):.1f} mm; v²/2a: {500 * V_M_S**2 / model.decel:.1f} mm"
+    )
+    for degrees in (1.0, 3.0):
+        creep = creep_m_s(SkidRobot(slope_rad=math.radians(degrees)))
+        print(f"stands on {degrees:g} degrees: {1000 * creep:.3f} mm/s downhill")
+    print(f"\nturn on the spot at {OMEGA_RAD_S} rad/s, as turn gain and slide in cm")
+    print(f"{'':26}" + "".join(f"{f'{100 * off:g} cm ahead':>18}" for off in OFF_CENTRE_M))
+    robots = [SkidRobot(mass_center_m=(off, 0.0)) for off in OFF_CENTRE_M]
+    _row("Coulomb friction", [coulomb(robot, 0.0, OMEGA_RAD_S) for robot in robots])
+    for name, contact in SETTINGS.items():
+        for friction in (0.4, 1.0):
+            slippery = [robot.model_copy(update={"friction": friction}) for robot in robots]
+            found = [measure(robot, 0.0, OMEGA_RAD_S, contact) for robot in slippery]
+            _row(f"{name}, μ={friction:g}", found)
+
+
+def _row(name: str, motions: list[Motion]) -> None:
+    cells = (f"{motion.turn_gain:.3f}, {100 * motion.slide_m:5.1f}" for motion in motions)
+    print(f"{name:26}" + "".join(f"{cell:>18}" for cell in cells))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+"""The simulators of a rover, and the shipped randomizations of each. Light: command lines read it."""
+
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+
+class Body(StrEnum):
+    """What simulates the rover's motion."""
+
+    PYMUNK = "pymunk"
+    """Rigid body in the plane with set accelerations: the simulator of the training."""
+    MUJOCO = "mujoco"
+    """Four wheels with friction, weight and motors: an independent simulator, to judge."""
+
+
+PRESETS = {
+    Body.PYMUNK: ("none", "mild", "full", "harsh", "skid"),
+    Body.MUJOCO: ("nominal", "varied", "slope", "rough"),
+}
+"""The first changes nothing."""
+
+BodyOption = Annotated[
+    Body, typer.Option(help="Simulator of the rover: pymunk, or mujoco, which needs the extra mujoco.")
+]
+PRESET_WORDS = "; ".join(f"{body}: {', '.join(names)}" for body, names in PRESETS.items())
+"""For the help of an option."""

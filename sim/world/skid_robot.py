@@ -1,0 +1,77 @@
+"""Parameters of a skid-steered rigid body and of the ground below it, and the ranges they are drawn from."""
+
+import math
+
+import numpy as np
+from pydantic import Field
+
+from rover_ncp.core.config import StrictModel
+
+
+class SkidRobot(StrictModel):
+    """One robot and its ground, in SI units; by default a Pioneer 3-AT on a level floor."""
+
+    mass_kg: float = Field(default=12.0, gt=0)
+    wheel_mass_kg: float = Field(default=0.75, gt=0, description="each of the four, within the mass")
+    mass_center_m: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="the whole robot's, ahead and to the left of its middle"
+    )
+    mass_height_m: float = Field(default=0.15, gt=0)
+    friction: float = Field(default=0.7, gt=0, description="μ of the tyres in every direction")
+    half_track_m: float = Field(default=0.197, gt=0, description="from the middle to the wheels")
+    half_wheelbase_m: float = Field(default=0.135, gt=0)
+    nominal_half_track_m: float = Field(
+        default=0.001 / 0.0034, gt=0, description="effective, of the firmware"
+    )
+    wheel_radius_m: float = Field(default=0.111, gt=0, description="as in the firmware")
+    radius_factors: tuple[float, float, float, float] = Field(
+        default=(1.0, 1.0, 1.0, 1.0), description="front left, front right, rear left, rear right"
+    )
+    torque_n_m: float = Field(default=10.0, gt=0, description="at most, of the motors of a side")
+    slope_rad: float = Field(default=0.0, ge=0, lt=0.5)
+    uphill_rad: float = Field(default=0.0, description="direction of the rise, in the course's frame")
+    cables: tuple[tuple[float, float, float], ...] = Field(
+        default=(), description="x, y in m and direction in rad of cables on the ground"
+    )
+    cable_height_m: float = Field(default=0.006, gt=0)
+
+
+class SkidRanges(StrictModel):
+    """Ranges of a ``SkidRobot``; ± unless stated otherwise. The defaults change nothing."""
+
+    mass: float = Field(default=0.0, ge=0, lt=1, description="share")
+    friction: tuple[float, float] = Field(default=(0.7, 0.7), description="least and most")
+    mass_center_m: float = Field(
+        default=0.0, ge=0, lt=0.1, description="0..: distance from the middle, in any direction"
+    )
+    wheel_radius: float = Field(default=0.0, ge=0, lt=0.1, description="share, each wheel")
+    track: float = Field(default=0.0, ge=0, lt=1, description="share")
+    slope_rad: tuple[float, float] = Field(default=(0.0, 0.0), description="least and most, any direction")
+    cables: int = Field(default=0, ge=0, le=100, description="on the ground near the start")
+    cables_within_m: float = Field(default=1.0, gt=0, description="distance of their middles from the start")
+
+
+def draw_robot(ranges: SkidRanges, seed: int, number: int) -> SkidRobot:
+    """Draw the robot and the ground of trial ``number`` of a seed."""
+    # Beside the stream of the trial, whose key is its number alone.
+    stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 1)))
+    u = stream.uniform(-1.0, 1.0, 7).tolist()
+    radii = stream.uniform(-1.0, 1.0, 4)
+    places = stream.uniform(-1.0, 1.0, (ranges.cables, 3))
+    usual = SkidRobot()
+    off, aside = ranges.mass_center_m * 0.5 * (1.0 + u[2]), math.pi * u[3]
+    within = ranges.cables_within_m
+    return SkidRobot(
+        mass_kg=usual.mass_kg * (1.0 + ranges.mass * u[0]),
+        friction=_between(ranges.friction, u[1]),
+        mass_center_m=(off * math.cos(aside), off * math.sin(aside)),
+        half_track_m=usual.half_track_m * (1.0 + ranges.track * u[4]),
+        radius_factors=tuple((1.0 + ranges.wheel_radius * radii).tolist()),
+        slope_rad=_between(ranges.slope_rad, u[5]),
+        uphill_rad=math.pi * u[6],
+        cables=tuple((within * x, within * y, math.pi * turn) for x, y, turn in places.tolist()),
+    )
+
+
+def _between(ends: tuple[float, float], u: float) -> float:
+    return ends[0] + (ends[1] - ends[0]) * 0.5 * (1.0 + u)

@@ -98,9 +98,9 @@ def load_circuit(name_or_path: str | Path) -> Circuit:
     return _circuit(parse_yaml(text, _CircuitFile, str(path)), str(path), "$")
 
 
-def save_policy(path: Path, policy: Policy) -> None:
+def save_policy(path: str | Path, policy: Policy) -> None:
     """Write a policy file, whole or not at all. Raises FileError when the place cannot be written."""
-    write_atomic(path, policy_to_yaml(policy))
+    write_atomic(Path(path), policy_to_yaml(policy))
 
 
 def policy_from_yaml(text: str, source: str) -> Policy:

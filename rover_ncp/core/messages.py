@@ -142,6 +142,11 @@ def pose_stamped(pose: Pose, stamp_ns: int, frame: str) -> bytes:
     return encode(POSE_STAMPED, header=_header(stamp_ns, frame), pose=_pose(pose))
 
 
+def read_pose_stamped(data: bytes) -> Pose:
+    """Read a PoseStamped. Raises FormatError."""
+    return _read_pose(decode(POSE_STAMPED, data).pose)
+
+
 def path(poses: Sequence[Pose], stamp_ns: int, frame: str) -> bytes:
     """Return a Path through poses, all with one stamp."""
     header = _header(stamp_ns, frame)

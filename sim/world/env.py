@@ -1,4 +1,9 @@
-"""The parking course as a Gymnasium environment, ``RoverParking-v0`` (importing this module registers it)."""
+"""The parking course as a Gymnasium environment, ``rover_ncp/RoverParking-v0``.
+
+Importing this module registers it. Gymnasium 1 looks for no plugins, but imports a module that an id names:
+
+    gymnasium.make("sim.world.env:rover_ncp/RoverParking-v0")
+"""
 
 from typing import Any
 
@@ -10,7 +15,7 @@ from rover_ncp.course.course import TICK_S, Course, due_checkpoints, load_course
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.rover import SUBSTEPS, RoverModel
 
-ENV_ID = "RoverParking-v0"
+ENV_ID = "rover_ncp/RoverParking-v0"
 
 FloatArray = NDArray[np.float64]
 

@@ -1,0 +1,90 @@
+"""The Python API of policies, courses and recordings; training and evaluation are in ``sim.api``.
+
+    from rover_ncp import api
+
+    driver = api.CourseDriver(api.load_policy("course"), api.load_course("parking"))
+    v, omega = driver.tick(x, y, theta)        # every 0.1 s
+
+What needs numba (running a policy) loads it when it is used. Errors are those of ``rover_ncp.core.errors``.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.policy_file import load_policy, save_policy
+from rover_ncp.core.errors import ConfigError, RoverNcpError
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.course.course import TICK_S, Course, load_course
+from rover_ncp.course.reference import SIGNALS, needs_reference, plan_reference, see
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+__all__ = [
+    "Course",
+    "CourseDriver",
+    "Policy",
+    "PolicyRunner",
+    "Pose",
+    "RoverNcpError",
+    "Velocity",
+    "load_course",
+    "load_policy",
+    "read_arrays",
+    "save_policy",
+]
+
+
+def read_arrays(path: str | Path) -> "dict[str, NDArray[np.void]]":
+    """Return a recording's topics as structured arrays: ``arrays["odom"]["x"]`` has shape (n,), in m.
+
+    See ``rover_ncp/core/arrays.py`` for the fields. Raises FileError.
+    """
+    from rover_ncp.core.arrays import read_arrays as read
+
+    return read(Path(path))
+
+
+class CourseDriver:
+    """A policy that drives a course, tick by tick; it begins at rest.
+
+    Raises ConfigError for a policy that does not drive a rover.
+    """
+
+    def __init__(self, policy: Policy, course: Course) -> None:
+        unknown = [name for name in policy.sensing.inputs if name not in SIGNALS]
+        if unknown or policy.motors.outputs != Velocity._fields:
+            problem = f"drives no rover: it needs inputs of {', '.join(SIGNALS)} and outputs v, omega"
+            raise ConfigError(f"policy {policy.circuit.name}", [problem])
+        self.course = course
+        self.runner = PolicyRunner(policy)
+        self.index = 0
+        """The next tick of the course, from 0."""
+        self._chosen = [SIGNALS.index(name) for name in policy.sensing.inputs]
+        self._reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
+        self._started = False
+
+    def reset(self) -> None:
+        """Put every neuron at rest, at the course's start."""
+        self.runner.reset()
+        self.index, self._started = 0, False
+
+    def tick(self, x: float, y: float, theta: float) -> Velocity:
+        """Return the command v, ω in m/s and rad/s for the base's pose in the course's frame in m and rad.
+
+        Call it every 0.1 s, ``course.ticks`` times. The first call also runs the warm-up tick, in which the
+        circuit sees the start pose before the start signal.
+        """
+        if not self._started:
+            self.runner.tick(self._observation(Pose(x, y, theta), 0.0))
+            self._started = True
+        signal = self.course.start_signal(self.index * TICK_S)
+        command = self.runner.tick(self._observation(Pose(x, y, theta), signal))
+        self.index += 1
+        return Velocity(*command)
+
+    def _observation(self, pose: Pose, signal: float) -> list[float]:
+        signals = see(pose, signal, self._reference.tick(self.index) if self._reference else None)
+        return [signals[i] for i in self._chosen]

@@ -1,0 +1,63 @@
+"""A recording's messages as arrays, one for each topic with numbers."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.core import messages
+from rover_ncp.core.errors import FileError, FormatError
+from rover_ncp.core.recording import read_recording
+
+_POSE = ("x", "y", "theta")
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[np.void]]:
+    """Return each topic's messages as a structured array, in order: ``arrays["odom"]["x"]`` is (n,).
+
+    The field ``t`` of each is the arrival in s since the recording's first message. Units are SI, potentials
+    mV. Topics without numbers (text, transforms) are left out. Raises FileError for a file or message that
+    cannot be read.
+    """
+    recording = read_recording(path)
+    began_ns = min((message.log_ns for message in recording.messages), default=0)
+    rows: dict[str, list[Mapping[str, float]]] = {}
+    for message in recording.messages:
+        read = _READERS.get(message.type)
+        if read is None or (message.layout is not None and message.layout.encoding != "cdr"):
+            continue
+        try:
+            values = read(message.data)
+        except FormatError as error:
+            raise FileError(f"{path}: a message on {message.topic} cannot be read: {error}") from error
+        rows.setdefault(message.topic, []).append({"t": (message.log_ns - began_ns) * 1e-9} | dict(values))
+    return {topic: _array(path, topic, of_topic) for topic, of_topic in rows.items()}
+
+
+def _array(path: Path, topic: str, rows: list[Mapping[str, float]]) -> NDArray[np.void]:
+    names = list(rows[0])
+    if any(list(row) != names for row in rows):
+        raise FileError(f"{path}: the fields of {topic} change within the recording")
+    return np.array([tuple(row.values()) for row in rows], dtype=[(name, np.float64) for name in names])
+
+
+def _odometry(data: bytes) -> dict[str, float]:
+    sample = messages.read_odometry(data)
+    return sample.pose._asdict() | sample.velocity._asdict()
+
+
+def _pose(data: bytes) -> dict[str, float]:
+    sample = messages.read_pose(data)
+    deviations = np.sqrt(np.maximum(np.diag(sample.covariance), 0.0))
+    return sample.pose._asdict() | dict(zip((f"std_{name}" for name in _POSE), deviations, strict=True))
+
+
+_READERS: dict[str, Callable[[bytes], Mapping[str, float]]] = {
+    messages.ODOMETRY: _odometry,
+    messages.IMU: lambda data: {"rate": messages.read_imu(data).rate},
+    messages.TWIST_STAMPED: lambda data: messages.read_twist(data).velocity._asdict(),
+    messages.POSE_WITH_COVARIANCE: _pose,
+    messages.POSE_STAMPED: lambda data: messages.read_pose_stamped(data)._asdict(),
+    messages.FLOATS: messages.read_neurons,
+}

@@ -1,0 +1,114 @@
+"""The Python API of the simulator: train, evaluate, explain. ``rover_ncp.api`` has policies and recordings.
+
+    from sim import api
+
+    result = api.train("runs/mine", agents=4, iterations=2000)
+    print(api.evaluate(result.policy, trials=100, randomize="full").success_rate)
+
+Each function loads what it needs when it is called. Names of courses, circuits and policies are those of the
+command line: a shipped name or a file. Errors are those of ``rover_ncp.core.errors``.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rover_ncp.circuit.policy import Policy
+    from rover_ncp.course.course import Course
+    from sim.evaluate.evaluate import Evaluation
+    from sim.explain.explain import Explanation
+    from sim.learn.agents import Snapshot
+    from sim.learn.robust import Generation
+    from sim.learn.robust_run import RobustResult
+    from sim.learn.rollout import Rollout
+    from sim.learn.train import TrainResult
+
+__all__ = ["evaluate", "explain", "rollout", "train", "train_robust"]
+
+
+def train(
+    out: str | Path,
+    *,
+    resume: bool = False,
+    processes: int | None = None,
+    on_progress: "Callable[[Snapshot], None]" = lambda snapshot: None,
+    **settings: Any,
+) -> "TrainResult":
+    """Train circuits on one course, as ``rover-ncp train``, and leave the run in the folder ``out``.
+
+    ``settings`` are those of `sim.learn.record.TrainSettings`: course, circuit, seed, agents, iterations and
+    search. ``on_progress`` sees all agents after every round. Raises ConfigError, FileError and UsageError.
+    """
+    from rover_ncp.core.config import validated
+    from sim.learn.record import TrainSettings
+    from sim.learn.train import train as run
+
+    asked = validated(settings, TrainSettings, "train")
+    return run(asked, Path(out), resume=resume, processes=processes, on_progress=on_progress)
+
+
+def train_robust(
+    out: str | Path,
+    *,
+    resume: bool = False,
+    processes: int | None = None,
+    on_generation: "Callable[[Generation], None]" = lambda generation: None,
+    **settings: Any,
+) -> "RobustResult":
+    """Train on random robots and courses, as ``rover-ncp train --randomize``.
+
+    ``settings`` are those of `sim.learn.record.RobustSettings`: course, circuit, randomize, seed, iterations,
+    rollouts, worst (by default all rollouts), random_courses and profile. Raises as `train` does.
+    """
+    from rover_ncp.core.config import validated
+    from sim.learn.record import RobustSettings
+    from sim.learn.robust_run import train_robust as run
+
+    if "rollouts" in settings:
+        settings.setdefault("worst", settings["rollouts"])
+    asked = validated(settings, RobustSettings, "train_robust")
+    return run(asked, Path(out), resume=resume, processes=processes, on_generation=on_generation)
+
+
+def evaluate(
+    policy: "Policy | str | Path",
+    course: "Course | str | Path | Sequence[Course | str | Path]" = "parking",
+    *,
+    trials: int,
+    randomize: str | Path = "none",
+    seed: int = 0,
+) -> "Evaluation":
+    """Drive random trials, trial i on course i modulo their number, and return how they ended."""
+    from sim.evaluate.evaluate import evaluate as run
+    from sim.world.randomization import ranges_for
+
+    many = [course] if isinstance(course, str | Path) or not isinstance(course, Sequence) else course
+    ranges = ranges_for(randomize, None)
+    return run(_policy(policy), [_course(each) for each in many], ranges, trials=trials, seed=seed)
+
+
+def rollout(policy: "Policy | str | Path", course: "Course | str | Path" = "parking") -> "Rollout":
+    """Drive a course once and return the trace of poses, commands and potentials."""
+    from sim.learn.rollout import rollout as run
+
+    return run(_policy(policy), _course(course))
+
+
+def explain(source: str | Path, course: str | None = None) -> "Explanation":
+    """Explain a policy or a recording, as ``rover-ncp explain``; its ``fields()`` are plain values."""
+    from sim.explain.explain import explain as run
+
+    return run(str(source), course)
+
+
+def _policy(given: "Policy | str | Path") -> "Policy":
+    from rover_ncp.circuit.policy_file import load_policy
+
+    return load_policy(given) if isinstance(given, str | Path) else given
+
+
+def _course(given: "Course | str | Path") -> "Course":
+    from rover_ncp.course.course import load_course
+
+    return load_course(given) if isinstance(given, str | Path) else given

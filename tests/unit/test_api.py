@@ -1,0 +1,98 @@
+"""The Python API: what it returns, what it refuses, and what it loads."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from paths import DATA
+from recorded_drives import write_drive
+
+from rover_ncp import api
+from rover_ncp.core.errors import ConfigError
+from sim import api as sim_api
+
+SHORT = str(DATA / "short_course.yaml")
+
+
+@pytest.mark.parametrize("name", ["course", "parking"])
+def test_a_driver_gives_the_commands_of_the_simulator_on_the_same_poses(name):
+    policy, course = api.load_policy(name), api.load_course("parking")
+    run = sim_api.rollout(policy, course)
+    driver = api.CourseDriver(policy, course)
+    for _ in range(2):
+        found = [driver.tick(*pose) for pose in run.seen]
+        assert np.array_equal(found, run.commands)
+        driver.reset()
+
+
+def test_a_recording_becomes_arrays_of_what_was_recorded(tmp_path):
+    run = write_drive(tmp_path / "run.mcap")
+    arrays = api.read_arrays(tmp_path / "run.mcap")
+    policy = api.load_policy("parking")
+    assert arrays["rover/neurons"].dtype.names == ("t", *policy.circuit.neurons)
+    potentials = np.column_stack([arrays["rover/neurons"][name] for name in policy.circuit.neurons])
+    assert np.array_equal(potentials, run.potentials)
+    assert np.array_equal(np.column_stack([arrays["cmd_vel"]["v"], arrays["cmd_vel"]["omega"]]), run.commands)
+    for name, column in zip(("x", "y"), run.poses.T[:2], strict=True):
+        assert np.array_equal(arrays["truth/pose"][name], column)
+    assert np.allclose(np.diff(arrays["truth/pose"]["t"]), 0.1)
+    assert (arrays["rover/estimate"]["std_x"] > 0).all()
+    assert "rover/status" not in arrays
+
+
+def test_training_calls_back_and_its_policy_can_be_evaluated(tmp_path):
+    seen = []
+    result = sim_api.train(
+        tmp_path / "run", course=SHORT, seed=1, agents=2, iterations=20, processes=1, on_progress=seen.append
+    )
+    assert seen[-1].returns == result.agents.returns
+    again = api.load_policy(result.policy_path)
+    assert sim_api.rollout(again, SHORT).total == pytest.approx(result.agents.best.value)
+    assert sim_api.evaluate(again, [SHORT, SHORT], trials=2, randomize="full").trials == 2
+
+
+def test_robust_training_calls_back(tmp_path):
+    seen = []
+    settings = {"course": SHORT, "iterations": 2, "rollouts": 4, "random_courses": 0}
+    result = sim_api.train_robust(tmp_path / "run", **settings, processes=1, on_generation=seen.append)
+    assert [generation.number for generation in seen] == [1, 2]
+    assert result.last.best == seen[-1].best
+
+
+def test_a_setting_that_does_not_exist_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r"agens: unknown key"):
+        sim_api.train(tmp_path / "run", agens=3)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_policy_of_another_task_is_refused(tmp_path):
+    policy = api.load_policy("parking")
+    sensing = policy.sensing.model_copy(
+        update={
+            "inputs": ("a", *policy.sensing.inputs[1:]),
+            "channels": (
+                policy.sensing.channels[0].model_copy(update={"name": "a"}),
+                *policy.sensing.channels[1:],
+            ),
+        }
+    )
+    other = api.Policy(policy.circuit, sensing, policy.motors)
+    with pytest.raises(ConfigError, match="drives no rover"):
+        api.CourseDriver(other, api.load_course("parking"))
+
+
+@pytest.mark.parametrize(
+    ("line", "heavy"),
+    [
+        ("from sim import api", "numpy pydantic numba scipy pymunk gymnasium matplotlib zenoh rosbags"),
+        ("from rover_ncp import api", "numba scipy zenoh rosbags mcap pymunk gymnasium matplotlib sim"),
+        ("from rover_ncp import api; api.load_policy('course')", "numba scipy zenoh rosbags mcap"),
+    ],
+)
+def test_nothing_is_loaded_that_is_not_used(line, heavy):
+    program = f"{line}; import sys; print(sorted(set({heavy.split()}) & set(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=50, check=True
+    )
+    assert done.stdout == "[]\n"

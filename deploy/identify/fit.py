@@ -2,8 +2,8 @@
 
 Each fitted value has a standard deviation: 1.96 of them on both sides contain the truth 19 times in 20. A
 value with too large a standard deviation is left out. Gains are those that odometry measures; accelerations
-are true ones. Odometry's own errors (scales, slip, imbalance) can be measured only with external poses.
-Without them their usual spread is part of the accelerations' standard deviations.
+are true ones. Odometry's own errors (scales, slip, imbalance, centre of rotation) can be measured only with
+external poses. Without them the usual spread of scales and slip is part of the accelerations' deviations.
 """
 
 import math
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
 from deploy.identify.motion_log import MotionLog
-from deploy.identify.odometry_fit import fit_distance, fit_turns, stands_beside
+from deploy.identify.odometry_fit import fit_center, fit_distance, fit_turns, stands_beside
 from rover_ncp.core.robot_profile import RoverProfile
 
 FloatArray = NDArray[np.float64]
@@ -28,7 +28,7 @@ STEP_M, STEP_RAD = 0.001, math.tau / 4096
 LEAST_NOISE_SAMPLES = 20
 
 SCALE_STD = 0.0173
-"""Of odometry's scales without external poses: ±3 %, evenly spread, as for the estimator."""
+"""Of odometry's scales without external poses: ±3 %, evenly spread."""
 SLIP_STD_S = 0.17
 """Of the slip of a turn: 0 to 0.3 s, evenly spread (preset `harsh`), about 0."""
 
@@ -42,10 +42,16 @@ WIDEST_SHARE = {
     "noise_m": 0.25,
     "noise_rad": 0.25,
     "odometry_distance": 0.03,
-    "odometry_heading": 0.03,
+    "odometry_heading": 0.1,
 }
 """Largest standard deviation that is kept, as a share of the value."""
-WIDEST = {"delay_v_s": WIDEST_S, "delay_omega_s": WIDEST_S, "imbalance_rad_m": 0.03, "slip_s": 0.15}
+WIDEST = {
+    "delay_v_s": WIDEST_S,
+    "delay_omega_s": WIDEST_S,
+    "imbalance_rad_m": 0.03,
+    "slip_s": 0.15,
+    "rotation_center_m": 0.03,
+}
 """The same, SI."""
 
 
@@ -78,6 +84,8 @@ def identify(log: MotionLog, name: str) -> RoverProfile:
             for key, value, std in zip(names, turn.values.tolist(), deviations.tolist(), strict=False):
                 found[key] = _Value(value, std)
             odometry = odometry[0], OdometryErrors(turn.values[:2], turn.covariance[:2, :2])
+        if center := fit_center(beside):
+            found["rotation_center_m"] = _Value(float(center.values[0]), math.sqrt(center.covariance[0, 0]))
     for axis, keys in enumerate((("delay_v_s", "accel", "gain_v"), ("delay_omega_s", "alpha", "gain_omega"))):
         fitted = identify_axis(log, axis, odometry[axis])
         if fitted is not None:

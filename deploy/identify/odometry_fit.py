@@ -29,6 +29,11 @@ PUSHED = float(norm.isf(0.0005))
 PLAUSIBLE = 0.5, 2.0
 """Plausible scales of odometry; external poses that give others belong to another object."""
 SLIP_MAX_S = 3.0
+CENTER_MAX_M = 0.5
+EXACT_M = 1e-4
+"""External poses are no more exact than this, even if they do not scatter."""
+SPOT_M, LEAST_TURN_RAD = 0.03, 0.1
+"""On less way and with more turn than this, the rover turned on the spot."""
 
 
 class Fit(NamedTuple):
@@ -137,6 +142,33 @@ def fit_turns(log: MotionLog, stands: Sequence[Stand]) -> Fit | None:
     return _fitted(residuals, [1.0, 0.01, 0.0, 0.0], covariance, limits)
 
 
+def fit_center(stands: Sequence[Stand]) -> Fit | None:
+    """Fit the centre of rotation (m): lateral velocity over turn rate; None from fewer than three turns.
+
+    Turning on the spot from heading a to b moves the rover by center · (cos b − cos a, sin b − sin a).
+    """
+    moves, arcs, rows = [], [], []
+    for row, (a, b) in enumerate(pairwise(stands)):
+        spot = math.hypot(*(b.own - a.own)[:2]) < SPOT_M
+        if spot and abs(b.own[2] - a.own[2]) > LEAST_TURN_RAD:
+            moves.append((b.true - a.true)[:2])
+            arcs.append(
+                [math.cos(b.true[2]) - math.cos(a.true[2]), math.sin(b.true[2]) - math.sin(a.true[2])]
+            )
+            rows.append(row)
+    if len(rows) < 3:
+        return None
+    variances = np.array([max(stand.true_variance[:2].mean(), EXACT_M**2) for stand in stands])
+    covariance = np.diag(variances[rows] + variances[np.array(rows) + 1])
+    for i in range(len(rows) - 1):
+        if rows[i + 1] == rows[i] + 1:
+            covariance[i, i + 1] = covariance[i + 1, i] = -variances[rows[i + 1]]
+    both = np.kron(covariance, np.eye(2)).astype(np.float64)
+    move, arc = np.ravel(moves), np.ravel(arcs)
+    limits = -CENTER_MAX_M, CENTER_MAX_M
+    return _fitted(lambda x, kept: (x[0] * arc - move)[kept], [0.0], both, [limits], limits)
+
+
 def _slipped(times: FloatArray, rate: FloatArray, slip: float) -> float:
     """Return ∫|ω|ω dt of the true turn rate, where odometry without its scale saw ``rate``."""
     size = np.abs(rate)
@@ -149,8 +181,9 @@ def _fitted(
     start: Sequence[float],
     covariance: FloatArray,
     limits: Sequence[tuple[float, float]],
+    plausible: tuple[float, float] = PLAUSIBLE,
 ) -> Fit | None:
-    """Fit, leave out the worst interval while it is an outlier, and fit again; None if nothing fits.
+    """Fit, leave out the worst row while it is an outlier, and fit again; None if nothing fits.
 
     The covariance of the values is the larger of that by the poses' noise and that by the residuals.
     """
@@ -167,7 +200,7 @@ def _fitted(
             x_scale="jac",
         )
         x = fit.x
-        if not PLAUSIBLE[0] < x[0] < PLAUSIBLE[1] or (fit.active_mask > 0).any():
+        if not plausible[0] < x[0] < plausible[1] or (fit.active_mask > 0).any():
             return None
         curvature = fit.jac.T @ fit.jac
         free = int(kept.sum()) - len(x)

@@ -35,6 +35,7 @@ _WORDS: dict[str, tuple[str, float, str]] = {
     "odometry_distance": ("odometry's distance over the true one", 1.0, ""),
     "odometry_heading": ("odometry's turn over the true one", 1.0, ""),
     "imbalance_rad_m": ("unseen turn on the way", 1000.0, "mrad/m"),
+    "rotation_center_m": ("centre of rotation behind the middle", 1000.0, "mm"),
     "slip_s": ("share of a turn that slips away", 1.0, "per rad/s"),
 }
 """Of each value of a profile: its name, unit and factor for people."""

@@ -106,18 +106,20 @@ def truth(ranges: Randomization, trials: Trials) -> dict[str, float]:
     delay_v, delay_omega = (trials.delay[0] * SUBSTEP_S).tolist()
     gain_v, gain_omega = (trials.gain[0] * odometry).tolist()
     effort_v, effort_omega = trials.acceleration[0].tolist()
+    turn_gain, rotation_center_m = trials.turning[0].tolist()
     return {
         "delay_v_s": delay_v,
         "delay_omega_s": delay_omega,
         # As the bridge sets them in the base, in whole mm/s² and deg/s².
         "accel": round(limits.accel * 1000) / 1000 * effort_v,
-        "alpha": math.radians(round(math.degrees(limits.alpha))) * effort_omega,
+        "alpha": math.radians(round(math.degrees(limits.alpha))) * effort_omega * turn_gain,
         "gain_v": gain_v,
         "gain_omega": gain_omega,
         "noise_m": ranges.noise_m,
         "noise_rad": ranges.noise_rad,
         "odometry_distance": float(odometry[0]),
-        "odometry_heading": float(odometry[1]),
+        "odometry_heading": float(odometry[1]) / turn_gain,
+        "rotation_center_m": rotation_center_m,
         "imbalance_rad_m": float(trials.imbalance[0]),
         "slip_s": float(trials.slip[0]),
     }

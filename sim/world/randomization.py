@@ -237,6 +237,7 @@ def _of_known(
         imbalance=imbalance,
         slip=slip,
         drift=drift,
+        turning=_columns(drawn.turning, None, known.rotation_center_m),
     )
 
 

@@ -60,6 +60,17 @@ def test_external_poses_show_the_errors_of_odometry():
     assert found.slip_s == pytest.approx(trials.slip[0], abs=0.15)
 
 
+def test_external_poses_show_how_a_robot_skids():
+    ranges = load_randomization("skid")
+    trials = robot(ranges, 4711, 0)
+    found = identified(trials, outside=True)
+    off = errors(found, truth(ranges, trials))
+    assert {"odometry_heading", "rotation_center_m", "alpha"} <= set(off)
+    assert all(abs(error) < 3.0 * std for error, std in off.values())
+    assert found.odometry_heading < 0.95  # this robot turns more than its wheels say
+    assert off["rotation_center_m"].std < 0.005
+
+
 STEPS = (0.001, math.radians(0.1))
 """In which a Pioneer reports speed and turn rate."""
 

@@ -4,9 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 BROWSER_STAMP := $(VENV)/.browser
+DOCS_STAMP := $(VENV)/.docs
 GRADIENTS_STAMP := $(VENV)/.gradients
 
-.PHONY: park test test-system test-browser check lint types contracts safety clean paper paper-quick paper-gradients
+.PHONY: park test test-system test-browser docs check lint types contracts safety clean paper paper-quick paper-gradients
 
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park --overwrite
@@ -38,6 +39,10 @@ types: $(STAMP)
 
 contracts: $(STAMP)
 	$(BIN)/lint-imports
+
+# The documentation as a site in build/site; a broken link or reference is an error.
+docs: $(DOCS_STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 # Measures the safety matrix and writes it into docs/safety.md.
 safety: $(STAMP)
@@ -82,6 +87,10 @@ $(STAMP): pyproject.toml constraints.txt
 $(BROWSER_STAMP): $(STAMP)
 	command -v chromium >/dev/null || { apt-get -qq update && apt-get -qq install --yes --no-install-recommends chromium fonts-dejavu-core; } >/dev/null
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,browser]'
+	touch $@
+
+$(DOCS_STAMP): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,docs]'
 	touch $@
 
 $(GRADIENTS_STAMP): $(STAMP)

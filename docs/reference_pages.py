@@ -1,0 +1,200 @@
+"""mkdocs hook: the pages that are made from the code, and the front page from README.md."""
+
+import ast
+import inspect
+import re
+import textwrap
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from bridge.gate.limits import Limits
+from rover_ncp import cli
+from rover_ncp.circuit import policy_file
+from rover_ncp.core.key_table import KEYS, Kind, Role
+from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.course.builder import PoseList
+from rover_ncp.course.course import Course
+from sim.world.randomization import Randomization
+
+DOCS = Path(__file__).parent
+MODELS: dict[str, tuple[str, type[BaseModel]]] = {
+    "course": ("Course", Course),
+    "poses": ("Poses for a course", PoseList),
+    "circuit": ("Circuit", policy_file._CircuitFile),
+    "policy": ("Policy", policy_file._PolicyFile),
+    "randomization": ("Randomization", Randomization),
+    "rover": ("Robot profile", RoverProfile),
+    "limits": ("Limits of the gate", Limits),
+}
+"""By the name of the example in ``examples/``."""
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the generated pages to the site."""
+    from mkdocs.structure.files import File
+
+    pages = {
+        "index.md": front_page((DOCS.parent / "README.md").read_text()),
+        "reference/commands.md": commands_page(),
+        "reference/files.md": files_page(),
+        "reference/keys.md": keys_page(),
+    }
+    for path, text in pages.items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def front_page(readme: str) -> str:
+    """Return README.md with its links as they are from the site."""
+    text = readme.replace("](docs/", "](")
+    # What is no page of the site is named, not linked.
+    return re.sub(
+        r"\[([^\]]*)\]\((?!https?:|#)((?![^)]*\.(?:md|png|svg|gif|webp)\b)[^)]*)\)", r"\1 (`\2`)", text
+    )
+
+
+def commands_page() -> str:
+    """Return the page of all commands with their arguments and options."""
+    parts = [
+        "# Commands",
+        "`rover-ncp --version` prints the version. Results and exit codes: [Command line](../cli.md).",
+    ]
+    group = cli.get_command(cli._app())
+    context = group.make_context("rover-ncp", [], resilient_parsing=True)
+    for name in group.list_commands(context):
+        parts += _command(group.get_command(context, name), f"rover-ncp {name}", 2)
+    return "\n\n".join(parts) + "\n"
+
+
+def _command(command: Any, path: str, level: int) -> Iterator[str]:
+    yield f"{'#' * level} {path.removeprefix('rover-ncp ')}"
+    yield inspect.cleandoc(command.help or "")
+    context = command.make_context(path, [], resilient_parsing=True)
+    records = [parameter.get_help_record(context) for parameter in command.params]
+    rows = [f"| `{names}` | {_cell(text)} |" for names, text in filter(None, records)]
+    if rows:
+        yield "\n".join(["| argument or option | meaning |", "|---|---|", *rows])
+    for name, part in getattr(command, "commands", {}).items():
+        yield from _command(part, f"{path} {name}", level + 1)
+
+
+def files_page() -> str:
+    """Return the page of all YAML files: an annotated example and the keys of each."""
+    parts = [
+        "# YAML files",
+        "Unknown keys, infinities and NaN are errors. Units are SI unless a name has another.",
+    ]
+    for name, (title, model) in MODELS.items():
+        example = (DOCS / "examples" / f"{name}.yaml").read_text()
+        parts += [f"## {title}", f"```yaml\n{example}```"]
+        seen: list[type[BaseModel]] = [model]
+        for each in seen:
+            if each is not model:
+                parts.append(f"### {title}: {each.__name__.lstrip('_')}")
+            if each.__doc__ and each.__doc__ != BaseModel.__doc__ and not each.__name__.startswith("_"):
+                parts.append(inspect.cleandoc(each.__doc__))
+            parts.append(_keys(each))
+            seen += [part for part in _parts(each) if part not in seen]
+    return "\n\n".join(parts) + "\n"
+
+
+def _keys(model: type[BaseModel]) -> str:
+    notes, required = _notes(model), model.model_json_schema().get("required", [])
+    rows = ["| key | type | default | meaning |", "|---|---|---|---|"]
+    for name, field in model.model_fields.items():
+        schema = _schema(model, name)
+        default = "required" if name in required else f"`{field.get_default(call_default_factory=True)}`"
+        if default in {"`None`", "`()`", "`{}`", "``"} or isinstance(field.default, BaseModel):
+            default = ""
+        meaning = field.description or notes.get(name, "")
+        rows.append(f"| `{name}` | {_type(schema)} | {default} | {_cell(meaning)} |")
+    return "\n".join(rows)
+
+
+def _schema(model: type[BaseModel], name: str) -> dict[str, Any]:
+    schema: dict[str, Any] = model.model_json_schema()["properties"][name]
+    return schema
+
+
+def _type(schema: dict[str, Any]) -> str:
+    """Return a JSON schema in words: type, choices, bounds."""
+    if "$ref" in schema:
+        return str(schema["$ref"]).rsplit("/", 1)[-1].lstrip("_")
+    if "anyOf" in schema:
+        return " or ".join(_type(part) for part in schema["anyOf"] if part.get("type") != "null")
+    if "const" in schema:
+        return f"`{schema['const']}`"
+    if "enum" in schema:
+        return ", ".join(f"`{value}`" for value in schema["enum"])
+    words = {"array": "list", "object": "mapping", "string": "text", "integer": "whole number"}
+    text = words.get(schema.get("type", "any"), schema.get("type", "any"))
+    if "prefixItems" in schema:
+        return f"{len(schema['prefixItems'])} × {_type(schema['prefixItems'][0])}"
+    if schema.get("type") == "array":
+        text += f" of {_type(schema['items'])}"
+    signs = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+    bounds = [f"{sign} {schema[key]:g}" for key, sign in signs.items() if key in schema]
+    return ", ".join([text, *bounds])
+
+
+def _parts(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    """Yield the models of a model's fields."""
+    waiting: list[Any] = [field.annotation for field in model.model_fields.values()]
+    while waiting:
+        kind = waiting.pop(0)
+        if inspect.isclass(kind) and issubclass(kind, BaseModel):
+            yield kind
+        waiting += getattr(kind, "__args__", ())
+
+
+def _notes(model: type[BaseModel]) -> dict[str, str]:
+    """Return the text below each field in the source of a model, those of its bases included."""
+    notes: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if not issubclass(base, BaseModel) or not base.__module__.startswith(("rover_ncp", "bridge", "sim")):
+            continue
+        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0].body  # type: ignore[attr-defined]
+        for field, below in pairwise(body):
+            if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
+                notes[field.target.id] = below.value.value  # type: ignore[union-attr,attr-defined]
+    return notes
+
+
+def keys_page() -> str:
+    """Return the page of the Zenoh keys."""
+    parts = [
+        "# Zenoh keys",
+        "Every key may have a namespace before it (`--namespace bot1`: `bot1/odom`). Messages are ROS 2 "
+        "types in CDR; queries are JSON both ways. The rights are those of `rover-ncp keys`.",
+    ]
+    for kind, title in (
+        (Kind.MESSAGE, "Messages"),
+        (Kind.QUERYABLE, "Queries"),
+        (Kind.TOKEN, "Liveliness tokens"),
+    ):
+        rows = ["| key | type | from | to | at most | content |", "|---|---|---|---|---|---|"]
+        for row in KEYS:
+            if row.kind is kind:
+                latched = "; late subscribers get the last one" if row.latched else ""
+                rows.append(
+                    f"| `{row.name}` | {row.type} | {_roles(row.senders)} | {_roles(row.receivers)} "
+                    f"| {row.max_bytes} B | {_cell(row.about)}{latched} |"
+                )
+        parts += [f"## {title}", "\n".join(rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _roles(roles: frozenset[Role]) -> str:
+    return ", ".join(role.value for role in Role if role in roles)
+
+
+def _cell(text: str) -> str:
+    """Return text for a table's cell, in which only backticks mean what they do in Markdown."""
+    parts = " ".join(text.split()).replace("``", "`").split("`")
+    parts[::2] = [re.sub(r"([|\[*_])", r"\\\1", part) for part in parts[::2]]
+    parts[::2] = [part.replace("<", "&lt;") for part in parts[::2]]
+    return "`".join(parts)

@@ -1,0 +1,69 @@
+"""The generated pages of the documentation, and its examples of YAML files."""
+
+import re
+
+import numpy as np
+import pytest
+import reference_pages
+import yaml
+from paths import ROOT
+
+from rover_ncp import api
+from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.core.config import parse_yaml
+from sim import api as sim_api
+from sim.learn.record import TrainSettings, resolve_task
+
+EXAMPLES = ROOT / "docs" / "examples"
+# Keys that the examples leave out: the bodies of MuJoCo, and what a robot is seldom measured for.
+OPTIONAL = {"randomization", "rover", "limits"}
+
+
+@pytest.mark.parametrize("name", reference_pages.MODELS)
+def test_an_example_is_valid_and_has_every_key_that_its_file_needs(name):
+    _, model = reference_pages.MODELS[name]
+    text = (EXAMPLES / f"{name}.yaml").read_text()
+    parse_yaml(text, model, name)
+    commented = set(re.findall(r"^# (\w+)", text, re.MULTILINE))
+    missing = set(model.model_fields) - set(yaml.safe_load(text)) - commented
+    assert not missing or name in OPTIONAL
+
+
+def test_every_example_is_shown():
+    assert {path.stem for path in EXAMPLES.glob("*.yaml")} == set(reference_pages.MODELS)
+
+
+def test_the_example_of_a_policy_drives_forward_until_it_sees_one_metre():
+    run = sim_api.rollout(EXAMPLES / "policy.yaml", "parking")
+    assert 0.05 < run.poses[-1, 0] < 1.5
+    assert run.commands[-1, 0] < 0.5 * run.commands[5, 0]
+    assert np.ptp(run.poses[:, 1]) == 0.0
+
+
+def test_the_example_of_a_circuit_can_be_trained_on_the_example_of_a_course():
+    course, circuit = (str(EXAMPLES / f"{name}.yaml") for name in ("course", "circuit"))
+    task = resolve_task(TrainSettings(course=course, circuit=circuit))
+    assert load_circuit(circuit).held
+    assert sim_api.rollout(task.policy, api.load_course(course)).total < 0
+
+
+def test_the_page_of_commands_has_every_option():
+    page = reference_pages.commands_page()
+    assert "`--random-courses <int range>`" in page
+    assert page.count("\n## ") == len(set(re.findall(r"^## (.+)$", page, re.MULTILINE)))
+    for options in ("--robot", "--cluster", "--fault", "--ros"):
+        assert re.search(rf"^\| `{options}", page, re.MULTILINE)
+
+
+def test_the_page_of_files_has_the_bounds_and_the_notes_of_the_code():
+    page = reference_pages.files_page()
+    assert re.search(r"\| `silence_s` \| number, > 0, ≤ 0\.4 \| `0\.3` \| A command is in force", page)
+    assert re.search(r"\| `kind` \| `excitatory`, `inhibitory`, `gap` \| required", page)
+
+
+def test_the_front_page_links_only_to_pages_of_the_site():
+    page = reference_pages.front_page((ROOT / "README.md").read_text())
+    links = [link for link in re.findall(r"\]\(([^)#]+)[^)]*\)", page) if not link.startswith("http")]
+    assert links
+    generated = {"reference/commands.md", "reference/files.md", "reference/keys.md"}
+    assert [link for link in links if not (ROOT / "docs" / link).is_file() and link not in generated] == []

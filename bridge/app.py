@@ -4,17 +4,12 @@ import signal
 from collections.abc import Collection
 from pathlib import Path
 
-from bridge.base_connection import BaseConnection
-from bridge.gate.limits import Limits
+from bridge.bases import choose_base, gate_limits, note_on_silence, open_base
 from bridge.inbox import Inbox
 from bridge.node import Node
-from bridge.pioneer.base import ArcosBase
-from bridge.pioneer.session import Session
-from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros import messages as ros_messages
 from bridge.ros.discovery import Convention
 from bridge.zenoh_link import ZenohLink
-from rover_ncp.core.config import load_yaml
 from rover_ncp.core.console import Output
 from rover_ncp.core.process import Interrupts
 
@@ -36,21 +31,23 @@ def run_bridge(
 ) -> int:
     """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
     output = Output(as_json, controls=True)
-    allowed = Limits() if limits is None else load_yaml(limits, Limits)
-    session = Session(model, MotionLimits(v=allowed.v_max, omega=allowed.omega_max))
+    chosen = choose_base(base, model)
+    allowed = gate_limits(limits, chosen.description)
     inbox = Inbox()
     with (
         Interrupts() as interrupts,
         ZenohLink(listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros) as link,
     ):
-        line = BaseConnection(base, inbox)
+        line, driven = open_base(chosen, allowed, inbox, link)
 
         def ready() -> None:
             link.announce()
+            if chosen.ros2 is not None and chosen.description is not None:
+                output.say(note_on_silence(chosen.description))
             output.announce(f"ready zenoh={link.locator} base={base}")
 
         node = Node(
-            ArcosBase(line, session),
+            driven,
             link,
             inbox,
             limits=allowed,

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, TypeAlias
 
 from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.robot_description import RobotDescription
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,26 @@ class RobotShape:
     def length_m(self) -> float:
         """Length of the outline."""
         return self.front_m + self.rear_m
+
+
+def shape_of(description: RobotDescription) -> RobotShape:
+    """Return the shape of a described robot."""
+    wheels, sonars = description.wheels, description.sonars
+    axles = (wheels.axles_m / 2, -wheels.axles_m / 2) if wheels.axles_m else (0.0,)
+    return RobotShape(
+        description.name,
+        front_m=description.front_m,
+        rear_m=description.rear_m,
+        width_m=description.width_m,
+        height_m=description.height_m,
+        sonars=tuple(Pose(x, y, math.radians(deg)) for x, y, deg in sonars.poses_m_deg) if sonars else (),
+        sonar_height_m=sonars.height_m if sonars else 0.0,
+        wheels=Wheels(
+            wheels.radius_m,
+            wheels.width_m,
+            tuple((x, y) for x in axles for y in (wheels.track_m / 2, -wheels.track_m / 2)),
+        ),
+    )
 
 
 class Setpoint(NamedTuple):

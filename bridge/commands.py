@@ -14,7 +14,8 @@ def bridge(
     base: Annotated[
         str,
         typer.Option(
-            help="The robot: tcp/HOST[:8101] or serial//dev/ttyUSB0, #baudrate=... is the first rate to try."
+            help="The robot: tcp/HOST[:8101], serial//dev/ttyUSB0 (#baudrate=... is the rate tried first) or "
+            "ros2/tcp/HOST[:7447], a ROS 2 robot's Zenoh router (#rmw=zenoh&domain=N for rmw_zenoh)."
         ),
     ],
     listen: Annotated[
@@ -25,7 +26,10 @@ def bridge(
     ] = None,
     namespace: Annotated[str, typer.Option(help="Prefix of every key: bot1 makes bot1/odom.")] = "",
     model: Annotated[
-        str, typer.Option(help="p3at, p3at-sh, p3dx, p3dx-sh, or auto: the model that the robot reports.")
+        str,
+        typer.Option(
+            help="The robot's description, a name or a file; auto: the model that a Pioneer reports."
+        ),
     ] = "auto",
     limits: Annotated[
         Path | None, typer.Option(help="YAML with v_max, omega_max, fence, sonar_stop_m ... of the gate.")
@@ -53,7 +57,7 @@ def bridge(
     ] = False,
     json: Json = False,
 ) -> int | None:
-    """Connect a Pioneer to Zenoh: one driver at a time drives it, within limits.
+    """Connect a Pioneer or a ROS 2 robot to Zenoh: one driver at a time drives it, within limits.
 
     Publishes odometry, transforms, battery, sonar, bumpers and diagnostics as ROS 2 messages, and passes
     commands on through a gate. Only the holder of the lease drives; the rover stops when no valid command
@@ -78,7 +82,7 @@ def bridge(
 
 
 def urdf(
-    model: Annotated[str, typer.Argument(help="p3at, p3at-sh, p3dx or p3dx-sh.")] = "p3at-sh",
+    model: Annotated[str, typer.Argument(help="A robot description: a name or a file.")] = "p3at-sh",
     *,
     json: Json = False,
 ) -> None:
@@ -86,12 +90,10 @@ def urdf(
 
     Its frames are those that the bridge publishes on tf_static.
     """
-    from bridge.pioneer.robots import ROBOTS
-    from bridge.ros.urdf import urdf as description
+    from bridge.base import shape_of
+    from bridge.ros.urdf import urdf as urdf_of
     from rover_ncp.core.console import Output
-    from rover_ncp.core.errors import UsageError
+    from rover_ncp.core.robot_description import load_description
 
-    if model not in ROBOTS:
-        raise UsageError(f"model {model}: expected {', '.join(ROBOTS)}")
-    text = description(ROBOTS[model])
+    text = urdf_of(shape_of(load_description(model)))
     Output(json).result({"model": model, "urdf": text}, text.rstrip())

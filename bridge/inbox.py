@@ -37,6 +37,16 @@ class Query:
 
 
 @dataclass(frozen=True)
+class RobotMessage:
+    """A message of a robot's topic, for its base. ``source`` identifies its publisher, if that is known."""
+
+    topic: str
+    payload: bytes
+    arrived_s: float
+    source: bytes | None = None
+
+
+@dataclass(frozen=True)
 class ThreadError:
     """A thread failed because of an error in this program."""
 
@@ -53,12 +63,15 @@ class Inbox:
         self._changed = threading.Condition()
         self._arrivals: deque[tuple[float, object]] = deque()
         self.flooded = 0
-        """Commands and queries dropped because the queue was full."""
+        """Messages dropped because the queue was full."""
 
     def put(self, arrival: object) -> None:
-        """Add an arrival. A full queue drops messages of peers, but never bytes or errors."""
+        """Add an arrival. A full queue drops messages of peers and topics, never bytes or errors."""
         with self._changed:
-            if isinstance(arrival, CommandMessage | Query) and len(self._arrivals) >= MAX_MESSAGES:
+            if (
+                isinstance(arrival, CommandMessage | Query | RobotMessage)
+                and len(self._arrivals) >= MAX_MESSAGES
+            ):
                 self.flooded += 1
                 return
             self._arrivals.append((time.monotonic(), arrival))

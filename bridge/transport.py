@@ -208,7 +208,7 @@ def open_transport(endpoint: str) -> Transport:
     kind, _, address = endpoint.partition("/")
     address, _, settings = address.partition("#")
     if kind == "tcp" and address and not settings:
-        host, port = _split_host(address)
+        host, port = split_host(address, DEFAULT_PORT)
         if host and port.isdigit() and 0 < int(port) < 65536:
             return TcpTransport(host, int(port))
     if kind == "serial" and address:
@@ -220,10 +220,10 @@ def open_transport(endpoint: str) -> Transport:
     raise UsageError(f"base {endpoint}: {_FORM}")
 
 
-def _split_host(address: str) -> tuple[str, str]:
+def split_host(address: str, default_port: int) -> tuple[str, str]:
     """Return host and port as text; an IPv6 address stands in brackets."""
     host, bracket, rest = address.rpartition("]")
     if bracket:
-        return host.removeprefix("["), rest.removeprefix(":") or str(DEFAULT_PORT)
+        return host.removeprefix("["), rest.removeprefix(":") or str(default_port)
     host, colon, port = address.partition(":")
-    return host, port if colon else str(DEFAULT_PORT)
+    return host, port if colon else str(default_port)

@@ -70,6 +70,11 @@ class ZenohLink(ClosedAtExit):
                 self._rmw.announce()
             self._token = tokens.declare_token(self.key("rover/alive/bridge"))
 
+    def watch_robot_side(self, key: str, seen: Callable[[bool], None]) -> None:
+        """Call ``seen`` when a token of the robot's network appears here or goes: the two are connected."""
+        on_token = self._guard(lambda sample: seen(sample.kind == zenoh.SampleKind.PUT))
+        self._held.append(self._session.liveliness().declare_subscriber(key, on_token, history=True))
+
     def _ros2dds_tokens(self) -> list[str]:
         zid = str(self._session.info.zid())
         rows = [row for row in KEYS if row.name in self._publishers or row.name == "cmd_vel"]

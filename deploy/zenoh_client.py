@@ -17,6 +17,7 @@ from rover_ncp.core.errors import FileError, NoBridge, NotAuthorised, Unreachabl
 from rover_ncp.core.files import existing_file
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, key
 from rover_ncp.core.process import ClosedAtExit
+from rover_ncp.core.zenoh_settings import CLIENT
 
 PORT = 7447
 """Zenoh's own port, where the bridge listens."""
@@ -26,18 +27,6 @@ PROBE_S = 1.0
 _LOCATOR = re.compile(
     r"(?P<protocol>[a-z]+)/(?P<host>\[[0-9A-Fa-f:.]+\]|[^/:#?\s]+)(?P<port>:\d+)?(?P<rest>[#?]\S*)?"
 )
-_SETTINGS = {
-    "mode": "client",
-    "scouting/multicast/enabled": False,
-    "scouting/gossip/enabled": False,
-    # How long we may be silent before the bridge drops us; it must be announced by the silent side.
-    "transport/link/tx/lease": 1000,
-    "transport/link/tx/keep_alive": 4,
-    "transport/shared_memory/enabled": False,
-    "connect/timeout_ms": 2000,
-    # The default waits up to 4 s between attempts, which made reconnecting as slow.
-    "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
-}
 
 
 @dataclass(frozen=True)
@@ -132,7 +121,7 @@ def client_config(robot: str, file: Path | None) -> tuple[zenoh.Config, str]:
         config = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
     except zenoh.ZError as error:
         raise FileError(f"{file}: not a Zenoh configuration: {error}") from error
-    for path, value in {**_SETTINGS, "connect/endpoints": [endpoint]}.items():
+    for path, value in {**CLIENT, "connect/endpoints": [endpoint]}.items():
         config.insert_json5(path, json.dumps(value))
     return config, endpoint
 

@@ -215,7 +215,7 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         ended=None,
         target=None,
         idle=Reason.SILENCE,
-        minima=_remember((), state.now, request.sent_ns),
+        minima=remember((), state.now, request.sent_ns),
         motors=True,
     ), None
 
@@ -301,7 +301,7 @@ def _tagged(state: GateState, tag: CommandTag, signed: bool, limits: Limits) -> 
         return Reason.FOREIGN
     if tag.sequence <= lease.last_sequence:
         return Reason.REPEATED
-    minima = _remember(state.minima, state.now, tag.stamp_ns)
+    minima = remember(state.minima, state.now, tag.stamp_ns)
     age = state.now - tag.stamp_ns * 1e-9 - min(offset for _, offset in minima)
     if age > limits.stale_s or tag.stamp_ns < lease.sent_ns:
         return Reason.STALE
@@ -332,7 +332,7 @@ def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Ad
     return _Admitted(state, lease, state.now - max(age, 0.0))
 
 
-def _remember(
+def remember(
     minima: tuple[tuple[int, float], ...], now: float, stamp_ns: int
 ) -> tuple[tuple[int, float], ...]:
     """Add (arrival − stamp) to the minima of the last minute, one a second."""

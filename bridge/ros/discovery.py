@@ -7,6 +7,7 @@ blocks these tokens: then ``ros2 topic list`` shows a topic only once it is subs
 """
 
 from enum import StrEnum
+from typing import NamedTuple
 
 # No keys; reliable; volatile or transient local; keep the last 10 or 1 (Cyclone DDS' numbers).
 _KEEP_10, _LATCHED = ":1:0:0,10", ":1:1:0,1"
@@ -31,3 +32,25 @@ def topic_token(zid: str, key: str, ros_type: str, published: bool, latched: boo
     kind = "MP" if published else "MS"
     qos = _LATCHED if latched else _KEEP_10
     return f"{bridge_token(zid)}/{kind}/{key.replace('/', '§')}/{ros_type.replace('/', '§')}/{qos}"
+
+
+class Announced(NamedTuple):
+    """A topic that a token announces, of either form; ``topic`` has no leading slash.
+
+    ``who`` names the node, or the ROS bridge where the token does not say which node it is.
+    """
+
+    zid: str
+    published: bool
+    topic: str
+    ros_type: str
+    who: str
+
+
+def read_topic_token(token: str) -> Announced | None:
+    """Return what a token of zenoh-bridge-ros2dds announces; None for other tokens."""
+    match token.split("/"):
+        case ["@", zid, "@ros2_lv", "MP" | "MS" as kind, topic, ros_type, *_]:
+            names = topic.replace("§", "/"), ros_type.replace("§", "/")
+            return Announced(zid, kind == "MP", *names, f"zenoh-bridge-ros2dds {zid[:8]}")
+    return None

@@ -12,6 +12,7 @@ from typing import NamedTuple, Self
 
 import xxhash
 
+from bridge.ros.discovery import Announced
 from rover_ncp.core.cdr import type_hash
 from rover_ncp.core.errors import FormatError, UsageError
 
@@ -56,6 +57,7 @@ class Graph:
     domain: int
     zid: str
     namespace: str = ""
+    node: str = NODE_NAME
 
     def __post_init__(self) -> None:
         if self.namespace and not _NAMESPACE.fullmatch(self.namespace):
@@ -77,7 +79,8 @@ class Graph:
 
     def _token(self, number: int, kind: str) -> str:
         # Node 0 of the session, in the enclave "/".
-        return f"@ros2_lv/{self.domain}/{self.zid}/0/{number}/{kind}/%/{_mangled(self.namespace)}/{NODE_NAME}"
+        where = f"@ros2_lv/{self.domain}/{self.zid}/0/{number}"
+        return f"{where}/{kind}/%/{_mangled(self.namespace)}/{self.node}"
 
     def _topic_token(self, number: int, kind: str, topic: Topic) -> str:
         qos = _LATCHED if topic.latched else _KEEP_10
@@ -107,6 +110,17 @@ class Attachment(NamedTuple):
             raise FormatError(f"not an attachment of rmw_zenoh: {len(data)} bytes")
         sequence, stamp_ns, _, gid_ = _ATTACHMENT.unpack(data)
         return cls(sequence, stamp_ns, gid_)
+
+
+def read_token(token: str) -> Announced | None:
+    """Return what a token of rmw_zenoh announces of a topic; None for other tokens."""
+    match token.split("/"):
+        case ["@ros2_lv", _, zid, _, _, "MP" | "MS" as kind, _, namespace, node, topic, dds_type, *_]:
+            *folders, _, name = dds_type.split("::")
+            ros_type = "/".join([*folders, name.removesuffix("_")])
+            who = f"{namespace}/{node}".replace("%", "/").replace("//", "/")
+            return Announced(zid, kind == "MP", topic.removeprefix("%").replace("%", "/"), ros_type, who)
+    return None
 
 
 def gid(token: str) -> bytes:

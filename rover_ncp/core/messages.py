@@ -27,9 +27,12 @@ POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 STRING = "std_msgs/msg/String"
 FLOATS = "std_msgs/msg/Float64MultiArray"
 IMU = "sensor_msgs/msg/Imu"
+BATTERY_STATE = "sensor_msgs/msg/BatteryState"
 
 TWIST_BYTES = 52
 """A Twist is six float64 behind the CDR header; a TwistStamped is always longer."""
+_UNIT_TOLERANCE = 0.1
+"""How far the squared length of a rotation's quaternion may be from 1: some publishers round to float32."""
 _SECOND_NS = 1_000_000_000
 # Planar measurements say nothing of z, roll and pitch: REP convention is a large variance there.
 _UNKNOWN = 1e6
@@ -45,6 +48,8 @@ class OdometrySample(NamedTuple):
     stamp_ns: int
     pose: Pose
     velocity: Velocity
+    frame: str = ODOM_FRAME
+    child: str = BASE_FRAME
 
 
 class TwistSample(NamedTuple):
@@ -59,6 +64,13 @@ class TurnSample(NamedTuple):
 
     stamp_ns: int
     rate: float
+
+
+class BatterySample(NamedTuple):
+    """Voltage, which may be not finite, and whether it charges; None = not known."""
+
+    voltage: float
+    charging: bool | None
 
 
 class PoseSample(NamedTuple):
@@ -96,14 +108,16 @@ def odometry(
     stamp_ns: int,
     pose_variance: Sequence[float] = (0.0, 0.0, 0.0),
     velocity_variance: Sequence[float] = (0.0, 0.0),
+    *,
+    frames: tuple[str, str] = (ODOM_FRAME, BASE_FRAME),
 ) -> bytes:
     """Return an Odometry, base_link in odom; variances of (x, y, theta) and of (v, omega), SI squared."""
     x, y, theta = pose_variance
     v, omega = velocity_variance
     return encode(
         ODOMETRY,
-        header=_header(stamp_ns, ODOM_FRAME),
-        child_frame_id=BASE_FRAME,
+        header=_header(stamp_ns, frames[0]),
+        child_frame_id=frames[1],
         pose={"pose": _pose(pose), "covariance": np.diag([x, y, *[_UNKNOWN] * 3, theta]).ravel()},
         # A base on wheels does not slide sideways: its lateral speed is known to be 0.
         twist={"twist": _twist(velocity), "covariance": np.diag([v, 0.0, *[_UNKNOWN] * 3, omega]).ravel()},
@@ -115,13 +129,22 @@ def read_odometry(data: bytes) -> OdometrySample:
     message = decode(ODOMETRY, data)
     twist = message.twist.twist
     return OdometrySample(
-        _stamp_ns(message.header), _read_pose(message.pose.pose), Velocity(twist.linear.x, twist.angular.z)
+        _stamp_ns(message.header),
+        _read_pose(message.pose.pose),
+        Velocity(twist.linear.x, twist.angular.z),
+        message.header.frame_id,
+        message.child_frame_id,
     )
 
 
 def twist_stamped(velocity: Velocity, stamp_ns: int) -> bytes:
     """Return a TwistStamped in base_link."""
     return encode(TWIST_STAMPED, header=_header(stamp_ns, BASE_FRAME), twist=_twist(velocity))
+
+
+def twist(velocity: Velocity) -> bytes:
+    """Return a Twist."""
+    return encode(TWIST, **_twist(velocity))
 
 
 def read_twist(data: bytes, max_bytes: int = 512) -> TwistSample:
@@ -220,7 +243,7 @@ def battery_state(
     """Return a BatteryState of a lead-acid pack: volts; ``charge`` 0..1; None = not known."""
     unknown = dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity"), math.nan)
     return encode(
-        "sensor_msgs/msg/BatteryState",
+        BATTERY_STATE,
         header=_header(stamp_ns, BASE_FRAME),
         voltage=voltage,
         **unknown,
@@ -229,6 +252,14 @@ def battery_state(
         power_supply_technology=0,  # ROS's list has no lead-acid
         present=True,
     )
+
+
+def read_battery(data: bytes) -> BatterySample:
+    """Read a BatteryState. Raises FormatError."""
+    message = decode(BATTERY_STATE, data)
+    # The type's POWER_SUPPLY_STATUS: 0 unknown, 1 charging, 2 discharging, 3 not charging, 4 full.
+    status = message.power_supply_status
+    return BatterySample(float(message.voltage), None if status == 0 else status == 1)
 
 
 def point_cloud(
@@ -316,7 +347,10 @@ def _pose(pose: Pose) -> dict[str, Any]:
 
 
 def _read_pose(pose: Any) -> Pose:
+    """Return the pose in the plane; the heading is NaN if the quaternion is none, as when all of it is 0."""
     q = pose.orientation
+    if not abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) <= _UNIT_TOLERANCE:
+        return Pose(pose.position.x, pose.position.y, math.nan)
     yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
     return Pose(pose.position.x, pose.position.y, yaw)
 

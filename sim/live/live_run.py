@@ -11,6 +11,9 @@ from rover_ncp.core.process import ClosedAtExit
 from sim.live.processes import Process, compile_driver, uninterrupted
 from sim.live.truth import TRUTH, TruthReader
 
+PIONEER, ROS2DDS, RMW_ZENOH = "tcp/{}", "ros2/tcp/{}", "ros2/tcp/{}#rmw=zenoh"
+"""Forms of ``--base``, of HOST:PORT."""
+
 Started = TypeVar("Started", bound=Process)
 
 
@@ -18,19 +21,27 @@ class LiveRun(ClosedAtExit):
     """Mock and bridge, ready one after the other, and drivers; logs and the mock's truth go to ``folder``.
 
     ``mock`` and ``bridge`` are more arguments for these commands. ``outlet`` is the kind of `Outlet` that
-    takes the bridge's output. ``robot`` is the bridge's Zenoh address.
+    takes the bridge's output. ``base_form`` makes the bridge's ``--base`` of the mock's HOST:PORT. ``robot``
+    is the bridge's Zenoh address.
     """
 
     module = "rover_ncp"
     """Module that Python runs for bridge and drivers."""
 
     def __init__(
-        self, folder: Path, *, mock: Sequence[str] = (), bridge: Sequence[str] = (), outlet: str = ""
+        self,
+        folder: Path,
+        *,
+        mock: Sequence[str] = (),
+        bridge: Sequence[str] = (),
+        outlet: str = "",
+        base_form: str = PIONEER,
     ) -> None:
         self.folder, self.robot = folder, ""
         self.processes: list[Process] = []
         self._deploys = 0
         self._mock_arguments, self._bridge_arguments, self._outlet = mock, bridge, outlet
+        self._base_form = base_form
 
     def __enter__(self) -> Self:
         try:
@@ -58,7 +69,7 @@ class LiveRun(ClosedAtExit):
     def start_bridge(self) -> None:
         """Start the bridge; the next one listens on the same address again."""
         listen = self.robot or "tcp/127.0.0.1:0"
-        arguments = ["--base", f"tcp/{self.base}", "--listen", listen, *self._bridge_arguments]
+        arguments = ["--base", self._base_form.format(self.base), "--listen", listen, *self._bridge_arguments]
         self.bridge = self.start_process(
             lambda: Process("bridge", arguments, self.folder, self.module, outlet=self._outlet)
         )

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from bridge.ros.discovery import Convention
 from rover_ncp.core.console import MOST_SEED, Json, Overwrite
 from sim.world.bodies import PRESET_WORDS, Body, BodyOption
 
@@ -14,7 +15,18 @@ def mock(
     listen: Annotated[
         str, typer.Option(help="HOST:PORT to wait on; port 0 takes a free one.")
     ] = "127.0.0.1:8101",
-    model: Annotated[str, typer.Option(help="p3at, p3at-sh, p3dx or p3dx-sh.")] = "p3at-sh",
+    model: Annotated[
+        str,
+        typer.Option(help="p3at, p3at-sh, p3dx or p3dx-sh; with --ros2 a description: a name or file."),
+    ] = "p3at-sh",
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Simulate a ROS 2 robot, whose topics are on Zenoh.")
+    ] = False,
+    ros: Annotated[
+        Convention,
+        typer.Option(help="With --ros2: the form of its topics on Zenoh; the domain is ROS_DOMAIN_ID."),
+    ] = Convention.ROS2DDS,
+    namespace: Annotated[str, typer.Option(help="With --ros2: prefix of its topics.")] = "",
     course: Annotated[
         str | None, typer.Option(help="Put this course's obstacles around the rover: a name or a file.")
     ] = None,
@@ -58,23 +70,26 @@ def mock(
     gyro: Annotated[bool, typer.Option("--gyro", help="Give the base a gyro that its client reads.")] = False,
     json: Json = False,
 ) -> None:
-    """Simulate a Pioneer: its firmware on a simulated rover, over TCP, in real time.
+    """Simulate a Pioneer: its firmware on a simulated rover, over TCP, in real time; or a ROS 2 robot.
 
     Every program that drives a Pioneer can drive the mock: rover-ncp bridge, ARIA, Player, Soar. The rover
     starts at the origin. Delays, acceleration limits, the watchdog and walls act as on a real one. When the
     mock is ready, it prints the line "listening on HOST:PORT"; Ctrl-C or SIGTERM ends it.
+
+    With --ros2 it is a Zenoh router with the topics of the robot that --model describes.
 
     With --randomize the mock has the errors of one random trial: its delays, gains, noise and start, lost
     commands and a push, for as long as the --course lasts. They begin when the motors are first enabled.
 
     --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
     """
-    from sim.pioneer.run import run_mock
+    from sim.pioneer.run import Ros2Options, run_mock
     from sim.world.randomization import ranges_for
 
     run_mock(
         listen=listen,
         model=model,
+        ros2=Ros2Options(ros, namespace) if ros2 else None,
         course=course,
         truth=truth,
         overwrite=overwrite,

@@ -1,13 +1,15 @@
 """The Pioneers that the mock can be: rover, FLASH values, names.
 
-Factors and outlines are those of ``bridge.pioneer.robots``; FLASH values from real and simulated CONFIGpacs
+Factors, outlines and motion are those of the descriptions; FLASH values from real and simulated CONFIGpacs
 (AriaCoda issue 15, AMRISim). Values without a source are chosen, and are marked so.
 """
 
 import math
 
+from bridge.base import RobotShape, shape_of
 from bridge.pioneer.packets import ConfigPac
 from bridge.pioneer.robots import ROBOTS, RobotParameters
+from rover_ncp.core.robot_description import RobotDescription, load_description
 from sim.world.rover import RoverModel
 
 BASE_NAME, BASE_CLASS = "rover-ncp_mock", "Pioneer"
@@ -18,19 +20,32 @@ TICKS_PER_MM = 128
 BUMPER_SEGMENTS = 5
 """Front and rear, as ARIA's defaults."""
 
-_AT_MASS_KG, _DX_MASS_KG = 12.0, 9.0
+
+def rover_model_of(robot: RobotShape) -> RoverModel:
+    """Return the simulated rover of a shipped model."""
+    return described_rover(load_description(robot.name))
 
 
-def rover_model_of(robot: RobotParameters) -> RoverModel:
-    """Return the simulated rover of a model: the paper's for a 3-AT, with the size of a 3-DX otherwise."""
-    if robot.name.startswith("p3at"):
-        return RoverModel(mass=_AT_MASS_KG, length=robot.length_m, width=robot.width_m)
+def described_rover(description: RobotDescription) -> RoverModel:
+    """Return the simulated rover of a description. Its outline lies evenly around its centre of rotation."""
     return RoverModel(
-        mass=_DX_MASS_KG,
-        length=robot.length_m,
-        width=robot.width_m,
-        v_max=1.2,  # data sheet
-        omega_max=math.radians(300),  # data sheet
+        **description.motion.model_dump(),
+        delay_v_s=description.delays.v_s,
+        delay_omega_s=description.delays.omega_s,
+        length=description.length_m,
+        width=description.width_m,
+        mass=description.mass_kg,
+    )
+
+
+def wheel_parameters(description: RobotDescription) -> RobotParameters:
+    """Return what the drive train needs of a robot that does not speak ARCOS."""
+    return RobotParameters(
+        **vars(shape_of(description)),
+        distance_m=1.0,
+        half_track_m=description.track_m / 2,
+        v_max=description.motion.v_max,
+        omega_max=description.motion.omega_max,
     )
 
 

@@ -1,21 +1,29 @@
 """The ``mock`` command: reads its options, serves until a signal arrives, reports."""
 
 import io
+import os
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from bridge.pioneer.robots import ROBOTS
+from bridge.ros.discovery import Convention
+from bridge.ros.rmw import domain_id
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.process import Interrupts
+from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import load_course
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
-from sim.pioneer.models import config_of, rover_model_of
-from sim.pioneer.server import Server, TruthFile, parse_listen
+from sim.pioneer.models import config_of, described_rover
+from sim.pioneer.real_time import TruthFile
+from sim.pioneer.ros2_robot import Ros2Robot
+from sim.pioneer.ros2_server import Ros2Server
+from sim.pioneer.server import Server, parse_listen
 from sim.pioneer.trial import BaseTrial, draw_rover
 from sim.world.bodies import Body
 from sim.world.randomization import Randomization
@@ -24,10 +32,18 @@ FROM_STDIN = "-"
 """In place of a fault: read more faults from standard input."""
 
 
+class Ros2Options(NamedTuple):
+    """Form and namespace of a ROS 2 robot's topics."""
+
+    convention: Convention
+    namespace: str
+
+
 def run_mock(
     *,
     listen: str,
     model: str,
+    ros2: Ros2Options | None,
     course: str | None,
     truth: Path | None,
     overwrite: bool,
@@ -38,27 +54,41 @@ def run_mock(
     gyro: bool,
     as_json: bool,
 ) -> None:
-    """See ``commands.mock``. Raises UsageError, PortInUse or FileError before anything listens."""
+    """See ``commands.mock``. Raises RoverNcpError before anything listens."""
     output = Output(as_json, controls=True)
     host, port = parse_listen(listen)
-    if model not in ROBOTS:
-        raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}")
+    description = load_description(model)
+    if ros2 is None and model not in ROBOTS:
+        raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}, or --ros2")
+    if ros2 is not None and description.topics is None:
+        raise UsageError(f"--model {model}: the description has no topics, which a ROS 2 robot needs")
     if ranges.body is Body.MUJOCO and not model.startswith("p3at"):
         raise UsageError(f"--model {model}: the body mujoco has four wheels, expected p3at or p3at-sh")
     injected = Faults([parse_fault(text) for text in faults if text != FROM_STDIN], seed)
     # Unbuffered, so that the server's selector sees every line that is left to read.
     fault_lines = io.FileIO(sys.stdin.fileno(), closefd=False) if FROM_STDIN in faults else None
     known = load_course(course) if course else None
-    ideal = rover_model_of(ROBOTS[model])
-    rover, trials = draw_rover(ranges, ideal, known, seed=seed, number=trial)
-    flash = replace(config_of(model), has_gyro=int(gyro))
-
-    firmware = Firmware(
-        model, rover, injected, time.monotonic(), config=flash, trial=BaseTrial(trials), gyro_seed=seed
-    )
-    server = Server(
-        host, port, firmware, TruthFile(truth, overwrite=overwrite) if truth else None, output.say
-    )
+    rover, trials = draw_rover(ranges, described_rover(description), known, seed=seed, number=trial)
+    base_trial, now = BaseTrial(trials), time.monotonic()
+    file = TruthFile(truth, overwrite=overwrite) if truth else None
+    server: Server | Ros2Server
+    if ros2 is None:
+        flash = replace(config_of(model), has_gyro=int(gyro))
+        firmware = Firmware(model, rover, injected, now, config=flash, trial=base_trial, gyro_seed=seed)
+        server = Server(host, port, firmware, file, output.say)
+    else:
+        epoch_s = time.time() - now
+        robot = Ros2Robot(description, rover, injected, now, epoch_s=epoch_s, trial=base_trial, seed=seed)
+        server = Ros2Server(
+            host,
+            port,
+            robot,
+            file,
+            output.say,
+            convention=ros2.convention,
+            domain=domain_id(os.environ),
+            namespace=ros2.namespace,
+        )
     try:
         with Interrupts() as interrupts:
             output.announce(f"listening on {server.host}:{server.port}")
@@ -66,22 +96,32 @@ def run_mock(
     finally:
         server.close()
     pose = rover.pose
+    came = f"{server.bytes_in} bytes of commands"
+    if isinstance(server, Server):
+        came = f"{server.connections} connections, {server.firmware.decoder.packets} packets"
     output.result(
         {
             "listen": f"{server.host}:{server.port}",
             "model": model,
-            "connections": server.connections,
             "bytes_in": server.bytes_in,
             "bytes_out": server.bytes_out,
-            "packets": firmware.decoder.packets,
-            "bad_checksums": firmware.decoder.bad_checksums,
-            "skipped_bytes": firmware.decoder.skipped_bytes,
-            "unknown_commands": sum(firmware.unknown.values()),
-            "bad_arguments": sum(firmware.bad_arguments.values()),
+            **(_of_firmware(server) if isinstance(server, Server) else {"ignored": server.robot.ignored}),
             "touched": server.touched,
             "pose": {"x": pose.x, "y": pose.y, "theta": pose.theta},
             "truth": str(truth) if truth else None,
         },
-        f"{server.connections} connections, {firmware.decoder.packets} packets; "
-        f"the rover stands at x={pose.x:.3f} m, y={pose.y:.3f} m, theta={pose.theta:.3f} rad",
+        f"{came}; the rover stands at x={pose.x:.3f} m, y={pose.y:.3f} m, theta={pose.theta:.3f} rad",
     )
+
+
+def _of_firmware(server: Server) -> dict[str, int]:
+    """Return the counters of a Pioneer's line."""
+    firmware = server.firmware
+    return {
+        "connections": server.connections,
+        "packets": firmware.decoder.packets,
+        "bad_checksums": firmware.decoder.bad_checksums,
+        "skipped_bytes": firmware.decoder.skipped_bytes,
+        "unknown_commands": sum(firmware.unknown.values()),
+        "bad_arguments": sum(firmware.bad_arguments.values()),
+    }

@@ -19,7 +19,7 @@ from bridge.pioneer.states import SessionState
 from bridge.transport import Transport, open_transport
 from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity
-from sim.pioneer.server import TRUTH_COLUMNS
+from sim.pioneer.real_time import TRUTH_COLUMNS
 
 COMMAND = [sys.executable, "-c", "from rover_ncp.cli import main; main()", "mock"]
 

@@ -6,7 +6,7 @@ from sim.faults.measure import in_time
 from sim.faults.table import ROWS, braking_s
 from sim.live.processes import TimedOut
 from sim.live.truth import SAMPLE_S, TruthReader
-from sim.pioneer.server import TRUTH_COLUMNS
+from sim.pioneer.real_time import TRUTH_COLUMNS
 
 STEP_NS = 10_000_000
 EPOCH_NS = 1_700_000_000 * 10**9

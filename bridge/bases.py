@@ -1,0 +1,94 @@
+"""Opens the base that an address and a model name: a Pioneer on a line, or a ROS 2 robot over Zenoh."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from bridge.base import Base
+from bridge.base_connection import BaseConnection
+from bridge.gate.limits import Limits
+from bridge.inbox import Inbox
+from bridge.pioneer.base import ArcosBase
+from bridge.pioneer.robots import ROBOTS
+from bridge.pioneer.session import Session
+from bridge.pioneer.setpoints import MotionLimits
+from bridge.ros_base.address import PREFIX, RosAddress, parse_address
+from bridge.ros_base.base import LoopSeen, Ros2Base
+from bridge.ros_base.line import LOOP_KEY, RosLine
+from bridge.zenoh_link import ZenohLink
+from rover_ncp.core.config import load_yaml
+from rover_ncp.core.errors import UsageError
+from rover_ncp.core.files import shipped_names
+from rover_ncp.core.robot_description import RobotDescription, load_description
+
+
+@dataclass(frozen=True)
+class ChosenBase:
+    """``description`` is None for a Pioneer that says itself what it is; ``ros2`` is None for ARCOS."""
+
+    address: str
+    model: str
+    description: RobotDescription | None
+    ros2: RosAddress | None
+
+
+def choose_base(address: str, model: str) -> ChosenBase:
+    """Check an address and a model. Raises UsageError, FileError or ConfigError."""
+    ros2 = parse_address(address) if address.startswith(PREFIX) else None
+    if model == "auto":
+        if ros2 is None:
+            return ChosenBase(address, model, None, None)
+        known = ", ".join(shipped_names("robots"))
+        raise UsageError(f"--model auto: a ROS 2 robot does not say what it is; name a file, or {known}")
+    description = load_description(model)
+    if ros2 is not None and description.topics is None:
+        raise UsageError(f"--model {model}: the description has no topics, which a ROS 2 robot needs")
+    if ros2 is None and model not in ROBOTS:
+        raise UsageError(f"--model {model}: not a model that speaks ARCOS: auto, {', '.join(ROBOTS)}")
+    return ChosenBase(address, model, description, ros2)
+
+
+def gate_limits(file: Path | None, description: RobotDescription | None) -> Limits:
+    """Return the gate's limits, from a file or the defaults; a robot with ROS 2 bounds them by its own.
+
+    Raises FileError or ConfigError, and UsageError for a limit in the file that the robot does not reach.
+    """
+    given = Limits() if file is None else load_yaml(file, Limits)
+    if description is None or description.topics is None:
+        return given
+    motion, chosen = description.motion, dict[str, float]()
+    own = {"v_max": motion.v_max, "omega_max": motion.omega_max, "brake": motion.decel}
+    for name, most in own.items():
+        value = getattr(given, name)
+        if name in given.model_fields_set and value > most:
+            raise UsageError(f"{file}: {name} is {value:g}, but {description.name} has {most:g} at most")
+        chosen[name] = min(value, most)
+    if "battery_min_v" not in given.model_fields_set:
+        chosen["battery_min_v"] = description.battery.min_v
+    return given.model_copy(update=chosen)
+
+
+def note_on_silence(description: RobotDescription) -> str:
+    """Return what is known of a ROS 2 robot whose commands stop because this bridge died."""
+    timeout_s = description.topics.cmd_vel_timeout_s if description.topics else None
+    if timeout_s is None:
+        return (
+            f"{description.name} is not known to stop without commands: if this bridge dies, it may drive on"
+        )
+    return (
+        f"if this bridge dies, {description.name} should stop after {timeout_s:g} s by its description; "
+        "that is not measured"
+    )
+
+
+def open_base(
+    chosen: ChosenBase, limits: Limits, inbox: Inbox, link: ZenohLink
+) -> tuple[BaseConnection | RosLine, Base]:
+    """Open the line to the base. Raises UsageError or NoRobot."""
+    if chosen.ros2 is None:
+        session = Session(chosen.model, MotionLimits(v=limits.v_max, omega=limits.omega_max))
+        connection = BaseConnection(chosen.address, inbox)
+        return connection, ArcosBase(connection, session)
+    assert chosen.description is not None and chosen.description.topics is not None  # choose_base checks it
+    line = RosLine(chosen.ros2, chosen.description.topics, inbox)
+    link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
+    return line, Ros2Base(line, chosen.description)

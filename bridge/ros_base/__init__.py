@@ -1,0 +1,1 @@
+"""A robot whose ROS 2 topics reach Zenoh, as a base."""

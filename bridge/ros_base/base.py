@@ -1,0 +1,298 @@
+"""A ROS 2 robot as a `Base`: Odometry in, Twist out. Pure; the sessions are in `line.py`.
+
+Rules of this file:
+
+1. The base is ready while odometry arrives often enough and nothing contradicts it. Else it is lost, with the
+   reason, and a driver must request the lease again.
+2. The robot gets a command at least each `REFRESH_S`, zero unless the gate says otherwise.
+3. A message on ``cmd_vel`` that is not ours stops the rover. One that is ours came back through a loop: then
+   drivers' commands could reach the robot past the gate.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from bridge.base import (
+    BaseEvent,
+    BaseReport,
+    Failed,
+    LinkHealth,
+    Lost,
+    Ready,
+    Recovered,
+    Setpoint,
+    TurnRate,
+    shape_of,
+)
+from bridge.inbox import RobotMessage
+from bridge.ros.discovery import Announced
+from bridge.ros_base.odometry import LEAST_IN_RATE_S, RATE_S, Moved, RosOdometer
+from rover_ncp.core.cdr import encode
+from rover_ncp.core.errors import FormatError
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.messages import ODOMETRY, TWIST, TWIST_STAMPED, read_battery, read_imu
+from rover_ncp.core.robot_description import RobotDescription, Topics
+
+REFRESH_S = 0.05
+"""Bases stop without commands after 0.25 s at the earliest (Husky under ROS 1)."""
+REPORT_S = 0.018
+"""Odometry at a higher rate is passed on at most this often."""
+WAIT_S = 6.0
+"""A robot that is not ready after this time cannot be served."""
+LOSS_S = 0.5
+CLEAR_S = 2.0
+"""How long a contradiction must be over before the base is ready again."""
+OWN_S = 2.0
+"""How long after it was sent a command of ours is recognised."""
+COAST_S, DRIVES_ALONE_S = 2.0, 0.5
+"""A robot that still drives so long after the last command, for so long, is driven by another."""
+MOVING_M_S, MOVING_RAD_S = 0.05, 0.15
+ZERO = Velocity(0.0, 0.0)
+_LOOP = (
+    "the robot's Zenoh network is connected to the drivers': commands could reach the robot past the bridge; "
+    "connect the ROS bridge or rmw_zenohd to one of the two"
+)
+_DRIVEN = "the robot drives although the bridge sends zeros: another node or a person drives it"
+
+
+@dataclass(frozen=True)
+class TokenSeen:
+    """A topic was announced, or is announced no more."""
+
+    token: Announced
+    there: bool
+
+
+@dataclass(frozen=True)
+class LoopSeen:
+    """Whether the robot's side can be seen from the drivers' side."""
+
+    there: bool
+
+
+class Line(Protocol):
+    """The session with the robot, as `bridge.ros_base.line.RosLine`."""
+
+    endpoint: str
+    zid: str
+    source: bytes | None
+    """Our own source in messages, where the form has one."""
+
+    def topic(self, name: str) -> str:
+        """Return a topic with the namespace."""
+
+    def publish(self, payload: bytes) -> None:
+        """Send a command."""
+
+    def close(self) -> None:
+        """End the session."""
+
+
+def command(topics: Topics, velocity: Velocity, stamp_ns: int) -> bytes:
+    """Return a command in the type that the robot takes; ``stamp_ns`` is of the robot's clock.
+
+    The unused speed is −0, which other publishers do not send: so a zero of ours is recognised.
+    """
+    twist = {"linear": {"x": velocity.v, "z": -0.0}, "angular": {"z": velocity.omega}}
+    if topics.cmd_vel_type == "Twist":
+        return encode(TWIST, **twist)
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    header = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": topics.base_frame}
+    return encode(TWIST_STAMPED, header=header, twist=twist)
+
+
+class Ros2Base:
+    """One robot, described by ``description``, whose ``topics`` are not None."""
+
+    def __init__(self, line: Line, description: RobotDescription) -> None:
+        assert description.topics is not None
+        self._line, self._description, self._topics = line, description, description.topics
+        self._odometer = RosOdometer(self._topics, description.motion)
+        self._tokens: dict[Announced, None] = {}
+        self._contradictions: dict[str, float] = {}
+        """Reasons against being ready, and when each was last seen."""
+        self._loop = self._ready = self._was_ready = False
+        self._known_restarts = 0
+        self._began_s: float | None = None
+        self._sent: deque[tuple[float, bytes]] = deque(maxlen=256)
+        self._out = ZERO
+        self._driven_s = self._reported_s = -math.inf
+        self._alone_since_s: float | None = None
+        self._battery_v = 0.0
+        self._charging: bool | None = None
+        self._turns: list[float] = []
+
+    def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
+        """See Base."""
+        events: list[BaseEvent] = []
+        match arrival:
+            case RobotMessage():
+                events = self._message(arrival)
+            case TokenSeen(token, there):
+                if there:
+                    self._tokens[token] = None
+                else:
+                    self._tokens.pop(token, None)
+            case LoopSeen(there):
+                self._loop = there
+        changes = self._watch(now)
+        return [*changes, *events] if self._ready else changes
+
+    def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
+        """See Base."""
+        events = self._watch(now)
+        velocity = setpoint.velocity if setpoint.motors and self._ready else ZERO
+        if velocity != self._out or not self._sent or now - self._sent[-1][0] >= REFRESH_S:
+            self._send(velocity, now)
+        if velocity != ZERO:
+            self._driven_s = now
+        return events
+
+    def reset_odometry(self) -> None:
+        """See Base."""
+        self._odometer.reset()
+
+    def health(self) -> LinkHealth:
+        """See Base."""
+        counters = self._odometer.counters
+        return LinkHealth(counters["unreadable"] > 0, counters)
+
+    def close(self, now: float) -> None:
+        """See Base."""
+        self._send(ZERO, now)
+        self._line.close()
+
+    # Messages.
+
+    def _message(self, message: RobotMessage) -> list[BaseEvent]:
+        topic, now = message.topic, message.arrived_s
+        if topic == self._topics.odom:
+            moved = self._odometer.take(message.payload, now, message.source)
+            return self._report(moved, now) if moved is not None else []
+        try:
+            if topic == self._topics.cmd_vel:
+                self._other_command(message)
+            elif topic == self._topics.imu:
+                rate = read_imu(message.payload).rate
+                if math.isfinite(rate):
+                    self._turns.append(rate)
+            elif topic == self._topics.battery_state:
+                battery = read_battery(message.payload)
+                if math.isfinite(battery.voltage):
+                    self._battery_v, self._charging = battery
+        except FormatError:
+            self._odometer.counters["unreadable"] += 1
+        return []
+
+    def _report(self, moved: Moved, now: float) -> list[BaseEvent]:
+        v, omega = moved.velocity
+        drives = abs(v) > MOVING_M_S or abs(omega) > MOVING_RAD_S
+        if not drives or now - self._driven_s < COAST_S or not self._was_ready:
+            self._alone_since_s = None
+        elif self._alone_since_s is None:
+            self._alone_since_s = now
+        elif now - self._alone_since_s > DRIVES_ALONE_S:
+            self._contradictions[_DRIVEN] = now
+        if now - self._reported_s < REPORT_S:
+            return []
+        self._reported_s = now
+        events: list[BaseEvent] = []
+        if self._turns:
+            events.append(TurnRate(math.fsum(self._turns) / len(self._turns)))
+            self._turns.clear()
+        x, y, theta = moved.pose
+        report = BaseReport(x, y, theta, v, omega, battery_v=self._battery_v, charging=self._charging)
+        return [*events, report]
+
+    def _other_command(self, message: RobotMessage) -> None:
+        """Find out whether a message on ``cmd_vel`` is ours that came back, or another publisher's."""
+        now, where = message.arrived_s, self._line.topic(self._topics.cmd_vel)
+        own = message.source is not None and message.source == self._line.source
+        if own or any(now - at < OWN_S and data == message.payload for at, data in self._sent):
+            self._contradictions[
+                f"the bridge's own commands on {where} come back to it, or another bridge drives this robot"
+            ] = now
+            return
+        others = sorted({found.who for found in self._announced(self._topics.cmd_vel, published=True)})
+        who = " or ".join(others) or "a publisher without a name"
+        self._contradictions[f"{who} publishes {where} too"] = now
+        self._odometer.counters["foreign"] += 1
+
+    def _announced(self, topic: str, published: bool) -> list[Announced]:
+        """Return what others announce of a topic."""
+        name = self._line.topic(topic)
+        return [
+            found
+            for found in self._tokens
+            if found.topic == name and found.published == published and found.zid != self._line.zid
+        ]
+
+    # State.
+
+    def _watch(self, now: float) -> list[BaseEvent]:
+        """Decide whether the base is ready, and return the events of a change."""
+        self._began_s = now if self._began_s is None else self._began_s
+        problem = self._problem(now)
+        if problem and self._ready:
+            self._ready = False
+            self._odometer.count_anew()
+            return [Lost(problem)]
+        if not problem and not self._ready:
+            again = self._was_ready and self._odometer.restarts == self._known_restarts
+            self._ready = self._was_ready = True
+            self._known_restarts = self._odometer.restarts
+            name = f"{self._description.name} on {self._line.endpoint}"
+            return [Recovered() if again else Ready(name, shape_of(self._description))]
+        if problem and not self._was_ready and now - self._began_s > WAIT_S:
+            return [Failed(f"{self._line.endpoint}: {problem}")]
+        return []
+
+    def _problem(self, now: float) -> str:
+        """Return why the base is not ready; "" if it is."""
+        if self._loop:
+            return _LOOP
+        where = self._line.topic(self._topics.odom)
+        if self._odometer.publishers(now) > 1:
+            who = sorted({found.who for found in self._announced(self._topics.odom, published=True)})
+            named = f": {' and '.join(who)}" if len(who) > 1 else ""
+            self._contradictions[f"two publishers on {where}{named}"] = now
+        for reason, seen_s in self._contradictions.items():
+            if now - seen_s < CLEAR_S:
+                return reason
+        if not self._ready:
+            return self._other_type() if self._odometer.enough(now) else self._no_odometry(where, now)
+        if self._odometer.restarts != self._known_restarts:
+            return f"odometry on {where} began again: the robot restarted, or its clock was set back"
+        if self._odometer.age_s(now) <= LOSS_S:
+            return ""
+        return self._odometer.problem or f"no odometry on {where} for {LOSS_S} s"
+
+    def _no_odometry(self, where: str, now: float) -> str:
+        rate = self._odometer.rate_hz(now)
+        if rate > 0:
+            least = f"expected {LEAST_IN_RATE_S / RATE_S:g} or more, evenly"
+            return self._odometer.problem or f"odometry on {where} arrives {rate:.1f} times a second, {least}"
+        types = sorted({found.ros_type for found in self._announced(self._topics.odom, published=True)})
+        if types and types != [ODOMETRY]:
+            return f"{where} has the type {', '.join(types)}, expected {ODOMETRY}"
+        published = sorted({found.topic for found in self._tokens if found.published})
+        known = f"published there: {', '.join(published[:8])}" if published else "no topic is announced there"
+        return f"no {ODOMETRY} arrives on {where}; {known}"
+
+    def _other_type(self) -> str:
+        """Return what is wrong with the type of ``cmd_vel``, as the robot announces it."""
+        wanted = f"geometry_msgs/msg/{self._topics.cmd_vel_type}"
+        types = {found.ros_type for found in self._announced(self._topics.cmd_vel, published=False)}
+        if not types or wanted in types:
+            return ""
+        where, found = self._line.topic(self._topics.cmd_vel), ", ".join(sorted(types))
+        return f"the robot takes {found} on {where}: set topics.cmd_vel_type in the description, now {wanted}"
+
+    def _send(self, velocity: Velocity, now: float) -> None:
+        data = command(self._topics, velocity, self._odometer.robot_clock_ns(now))
+        self._sent.append((now, data))
+        self._out = velocity
+        self._line.publish(data)

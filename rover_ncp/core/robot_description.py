@@ -1,0 +1,219 @@
+"""Robot description: what a model of robot is like, from its makers' figures, with the source of each.
+
+Shipped descriptions and those of users are YAML; ``based_on`` takes all that a file leaves out from another
+one. A measured robot of that model is a `rover_ncp.core.robot_profile`.
+"""
+
+from datetime import date
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from rover_ncp.core.config import StrictModel, read_yaml, validated
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.files import read_text, resolve
+
+_DEPTH = 4
+"""How many files may be based on each other."""
+
+Metres = Annotated[float, Field(gt=0, le=5)]
+TopicName = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*(/[A-Za-z_]\w*)*$")]
+
+
+class Rectangle(StrictModel):
+    """An outline around the centre of rotation, bumpers included."""
+
+    front_m: Metres
+    rear_m: Metres
+    width_m: Metres
+
+
+class Circle(StrictModel):
+    """A round outline; its middle is the centre of rotation."""
+
+    radius_m: Metres
+
+
+class Wheels(StrictModel):
+    """Driven wheels, all alike: two, or four with an axle distance."""
+
+    radius_m: Metres
+    width_m: Metres
+    track_m: Metres
+    """Between the middles of left and right wheels."""
+    axles_m: float = Field(default=0.0, ge=0, le=5)
+    """Between the front and the rear axle; 0 for one axle."""
+
+
+class Drive(StrictModel):
+    """Differential: one axle. Skid: wheels that slip sideways in a turn."""
+
+    kind: Literal["differential", "skid"]
+    effective_track_m: Metres | None = None
+    """Difference of wheel speeds over turn rate, as its odometry has it; None = the wheels' track."""
+
+
+class Motion(StrictModel):
+    """Limits in m/s, rad/s, m/s² and rad/s² that the base keeps by itself."""
+
+    v_max: float = Field(gt=0, le=5)
+    omega_max: float = Field(gt=0, le=10)
+    accel: float = Field(gt=0, le=50)
+    decel: float = Field(gt=0, le=50)
+    alpha: float = Field(gt=0, le=100)
+    alpha_decel: float = Field(gt=0, le=100)
+
+
+class Delays(StrictModel):
+    """From a command's arrival at the base until the speed begins to change."""
+
+    v_s: float = Field(ge=0, le=2)
+    omega_s: float = Field(ge=0, le=2)
+
+
+class Odometry(StrictModel):
+    """How often the base reports its pose, and its usual errors."""
+
+    rate_hz: float = Field(gt=0, le=1000)
+    noise_m: float = Field(default=0.0, ge=0, le=1)
+    noise_rad: float = Field(default=0.0, ge=0, le=1)
+
+
+class Gyro(StrictModel):
+    """A gyro that the base publishes."""
+
+    rate_hz: float = Field(gt=0, le=1000)
+    noise_rad_s: float = Field(default=0.0, ge=0, le=1)
+
+
+class Battery(StrictModel):
+    """Voltages of the whole pack."""
+
+    nominal_v: float = Field(gt=0, le=100)
+    min_v: float = Field(ge=0, le=100)
+    """The gate stops a robot whose battery stays below this."""
+
+
+class Topics(StrictModel):
+    """ROS 2 topics without a leading slash; None = the robot has none."""
+
+    odom: TopicName = "odom"
+    cmd_vel: TopicName = "cmd_vel"
+    cmd_vel_type: Literal["Twist", "TwistStamped"] = "Twist"
+    imu: TopicName | None = None
+    battery_state: TopicName | None = None
+    odom_frame: str = Field(default="odom", min_length=1)
+    base_frame: str = Field(default="base_link", min_length=1)
+    cmd_vel_timeout_s: float | None = Field(default=None, gt=0, le=10)
+    """The published time after which the base halts without a command; None = none is known."""
+
+
+class Sonars(StrictModel):
+    """Poses of the sonars on the base, in m and degrees; the index is the sonar's number."""
+
+    height_m: Metres
+    poses_m_deg: tuple[tuple[float, float, float], ...]
+
+
+class Arcos(StrictModel):
+    """Parameters of a Pioneer, in the units of its maker's parameter files."""
+
+    distance_mm: float = Field(gt=0)
+    """Per unit of XPOS and YPOS (DistConvFactor)."""
+    diff_conv_factor: float = Field(gt=0)
+    v_top_mm_s: int = Field(gt=0)
+    omega_top_deg_s: int = Field(gt=0)
+
+
+class Source(StrictModel):
+    """The origin of figures; ``of`` are their paths in the file, ``read`` is when they were read there."""
+
+    of: tuple[str, ...]
+    source: str = Field(min_length=1)
+    read: date
+
+
+class RobotDescription(StrictModel):
+    """One model of robot. SI units."""
+
+    format: Literal[1] = 1
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")
+    based_on: str | None = None
+    footprint: Rectangle | Circle
+    height_m: Metres
+    mass_kg: float = Field(gt=0, le=2000)
+    wheels: Wheels
+    drive: Drive
+    motion: Motion
+    delays: Delays
+    odometry: Odometry
+    gyro: Gyro | None = None
+    battery: Battery
+    topics: Topics | None = None
+    """None for a robot without ROS 2."""
+    sonars: Sonars | None = None
+    arcos: Arcos | None = None
+    """None for a robot that does not speak ARCOS."""
+    sources: tuple[Source, ...] = ()
+
+    @model_validator(mode="after")
+    def _has_the_wheels_of_its_drive(self) -> Self:
+        if (self.wheels.axles_m > 0) != (self.drive.kind == "skid"):
+            raise ValueError("a skid drive needs wheels.axles_m, a differential drive has none")
+        return self
+
+    @property
+    def front_m(self) -> float:
+        """How far the outline reaches before the centre of rotation."""
+        return self.footprint.radius_m if isinstance(self.footprint, Circle) else self.footprint.front_m
+
+    @property
+    def rear_m(self) -> float:
+        """How far the outline reaches behind the centre of rotation."""
+        return self.footprint.radius_m if isinstance(self.footprint, Circle) else self.footprint.rear_m
+
+    @property
+    def length_m(self) -> float:
+        """Length of the outline."""
+        return self.front_m + self.rear_m
+
+    @property
+    def width_m(self) -> float:
+        """Width of the outline; a round robot counts as a square in simulators and checks."""
+        return 2 * self.footprint.radius_m if isinstance(self.footprint, Circle) else self.footprint.width_m
+
+    @property
+    def track_m(self) -> float:
+        """The track by which the base turns a turn rate into wheel speeds."""
+        return self.drive.effective_track_m or self.wheels.track_m
+
+
+def load_description(name_or_path: str | Path) -> RobotDescription:
+    """Load a shipped description by name or a file by path. Raises FileError or ConfigError."""
+    return validated(_merged(str(name_or_path), _DEPTH), RobotDescription, str(name_or_path))
+
+
+def _merged(name_or_path: str, depth: int) -> dict[str, Any]:
+    """Return a file's data over that of the file it is based on, section by section."""
+    data = read_yaml(read_text(resolve("robots", name_or_path)), name_or_path)
+    if not isinstance(data, dict):
+        raise ConfigError(name_or_path, [f"expected a mapping of keys, got {type(data).__name__}"])
+    base = data.get("based_on")
+    if base is None:
+        return data
+    if not isinstance(base, str) or not depth:
+        raise ConfigError(
+            name_or_path, [f"$.based_on: expected a description's name, in {_DEPTH} steps at most"]
+        )
+    merged = _merged(base, depth - 1)
+    inherited = merged.get("sources")
+    for key, value in data.items():
+        known = merged.get(key)
+        if isinstance(known, dict) and isinstance(value, dict) and key != "footprint":
+            merged[key] = {**known, **value}
+        else:
+            merged[key] = value
+    if isinstance(inherited, list) and isinstance(merged.get("sources"), list):
+        merged["sources"] = [*merged["sources"], *inherited] if "sources" in data else inherited
+    return merged

@@ -1,0 +1,151 @@
+"""The loop of a mock: a simulated base in real time, faults while it runs, and the true pose into a file.
+
+One thread: it sleeps until something arrives or the base's next message is due, then advances the base to the
+present.
+"""
+
+import selectors
+import time
+from collections.abc import Callable
+from io import FileIO
+from pathlib import Path
+from typing import Protocol
+
+from rover_ncp.core.errors import UsageError
+from rover_ncp.core.files import create
+from sim.pioneer.drive_train import DriveTrain
+from sim.pioneer.faults import Fault, parse_fault
+from sim.pioneer.lateness import Lateness
+from sim.world.rover import SUBSTEP_S
+
+PERIOD_S = SUBSTEP_S
+"""The mock sleeps no longer than a step, so a turn that ends later shows how long it had no CPU."""
+
+TRUTH_COLUMNS = ("t_ns", "t_s", "x", "y", "theta", "v", "omega", "contact", "clock_ns")
+"""Wall clock in ns, time since the start in s, true pose in m and rad, speeds in m/s and rad/s, 0 or 1,
+simulation clock in ns: the end of the step on the machine's monotonic clock, whenever it was computed."""
+
+
+def clock_ns(now: float) -> int:
+    """Return a moment of the simulation clock in ns."""
+    return round(now * 1e9)
+
+
+class SimulatedBase(Protocol):
+    """A base on a simulated rover, as `sim.pioneer.firmware.Firmware`."""
+
+    drive: DriveTrain
+    sip_due_s: float
+    """When the base sends its next message."""
+    observe: Callable[[float], None] | None
+    """Called after each substep with its time in s."""
+
+    @property
+    def now(self) -> float:
+        """The time up to which the rover has moved, s."""
+
+    def advance(self, now: float) -> None:
+        """Let time pass until ``now``."""
+
+    def inject(self, fault: Fault) -> None:
+        """Add a fault from now on."""
+
+
+class TruthFile:
+    """The true pose as CSV, 100 lines a second, flushed as they come: a kill leaves whole lines behind."""
+
+    def __init__(self, path: Path, *, overwrite: bool = False) -> None:
+        """Raise FileError for a path where a file exists, unless ``overwrite``, or where none can be made."""
+        self._file = create(path, overwrite=overwrite)
+        self._lines = [",".join(TRUTH_COLUMNS)]
+        self.flush()
+
+    def add(self, base: SimulatedBase, t_ns: int, t_s: float) -> None:
+        """Note where the rover is at the end of a step."""
+        rover = base.drive.rover
+        (x, y, theta), (v, omega) = rover.pose, rover.velocity
+        self._lines.append(
+            f"{t_ns},{t_s:.2f},{x:.6f},{y:.6f},{theta:.6f},{v:.5f},{omega:.5f},{int(rover.in_contact)},"
+            f"{clock_ns(base.now)}"
+        )
+
+    def flush(self) -> None:
+        """Hand over to the system what was noted, in whole lines."""
+        if self._lines:
+            self._file.write(("\n".join(self._lines) + "\n").encode("ascii"))
+            self._file.flush()
+            self._lines.clear()
+
+    def close(self) -> None:
+        """Write what is left and close."""
+        self.flush()
+        self._file.close()
+
+
+class RealTimeLoop:
+    """Advances ``base``, whose clock is the machine's monotonic clock; subclasses connect it to a line."""
+
+    def __init__(
+        self, base: SimulatedBase, truth: TruthFile | None = None, say: Callable[[str], None] = print
+    ) -> None:
+        self.touched = False
+        """Whether the rover ever touched anything."""
+        self.selector = selectors.DefaultSelector()
+        """Calls the data of each key when there is something to read."""
+        self._truth, self._say = truth, say
+        self._lateness = Lateness()
+        self._base, self._start_s = base, base.now
+        base.observe = self._observe
+
+    def send(self) -> None:
+        """Send what the base has to send."""
+        raise NotImplementedError
+
+    def serve(self, stopping: Callable[[], bool], fault_lines: FileIO | None = None) -> None:
+        """Serve until ``stopping``; each line of ``fault_lines`` is one more fault.
+
+        Each line is answered by ``applied t_ns=… late_ns=…``: the simulation clock when the fault began, and
+        how late the loop ended a turn at worst since the line before. An empty line asks only for the answer.
+        """
+        if fault_lines is not None:
+            self.selector.register(fault_lines, selectors.EVENT_READ, lambda: self._read_fault(fault_lines))
+        while not stopping():
+            sleep_s = max(min(self._base.sip_due_s - time.monotonic(), PERIOD_S), 0.0)
+            self._lateness.begin(sleep_s)
+            for key, _ in self.selector.select(sleep_s):
+                key.data()
+            self._base.advance(time.monotonic())
+            self.send()
+            if self._truth:
+                self._truth.flush()
+            self._lateness.end()
+
+    def close(self) -> None:
+        """Close everything."""
+        self.selector.close()
+        if self._truth:
+            self._truth.close()
+
+    def _read_fault(self, fault_lines: FileIO) -> None:
+        line = fault_lines.readline()
+        if not line:
+            self.selector.unregister(fault_lines)
+            return
+        text = line.decode(errors="replace").strip()
+        try:
+            fault = parse_fault(text) if text else None
+        except UsageError as error:
+            self._say(str(error))
+            return
+        self._base.advance(time.monotonic())
+        if fault is not None:
+            self._base.inject(fault)
+        late_ns = clock_ns(self._lateness.take())
+        self._say(f"applied t_ns={clock_ns(self._base.now)} late_ns={late_ns} {text}".rstrip())
+
+    def _observe(self, now: float) -> None:
+        contact = self._base.drive.rover.in_contact
+        self.touched |= contact
+        if self._truth:
+            behind_ns = round((time.monotonic() - now) * 1e9)
+            self._truth.add(self._base, time.time_ns() - behind_ns, now - self._start_s)

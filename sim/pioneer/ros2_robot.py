@@ -1,0 +1,185 @@
+"""A ROS 2 robot on a simulated rover: commands in, messages out, time passed in.
+
+It moves as its description says. It publishes odometry and gyro at their rates, stamped by its own clock.
+Without a command it halts after the description's timeout, or not at all. A command stamped longer ago than
+that is ignored, as ros2_control's diff_drive_controller does.
+"""
+
+import math
+import random
+from collections.abc import Callable
+
+from rover_ncp.core import messages
+from rover_ncp.core.errors import FormatError
+from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.core.messages import TWIST_BYTES
+from rover_ncp.core.robot_description import RobotDescription
+from rover_ncp.course.course import TICK_S
+from sim.pioneer.drive_train import DriveTrain
+from sim.pioneer.faults import Fault, Faults
+from sim.pioneer.models import wheel_parameters
+from sim.pioneer.trial import BaseTrial
+from sim.world.randomization import nominal_trials
+from sim.world.rover import SUBSTEP_S, Rover
+
+RESTART_S = 1.5
+"""How long a robot that restarts is silent (chosen)."""
+BATTERY_S = 1.0
+
+
+class Ros2Robot:
+    """One robot, which has topics; ``epoch_s`` is its wall clock minus the clock of ``start_s``."""
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        rover: Rover,
+        faults: Faults | None = None,
+        start_s: float = 0.0,
+        *,
+        epoch_s: float = 0.0,
+        trial: BaseTrial | None = None,
+        seed: int = 0,
+    ) -> None:
+        assert description.topics is not None
+        self.description, self.topics = description, description.topics
+        self._trial = trial or BaseTrial(nominal_trials(rover.model, ticks=1))
+        self.drive = DriveTrain(wheel_parameters(description), rover, self._trial)
+        self.drive.enable(True)
+        self.observe: Callable[[float], None] | None = None
+        self.sip_due_s = start_s
+        self.ignored = 0
+        """Commands that could not be read, or were too old."""
+        self._faults, self._random = faults or Faults(), random.Random(seed)
+        self._start_s, self._substeps, self._epoch_s = start_s, 0, epoch_s
+        self._first_s: float | None = None
+        """When the first command that moves it came."""
+        self._fed_s = self._silent_until_s = -math.inf
+        self._was_reset = False
+        self._gyro_due_s = self._battery_due_s = start_s
+        self._turned, self._turned_s = rover.turned, start_s
+        self._out: list[tuple[str, bytes]] = []
+        self._frozen: Pose | None = None
+
+    @property
+    def now(self) -> float:
+        """The time up to which the rover has moved, s."""
+        return self._start_s + self._substeps * SUBSTEP_S
+
+    def advance(self, now: float) -> None:
+        """Let time pass until ``now``."""
+        while self.now + SUBSTEP_S <= now + 1e-9:
+            self._substep()
+
+    def command(self, payload: bytes, now: float) -> None:
+        """Take a message of its ``cmd_vel``."""
+        self.advance(now)
+        if self._fault("deaf") is not None or self._trial.lost or self.now < self._silent_until_s:
+            return
+        stamped = self.topics.cmd_vel_type == "TwistStamped"
+        try:
+            velocity, stamp_ns = messages.read_twist(self._faults.damage(payload, self._moved_s))
+        except FormatError:
+            self.ignored += 1
+            return
+        timeout_s = self.topics.cmd_vel_timeout_s
+        late = (
+            stamp_ns is not None and timeout_s is not None and self._stamp_ns() - stamp_ns > timeout_s * 1e9
+        )
+        finite = all(map(math.isfinite, velocity))
+        if stamped != (len(payload) > TWIST_BYTES) or late or not finite:
+            self.ignored += 1
+            return
+        if self._first_s is None and any(velocity):
+            self._first_s = self.now
+        self._fed_s = self.now
+        self.drive.set_speed(velocity.v)
+        self.drive.set_turn(velocity.omega)
+
+    def messages(self) -> list[tuple[str, bytes]]:
+        """Return the messages since the last call, with their topics."""
+        sent, self._out = self._out, []
+        return sent
+
+    def inject(self, fault: Fault) -> None:
+        """Add a fault from now on; its times count from now, if the robot ever moved."""
+        self._faults.add(fault, self._moved_s)
+
+    @property
+    def _moved_s(self) -> float | None:
+        return None if self._first_s is None else self.now - self._first_s
+
+    def _fault(self, name: str) -> float | None:
+        return self._faults.value(name, self._moved_s)
+
+    def _stamp_ns(self) -> int:
+        return round((self.now + self._epoch_s) * 1e9)
+
+    def _substep(self) -> None:
+        reset = self._fault("reset") is not None
+        if reset and not self._was_reset:
+            self.drive.stop()
+            self.drive.zero_odometry()
+            self._silent_until_s = self.now + RESTART_S
+        self._was_reset = reset
+        if self._moved_s is not None:
+            tick = int(self._moved_s / TICK_S + 1e-9)
+            if tick > self._trial.tick:
+                self._trial.tick = tick
+                if push := self._trial.push:
+                    self.drive.rover.push(push)
+        timeout_s = self.topics.cmd_vel_timeout_s
+        if timeout_s is not None and self.now - self._fed_s > timeout_s:
+            self.drive.stop()
+        self.drive.substep(halted=self._fault("stall") is not None)
+        self._substeps += 1
+        if self.observe:
+            self.observe(self.now)
+        self._report()
+
+    def _report(self) -> None:
+        due = self.now >= self.sip_due_s - 1e-9
+        if due:
+            self.sip_due_s = max(self.sip_due_s + 1.0 / self.description.odometry.rate_hz, self.now)
+        if self._fault("mute") is not None or self.now < self._silent_until_s:
+            return
+        gyro, topics = self.description.gyro, self.topics
+        if gyro is not None and topics.imu is not None and self.now >= self._gyro_due_s - 1e-9:
+            self._gyro_due_s = max(self._gyro_due_s + 1.0 / gyro.rate_hz, self.now)
+            self._emit(topics.imu, messages.imu(self._turn_rate(), gyro.noise_rad_s**2, self._stamp_ns()))
+        if topics.battery_state is not None and self.now >= self._battery_due_s - 1e-9:
+            self._battery_due_s = self.now + BATTERY_S
+            volts = self._fault("low-battery") or self.description.battery.nominal_v
+            self._emit(topics.battery_state, messages.battery_state(volts, self._stamp_ns()))
+        if due:
+            frames = topics.odom_frame, topics.base_frame
+            odometry = messages.odometry(self._pose(), self.drive.measured, self._stamp_ns(), frames=frames)
+            self._emit(topics.odom, odometry)
+
+    def _turn_rate(self) -> float:
+        assert self.description.gyro is not None
+        turned, seconds = self.drive.rover.turned, self.now - self._turned_s
+        rate = (turned - self._turned) / seconds if seconds > 0 else 0.0
+        self._turned, self._turned_s = turned, self.now
+        return rate + self._random.gauss(0.0, self.description.gyro.noise_rad_s)
+
+    def _pose(self) -> Pose:
+        """Return the pose that it reports: the encoders', with the errors of trial and faults."""
+        if self._fault("freeze-odometry") is None:
+            self._frozen = None
+        elif self._frozen is not None:
+            return self._frozen
+        (x, y, theta), noise, gauss = self.drive.odometry, self._trial.noise, self._random.gauss
+        own = self.description.odometry if self.drive.moving else None
+        spread_m, spread_rad = (own.noise_m, own.noise_rad) if own else (0.0, 0.0)
+        pose = Pose(
+            x + noise.x + gauss(0.0, spread_m) + (self._fault("jump-odometry") or 0.0),
+            y + noise.y + gauss(0.0, spread_m),
+            wrap_angle(theta + noise.theta + gauss(0.0, spread_rad)),
+        )
+        if self._fault("freeze-odometry") is not None:
+            self._frozen = pose
+        return pose
+
+    def _emit(self, topic: str, payload: bytes) -> None:
+        self._out.append((topic, self._faults.damage(payload, self._moved_s)))

@@ -1,0 +1,205 @@
+"""A bridge with a ROS 2 robot behind it, in the form of either Zenoh integration, as real processes.
+
+The robot is the mock. Publishers beside it encode with an independent library.
+"""
+
+import json
+import struct
+import threading
+import time
+
+import pytest
+import zenoh
+from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, wait_for
+from ros_cdr import TwistStamped, odometry
+
+from rover_ncp.core.geometry import Velocity
+from sim.live.live_run import RMW_ZENOH, ROS2DDS
+from sim.live.processes import Process
+from sim.pioneer.ros2_server import free_port
+
+# Published in each message package of ROS 2 Jazzy (REP-2011).
+ODOMETRY_HASH = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
+STAMPED_HASH = "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64"
+STOP_S = 0.5
+DECEL_M_S2, DELAY_S = 2.5, 0.08
+"""The description of the Burger."""
+
+
+def robot(folder, form, model="turtlebot3-burger", **more):
+    ros = "rmw-zenoh" if form == RMW_ZENOH else "ros2dds"
+    mock = ["--ros2", "--model", model, "--ros", ros]
+    return Rig(folder, mock=mock, bridge=["--model", model], base_form=form, **more)
+
+
+@pytest.fixture(scope="module", params=[ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])
+def rig(request, tmp_path_factory):
+    with robot(tmp_path_factory.mktemp("rig"), request.param) as rig:
+        yield rig
+
+
+@pytest.fixture
+def driver(rig):
+    with Driver(rig.locator) as driver:
+        yield driver
+        driver.stop()
+        rig.stood_after(time.time_ns(), 0.1)
+        driver.motors(enable=False)
+        driver.stop(release=True)
+
+
+def test_the_driver_drives_and_odometry_begins_at_zero(rig, driver):
+    wait_for(lambda: driver.odom is not None)
+    assert max(map(abs, driver.odom.pose)) < 0.01
+    driver.start(v=0.15)
+    driver.drive(0.5, v=0.15)
+    assert driver.gate.held == ""
+    assert driver.out == Velocity(0.15, 0.0)
+    assert driver.odom.velocity.v == pytest.approx(0.15, abs=0.02)
+    wait_for(lambda: {"imu", "battery_state"} <= set(driver.seen))
+
+
+def test_silence_stops_the_robot(rig, driver):
+    sent_ns = driver.start(v=0.15).drive(0.3, v=0.15)
+    assert rig.speed_at(sent_ns) > 0.1
+    assert rig.stood_after(sent_ns) < STOP_S + DELAY_S + 0.15 / DECEL_M_S2 + MACHINE_S
+
+
+def test_the_gate_keeps_the_robot_within_its_own_speed(rig, driver):
+    driver.start(v=0.2)
+    for _ in range(10):
+        driver.send(v=5.0)
+        time.sleep(PERIOD_S)
+    assert driver.out == Velocity(0.22, 0.0)  # the e-manual's maximum, below the gate's default of 0.3 m/s
+    assert driver.gate.limited["speed"] > 0
+
+
+class RobotNetwork:
+    """The Zenoh network of a robot that this process is: odometry by pycdr2, and all commands that arrive."""
+
+    def __init__(self, form, *connect):
+        self.form, self.commands, self.tokens = form, [], {}
+        self.port = free_port("127.0.0.1")
+        settings = zenoh.Config()
+        for path, value in {
+            "mode": "router",
+            "listen/endpoints": [f"tcp/127.0.0.1:{self.port}"],
+            "connect/endpoints": list(connect),
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "scouting/delay": 0,
+            "connect/retry": {"period_init_ms": 50, "period_max_ms": 50},
+        }.items():
+            settings.insert_json5(path, json.dumps(value))
+        self.session = zenoh.open(settings)
+        rmw = form == RMW_ZENOH
+        # As rmw_zenoh's design has them: domain, topic, type and the hash of the type's definition.
+        self.odom_key = f"0/odom/nav_msgs::msg::dds_::Odometry_/{ODOMETRY_HASH}" if rmw else "odom"
+        self.cmd_key = (
+            f"0/cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/{STAMPED_HASH}" if rmw else "cmd_vel"
+        )
+        self._held = [
+            self.session.declare_subscriber(self.cmd_key, self.commands.append),
+            self.session.liveliness().declare_subscriber("**", self._token, history=True),
+            self.session.liveliness().declare_subscriber("@/*/@ros2_lv/**", self._token, history=True),
+            self.session.liveliness().declare_subscriber("@ros2_lv/**", self._token, history=True),
+        ]
+        self._sent, self._closing = 0, threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _token(self, sample):
+        self.tokens[str(sample.key_expr)] = sample.kind
+
+    def _run(self):
+        while not self._closing.wait(0.05):
+            self._sent += 1
+            attachment = struct.pack("<qqB16s", self._sent, time.time_ns(), 16, b"r" * 16)
+            rmw = self.form == RMW_ZENOH
+            self.session.put(self.odom_key, odometry(time.time()), attachment=attachment if rmw else None)
+
+    @property
+    def base(self):
+        return self.form.format(f"127.0.0.1:{self.port}")
+
+    def close(self):
+        self._closing.set()
+        self._thread.join()
+        self.session.close()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+
+def bridge_to(network, folder, *more):
+    arguments = ["--base", network.base, "--model", "turtlebot3-burger", "--listen", "tcp/127.0.0.1:0", *more]
+    return Process("bridge", arguments, folder)
+
+
+@pytest.mark.parametrize("form", [ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])
+def test_what_goes_over_the_wire_is_in_the_published_form(form, tmp_path):
+    with RobotNetwork(form) as network, bridge_to(network, tmp_path) as process:
+        locator = dict(part.split("=", 1) for part in process.wait_for_line("ready ").split())["zenoh"]
+        with Driver(locator) as driver:
+            wait_for(lambda: driver.motors().granted)
+            driver.drive(0.5, v=0.1)
+        driven = [TwistStamped.deserialize(sample.payload.to_bytes()) for sample in network.commands]
+        assert max(message.twist.linear.x for message in driven) == pytest.approx(0.1)
+        assert {message.header.frame_id for message in driven} == {"base_footprint"}
+        late_s = time.time() - driven[-1].header.stamp.sec - driven[-1].header.stamp.nanosec * 1e-9
+        assert 0.0 < late_s < 5.0
+        tokens = [token.split("/") for token in network.tokens]
+        if form == ROS2DDS:
+            assert all(sample.attachment is None for sample in network.commands)
+            shown = {tuple(token[3:]) for token in tokens if token[0] == "@" and len(token) > 3}
+            assert ("MP", "cmd_vel", "geometry_msgs§msg§TwistStamped", ":1:0:0,10") in shown
+            assert ("MS", "odom", "nav_msgs§msg§Odometry", ":1:0:0,10") in shown
+        else:
+            # 33 bytes: sequence number, time in ns, the length 16, the publisher's 16 bytes.
+            unpacked = [struct.unpack("<qqB16s", s.attachment.to_bytes()) for s in network.commands]
+            assert [number for number, *_ in unpacked] == sorted({number for number, *_ in unpacked})
+            assert {(length, gid) for _, _, length, gid in unpacked} == {(16, unpacked[0][3])}
+            shown = {(token[5], token[8], *token[9:12]) for token in tokens if len(token) == 13}
+            cmd_vel = ("%cmd_vel", "geometry_msgs::msg::dds_::TwistStamped_", STAMPED_HASH)
+            assert ("MP", "rover_bridge", *cmd_vel) in shown
+        assert process.stop().code == 0
+        assert TwistStamped.deserialize(network.commands[-1].payload.to_bytes()).twist.linear.x == 0.0
+
+
+def test_a_second_publisher_of_commands_is_named_and_ends_the_drive(tmp_path):
+    with RobotNetwork(RMW_ZENOH) as network, bridge_to(network, tmp_path) as process:
+        locator = dict(part.split("=", 1) for part in process.wait_for_line("ready ").split())["zenoh"]
+        topic = f"%cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/{STAMPED_HASH}/::,10:,:,:,,"
+        token = network.session.liveliness().declare_token(f"@ros2_lv/0/joy/0/1/MP/%/%/joystick/{topic}")
+        with Driver(locator) as driver:
+            wait_for(lambda: driver.motors().granted)
+            driver.drive(0.3, v=0.1)
+            attachment = struct.pack("<qqB16s", 1, time.time_ns(), 16, b"j" * 16)
+            network.session.put(network.cmd_key, TwistStamped().serialize(), attachment=attachment)
+            wait_for(lambda: driver.gate.ended == "no-base")
+            wait_for(lambda: driver.out == Velocity(0.0, 0.0))
+        process.wait_for_line("the base is lost: /joystick publishes cmd_vel too")
+        token.undeclare()
+
+
+def test_a_bridge_whose_two_networks_are_connected_does_not_start(tmp_path):
+    drivers = f"tcp/127.0.0.1:{free_port('127.0.0.1')}"
+    with (
+        RobotNetwork(ROS2DDS, drivers) as network,
+        bridge_to(network, tmp_path, "--listen", drivers) as process,
+    ):
+        ended = process.wait(30.0)
+    assert ended.code == 3
+    assert "the robot's Zenoh network is connected to the drivers'" in ended.last_line
+
+
+def test_nothing_at_the_robots_address_is_one_line(tmp_path):
+    port = free_port("127.0.0.1")
+    arguments = ["--base", f"ros2/tcp/127.0.0.1:{port}", "--model", "turtlebot4"]
+    with Process("bridge", [*arguments, "--listen", "tcp/127.0.0.1:0"], tmp_path) as process:
+        ended = process.wait(30.0)
+    assert ended.code == 3
+    assert f"tcp/127.0.0.1:{port}: no Zenoh router answers there" in ended.last_line

@@ -1,0 +1,123 @@
+"""Robot descriptions: the shipped ones are complete, a fifth robot takes one file, bad ones are refused."""
+
+import pytest
+import yaml
+
+from bridge.base import shape_of
+from bridge.bases import choose_base, gate_limits
+from bridge.pioneer.robots import NAMES
+from bridge.ros.urdf import urdf
+from rover_ncp.core.errors import ConfigError, FileError, UsageError
+from rover_ncp.core.files import resolve, shipped_names
+from rover_ncp.core.robot_description import load_description
+from sim.pioneer.models import described_rover
+from sim.world.rover import RoverModel
+
+SHIPPED = shipped_names("robots")
+
+
+def figures(data, path=""):
+    """Yield the path of each figure in a file: a number, or a list of them."""
+    if isinstance(data, dict):
+        for name, value in data.items():
+            if name != "sources":
+                yield from figures(value, f"{path}.{name}" if path else name)
+    elif not isinstance(data, str):
+        yield path
+
+
+def test_the_models_of_the_issue_are_shipped():
+    wanted = ["husky-a200", "jackal-j100", *NAMES, "turtlebot3-burger", "turtlebot4"]
+    assert sorted(wanted) == SHIPPED
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_each_figure_has_a_source_and_a_date(name):
+    data = yaml.safe_load(resolve("robots", name).read_text())
+    of = [path for source in load_description(name).sources for path in source.of]
+    missing = [
+        path
+        for path in figures(data)
+        if not any(path == known or path.startswith(f"{known}.") for known in of)
+    ]
+    assert not missing
+    assert all(source.read for source in load_description(name).sources)
+
+
+def test_the_simulators_own_rover_is_the_3_at():
+    assert described_rover(load_description("p3at-sh")) == RoverModel()
+
+
+def test_a_new_robot_takes_one_file(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(
+        "name: mine\nbased_on: turtlebot3-burger\nfootprint: {radius_m: 0.15}\nmotion: {v_max: 0.18}\n"
+        "topics: {cmd_vel: base/cmd_vel, cmd_vel_type: Twist}\n"
+    )
+    mine = load_description(file)
+    assert (mine.length_m, mine.width_m, mine.motion.v_max, mine.motion.omega_max) == (0.3, 0.3, 0.18, 2.84)
+    assert mine.topics.cmd_vel == "base/cmd_vel"
+    assert mine.topics.base_frame == "base_footprint"
+    assert gate_limits(None, mine).v_max == 0.18
+    assert 'robot name="mine"' in urdf(shape_of(mine))
+    assert described_rover(mine).width == 0.3
+    assert choose_base("ros2/tcp/robot", str(file)).description == mine
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "the file is empty|mapping"),
+        ("[1]", "expected a mapping of keys"),
+        ("name: x\nbased_on: [p3at]\n", r"\$.based_on"),
+        ("name: x\nbased_on: p3at\nmotion: {v_max: -1}\n", r"\$.motion.v_max"),
+        ("name: x\nbased_on: p3at\nmotion: {v_max: .nan}\n", r"\$.motion.v_max"),
+        ("name: x\nbased_on: p3at\nwheels: {axles_m: 0}\n", "a skid drive needs wheels.axles_m"),
+        ("name: x\nbased_on: p3at\ntopics: {odom: /odom}\n", r"\$.topics.odom"),
+        ("name: x\nbased_on: p3at\ntopics: {cmd_vel_type: Pose}\n", r"\$.topics.cmd_vel_type"),
+        ("name: x\nbased_on: p3at\nspeed: 1\n", r"\$.speed: unknown key"),
+        ("name: x\nbased_on: p3at\nsources: 1\n", r"\$.sources"),
+        ("name: x\n", r"\$.footprint"),
+    ],
+)
+def test_bad_files_are_refused(tmp_path, text, expected):
+    file = tmp_path / "bad.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=expected):
+        load_description(file)
+
+
+def test_a_file_that_is_based_on_itself_is_refused(tmp_path):
+    file = tmp_path / "loop.yaml"
+    file.write_text(f"name: loop\nbased_on: {file}\n")
+    with pytest.raises(ConfigError, match="based_on"):
+        load_description(file)
+
+
+def test_an_unknown_name_shows_the_shipped_ones():
+    with pytest.raises(FileError, match=r"none of the shipped robots .*husky-a200"):
+        load_description("husky")
+
+
+@pytest.mark.parametrize(
+    ("base", "model", "expected"),
+    [
+        ("ros2/tcp/robot", "auto", "--model auto: .*turtlebot4"),
+        ("ros2/tcp/robot", "p3at-sh", "no topics"),
+        ("tcp/robot", "turtlebot4", "speaks ARCOS"),
+    ],
+)
+def test_a_model_that_does_not_fit_its_address_is_refused(base, model, expected):
+    with pytest.raises(UsageError, match=expected):
+        choose_base(base, model)
+
+
+def test_the_gates_limits_are_those_of_the_robot(tmp_path):
+    burger = load_description("turtlebot3-burger")
+    limits = gate_limits(None, burger)
+    assert (limits.v_max, limits.omega_max, limits.battery_min_v) == (0.22, 0.6, 10.5)
+    file = tmp_path / "limits.yaml"
+    file.write_text("v_max: 0.25\n")
+    with pytest.raises(UsageError, match=r"v_max is 0.25, but turtlebot3-burger has 0.22"):
+        gate_limits(file, burger)
+    assert gate_limits(file, load_description("p3at-sh")).v_max == 0.25

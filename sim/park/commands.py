@@ -20,6 +20,13 @@ class ParkOptions:
         ),
     ] = None
     course: Annotated[str, typer.Option(help="Course to drive, by name or YAML file.")] = "parking"
+    model: Annotated[
+        str,
+        typer.Option(
+            help="The mock robot's description, a name or a file. A ROS 2 robot is parked with the policy "
+            "course unless --policy names another: training simulates a Pioneer."
+        ),
+    ] = "p3at-sh"
     seed: Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the training.")] = 0
     out: Annotated[Path, typer.Option(help="Folder for training, recording, picture and logs.")] = Path(
         "runs/park"
@@ -32,7 +39,8 @@ class ParkOptions:
 def park(options: ParkOptions) -> int:
     """Train a circuit until it parks in simulation, then park a robot with it, all in one go.
 
-    The robot is a mock Pioneer that speaks the real protocol over TCP; bridge and driver are the same
+    The robot is a mock Pioneer that speaks the real protocol over TCP, or, with --model, a mock ROS 2 robot
+    on Zenoh; bridge and driver are the same
     processes that drive a real one, and talk over Zenoh. Whether it parked is judged on the true pose, which
     the driver never sees. Ends with 0 parked, 1 not parked, or with the exit code of what failed.
     """

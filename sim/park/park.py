@@ -20,12 +20,13 @@ from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import require_creatable, write_atomic
 from rover_ncp.core.recording import read_recording, rewrite
+from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import Course, load_course
 from sim.learn.progress import TrainProgress
 from sim.learn.record import TrainSettings
 from sim.learn.rollout import rollout
 from sim.learn.train import train
-from sim.live.live_run import LiveRun
+from sim.live.live_run import PIONEER, ROS2DDS, LiveRun
 from sim.live.processes import Finished, ProcessError
 from sim.live.truth import TRUTH, judge_truth, recorded_truth
 from sim.park.commands import ParkOptions
@@ -33,6 +34,8 @@ from sim.park.commands import ParkOptions
 TRAIN_LIMIT_S = 100.0
 """How long the search may take to find a circuit that parks in simulation."""
 ITERATIONS, AGENTS = 20_000, 12
+TRACKING_POLICY = "course"
+"""The policy for robots that training does not simulate: it was trained on random robots and courses."""
 _MARGIN = 0.5
 _DEPLOY_EXTRA_S = 60.0
 
@@ -43,7 +46,10 @@ def run_park(options: ParkOptions) -> int:
     course = load_course(options.course)
     for name in ("run.mcap", f"log/{TRUTH}"):  # before a long training
         require_creatable(out / name, overwrite=options.overwrite)
+    model, form = _robot(options.model)
     training: dict[str, Any] | None = None
+    if policy is None and form != PIONEER:
+        policy = TRACKING_POLICY
     if policy is None:
         training, policy, reason = _train(options, course, output)
         if reason:
@@ -55,10 +61,16 @@ def run_park(options: ParkOptions) -> int:
         output.say(f"{_summary(training)}: it parks in simulation")
     load_policy(policy)  # a bad file is found before anything is started
     recording, picture, report = out / "run.mcap", out / "trajectory.png", out / "run.html"
-    run = LiveRun(out / "log", mock=["--course", options.course, *_overwrite(options)])
+    ros2 = [] if form == PIONEER else ["--ros2"]
+    run = LiveRun(
+        out / "log",
+        mock=["--course", options.course, "--model", model, *ros2, *_overwrite(options)],
+        bridge=["--model", "auto" if form == PIONEER else model],
+        base_form=form,
+    )
     with run:
         output.say(
-            f"mock Pioneer and bridge are up ({run.robot}); the circuit drives for {course.horizon_s:.0f} s"
+            f"mock {model} and bridge are up ({run.robot}); the circuit drives for {course.horizon_s:.0f} s"
         )
         done, bridge = _drive(run, options, policy, course.horizon_s)
     truth = run.truth.read()
@@ -95,6 +107,11 @@ def run_park(options: ParkOptions) -> int:
         f"picture: {picture}\nrecording: {recording}\nreport: {report}",
     )
     return 0 if verdict.parked else 1
+
+
+def _robot(model: str) -> tuple[str, str]:
+    """Return a model and the form of its base's address. Raises FileError or ConfigError."""
+    return model, PIONEER if load_description(model).arcos is not None else ROS2DDS
 
 
 def _train(options: ParkOptions, course: Course, output: Output) -> tuple[dict[str, Any], str, str]:

@@ -36,6 +36,9 @@ def course(
     name: Annotated[
         str | None, typer.Option(help="new: what the course is called.", show_default="the file's name")
     ] = None,
+    model: Annotated[
+        str, typer.Option(help="check: whose outline must be clear of obstacles, a name or a file.")
+    ] = "p3at-sh",
     json: Json = False,
 ) -> int:
     """Make a course, or check whether one can be driven, with place and reason if not.
@@ -49,6 +52,7 @@ def course(
 
     Ends with 1 if the course cannot be driven; new writes its file all the same.
     """
+    from rover_ncp.core.robot_description import load_description
     from rover_ncp.course.course import load_course
     from rover_ncp.course.feasibility import check_course
 
@@ -59,7 +63,7 @@ def course(
         if name is not None:
             raise UsageError("--name is for new")
         made = load_course(source)
-        found = check_course(made)
+        found = check_course(made, load_description(model))
         if out is not None:
             _draw(out, made, found)
     miss_m = max(miss.error_m for miss in found.misses)

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.core.robot_description import RobotDescription, load_description
 from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Deviation, Reference, deviations, plan_reference
 
 FloatArray = NDArray[np.float64]
 
-LENGTH_M, WIDTH_M = 0.626, 0.505
-"""A Pioneer 3-AT (its manual, table of specifications)."""
+MODEL = "p3at-sh"
+"""The robot that a course is checked for, unless another is given."""
 GOAL_SHARE = 0.25
 SIDEWAYS = 0.5
 """A way whose tangent to the heading exceeds this is sideways, not a bend."""
@@ -69,12 +70,13 @@ class Drivability:
         return not self.problems
 
 
-def check_course(course: Course) -> Drivability:
-    """Plan a course's reference and check it."""
+def check_course(course: Course, robot: RobotDescription | None = None) -> Drivability:
+    """Plan a course's reference and check it, for the outline of ``robot``; None is a Pioneer 3-AT."""
+    robot = load_description(MODEL) if robot is None else robot
     reference = plan_reference(course)
     misses = tuple(deviations(course, reference))
     problems = [*_start(course), *_missed(course, misses), *_rest(course, reference)]
-    clearance, touching = _clearance(course, reference)
+    clearance, touching = _clearance(course, reference, robot)
     problems += touching
     problems.sort(key=lambda problem: (problem.t, problem.checkpoint))
     return Drivability(reference, misses, tuple(problems), clearance)
@@ -150,12 +152,16 @@ def _rest(course: Course, reference: Reference) -> list[Problem]:
     return [Problem(len(course.checkpoints), course.checkpoints[-1].t, Cause.REST, detail)]
 
 
-def _clearance(course: Course, reference: Reference) -> tuple[float | None, list[Problem]]:
+def _clearance(
+    course: Course, reference: Reference, robot: RobotDescription
+) -> tuple[float | None, list[Problem]]:
     """Return the least clearance, and the first touch of each obstacle."""
     if not course.obstacles:
         return None, []
     least, problems = math.inf, []
-    rover = _UNIT * [LENGTH_M, WIDTH_M]
+    # From its centre of rotation, which need not be its middle.
+    rover = _UNIT * [robot.length_m, robot.width_m] + [(robot.front_m - robot.rear_m) / 2, 0.0]
+    size = f"{robot.length_m:g} m by {robot.width_m:g} m"
     for which, obstacle in enumerate(course.obstacles, 1):
         gaps = [_gap(_placed(rover, pose), _corners(obstacle)) for pose in reference.poses.tolist()]
         least = min(least, *gaps)
@@ -164,7 +170,7 @@ def _clearance(course: Course, reference: Reference) -> tuple[float | None, list
             number = next(
                 (n for n, p in enumerate(course.checkpoints, 1) if p.t >= t - 1e-9), len(course.checkpoints)
             )
-            detail = f"the rover ({LENGTH_M} m by {WIDTH_M} m) touches obstacle {which} at {t:.1f} s"
+            detail = f"the rover ({size}) touches obstacle {which} at {t:.1f} s"
             problems.append(Problem(number, course.checkpoints[number - 1].t, Cause.OBSTACLE, detail))
     return max(least, 0.0), problems
 

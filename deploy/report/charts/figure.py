@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rover_ncp.core.robot_description import load_description
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -27,8 +29,8 @@ POTENTIAL_MAP = "viridis"
 POTENTIAL_LOW_MV, POTENTIAL_HIGH_MV = -90.0, 0.0
 """Range of all potentials; colours mean the same in every figure."""
 
-LENGTH_M, WIDTH_M = 0.626, 0.505
-"""A Pioneer 3-AT (its manual, table of specifications)."""
+_ROVER = load_description("p3at-sh")
+LENGTH_M, WIDTH_M = _ROVER.length_m, _ROVER.width_m
 _UNIT = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1], [1, 1]]) / 2
 OUTLINE = _UNIT * [LENGTH_M, WIDTH_M]
 """The rover's corners in its own frame, closed, in m."""

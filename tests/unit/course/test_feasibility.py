@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import Checkpoint, Course, Obstacle, load_course
 from rover_ncp.course.feasibility import Cause, check_course
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
@@ -113,3 +114,22 @@ def test_an_arc_within_the_motors_limits_can_be_driven(length, turn):
     end = Pose(*found.reference.poses[-1])
     assert distance(end, course.goal) < 0.025
     assert abs(wrap_angle(end.theta - turn)) < 0.025
+
+
+def test_a_small_robot_clears_an_obstacle_that_a_larger_one_touches():
+    course = course_of(*AHEAD, obstacles=(Obstacle(x=0.5, y=0.27, length=0.2, width=0.2),))
+    assert check_course(course).clearance_m == 0.0
+    found = check_course(course, load_description("turtlebot3-burger"))
+    # The obstacle begins 0.17 m from the way; half the Burger's width is 0.105 m.
+    assert found.clearance_m == pytest.approx(0.065, abs=1e-3)
+    assert found.drivable
+
+
+def test_the_outline_lies_around_the_centre_of_rotation():
+    behind = course_of(
+        (0, 0, 0, 0), (14, 0, 0, 0), obstacles=(Obstacle(x=-0.2, y=0.0, length=0.1, width=0.1),)
+    )
+    ahead = course_of((0, 0, 0, 0), (14, 0, 0, 0), obstacles=(Obstacle(x=0.2, y=0.0, length=0.1, width=0.1),))
+    burger = load_description("turtlebot3-burger")
+    assert check_course(behind, burger).clearance_m == pytest.approx(0.15 - 0.105)
+    assert check_course(ahead, burger).clearance_m == pytest.approx(0.15 - 0.041)

@@ -23,6 +23,7 @@ from deploy.drive.rate_keeper import RateKeeper
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
 from deploy.drive_records import StartRecord, TickRecord, numbers
+from deploy.estimator.estimator import Estimate
 from deploy.estimator.settings import Outcome
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.messages import OdometrySample
@@ -82,6 +83,8 @@ class Drive:
         self.reason = ""
         self.stop: SafetyStop | None = None
         self.verdict: Verdict | None = None
+        self.estimate: Estimate | None = None
+        """The newest estimate of a tick."""
         self.predicted_error_m: float | None = None
         """Predicted error of the estimate at the goal without further poses, in 95 % of drives."""
         self.latencies_ns: list[int] = []
@@ -207,7 +210,7 @@ class Drive:
         controller, t = self._controller, self._start.seconds_to(now_ns)
         index = self._config.ticks if last else self.keeper.index
         tick = None if last else controller.tick(index, t)
-        estimate = tick.estimate if tick else controller.look(index, t)
+        estimate = self.estimate = tick.estimate if tick else controller.look(index, t)
         sequence = None
         if tick is not None and not self._config.dry_run:
             self._monitor.check_command(tick.command, estimate.velocity)

@@ -18,6 +18,7 @@ from sim.evaluate.evaluate import Evaluation, Spread, evaluate, tally, unseen_co
 from sim.evaluate.laws import LAWS
 from sim.live.trials import drive_live, trial_folder
 from sim.stack.camera import Camera
+from sim.stack.estimates import summary, words
 from sim.stack.trials import Driven, Stack, drive_all
 from sim.world.randomization import ranges_for
 
@@ -71,7 +72,9 @@ def _through_stack(
         driven = drive_all(stack, trials, options.processes, done)
     wall_s = time.monotonic() - began
     driven_s = sum(stack.course(number).horizon_s for number in range(trials))
-    return _sum_up(driven), _totals(driven) | {"wall_s": wall_s, "times_real_time": driven_s / wall_s}
+    beliefs = [trial.belief for trial in driven if trial.belief is not None]
+    fields = _totals(driven) | {"wall_s": wall_s, "times_real_time": driven_s / wall_s}
+    return _sum_up(driven), fields | {"estimate": summary(beliefs, [trial.parked for trial in driven])}
 
 
 def _live(
@@ -139,6 +142,8 @@ def _words(found: Evaluation, more: dict[str, Any]) -> Iterator[str]:
         yield f"not parked, {reason}: {count}"
     if more:
         yield f"{more['bytes_to_base']} bytes to the bases, {more['bytes_from_base']} from them"
+    if "estimate" in more:
+        yield from words(more["estimate"])
     if "times_real_time" in more:
         yield f"{more['times_real_time']:.0f} times real time"
     if "apart_m" in more:

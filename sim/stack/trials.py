@@ -6,6 +6,7 @@ true pose is judged.
 """
 
 import copy
+import math
 import multiprocessing
 from bisect import bisect_right
 from collections.abc import Callable
@@ -32,11 +33,15 @@ from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of, rover_model_of
 from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
 from sim.stack.camera import Camera, Localiser
+from sim.stack.estimates import Belief, belief_of
 from sim.stack.virtual import VirtualBridge, VirtualLink
+from sim.world.bodies import Body
 from sim.world.randomization import Randomization
 from sim.world.rover import Rover, RoverModel
 
 MODEL = "p3at-sh"
+TYPICAL_RAD_S = 0.12
+"""Of a turn on a course; slip is per rad/s."""
 _WORTH_A_PROCESS = 6
 """Fewer trials take no longer than a process takes to start."""
 
@@ -54,6 +59,8 @@ class Driven(NamedTuple):
     overruns: int
     bytes_to_base: int
     bytes_from_base: int
+    belief: Belief | None = None
+    """None for live drives."""
 
 
 @dataclass(frozen=True)
@@ -76,12 +83,18 @@ class Stack:
 
     @cached_property
     def known(self) -> RoverProfile:
-        """The driver's robot profile: the noise of its odometry, and the given profile, if any."""
+        """The driver's robot profile: noise and spread of its odometry, and the given profile, if any.
+
+        On the rigid body nothing states the spread, so the driver assumes that of an unmeasured robot.
+        """
         ranges = self.ranges
         rover = ranges.rover or RoverProfile(name=f"a robot of {ranges.name}")
-        noises = {"noise_m": ranges.noise_m, "noise_rad": ranges.noise_rad}
-        unknown = {name: noise for name, noise in noises.items() if getattr(rover, name) is None}
-        return rover.model_copy(update=unknown)
+        spread = {} if ranges.body is Body.MUJOCO or ranges.turn_gain else _spread(ranges)
+        known = {"noise_m": ranges.noise_m, "noise_rad": ranges.noise_rad}
+        known |= {name: 1.0 if name.startswith("odometry") else 0.0 for name in spread}
+        unknown = {name: value for name, value in known.items() if getattr(rover, name) is None}
+        std = {name: deviation for name, deviation in spread.items() if name in unknown} | rover.std
+        return rover.model_copy(update={**unknown, "std": std})
 
     @cached_property
     def _drivers(self) -> dict[int, Controller]:
@@ -147,6 +160,7 @@ class Stack:
             report.overruns,
             bridge.bytes_to_base,
             bridge.bytes_from_base,
+            belief_of(drive, rover.pose),
         )
 
     def _driver(self, number: int) -> Controller:
@@ -156,6 +170,18 @@ class Stack:
             settings = settings_for(self.known)
             self._drivers[place] = Controller(self.policy, self.courses[place], settings, self.known)
         return copy.deepcopy(self._drivers[place])
+
+
+def _spread(ranges: Randomization) -> dict[str, float]:
+    """Return the standard deviations of odometry's errors in a family, by their names in a profile."""
+    scale, exact = ranges.odometry_scale / math.sqrt(3.0), 1e-4
+    slip = ranges.slip_s * TYPICAL_RAD_S / math.sqrt(3.0)  # about no slip: the driver does not know its mean
+    return {
+        "odometry_distance": max(scale, exact),
+        "odometry_heading": max(math.hypot(scale, slip), exact),
+        "imbalance_rad_m": max(ranges.imbalance_rad_m / math.sqrt(3.0), exact),
+        "rotation_center_m": max(ranges.rotation_center_m / math.sqrt(3.0), exact),
+    }
 
 
 class _Truth:

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from paths import DATA
+from scipy.stats import chi2
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
@@ -16,6 +17,7 @@ from rover_ncp.course.course import load_course
 from sim.learn.rollout import rollout
 from sim.pioneer.trial import BaseTrial
 from sim.stack.camera import Camera
+from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
 from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials, ranges_for
@@ -50,6 +52,18 @@ def test_trials_park_and_what_went_over_the_line_is_counted(parking):
         # A SIP ten times a second, each some 50 bytes; setpoints five times a second and more.
         assert 33 * 10 * 40 < trial.bytes_from_base < 40 * 10 * 80
         assert 32 * 5 * 10 < trial.bytes_to_base < 32 * 50 * 20
+
+
+def test_drivers_beliefs_are_compared_with_the_truth(parking):
+    _, found = parking
+    for trial in found:
+        assert trial.belief.parked  # noise of odometry does not move the estimate of a rover that stands
+        assert trial.belief.error_m < 0.05
+        assert trial.belief.squared < chi2.ppf(0.999, 2)
+        assert trial.belief.predicted_m < 0.1
+    fields = summary([trial.belief for trial in found], [True, False])
+    assert fields["verdict_agrees"] == 0.5
+    assert fields["error_m"]["p95"] <= max(trial.belief.error_m for trial in found)
 
 
 def test_the_stack_drives_the_trials_of_plain_simulation(parking):

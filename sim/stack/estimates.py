@@ -1,0 +1,83 @@
+"""How well the driver of the stack simulation knows where its rover is, over many trials."""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from deploy.drive.control_loop import Drive, Phase
+from rover_ncp.core.geometry import Pose, distance
+
+ELLIPSES = 0.5, 0.95
+
+
+class Belief(NamedTuple):
+    """What the driver believes at the end of a drive, beside the truth."""
+
+    parked: bool
+    """Its own verdict."""
+    error_m: float
+    """Of its estimate against the true position; NaN if a safety rule stopped the drive."""
+    squared: float
+    """The same, squared and normalised by the estimate's covariance: χ² with 2 degrees of freedom."""
+    predicted_m: float
+    """Predicted error of the estimate, before the drive, in 95 % of drives; NaN if there was none."""
+    nis: dict[str, float | None]
+    """Of the external poses, as `deploy` reports it."""
+
+
+def belief_of(drive: Drive, pose: Pose) -> Belief:
+    """Return the belief of a driver whose rover ended at the true ``pose``."""
+    error_m = squared = math.nan
+    if drive.stop is None and drive.estimate is not None:
+        estimate = drive.estimate
+        miss = np.array([estimate.pose.x - pose.x, estimate.pose.y - pose.y])
+        error_m = distance(estimate.pose, pose)
+        squared = float(miss @ np.linalg.solve(estimate.covariance[:2, :2], miss))
+    predicted_m = math.nan if drive.predicted_error_m is None else drive.predicted_error_m
+    nis = drive.measurements_used["pose"]["nis"]
+    return Belief(drive.phase is Phase.PARKED, error_m, squared, predicted_m, nis)
+
+
+def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> dict[str, Any]:
+    """Return the estimates of drives that truly ended ``parked`` or not, as numbers for JSON."""
+    squared = np.array([belief.squared for belief in beliefs if math.isfinite(belief.squared)])
+    return {
+        "error_m": _percentiles([belief.error_m for belief in beliefs]),
+        "predicted_error_m": _percentiles([belief.predicted_m for belief in beliefs]),
+        "inside": {
+            f"{share:.0%}": float(np.mean(squared <= chi2.ppf(share, 2))) if len(squared) else None
+            for share in ELLIPSES
+        },
+        "nis": {name: _mean([belief.nis[name] for belief in beliefs]) for name in ("standing", "moving")},
+        "verdict_agrees": float(np.mean([belief.parked for belief in beliefs] == np.array(parked))),
+    }
+
+
+def words(fields: dict[str, Any]) -> Iterator[str]:
+    """Yield lines about a `summary`."""
+    error, predicted, inside = fields["error_m"], fields["predicted_error_m"], fields["inside"]
+    if error is not None:
+        yield (
+            f"estimate against truth: median {1000 * error['p50']:.0f}, 95th percentile "
+            f"{1000 * error['p95']:.0f} mm; inside its 50 % ellipse {inside['50%']:.0%}, "
+            f"its 95 % ellipse {inside['95%']:.0%}"
+        )
+    if predicted is not None:
+        yield f"predicted before the drive, without external poses: {1000 * predicted['p50']:.0f} mm in 95 %"
+    yield f"the driver's own verdict agrees with the truth: {fields['verdict_agrees']:.1%}"
+
+
+def _percentiles(values: Sequence[float]) -> dict[str, float] | None:
+    known = [value for value in values if math.isfinite(value)]
+    if not known:
+        return None
+    p50, p95 = np.percentile(known, [50, 95]).tolist()
+    return {"p50": p50, "p95": p95}
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None

@@ -11,8 +11,11 @@ import os
 import signal
 import sys
 import traceback
-from importlib.metadata import entry_points
-from typing import Any
+from importlib.metadata import distribution, entry_points
+from pathlib import Path
+from typing import Annotated, Any
+from urllib.parse import urlparse
+from urllib.request import url2pathname
 
 import typer
 from typer.core import TyperGroup
@@ -90,17 +93,30 @@ class _Commands(TyperGroup):
         return get_command(app)
 
 
+def _print_version(asked: bool) -> None:
+    if asked:
+        keep(sys.stdout, f"rover-ncp {distribution('rover-ncp').version}\n")
+        raise typer.Exit
+
+
 def _app() -> typer.Typer:
     app = typer.Typer(
         cls=_Commands,
         name="rover-ncp",
         help="Train a tiny worm circuit to park a rover in simulation, then drive a real Pioneer with it.",
         no_args_is_help=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
     )
-    app.callback()(lambda: None)
+    app.callback()(_options)
     return app
+
+
+def _options(
+    version: Annotated[  # its callback ends the command
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Take the options that go before a command."""
 
 
 def _fail(message: str, kind: str, code: int, as_json: bool) -> int:
@@ -125,6 +141,21 @@ def _extras(arguments: list[str], missing: str) -> list[str]:
     return sorted(needed - {"drive"} if "train" in needed else needed)
 
 
+def _remedy(extras: list[str]) -> str:
+    """Return the command that installs extras, from where this rover-ncp was installed (PEP 610)."""
+    record = distribution("rover-ncp").read_text("direct_url.json")
+    origin = json.loads(record) if record else {}
+    place = (
+        Path(url2pathname(urlparse(origin["url"]).path))
+        if origin.get("url", "").startswith("file:")
+        else None
+    )
+    if place is not None and not place.exists():
+        return f"install rover-ncp again with the extras {', '.join(extras)} ({place} is gone)"
+    editable = "--editable " if origin.get("dir_info", {}).get("editable") else ""
+    return f"{sys.executable} -m pip install {editable}'{place or 'rover-ncp'}[{','.join(extras)}]'"
+
+
 def run(arguments: list[str]) -> int:
     """Run one command line and return its exit code; see ``docs/cli.md`` for the codes."""
     as_json = "--json" in arguments
@@ -144,7 +175,7 @@ def run(arguments: list[str]) -> int:
         library = (error.name or "").split(".")[0]
         if library not in _EXTRAS:
             raise
-        missing = MissingExtra(library, _extras(arguments, _EXTRAS[library]))
+        missing = MissingExtra(library, _remedy(_extras(arguments, _EXTRAS[library])))
         return _fail(str(missing), "MissingExtra", missing.exit_code, as_json)
     # Typer turns Ctrl-C into this code without a message; a command that handles Ctrl-C prints its own.
     if result == INTERRUPTED and not Output.ended:
@@ -165,6 +196,8 @@ def main() -> None:
     stdout, stderr = install()
     try:
         code = run(sys.argv[1:])
+    except SystemExit as ended:  # typer's, after it has printed completions for a shell
+        code = ended.code if isinstance(ended.code, int) else 1
     except Exception:
         # Here and not by the interpreter, which would end before it is written.
         traceback.print_exc()

@@ -15,7 +15,7 @@ from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, Circuit, ParameterKind, 
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.sensing import Sensing
-from rover_ncp.core.config import StrictModel, dump_yaml, parse_yaml
+from rover_ncp.core.config import StrictModel, dump_yaml, parse_yaml, read_yaml
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text, resolve, write_atomic
 
@@ -96,6 +96,15 @@ def load_circuit(name_or_path: str | Path) -> Circuit:
     if path.suffix == ".bnn":
         return circuit_from_bnn(text, path.stem, str(path))
     return _circuit(parse_yaml(text, _CircuitFile, str(path)), str(path), "$")
+
+
+def load_start(name_or_path: str | Path) -> Circuit | Policy:
+    """Load what a training starts from: a circuit, or a policy file, which also has sensing and motors."""
+    path = resolve("circuits", name_or_path)
+    if path.suffix == ".bnn":
+        return load_circuit(path)
+    data = read_yaml(_text(path), str(path))
+    return load_policy(path) if isinstance(data, dict) and "sensing" in data else load_circuit(path)
 
 
 def save_policy(path: str | Path, policy: Policy) -> None:

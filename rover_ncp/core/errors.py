@@ -42,10 +42,10 @@ class PortInUse(UsageError):
 
 
 class MissingExtra(UsageError):
-    """A command needs libraries that are not installed; ``extras`` bring all that it needs."""
+    """A command needs a library that is not installed; ``remedy`` brings all that it needs."""
 
-    def __init__(self, library: str, extras: Sequence[str]) -> None:
-        super().__init__(f"{library} is not installed: pip install 'rover-ncp[{','.join(extras)}]'")
+    def __init__(self, library: str, remedy: str) -> None:
+        super().__init__(f"{library} is not installed: {remedy}")
 
 
 class UnreachableError(RoverNcpError):

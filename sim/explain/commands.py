@@ -73,6 +73,10 @@ def report(
         Path | None,
         typer.Option(help="The page to write.", show_default="RUN.html, or report.html in the folder"),
     ] = None,
+    animation: Annotated[
+        Path | None,
+        typer.Option(help="Also write the drive as an animated picture (.gif or .webp).", show_default=False),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Write a page about a drive, or a training: one HTML file, to be opened from disk.
@@ -82,8 +86,18 @@ def report(
     the learning curves, the parameters against their bounds, and the drives of its policies. The page holds
     all its data and loads nothing from the network.
     """
-    from sim.explain.training import write_page
+    from sim.explain.training import write_animation, write_page
 
     output = Output(json)
+    if animation is not None:
+        write_animation(source, animation)
     page = write_page(source, out)
-    output.result({"page": str(page.path), "kind": page.kind, "bytes": page.size}, f"report: {page.path}")
+    output.result(
+        {
+            "page": str(page.path),
+            "kind": page.kind,
+            "bytes": page.size,
+            "animation": None if animation is None else str(animation),
+        },
+        f"report: {page.path}",
+    )

@@ -12,6 +12,7 @@ import numpy as np
 from markupsafe import escape
 from numpy.typing import NDArray
 
+from deploy.report.charts.animation import FORMATS, animate
 from deploy.report.page.page import drive_page, fragment, page
 from deploy.report.page.page_data import course_data
 from deploy.report.recorded_drive import read_drive
@@ -19,7 +20,7 @@ from deploy.report.sentences import number
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import load_yaml
-from rover_ncp.core.errors import ConfigError, FileError
+from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.core.files import existing_file, read_text, require_writable, write_atomic
 from rover_ncp.course.course import Course
 from sim.explain.what_if import parameter_names
@@ -144,6 +145,17 @@ def write_page(source: Path, out: Path | None = None) -> Page:
     text = training_page(read_training(source)) if kind == "training" else drive_page(read_drive(source))
     write_atomic(path, text)
     return Page(path, kind, len(text.encode()))
+
+
+def write_animation(source: Path, out: Path) -> None:
+    """Write a recorded drive as an animated picture. Raises FileError, ConfigError and UsageError."""
+    if out.suffix not in FORMATS:
+        raise UsageError(f"--animation {out}: expected a file that ends in {' or '.join(FORMATS)}")
+    if source.is_dir():
+        raise UsageError(f"--animation needs the recording of a drive; {source} is a folder")
+    require_writable(out)
+    drive = read_drive(source)
+    write_atomic(out, animate(drive.timeline.trace(), drive.course, out.suffix))
 
 
 def training_page(training: Training) -> str:

@@ -20,7 +20,10 @@ def train(
     ] = None,
     circuit: Annotated[
         str | None,
-        typer.Option(help="Untuned circuit, by name or file (YAML or .bnn).", show_default="parking"),
+        typer.Option(
+            help="Circuit to start from, by name or file (YAML or .bnn); or a policy file, with its sensing.",
+            show_default="parking, tracking if random",
+        ),
     ] = None,
     seed: Annotated[
         int | None,

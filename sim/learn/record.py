@@ -8,6 +8,7 @@ import platform
 import shlex
 import subprocess
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -17,10 +18,11 @@ import yaml
 from pydantic import AfterValidator, Field
 
 from rover_ncp.circuit.policy import Policy, absolute_policy
-from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
-from rover_ncp.core.config import StrictModel
+from rover_ncp.circuit.policy_file import circuit_to_yaml, load_start, policy_data
+from rover_ncp.core.config import StrictModel, dump_yaml
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import Course, load_course
+from sim.learn.rollout import require_driver
 from sim.learn.search.strategies import SearchName
 from sim.world.pymunk_rover import require_free_start
 from sim.world.rover import RoverModel
@@ -101,7 +103,7 @@ class Record(StrictModel, Generic[SettingsT]):
             settings=settings,
             made_with=made_with(),
             course=task.course.model_dump(mode="json"),
-            circuit=yaml.safe_load(circuit_to_yaml(task.policy.circuit)),
+            circuit=_start_data(settings.circuit, task.policy),
         )
 
     def require_same(self, other: "Record[SettingsT]", source: str) -> None:
@@ -131,6 +133,15 @@ class Record(StrictModel, Generic[SettingsT]):
         }
 
 
+def _start_data(name: str, policy: Policy) -> dict[str, Any]:
+    """Return the content of the file that a run starts from: a circuit's, or a policy's."""
+    if isinstance(load_start(name), Policy):
+        data: dict[str, Any] = yaml.safe_load(dump_yaml(policy_data(policy)))
+        return data
+    circuit: dict[str, Any] = yaml.safe_load(circuit_to_yaml(policy.circuit))
+    return circuit
+
+
 def resolve_task(settings: TrainSettings) -> Task:
     """Load the course and the circuit that the settings name.
 
@@ -138,7 +149,11 @@ def resolve_task(settings: TrainSettings) -> Task:
     """
     course = load_course(settings.course)
     require_free_start(RoverModel(), course)
-    return Task(course, absolute_policy(load_circuit(settings.circuit), course))
+    start = load_start(settings.circuit)
+    if isinstance(start, Policy):
+        require_driver(start)
+        return Task(course, replace(start, courses=(course.name,)))
+    return Task(course, absolute_policy(start, course))
 
 
 @cache

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy, course_policy
-from rover_ncp.circuit.policy_file import load_circuit, save_policy
+from rover_ncp.circuit.policy_file import load_start, save_policy
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import read_text, write_atomic
 from rover_ncp.course.course import Course, load_course
@@ -33,6 +33,7 @@ from sim.learn.robust import (
     policy_box,
     training_courses,
 )
+from sim.learn.rollout import require_driver
 from sim.learn.run_folder import open_folder
 from sim.learn.train import find_workers
 from sim.learn.workers import MadeOnce, Workers, available_processes
@@ -89,7 +90,9 @@ def train_robust(
         raise UsageError(f"the worst {settings.worst} of {settings.rollouts} rollouts cannot be taken")
     course = load_course(settings.course)
     ranges = ranges_for(settings.randomize, Path(settings.profile) if settings.profile else None)
-    start = course_policy(load_circuit(settings.circuit))
+    loaded = load_start(settings.circuit)
+    start = loaded if isinstance(loaded, Policy) else course_policy(loaded)
+    require_driver(start)
     record = Record[RobustSettings].of(settings, Task(course, start))
     make = partial(_drive, settings, start, course, ranges)
     with open_folder(out, record, resume) as began:

@@ -1,7 +1,8 @@
 import json
+import os
 import subprocess
 import sys
-from importlib.metadata import entry_points
+from importlib.metadata import entry_points, version
 
 import pytest
 import typer
@@ -53,6 +54,61 @@ def test_a_command_imports_no_other_commands_module(name):
     [(_, _, loaded)] = help_of([[name]])
     assert modules[name] in loaded
     assert set(modules.values()) & set(loaded) == {modules[name]}
+
+
+def rover_ncp(*arguments, **environment):
+    """Run the command as a user does; return its output."""
+    done = subprocess.run(
+        [sys.executable, "-m", "rover_ncp", *arguments],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=True,
+    )
+    return done.stdout
+
+
+def test_the_version_is_that_of_the_distribution():
+    assert rover_ncp("--version") == f"rover-ncp {version('rover-ncp')}\n"
+
+
+def test_shells_complete_commands_and_options():
+    asked = {"_ROVER_NCP_COMPLETE": "complete_bash", "COMP_WORDS": "rover-ncp tr", "COMP_CWORD": "1"}
+    assert rover_ncp(**asked).split() == ["train"]
+    asked |= {"COMP_WORDS": "rover-ncp train --ag", "COMP_CWORD": "2"}
+    assert rover_ncp(**asked).split() == ["--agents"]
+
+
+class _Installed:
+    """What importlib.metadata has of a distribution that was installed from a place."""
+
+    def __init__(self, record):
+        self._record = record
+
+    def read_text(self, name):
+        assert name == "direct_url.json"
+        return self._record
+
+
+@pytest.mark.parametrize(
+    ("record", "expected"),
+    [
+        (None, "'rover-ncp[train]'"),
+        ({"url": "FILE", "archive_info": {}}, "'{place}[train]'"),
+        ({"url": "FILE", "dir_info": {}}, "'{place}[train]'"),
+        ({"url": "FILE", "dir_info": {"editable": True}}, "--editable '{place}[train]'"),
+    ],
+)
+def test_a_missing_extra_is_installed_from_where_rover_ncp_came_from(record, expected, tmp_path, monkeypatch):
+    place = tmp_path / "with space.whl"
+    place.touch()
+    text = None if record is None else json.dumps(record).replace("FILE", place.as_uri())
+    monkeypatch.setattr(cli, "distribution", lambda name: _Installed(text))
+    assert cli._remedy(["train"]) == f"{sys.executable} -m pip install {expected.format(place=place)}"
+    if record:
+        place.unlink()
+        assert cli._remedy(["train"]).startswith("install rover-ncp again with the extras train")
 
 
 @pytest.mark.parametrize(
@@ -195,7 +251,8 @@ def test_a_missing_library_names_all_extras_of_the_command_in_one_line(tmp_path)
     for extras, own in NEEDS.items():
         for line, words in told:
             if line in own:
-                assert words.endswith(f"is not installed: pip install 'rover-ncp[{extras}]'\n"), line
+                remedy = cli._remedy(extras.split(","))
+                assert words.endswith(f"is not installed: {remedy}\n"), line
                 assert words.count("\n") == 1
 
 

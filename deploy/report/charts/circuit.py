@@ -23,6 +23,7 @@ from rover_ncp.circuit.circuit import SynapseKind
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.patches import PathPatch
 
 KINDS = {
     SynapseKind.EXCITATORY: (BLUE, "solid", "excitatory"),
@@ -46,7 +47,7 @@ def circuit(trace: Trace, time_constants: Sequence[TimeConstant]) -> Picture:
     axes.set_aspect("equal")
     axes.axis("off")
     for curve, kind, mean in zip(layout.curves, policy.circuit.kind, current, strict=True):
-        _draw_synapse(axes, curve, SynapseKind(kind), 0.5 + 4.0 * float(np.sqrt(mean / strongest)))
+        draw_synapse(axes, curve, SynapseKind(kind), 0.5 + 4.0 * float(np.sqrt(mean / strongest)))
     ranges, meanings = {row.neuron: row for row in time_constants}, labels(policy)
     label: dict[str, Any] = {"fontsize": 9, "color": INK, "ha": "center", "va": "center", "style": "italic"}
     for name, (x, y) in zip(policy.circuit.neurons, layout.places, strict=True):
@@ -59,7 +60,7 @@ def circuit(trace: Trace, time_constants: Sequence[TimeConstant]) -> Picture:
     y = HEIGHT + 48
     for number, (kind, (color, _, words)) in enumerate(KINDS.items()):
         x = LEFT + 165 * number
-        _draw_synapse(axes, Curve(x, y, x + 17, y, x + 34, y), kind, 2.0)
+        draw_synapse(axes, Curve(x, y, x + 17, y, x + 34, y), kind, 2.0)
         axes.text(x + 48, y, words, fontsize=9, va="center", color=color)
     words = (
         f"thickest line: a current of {current.max(initial=0.0):.0f} mA, mean over the run\n"
@@ -69,7 +70,8 @@ def circuit(trace: Trace, time_constants: Sequence[TimeConstant]) -> Picture:
     return render(drawn)
 
 
-def _draw_synapse(axes: "Axes", curve: Curve, kind: SynapseKind, width: float) -> None:
+def draw_synapse(axes: "Axes", curve: Curve, kind: SynapseKind, width: float) -> "PathPatch":
+    """Draw a synapse; return its line, without the end that shows the kind."""
     from matplotlib.patches import PathPatch, Polygon
     from matplotlib.path import Path
 
@@ -77,7 +79,8 @@ def _draw_synapse(axes: "Axes", curve: Curve, kind: SynapseKind, width: float) -
     points = np.array(curve).reshape(3, 2)
     path = Path(points, [Path.MOVETO, Path.CURVE3, Path.CURVE3])
     style = {"edgecolor": color, "linewidth": width, "linestyle": dash}
-    axes.add_patch(PathPatch(path, facecolor="none", alpha=0.85, **style))
+    line = PathPatch(path, facecolor="none", alpha=0.85, **style)
+    axes.add_patch(line)
     end = points[2]
     along = (end - points[1]) / np.hypot(*(end - points[1]))
     across = (5.0 + 0.8 * width) * np.array([-along[1], along[0]])
@@ -90,6 +93,7 @@ def _draw_synapse(axes: "Axes", curve: Curve, kind: SynapseKind, width: float) -
         axes.plot(*bar.T, color=color, linewidth=max(2.4, width), solid_capstyle="butt", zorder=4)
     else:
         axes.plot(*end, "o", color=color, markersize=5 + width / 2, zorder=4)
+    return line
 
 
 def _draw_neuron(axes: "Axes", name: str, x: float, y: float, tau: TimeConstant | None) -> None:

@@ -54,7 +54,7 @@ def trajectory(trace: Trace, course: Course, found: Sequence[Phase]) -> Picture:
     """Draw the whole manoeuvre: checkpoints with deadlines, the path by phases, start and end."""
     drawn = figure(7.6, 6.2)
     axes = drawn.add_subplot()
-    _draw_course(axes, course)
+    draw_course(axes, course)
     _draw_ends(axes, trace.poses)
     for turn, (color, dash, words) in TURNS.items():
         if any(phase.signs[1] == turn for phase in found):
@@ -85,7 +85,7 @@ def drive_chart(course: Course, truth: Sequence[Pose], estimate: Sequence[Pose])
     """Draw the true and the estimated path of a drive, and the deadlines of its checkpoints."""
     drawn = figure(7.6, 6.2)
     axes = drawn.add_subplot()
-    _draw_course(axes, course)
+    draw_course(axes, course)
     _draw_ends(axes, np.array(truth))
     for poses, color, dash, words in (
         (truth, BLUE, "solid", "true path"),
@@ -153,7 +153,7 @@ def course_picture(course: Course, found: Drivability) -> Picture:
     """Draw a course with its reference; crosses and causes mark checkpoints that cannot be driven."""
     drawn = figure(7.6, 6.2)
     axes = drawn.add_subplot()
-    _draw_course(axes, course)
+    draw_course(axes, course)
     way = found.reference.poses
     forward = found.reference.motion[:, 0] >= 0
     for which, (color, dash, _), words in (
@@ -203,7 +203,7 @@ def deadlines(course: Course) -> list[tuple[float, float, str]]:
     ]
 
 
-def _draw_course(axes: "Axes", course: Course) -> None:
+def draw_course(axes: "Axes", course: Course) -> None:
     """Draw obstacles, checkpoints, and the goal with its tolerance."""
     from matplotlib.patches import Circle, Polygon
 

@@ -1,0 +1,88 @@
+"""Wheel and sdist, installed into fresh environments: all that a user needs comes with them."""
+
+import json
+import os
+import subprocess
+import sys
+import tarfile
+import zipfile
+
+import pytest
+from paths import ROOT
+
+
+def newest_python():
+    """Return the path of Python 3.13; None where there is none."""
+    ask = ["python3.13", "-c", "import sys; print(sys.executable)"]
+    try:  # pyenv shows programs of versions that it does not run unless asked
+        done = subprocess.run(
+            ask, env={**os.environ, "PYENV_VERSION": "3.13"}, capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return done.stdout.strip()
+
+
+NEWEST = newest_python()
+# What each set of extras makes possible, as command lines and their exit codes.
+WORKS = {
+    "": [("urdf", 0), ("bridge --base tcp/127.0.0.1:1", 3)],
+    "drive": [("course check parking", 0), ("export parking --to json --out exported", 0)],
+    "keys": [("keys --out keys", 0)],
+    "train": [("eval parking", 0)],
+    "all": [("eval parking", 0), ("park --policy nowhere.yaml", 2)],
+}
+# A command that needs other extras, and those.
+MISSING = {"": ("eval parking", "train"), "drive": ("watch --robot tcp/127.0.0.1:1", "drive,report")}
+
+
+def run(command, folder, code=0):
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=280, check=False)
+    assert done.returncode == code, (command, done.stdout[-2000:], done.stderr[-2000:])
+    return done
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """The sdist, and the wheel that is built from it, by suffix."""
+    folder = tmp_path_factory.mktemp("built")
+    run([sys.executable, "-m", "build", "--outdir", str(folder), str(ROOT)], folder)
+    return {path.suffix: path for path in folder.iterdir()}
+
+
+def test_wheel_and_sdist_hold_the_packages_with_their_data(built):
+    tracked = set(run(["git", "ls-files", "rover_ncp", "bridge", "deploy", "sim"], ROOT).stdout.split())
+    wheel = zipfile.ZipFile(built[".whl"]).namelist()
+    assert {name for name in wheel if ".dist-info/" not in name} == tracked
+    with tarfile.open(built[".gz"]) as sdist:
+        held = {name.split("/", 1)[-1] for name in sdist.getnames()}
+    assert tracked | {"pyproject.toml", "README.md", "LICENSE"} <= held
+
+
+@pytest.mark.parametrize("extras", WORKS)
+def test_an_installed_wheel_does_what_its_extras_promise(extras, built, tmp_path):
+    check_install(sys.executable, extras, built[".whl"], tmp_path)
+
+
+@pytest.mark.skipif(NEWEST is None, reason="needs Python 3.13")
+def test_the_sdist_works_with_the_newest_supported_python(built, tmp_path):
+    check_install(NEWEST, "train", built[".gz"], tmp_path)
+
+
+def check_install(python, extras, archive, folder):
+    """Install into a fresh environment, and run commands there that must work or name what is missing."""
+    run([python, "-m", "venv", "env"], folder)
+    program = folder / "env" / "bin" / "python"
+    asked = f"{archive}[{extras}]" if extras else str(archive)
+    pip = [str(program), "-m", "pip", "install", "--quiet", "--constraint", str(ROOT / "constraints.txt")]
+    run([*pip, asked], folder)
+    command = str(folder / "env" / "bin" / "rover-ncp")
+    assert run([command, "--version"], folder).stdout.startswith("rover-ncp ")
+    run([command, "--help"], folder)
+    for line, code in WORKS[extras]:
+        run([command, *line.split()], folder, code)
+    if extras in MISSING:
+        line, needed = MISSING[extras]
+        error = json.loads(run([command, *line.split(), "--json"], folder, 2).stdout)
+        assert error["kind"] == "MissingExtra"
+        assert f"{program} -m pip install '{archive}[{needed}]'" in error["error"]

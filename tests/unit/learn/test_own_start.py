@@ -1,0 +1,56 @@
+"""Training that starts from a policy file: its neurons, sensing and motors are the user's."""
+
+import shutil
+
+import pytest
+from paths import DATA, ROOT
+
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.files import resolve
+from sim import api
+
+SHORT = str(DATA / "short_course.yaml")
+FORWARD = ROOT / "docs" / "examples" / "policy.yaml"
+
+
+def test_training_keeps_sensing_and_motors_and_moves_parameters(tmp_path):
+    start = load_policy(FORWARD)
+    settings = {"course": SHORT, "circuit": str(FORWARD), "agents": 1, "iterations": 30}
+    trained = load_policy(api.train(tmp_path / "run", **settings, processes=1).policy_path)
+    assert (trained.sensing, trained.motors) == (start.sensing, start.motors)
+    assert trained.circuit.neurons == start.circuit.neurons
+    assert trained.parameters().tolist() != start.parameters().tolist()
+    assert trained.courses == (load_policy_course(SHORT),)
+    assert api.rollout(trained, SHORT).total > api.rollout(start, SHORT).total
+
+
+def load_policy_course(path):
+    return api._course(path).name
+
+
+def test_a_run_is_not_resumed_after_its_start_has_changed(tmp_path):
+    mine = tmp_path / "mine.yaml"
+    shutil.copy(FORWARD, mine)
+    settings = {"course": SHORT, "circuit": str(mine), "agents": 1, "iterations": 3}
+    api.train(tmp_path / "run", **settings, processes=1)
+    mine.write_text(mine.read_text().replace("maximum: 0.18}", "maximum: 0.1}"))
+    with pytest.raises(ConfigError, match=r"circuit .*mine.yaml has changed"):
+        api.train(tmp_path / "run", **settings, processes=1, resume=True)
+
+
+def test_robust_training_goes_on_from_a_shipped_policy(tmp_path):
+    start = tmp_path / "start.yaml"
+    shutil.copy(resolve("policies", "course"), start)
+    settings = {"course": SHORT, "iterations": 1, "rollouts": 2, "random_courses": 0}
+    found = api.train_robust(tmp_path / "run", circuit=str(start), **settings, processes=1)
+    assert found.policy.sensing == load_policy("course").sensing
+
+
+def test_a_start_that_drives_no_rover_is_refused(tmp_path):
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text(
+        FORWARD.read_text().replace("inputs: [x]", "inputs: [smell]").replace("name: x,", "name: smell,")
+    )
+    with pytest.raises(ConfigError, match="smell"):
+        api.train(tmp_path / "run", course=SHORT, circuit=str(wrong), agents=1, iterations=1, processes=1)

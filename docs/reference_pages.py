@@ -50,11 +50,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 def front_page(readme: str) -> str:
     """Return README.md with its links as they are from the site."""
-    text = readme.replace("](docs/", "](")
-    # What is no page of the site is named, not linked.
-    return re.sub(
-        r"\[([^\]]*)\]\((?!https?:|#)((?![^)]*\.(?:md|png|svg|gif|webp)\b)[^)]*)\)", r"\1 (`\2`)", text
-    )
+    return readme.replace("](docs/", "](")
 
 
 def commands_page() -> str:

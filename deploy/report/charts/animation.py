@@ -36,7 +36,7 @@ def animate(trace: Trace, course: Course, suffix: str) -> bytes:
     from PIL import Image
 
     drawn = figure(9.0, 4.4)
-    canvas = FigureCanvasAgg(drawn)
+    canvas: Any = FigureCanvasAgg(drawn)  # untyped
     drawing = _Drawing(drawn, trace, course)
     step = max(round(FRAME_S / trace.policy.tick_s), 1)
     ticks = [*range(0, len(trace.times) - 1, step), len(trace.times) - 1]

@@ -4,7 +4,7 @@ import signal
 from collections.abc import Collection
 from pathlib import Path
 
-from bridge.bases import choose_base, gate_limits, note_on_silence, open_base
+from bridge.bases import SilenceOptions, choose_base, gate_limits, open_base
 from bridge.inbox import Inbox
 from bridge.node import Node
 from bridge.ros import messages as ros_messages
@@ -27,6 +27,7 @@ def run_bridge(
     ros: Collection[Convention],
     accept_ros: bool,
     insecure: bool,
+    silence: SilenceOptions,
     as_json: bool,
 ) -> int:
     """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
@@ -38,12 +39,12 @@ def run_bridge(
         Interrupts() as interrupts,
         ZenohLink(listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros) as link,
     ):
-        line, driven = open_base(chosen, allowed, inbox, link)
+        line, driven, note = open_base(chosen, allowed, inbox, link, silence)
 
         def ready() -> None:
             link.announce()
-            if chosen.ros2 is not None and chosen.description is not None:
-                output.say(note_on_silence(chosen.description))
+            if note:
+                output.say(note)
             output.announce(f"ready zenoh={link.locator} base={base}")
 
         node = Node(

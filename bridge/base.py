@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, TypeAlias
 
 from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.protocol import TimeoutState
 from rover_ncp.core.robot_description import RobotDescription
 
 
@@ -138,6 +139,17 @@ class Failed:
 BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Lost | Recovered | Failed
 
 
+class OwnTimeout(NamedTuple):
+    """What is known of the time in s after which the base halts without commands.
+
+    ``refusal`` is why no driver but the check may drive; "" = every driver may.
+    """
+
+    state: TimeoutState
+    timeout_s: float | None
+    refusal: str = ""
+
+
 class LinkHealth(NamedTuple):
     """Quality of the line to the base, for diagnostics."""
 
@@ -162,6 +174,13 @@ class Base(Protocol):
 
     def health(self) -> LinkHealth:
         """Return the quality of the line."""
+
+    @property
+    def own_timeout(self) -> OwnTimeout:
+        """What is known of its behaviour when this process dies."""
+
+    def measure_timeout(self, now: float) -> str:
+        """Send nothing until the base halts, for a few seconds at most; return why not, "" if it begins."""
 
     def close(self, now: float) -> None:
         """Stop the base, switch its motors off and end the connection."""

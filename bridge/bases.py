@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from bridge.base import Base
 from bridge.base_connection import BaseConnection
@@ -14,6 +15,7 @@ from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros_base.address import PREFIX, RosAddress, parse_address
 from bridge.ros_base.base import LoopSeen, Ros2Base
 from bridge.ros_base.line import LOOP_KEY, RosLine
+from bridge.ros_base.silence_file import SilenceFile
 from bridge.zenoh_link import ZenohLink
 from rover_ncp.core.config import load_yaml
 from rover_ncp.core.errors import UsageError
@@ -29,6 +31,13 @@ class ChosenBase:
     model: str
     description: RobotDescription | None
     ros2: RosAddress | None
+
+
+class SilenceOptions(NamedTuple):
+    """Where measurements of robots' own timeouts are kept, and whether a robot may drive without one."""
+
+    file: Path | None = None
+    unsafe: bool = False
 
 
 def choose_base(address: str, model: str) -> ChosenBase:
@@ -67,28 +76,20 @@ def gate_limits(file: Path | None, description: RobotDescription | None) -> Limi
     return given.model_copy(update=chosen)
 
 
-def note_on_silence(description: RobotDescription) -> str:
-    """Return what is known of a ROS 2 robot whose commands stop because this bridge died."""
-    timeout_s = description.topics.cmd_vel_timeout_s if description.topics else None
-    if timeout_s is None:
-        return (
-            f"{description.name} is not known to stop without commands: if this bridge dies, it may drive on"
-        )
-    return (
-        f"if this bridge dies, {description.name} should stop after {timeout_s:g} s by its description; "
-        "that is not measured"
-    )
-
-
 def open_base(
-    chosen: ChosenBase, limits: Limits, inbox: Inbox, link: ZenohLink
-) -> tuple[BaseConnection | RosLine, Base]:
-    """Open the line to the base. Raises UsageError or NoRobot."""
+    chosen: ChosenBase, limits: Limits, inbox: Inbox, link: ZenohLink, silence: SilenceOptions
+) -> tuple[BaseConnection | RosLine, Base, str]:
+    """Open the line to the base; also return what a user has to know of it.
+
+    Raises UsageError, FileError, ConfigError or NoRobot.
+    """
     if chosen.ros2 is None:
         session = Session(chosen.model, MotionLimits(v=limits.v_max, omega=limits.omega_max))
         connection = BaseConnection(chosen.address, inbox)
-        return connection, ArcosBase(connection, session)
+        return connection, ArcosBase(connection, session), ""
     assert chosen.description is not None and chosen.description.topics is not None  # choose_base checks it
+    file = SilenceFile(silence.file, chosen.ros2, chosen.description)
+    known = file.load(silence.unsafe)
     line = RosLine(chosen.ros2, chosen.description.topics, inbox)
     link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
-    return line, Ros2Base(line, chosen.description)
+    return line, Ros2Base(line, chosen.description, known, file.store), known.note

@@ -79,7 +79,7 @@ class Node:
         self._base, self._link, self._inbox, self._clock = base, link, inbox, clock
         self._limits, self._accept_ros, self._say = limits, accept_ros, say
         self._ready = ready
-        self._answers = Answers(limits, link.key, self._judge, base.reset_odometry)
+        self._answers = Answers(limits, link.key, self._judge, base)
         self.gate = GateState()
         self.reconnects = -1
         """Number of reconnections of the base; −1 until the first connection."""
@@ -147,7 +147,7 @@ class Node:
         tag, lease = read_tag(message.attachment), self.gate.lease
         key = self._link.key("cmd_vel")
         signed = lease is not None and lease.signed(tag, Signed.COMMAND, key, message.payload)
-        if not (signed or (tag is None and self._accept_ros)):
+        if not (signed or (tag is None and self._accepts_ros)):
             return VelocityCommand(None, tag)
         try:
             velocity, stamp_ns = read_twist(message.payload)
@@ -168,6 +168,7 @@ class Node:
                     self._link.publish("imu", ros.turn_rate(rate, self._wall_ns(arrived_s)))
                 case Ready(hardware, robot):
                     self._hardware, self._robot = hardware, robot
+                    self._answers.model = robot.name
                     self.reconnects += 1
                     self._say(f"the base is connected: {hardware}")
                     if self.reconnects == 0:
@@ -189,7 +190,7 @@ class Node:
     def _judge(self, event: GateEvent, now: float) -> Verdict:
         """Pass an event through the gate."""
         before = self.gate
-        self.gate, self._verdict = step(before, event, now, self._limits, self._accept_ros)
+        self.gate, self._verdict = step(before, event, now, self._limits, self._accepts_ros)
         # Neither a stop nor an accepted command waits for the next tick.
         self._act_now |= self._verdict.held is not None and before.held is None
         self._commanded |= self.gate.accepted > before.accepted
@@ -197,6 +198,10 @@ class Node:
             self._status_due_s = -math.inf
             self._log += _log_lines(before, self.gate)
         return self._verdict
+
+    @property
+    def _accepts_ros(self) -> bool:
+        return self._accept_ros and not self._base.own_timeout.refusal
 
     def _flush_log(self) -> None:
         for line in self._log:

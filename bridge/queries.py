@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from pydantic import BaseModel
 
+from bridge.base import Base
 from bridge.gate.limits import Limits
 from bridge.gate.state import (
     Enable,
@@ -25,9 +26,12 @@ from bridge.gate.state import (
 from bridge.inbox import Query
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.protocol import (
+    CHECK,
     KEY_BYTES,
     PROTOCOL,
     VERSION_REASON,
+    BaseReply,
+    BaseRequest,
     MotorsRefusal,
     MotorsReply,
     MotorsRequest,
@@ -42,6 +46,7 @@ from rover_ncp.core.protocol import (
     requested_version,
 )
 
+UNCHECKED = "unchecked"
 _DETAILS = {
     Reason.NO_BASE: "the base is not connected",
     Reason.STOP_BUTTON: "the STOP button is pressed",
@@ -57,7 +62,7 @@ _DETAILS = {
 class Answers:
     """Answers for the loop, which passes requests on to the gate by ``judge(event, now)``.
 
-    ``key`` is the key expression of a name, ``reset_odometry`` resets that of the base.
+    ``key`` is the key expression of a name.
     """
 
     def __init__(
@@ -65,9 +70,11 @@ class Answers:
         limits: Limits,
         key: Callable[[str], str],
         judge: Callable[[GateEvent, float], Verdict],
-        reset_odometry: Callable[[], None],
+        base: Base,
     ) -> None:
-        self._limits, self._key, self._judge, self._reset_odometry = limits, key, judge, reset_odometry
+        self._limits, self._key, self._judge, self._base = limits, key, judge, base
+        self.model = ""
+        """Of the base, once it is ready."""
 
     def give(self, query: Query, now: float, gate: GateState) -> None:
         """Answer one query that arrived at ``now``; ``gate`` is the state before it."""
@@ -83,6 +90,8 @@ class Answers:
                 return self._motors(query, now, gate)
             case "rover/stop":
                 return self._stop(parse_json(StopRequest, query.payload), now)
+            case "rover/base":
+                return self._about_base(query, now, gate)
             case _:
                 parse_json(ResetRequest, query.payload)
                 return self._reset(gate)
@@ -96,6 +105,8 @@ class Answers:
             return MotorsRefusal(reason=VERSION_REASON, detail=other_version(PROTOCOL, version))
         request = parse_json(MotorsRequest, query.payload)
         sequence = tag.sequence if tag is not None and signed else None
+        if request.enable and request.name != CHECK and (unchecked := self._base.own_timeout.refusal):
+            return MotorsRefusal(reason=UNCHECKED, detail=unchecked)
         if not request.enable:
             if sequence is not None:
                 self._judge(Release(sequence), now)
@@ -127,6 +138,33 @@ class Answers:
         self._judge(Unlatch() if request.release else Stop(request.reason), now)
         return StopReply(stopped=not request.release, reason="" if request.release else request.reason)
 
+    def _about_base(self, query: Query, now: float, gate: GateState) -> BaseReply:
+        request = parse_json(BaseRequest, query.payload)
+        reason = self._measure(query, request, now, gate) if request.measure else ""
+        known = self._base.own_timeout
+        return BaseReply(
+            model=self.model,
+            battery_min_v=self._limits.battery_min_v,
+            state=known.state,
+            timeout_s=known.timeout_s,
+            reason=reason,
+        )
+
+    def _measure(self, query: Query, request: BaseRequest, now: float, gate: GateState) -> str:
+        """Begin the measurement of the base's timeout; return the reason if not.
+
+        It counts as a renewal of the lease, so that the same request never counts twice.
+        """
+        tag, lease = read_tag(query.attachment), gate.lease
+        if tag is None or lease is None or lease.name != CHECK:
+            return "only the check may measure, while it holds the lease"
+        if not lease.signed(tag, Signed.MOTORS, self._key(query.name), query.payload):
+            return "the request is not signed with the lease's key"
+        verdict = self._judge(Enable(lease.name, request.sent_ns, lease.secret, tag.sequence), now)
+        if verdict.refusal is not None:
+            return _refusal(verdict.refusal, gate).detail or str(verdict.refusal)
+        return self._base.measure_timeout(now)
+
     def _reset(self, gate: GateState) -> ResetReply:
         if gate.base is None:
             return ResetReply(ok=False, reason=_DETAILS[Reason.NO_BASE])
@@ -135,7 +173,7 @@ class Answers:
                 ok=False,
                 reason="a driver holds the lease: its pose would jump; reset odometry after the drive",
             )
-        self._reset_odometry()
+        self._base.reset_odometry()
         return ResetReply(ok=True)
 
 

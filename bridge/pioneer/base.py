@@ -3,10 +3,14 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-from bridge.base import BaseEvent, Failed, LinkHealth, Ready, Setpoint
+from bridge.base import BaseEvent, Failed, LinkHealth, OwnTimeout, Ready, Setpoint
 from bridge.base_connection import Broken, Opened, Received
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.protocol import TimeoutState
+
+WATCHDOG_S = 2.0
+"""The firmware's watchdog (Pioneer 3 operations manual)."""
 
 
 class Connection(Protocol):
@@ -76,6 +80,15 @@ class ArcosBase:
         decoder = self._session.decoder
         counters = {name: getattr(decoder, name) for name in ("packets", "bad_checksums", "skipped_bytes")}
         return LinkHealth(decoder.bad_checksums > 0, counters)
+
+    @property
+    def own_timeout(self) -> OwnTimeout:
+        """See Base."""
+        return OwnTimeout(TimeoutState.PUBLISHED, WATCHDOG_S)
+
+    def measure_timeout(self, now: float) -> str:
+        """See Base."""
+        return "the manual of a Pioneer gives its timeout"
 
     def close(self, now: float) -> None:
         """See Base."""

@@ -11,7 +11,7 @@ Rules of this file:
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -21,6 +21,7 @@ from bridge.base import (
     Failed,
     LinkHealth,
     Lost,
+    OwnTimeout,
     Ready,
     Recovered,
     Setpoint,
@@ -30,10 +31,12 @@ from bridge.base import (
 from bridge.inbox import RobotMessage
 from bridge.ros.discovery import Announced
 from bridge.ros_base.odometry import LEAST_IN_RATE_S, RATE_S, Moved, RosOdometer
+from bridge.ros_base.silence import Silence
 from rover_ncp.core.cdr import encode
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.messages import ODOMETRY, TWIST, TWIST_STAMPED, read_battery, read_imu
+from rover_ncp.core.protocol import TimeoutState
 from rover_ncp.core.robot_description import RobotDescription, Topics
 
 REFRESH_S = 0.05
@@ -50,6 +53,10 @@ OWN_S = 2.0
 COAST_S, DRIVES_ALONE_S = 2.0, 0.5
 """A robot that still drives so long after the last command, for so long, is driven by another."""
 MOVING_M_S, MOVING_RAD_S = 0.05, 0.15
+MOST_SILENT_S = 5.0
+"""A base that has not halted after this time without commands has no timeout."""
+HALTED = 0.5
+"""A base has halted when its speed is below this share of what it was."""
 ZERO = Velocity(0.0, 0.0)
 _LOOP = (
     "the robot's Zenoh network is connected to the drivers': commands could reach the robot past the bridge; "
@@ -105,9 +112,14 @@ def command(topics: Topics, velocity: Velocity, stamp_ns: int) -> bytes:
 
 
 class Ros2Base:
-    """One robot, described by ``description``, whose ``topics`` are not None."""
+    """One robot, described by ``description``, whose ``topics`` are not None.
 
-    def __init__(self, line: Line, description: RobotDescription) -> None:
+    ``silence`` is what is known of it without commands; ``store`` keeps what is measured.
+    """
+
+    def __init__(
+        self, line: Line, description: RobotDescription, silence: Silence, store: Callable[[Silence], None]
+    ) -> None:
         assert description.topics is not None
         self._line, self._description, self._topics = line, description, description.topics
         self._odometer = RosOdometer(self._topics, description.motion)
@@ -124,6 +136,11 @@ class Ros2Base:
         self._battery_v = 0.0
         self._charging: bool | None = None
         self._turns: list[float] = []
+        self.silence, self._store = silence, store
+        self._speed = 0.0
+        self._silent_since_s: float | None = None
+        """When the measurement of the timeout began."""
+        self._silent_speed = 0.0
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
         """See Base."""
@@ -145,6 +162,10 @@ class Ros2Base:
         """See Base."""
         events = self._watch(now)
         velocity = setpoint.velocity if setpoint.motors and self._ready else ZERO
+        if self._silent_since_s is not None:
+            self._driven_s = now
+            if self._still_measures(setpoint, now):
+                return events
         if velocity != self._out or not self._sent or now - self._sent[-1][0] >= REFRESH_S:
             self._send(velocity, now)
         if velocity != ZERO:
@@ -159,6 +180,33 @@ class Ros2Base:
         """See Base."""
         counters = self._odometer.counters
         return LinkHealth(counters["unreadable"] > 0, counters)
+
+    @property
+    def own_timeout(self) -> OwnTimeout:
+        """See Base."""
+        if self._silent_since_s is not None:
+            return OwnTimeout(TimeoutState.RUNNING, None, self.silence.refusal)
+        return OwnTimeout(self.silence.state, self.silence.timeout_s, self.silence.refusal)
+
+    def measure_timeout(self, now: float) -> str:
+        """See Base."""
+        if not self._ready or abs(self._speed) < MOVING_M_S:
+            return "the wheels do not turn"
+        self._silent_since_s, self._silent_speed = self._sent[-1][0], self._speed
+        return ""
+
+    def _still_measures(self, setpoint: Setpoint, now: float) -> bool:
+        """Return whether the measurement of the timeout goes on; store its result when it ends."""
+        assert self._silent_since_s is not None
+        silent_s = now - self._silent_since_s
+        halted = abs(self._speed) < HALTED * abs(self._silent_speed)
+        if self._ready and not setpoint.emergency and not halted and silent_s < MOST_SILENT_S:
+            return True
+        self._silent_since_s = None
+        if halted or silent_s >= MOST_SILENT_S:
+            self.silence = self.silence.measured(silent_s if halted else None)
+            self._store(self.silence)
+        return False
 
     def close(self, now: float) -> None:
         """See Base."""
@@ -189,6 +237,7 @@ class Ros2Base:
 
     def _report(self, moved: Moved, now: float) -> list[BaseEvent]:
         v, omega = moved.velocity
+        self._speed = v
         drives = abs(v) > MOVING_M_S or abs(omega) > MOVING_RAD_S
         if not drives or now - self._driven_s < COAST_S or not self._was_ready:
             self._alone_since_s = None

@@ -28,6 +28,8 @@ from rover_ncp.core.messages import read_text, twist_stamped
 from rover_ncp.core.protocol import (
     PROTOCOL,
     VERSION_REASON,
+    BaseReply,
+    BaseRequest,
     GateStatus,
     MotorsReply,
     MotorsRequest,
@@ -161,6 +163,21 @@ class ZenohLink(ZenohClient):
                 return parse_json(MotorsReply, reply.ok.payload.to_bytes())
             except FormatError as error:
                 raise NoBridge(f"the bridge at {self.robot} sends an unreadable answer: {error}") from error
+        return None
+
+    def about_base(self, measure: bool = False) -> BaseReply | None:
+        """Return what the bridge knows of its base; ``measure`` begins the measurement of its own timeout.
+
+        None if the bridge does not answer.
+        """
+        where, now_ns, tag = self.key("rover/base"), time.monotonic_ns(), None
+        payload = dump_json(BaseRequest(measure=measure, sent_ns=now_ns))
+        if self.lease.number:
+            tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
+        for reply in self._session.get(where, payload=payload, attachment=tag, timeout=QUERY_TIMEOUT_S):
+            with contextlib.suppress(FormatError):
+                if reply.ok is not None:
+                    return parse_json(BaseReply, reply.ok.payload.to_bytes())
         return None
 
     def release(self) -> None:

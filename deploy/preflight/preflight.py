@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from deploy.drive.link import Link
 from deploy.drive.measurements import Measurement, Measurements
@@ -19,7 +20,7 @@ from rover_ncp.core.errors import FormatError, RoverNcpError, SafetyStop
 from rover_ncp.core.geometry import Velocity, relative
 from rover_ncp.core.messages import OdometrySample
 from rover_ncp.core.process import Interrupts
-from rover_ncp.core.protocol import GateStatus
+from rover_ncp.core.protocol import CHECK, BaseReply, GateStatus, TimeoutState
 from rover_ncp.core.recording import Recorded
 
 V_M_S, OMEGA_RAD_S = 0.1, 0.2
@@ -32,6 +33,8 @@ BATTERY_V, BATTERY_WAIT_S = 11.5, 2.0
 STOP_S = 0.5
 """The first safety requirement; braking and the time to the next report come on top."""
 BRAKING_S, REPORT_S = 0.15 + V_M_S / 0.3, 0.1
+MEASURING_S, POLL_S = 8.0, 0.2
+"""The bridge sends the base nothing for 5 s at most."""
 SCALE = 0.15
 """How far the distance by the pose and the distance by the speed may differ, as a share."""
 STANDING = 0.01
@@ -70,11 +73,18 @@ class Battery:
                 self.voltage = math.nan
 
 
+class CheckedLink(Link, Protocol):
+    """A link that also asks the bridge for its base."""
+
+    def about_base(self, measure: bool = False) -> BaseReply | None:
+        """See ZenohLink."""
+
+
 class Preflight:
     """Checks one robot. At every end, the lease is released."""
 
     def __init__(
-        self, link: Link, measurements: Measurements, monitor: SafetyMonitor, battery: Battery
+        self, link: CheckedLink, measurements: Measurements, monitor: SafetyMonitor, battery: Battery
     ) -> None:
         self._link, self._measurements = link, measurements
         self._monitor, self._battery = monitor, battery
@@ -90,6 +100,7 @@ class Preflight:
             "forward": self._check_forward,
             "left": self._check_left,
             "silence": self._check_silence,
+            "bridge": self._check_own_timeout,
         }
         try:
             for name, check in checks.items():
@@ -112,9 +123,13 @@ class Preflight:
         return rate >= RATE_HZ, f"{rate:.1f} reports a second (at least {RATE_HZ:g})"
 
     def _check_battery(self) -> tuple[bool, str]:
+        base = self._link.about_base()
+        least = (
+            BATTERY_V if base is None or base.state is TimeoutState.PUBLISHED else base.battery_min_v or 0.0
+        )
         self._until(lambda: math.isfinite(self._battery.voltage), BATTERY_WAIT_S)
         volts = self._battery.voltage
-        return volts >= BATTERY_V, f"{volts:.1f} V (at least {BATTERY_V} V)"
+        return volts >= least, f"{volts:.1f} V (at least {least} V)"
 
     def _check_holds(self) -> tuple[bool, str]:
         gate = self._link.gate
@@ -124,7 +139,7 @@ class Preflight:
     def _check_motors(self) -> tuple[bool, str]:
         try:
             began = time.monotonic()
-            self._link.request_motors("check")
+            self._link.request_motors(CHECK)
         except RoverNcpError as error:
             return False, str(error)
         return True, f"granted within {time.monotonic() - began:.3f} s"
@@ -157,6 +172,26 @@ class Preflight:
         took = time.monotonic() - silent
         words = f"stands {took:.2f} s after the last command" if stands else "does not stop"
         return stands and took <= allowed, f"{words} (at most {allowed:.2f} s)"
+
+    def _check_own_timeout(self) -> tuple[bool, str]:
+        """Test the last stop: the bridge sends the base nothing, as if it had died."""
+        base = self._link.about_base()
+        if base is None:
+            return False, "the bridge does not say what it knows of the base"
+        if base.state is TimeoutState.PUBLISHED:
+            return True, f"if it dies, the base halts after {base.timeout_s:g} s by its manual"
+        self._link.request_motors(CHECK)
+        self._move(Velocity(V_M_S, 0.0))
+        base = self._link.about_base(measure=True)
+        if base is None or base.state is not TimeoutState.RUNNING:
+            return False, f"the timeout was not measured: {base.reason if base else 'no answer'}"
+        ended_s = time.monotonic() + MEASURING_S
+        while base is not None and base.state is TimeoutState.RUNNING and time.monotonic() < ended_s:
+            self._until(lambda: False, POLL_S)
+            base = self._link.about_base()
+        if base is not None and base.state is TimeoutState.MEASURED:
+            return True, f"if it dies, the base halts after {base.timeout_s:.2f} s"
+        return False, "if it dies, the base does not halt: the bridge then needs --no-base-watchdog"
 
     def _gate_since(self, before: GateStatus) -> str:
         """Return a text on what the gate did to commands since ``before``, with its reasons."""

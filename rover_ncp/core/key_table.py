@@ -116,6 +116,7 @@ KEYS: tuple[KeySpec, ...] = (
     ),
     _asked("rover/stop", "StopRequest → StopReply", "stop, latched until released"),
     _asked("rover/reset_odometry", "ResetRequest → ResetReply", "make the present pose odom's origin"),
+    _asked("rover/base", "BaseRequest → BaseReply", "what is known of the base; measure its own timeout"),
     KeySpec("rover/alive/bridge", Kind.TOKEN, "", frozenset({Role.BRIDGE}), ALL, 0, "the bridge runs"),
     KeySpec("rover/alive/driver", Kind.TOKEN, "", frozenset({Role.DRIVER}), ALL, 0, "a driver runs"),
 )

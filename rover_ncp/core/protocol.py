@@ -8,7 +8,7 @@ others, and an old command from a fresh one, although the two clocks are not syn
 
 import hmac
 import struct
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from hashlib import blake2b
 from typing import Annotated, NamedTuple, Self, TypeVar
 
@@ -21,6 +21,8 @@ PROTOCOL = 2
 """Version of this protocol. Version 1 had no key: a tag was the driver's public id, and no digest."""
 VERSION_REASON = "version"
 """The reason of a refusal because driver and bridge use different versions."""
+CHECK = "check"
+"""The name of the driver that checks a robot. No other one drives a robot whose timeout is not known."""
 KEY_BYTES = 32
 """Length of a lease's key."""
 
@@ -173,6 +175,41 @@ class ResetReply(StrictModel):
     """Whether it was done; ``reason`` is the cause if not."""
 
     ok: bool
+    reason: str = ""
+
+
+class BaseRequest(StrictModel):
+    """What is known of the base. ``measure`` begins the measurement of its own timeout.
+
+    The measurement needs the lease of the driver `CHECK`, signed as a renewal, and wheels that turn.
+    """
+
+    measure: bool = False
+    sent_ns: Nanoseconds = 0
+
+
+class TimeoutState(StrEnum):
+    """What is known of the time after which a base halts without commands."""
+
+    PUBLISHED = "published"
+    """The base's manual gives it, and nothing has to be measured."""
+    UNKNOWN = "unknown"
+    RUNNING = "running"
+    MEASURED = "measured"
+    NONE = "none"
+    """It was measured, and the base did not halt."""
+
+
+class BaseReply(StrictModel):
+    """The base's model, the least voltage of its battery, and its own timeout in s; None = not known.
+
+    ``reason`` is why a measurement was refused, "" if it was not.
+    """
+
+    model: str
+    battery_min_v: float | None = None
+    state: TimeoutState
+    timeout_s: float | None = None
     reason: str = ""
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from rover_ncp.core.errors import RoverNcpError
 from sim.faults.proxy import Proxy
 from sim.faults.scripted_driver import ScriptedDriver
-from sim.live.live_run import LiveRun
+from sim.live.live_run import PIONEER, LiveRun
 from sim.live.processes import Process, wait_for
 
 SPEED_M_S = 0.12
@@ -44,8 +44,9 @@ class Rig(LiveRun):
         mock: Sequence[str] = (),
         bridge: Sequence[str] = (),
         outlet: str = "",
+        base_form: str = PIONEER,
     ) -> None:
-        super().__init__(folder, mock=mock, bridge=bridge, outlet=outlet)
+        super().__init__(folder, mock=mock, bridge=bridge, outlet=outlet, base_form=base_form)
         self.course = course
         self._scripted: list[ScriptedDriver] = []
 

@@ -65,7 +65,8 @@ def run_park(options: ParkOptions) -> int:
     run = LiveRun(
         out / "log",
         mock=["--course", options.course, "--model", model, *ros2, *_overwrite(options)],
-        bridge=["--model", "auto" if form == PIONEER else model],
+        # The drive is the mock's first: nothing measured what it does without commands.
+        bridge=["--model", model, "--no-base-watchdog"] if ros2 else [],
         base_form=form,
     )
     with run:

@@ -4,6 +4,7 @@ The robot is the mock. Publishers beside it encode with an independent library.
 """
 
 import json
+import re
 import struct
 import threading
 import time
@@ -29,7 +30,7 @@ DECEL_M_S2, DELAY_S = 2.5, 0.08
 def robot(folder, form, model="turtlebot3-burger", **more):
     ros = "rmw-zenoh" if form == RMW_ZENOH else "ros2dds"
     mock = ["--ros2", "--model", model, "--ros", ros]
-    return Rig(folder, mock=mock, bridge=["--model", model], base_form=form, **more)
+    return Rig(folder, mock=mock, bridge=["--model", model, "--no-base-watchdog"], base_form=form, **more)
 
 
 @pytest.fixture(scope="module", params=[ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])
@@ -135,7 +136,8 @@ class RobotNetwork:
 
 
 def bridge_to(network, folder, *more):
-    arguments = ["--base", network.base, "--model", "turtlebot3-burger", "--listen", "tcp/127.0.0.1:0", *more]
+    arguments = ["--base", network.base, "--model", "turtlebot3-burger", "--no-base-watchdog"]
+    arguments += ["--listen", "tcp/127.0.0.1:0", *more]
     return Process("bridge", arguments, folder)
 
 
@@ -203,3 +205,34 @@ def test_nothing_at_the_robots_address_is_one_line(tmp_path):
         ended = process.wait(30.0)
     assert ended.code == 3
     assert f"tcp/127.0.0.1:{port}: no Zenoh router answers there" in ended.last_line
+
+
+def test_an_unchecked_robot_is_driven_by_the_check_alone_until_its_timeout_is_known(tmp_path):
+    bridge = ["--model", "husky-a200", "--state", str(tmp_path / "robots.yaml")]
+    mock = ["--ros2", "--model", "husky-a200"]
+    with Rig(tmp_path / "run", mock=mock, bridge=bridge, base_form=ROS2DDS) as rig:
+        with Driver(rig.locator) as driver:
+            reply = driver.motors()
+            assert (reply.granted, reply.reason) == (False, "unchecked")
+            assert "rover-ncp check" in reply.detail
+        with Process("check", ["--robot", rig.locator, "--on-blocks"], tmp_path) as check:
+            done = check.wait(60.0)
+        findings = {finding["name"]: finding for finding in done.result["findings"]}
+        assert done.code == 0, findings
+        # The mock halts 0.5 s after its last command, as its description has it.
+        assert re.match(r"if it dies, the base halts after 0\.[4-9]", findings["bridge"]["detail"])
+        with Driver(rig.locator) as driver:
+            assert driver.motors().granted
+
+
+def test_a_robot_without_a_timeout_is_driven_only_if_that_is_asked_for(tmp_path):
+    bridge = ["--model", "turtlebot3-burger", "--state", str(tmp_path / "robots.yaml")]
+    mock = ["--ros2", "--model", "turtlebot3-burger"]
+    with Rig(tmp_path / "run", mock=mock, bridge=bridge, base_form=ROS2DDS) as rig:
+        with Process("check", ["--robot", rig.locator, "--on-blocks"], tmp_path) as check:
+            done = check.wait(60.0)
+        assert done.code == 1
+        assert "does not halt" in done.result["findings"][-1]["detail"]
+        with Driver(rig.locator) as driver:
+            assert "--no-base-watchdog" in driver.motors().detail
+        assert abs(rig.truth.speed()) < 1e-3

@@ -1,0 +1,45 @@
+"""What is known of a robot when its commands stop. Pure."""
+
+from dataclasses import dataclass, replace
+
+from rover_ncp.core.protocol import TimeoutState
+
+MOST_ALLOWED_S = 2.5
+"""A base that takes longer to halt counts as one without a timeout: a Pioneer takes 2 s."""
+
+
+@dataclass(frozen=True)
+class Silence:
+    """``unsafe`` is whether every driver may drive although the base may not halt (--no-base-watchdog)."""
+
+    state: TimeoutState = TimeoutState.UNKNOWN
+    timeout_s: float | None = None
+    unsafe: bool = False
+
+    def measured(self, timeout_s: float | None) -> "Silence":
+        """Return what is known after a measurement; None = it did not halt."""
+        halts = timeout_s is not None and timeout_s <= MOST_ALLOWED_S
+        return replace(self, state=TimeoutState.MEASURED if halts else TimeoutState.NONE, timeout_s=timeout_s)
+
+    @property
+    def refusal(self) -> str:
+        """Why no driver but the check may drive; "" if every one may."""
+        if self.unsafe or self.state is TimeoutState.MEASURED:
+            return ""
+        if self.state is TimeoutState.NONE:
+            return (
+                "the robot does not halt by itself when its commands stop; to drive it, the bridge needs "
+                "--no-base-watchdog"
+            )
+        return (
+            "it is not known whether the robot halts by itself when its commands stop; put it on blocks and "
+            "run 'rover-ncp check', or give the bridge --no-base-watchdog"
+        )
+
+    @property
+    def note(self) -> str:
+        """What a user has to know at each start."""
+        if self.state is TimeoutState.MEASURED:
+            return f"if this bridge dies, the robot halts after {self.timeout_s:.1f} s (measured)"
+        known = "does not halt" if self.state is TimeoutState.NONE else "is not known to halt"
+        return f"if this bridge dies, the robot {known}" + ("" if self.unsafe else f": {self.refusal}")

@@ -1,0 +1,72 @@
+"""The safety matrix with a ROS 2 robot behind the bridge: the rows whose fault such a robot can have.
+
+Where the bridge lives, the bounds are those of the Pioneer. Where it is dead, hung or cut off from the robot,
+the robot's own timeout stops it. Braking is that of its description. The figures stand in docs/safety.md.
+"""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from paths import DATA, ROOT
+
+from rover_ncp.core.robot_description import load_description
+from sim.faults.measure import MOST_LATE_S, measure
+from sim.faults.rig import Rig
+from sim.faults.table import LOW_BATTERY_S, MATRIX, ROWS, STOP_S
+from sim.live.live_run import RMW_ZENOH, ROS2DDS
+from sim.live.truth import SAMPLE_S
+
+MODEL = "husky-a200"
+HUSKY = load_description(MODEL)
+COURSE = DATA / "prompt_course.yaml"
+PAGE = ROOT / "docs" / "safety.md"
+ROWS_FILE = os.environ.get("ROVER_NCP_SAFETY_ROWS")
+
+WITHOUT = {
+    "bumper": "the driver reads no bumpers",
+    "stall": "Odometry has no stall flag",
+    "stop-button": "the driver reads no stop button",
+    "wall": "the driver reads no sonars",
+    "line-reset": "Zenoh connects again within 0.2 s, and the drive goes on",
+}
+KEYS = [row.key for row in MATRIX if not row.outlet and row.key not in WITHOUT]
+SHORT = {"mute", "bridge-killed"}
+
+
+def allowed_s(row, v, omega):
+    """Return the time within which the robot must stand."""
+    motion, delays = HUSKY.motion, HUSKY.delays
+    braking = max(delays.v_s, delays.omega_s) + max(abs(v) / motion.decel, abs(omega) / motion.alpha_decel)
+    bound = HUSKY.topics.cmd_vel_timeout_s if row.layer in {"line", "bridge"} else STOP_S
+    return bound + (LOW_BATTERY_S if row.key == "low-battery" else 0.0) + braking
+
+
+@pytest.fixture(scope="module", params=[ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])
+def rig(request, tmp_path_factory):
+    form = request.param
+    mock = ["--ros2", "--model", MODEL, "--ros", "rmw-zenoh" if form == RMW_ZENOH else "ros2dds"]
+    with Rig(
+        tmp_path_factory.mktemp("rig"),
+        COURSE,
+        mock=mock,
+        bridge=["--model", MODEL, "--no-base-watchdog"],
+        base_form=form,
+    ) as rig:
+        yield rig
+
+
+@pytest.mark.parametrize(
+    "key", [pytest.param(key, marks=[pytest.mark.short] if key in SHORT else []) for key in KEYS]
+)
+def test_the_robot_stands_in_time_and_stays(rig, key):
+    row = ROWS[key]
+    measured = measure(rig, row, row.drivers[0])
+    allowed = allowed_s(row, measured.v, measured.omega)
+    found = {"row": key, "seconds": round(measured.seconds, 2), "allowed_s": round(allowed, 2)}
+    if ROWS_FILE:
+        with Path(ROWS_FILE).open("a") as file:
+            file.write(json.dumps(found) + "\n")
+    assert measured.late_s <= MOST_LATE_S
+    assert measured.seconds <= allowed + SAMPLE_S + measured.late_s, found

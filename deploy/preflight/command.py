@@ -24,8 +24,8 @@ def check(
     Checks odometry, battery, stop button and bumpers and requests the motors. Turns the wheels forward and
     then left for a moment and compares the reported motion with the commands. Ends with a test of the stop:
     it sends no more commands and measures how long the wheels go on. For a ROS 2 robot the bridge then sends
-    nothing either, for 5 s at most, and measures when the robot halts by itself. Ends with 0 for yes, 1 for no, with the
-    reason.
+    nothing either, for 5 s at most, and measures when the robot halts by itself. Ends with 0 for yes, 1 for
+    no, with the reason.
     """
     if not on_blocks:
         raise UsageError("the check turns the wheels: put the robot on blocks and give --on-blocks")

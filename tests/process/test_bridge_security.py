@@ -281,7 +281,7 @@ def test_each_right_follows_from_the_table_of_keys():
         f"bot1/{name}" for name in ("cmd_vel", "pose", "rover/estimate", "rover/neurons", "rover/status")
     }
     assert {(who, key) for who, flow, message, key in allowed if (flow, message) == ("ingress", "query")} == {
-        ("driver", f"bot1/rover/{name}") for name in ("motors", "stop", "reset_odometry")
+        ("driver", f"bot1/rover/{name}") for name in ("motors", "stop", "reset_odometry", "base")
     }
     tokens = {(who, key) for who, flow, m, key in allowed if (flow, m) == ("ingress", "liveliness_token")}
     assert tokens == {("driver", "bot1/rover/alive/driver")}

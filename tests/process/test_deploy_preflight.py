@@ -27,7 +27,7 @@ def test_a_robot_that_is_well(tmp_path, check):
         gate = rig.bridge.stop().result
     assert (code, said["ready"]) == (0, True), said
     assert [finding["name"] for finding in said["findings"]] == [
-        *("odometry", "battery", "stop", "motors", "forward", "left", "silence")
+        *("odometry", "battery", "stop", "motors", "forward", "left", "silence", "bridge")
     ]
     # What it calls standing may still creep, for as long as braking from that takes.
     assert stopped <= STANDING / BRAKING_M_S2

@@ -320,7 +320,7 @@ _ROWS = (
         lease_s=LONG_LEASE_S,
         ended=_LAPSED,
     ),
-    _link("link-cut", "cut", _tell_link("cut"), _release, only=""),
+    _link("link-cut", "cut", _tell_link("cut"), _release_without_lease, only=""),
     # The driver sends only commands: a late request for the lease would make stale commands look fresh.
     _link(
         "link-slow",

@@ -1,7 +1,8 @@
 """The safety matrix with a ROS 2 robot behind the bridge: the rows whose fault such a robot can have.
 
 Where the bridge lives, the bounds are those of the Pioneer. Where it is dead, hung or cut off from the robot,
-the robot's own timeout stops it. Braking is that of its description. The figures stand in docs/safety.md.
+the robot's own timeout stops it. Braking is that of its description. The figures in docs/safety.md are from
+ROVER_NCP_SAFETY_ROWS=FILE pytest tests/system/test_safety_matrix_ros2.py.
 """
 
 import json
@@ -32,7 +33,7 @@ WITHOUT = {
     "line-reset": "Zenoh connects again within 0.2 s, and the drive goes on",
 }
 KEYS = [row.key for row in MATRIX if not row.outlet and row.key not in WITHOUT]
-SHORT = {"mute", "bridge-killed"}
+SHORT = {"bridge-killed"}
 
 
 def allowed_s(row, v, omega):
@@ -70,3 +71,9 @@ def test_the_robot_stands_in_time_and_stays(rig, key):
             file.write(json.dumps(found) + "\n")
     assert measured.late_s <= MOST_LATE_S
     assert measured.seconds <= allowed + SAMPLE_S + measured.late_s, found
+
+
+def test_the_page_shows_every_row():
+    page = PAGE.read_text().partition("## With a ROS 2 robot")[2]
+    lines = [line for line in page.partition("\n## ")[0].splitlines() if line.startswith("| ")][1:]
+    assert [line.split(" | ")[0].removeprefix("| ") for line in lines] == [ROWS[key].layer for key in KEYS]

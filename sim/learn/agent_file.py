@@ -10,6 +10,7 @@ from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.agents import AgentState, Plan, revive
+from sim.learn.search.base import dump_state
 
 
 class _AgentFile(StrictModel):
@@ -22,7 +23,7 @@ class _AgentFile(StrictModel):
 def save_agent(path: Path, agent: AgentState) -> None:
     """Write an agent. Raises FileError when the place cannot be written."""
     data = {"format": 1, "agent": agent.number, "improvements": agent.improvements, "search": agent.search}
-    write_atomic(path, json.dumps(data, allow_nan=False) + "\n")
+    write_atomic(path, dump_state(data) + "\n")
 
 
 def load_agent(path: Path, number: int, plan: Plan) -> AgentState:

@@ -4,6 +4,7 @@ A search knows vectors, their bounds and a random generator; neither circuit nor
 else may happen between ``ask`` and ``tell``.
 """
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Protocol, Self
 
@@ -15,7 +16,12 @@ from rover_ncp.circuit.policy import ParameterLayout
 Vector = NDArray[np.float64]
 
 SearchState = Mapping[str, Any]
-"""A search between ``tell`` and ``ask`` as plain values, lists and mappings; JSON keeps every bit."""
+"""A search between ``tell`` and ``ask`` as plain values, arrays, lists and mappings."""
+
+
+def dump_state(state: SearchState) -> str:
+    """Return a state as JSON, arrays as nested lists; it keeps every bit."""
+    return json.dumps(state, allow_nan=False, default=np.ndarray.tolist)
 
 
 class Strategy(Protocol):

@@ -33,8 +33,8 @@ def _array(value: Any) -> Vector:
     return np.array(value, np.float64)
 
 
-Array = Annotated[Vector, PlainValidator(_array), PlainSerializer(np.ndarray.tolist)]
-"""An array that a saved state holds as nested lists; JSON keeps every bit."""
+Array = Annotated[Vector, PlainValidator(_array), PlainSerializer(np.ndarray.copy)]
+"""An array; a state holds a copy of it."""
 
 
 @dataclass

@@ -327,7 +327,7 @@ class GaussNewton:
         return {
             "incumbent": self.incumbent.tolist(),
             "generator": self._generator.bit_generator.state,
-            **_PROGRESS.dump_python(self._progress, mode="json"),
+            **_PROGRESS.dump_python(self._progress),
         }
 
     def restore(self, state: SearchState) -> None:

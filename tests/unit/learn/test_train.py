@@ -116,7 +116,7 @@ def test_run_that_ended_early_names_the_command_that_ends_there(tmp_path: Path) 
     stopped_files, exact_files = content(tmp_path / "stopped"), content(tmp_path / "exact")
     assert stopped_files.pop("settings.yaml") != exact_files.pop("settings.yaml")
     assert stopped_files == exact_files
-    assert exact.agents == stopped.agents
+    assert exact.agents.returns == stopped.agents.returns
 
 
 def test_processes_change_nothing(reference: Path, tmp_path: Path) -> None:

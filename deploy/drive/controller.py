@@ -10,8 +10,10 @@ Rules of this file:
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,21 +45,41 @@ class Tick:
     potentials: NDArray[np.float64]
 
 
+class Runner(Protocol):
+    """What turns observations into commands, tick by tick; `PolicyRunner` is one."""
+
+    @property
+    def potentials(self) -> NDArray[np.float64]:
+        """Potentials of all neurons in mV."""
+
+    def reset(self) -> None:
+        """Go back to the start of a drive."""
+
+    def tick(self, observation: Sequence[float] | NDArray[np.float64]) -> tuple[float, ...]:
+        """Run one control tick and return v in m/s and omega in rad/s."""
+
+
 class Controller:
     """Estimator and circuit of one drive. Times are seconds on one clock, any zero.
 
     With the known gains of a ``rover``, commands are divided by them, so that it moves as the circuit asks.
+    A ``runner`` takes the place of the policy's circuit.
     """
 
     def __init__(
-        self, policy: Policy, course: Course, settings: EstimatorSettings, rover: RoverProfile | None = None
+        self,
+        policy: Policy,
+        course: Course,
+        settings: EstimatorSettings,
+        rover: RoverProfile | None = None,
+        runner: Runner | None = None,
     ) -> None:
         if problems := _misfits(policy):
             raise ConfigError(f"policy {policy.circuit.name}", problems)
         self._signal_at = [SIGNALS.index(name) for name in policy.sensing.inputs]
         self._course = course
         self._reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
-        self._runner = PolicyRunner(policy)
+        self._runner: Runner = runner or PolicyRunner(policy)
         self._runner.tick([0.0] * len(self._signal_at))  # compiles now, before the rover waits for it
         self.estimator = Estimator(settings)
         self._gains = _gains(rover)

@@ -7,13 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import Course, ParkedRule, Verdict
 from rover_ncp.course.random_course import random_course
-from sim.evaluate.laws import LAWS, law_evaluator
-from sim.learn.evaluator import Evaluator, Outcomes
-from sim.world.randomization import Randomization, Trials, draw_trials
+from sim.evaluate.driver import Driver
+from sim.learn.evaluator import Outcomes
+from sim.world.randomization import Randomization, draw_trials
 from sim.world.rover import RoverModel
 
 _BATCH = 500
@@ -61,7 +60,7 @@ class Evaluation(NamedTuple):
 
 
 def evaluate(
-    driver: Policy | str,
+    driver: Driver,
     courses: Sequence[Course],
     ranges: Randomization,
     *,
@@ -69,10 +68,7 @@ def evaluate(
     seed: int,
     model: RoverModel | None = None,
 ) -> Evaluation:
-    """Drive ``trials`` trials of a seed, trial i on course i modulo their number. Raises ConfigError.
-
-    ``driver`` is a policy, or the name of a classical law.
-    """
+    """Drive ``trials`` trials of a seed, trial i on course i modulo their number. Raises ConfigError."""
     if trials < 1:
         raise UsageError(f"at least one trial must be driven, got {trials}")
     model = model or RoverModel()
@@ -82,21 +78,15 @@ def evaluate(
         count = min(_BATCH, trials - first)
         drawn = draw_trials(ranges, model, seed, count=count, ticks=ticks, first=first)
         if engine is None:
-            engine = _engine(driver, courses, model, drawn)
+            engine = driver.evaluator(courses, model, drawn)
         else:
             engine.change_trials(drawn, first)
-        found.append(engine.outcomes(LAWS[driver].tuned if isinstance(driver, str) else driver.parameters()))
+        found.append(engine.outcomes(driver.vector))
     rules = [courses[i % len(courses)].parked for i in range(trials)]
     limits = np.array([[rule.position_m, rule.heading_rad] for rule in rules])
     return summarize(
         Outcomes(*(np.concatenate(column, axis=1) for column in zip(*found, strict=True))), limits
     )
-
-
-def _engine(driver: Policy | str, courses: Sequence[Course], model: RoverModel, trials: Trials) -> Evaluator:
-    if isinstance(driver, str):
-        return law_evaluator(driver, courses, trials)
-    return Evaluator(driver, courses, model, trials)
 
 
 def summarize(found: Outcomes, limits: NDArray[np.float64]) -> Evaluation:

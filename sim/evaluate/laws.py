@@ -10,22 +10,16 @@ smooth          Park and Kuipers (2011), eq. 14: the law of Nav2's docking, to a
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.policy import course_policy
-from rover_ncp.circuit.tap_withdrawal import tap_withdrawal_circuit
-from rover_ncp.course.course import Course
-from rover_ncp.course.reference import Reference
+from rover_ncp.circuit.policy import Policy
 from rover_ncp.kernels.jit import kernel
 from sim.learn.commander import Commander
-from sim.learn.evaluator import Evaluator
 from sim.learn.search.unit_box import UnitBox
 from sim.world.fleet import wrapped
-from sim.world.randomization import Trials
 
 FloatArray = NDArray[np.float64]
 
@@ -118,23 +112,14 @@ def tick_laws(lanes: LawLanes, observations: FloatArray, commands: FloatArray) -
             commands[axis, lane] = 0.0 if still else part
 
 
-def law_evaluator(
-    name: str,
-    courses: Sequence[Course],
-    trials: Trials,
-    references: Sequence[Reference] | None = None,
-) -> Evaluator:
-    """Return an evaluator whose vectors are the gains of a law."""
-    law = LAWS[name]
-    # Of the policy, its signals and limits count; its circuit is not run.
-    policy = course_policy(tap_withdrawal_circuit())
+def law_commander(law: Law, policy: Policy) -> Commander:
+    """Return the commander of a law, which has a policy's signals and limits. Its vectors are the gains."""
     limits = np.array(policy.motors.limits)
 
     def allocate(count: int) -> LawLanes:
         return LawLanes(law.number, limits, np.zeros((count, len(law.gains))))
 
-    commander = Commander(len(law.gains), allocate, start_law, tick_laws)
-    return Evaluator(policy, courses, trials=trials, references=references, commander=commander)
+    return Commander(len(law.gains), allocate, start_law, tick_laws)
 
 
 def gain_box(law: Law) -> UnitBox:

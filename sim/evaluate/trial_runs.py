@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 from rich.progress import Progress
 
-from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import distance, wrap_angle
 from rover_ncp.course.course import load_course
 from sim.evaluate.commands import EvalOptions, Sensors
+from sim.evaluate.driver import CIRCUIT, load_driver
 from sim.evaluate.evaluate import Evaluation, Spread, evaluate, tally, unseen_courses
-from sim.evaluate.laws import LAWS
 from sim.live.trials import drive_live, trial_folder
 from sim.stack.camera import Camera
 from sim.stack.estimates import summary, words
@@ -29,23 +28,22 @@ def run_trials(options: EvalOptions) -> int:
     courses = [load_course(name) for name in options.courses]
     if options.random_courses:
         courses = unseen_courses(options.seed, options.random_courses)
-    trials, law = options.trials or options.live or 1, options.policy in LAWS
+    trials, driver = options.trials or options.live or 1, load_driver(options.policy)
     output, more = Output(options.json), dict[str, Any]()
     if options.stack or options.live:
-        if law:
-            raise UsageError(f"{options.policy}: the classical laws drive in plain simulation alone")
+        if options.live and driver.agent != CIRCUIT:
+            raise UsageError(f"{options.policy}: --live needs a policy")
         stack = Stack(
-            load_policy(options.policy),
+            driver,
             tuple(courses),
             ranges,
             options.seed,
             gyro=options.sensors in {Sensors.GYRO, Sensors.BOTH},
             camera=_camera(options),
         )
-        drive = _live if options.live else _through_stack
-        found, more = drive(output, stack, options, trials)
+        run = _live if options.live else _through_stack
+        found, more = run(output, stack, options, trials)
     else:
-        driver = options.policy if law else load_policy(options.policy)
         found = evaluate(driver, courses, ranges, trials=trials, seed=options.seed)
     fields = found.fields() | {
         "randomize": options.randomization,

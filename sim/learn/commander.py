@@ -3,7 +3,7 @@
 A commander is a circuit (here), a network (``networks.py``) or a classical law (``sim/evaluate/laws.py``).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,3 +70,28 @@ def start_circuit(lanes: CircuitLanes, lane: int, vector: FloatArray) -> None:
 def tick_circuits(lanes: CircuitLanes, observations: FloatArray, commands: FloatArray) -> None:
     """Run all lanes for one control tick."""
     tick_lanes(lanes.program, lanes.parameters, lanes.potentials, observations, commands)
+
+
+class CommanderRunner:
+    """One lane of a commander, run tick by tick: a driver's ``Runner`` without neurons."""
+
+    def __init__(self, commander: Commander, vector: FloatArray) -> None:
+        self._commander, self._vector = commander, vector
+        self._lane = commander.allocate(1)
+        self._command = np.empty((2, 1))
+        self.reset()
+
+    @property
+    def potentials(self) -> FloatArray:
+        """None: (0,)."""
+        return np.empty(0)
+
+    def reset(self) -> None:
+        """Go back to an episode's start."""
+        self._commander.start_lane(self._lane, 0, self._vector)
+
+    def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:
+        """Run one control tick on an observation (inputs,) and return v in m/s and omega in rad/s."""
+        seen = np.array(observation, np.float64)[:, None]
+        self._commander.tick_lanes(self._lane, seen, self._command)
+        return tuple(self._command[:, 0].tolist())

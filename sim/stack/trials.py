@@ -23,10 +23,10 @@ from deploy.drive.config import DriveConfig, settings_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
-from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import Course, Verdict
+from sim.evaluate.driver import Driver
 from sim.evaluate.evaluate import cause
 from sim.learn.workers import WorkerDied, available_processes, starting_processes
 from sim.pioneer.firmware import Firmware
@@ -67,7 +67,7 @@ class Driven(NamedTuple):
 class Stack:
     """Settings of the trials: trial i of a seed on course i modulo their number."""
 
-    policy: Policy
+    driver: Driver
     courses: tuple[Course, ...]
     ranges: Randomization
     seed: int
@@ -97,7 +97,7 @@ class Stack:
         return rover.model_copy(update={**unknown, "std": std})
 
     @cached_property
-    def _drivers(self) -> dict[int, Controller]:
+    def _controllers(self) -> dict[int, Controller]:
         """A driver for each course that was met; its reference takes a second to plan."""
         return {}
 
@@ -137,15 +137,15 @@ class Stack:
         config = DriveConfig(
             robot=link.robot,
             namespace="",
-            policy=self.policy.circuit.name,
+            policy=self.driver.name,
             course=course.name,
             dry_run=False,
             ticks=course.ticks,
             estimator=settings_for(self.known),
             rover=self.known,
         )
-        publisher = Publisher(link, lambda message: None, self.policy.circuit.neurons, bridge)
-        drive = Drive(link, self._driver(number), publisher, config, lambda: False, clock=bridge)
+        publisher = Publisher(link, lambda message: None, self.driver.neurons, bridge)
+        drive = Drive(link, self._controller(number), publisher, config, lambda: False, clock=bridge)
         drive.wait()
         drive.run({})
         report = drive.keeper.report()
@@ -163,13 +163,15 @@ class Stack:
             belief_of(drive, rover.pose),
         )
 
-    def _driver(self, number: int) -> Controller:
+    def _controller(self, number: int) -> Controller:
         """Return a driver that has not started yet."""
         place = number % len(self.courses)
-        if place not in self._drivers:
+        if place not in self._controllers:
             settings = settings_for(self.known)
-            self._drivers[place] = Controller(self.policy, self.courses[place], settings, self.known)
-        return copy.deepcopy(self._drivers[place])
+            self._controllers[place] = Controller(
+                self.driver.policy, self.courses[place], settings, self.known, self.driver.runner()
+            )
+        return copy.deepcopy(self._controllers[place])
 
 
 def _spread(ranges: Randomization) -> dict[str, float]:

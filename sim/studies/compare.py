@@ -32,10 +32,11 @@ from rover_ncp.circuit.sensing import shifted_sensing
 from rover_ncp.circuit.tap_withdrawal import random_circuit
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
+from sim.evaluate.driver import CIRCUIT, NETWORKS
 from sim.evaluate.evaluate import unseen_courses
-from sim.evaluate.laws import LAWS, gain_box, law_evaluator
+from sim.evaluate.laws import LAWS, gain_box, law_commander
 from sim.learn.evaluator import Evaluator
-from sim.learn.networks import Net, NetKind, net_for, network_commander
+from sim.learn.networks import Net, net_for, network_commander
 from sim.learn.record import RobustSettings, made_with
 from sim.learn.robust import RobustSearch, drive_trials, policy_box, training_courses
 from sim.learn.search.unit_box import UnitBox
@@ -59,21 +60,21 @@ class Agent(NamedTuple):
 
 def find_agent(name: str, seed: int) -> Agent:
     """Return an agent by its name; networks draw their start from the seed. Raises KeyError."""
-    if name in LAWS:
-        return Agent(gain_box(LAWS[name]), partial(law_evaluator, name), True)
     following = course_policy(load_circuit("tracking"))
+    if name in LAWS:
+        law = LAWS[name]
+        engine = partial(Evaluator, following, commander=law_commander(law, following))
+        return Agent(gain_box(law), engine, True)
+    if name in NETWORKS:
+        return _network(net_for(following, *NETWORKS[name]), following, seed)
     if name.startswith("random-"):
-        following = course_policy(random_circuit(int(name.removeprefix("random-"))))
-    elif name != "circuit":
-        others: dict[str, Callable[[], Agent]] = {
-            "mlp": lambda: _network(net_for(following, NetKind.MLP), following, seed),
-            "lstm": lambda: _network(net_for(following, NetKind.LSTM), following, seed),
-            "lstm-small": lambda: _network(net_for(following, NetKind.LSTM, 3), following, seed),
-            "absolute": lambda: _circuit(replace(load_policy("parking"), sensing=shifted_sensing()), False),
-            "paper": lambda: _circuit(load_policy("parking"), False),
-        }
-        return others[name]()
-    return _circuit(following, True)
+        return _circuit(course_policy(random_circuit(int(name.removeprefix("random-")))), True)
+    known: dict[str, Callable[[], Agent]] = {
+        CIRCUIT: lambda: _circuit(following, True),
+        "absolute": lambda: _circuit(replace(load_policy("parking"), sensing=shifted_sensing()), False),
+        "paper": lambda: _circuit(load_policy("parking"), False),
+    }
+    return known[name]()
 
 
 def _circuit(policy: Policy, any_course: bool) -> Agent:

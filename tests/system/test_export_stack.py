@@ -10,6 +10,7 @@ from deploy.drive import controller
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import load_course
 from rover_ncp.export.circuit_c import circuit_files
+from sim.evaluate.driver import load_driver
 from sim.stack.trials import Stack, drive_all
 from sim.world.randomization import load_randomization
 
@@ -18,7 +19,7 @@ TRIALS = 4
 
 
 def stack():
-    return Stack(load_policy("course"), (load_course("parking"),), load_randomization("full"), 1)
+    return Stack(load_driver("course"), (load_course("parking"),), load_randomization("full"), 1)
 
 
 @pytest.fixture

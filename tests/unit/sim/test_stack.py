@@ -2,10 +2,11 @@
 
 import json
 import math
+import pickle
 
 import numpy as np
 import pytest
-from paths import DATA
+from paths import DATA, ROOT
 from scipy.stats import chi2
 
 from rover_ncp.circuit.policy_file import load_policy
@@ -14,6 +15,7 @@ from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, distance
 from rover_ncp.core.robot_profile import RoverProfile, load_profile
 from rover_ncp.course.course import load_course
+from sim.evaluate.driver import Driver, load_driver
 from sim.learn.rollout import rollout
 from sim.pioneer.trial import BaseTrial
 from sim.stack.camera import Camera
@@ -27,9 +29,9 @@ from sim.world.skid_robot import SkidRanges
 SHORT = str(DATA / "short_course.yaml")
 
 
-def stack(ranges="none", seed=1, course=SHORT, body=Body.PYMUNK, **sensors):
+def stack(ranges="none", seed=1, course=SHORT, body=Body.PYMUNK, driver="course", **sensors):
     known = ranges if isinstance(ranges, Randomization) else load_randomization(ranges, body)
-    return Stack(load_policy("course"), (load_course(course),), known, seed, **sensors)
+    return Stack(load_driver(driver), (load_course(course),), known, seed, **sensors)
 
 
 def apart(one, other):
@@ -69,7 +71,7 @@ def test_drivers_beliefs_are_compared_with_the_truth(parking):
 def test_the_stack_drives_the_trials_of_plain_simulation(parking):
     driven, found = parking
     for number, trial in enumerate(found):
-        plain = rollout(driven.policy, driven.course(number), trials=driven.robot(number).trials)
+        plain = rollout(driven.driver.policy, driven.course(number), trials=driven.robot(number).trials)
         assert plain.verdict.parked
         # What differs: whole mm/s and deg/s, encoder steps, and an estimate that is less noisy.
         assert apart(plain.poses[-1], trial.pose) < 0.025
@@ -84,7 +86,7 @@ def test_a_trial_is_the_same_whatever_the_number_of_processes():
 
 def test_without_errors_the_stack_ends_where_the_simulator_does():
     driven = stack()
-    plain, trial = rollout(driven.policy, driven.course(0)), driven.drive(0)
+    plain, trial = rollout(driven.driver.policy, driven.course(0)), driven.drive(0)
     assert apart(plain.poses[-1], trial.pose) < 0.005
     assert plain.poses[-1][2] == pytest.approx(trial.pose.theta, abs=0.02)
 
@@ -93,7 +95,7 @@ def test_a_known_start_reaches_the_driver_through_external_poses():
     driven = stack(Randomization(name="far", start_m=0.1, start_rad=0.1745), seed=5)
     for number in range(2):
         trials = driven.robot(number).trials
-        plain = rollout(driven.policy, driven.course(number), trials=trials)
+        plain = rollout(driven.driver.policy, driven.course(number), trials=trials)
         assert np.hypot(*trials.start[0, :2]) > 0.05
         assert apart(plain.poses[-1], driven.drive(number).pose) < 0.01
 
@@ -202,6 +204,36 @@ def test_the_command_line_drives_through_the_stack(capsys):
     assert math.isfinite(fields["times_real_time"])
 
 
+@pytest.mark.parametrize("name", ["kanayama", "lstm"])
+def test_laws_and_networks_drive_through_the_stack_as_in_plain_simulation(name, tmp_path):
+    if name == "lstm":
+        results = (ROOT / "docs" / "data" / "compare.jsonl").read_text().splitlines()
+        (tmp_path / "lstm.json").write_text(next(line for line in results if '"lstm-small"' in line))
+        name = str(tmp_path / "lstm.json")
+    driven = stack("none", course="parking", driver=name)
+    assert pickle.loads(pickle.dumps(driven)).driver.vector == pytest.approx(driven.driver.vector)
+    trial = driven.drive(0)
+    driver, course = driven.driver, driven.course(0)
+    plain = driver.evaluator([course], RoverModel(), nominal_trials(RoverModel(), course.ticks))
+    found = plain.outcomes(driver.vector)
+    assert trial.parked
+    assert trial.error_m == pytest.approx(float(found.error_m[0, 0]), abs=0.005)
+    assert trial == driven.drive(0)
+
+
+def test_results_that_are_no_driver_are_refused(tmp_path, capsys):
+    path = tmp_path / "found.json"
+    for text, words in (
+        ("{", "not valid JSON"),
+        ('{"agent": "mlp"}', "$.found: this key is missing"),
+        ('{"agent": "paper", "found": [1.0]}', "expected one of circuit, kanayama"),
+        ('{"agent": "mlp", "found": [1.0]}', "expected 90 numbers, got 1"),
+    ):
+        path.write_text(text)
+        assert run(["eval", str(path), "--trials", "1"]) == 2
+        assert words in capsys.readouterr().err
+
+
 SKIDDING = Randomization(
     name="off centre", body=Body.MUJOCO, skid_steer=SkidRanges(mass_center_m=0.06, friction=(0.4, 0.4))
 )
@@ -232,7 +264,7 @@ def test_the_command_line_drives_another_body(capsys):
         (["course", "--trials", "2", "--stack", "--body", "mujoco", "--randomize", "full"], "for mujoco"),
         (["course", "--trials", "2", "--body", "mujoco"], "needs --stack"),
         (["course", "--trials", "2", "--sensors", "gyro"], "--sensors needs --stack"),
-        (["kanayama", "--trials", "2", "--stack"], "plain simulation alone"),
+        (["kanayama", "--trials", "2", "--live", "1"], "--live needs a policy"),
         (["course", "--processes", "2"], "--processes needs --stack or --live"),
         (["course", "--trials", "2", "--live", "3"], "there are only 2 trials"),
     ],
@@ -271,5 +303,5 @@ def test_circuits_that_park_without_quantisation_park_with_it():
         policy = shipped.with_parameters(vector)
         if parks_with_room(policy, course):
             found += 1
-            driven = Stack(policy, (course,), load_randomization("none"), 0).drive(0)
+            driven = Stack(Driver(policy), (course,), load_randomization("none"), 0).drive(0)
             assert driven.parked, driven

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import load_course
+from sim.evaluate.driver import load_driver
 from sim.evaluate.evaluate import evaluate
 from sim.studies.compare import find_agent
 from sim.studies.paired import Paired, paired, parked
@@ -50,5 +50,4 @@ def test_trials_are_counted_pair_by_pair():
 def test_the_trials_are_those_of_an_evaluation(driver):
     course, ranges = load_course("parking"), load_randomization("harsh")
     found = parked(driver, [course], ranges, trials=100, seed=9)
-    same = driver if driver == "kanayama" else load_policy(driver)
-    assert found.mean() == evaluate(same, [course], ranges, trials=100, seed=9).success_rate
+    assert found.mean() == evaluate(load_driver(driver), [course], ranges, trials=100, seed=9).success_rate

@@ -80,12 +80,13 @@ def evaluate(
     seed: int = 0,
 ) -> "Evaluation":
     """Drive random trials, trial i on course i modulo their number, and return how they ended."""
+    from sim.evaluate.driver import Driver
     from sim.evaluate.evaluate import evaluate as run
     from sim.world.randomization import ranges_for
 
     many = [course] if isinstance(course, str | Path) or not isinstance(course, Sequence) else course
     ranges = ranges_for(randomize, None)
-    return run(_policy(policy), [_course(each) for each in many], ranges, trials=trials, seed=seed)
+    return run(Driver(_policy(policy)), [_course(each) for each in many], ranges, trials=trials, seed=seed)
 
 
 def rollout(policy: "Policy | str | Path", course: "Course | str | Path" = "parking") -> "Rollout":

@@ -5,6 +5,7 @@ import pytest
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import load_course
+from sim.evaluate.driver import load_driver
 from sim.evaluate.evaluate import evaluate, unseen_courses
 from sim.world.randomization import load_randomization
 
@@ -19,15 +20,15 @@ from sim.world.randomization import load_randomization
     ],
 )
 def test_course_relative_circuit_parks_unmeasured_robots(course, ranges, least):
-    policy = load_policy("course")
-    found = evaluate(policy, [load_course(course)], load_randomization(ranges), trials=300, seed=2024)
+    driver = load_driver("course")
+    found = evaluate(driver, [load_course(course)], load_randomization(ranges), trials=300, seed=2024)
     assert found.success_rate >= least
     assert found.error_m.p95 < (0.06 if ranges == "full" else 0.09)
 
 
 def test_it_drives_courses_it_never_saw():
     found = evaluate(
-        load_policy("course"), unseen_courses(2024, 6), load_randomization("full"), trials=120, seed=2024
+        load_driver("course"), unseen_courses(2024, 6), load_randomization("full"), trials=120, seed=2024
     )
     assert found.success_rate >= 0.96
 

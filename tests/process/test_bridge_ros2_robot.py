@@ -236,3 +236,22 @@ def test_a_robot_without_a_timeout_is_driven_only_if_that_is_asked_for(tmp_path)
         with Driver(rig.locator) as driver:
             assert "--no-base-watchdog" in driver.motors().detail
         assert abs(rig.truth.speed()) < 1e-3
+
+
+@pytest.mark.parametrize("form", [ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])
+def test_a_robot_and_its_router_that_restart_are_used_again(form, tmp_path):
+    with robot(tmp_path / "run", form) as rig, Driver(rig.locator) as driver:
+        driver.start(v=0.1)
+        driver.drive(0.5, v=0.1)
+        rig.end_process(rig.mock)
+        wait_for(lambda: driver.gate.ended == "no-base")
+        rig.bridge.wait_for_line("the base is lost: no odometry on odom for 0.5 s")
+        ros = "rmw-zenoh" if form == RMW_ZENOH else "ros2dds"
+        mock = ["--ros2", "--model", "turtlebot3-burger", "--ros", ros, "--listen", rig.base]
+        with Process("mock", mock, tmp_path):
+            wait_for(lambda: driver.gate.held == "")
+            wait_for(lambda: driver.motors().granted)
+            assert max(map(abs, driver.odom.pose)) < 0.01  # a robot that restarted begins at zero
+            driver.drive(1.0, v=0.1)
+            assert driver.odom.velocity.v == pytest.approx(0.1, abs=0.02)
+            driver.motors(enable=False)

@@ -45,7 +45,7 @@ class Limits(StrictModel):
     """The least deceleration of the base; the fence assumes it."""
     fence: Fence | None = None
     sonar_stop_m: float | None = Field(default=None, gt=0, le=5)
-    """The least sonar range in the commanded direction; None = no sonar check.
+    """The least sonar range, or room by a laser, in the commanded direction; None = no such check.
 
     Measured from the sonars, which sit up to 7 cm (3-AT) behind the bumper. Sonars do not detect glass, a
     thin leg or the edge of a table.

@@ -31,6 +31,7 @@ from bridge.base import (
 from bridge.inbox import RobotMessage
 from bridge.ros.discovery import Announced
 from bridge.ros_base.odometry import LEAST_IN_RATE_S, RATE_S, Moved, RosOdometer
+from bridge.ros_base.scan import ScanRoom
 from bridge.ros_base.silence import Silence
 from rover_ncp.core.cdr import encode
 from rover_ncp.core.errors import FormatError
@@ -136,6 +137,7 @@ class Ros2Base:
         self._battery_v = 0.0
         self._charging: bool | None = None
         self._turns: list[float] = []
+        self._room = ScanRoom(description) if self._topics.scan is not None else None
         self.silence, self._store = silence, store
         self._speed = 0.0
         self._silent_since_s: float | None = None
@@ -227,6 +229,8 @@ class Ros2Base:
                 rate = read_imu(message.payload).rate
                 if math.isfinite(rate):
                     self._turns.append(rate)
+            elif topic == self._topics.scan and self._room is not None:
+                self._room.take(message.payload, now)
             elif topic == self._topics.battery_state:
                 battery = read_battery(message.payload)
                 if math.isfinite(battery.voltage):
@@ -253,7 +257,14 @@ class Ros2Base:
             events.append(TurnRate(math.fsum(self._turns) / len(self._turns)))
             self._turns.clear()
         x, y, theta = moved.pose
-        report = BaseReport(x, y, theta, v, omega, battery_v=self._battery_v, charging=self._charging)
+        ahead, behind = self._room.clear(now) if self._room is not None else (math.nan, math.nan)
+        report = BaseReport(
+            *(x, y, theta, v, omega),
+            battery_v=self._battery_v,
+            charging=self._charging,
+            clear_ahead_m=ahead,
+            clear_behind_m=behind,
+        )
         return [*events, report]
 
     def _other_command(self, message: RobotMessage) -> None:

@@ -28,6 +28,7 @@ STRING = "std_msgs/msg/String"
 FLOATS = "std_msgs/msg/Float64MultiArray"
 IMU = "sensor_msgs/msg/Imu"
 BATTERY_STATE = "sensor_msgs/msg/BatteryState"
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
 
 TWIST_BYTES = 52
 """A Twist is six float64 behind the CDR header; a TwistStamped is always longer."""
@@ -199,6 +200,21 @@ def read_pose(data: bytes) -> PoseSample:
         message.header.frame_id,
         _read_pose(message.pose.pose),
         full[np.ix_(_PLANAR, _PLANAR)],
+    )
+
+
+def laser_scan(
+    ranges: np.ndarray[Any, np.dtype[np.float64]], range_limits: tuple[float, float], stamp_ns: int
+) -> bytes:
+    """Return a LaserScan of a whole turn, the first beam ahead; infinite ranges met nothing."""
+    return encode(
+        LASER_SCAN,
+        header=_header(stamp_ns, "base_scan"),
+        angle_max=math.tau * (len(ranges) - 1) / len(ranges),
+        angle_increment=math.tau / len(ranges),
+        range_min=range_limits[0],
+        range_max=range_limits[1],
+        ranges=np.asarray(ranges, np.float32),
     )
 
 

@@ -87,6 +87,17 @@ class Gyro(StrictModel):
     noise_rad_s: float = Field(default=0.0, ge=0, le=1)
 
 
+class Scan(StrictModel):
+    """A planar laser: its place on the base, and what the mock's is like."""
+
+    x_m: float = Field(ge=-2, le=2)
+    y_m: float = Field(default=0.0, ge=-2, le=2)
+    yaw_deg: float = Field(default=0.0, ge=-180, le=180)
+    rate_hz: float = Field(default=5.0, gt=0, le=100)
+    range_m: tuple[float, float] = (0.12, 3.5)
+    """The least and the greatest range."""
+
+
 class Battery(StrictModel):
     """Voltages of the whole pack."""
 
@@ -103,6 +114,7 @@ class Topics(StrictModel):
     cmd_vel_type: Literal["Twist", "TwistStamped"] = "Twist"
     imu: TopicName | None = None
     battery_state: TopicName | None = None
+    scan: TopicName | None = None
     odom_frame: str = Field(default="odom", min_length=1)
     base_frame: str = Field(default="base_link", min_length=1)
     cmd_vel_timeout_s: float | None = Field(default=None, gt=0, le=10)
@@ -153,14 +165,17 @@ class RobotDescription(StrictModel):
     topics: Topics | None = None
     """None for a robot without ROS 2."""
     sonars: Sonars | None = None
+    scan: Scan | None = None
     arcos: Arcos | None = None
     """None for a robot that does not speak ARCOS."""
     sources: tuple[Source, ...] = ()
 
     @model_validator(mode="after")
-    def _has_the_wheels_of_its_drive(self) -> Self:
+    def _is_consistent(self) -> Self:
         if (self.wheels.axles_m > 0) != (self.drive.kind == "skid"):
             raise ValueError("a skid drive needs wheels.axles_m, a differential drive has none")
+        if self.topics is not None and self.topics.scan is not None and self.scan is None:
+            raise ValueError("topics.scan needs the section scan: where the laser is on the base")
         return self
 
     @property

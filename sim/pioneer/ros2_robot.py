@@ -9,9 +9,11 @@ import math
 import random
 from collections.abc import Callable
 
+import numpy as np
+
 from rover_ncp.core import messages
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.core.geometry import Pose, compose, wrap_angle
 from rover_ncp.core.messages import TWIST_BYTES
 from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.course.course import TICK_S
@@ -25,6 +27,8 @@ from sim.world.rover import SUBSTEP_S, Rover
 RESTART_S = 1.5
 """How long a robot that restarts is silent (chosen)."""
 BATTERY_S = 1.0
+BEAMS = 120
+"""Of the mock's laser, 3 degrees apart."""
 
 
 class Ros2Robot:
@@ -56,7 +60,7 @@ class Ros2Robot:
         """When the first command that moves it came."""
         self._fed_s = self._silent_until_s = -math.inf
         self._was_reset = False
-        self._gyro_due_s = self._battery_due_s = start_s
+        self._gyro_due_s = self._battery_due_s = self._scan_due_s = start_s
         self._turned, self._turned_s = rover.turned, start_s
         self._out: list[tuple[str, bytes]] = []
         self._frozen: Pose | None = None
@@ -151,10 +155,23 @@ class Ros2Robot:
             self._battery_due_s = self.now + BATTERY_S
             volts = self._fault("low-battery") or self.description.battery.nominal_v
             self._emit(topics.battery_state, messages.battery_state(volts, self._stamp_ns()))
+        if topics.scan is not None and self.now >= self._scan_due_s - 1e-9:
+            self._emit(topics.scan, self._scan())
         if due:
             frames = topics.odom_frame, topics.base_frame
             odometry = messages.odometry(self._pose(), self.drive.measured, self._stamp_ns(), frames=frames)
             self._emit(topics.odom, odometry)
+
+    def _scan(self) -> bytes:
+        laser = self.description.scan
+        assert laser is not None
+        self._scan_due_s = self.now + 1.0 / laser.rate_hz
+        rover = self.drive.rover
+        mount = compose(rover.pose, Pose(laser.x_m, laser.y_m, math.radians(laser.yaw_deg)))
+        beams = [compose(mount, Pose(0.0, 0.0, math.tau * beam / BEAMS)) for beam in range(BEAMS)]
+        found = [rover.range_along(beam, laser.range_m[1]) for beam in beams]
+        ranges = np.array([math.inf if range_m is None else range_m for range_m in found])
+        return messages.laser_scan(ranges, laser.range_m, self._stamp_ns())
 
     def _turn_rate(self) -> float:
         assert self.description.gyro is not None

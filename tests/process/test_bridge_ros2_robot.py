@@ -12,6 +12,7 @@ import time
 import pytest
 import zenoh
 from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, wait_for
+from paths import DATA
 from ros_cdr import TwistStamped, odometry
 
 from rover_ncp.core.geometry import Velocity
@@ -236,6 +237,30 @@ def test_a_robot_without_a_timeout_is_driven_only_if_that_is_asked_for(tmp_path)
         with Driver(rig.locator) as driver:
             assert "--no-base-watchdog" in driver.motors().detail
         assert abs(rig.truth.speed()) < 1e-3
+
+
+def test_a_wall_in_its_scan_stops_the_robot_and_the_way_back_is_free(tmp_path):
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("sonar_stop_m: 0.3\n")
+    more = ["--limits", str(limits), "--no-base-watchdog"]
+    burger = ["--model", "turtlebot3-burger"]
+    mock = ["--ros2", *burger, "--course", str(DATA / "wall_course.yaml")]
+    with (
+        Rig(tmp_path / "run", mock=mock, bridge=[*burger, *more], base_form=ROS2DDS) as rig,
+        Driver(rig.locator) as driver,
+    ):
+        driver.start(v=0.2)
+        deadline = time.monotonic() + 20.0
+        while driver.gate.held != "sonar":
+            assert time.monotonic() < deadline
+            driver.drive(0.1, v=0.2)
+        rig.stood_after(time.time_ns())
+        # The wall begins at 1 m, the outline 0.041 m before the centre; a scan is 0.2 s old at most.
+        left_m = 1.0 - 0.041 - rig.truth.read()[-1].pose.x
+        assert 0.3 - 0.2 * (0.2 + 0.05 + DELAY_S) - 0.22**2 / 2 / DECEL_M_S2 < left_m < 0.3
+        driver.drive(1.0, v=-0.1)
+        assert driver.odom.velocity.v == pytest.approx(-0.1, abs=0.02)
+        driver.motors(enable=False)
 
 
 @pytest.mark.parametrize("form", [ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])

@@ -29,7 +29,7 @@ WITHOUT = {
     "bumper": "the driver reads no bumpers",
     "stall": "Odometry has no stall flag",
     "stop-button": "the driver reads no stop button",
-    "wall": "the driver reads no sonars",
+    "wall": "the description of this robot has no laser",
     "line-reset": "Zenoh connects again within 0.2 s, and the drive goes on",
 }
 KEYS = [row.key for row in MATRIX if not row.outlet and row.key not in WITHOUT]

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 # No keys; reliable; volatile or transient local; keep the last 10 or 1 (Cyclone DDS' numbers).
 _KEEP_10, _LATCHED = ":1:0:0,10", ":1:1:0,1"
+# A DDS reader that asks for reliability gets nothing from a best-effort writer, as those of sensors are.
+_BEST_EFFORT = ":0:0:0,10"
 
 
 class Convention(StrEnum):
@@ -27,10 +29,12 @@ def bridge_token(zid: str) -> str:
     return f"@/{zid}/@ros2_lv"
 
 
-def topic_token(zid: str, key: str, ros_type: str, published: bool, latched: bool = False) -> str:
+def topic_token(
+    zid: str, key: str, ros_type: str, published: bool, latched: bool = False, *, reliable: bool = True
+) -> str:
     """Return the token of a topic on ``key`` with a type such as ``nav_msgs/msg/Odometry``."""
     kind = "MP" if published else "MS"
-    qos = _LATCHED if latched else _KEEP_10
+    qos = _LATCHED if latched else _KEEP_10 if reliable else _BEST_EFFORT
     return f"{bridge_token(zid)}/{kind}/{key.replace('/', '§')}/{ros_type.replace('/', '§')}/{qos}"
 
 

@@ -73,7 +73,7 @@ class RosLine:
         tokens = [bridge_token(self.zid)]
         for name, kind in inputs:
             self._subscribe(self.topic(name), name)
-            tokens.append(topic_token(self.zid, self.topic(name), kind, published=False))
+            tokens.append(topic_token(self.zid, self.topic(name), kind, published=False, reliable=False))
         self._publisher: Any = publisher(self._session, self.topic(cmd_vel), latched=False)
         tokens.append(topic_token(self.zid, self.topic(cmd_vel), ros_type, published=True))
         self._subscribe(self.topic(cmd_vel), cmd_vel)

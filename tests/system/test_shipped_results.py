@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from sim.explain.explain import explain
+from sim.explain.files import markdown
 from sim.paper.results import ResultStore
 from sim.paper.runs import agrees, replay
 from sim.paper.tasks import TASKS
@@ -21,6 +23,12 @@ def test_a_comparison_says_how_far_the_search_came_and_repeats_itself(agent):
 
 def test_what_knows_one_course_is_not_judged_on_others():
     assert "unseen" not in compare("paper", seed=1, generations=1, rollouts=1, trained_on="none")
+
+
+def test_the_default_policy_is_the_one_that_is_explained():
+    text = Path("docs/interpretation/course/explanation.md").read_text()
+    again = "rover-ncp explain course --out docs/interpretation/course, keep *.md and the *.png that it shows"
+    assert text == markdown(explain("course")), again
 
 
 def test_shipped_runs_replay():

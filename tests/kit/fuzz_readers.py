@@ -5,17 +5,26 @@ on for as long as FUZZ_S says, guided by the code's own branches.
 """
 
 import functools
+import math
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from bnn_text import circuit_to_bnn
 
+from bridge.base import BaseReport, Setpoint
 from bridge.gate.limits import Limits
+from bridge.inbox import RobotMessage
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command, encode_frame
 from bridge.pioneer.packets import ConfigPac, GyroPac, Sip, decode_names, encode_names
 from bridge.pioneer.session import Session
+from bridge.ros.discovery import read_topic_token, topic_token
+from bridge.ros.rmw import read_token
+from bridge.ros_base.address import parse_address
+from bridge.ros_base.base import Ros2Base, TokenSeen
+from bridge.ros_base.silence import Silence
 from deploy.drive.config import CONFIG_FILE, COURSE_FILE, POLICY_FILE, DriveConfig
 from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.replay import replay
@@ -29,7 +38,10 @@ from rover_ncp.core.files import read_bytes, resolve, shipped_names
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.key_table import KEYS, Kind, spec
 from rover_ncp.core.messages import (
+    battery_state,
     decode,
+    imu,
+    laser_scan,
     neurons,
     odometry,
     read_neurons,
@@ -41,6 +53,7 @@ from rover_ncp.core.messages import (
     twist_stamped,
 )
 from rover_ncp.core.recording import Recorded, RecordingWriter, header_stamp_ns, read_recording
+from rover_ncp.core.robot_description import RobotDescription, load_description
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import Course
 from sim.pioneer.client_commands import decode_argument
@@ -52,6 +65,8 @@ from sim.world.rover import RoverModel
 STILL = Velocity(0.0, 0.0)
 HERE = Pose(0.1, 0.2, 0.3)
 JSON_MODELS = (
+    lease.BaseReply,
+    lease.BaseRequest,
     lease.DriverStatus,
     lease.GateStatus,
     lease.MotorsReply,
@@ -61,7 +76,7 @@ JSON_MODELS = (
     lease.StopReply,
     lease.StopRequest,
 )
-YAML_MODELS = (Course, DriveConfig, Limits, Randomization, RoverProfile)
+YAML_MODELS = (Course, DriveConfig, Limits, Randomization, RobotDescription, RoverProfile)
 PACKETS = (ConfigPac.decode, GyroPac.decode, decode_names)
 
 
@@ -166,6 +181,61 @@ def _jsons():
     return [lease.dump_json(request), lease.dump_json(status), lease.CommandTag(1, 2, 3).pack()]
 
 
+class _NoLine:
+    """The session with a ROS 2 robot; what is sent is lost."""
+
+    endpoint, zid, source = "tcp/robot:7447", "ours", None
+
+    def topic(self, name):
+        return name
+
+    def publish(self, payload):
+        pass
+
+    def close(self):
+        pass
+
+
+def _robot(data):
+    """A ROS 2 robot whose topics send anything, before and after good odometry; its tokens are anything."""
+    words = data.decode(errors="replace")
+    tokens = [read(words) for read in (read_topic_token, read_token)]
+    base = Ros2Base(_NoLine(), load_description("turtlebot3-burger"), Silence(), lambda _: None)
+    for token in tokens:
+        if token is not None:
+            base.receive(TokenSeen(token, True), 0.0)
+    for k in range(40):
+        now = 0.1 * (k + 1)
+        good = odometry(HERE, STILL, round(1e9 * (1000 + now)), frames=("odom", "base_footprint"))
+        topics = {
+            "odom": data if k % 10 == 9 else good,
+            **dict.fromkeys(("imu", "battery_state", "scan"), data),
+        }
+        topics |= {"cmd_vel": data} if k == 35 else {}
+        for topic, payload in topics.items():
+            for event in base.receive(RobotMessage(topic, payload, now), now):
+                if isinstance(event, BaseReport):
+                    assert all(map(math.isfinite, (event.x, event.y, event.theta, event.v, event.omega)))
+        base.drive(Setpoint(STILL, motors=True, emergency=False), now)
+    survives(Reader(parse_address, list), f"ros2/tcp/{words}")
+
+
+def _robot_messages():
+    ranges = np.array([1.0, math.inf, 0.5, math.nan])
+    sent = [odometry(HERE, STILL, 10**12, frames=("odom", "base_footprint")), imu(0.1, 0.1, 1)]
+    tokens = [
+        topic_token("abc", "odom", "nav_msgs/msg/Odometry", published=True).encode(),
+        b"x:7447#rmw=zenoh",
+    ]
+    return [
+        *sent,
+        battery_state(11.0, 1),
+        laser_scan(ranges, (0.1, 3.0), 1),
+        twist_stamped(STILL, 1),
+        *tokens,
+    ]
+
+
 # Files
 
 
@@ -177,7 +247,7 @@ def _yaml(data):
 
 
 def _yamls():
-    kinds = ("circuits", "courses", "policies", "randomizations")
+    kinds = ("circuits", "courses", "policies", "randomizations", "robots")
     shipped = [read_bytes(resolve(kind, name)) for kind in kinds for name in shipped_names(kind)]
     return [*shipped, dump_yaml(Limits().model_dump()).encode(), b"a: &a [1, *a]\n", b"when: 2001-01-01\n"]
 
@@ -272,6 +342,7 @@ READERS = {
     "base": Reader(_base, _lines),
     "cdr": Reader(_cdr, _messages),
     "json": Reader(_json, _jsons),
+    "robot": Reader(_robot, _robot_messages),
     "yaml": Reader(_yaml, _yamls),
     "bnn": Reader(_bnn, _bnns),
     "recording": Reader(_recording, lambda: [_drive(), _drive()[:9] + b"\xff" * 8 + _drive()[17:]]),

@@ -5,7 +5,7 @@ from fuzz_readers import READERS, survives
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-EXAMPLES = {"line": 150, "cdr": 150, "json": 300, "bnn": 200, "yaml": 40, "contents": 60}
+EXAMPLES = {"line": 150, "cdr": 150, "json": 300, "robot": 60, "bnn": 200, "yaml": 40, "contents": 60}
 PIECES = [
     b"",
     b"\xff" * 4,

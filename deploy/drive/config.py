@@ -1,5 +1,6 @@
 """Settings of a drive, and the files that go into its recording."""
 
+import math
 from importlib.metadata import version
 from typing import Literal
 
@@ -16,6 +17,14 @@ from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import Course
 
 POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
+
+STD = {
+    "distance_gain": "distance_gain_std",
+    "turn_gain": "turn_gain_std",
+    "imbalance_rad_m": "imbalance_std_rad_m",
+    "rotation_center_m": "rotation_center_std_m",
+}
+"""Odometry's errors in the estimator's settings, and their standard deviations."""
 
 PoseUse = Literal["auto", "required", "none"]
 """Whether external poses give the start pose: if they come, always, or never."""
@@ -48,27 +57,34 @@ class DriveConfig(Timeouts):
 def settings_for(rover: RoverProfile | None) -> EstimatorSettings:
     """Return the estimator's settings for a robot, from what was measured of its odometry.
 
-    A value without a standard deviation is as uncertain as that of an unmeasured robot.
+    A measured value and that of an unmeasured robot are weighted by their variances; a value without a
+    standard deviation is taken as it is, with that of an unmeasured robot.
     """
     usual = EstimatorSettings()
     if rover is None:
         return usual
-    known: dict[str, float | None] = {
-        "position_m": max(usual.position_m, rover.noise_m or 0.0),
-        "heading_rad": max(usual.heading_rad, rover.noise_rad or 0.0),
-        "slip_s": rover.slip_s,
-        "imbalance_rad_m": rover.imbalance_rad_m,
-        "imbalance_std_rad_m": rover.std.get("imbalance_rad_m"),
-        "rotation_center_m": rover.rotation_center_m,
-        "rotation_center_std_m": rover.std.get("rotation_center_m"),
+    measured = {
+        "imbalance_rad_m": (rover.imbalance_rad_m, rover.std.get("imbalance_rad_m")),
+        "rotation_center_m": (rover.rotation_center_m, rover.std.get("rotation_center_m")),
     }
     # A profile has odometry's motion over the true one, the estimator the inverse.
-    for key, ratio in (("distance_gain", "odometry_distance"), ("turn_gain", "odometry_heading")):
-        if value := getattr(rover, ratio):
-            known[key] = 1.0 / value
-            if std := rover.std.get(ratio):
-                known[f"{key}_std"] = std / value**2
-    return usual.model_copy(update={name: value for name, value in known.items() if value is not None})
+    for name, ratio in (("distance_gain", "odometry_distance"), ("turn_gain", "odometry_heading")):
+        value, std = getattr(rover, ratio), rover.std.get(ratio)
+        measured[name] = (value and 1.0 / value, value and std and std / value**2)
+    known: dict[str, float] = {
+        "position_m": max(usual.position_m, rover.noise_m or 0.0),
+        "heading_rad": max(usual.heading_rad, rover.noise_rad or 0.0),
+        "slip_s": rover.slip_s or 0.0,
+    }
+    for name, (value, std) in measured.items():
+        if value is None:
+            continue
+        known[name], prior_std = value, getattr(usual, STD[name])
+        if std:
+            share = prior_std**2 / (prior_std**2 + std**2)
+            known[name] = share * value + (1.0 - share) * getattr(usual, name)
+            known[STD[name]] = math.sqrt(share) * std
+    return usual.model_copy(update=known)
 
 
 def attachments(policy: Policy, course: Course, config: DriveConfig) -> dict[str, bytes]:

@@ -23,6 +23,7 @@ from deploy.drive.config import DriveConfig, settings_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
+from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import Course, Verdict
@@ -42,6 +43,8 @@ from sim.world.rover import Rover, RoverModel
 MODEL = "p3at-sh"
 TYPICAL_RAD_S = 0.12
 """Of a turn on a course; slip is per rad/s."""
+EXACT = 1e-4
+"""Standard deviation of an error that a family of robots does not have."""
 _WORTH_A_PROCESS = 6
 """Fewer trials take no longer than a process takes to start."""
 
@@ -83,18 +86,31 @@ class Stack:
 
     @cached_property
     def known(self) -> RoverProfile:
-        """The driver's robot profile: noise and spread of its odometry, and the given profile, if any.
-
-        On the rigid body nothing states the spread, so the driver assumes that of an unmeasured robot.
-        """
+        """The driver's robot profile: the noise of its odometry, and the given profile, if any."""
         ranges = self.ranges
         rover = ranges.rover or RoverProfile(name=f"a robot of {ranges.name}")
-        spread = {} if ranges.body is Body.MUJOCO or ranges.turn_gain else _spread(ranges)
-        known = {"noise_m": ranges.noise_m, "noise_rad": ranges.noise_rad}
-        known |= {name: 1.0 if name.startswith("odometry") else 0.0 for name in spread}
-        unknown = {name: value for name, value in known.items() if getattr(rover, name) is None}
-        std = {name: deviation for name, deviation in spread.items() if name in unknown} | rover.std
-        return rover.model_copy(update={**unknown, "std": std})
+        noises = {"noise_m": ranges.noise_m, "noise_rad": ranges.noise_rad}
+        unknown = {name: noise for name, noise in noises.items() if getattr(rover, name) is None}
+        return rover.model_copy(update=unknown)
+
+    @cached_property
+    def settings(self) -> EstimatorSettings:
+        """The estimator's; the driver of robots that do not skid knows the spread of their odometry.
+
+        A driver of other robots assumes the spread of an unmeasured skid-steered robot.
+        """
+        settings, ranges = settings_for(self.known), self.ranges
+        if ranges.rover is not None or ranges.turn_gain or ranges.body is Body.MUJOCO:
+            return settings
+        scale = ranges.odometry_scale / math.sqrt(3.0)
+        slip = ranges.slip_s * TYPICAL_RAD_S / math.sqrt(3.0)  # about none: its mean is not known
+        spread = {
+            "distance_gain_std": scale,
+            "turn_gain_std": math.hypot(scale, slip),
+            "imbalance_std_rad_m": ranges.imbalance_rad_m / math.sqrt(3.0),
+            "rotation_center_std_m": ranges.rotation_center_m / math.sqrt(3.0),
+        }
+        return settings.model_copy(update={name: max(std, EXACT) for name, std in spread.items()})
 
     @cached_property
     def _controllers(self) -> dict[int, Controller]:
@@ -141,7 +157,7 @@ class Stack:
             course=course.name,
             dry_run=False,
             ticks=course.ticks,
-            estimator=settings_for(self.known),
+            estimator=self.settings,
             rover=self.known,
         )
         publisher = Publisher(link, lambda message: None, self.driver.neurons, bridge)
@@ -167,23 +183,10 @@ class Stack:
         """Return a driver that has not started yet."""
         place = number % len(self.courses)
         if place not in self._controllers:
-            settings = settings_for(self.known)
             self._controllers[place] = Controller(
-                self.driver.policy, self.courses[place], settings, self.known, self.driver.runner()
+                self.driver.policy, self.courses[place], self.settings, self.known, self.driver.runner()
             )
         return copy.deepcopy(self._controllers[place])
-
-
-def _spread(ranges: Randomization) -> dict[str, float]:
-    """Return the standard deviations of odometry's errors in a family, by their names in a profile."""
-    scale, exact = ranges.odometry_scale / math.sqrt(3.0), 1e-4
-    slip = ranges.slip_s * TYPICAL_RAD_S / math.sqrt(3.0)  # about no slip: the driver does not know its mean
-    return {
-        "odometry_distance": max(scale, exact),
-        "odometry_heading": max(math.hypot(scale, slip), exact),
-        "imbalance_rad_m": max(ranges.imbalance_rad_m / math.sqrt(3.0), exact),
-        "rotation_center_m": max(ranges.rotation_center_m / math.sqrt(3.0), exact),
-    }
 
 
 class _Truth:

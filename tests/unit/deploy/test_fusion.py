@@ -7,10 +7,12 @@ import pytest
 from scipy.stats import chi2
 from skid_rover import Camera, SkidDrive
 
+from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
 from deploy.estimator.history import History
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
+from rover_ncp.core.robot_profile import RoverProfile
 
 DT = 0.1
 SETTINGS = EstimatorSettings()
@@ -116,6 +118,37 @@ def test_forecast_is_the_covariance_that_the_drive_then_has(gyro):
     covariance = drive.follow(gyro=gyro)[1][-1]
     deviations, expected = (np.sqrt(np.linalg.eigvalsh(found[:2, :2])) for found in (forecast, covariance))
     assert deviations == pytest.approx(expected, rel=0.2)  # the drive's own gains change the covariance
+
+
+def test_measured_errors_of_odometry_enter_the_estimate():
+    usual = SETTINGS.distance_gain_std
+    std = {
+        "odometry_heading": 0.01,
+        "odometry_distance": usual,
+        "rotation_center_m": 0.004,
+    }
+    profile = RoverProfile(
+        name="measured", odometry_heading=0.8, odometry_distance=1.0, rotation_center_m=-0.05, std=std
+    )
+    settings = settings_for(profile)
+    assert settings.turn_gain == pytest.approx(1.25, abs=0.002)  # its share is 0.996 beside ±20 %
+    assert settings.turn_gain_std == pytest.approx(0.01 / 0.8**2, rel=0.01)
+    # As certain as that of an unmeasured robot: both together know it √2 better.
+    assert settings.distance_gain_std == pytest.approx(usual / math.sqrt(2))
+
+    estimator = Estimator(settings)
+    estimator.start(Pose(0, 0, 0), 0.0)
+    turned, rate = 0.0, 0.0
+    for tick in range(1, 80):
+        step = min(0.2, 0.1 * tick)
+        turned, rate = turned + 0.5 * DT * (rate + step), step
+        estimator.odometry(Pose(0, 0, turned), Velocity(0, rate), tick * DT)
+    pose = estimator.at(79 * DT).pose
+    true_turn = settings.turn_gain * turned
+    center = settings.rotation_center_m
+    assert pose.theta == pytest.approx(true_turn, abs=0.005)
+    assert pose.x == pytest.approx(center * (math.cos(true_turn) - 1.0), abs=0.002)
+    assert pose.y == pytest.approx(center * math.sin(true_turn), abs=0.002)
 
 
 @pytest.mark.parametrize("carried", [(0.3, 0.0, 0.0), (0.0, -0.3, 0.0), (0.0, 0.0, 0.3)])

@@ -15,6 +15,7 @@ from bridge.gate.limits import Limits
 from rover_ncp import cli
 from rover_ncp.circuit import policy_file
 from rover_ncp.core.key_table import KEYS, Kind, Role
+from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.builder import PoseList
 from rover_ncp.course.course import Course
@@ -27,6 +28,7 @@ MODELS: dict[str, tuple[str, type[BaseModel]]] = {
     "circuit": ("Circuit", policy_file._CircuitFile),
     "policy": ("Policy", policy_file._PolicyFile),
     "randomization": ("Randomization", Randomization),
+    "robot": ("Robot description", RobotDescription),
     "rover": ("Robot profile", RoverProfile),
     "limits": ("Limits of the gate", Limits),
 }

@@ -15,8 +15,8 @@ from sim import api as sim_api
 from sim.learn.record import TrainSettings, resolve_task
 
 EXAMPLES = ROOT / "docs" / "examples"
-# Keys that the examples leave out: the bodies of MuJoCo, and what a robot is seldom measured for.
-OPTIONAL = {"randomization", "rover", "limits"}
+# Examples that leave keys out: bodies of MuJoCo, what a robot is seldom measured for, a Pioneer's own.
+OPTIONAL = {"randomization", "robot", "rover", "limits"}
 
 
 @pytest.mark.parametrize("name", reference_pages.MODELS)

@@ -12,6 +12,15 @@ from rover_ncp.core.errors import UsageError
 from sim.world.bodies import PRESET_WORDS, PRESETS, Body, BodyOption
 
 
+class Place(StrEnum):
+    """Where a robot is identified before its drive."""
+
+    LEVEL = "level"
+    """On level ground without cables."""
+    HERE = "here"
+    """On the ground of the drive."""
+
+
 class Sensors(StrEnum):
     """What the driver of a stack simulation has beside encoders."""
 
@@ -65,6 +74,13 @@ class EvalOptions:
         Sensors,
         typer.Option(help="With --stack: what the driver has beside encoders: a gyro, a camera, both."),
     ] = Sensors.ENCODERS
+    identify: Annotated[
+        Place | None,
+        typer.Option(
+            help="With --stack: identify each robot first, under the camera, on level ground or here.",
+            show_default=False,
+        ),
+    ] = None
     camera_hz: Annotated[float, typer.Option(min=0.1, max=100.0, help="Rate of the camera.")] = 5.0
     camera_noise: Annotated[
         float,
@@ -175,6 +191,8 @@ def evaluate(options: EvalOptions) -> int:
         raise UsageError("--body mujoco needs --stack or --live: plain simulation is pymunk's")
     if options.sensors is not Sensors.ENCODERS and not options.stack:
         raise UsageError("--sensors needs --stack")
+    if options.identify is not None and (options.profile is not None or not options.stack):
+        raise UsageError("--identify needs --stack, without --profile")
     if options.processes is not None and not (options.stack or options.live):
         raise UsageError("--processes needs --stack or --live")
     random = (options.trials, options.randomize, options.random_courses, options.live, options.profile)

@@ -33,13 +33,16 @@ def run_trials(options: EvalOptions) -> int:
     if options.stack or options.live:
         if options.live and driver.agent != CIRCUIT:
             raise UsageError(f"{options.policy}: --live needs a policy")
+        camera = Camera(options.camera_hz, options.camera_noise, options.camera_delay)
         stack = Stack(
             driver,
             tuple(courses),
             ranges,
             options.seed,
             gyro=options.sensors in {Sensors.GYRO, Sensors.BOTH},
-            camera=_camera(options),
+            camera=camera if options.sensors in {Sensors.CAMERA, Sensors.BOTH} else None,
+            identify=options.identify,
+            identify_camera=camera,
         )
         run = _live if options.live else _through_stack
         found, more = run(output, stack, options, trials)
@@ -54,12 +57,6 @@ def run_trials(options: EvalOptions) -> int:
     }
     output.result(fields | more, "\n".join(_words(found, more)))
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
-
-
-def _camera(options: EvalOptions) -> Camera | None:
-    if options.sensors in {Sensors.CAMERA, Sensors.BOTH}:
-        return Camera(options.camera_hz, options.camera_noise, options.camera_delay)
-    return None
 
 
 def _through_stack(

@@ -12,7 +12,7 @@ from bisect import bisect_right
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -27,6 +27,7 @@ from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import Course, Verdict
+from sim.evaluate.commands import Place
 from sim.evaluate.driver import Driver
 from sim.evaluate.evaluate import cause
 from sim.learn.workers import WorkerDied, available_processes, starting_processes
@@ -35,6 +36,7 @@ from sim.pioneer.models import config_of, rover_model_of
 from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
 from sim.stack.camera import Camera, Localiser
 from sim.stack.estimates import Belief, belief_of
+from sim.stack.identification import identified, levelled
 from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.bodies import Body
 from sim.world.randomization import Randomization
@@ -78,6 +80,9 @@ class Stack:
     """Whether the base has a gyro for its driver."""
     camera: Camera | None = None
     """External localisation while the rover drives."""
+    identify: Place | None = None
+    """Where the robot is identified before it drives, if at all; ``identify_camera`` then sees it."""
+    identify_camera: Camera = field(default_factory=Camera)
 
     @cached_property
     def model(self) -> RoverModel:
@@ -87,9 +92,10 @@ class Stack:
     @cached_property
     def known(self) -> RoverProfile:
         """The driver's robot profile: the noise of its odometry, and the given profile, if any."""
-        ranges = self.ranges
-        rover = ranges.rover or RoverProfile(name=f"a robot of {ranges.name}")
-        noises = {"noise_m": ranges.noise_m, "noise_rad": ranges.noise_rad}
+        return self._completed(self.ranges.rover or RoverProfile(name=f"a robot of {self.ranges.name}"))
+
+    def _completed(self, rover: RoverProfile) -> RoverProfile:
+        noises = {"noise_m": self.ranges.noise_m, "noise_rad": self.ranges.noise_rad}
         unknown = {name: noise for name, noise in noises.items() if getattr(rover, name) is None}
         return rover.model_copy(update=unknown)
 
@@ -125,8 +131,19 @@ class Stack:
         """Return the robot of a trial."""
         return draw_rover(self.ranges, self.model, self.course(number), seed=self.seed, number=number)
 
+    def _identified(self, number: int, place: Place) -> RoverProfile:
+        """Identify the robot of a trial, and return what its driver then knows."""
+        ranges = levelled(self.ranges) if place is Place.LEVEL else self.ranges
+        drawn = draw_rover(ranges, self.model, None, seed=self.seed, number=number)
+        stream = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number, 3)))
+        return self._completed(identified(drawn, MODEL, self.identify_camera, stream))
+
     def drive(self, number: int) -> Driven:
         """Drive a trial from power-up to the motors' release."""
+        known, settings = self.known, self.settings
+        if self.identify is not None:
+            known = self._identified(number, self.identify)
+            settings = settings_for(known)
         course, (rover, trials) = self.course(number), self.robot(number)
         flash = replace(config_of(MODEL), has_gyro=int(self.gyro))
         camera_seed, gyro_seed = np.random.SeedSequence(self.seed, spawn_key=(number, 2)).spawn(2)
@@ -157,11 +174,11 @@ class Stack:
             course=course.name,
             dry_run=False,
             ticks=course.ticks,
-            estimator=self.settings,
-            rover=self.known,
+            estimator=settings,
+            rover=known,
         )
         publisher = Publisher(link, lambda message: None, self.driver.neurons, bridge)
-        drive = Drive(link, self._controller(number), publisher, config, lambda: False, clock=bridge)
+        drive = Drive(link, self._controller(number, known, settings), publisher, config, lambda: False, clock=bridge)
         drive.wait()
         drive.run({})
         report = drive.keeper.report()
@@ -179,12 +196,12 @@ class Stack:
             belief_of(drive, rover.pose),
         )
 
-    def _controller(self, number: int) -> Controller:
+    def _controller(self, number: int, known: RoverProfile, settings: EstimatorSettings) -> Controller:
         """Return a driver that has not started yet."""
         place = number % len(self.courses)
-        if place not in self._controllers:
+        if self.identify is not None or place not in self._controllers:
             self._controllers[place] = Controller(
-                self.driver.policy, self.courses[place], self.settings, self.known, self.driver.runner()
+                self.driver.policy, self.courses[place], settings, known, self.driver.runner()
             )
         return copy.deepcopy(self._controllers[place])
 

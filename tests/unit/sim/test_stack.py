@@ -15,16 +15,18 @@ from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, distance
 from rover_ncp.core.robot_profile import RoverProfile, load_profile
 from rover_ncp.course.course import load_course
+from sim.evaluate.commands import Place
 from sim.evaluate.driver import Driver, load_driver
 from sim.learn.rollout import rollout
 from sim.pioneer.trial import BaseTrial
 from sim.stack.camera import Camera
 from sim.stack.estimates import summary
+from sim.stack.identification import levelled
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
 from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials, ranges_for
 from sim.world.rover import RoverModel
-from sim.world.skid_robot import SkidRanges
+from sim.world.skid_robot import SkidRanges, draw_robot
 
 SHORT = str(DATA / "short_course.yaml")
 
@@ -250,6 +252,23 @@ def test_a_gyro_and_a_camera_see_what_the_encoders_of_a_skidding_robot_do_not():
     assert max(errors["gyro"], errors["camera"]) < 0.7 * errors["encoders"]
 
 
+def test_a_robot_that_was_identified_under_a_camera_drives_by_its_encoders():
+    good = Camera(hz=10.0, noise_m=0.005)
+    unknown = stack(SKIDDING, seed=7, course="parking").drive(1)
+    known = stack(SKIDDING, seed=7, course="parking", identify=Place.HERE, identify_camera=good).drive(1)
+    assert known.belief.error_m < 0.5 * unknown.belief.error_m
+
+
+def test_identification_on_level_ground_is_of_the_same_robot():
+    rough = load_randomization("rough", Body.MUJOCO)
+    robot, level = (draw_robot(each.skid_steer, 1, 7) for each in (rough, levelled(rough)))
+    assert robot.slope_rad > 0.0
+    assert robot.cables
+    assert level == robot.model_copy(update={"slope_rad": 0.0, "cables": ()})
+    full = load_randomization("full")
+    assert levelled(full) == full
+
+
 def test_the_command_line_drives_another_body(capsys):
     sensors = ["--sensors", "camera", "--camera-noise", "0.01"]
     assert run(["eval", "course", "--stack", "--body", "mujoco", *sensors, "--json"]) == 0
@@ -264,6 +283,7 @@ def test_the_command_line_drives_another_body(capsys):
         (["course", "--trials", "2", "--stack", "--body", "mujoco", "--randomize", "full"], "for mujoco"),
         (["course", "--trials", "2", "--body", "mujoco"], "needs --stack"),
         (["course", "--trials", "2", "--sensors", "gyro"], "--sensors needs --stack"),
+        (["course", "--trials", "2", "--identify", "here"], "--identify needs --stack"),
         (["kanayama", "--trials", "2", "--live", "1"], "--live needs a policy"),
         (["course", "--processes", "2"], "--processes needs --stack or --live"),
         (["course", "--trials", "2", "--live", "3"], "there are only 2 trials"),

@@ -1,0 +1,37 @@
+"""Identification of a simulated robot before its drive, as `rover-ncp identify` with external poses."""
+
+import numpy as np
+
+from deploy.drive.measurements import Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.identify.excitation import FENCE_M, excite
+from deploy.identify.fit import identify
+from deploy.identify.motion_log import motion_log
+from rover_ncp.core.recording import Recorded
+from rover_ncp.core.robot_profile import RoverProfile
+from sim.pioneer.firmware import Firmware
+from sim.pioneer.trial import BaseTrial, Drawn
+from sim.stack.camera import Camera, Localiser
+from sim.stack.virtual import VirtualBridge, VirtualLink
+from sim.world.randomization import Randomization
+
+
+def levelled(ranges: Randomization) -> Randomization:
+    """Return ranges that draw the same robots on level ground."""
+    if ranges.skid_steer is None:
+        return ranges
+    level = ranges.skid_steer.model_copy(update={"slope_rad": (0.0, 0.0), "cables": 0})
+    return ranges.model_copy(update={"skid_steer": level})
+
+
+def identified(drawn: Drawn, model: str, camera: Camera, stream: np.random.Generator) -> RoverProfile:
+    """Drive a robot forward and back, left and right, under a camera, and return its profile."""
+    firmware = Firmware(model, drawn.rover, trial=BaseTrial(drawn.trials))
+    bridge, received = VirtualBridge(firmware), list[Recorded]()
+    link = VirtualLink(bridge, drawn.rover.pose, received.append)
+    firmware.observe = Localiser(camera, drawn.rover, stream, link.localise).observe
+    measurements = Measurements(link)
+    monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
+    monitor.wait()
+    excite(link, measurements, monitor, FENCE_M, bridge)
+    return identify(motion_log(received), model)

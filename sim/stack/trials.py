@@ -178,7 +178,9 @@ class Stack:
             rover=known,
         )
         publisher = Publisher(link, lambda message: None, self.driver.neurons, bridge)
-        drive = Drive(link, self._controller(number, known, settings), publisher, config, lambda: False, clock=bridge)
+        drive = Drive(
+            link, self._controller(number, known, settings), publisher, config, lambda: False, clock=bridge
+        )
         drive.wait()
         drive.run({})
         report = drive.keeper.report()

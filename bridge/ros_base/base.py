@@ -49,6 +49,8 @@ WAIT_S = 6.0
 LOSS_S = 0.5
 CLEAR_S = 2.0
 """How long a contradiction must be over before the base is ready again."""
+MOST_TOKENS = 1000
+"""Announced topics beyond this number are not remembered; they only serve to name things."""
 OWN_S = 2.0
 """How long after it was sent a command of ours is recognised."""
 COAST_S, DRIVES_ALONE_S = 2.0, 0.5
@@ -136,7 +138,7 @@ class Ros2Base:
         self._alone_since_s: float | None = None
         self._battery_v = 0.0
         self._charging: bool | None = None
-        self._turns: list[float] = []
+        self._turns: deque[float] = deque(maxlen=100)
         self._room = ScanRoom(description) if self._topics.scan is not None else None
         self.silence, self._store = silence, store
         self._speed = 0.0
@@ -151,10 +153,10 @@ class Ros2Base:
             case RobotMessage():
                 events = self._message(arrival)
             case TokenSeen(token, there):
-                if there:
-                    self._tokens[token] = None
-                else:
+                if not there:
                     self._tokens.pop(token, None)
+                elif len(self._tokens) < MOST_TOKENS:
+                    self._tokens[token] = None
             case LoopSeen(there):
                 self._loop = there
         changes = self._watch(now)
@@ -192,8 +194,9 @@ class Ros2Base:
 
     def measure_timeout(self, now: float) -> str:
         """See Base."""
-        if not self._ready or abs(self._speed) < MOVING_M_S:
-            return "the wheels do not turn"
+        # With a zero already sent, it would measure how the robot obeys and not how it halts by itself.
+        if not self._ready or abs(self._speed) < MOVING_M_S or self._out == ZERO:
+            return "the wheels do not turn by a command"
         self._silent_since_s, self._silent_speed = self._sent[-1][0], self._speed
         return ""
 
@@ -319,9 +322,10 @@ class Ros2Base:
             who = sorted({found.who for found in self._announced(self._topics.odom, published=True)})
             named = f": {' and '.join(who)}" if len(who) > 1 else ""
             self._contradictions[f"two publishers on {where}{named}"] = now
-        for reason, seen_s in self._contradictions.items():
-            if now - seen_s < CLEAR_S:
-                return reason
+        recent = {reason: at for reason, at in self._contradictions.items() if now - at < CLEAR_S}
+        self._contradictions = recent
+        if recent:
+            return next(iter(recent))
         if not self._ready:
             return self._other_type() if self._odometer.enough(now) else self._no_odometry(where, now)
         if self._odometer.restarts != self._known_restarts:

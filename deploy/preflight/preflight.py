@@ -33,6 +33,8 @@ BATTERY_V, BATTERY_WAIT_S = 11.5, 2.0
 STOP_S = 0.5
 """The first safety requirement; braking and the time to the next report come on top."""
 BRAKING_S, REPORT_S = 0.15 + V_M_S / 0.3, 0.1
+MEASURE_TRIES = 3
+"""A request that comes late finds that the gate has stopped the wheels already."""
 MEASURING_S, POLL_S = 8.0, 0.2
 """The bridge sends the base nothing for 5 s at most."""
 SCALE = 0.15
@@ -180,9 +182,12 @@ class Preflight:
             return False, "the bridge does not say what it knows of the base"
         if base.state is TimeoutState.PUBLISHED:
             return True, f"if it dies, the base halts after {base.timeout_s:g} s by its manual"
-        self._link.request_motors(CHECK)
-        self._move(Velocity(V_M_S, 0.0))
-        base = self._link.about_base(measure=True)
+        for _ in range(MEASURE_TRIES):
+            self._link.request_motors(CHECK)
+            self._move(Velocity(V_M_S, 0.0))
+            base = self._link.about_base(measure=True)
+            if base is not None and base.state is TimeoutState.RUNNING:
+                break
         if base is None or base.state is not TimeoutState.RUNNING:
             return False, f"the timeout was not measured: {base.reason if base else 'no answer'}"
         ended_s = time.monotonic() + MEASURING_S

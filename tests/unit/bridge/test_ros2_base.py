@@ -505,7 +505,15 @@ def test_a_stop_ends_the_measurement(ready):
 
 
 def test_wheels_that_stand_measure_nothing(ready):
-    assert ready.base.measure_timeout(ready.now) == "the wheels do not turn"
+    assert ready.base.measure_timeout(ready.now) == "the wheels do not turn by a command"
+
+
+def test_wheels_that_roll_out_after_a_zero_measure_nothing(ready):
+    ready.setpoint_v = 0.1
+    ready.run(0.5)
+    ready.setpoint_v = 0.0
+    ready.run(0.02, v=0.1, rate_hz=100.0)
+    assert ready.base.measure_timeout(ready.now) == "the wheels do not turn by a command"
 
 
 def test_a_result_is_kept_for_the_robot_and_its_description(tmp_path):

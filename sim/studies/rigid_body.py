@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from sim.world.mujoco_rover import Contact, MujocoRover
+from sim.world.mujoco_rover import MujocoRover
 from sim.world.rover import SUBSTEP_S, RoverModel
-from sim.world.skid_robot import SkidRobot
+from sim.world.skid_robot import Contact, SkidRobot
 
 V_M_S, OMEGA_RAD_S = 0.16, 0.18
 """The fastest that a policy drives."""
@@ -58,9 +58,9 @@ def coulomb(robot: SkidRobot, v: float, omega: float) -> Motion:
     return Motion(forward, turn / omega if omega else math.nan, aside / turn if omega else math.nan)
 
 
-def measure(robot: SkidRobot, v: float, omega: float, contact: Contact | None = None) -> Motion:
+def measure(robot: SkidRobot, v: float, omega: float) -> Motion:
     """Drive with a steady command and return the motion."""
-    rover = MujocoRover(RoverModel(), robot, contact=contact)
+    rover = MujocoRover(RoverModel(), robot)
     rover.command(v, omega)
     advance(rover, SETTLED_S)
     start, seconds = rover.turned, 5.0
@@ -97,25 +97,25 @@ def stopping_m(robot: SkidRobot, v: float) -> float:
     return rover.pose.x - start
 
 
-def creep_m_s(robot: SkidRobot, contact: Contact | None = None) -> float:
+def creep_m_s(robot: SkidRobot) -> float:
     """Return the speed of a rover that stands on its slope."""
-    rover = MujocoRover(RoverModel(), robot, contact=contact)
+    rover = MujocoRover(RoverModel(), robot)
     advance(rover, SETTLED_S)
     start, seconds = rover.pose, 10.0
     advance(rover, seconds)
     return math.hypot(rover.pose.x - start.x, rover.pose.y - start.y) / seconds
 
 
-def bounce_m(robot: SkidRobot, omega: float, contact: Contact | None = None) -> float:
-    """Return how far the rover moves up and down while it turns on the spot."""
-    rover = MujocoRover(RoverModel(), robot, contact=contact)
+def shake_m_s2(robot: SkidRobot, omega: float) -> float:
+    """Return the spread of the vertical acceleration while the rover turns on the spot: does it hop?"""
+    rover = MujocoRover(RoverModel(), robot)
     rover.command(0.0, omega)
     advance(rover, SETTLED_S)
-    heights = []
+    vertical = []
     for _ in range(300):
         rover.substep()
-        heights.append(float(rover.data.qpos[2]))
-    return max(heights) - min(heights)
+        vertical.append(float(rover.data.sensor("accelerometer").data[2]))
+    return float(np.std(vertical))
 
 
 SETTINGS = {
@@ -145,9 +145,11 @@ def main() -> None:
     _row("Coulomb friction", [coulomb(robot, 0.0, OMEGA_RAD_S) for robot in robots])
     for name, contact in SETTINGS.items():
         for friction in (0.4, 1.0):
-            slippery = [robot.model_copy(update={"friction": friction}) for robot in robots]
-            found = [measure(robot, 0.0, OMEGA_RAD_S, contact) for robot in slippery]
-            _row(f"{name}, μ={friction:g}", found)
+            changes = {"friction": friction, "contact": contact}
+            changed = [robot.model_copy(update=changes) for robot in robots]
+            _row(f"{name}, μ={friction:g}", [measure(robot, 0.0, OMEGA_RAD_S) for robot in changed])
+            shake = max(shake_m_s2(robot, OMEGA_RAD_S) for robot in changed)
+            print(f"{'':26}vertical acceleration ±{shake:.3f} m/s²")
 
 
 def _row(name: str, motions: list[Motion]) -> None:

@@ -13,9 +13,7 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from pydantic import Field
 
-from rover_ncp.core.config import StrictModel
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import Obstacle
 from sim.world.rover import (
@@ -53,14 +51,6 @@ _CABLES, _WALLS = 1, 2
 _TYRES = _CABLES | _WALLS
 
 
-class Contact(StrictModel):
-    """How the simulator resolves the contacts of tyres and ground."""
-
-    step_s: float = Field(default=0.0025, gt=0, le=CONTROL_S)
-    tyre_s: float = Field(default=0.02, gt=0, description="in which a tyre springs back; less is stiffer")
-    stickiness: float = Field(default=1.0, gt=0, description="more: friction is full at less slip")
-
-
 TYRE_IMPEDANCE, SLIP_S = 0.5, 0.1
 """MuJoCo's solimp of a tyre, and the time constant of its friction. A soft tyre and a slow friction keep the
 lift small that MuJoCo's friction cone gives a sliding contact, about μ·slip·tyre_s²/SLIP_S."""
@@ -69,9 +59,9 @@ FULL_FRICTION = 10.0
 by the creep on a slope."""
 
 
-def _model_xml(robot: SkidRobot, model: RoverModel, obstacles: Sequence[Obstacle], contact: Contact) -> str:
+def _model_xml(robot: SkidRobot, model: RoverModel, obstacles: Sequence[Obstacle]) -> str:
     """Return the MJCF of a rover at the origin."""
-    radius, wheel_kg = robot.wheel_radius_m, robot.wheel_mass_kg
+    radius, wheel_kg, contact = robot.wheel_radius_m, robot.wheel_mass_kg, robot.contact
     frame_kg = robot.mass_kg - 4 * wheel_kg
     # The wheels' own centre of mass is the middle.
     ahead, left = (place * robot.mass_kg / frame_kg for place in robot.mass_center_m)
@@ -151,7 +141,7 @@ def _model_xml(robot: SkidRobot, model: RoverModel, obstacles: Sequence[Obstacle
   </actuator>
   <sensor>
     <gyro site="imu"/>
-    <accelerometer site="imu"/>
+    <accelerometer name="accelerometer" site="imu"/>
   </sensor>
 </mujoco>"""
 
@@ -165,14 +155,12 @@ class MujocoRover:
         robot: SkidRobot,
         obstacles: Sequence[Obstacle] = (),
         pose: Pose = _ORIGIN,
-        contact: Contact | None = None,
     ) -> None:
         self.model, self.robot = model, robot
         self.commands = CommandQueue(model)
-        contact = contact or Contact()
-        self._physics = mujoco.MjModel.from_xml_string(_model_xml(robot, model, obstacles, contact))
+        self._physics = mujoco.MjModel.from_xml_string(_model_xml(robot, model, obstacles))
         self.data = mujoco.MjData(self._physics)
-        self._steps = round(CONTROL_S / contact.step_s)
+        self._steps = round(CONTROL_S / robot.contact.step_s)
         self._walls = set(np.flatnonzero(self._physics.geom_contype == _WALLS).tolist())
         self.set_pose(pose)
 

@@ -8,6 +8,14 @@ from pydantic import Field
 from rover_ncp.core.config import StrictModel
 
 
+class Contact(StrictModel):
+    """How the simulator resolves the contacts of tyres and ground."""
+
+    step_s: float = Field(default=0.0025, gt=0, le=0.005)
+    tyre_s: float = Field(default=0.02, gt=0, description="in which a tyre springs back; less is stiffer")
+    stickiness: float = Field(default=1.0, gt=0, description="more: friction is full at less slip")
+
+
 class SkidRobot(StrictModel):
     """One robot and its ground, in SI units; by default a Pioneer 3-AT on a level floor."""
 
@@ -34,6 +42,7 @@ class SkidRobot(StrictModel):
         default=(), description="x, y in m and direction in rad of cables on the ground"
     )
     cable_height_m: float = Field(default=0.006, gt=0)
+    contact: Contact = Contact()
 
 
 class SkidRanges(StrictModel):
@@ -49,6 +58,7 @@ class SkidRanges(StrictModel):
     slope_rad: tuple[float, float] = Field(default=(0.0, 0.0), description="least and most, any direction")
     cables: int = Field(default=0, ge=0, le=100, description="on the ground near the start")
     cables_within_m: float = Field(default=1.0, gt=0, description="distance of their middles from the start")
+    contact: Contact = Field(default=Contact(), description="not drawn")
 
 
 def draw_robot(ranges: SkidRanges, seed: int, number: int) -> SkidRobot:
@@ -70,6 +80,7 @@ def draw_robot(ranges: SkidRanges, seed: int, number: int) -> SkidRobot:
         slope_rad=_between(ranges.slope_rad, u[5]),
         uphill_rad=math.pi * u[6],
         cables=tuple((within * x, within * y, math.pi * turn) for x, y, turn in places.tolist()),
+        contact=ranges.contact,
     )
 
 

@@ -139,7 +139,7 @@ class EvalOptions:
     @property
     def randomization(self) -> str:
         """The name or file of the randomization."""
-        return self.randomize or PRESETS[self.body][0]
+        return PRESETS[self.body][0] if self.randomize is None else self.randomize
 
 
 @command

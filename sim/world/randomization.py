@@ -127,7 +127,7 @@ def ranges_for(
     name_or_path: str | Path | None, profile: Path | None, body: Body = Body.PYMUNK
 ) -> Randomization:
     """Load ranges, a body's nominal ones by default, and the profile of the known rover, if any."""
-    ranges = load_randomization(name_or_path or PRESETS[body][0], body)
+    ranges = load_randomization(PRESETS[body][0] if name_or_path is None else name_or_path, body)
     return ranges if profile is None else ranges.model_copy(update={"rover": load_profile(profile)})
 
 

@@ -163,7 +163,7 @@ def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):
         ("--listen", "tcp/127.0.0.1", "--listen tcp/127.0.0.1: cannot listen there: invalid socket address"),
         ("--listen", "tcp/192.0.2.1:0", "any client that reaches it could drive the rover"),
         ("--namespace", "a*", "namespace 'a*'"),
-        ("--model", "hal", "model hal: expected auto, p3at"),
+        ("--model", "hal", "hal: no such file, and none of the shipped robots"),
         ("--ros", "corba", "Invalid value for '--ros'"),
         ("--base", "ftp/x", "base ftp/x: expected tcp/HOST"),
         ("--limits", "no.yaml", "no.yaml: cannot be read"),

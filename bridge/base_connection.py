@@ -2,7 +2,8 @@
 
 Opening, reading and closing block, so the thread does them; the loop only writes. The thread puts all bytes
 and errors into the inbox. It closes a line before it opens the next, because a base takes one client at a
-time, and after the loop has dropped the line, because the loop may be writing.
+time, and after the loop has dropped the line, because the loop may be writing. Bytes that a line has not
+delivered by then are lost: later they would be old setpoints.
 """
 
 import threading
@@ -142,7 +143,7 @@ class BaseConnection:
         self._dropped.clear()
         self._broken = None
         if transport is not None and not self._closing.is_set():
-            transport.close()
+            transport.abort()
             self._all.remove(transport)
             self._bytes_in += transport.bytes_in
             self._bytes_out += transport.bytes_out

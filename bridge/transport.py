@@ -7,6 +7,7 @@ after one, the line is closed and another is opened.
 import os
 import select
 import socket
+import struct
 import time
 from abc import ABC, abstractmethod
 from contextlib import suppress
@@ -29,6 +30,9 @@ BITS_PER_BYTE = 10
 
 LINGER_S = 0.3
 """How long closing waits for the base to hang up too."""
+
+_RESET = struct.pack("ii", 1, 0)
+"""SO_LINGER: close by a reset, and drop undelivered bytes."""
 
 CHUNK_BYTES = 4096
 
@@ -66,6 +70,10 @@ class Transport(ABC):
     @abstractmethod
     def close(self) -> None:
         """Close the line after all written bytes have been sent. Never fails."""
+
+    @abstractmethod
+    def abort(self) -> None:
+        """Close the line at once; written bytes that have not been delivered are lost. Never fails."""
 
     def _count(self, sent: int, data: bytes) -> None:
         """Count what was sent of ``data``. Raises NoRobot unless it is all."""
@@ -137,6 +145,13 @@ class TcpTransport(Transport):
         with suppress(OSError):
             self._socket.close()
 
+    def abort(self) -> None:
+        """See Transport."""
+        with suppress(OSError):
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+        with suppress(OSError):
+            self._socket.close()
+
 
 class SerialTransport(Transport):
     """A base on a serial port, or on anything pyserial has a URL for; 8 data bits, no parity, 1 stop bit."""
@@ -192,6 +207,12 @@ class SerialTransport(Transport):
         # The system sends what was written; waiting for it here could wait for ever on a dead port.
         with suppress(serial.SerialException, OSError):
             self._port.close()
+
+    def abort(self) -> None:
+        """See Transport."""
+        with suppress(serial.SerialException, OSError, TypeError):
+            self._port.reset_output_buffer()
+        self.close()
 
 
 def _reason(error: Exception) -> str:

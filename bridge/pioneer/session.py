@@ -35,8 +35,8 @@ GYRO_CLIENT_SIDE = 1
 POLITE_TRIES, SILENT_TRIES = 1, 6
 """Silent handshakes before CLOSE goes first; before giving up."""
 
-TRIES_WHEN_LOST, TRIES_AGAIN = 1, 3
-"""Silent handshakes before giving up the line of a base that was ready; the same on each line after that."""
+TRIES_AGAIN = 3
+"""Silent handshakes before giving up a line to a base that was ready before."""
 
 CONNECT_S = 15.0
 """A base that answers but is not ready after this time is given up: the search of all rates takes 11 s."""
@@ -240,7 +240,6 @@ class Session:
             self._send(Command.CLOSE)
 
     def _do_give_up(self) -> None:
-        self._silent_limit = TRIES_AGAIN
         valid = self.decoder.packets - self._packets_before
         if valid:
             reason = (
@@ -321,7 +320,7 @@ class Session:
             self._events.append(BaudChanged(baudrate))
 
     def _do_be_ready(self) -> None:
-        self._silent_limit = TRIES_WHEN_LOST
+        self._silent_limit = TRIES_AGAIN
         name, robot_class, subtype = self._names
         self._events.append(Ready(f"{robot_class} {subtype} {name}", self._odometer.robot))
         self._setpoints.take(self._now)
@@ -336,6 +335,9 @@ class Session:
         self._setpoints.clear()
         self._send_zeros()
         self._events.append(Lost(f"no odometry from the base for {LOSS_S} s"))
+
+    def _do_replace_line(self) -> None:
+        self._events.append(Failed("no packet from the base since it was lost"))
 
     def _do_recover(self) -> None:
         self._events.append(Recovered())

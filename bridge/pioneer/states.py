@@ -154,7 +154,8 @@ TABLE: dict[SessionState, dict[Input, Entry]] = {
     },
     SessionState.LOST: {
         Input.SIP: (SessionState.READY, "recover"),
-        Input.EXPIRED: (SessionState.LISTENING, "listen"),
+        # The line may hold old setpoints back. The base, halted by its watchdog, would obey them later.
+        Input.EXPIRED: (SessionState.IDLE, "replace_line"),
         Input.RESET: (SessionState.LISTENING, "listen"),
         Input.ECHO0: (SessionState.LISTENING, "listen"),
         Input.CLOSE: (SessionState.IDLE, "leave"),

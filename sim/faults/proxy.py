@@ -138,6 +138,8 @@ class _Link:
             while data := await reader.read(CHUNK_BYTES):
                 while data:
                     await self._up_open.wait()
+                    if reader.exception() is not None:  # the client dropped what it had sent
+                        return
                     size = len(data)
                     if self._bytes_s is not None:
                         size = min(size, max(round(self._bytes_s * PIECE_S), 1))

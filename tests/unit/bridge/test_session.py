@@ -237,6 +237,20 @@ def test_lost_base_gets_zeros_once_and_then_nothing() -> None:
     assert bench.sent() == []
 
 
+def test_line_to_a_base_that_stays_lost_is_given_up() -> None:
+    """After the base's watchdog of 2 s: bytes that the line still holds for the base would move it again."""
+    bench = driving()
+    while not bench.events or not isinstance(bench.events[-1], Failed):
+        bench.wait(0.05)
+    assert 2.0 < bench.now - driving().now < 2.5
+    bench.sent()
+    bench.hear(sip())
+    for _ in range(40):
+        bench.wait(0.05)
+    assert bench.sent() == []  # until the next line is open
+    assert bench.session.state is SessionState.IDLE
+
+
 def test_recovered_base_stands_until_the_motors_are_requested() -> None:
     bench = driving()
     bench.wait(0.5)

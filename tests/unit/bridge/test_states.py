@@ -24,7 +24,7 @@ NEXT = {
     "H": "=    I     I    0       =     =     =     =        =   =      L",
     "C": "=    I     I    C       =     =     =     =        C   C      L",
     "R": "=    I     I    X       L     =     =     =        R   R      L",
-    "X": "=    I     I    L       L     =     =     =        R   =      L",
+    "X": "=    I     I    I       L     =     =     =        R   =      L",
     "A": "=    I     I    F       =     =     =     =        =   =      L",
     "F": "=    I     I    R       =     =     =     =        R   =      L",
 }
@@ -56,6 +56,7 @@ EVENTS: dict[tuple[str, Input], list[type]] = {
     ("R", Input.ECHO0): [Lost],
     ("R", Input.RESET): [Lost],
     ("R", Input.LINK_DOWN): [Lost],
+    ("X", Input.EXPIRED): [Failed],
     ("X", Input.SIP): [Recovered, BaseReport],
     ("A", Input.EXPIRED): [BaudChanged],
     ("F", Input.SIP): [Ready],

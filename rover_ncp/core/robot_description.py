@@ -73,11 +73,15 @@ class Delays(StrictModel):
 
 
 class Odometry(StrictModel):
-    """How often the base reports its pose, and its usual errors."""
+    """How often the base reports its pose, and its usual errors before it is measured."""
 
     rate_hz: float = Field(gt=0, le=1000)
     noise_m: float = Field(default=0.0, ge=0, le=1)
     noise_rad: float = Field(default=0.0, ge=0, le=1)
+    distance_error: float = Field(gt=0, lt=0.5)
+    """Within ± this share of the true distance."""
+    turn_error: float = Field(gt=0, lt=0.5)
+    """The robot turns as much as its wheels say, within ± this share."""
 
 
 class Gyro(StrictModel):

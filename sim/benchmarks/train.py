@@ -30,9 +30,10 @@ from sim.learn.rollout import rollout
 from sim.learn.search.strategies import SearchName
 from sim.learn.train import training_plan
 from sim.learn.workers import LocalProcesses, MadeOnce, available_processes
+from sim.world.described import default_rover
 from sim.world.fleet import Fleet, advance, send
 from sim.world.pymunk_rover import Ground, PymunkRover
-from sim.world.rover import SUBSTEPS, RoverModel
+from sim.world.rover import SUBSTEPS
 
 LANES = tuple(2**n for n in range(13))
 """1 to 4096."""
@@ -96,7 +97,7 @@ def _parts(task: Task) -> dict[str, Any]:
     engine, vectors = Evaluator(task.policy, task.course), _candidates(task.policy, _EPISODES)
     alone = [task.policy.with_parameters(vector) for vector in vectors[:2]]
     runner = PolicyRunner(task.policy)
-    rover = PymunkRover(RoverModel(), Ground(()), task.course.checkpoints[0].pose)
+    rover = PymunkRover(default_rover(), Ground(()), task.course.checkpoints[0].pose)
     rover.command(0.1, 0.1)
     calls: dict[str, Callable[[], object]] = {
         "episodes": lambda: engine.returns(vectors),
@@ -104,7 +105,7 @@ def _parts(task: Task) -> dict[str, Any]:
         "circuit": lambda: [runner.tick([0.3, 0.3, 0.3, 1.0]) for _ in range(_TICKS)],
         "physics": lambda: _substep(rover, _TICKS * SUBSTEPS),
     }
-    fleets = [Fleet([RoverModel()] * lanes) for lanes in LANES]  # kept: their arrays hold but addresses
+    fleets = [Fleet([default_rover()] * lanes) for lanes in LANES]  # kept: their arrays hold but addresses
     for lanes, fleet in zip(LANES, fleets, strict=True):
         commands = np.full((2, len(fleet.bodies)), 0.1)
         calls[f"circuit {lanes}"] = partial(_tick_circuits, *_circuits(task, lanes), _ticks(lanes))

@@ -12,6 +12,7 @@ from rover_ncp.course.course import Course, ParkedRule, Verdict
 from rover_ncp.course.random_course import random_course
 from sim.evaluate.driver import Driver
 from sim.learn.evaluator import Outcomes
+from sim.world.described import default_rover
 from sim.world.randomization import Randomization, draw_trials
 from sim.world.rover import RoverModel
 
@@ -71,7 +72,7 @@ def evaluate(
     """Drive ``trials`` trials of a seed, trial i on course i modulo their number. Raises ConfigError."""
     if trials < 1:
         raise UsageError(f"at least one trial must be driven, got {trials}")
-    model = model or RoverModel()
+    model = model or default_rover()
     ticks = max(course.ticks for course in courses)
     engine, found = None, []
     for first in range(0, trials, _BATCH):

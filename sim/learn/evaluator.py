@@ -21,6 +21,7 @@ from rover_ncp.course.reference import SIGNALS, Reference, needs_reference, plan
 from sim.learn.commander import Commander, circuit_commander
 from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, Waiting, enqueue, episode_kernel
 from sim.learn.rollout import require_driver
+from sim.world.described import default_rover
 from sim.world.fleet import Fleet
 from sim.world.pymunk_rover import require_free_start
 from sim.world.randomization import Trials, nominal_trials
@@ -90,7 +91,7 @@ class Evaluator:
     ) -> None:
         require_driver(policy)
         courses = [course] if isinstance(course, Course) else list(course)
-        self.courses, self.model = courses, model or RoverModel()
+        self.courses, self.model = courses, model or default_rover()
         for each in courses:
             require_free_start(self.model, each)
         # Lanes are built for one set of obstacles, and drive the courses that have it.

@@ -24,8 +24,8 @@ from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import Course, load_course
 from sim.learn.rollout import require_driver
 from sim.learn.search.strategies import SearchName
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import require_free_start
-from sim.world.rover import RoverModel
 
 _LIBRARIES = ("rover-ncp", "numpy", "scipy", "numba", "pymunk")
 _GIT_TIMEOUT_S = 5.0
@@ -148,7 +148,7 @@ def resolve_task(settings: TrainSettings) -> Task:
     Raises FileError, or ConfigError also for a circuit that cannot drive and a course that cannot begin.
     """
     course = load_course(settings.course)
-    require_free_start(RoverModel(), course)
+    require_free_start(default_rover(), course)
     start = load_start(settings.circuit)
     if isinstance(start, Policy):
         require_driver(start)

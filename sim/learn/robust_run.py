@@ -37,8 +37,8 @@ from sim.learn.rollout import require_driver
 from sim.learn.run_folder import open_folder
 from sim.learn.train import find_workers
 from sim.learn.workers import MadeOnce, Workers, available_processes
+from sim.world.described import default_rover
 from sim.world.randomization import Randomization, draw_trials, ranges_for
-from sim.world.rover import RoverModel
 
 FloatArray = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ def _drive(settings: RobustSettings, start: Policy, course: Course, ranges: Rand
     courses, references = training_courses(
         course, plan_reference(course), settings.seed, settings.random_courses
     )
-    model, ticks = RoverModel(), max(each.ticks for each in courses)
+    model, ticks = default_rover(), max(each.ticks for each in courses)
     nothing_yet = draw_trials(ranges, model, settings.seed, count=1, ticks=ticks)
     engine = Evaluator(start, courses, model, nothing_yet, references)
     return drive_trials(engine, ranges, model, settings.seed)

@@ -19,6 +19,7 @@ from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course, Verdict, due_checkpoints, reward
 from rover_ncp.course.reference import SIGNALS, Reference, needs_reference, plan_reference, see
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.randomization import (
     Trials,
@@ -120,7 +121,7 @@ def rollout(
     Raises ConfigError when the policy cannot drive.
     """
     require_driver(policy)
-    model = model or RoverModel()
+    model = model or default_rover()
     require_free_start(model, course)
     trials = trials or nominal_trials(model, course.ticks)
     if reference is None and needs_reference(policy.sensing.inputs):

@@ -10,6 +10,7 @@ from bridge.base import RobotShape, shape_of
 from bridge.pioneer.packets import ConfigPac
 from bridge.pioneer.robots import ROBOTS, RobotParameters
 from rover_ncp.core.robot_description import RobotDescription, load_description
+from sim.world.described import described_rover
 from sim.world.rover import RoverModel
 
 BASE_NAME, BASE_CLASS = "rover-ncp_mock", "Pioneer"
@@ -24,18 +25,6 @@ BUMPER_SEGMENTS = 5
 def rover_model_of(robot: RobotShape) -> RoverModel:
     """Return the simulated rover of a shipped model."""
     return described_rover(load_description(robot.name))
-
-
-def described_rover(description: RobotDescription) -> RoverModel:
-    """Return the simulated rover of a description. Its outline lies evenly around its centre of rotation."""
-    return RoverModel(
-        **description.motion.model_dump(),
-        delay_v_s=description.delays.v_s,
-        delay_omega_s=description.delays.omega_s,
-        length=description.length_m,
-        width=description.width_m,
-        mass=description.mass_kg,
-    )
 
 
 def wheel_parameters(description: RobotDescription) -> RobotParameters:

@@ -19,13 +19,14 @@ from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import load_course
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
-from sim.pioneer.models import config_of, described_rover
+from sim.pioneer.models import config_of
 from sim.pioneer.real_time import TruthFile
 from sim.pioneer.ros2_robot import Ros2Robot
 from sim.pioneer.ros2_server import Ros2Server
 from sim.pioneer.server import Server, parse_listen
 from sim.pioneer.trial import BaseTrial, draw_rover
 from sim.world.bodies import Body
+from sim.world.described import described_rover
 from sim.world.randomization import Randomization
 
 FROM_STDIN = "-"

@@ -40,8 +40,8 @@ from sim.learn.networks import Net, net_for, network_commander
 from sim.learn.record import RobustSettings, made_with
 from sim.learn.robust import RobustSearch, drive_trials, policy_box, training_courses
 from sim.learn.search.unit_box import UnitBox
+from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
-from sim.world.rover import RoverModel
 
 FloatArray = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ def _network(net: Net, policy: Policy, seed: int) -> Agent:
 def compare(name: str, *, seed: int, generations: int, rollouts: int, trained_on: str) -> dict[str, Any]:
     """Search for an agent as the shipped circuit was searched for, and say how far that came."""
     began = time.process_time()
-    agent, model, course = find_agent(name, seed), RoverModel(), load_course("parking")
+    agent, model, course = find_agent(name, seed), default_rover(), load_course("parking")
     courses, references = training_courses(
         course, plan_reference(course), seed, _RANDOM_COURSES if agent.any_course else 0
     )

@@ -17,8 +17,8 @@ from rover_ncp.core.geometry import Pose, compose, inverse
 from rover_ncp.course.course import Course, load_course
 from sim.evaluate.driver import load_driver
 from sim.learn.evaluator import Outcomes
+from sim.world.described import default_rover
 from sim.world.randomization import Trials, draw_trials, load_randomization
-from sim.world.rover import RoverModel
 
 CENTERS_M = (-0.06, -0.03, 0.03, 0.06)
 
@@ -40,7 +40,7 @@ def course_of_centre(course: Course, center_m: float) -> Course:
 def main() -> None:
     """Compare from the command line."""
     name, count, seed = sys.argv[1:]
-    driver, model, course = load_driver(name), RoverModel(), load_course("parking")
+    driver, model, course = load_driver(name), default_rover(), load_course("parking")
     ranges = load_randomization("skid")
     drawn = draw_trials(ranges, model, int(seed), count=int(count), ticks=course.ticks)
 

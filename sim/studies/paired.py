@@ -22,8 +22,8 @@ from sim.evaluate.evaluate import unseen_courses
 from sim.stack.camera import Camera
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
+from sim.world.described import default_rover
 from sim.world.randomization import Randomization, draw_trials, load_randomization
-from sim.world.rover import RoverModel
 
 
 class Paired(NamedTuple):
@@ -46,7 +46,7 @@ def parked(
 ) -> NDArray[np.bool_]:
     """Return in which trials of a seed (trials,) a law, or a policy by name or file, parked."""
     ticks = max(course.ticks for course in courses)
-    known, model = load_driver(driver), RoverModel()
+    known, model = load_driver(driver), default_rover()
     drawn = draw_trials(ranges, model, seed, count=trials, ticks=ticks)
     hits: NDArray[np.bool_] = known.evaluator(courses, model, drawn).outcomes(known.vector).parked[0]
     return hits

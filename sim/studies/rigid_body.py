@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from sim.world.described import default_rover
 from sim.world.mujoco_rover import MujocoRover
-from sim.world.rover import SUBSTEP_S, RoverModel
+from sim.world.rover import SUBSTEP_S
 from sim.world.skid_robot import Contact, SkidRobot
 
 V_M_S, OMEGA_RAD_S = 0.16, 0.18
@@ -60,7 +61,7 @@ def coulomb(robot: SkidRobot, v: float, omega: float) -> Motion:
 
 def measure(robot: SkidRobot, v: float, omega: float) -> Motion:
     """Drive with a steady command and return the motion."""
-    rover = MujocoRover(RoverModel(), robot)
+    rover = MujocoRover(default_rover(), robot)
     rover.command(v, omega)
     advance(rover, SETTLED_S)
     start, seconds = rover.turned, 5.0
@@ -88,7 +89,7 @@ def advance(rover: MujocoRover, seconds: float) -> None:
 
 def stopping_m(robot: SkidRobot, v: float) -> float:
     """Return the way from the moment at which braking begins at ``v``."""
-    rover = MujocoRover(RoverModel(delay_v_s=0.0), robot)
+    rover = MujocoRover(default_rover(delay_v_s=0.0), robot)
     rover.command(v, 0.0)
     advance(rover, SETTLED_S)
     start = rover.pose.x
@@ -99,7 +100,7 @@ def stopping_m(robot: SkidRobot, v: float) -> float:
 
 def creep_m_s(robot: SkidRobot) -> float:
     """Return the speed of a rover that stands on its slope."""
-    rover = MujocoRover(RoverModel(), robot)
+    rover = MujocoRover(default_rover(), robot)
     advance(rover, SETTLED_S)
     start, seconds = rover.pose, 10.0
     advance(rover, seconds)
@@ -108,7 +109,7 @@ def creep_m_s(robot: SkidRobot) -> float:
 
 def shake_m_s2(robot: SkidRobot, omega: float) -> float:
     """Return the spread of the vertical acceleration while the rover turns on the spot: does it hop?"""
-    rover = MujocoRover(RoverModel(), robot)
+    rover = MujocoRover(default_rover(), robot)
     rover.command(0.0, omega)
     advance(rover, SETTLED_S)
     vertical = []
@@ -130,7 +131,7 @@ OFF_CENTRE_M = (0.0, 0.015, 0.03, 0.06)
 
 def main() -> None:
     """Print the tables."""
-    usual, model = SkidRobot(), RoverModel()
+    usual, model = SkidRobot(), default_rover()
     straight = measure(usual, V_M_S, 0.0)
     print(f"straight at {V_M_S} m/s: {straight.forward_m_s:.4f} m/s")
     print(

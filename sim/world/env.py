@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.course.course import TICK_S, Course, due_checkpoints, load_course, reward
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.rover import SUBSTEPS, RoverModel
 
@@ -56,7 +57,7 @@ class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     def __init__(self, course: str | Course = "parking", model: RoverModel | None = None) -> None:
         self.course = course if isinstance(course, Course) else load_course(course)
-        self.model = model or RoverModel()
+        self.model = model or default_rover()
         high = np.array([FARTHEST_M, FARTHEST_M, np.pi, 1.0])
         self.observation_space = gymnasium.spaces.Box(np.array([*-high[:3], 0.0]), high, dtype=np.float64)
         high = np.array([0.16, 0.18])  # the paper's motors

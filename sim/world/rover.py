@@ -35,23 +35,23 @@ STILL_M_S, STILL_RAD_S = 1e-3, 1e-3
 
 
 class RoverModel(StrictModel):
-    """A Pioneer 3-AT as the paper's simulator has it; length, width and mass from the base's data sheet.
+    """A robot in the simulator; `sim.world.described` makes it from a robot description.
 
     Speeds in m/s and rad/s, accelerations in m/s² and rad/s²; ``decel`` and ``alpha_decel`` apply while the
-    speed shrinks. Delays are whole substeps.
+    speed shrinks. Delays are whole substeps. Lengths in m, mass in kg.
     """
 
-    accel: float = Field(default=0.31, gt=0)
-    decel: float = Field(default=0.31, gt=0)
-    alpha: float = Field(default=1.25, gt=0)
-    alpha_decel: float = Field(default=1.25, gt=0)
-    v_max: float = Field(default=0.7, gt=0)
-    omega_max: float = Field(default=2.44, gt=0)
-    delay_v_s: float = Field(default=0.15, ge=0, le=2)
-    delay_omega_s: float = Field(default=0.10, ge=0, le=2)
-    length: float = Field(default=0.626, gt=0)
-    width: float = Field(default=0.505, gt=0)
-    mass: float = Field(default=12.0, gt=0)
+    accel: float = Field(gt=0)
+    decel: float = Field(gt=0)
+    alpha: float = Field(gt=0)
+    alpha_decel: float = Field(gt=0)
+    v_max: float = Field(gt=0)
+    omega_max: float = Field(gt=0)
+    delay_v_s: float = Field(ge=0, le=2)
+    delay_omega_s: float = Field(ge=0, le=2)
+    length: float = Field(gt=0)
+    width: float = Field(gt=0)
+    mass: float = Field(gt=0)
     turn_gain: float = Field(default=1.0, gt=0, description="turn of the rover over that of its wheels")
     rotation_center_m: float = Field(default=0.0, description="sideways speed over turn rate")
     friction: float = Field(default=0.6, ge=0, description="μ of the wheels across the rover")

@@ -58,9 +58,9 @@ from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import Course
 from sim.pioneer.client_commands import decode_argument
 from sim.pioneer.firmware import Firmware
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import Randomization
-from sim.world.rover import RoverModel
 
 STILL = Velocity(0.0, 0.0)
 HERE = Pose(0.1, 0.2, 0.3)
@@ -127,7 +127,7 @@ def _driver(data):
 def _base(data):
     """The base's side, before and in a session."""
     for greeting in (b"", b"".join(encode_frame(kind) for kind in (0, 1, 2, 1))):
-        firmware = Firmware("p3at-sh", PymunkRover(RoverModel(), Ground(())))
+        firmware = Firmware("p3at-sh", PymunkRover(default_rover(), Ground(())))
         firmware.receive(greeting + data, 0.1)
         firmware.advance(0.3)
 
@@ -141,7 +141,7 @@ def _lines():
         encode_command(Command.SETO, 0),
         encode_command(Command.OPEN),
     ]
-    firmware = Firmware("p3at-sh", PymunkRover(RoverModel(), Ground(())))
+    firmware = Firmware("p3at-sh", PymunkRover(default_rover(), Ground(())))
     firmware.receive(b"".join(encode_frame(kind) for kind in (0, 1, 2, 1, 18)), 0.1)
     firmware.advance(0.5)
     return [*commands, b"".join(commands), firmware.data_to_send()]

@@ -24,9 +24,9 @@ from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.studies.identify import driven, errors, identified, robot, truth
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground
 from sim.world.randomization import load_randomization
-from sim.world.rover import RoverModel
 
 
 @pytest.mark.parametrize("number", range(2))
@@ -233,7 +233,7 @@ def test_a_record_that_says_nothing_is_refused():
 
 def excited(trials, fence_m):
     """Drive the steps on a virtual clock; return the farthest from the start, what stopped it, the base."""
-    rover = rover_of(trials, RoverModel(), Ground(()))
+    rover = rover_of(trials, default_rover(), Ground(()))
     start, farthest = rover.pose, [0.0]
     firmware = Firmware(
         "p3at-sh",

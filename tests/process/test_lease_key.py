@@ -6,15 +6,15 @@ from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.protocol import MotorsReply, parse_json
 from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import VirtualBridge, VirtualLink
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
-from sim.world.rover import RoverModel
 
 
 class OpenWorld(VirtualBridge):
     """A world that keeps all that the bridge publishes and all that it answers."""
 
     def __init__(self):
-        super().__init__(Firmware("p3at-sh", PymunkRover(RoverModel(), Ground(()))))
+        super().__init__(Firmware("p3at-sh", PymunkRover(default_rover(), Ground(()))))
         self.published, self.answered = [], []
 
     def publish(self, name, data):

@@ -12,8 +12,8 @@ from rover_ncp.core.protocol import MotorsReply, MotorsRequest, Signed, dump_jso
 from sim.pioneer.client_commands import decode_argument
 from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import WALL_NS, VirtualBridge
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
-from sim.world.rover import RoverModel
 
 HOUR_NS = 3600 * 1_000_000_000
 SECOND_NS = 1_000_000_000
@@ -27,7 +27,7 @@ class Bridge(VirtualBridge):
     def __init__(self):
         self.stamps, self.published, self.sent = [], [], []
         self._decoder = Decoder()
-        super().__init__(Firmware("p3at-sh", PymunkRover(RoverModel(), Ground(()))))
+        super().__init__(Firmware("p3at-sh", PymunkRover(default_rover(), Ground(()))))
         self.sleep(3.0)
         assert abs(self.stamps[-1]) < SECOND_NS / 10
 

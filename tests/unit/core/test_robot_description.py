@@ -10,8 +10,7 @@ from bridge.ros.urdf import urdf
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.core.files import resolve, shipped_names
 from rover_ncp.core.robot_description import load_description
-from sim.pioneer.models import described_rover
-from sim.world.rover import RoverModel
+from sim.world.described import described_rover
 
 SHIPPED = shipped_names("robots")
 
@@ -42,10 +41,6 @@ def test_each_figure_has_a_source_and_a_date(name):
     ]
     assert not missing
     assert all(source.read for source in load_description(name).sources)
-
-
-def test_the_simulators_own_rover_is_the_3_at():
-    assert described_rover(load_description("p3at-sh")) == RoverModel()
 
 
 def test_a_new_robot_takes_one_file(tmp_path):

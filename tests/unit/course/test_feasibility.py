@@ -11,8 +11,8 @@ from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import Checkpoint, Course, Obstacle, load_course
 from rover_ncp.course.feasibility import Cause, check_course
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, rover_body
-from sim.world.rover import RoverModel
 
 
 def course_of(*points, horizon_s=20.0, obstacles=()):
@@ -37,7 +37,7 @@ def test_the_clearance_is_that_of_the_simulators_rover():
     found = check_course(course)
     assert 0.05 < found.clearance_m < 0.12
     ground = Ground(course.obstacles)
-    body = rover_body(RoverModel(), ground)
+    body = rover_body(default_rover(), ground)
     (shape,) = body.shapes
     for wider, touches in ((-0.001, False), (0.001, True)):
         # The simulator's own collision detection, with every obstacle grown by the clearance.

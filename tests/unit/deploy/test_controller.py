@@ -14,9 +14,9 @@ from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative,
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import SIGNALS, plan_reference, see
 from sim.learn.rollout import rollout
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import nominal_trials
-from sim.world.rover import RoverModel
 
 GOLDEN = "tests/data/golden/parking.bnn"
 COURSE = load_course("parking")
@@ -31,7 +31,7 @@ def policy(request):
 
 def drive(policy, odom=ORIGIN, pose=ORIGIN, report=lambda p, v: (p, v), latency=0.003, lose=()):
     """A whole course in simulation; returns the true poses (course frame), the ticks, the controller."""
-    rover = PymunkRover(RoverModel(), Ground(), pose)
+    rover = PymunkRover(default_rover(), Ground(), pose)
     controller = Controller(policy, COURSE, EstimatorSettings())
     to_odom = compose(odom, relative(pose, ORIGIN))  # the course's origin as odometry calls it
     start, _ = report(compose(to_odom, rover.pose), Velocity(0, 0))
@@ -90,12 +90,12 @@ def test_a_circuit_that_follows_the_course_sees_its_reference_as_in_the_simulato
 
 
 def started_at(pose):
-    trials = nominal_trials(RoverModel(), COURSE.ticks)
+    trials = nominal_trials(default_rover(), COURSE.ticks)
     return trials._replace(start=np.array([pose]))
 
 
 def test_driven_on_odometry_the_rover_goes_where_exact_poses_take_it(policy):
-    rover, runner, exact = PymunkRover(RoverModel(), Ground()), PolicyRunner(policy), []
+    rover, runner, exact = PymunkRover(default_rover(), Ground()), PolicyRunner(policy), []
     runner.tick((0.0, 0.0, 0.0, 0.0))
     for index in range(COURSE.ticks):
         exact.append(rover.pose)

@@ -6,8 +6,8 @@ from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import load_course
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
-from sim.world.rover import RoverModel
 
 STILL = Velocity(0.0, 0.0)
 
@@ -50,7 +50,13 @@ def test_a_burst_of_commands_is_not_judged_when_it_is_long_over(lag, ticks):
     assert first_complaint(asked, lambda k: asked(k - lag)) is None
 
 
-@pytest.mark.parametrize("model", [RoverModel(), RoverModel(accel=0.21, delay_v_s=0.3, delay_omega_s=0.3)])
+@pytest.mark.parametrize(
+    "model",
+    [
+        default_rover(),
+        default_rover(accel=0.21, delay_v_s=0.3, delay_omega_s=0.3),
+    ],
+)
 def test_a_rover_that_follows_is_never_stopped(model, request):
     """A whole manoeuvre, on the base as it is and on a sluggish one (delays 300 ms, acceleration −30 %)."""
     course, rover = load_course("parking"), PymunkRover(model, Ground())

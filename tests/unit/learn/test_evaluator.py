@@ -17,9 +17,9 @@ from rover_ncp.course.random_course import mirrored, random_course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.evaluator import Evaluator
 from sim.learn.rollout import rollout
+from sim.world.described import default_rover
 from sim.world.env import ENV_ID
 from sim.world.randomization import Sensors, draw_trials, load_randomization
-from sim.world.rover import RoverModel
 
 COURSE = load_course("parking")
 POLICY = parking_policy(parking_circuit())
@@ -111,7 +111,7 @@ def test_a_lost_race_is_stopped_and_no_other_is_touched():
 
 
 def test_other_rovers_other_returns():
-    model = RoverModel(delay_v_s=0.32, delay_omega_s=0.05, accel=0.1, decel=0.2, alpha=0.5)
+    model = default_rover(delay_v_s=0.32, delay_omega_s=0.05, accel=0.1, decel=0.2, alpha=0.5)
     vectors = candidates(4, seed=4)
     returns = Evaluator(POLICY, COURSE, model).returns(vectors)
     assert returns.tolist() == [alone(vector, model=model).total for vector in vectors]
@@ -124,7 +124,7 @@ def test_other_rovers_other_returns():
     [("none", "encoders"), ("full", "encoders"), *(("skid", each) for each in get_args(Sensors))],
 )
 def test_trials_end_as_a_rover_alone_does(policy, level, sensors):
-    model = RoverModel()
+    model = default_rover()
     ranges = load_randomization(level).model_copy(update={"sensors": sensors})
     trials = draw_trials(ranges, model, 5, count=3, ticks=COURSE.ticks)
     vectors = candidates(3, seed=5, policy=policy)
@@ -149,7 +149,7 @@ def test_trials_end_as_a_rover_alone_does(policy, level, sensors):
 
 
 def test_courses_and_trials_in_one_batch_as_each_alone():
-    model = RoverModel()
+    model = default_rover()
     pairs = [random_course(1, 0), random_course(1, 1)]
     short = pairs[0][0].model_copy(update={"horizon_s": 30.0, "checkpoints": pairs[0][0].checkpoints[:-1]})
     courses, references = [short, pairs[1][0]], [drive for _, drive in pairs]
@@ -171,7 +171,13 @@ def test_courses_and_trials_in_one_batch_as_each_alone():
     assert np.array_equal(engine.outcomes(vectors[5:7]).total, found.total[5:7])
     # Others, with longer delays than lanes had room for before, and back.
     engine.change_trials(
-        draw_trials(load_randomization("none"), RoverModel(delay_v_s=0.9), 0, count=2, ticks=320)
+        draw_trials(
+            load_randomization("none"),
+            default_rover(delay_v_s=0.9),
+            0,
+            count=2,
+            ticks=320,
+        )
     )
     assert not np.array_equal(engine.outcomes(vectors).total, found.total[:, :2])
     engine.change_trials(trials)
@@ -187,7 +193,7 @@ def test_a_reference_is_planned_from_the_course_if_none_is_given():
 
 def test_courses_with_and_without_obstacles_are_driven_together():
     vectors, courses = candidates(4, seed=11), [COURSE, FENCED, mirrored(FENCED)]
-    trials = draw_trials(load_randomization("full"), RoverModel(), 5, count=6, ticks=320)
+    trials = draw_trials(load_randomization("full"), default_rover(), 5, count=6, ticks=320)
     found = Evaluator(POLICY, courses, trials=trials).outcomes(vectors)
     runs = [
         [

@@ -15,10 +15,10 @@ from rover_ncp.course.reference import plan_reference
 from sim.learn.evaluator import Evaluator, Outcomes
 from sim.learn.robust import RobustSearch, costs, drive_trials, policy_box, training_courses
 from sim.learn.search.unit_box import reflected
+from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
-from sim.world.rover import RoverModel
 
-COURSE, MODEL = load_course("parking"), RoverModel()
+COURSE, MODEL = load_course("parking"), default_rover()
 START = course_policy(load_circuit("tracking"))
 FULL = load_randomization("full")
 

@@ -6,8 +6,8 @@ import pytest
 from rover_ncp.core.files import shipped_names
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import deviations, plan_reference
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, rover_body
-from sim.world.rover import RoverModel
 
 
 @pytest.mark.parametrize("name", shipped_names("courses"))
@@ -32,7 +32,7 @@ def test_the_way_into_the_bay_is_free_and_narrow():
 
     def touches(shift_y):
         ground = Ground(course.obstacles)
-        body = rover_body(RoverModel(), ground)
+        body = rover_body(default_rover(), ground)
         for x, y, theta in poses:
             body.position, body.angle = (x, y + shift_y), theta
             ground.space.reindex_shapes_for_body(body)

@@ -20,8 +20,8 @@ from sim.evaluate import evaluate
 from sim.evaluate.driver import Driver
 from sim.evaluate.evaluate import unseen_courses
 from sim.learn.rollout import rollout
+from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
-from sim.world.rover import RoverModel
 
 STAY = """\
 format: 1
@@ -127,7 +127,7 @@ def test_trials_are_counted_as_each_alone_is_judged(files, capsys):
     arguments = ["--trials", "12", "--seed", "4", "--randomize", "harsh", "--json"]
     assert run(["eval", "tracker.yaml", *arguments]) == 0
     fields = json.loads(capsys.readouterr().out)
-    model, course = RoverModel(), load_course("parking")
+    model, course = default_rover(), load_course("parking")
     trials = draw_trials(load_randomization("harsh"), model, 4, count=12, ticks=course.ticks)
     reference = plan_reference(course)
     verdicts = [

@@ -9,8 +9,8 @@ from rover_ncp.course.course import load_course
 from sim.evaluate.driver import load_driver
 from sim.evaluate.evaluate import evaluate
 from sim.evaluate.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, gain_box, law_command
+from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
-from sim.world.rover import RoverModel
 
 COURSE = load_course("parking")
 
@@ -56,8 +56,8 @@ def test_the_smooth_law_leads_into_the_pose(seen):
 def test_a_law_parks_undisturbed_and_stands_still_below_its_thresholds(law):
     found = evaluate(load_driver(law), [COURSE], load_randomization("none"), trials=1, seed=0)
     assert found.success_rate == 1.0
-    trials = draw_trials(load_randomization("none"), RoverModel(), 0, count=1, ticks=COURSE.ticks)
-    engine = load_driver(law).evaluator([COURSE], RoverModel(), trials)
+    trials = draw_trials(load_randomization("none"), default_rover(), 0, count=1, ticks=COURSE.ticks)
+    engine = load_driver(law).evaluator([COURSE], default_rover(), trials)
     asleep = np.array([*LAWS[law].tuned[:-2], 9.0, 9.0])
     outcomes = engine.outcomes([LAWS[law].tuned, asleep])
     assert outcomes.error_m[1, 0] == pytest.approx(math.hypot(*COURSE.goal[:2]))

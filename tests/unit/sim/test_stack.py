@@ -24,8 +24,8 @@ from sim.stack.estimates import summary
 from sim.stack.identification import levelled
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
+from sim.world.described import default_rover
 from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials, ranges_for
-from sim.world.rover import RoverModel
 from sim.world.skid_robot import SkidRanges, draw_robot
 
 SHORT = str(DATA / "short_course.yaml")
@@ -114,7 +114,7 @@ def test_a_driver_that_a_rule_stops_has_not_parked():
 
 def test_a_base_lives_through_a_trial_by_counting_its_reports():
     ranges = load_randomization("harsh")
-    trials = draw_trials(ranges, RoverModel(), 3, count=1, ticks=320)
+    trials = draw_trials(ranges, default_rover(), 3, count=1, ticks=320)
     base = BaseTrial(trials)
     assert (base.noise, base.lost, base.push) == (Pose(0.0, 0.0, 0.0), False, None)
     lost, pushes = [], []
@@ -134,7 +134,7 @@ def test_a_base_lives_through_a_trial_by_counting_its_reports():
 
 
 def test_encoders_see_what_odometry_in_the_simulator_sees():
-    trials = draw_trials(load_randomization("harsh"), RoverModel(), 3, count=1, ticks=10)
+    trials = draw_trials(load_randomization("harsh"), default_rover(), 3, count=1, ticks=10)
     base, motion = BaseTrial(trials), Velocity(0.12, -0.15)
     seen = base.measured(motion)
     distance_scale, heading_scale = trials.odometry[0]
@@ -144,7 +144,7 @@ def test_encoders_see_what_odometry_in_the_simulator_sees():
 
 
 def test_without_a_trial_a_base_is_as_it_should_be():
-    base = BaseTrial(nominal_trials(RoverModel(), 1))
+    base = BaseTrial(nominal_trials(default_rover(), 1))
     assert base.driven(0.123, -0.456) == (0.123, -0.456)
     assert base.measured(Velocity(0.123, -0.456)) == (0.123, -0.456)
     assert (base.effort_v, base.effort_omega) == (1.0, 1.0)
@@ -153,7 +153,7 @@ def test_without_a_trial_a_base_is_as_it_should_be():
 def test_values_of_a_profile_are_not_drawn():
     profile = RoverProfile(name="mine", delay_v_s=0.21, gain_v=1.1, odometry_distance=1.02, accel=0.248)
     ranges = load_randomization("full").model_copy(update={"rover": profile})
-    model = RoverModel()
+    model = default_rover()
     free = draw_trials(load_randomization("full"), model, 1, count=20, ticks=320)
     tied = draw_trials(ranges, model, 1, count=20, ticks=320)
     assert (tied.delay[:, 0] == 21).all()
@@ -167,7 +167,7 @@ def test_values_of_a_profile_are_not_drawn():
 
 
 def test_a_profile_makes_exact_trials_inexact_only_where_odometry_errs():
-    model, none = RoverModel(), load_randomization("none")
+    model, none = default_rover(), load_randomization("none")
 
     def exact(**stated):
         ranges = none.model_copy(update={"rover": RoverProfile(name="mine", **stated)})
@@ -216,7 +216,7 @@ def test_laws_and_networks_drive_through_the_stack_as_in_plain_simulation(name, 
     assert pickle.loads(pickle.dumps(driven)).driver.vector == pytest.approx(driven.driver.vector)
     trial = driven.drive(0)
     driver, course = driven.driver, driven.course(0)
-    plain = driver.evaluator([course], RoverModel(), nominal_trials(RoverModel(), course.ticks))
+    plain = driver.evaluator([course], default_rover(), nominal_trials(default_rover(), course.ticks))
     found = plain.outcomes(driver.vector)
     assert trial.parked
     assert trial.error_m == pytest.approx(float(found.error_m[0, 0]), abs=0.005)

@@ -12,9 +12,9 @@ from sim.evaluate.evaluate import evaluate
 from sim.studies.compare import find_agent
 from sim.studies.known_center import of_centre
 from sim.studies.paired import Paired, paired, parked
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import load_randomization
-from sim.world.rover import RoverModel
 
 
 @pytest.mark.parametrize(
@@ -61,8 +61,8 @@ def test_the_trials_are_those_of_an_evaluation(driver):
 
 @pytest.mark.parametrize("center_m", [-0.06, 0.04])
 def test_a_centre_of_rotation_drives_as_the_middle_of_a_rover_without_skid(center_m):
-    sliding = PymunkRover(RoverModel(rotation_center_m=center_m), Ground(), Pose(0.1, -0.2, 0.3))
-    straight = PymunkRover(RoverModel(), Ground(), of_centre(sliding.pose, center_m))
+    sliding = PymunkRover(default_rover(rotation_center_m=center_m), Ground(), Pose(0.1, -0.2, 0.3))
+    straight = PymunkRover(default_rover(), Ground(), of_centre(sliding.pose, center_m))
     for tick in range(200):
         for rover in (sliding, straight):
             rover.command(0.1, 0.18 * math.sin(0.03 * tick))

@@ -11,8 +11,8 @@ from gymnasium.utils.env_checker import check_env
 
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import Checkpoint, Course, Obstacle, due_checkpoints, load_course
+from sim.world.described import default_rover
 from sim.world.env import ENV_ID
-from sim.world.rover import RoverModel
 
 
 def play(env, action_at):
@@ -115,7 +115,7 @@ def test_collision_is_reported_and_does_not_end_the_episode():
 
 
 def test_episodes_are_alike():
-    env = gymnasium.make(ENV_ID, model=RoverModel(delay_v_s=0.2))
+    env = gymnasium.make(ENV_ID, model=default_rover(delay_v_s=0.2))
     first, second = (play(env, lambda tick: np.array([0.1, 0.1 * (-1) ** tick]))[0] for _ in range(2))
     assert np.array_equal(first, second)
 

@@ -11,9 +11,9 @@ from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.course.course import Obstacle
 from sim.world import chipmunk
+from sim.world.described import default_rover
 from sim.world.fleet import Fleet, wrapped
 from sim.world.pymunk_rover import Ground, PymunkRover
-from sim.world.rover import RoverModel
 
 BOX = (
     Obstacle(x=0.7, y=0.0, length=0.2, width=2.0),
@@ -26,7 +26,7 @@ BOX = (
 def models(count):
     """Rovers that differ in everything a kernel reads."""
     return [
-        RoverModel(
+        default_rover(
             accel=0.2 + 0.02 * i,
             decel=0.5,
             alpha=1.0 + 0.1 * i,
@@ -108,7 +108,7 @@ def test_shapes_and_mirrored_drives_change_no_bit_on_open_ground(seed):
 
 
 def test_a_rover_placed_again_drives_as_a_new_one():
-    start, model = Pose(0.0, 0.0, 0.0), RoverModel()
+    start, model = Pose(0.0, 0.0, 0.0), default_rover()
     commands = random_commands(8, 200, 8, 0.5, 2.0)
     fleet = Fleet([model] * 8, BOX)
     for command in commands:

@@ -19,9 +19,9 @@ from sim.studies.rigid_body import (
     stopping_m,
 )
 from sim.world.bodies import PRESETS, Body
+from sim.world.described import default_rover
 from sim.world.mujoco_rover import TICKS_PER_M, MujocoRover
 from sim.world.randomization import Randomization, load_randomization
-from sim.world.rover import RoverModel
 from sim.world.skid_robot import SkidRanges, SkidRobot, draw_robot
 
 OMEGA = 0.18
@@ -29,13 +29,13 @@ AHEAD = SkidRobot(mass_center_m=(0.03, 0.0), friction=0.4)
 
 
 def rover(robot=None, obstacles=(), **model):
-    return MujocoRover(RoverModel(**model), robot or SkidRobot(), obstacles)
+    return MujocoRover(default_rover(**model), robot or SkidRobot(), obstacles)
 
 
 def test_drives_straight_and_stops_within_its_deceleration():
     # A loaded tyre rolls on less than its radius, by half a millimetre of 111.
     assert measure(SkidRobot(), V_M_S, 0.0).forward_m_s == pytest.approx(V_M_S, rel=0.006)
-    assert stopping_m(SkidRobot(), V_M_S) == pytest.approx(V_M_S**2 / (2 * RoverModel().decel), abs=0.003)
+    assert stopping_m(SkidRobot(), V_M_S) == pytest.approx(V_M_S**2 / (2 * default_rover().decel), abs=0.003)
 
 
 def test_half_track_is_that_of_dry_friction_with_the_weight_in_the_middle():

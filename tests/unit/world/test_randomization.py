@@ -13,6 +13,7 @@ from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import load_course
 from rover_ncp.course.random_course import random_course
 from sim.learn.rollout import rollout
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import (
     BaseErrors,
@@ -26,9 +27,8 @@ from sim.world.randomization import (
     quantise,
     trial_model,
 )
-from sim.world.rover import RoverModel
 
-MODEL = RoverModel()
+MODEL = default_rover()
 TRACKER = course_policy(tap_withdrawal_circuit())
 TICKS = 320
 N = 400
@@ -85,8 +85,8 @@ def test_skid_is_drawn_beside_the_rest_whatever_the_horizon():
 @pytest.mark.parametrize(("gain", "center"), [(1.4, 0.06), (1.2, -0.06)])
 def test_odometry_of_a_skidding_rover_is_that_of_its_wheels(start, gain, center):
     """A rover that turns by ``gain`` and slides, and one without skid: their wheels go the same way."""
-    skidding = PymunkRover(RoverModel(turn_gain=gain, rotation_center_m=center), Ground(), start)
-    plain = PymunkRover(RoverModel(), Ground(), start)
+    skidding = PymunkRover(default_rover(turn_gain=gain, rotation_center_m=center), Ground(), start)
+    plain = PymunkRover(default_rover(), Ground(), start)
     errors = OdometryErrors(1.0, 1.0, 0.0, 0.0, 0.0, gain, center)
     seen = before = start
     for tick in range(150):

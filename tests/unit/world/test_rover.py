@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import Obstacle
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
-from sim.world.rover import RoverModel
 
 WALL = Obstacle(x=1.0, y=0.0, length=0.2, width=4.0)
 WALL_FACE_X = 0.9
@@ -61,7 +61,7 @@ def drives(draw):
 @settings(max_examples=40, deadline=None)
 @given(drives(), st.sampled_from([(15, 10), (3, 27)]))
 def test_follows_the_papers_kinematics_in_open_ground(commands, delays):
-    model = RoverModel(delay_v_s=delays[0] / 100, delay_omega_s=delays[1] / 100)
+    model = default_rover(delay_v_s=delays[0] / 100, delay_omega_s=delays[1] / 100)
     driven = drive(PymunkRover(model, Ground()), commands.tolist())
     expected = papers_kinematics(commands.tolist(), *delays)
     assert np.abs(driven[:, :2] - expected[:, :2]).max() < 1e-4
@@ -71,7 +71,7 @@ def test_follows_the_papers_kinematics_in_open_ground(commands, delays):
 
 @pytest.mark.parametrize(("delay_v", "delay_omega"), [(0, 0), (1, 9), (15, 10), (23, 40)])
 def test_a_command_is_obeyed_after_exactly_its_delay(delay_v, delay_omega):
-    model = RoverModel(delay_v_s=delay_v / 100, delay_omega_s=delay_omega / 100)
+    model = default_rover(delay_v_s=delay_v / 100, delay_omega_s=delay_omega / 100)
     rover = PymunkRover(model, Ground())
     for _ in range(3):
         rover.substep()
@@ -85,7 +85,7 @@ def test_a_command_is_obeyed_after_exactly_its_delay(delay_v, delay_omega):
 
 
 def test_limits_may_change_while_driving():
-    rover = PymunkRover(RoverModel(delay_v_s=0.0, delay_omega_s=0.0), Ground())
+    rover = PymunkRover(default_rover(delay_v_s=0.0, delay_omega_s=0.0), Ground())
     rover.change_limits(accel=0.5, decel=0.1, alpha=2.0, alpha_decel=1.0)
     rover.command(10.0, -10.0)
     rover.substep()
@@ -101,7 +101,7 @@ def test_limits_may_change_while_driving():
 
 
 def test_starts_at_its_pose_and_slides_no_further_sideways():
-    rover = PymunkRover(RoverModel(), Ground(), Pose(3.0, -2.0, 0.5))
+    rover = PymunkRover(default_rover(), Ground(), Pose(3.0, -2.0, 0.5))
     assert rover.pose == pytest.approx(Pose(3.0, -2.0, 0.5))
     rover.body.velocity = pymunk.Vec2d(0.0, 0.5).rotated(0.5)  # as after a push from the side
     for _ in range(200):
@@ -115,7 +115,11 @@ def test_starts_at_its_pose_and_slides_no_further_sideways():
 
 @pytest.mark.parametrize("center", [0.06, -0.04])
 def test_a_turn_on_the_spot_leaves_the_centre_of_rotation_where_it_is(center):
-    rover = PymunkRover(RoverModel(turn_gain=1.3, rotation_center_m=center), Ground(), Pose(1.0, 2.0, 0.5))
+    rover = PymunkRover(
+        default_rover(turn_gain=1.3, rotation_center_m=center),
+        Ground(),
+        Pose(1.0, 2.0, 0.5),
+    )
 
     def centre():
         x, y, theta = rover.pose
@@ -132,7 +136,7 @@ def test_a_turn_on_the_spot_leaves_the_centre_of_rotation_where_it_is(center):
 
 
 def test_wheels_without_grip_do_not_slide_the_rover():
-    rover = PymunkRover(RoverModel(rotation_center_m=0.06, friction=0.0), Ground())
+    rover = PymunkRover(default_rover(rotation_center_m=0.06, friction=0.0), Ground())
     rover.command(0.0, 0.18)
     for _ in range(300):
         rover.substep()
@@ -142,7 +146,7 @@ def test_wheels_without_grip_do_not_slide_the_rover():
 
 @pytest.mark.parametrize("command", [(math.nan, 0.0), (0.0, math.inf)])
 def test_refuses_a_command_that_is_no_number(command):
-    rover = PymunkRover(RoverModel(), Ground())
+    rover = PymunkRover(default_rover(), Ground())
     with pytest.raises(ValueError, match="finite"):
         rover.command(*command)
 
@@ -159,7 +163,7 @@ def without_shapes(rover):
 
 def drive_at_the_wall(start, solid=True, v=0.16, omega=0.0):
     """Return the deepest overlap (m), whether contact was reported, and the rover after 20 s."""
-    rover = PymunkRover(RoverModel(), Ground([WALL]), start)
+    rover = PymunkRover(default_rover(), Ground([WALL]), start)
     corners = next(iter(rover.body.shapes)).get_vertices()
     if not solid:
         without_shapes(rover)
@@ -216,7 +220,7 @@ def push_a_box(mass, solid=True):
     turn = pymunk.GearJoint(ground.space.static_body, box, 0.0, 1.0)
     turn.max_bias, turn.max_force = 0.0, 0.6 * mass * 9.81 * 0.2
     ground.space.add(box, pymunk.Poly.create_box(box, size), slip, turn)
-    rover = PymunkRover(RoverModel(), ground)
+    rover = PymunkRover(default_rover(), ground)
     if not solid:
         without_shapes(rover)
     rover.command(0.16, 0.0)

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy, save_policy
-from rover_ncp.core.errors import ConfigError, RoverNcpError
+from rover_ncp.circuit.rover_interface import RoverInterface, motion, signal
+from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import TICK_S, Course, load_course
-from rover_ncp.course.reference import SIGNALS, needs_reference, plan_reference, see
+from rover_ncp.course.reference import plan_reference
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,8 +33,10 @@ __all__ = [
     "Velocity",
     "load_course",
     "load_policy",
+    "motion",
     "read_arrays",
     "save_policy",
+    "signal",
 ]
 
 
@@ -54,16 +57,12 @@ class CourseDriver:
     """
 
     def __init__(self, policy: Policy, course: Course) -> None:
-        unknown = [name for name in policy.sensing.inputs if name not in SIGNALS]
-        if unknown or policy.motors.outputs != Velocity._fields:
-            problem = f"drives no rover: it needs inputs of {', '.join(SIGNALS)} and outputs v, omega"
-            raise ConfigError(f"policy {policy.circuit.name}", [problem])
+        self._interface = RoverInterface(policy)
         self.course = course
         self.runner = PolicyRunner(policy)
         self.index = 0
         """The next tick of the course, from 0."""
-        self._chosen = [SIGNALS.index(name) for name in policy.sensing.inputs]
-        self._reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
+        self._reference = plan_reference(course) if self._interface.needs_reference else None
         self._started = False
 
     def reset(self) -> None:
@@ -80,11 +79,11 @@ class CourseDriver:
         if not self._started:
             self.runner.tick(self._observation(Pose(x, y, theta), 0.0))
             self._started = True
-        signal = self.course.start_signal(self.index * TICK_S)
-        command = self.runner.tick(self._observation(Pose(x, y, theta), signal))
+        start = self.course.start_signal(self.index * TICK_S)
+        command = self.runner.tick(self._observation(Pose(x, y, theta), start))
         self.index += 1
-        return Velocity(*command)
+        return self._interface.command(command)
 
-    def _observation(self, pose: Pose, signal: float) -> list[float]:
-        signals = see(pose, signal, self._reference.tick(self.index) if self._reference else None)
-        return [signals[i] for i in self._chosen]
+    def _observation(self, pose: Pose, start: float) -> list[float]:
+        reference = self._reference.tick(self.index) if self._reference else None
+        return self._interface.observe(pose, start, reference)

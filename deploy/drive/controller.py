@@ -3,8 +3,8 @@
 Rules of this file:
 
 1. The same inputs give the same bits: `replay` runs a recording through this very class.
-2. The circuit sees the signals that its sensing names (`course/reference.py`) and nothing else. They come
-   from the estimate, predicted to the moment of the tick, and from the course.
+2. The circuit sees the signals that its sensing names (`circuit/rover_interface.py`) and nothing else. They
+   come from the estimate, predicted to the moment of the tick, and from the course.
 3. Before the first tick the circuit makes one tick on the start pose with the start signal at 0, its motors
    ignored, as it did in the simulator.
 """
@@ -22,12 +22,12 @@ from scipy.stats import chi2
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import Policy, PolicyRunner
-from rover_ncp.core.errors import ConfigError
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.geometry import Pose, Velocity, compose
 from rover_ncp.core.messages import OdometrySample, PoseSample, TurnSample
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import TICK_S, Course, Verdict
-from rover_ncp.course.reference import SIGNALS, needs_reference, plan_reference, see
+from rover_ncp.course.reference import plan_reference
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 FORECAST_TICKS = 2
@@ -74,13 +74,11 @@ class Controller:
         rover: RoverProfile | None = None,
         runner: Runner | None = None,
     ) -> None:
-        if problems := _misfits(policy):
-            raise ConfigError(f"policy {policy.circuit.name}", problems)
-        self._signal_at = [SIGNALS.index(name) for name in policy.sensing.inputs]
+        self._interface = RoverInterface(policy)
         self._course = course
-        self._reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
+        self._reference = plan_reference(course) if self._interface.needs_reference else None
         self._runner: Runner = runner or PolicyRunner(policy)
-        self._runner.tick([0.0] * len(self._signal_at))  # compiles now, before the rover waits for it
+        self._runner.tick([0.0] * len(policy.sensing.inputs))  # compiles now, before the rover waits for it
         self.estimator = Estimator(settings)
         self._gains = _gains(rover)
         self._times: list[float] = []
@@ -130,7 +128,8 @@ class Controller:
         """Run tick ``index`` of the course at time ``t``, which is not before the last odometry."""
         estimate = self.look(index, t)
         start = self._course.start_signal(index * TICK_S)
-        v, omega = self._runner.tick(self._observation(estimate.pose, index, start))
+        outputs = self._runner.tick(self._observation(estimate.pose, index, start))
+        v, omega = self._interface.command(outputs)
         return Tick(
             index,
             index * TICK_S,
@@ -166,9 +165,9 @@ class Controller:
             path.append(compose(path[-1], Pose(v, 0.0, omega)))
         return self._course.judge(self._times, path[::-1], touched=False)
 
-    def _observation(self, pose: Pose, index: int, start: float) -> NDArray[np.float64]:
-        signals = see(pose, start, self._reference.tick(index) if self._reference else None)
-        return np.array([signals[i] for i in self._signal_at], dtype=np.float64)
+    def _observation(self, pose: Pose, index: int, start: float) -> list[float]:
+        reference = self._reference.tick(index) if self._reference else None
+        return self._interface.observe(pose, start, reference)
 
 
 def _gains(rover: RoverProfile | None) -> Velocity:
@@ -179,15 +178,3 @@ def _gains(rover: RoverProfile | None) -> Velocity:
         (rover.gain_v or 1.0) / (rover.odometry_distance or 1.0),
         (rover.gain_omega or 1.0) / (rover.odometry_heading or 1.0),
     )
-
-
-def _misfits(policy: Policy) -> list[str]:
-    """Return the reasons why a policy cannot drive a rover tick by tick."""
-    problems = []
-    if unknown := [name for name in policy.sensing.inputs if name not in SIGNALS]:
-        problems.append(f"its sensing asks for {', '.join(unknown)}; known are {', '.join(SIGNALS)}")
-    if policy.motors.outputs != Velocity._fields:
-        problems.append(f"its outputs are {', '.join(policy.motors.outputs)}; expected v, omega")
-    if not math.isclose(policy.tick_s, TICK_S):
-        problems.append(f"its tick lasts {policy.tick_s:g} s; a control tick lasts {TICK_S} s")
-    return problems

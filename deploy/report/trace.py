@@ -10,12 +10,14 @@ V_i minus its value with that one synapse cut.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import REVERSAL_MV, Circuit, SynapseKind
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.rover_interface import declared_motion
 from rover_ncp.circuit.solver_reference import conductances
 
 FloatArray = NDArray[np.float64]
@@ -47,11 +49,28 @@ class Trace:
 
 
 def motor_shares(policy: Policy, potentials: FloatArray) -> list[tuple[str, FloatArray]]:
-    """Return the contribution of each motor neuron to the outputs, (T, outputs), at potentials (T, n) in mV.
+    """Return the contribution of each motor neuron to the command, at potentials (T, n) in mV.
 
-    A neuron that drives several channels is listed once for each. The sum may exceed an output's limit, which
-    only `motor_outputs` applies.
+    A contribution is (T, 2) of v and omega for a policy that drives a rover, and (T, outputs) for others. A
+    neuron that drives several channels is listed once for each. The sum may exceed an output's limit, which
+    only `motor_outputs` applies. Where a declared motion makes the command of the outputs, a contribution is
+    the difference that the neuron makes to it.
     """
+    shares = _output_shares(policy, potentials)
+    motion = declared_motion(policy)
+    if motion is None:
+        return shares
+    whole = np.sum([share for _, share in shares], axis=0)
+    command = _moved(motion, whole)
+    return [(neuron, command - _moved(motion, whole - share)) for neuron, share in shares]
+
+
+def _moved(motion: Any, outputs: FloatArray) -> FloatArray:
+    """Return v and omega (T, 2) of outputs (T, outputs)."""
+    return np.array([motion(*row) for row in outputs.tolist()])
+
+
+def _output_shares(policy: Policy, potentials: FloatArray) -> list[tuple[str, FloatArray]]:
     motors, circuit = policy.motors, policy.circuit
     layer = np.eye(len(motors.channels)) if policy.output_layer is None else policy.output_layer
     if motors.limits is not None:
@@ -66,10 +85,13 @@ def motor_shares(policy: Policy, potentials: FloatArray) -> list[tuple[str, Floa
 
 
 def motor_outputs(policy: Policy, potentials: FloatArray) -> FloatArray:
-    """Return the outputs (T, outputs) at potentials (T, n) in mV."""
-    outputs: FloatArray = np.sum([share for _, share in motor_shares(policy, potentials)], axis=0)
+    """Return the commands (T, 2), or the outputs of a policy for another task, at potentials (T, n) in mV."""
+    outputs: FloatArray = np.sum([share for _, share in _output_shares(policy, potentials)], axis=0)
     limits = policy.motors.limits
-    return outputs if limits is None else np.clip(outputs, -np.array(limits), np.array(limits))
+    if limits is not None:
+        outputs = np.clip(outputs, -np.array(limits), np.array(limits))
+    motion = declared_motion(policy)
+    return outputs if motion is None else _moved(motion, outputs)
 
 
 @dataclass(frozen=True, eq=False)

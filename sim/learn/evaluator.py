@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.course.course import TICK_S, Course, due_checkpoints
-from rover_ncp.course.reference import SIGNALS, Reference, needs_reference, plan_reference
-from sim.learn.commander import Commander, circuit_commander
+from rover_ncp.course.reference import SIGNALS, Reference, plan_reference
+from sim.learn.commander import Commander, rover_commander
 from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, Waiting, enqueue, episode_kernel
-from sim.learn.rollout import require_driver
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet
 from sim.world.pymunk_rover import require_free_start
@@ -89,7 +89,7 @@ class Evaluator:
         *,
         commander: Commander | None = None,
     ) -> None:
-        require_driver(policy)
+        interface = RoverInterface(policy)
         courses = [course] if isinstance(course, Course) else list(course)
         self.courses, self.model = courses, model or default_rover()
         for each in courses:
@@ -97,11 +97,13 @@ class Evaluator:
         # Lanes are built for one set of obstacles, and drive the courses that have it.
         self._grounds = list(dict.fromkeys(each.obstacles for each in courses))
         self._ground = np.array([self._grounds.index(each.obstacles) for each in courses])
-        if references is None and needs_reference(policy.sensing.inputs):
+        if references is None and interface.needs_reference:
             references = [plan_reference(each) for each in courses]
-        self._commander = commander or circuit_commander(policy)
+        self._commander = commander or rover_commander(policy, interface)
         self._kernel = episode_kernel(self._commander.start_lane, self._commander.tick_lanes)
-        self._signal_at = np.array([SIGNALS.index(name) for name in policy.sensing.inputs])
+        # A commander computes what is declared in Python from all signals.
+        shown = [one.places[0] for one in interface.inputs] if interface.built_in else range(len(SIGNALS))
+        self._signal_at = np.array(shown)
         self._tasks = _tasks(courses, references, self.model)
         self._teams: dict[tuple[int, int], _Team] = {}
         self._delays = (0.0, 0.0)

@@ -19,10 +19,10 @@ from pydantic import AfterValidator, Field
 
 from rover_ncp.circuit.policy import Policy, absolute_policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_start, policy_data
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.config import StrictModel, dump_yaml
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import Course, load_course
-from sim.learn.rollout import require_driver
 from sim.learn.search.strategies import SearchName
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import require_free_start
@@ -151,7 +151,7 @@ def resolve_task(settings: TrainSettings) -> Task:
     require_free_start(default_rover(), course)
     start = load_start(settings.circuit)
     if isinstance(start, Policy):
-        require_driver(start)
+        RoverInterface(start)  # raises for a policy that drives none
         return Task(course, replace(start, courses=(course.name,)))
     return Task(course, absolute_policy(start, course))
 

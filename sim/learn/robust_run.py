@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_start, save_policy
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import read_text, write_atomic
 from rover_ncp.course.course import Course, load_course
@@ -33,7 +34,6 @@ from sim.learn.robust import (
     policy_box,
     training_courses,
 )
-from sim.learn.rollout import require_driver
 from sim.learn.run_folder import open_folder
 from sim.learn.train import find_workers
 from sim.learn.workers import MadeOnce, Workers, available_processes
@@ -92,7 +92,7 @@ def train_robust(
     ranges = ranges_for(settings.randomize, Path(settings.profile) if settings.profile else None)
     loaded = load_start(settings.circuit)
     start = loaded if isinstance(loaded, Policy) else course_policy(loaded)
-    require_driver(start)
+    RoverInterface(start)  # raises for a policy that drives none
     record = Record[RobustSettings].of(settings, Task(course, start))
     make = partial(_drive, settings, start, course, ranges)
     with open_folder(out, record, resume) as began:

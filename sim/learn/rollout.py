@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy, PolicyRunner
-from rover_ncp.core.errors import ConfigError
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course, Verdict, due_checkpoints, reward
-from rover_ncp.course.reference import SIGNALS, Reference, needs_reference, plan_reference, see
+from rover_ncp.course.reference import Reference, plan_reference
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.randomization import (
@@ -34,8 +34,6 @@ from sim.world.randomization import (
 from sim.world.rover import SUBSTEPS, RoverModel
 
 FloatArray = NDArray[np.float64]
-
-OUTPUTS = ("v", "omega")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,19 +56,6 @@ class Rollout:
     rms_m: float
     """Root mean square of the distances to the checkpoints, each when it was judged."""
     verdict: Verdict
-
-
-def require_driver(policy: Policy) -> None:
-    """Raise ConfigError unless a policy drives a rover: known signals in, v and omega out, 0.1 s a tick."""
-    problems = []
-    if unknown := [name for name in policy.sensing.inputs if name not in SIGNALS]:
-        problems.append(f"its sensing asks for {', '.join(unknown)}; known are {', '.join(SIGNALS)}")
-    if policy.motors.outputs != OUTPUTS:
-        problems.append(f"outputs must be {', '.join(OUTPUTS)}, got {', '.join(policy.motors.outputs)}")
-    if not math.isclose(policy.tick_s, TICK_S):
-        problems.append(f"a tick (dt_s times substeps) must be {TICK_S} s, got {policy.tick_s:g} s")
-    if problems:
-        raise ConfigError(f"policy {policy.circuit.name}", problems)
 
 
 class _Odometry:
@@ -120,20 +105,18 @@ def rollout(
 
     Raises ConfigError when the policy cannot drive.
     """
-    require_driver(policy)
+    interface = RoverInterface(policy)
     model = model or default_rover()
     require_free_start(model, course)
     trials = trials or nominal_trials(model, course.ticks)
-    if reference is None and needs_reference(policy.sensing.inputs):
+    if reference is None and interface.needs_reference:
         reference = plan_reference(course)
-    chosen = [SIGNALS.index(name) for name in policy.sensing.inputs]
     start, odometry = Pose(*trials.start[row].tolist()), _Odometry(trials, row)
     rover = PymunkRover(trial_model(model, trials, row), Ground(course.obstacles), start)
     runner = PolicyRunner(policy)
 
     def observation(tick: int, signal: float) -> list[float]:
-        signals = see(odometry.seen(tick), signal, reference.tick(tick) if reference else None)
-        return [signals[i] for i in chosen]
+        return interface.observe(odometry.seen(tick), signal, reference.tick(tick) if reference else None)
 
     runner.tick(observation(0, 0.0))
     base = base_errors(trials, row)
@@ -142,7 +125,7 @@ def rollout(
     touched, total = False, 0.0
     for tick, checkpoint in enumerate(due_checkpoints(course)):
         seen.append(odometry.seen(tick))
-        v, omega = runner.tick(observation(tick, course.start_signal(TICK_S * tick)))
+        v, omega = interface.command(runner.tick(observation(tick, course.start_signal(TICK_S * tick))))
         if not trials.lost[row, tick]:
             held = quantise(v, float(trials.step[0])), quantise(omega, float(trials.step[1]))
         rover.command(*apply_base_errors(*held, base))

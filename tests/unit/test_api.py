@@ -78,7 +78,7 @@ def test_a_policy_of_another_task_is_refused(tmp_path):
         }
     )
     other = api.Policy(policy.circuit, sensing, policy.motors)
-    with pytest.raises(ConfigError, match="drives no rover"):
+    with pytest.raises(ConfigError, match="its sensing asks for a; known are x"):
         api.CourseDriver(other, api.load_course("parking"))
 
 

@@ -253,7 +253,7 @@ def test_a_policy_that_cannot_drive_is_refused():
             other = parking_policy(parking_circuit())
             object.__setattr__(other, "sensing", odd)
             build(other, COURSE)
-        with pytest.raises(ConfigError, match="its tick lasts 0.2 s; a control tick lasts 0.1 s"):
+        with pytest.raises(ConfigError, match=r"its tick lasts 0.2 s; a control tick lasts 0.1 s"):
             slow = parking_policy(parking_circuit())
             object.__setattr__(slow, "substeps", 20)
             build(slow, COURSE)

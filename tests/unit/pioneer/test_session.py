@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pioneer_bench import Pioneer
 
-from bridge.base import BaseReport, Lost, Ready, Recovered, TurnRate
+from bridge.base import BaseReport, Failed, Lost, Ready, Recovered, TurnRate
 from bridge.pioneer.arcos import Command, encode_command
 from bridge.pioneer.robots import ROBOTS
 from bridge.pioneer.session import Session, SessionEvent
@@ -23,7 +23,10 @@ STEP_S = 0.02
 
 
 class Pair:
-    """A session and a base, 50 turns a second; ``driver`` is what a gate would do each turn."""
+    """A session and a base, 50 turns a second; ``driver`` is what a gate would do each turn.
+
+    A line that the session gives up is replaced at once, as the bridge does.
+    """
 
     def __init__(self, pioneer: Pioneer | None = None, model: str = "auto") -> None:
         self.pioneer = pioneer or Pioneer()
@@ -45,7 +48,10 @@ class Pair:
             heard = firmware.data_to_send()
             self.events += self.session.receive(b"" if self.cut_up else heard, self.now)
             self.driver(self.session)
-            self.events += self.session.tick(self.now)
+            events = self.session.tick(self.now)
+            if self.of(Ready) and any(isinstance(event, Failed) for event in events):
+                self.session.connect(self.now)
+            self.events += events
             said = self.session.data_to_send()
             firmware.receive(b"" if self.cut_down else said, self.now)
             if until():

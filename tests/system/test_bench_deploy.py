@@ -10,6 +10,8 @@ from sim.benchmarks import deploy as bench_deploy
 from sim.benchmarks.deploy import latencies, quantiles
 from sim.benchmarks.peer import Moments
 
+pytestmark = pytest.mark.timed
+
 MS = 1_000_000
 
 

@@ -2,12 +2,15 @@
 
 import json
 
+import pytest
 from paths import DATA
 
 from deploy.replay import replay
 from rover_ncp.cli import run
 from rover_ncp.core.recording import read_recording
 from rover_ncp.core.robot_profile import load_profile
+
+pytestmark = pytest.mark.timed
 
 SHORT = str(DATA / "short_course.yaml")
 

@@ -23,6 +23,8 @@ from sim.faults.rig import SPEED_M_S, Rig
 from sim.faults.table import MATRIX, ROWS, SCRIPTED, braking_s
 from sim.live.processes import wait_for
 
+pytestmark = [pytest.mark.timed, pytest.mark.xdist_group("matrix")]
+
 PAGE = ROOT / "docs" / "safety.md"
 COURSE, WALL = DATA / "prompt_course.yaml", DATA / "wall_course.yaml"
 ROWS_FILE = os.environ.get("ROVER_NCP_SAFETY_ROWS")

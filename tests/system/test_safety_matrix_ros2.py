@@ -19,6 +19,8 @@ from sim.faults.table import LOW_BATTERY_S, MATRIX, ROWS, STOP_S
 from sim.live.live_run import RMW_ZENOH, ROS2DDS
 from sim.live.truth import SAMPLE_S
 
+pytestmark = pytest.mark.timed
+
 MODEL = "husky-a200"
 HUSKY = load_description(MODEL)
 COURSE = DATA / "prompt_course.yaml"
@@ -44,7 +46,11 @@ def allowed_s(row, v, omega):
     return bound + (LOW_BATTERY_S if row.key == "low-battery" else 0.0) + braking
 
 
-@pytest.fixture(scope="module", params=[ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(form, marks=pytest.mark.xdist_group(form)) for form in (ROS2DDS, RMW_ZENOH)],
+    ids=["ros2dds", "rmw-zenoh"],
+)
 def rig(request, tmp_path_factory):
     form = request.param
     mock = ["--ros2", "--model", MODEL, "--ros", "rmw-zenoh" if form == RMW_ZENOH else "ros2dds"]

@@ -18,6 +18,8 @@ from sim.faults.soak import Round, Soaked, soak
 from sim.faults.soak_report import fields, table, verdict
 from sim.faults.table import ROWS
 
+pytestmark = pytest.mark.timed
+
 SECOND_NS = 1_000_000_000
 SIP_NS = SECOND_NS // 10
 

@@ -27,6 +27,7 @@ from sim.world.rover import SUBSTEP_S, Rover
 RESTART_S = 1.5
 """How long a robot that restarts is silent (chosen)."""
 BATTERY_S = 1.0
+"""Time between two reports of the battery."""
 BEAMS = 120
 """Of the mock's laser, 3 degrees apart."""
 

@@ -2,9 +2,10 @@
 
 import json
 import re
+import threading
 
 import pytest
-from bridge_bench import BRAKING_M_S2, Rig
+from bridge_bench import BRAKING_M_S2, Rig, wait_for
 
 from deploy.preflight.preflight import STANDING
 from rover_ncp import cli
@@ -46,7 +47,6 @@ def test_a_robot_that_is_well(tmp_path, check):
             r"reports 0\.00 m/s and 0\.00 m: the gate (passed all commands on|dropped commands: stale)",
         ),
         (["bumper@0.5"], "forward", "the gate stopped the robot: bumper"),
-        (["bumper@2.3"], "left", "the gate stopped the robot: bumper"),
     ],
 )
 def test_a_robot_that_is_not(tmp_path, check, faults, name, words):
@@ -57,6 +57,22 @@ def test_a_robot_that_is_not(tmp_path, check, faults, name, words):
     assert said["findings"][-1]["name"] == name
     assert re.search(words, said["findings"][-1]["detail"])
     assert f"no: {name}: " in err or not err
+
+
+def test_a_robot_that_is_stopped_while_it_turns(tmp_path, check):
+    with Rig(tmp_path) as rig:
+
+        def press_bumper():
+            wait_for(lambda: rig.truth.read()[-1].velocity.omega > 0.05, 30.0)
+            rig.mock.tell("bumper@0-5")
+
+        turning = threading.Thread(target=press_bumper)
+        turning.start()
+        code, said, _ = check(rig.locator)
+        turning.join()
+    assert (code, said["ready"]) == (1, False)
+    assert said["findings"][-1]["name"] == "left"
+    assert "the gate stopped the robot: bumper" in said["findings"][-1]["detail"]
 
 
 def test_a_limit_that_slows_the_robot_is_named(tmp_path, check):

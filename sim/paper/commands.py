@@ -17,22 +17,42 @@ class What(StrEnum):
     RUN = "run"
     STATUS = "status"
     REPLAY = "replay"
-    TABLE1 = "table1"
-    TABLE2 = "table2"
-    TABLE3 = "table3"
+    RANDOM_CIRCUITS = "random-circuits"
+    POLICY_GRADIENTS = "policy-gradients"
+    NETWORKS = "networks"
     PARAMETERS = "parameters"
     TIME_CONSTANTS = "time-constants"
     CONTRIBUTIONS = "contributions"
     CURVES = "curves"
 
 
+_OLD_NAMES = {
+    "table1": What.RANDOM_CIRCUITS,
+    "table2": What.POLICY_GRADIENTS,
+    "table3": What.NETWORKS,
+}
+
+
+def _what(name: str) -> What:
+    """Return an action by its name. Raises UsageError, which names the present one of an old name."""
+    if name in _OLD_NAMES:
+        new = _OLD_NAMES[name]
+        raise UsageError(f"{name} is {new} now, because the paper's numbers are others; use paper {new}")
+    if name not in set(What):
+        raise UsageError(f"paper has no {name!r}; there are {', '.join(What)}")
+    return What(name)
+
+
 def paper(
     what: Annotated[
         What,
         typer.Argument(
-            help="run: make runs. status: list existing runs. replay: score stored parameters again. table1: "
-            "random circuits. table2: PPO and A2C. table3: networks. parameters: of the experiments. "
-            "time-constants and contributions: of the parking circuits. curves: a picture of the learning."
+            parser=_what,
+            metavar="|".join(What),
+            help="run: make runs. status: list existing runs and their commits. replay: score stored "
+            "parameters again. random-circuits: Table II. policy-gradients: Table III. networks: Table IV. "
+            "parameters: of the experiments. time-constants and contributions: of the parking circuits. "
+            "curves: a picture of the learning.",
         ),
     ],
     *,
@@ -50,7 +70,11 @@ def paper(
         typer.Option(help="A wiring of your own, YAML or .bnn, as one more agent.", show_default=False),
     ] = None,
     budget: Annotated[
-        BudgetName, typer.Option(help="quick: seconds a run. default: minutes. published: the paper's.")
+        BudgetName,
+        typer.Option(
+            help="quick: seconds a run. default: minutes. published: the paper's iterations, and the search "
+            "of its code. published-mean: with the mean of all rollouts. algorithm1: the search as printed."
+        ),
     ] = BudgetName.DEFAULT,
     runs: Annotated[Path, typer.Option(help="Folder of your runs; they precede the shipped ones.")] = Path(
         "runs/paper"
@@ -85,26 +109,25 @@ def paper(
         rover-ncp paper replay --task mountain-car
         rover-ncp paper run --task cart-pole --circuit mine.bnn
         rover-ncp paper run --cluster tcp://192.168.1.5:8786
-        rover-ncp paper table3 --json
+        rover-ncp paper run --budget published --task parking
+        rover-ncp paper networks --json
     """
     from sim.paper.results import ResultStore
     from sim.paper.selection import select
 
     output, store = Output(json), ResultStore(runs)
     if what is What.REPLAY:
-        return _replay(output, store, select(task, agent, seed, circuit), circuit)
+        return _replay(output, store, select(task, agent, seed, circuit, budget), circuit)
     if what is not What.RUN:
-        _show(what, output, store, out)
+        _show(what, output, store, out, budget)
         return 0
     if cluster is not None and (processes is not None or circuit is not None):
         raise UsageError("--cluster goes with neither --processes nor --circuit, a file of this machine")
-    names = select(task, agent, seed, circuit)
+    names = select(task, agent, seed, circuit, budget)
     left = [name for name in names if again or store.find(name) is None]
     made = []
     if left:
-        made = _make(
-            output, store, left, budget=budget, circuit=circuit, processes=processes, cluster=cluster
-        )
+        made = _make(output, store, left, circuit=circuit, processes=processes, cluster=cluster)
     output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
     return 0
 
@@ -114,7 +137,6 @@ def _make(
     store: Any,
     names: list[Any],
     *,
-    budget: BudgetName,
     circuit: Path | None,
     processes: int | None,
     cluster: str | None,
@@ -145,23 +167,24 @@ def _make(
     require_writable(names[0].path(store.own))
     count = processes or available_processes()
     with progress:
-        make_runs(names, store, budget, circuit, processes=count, cluster=cluster, on_result=on_result)
+        make_runs(names, store, circuit, processes=count, cluster=cluster, on_result=on_result)
     return made
 
 
-def _show(what: What, output: Output, store: Any, out: Path) -> None:
+def _show(what: What, output: Output, store: Any, out: Path, budget: BudgetName) -> None:
     """Print a table or write the picture of the stored runs."""
     from sim.paper import interpretation, tables
 
     if what is What.STATUS:
         from sim.paper.selection import coverage
 
-        groups = coverage(store)
+        groups = coverage(store, budget)
         lines = [f"{row['task']:17} {row['agent']:8} {row['made']} of {row['runs']} runs" for row in groups]
         output.result({"groups": groups}, "\n".join(lines))
     elif what in tables.TABLES:
-        rows = tables.table(what, store)
-        output.result({"cells": [row.fields() for row in rows]}, tables.table_text(rows))
+        rows = tables.table(what, store, budget)
+        cells = [row.fields() for row in rows]
+        output.result({"table": tables.TABLES[what].number, "cells": cells}, tables.table_text(what, rows))
     elif what is What.PARAMETERS:
         found = tables.parameters()
         output.result({"tasks": found}, tables.parameters_text(found))

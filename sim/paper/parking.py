@@ -1,7 +1,6 @@
 """The parking tasks: the project's own evaluator, and its default search, which learns from every miss.
 
-All agents of these rows are searched alike. The published search succeeds too, but takes some ten times as
-long (``rover-ncp bench search``).
+All agents of these rows are searched alike.
 
 The paper's return does not ask for standing still, so the search also counts how far a rover still moves
 between the last two checkpoints. A rover that can drive backward stops only where forward and backward
@@ -54,8 +53,11 @@ class ParkingEvaluator:
         counted = values - np.sum(creep**2, axis=(1, 2, 3))
         return values, counted, np.concatenate([misses, creep], axis=2)
 
-    def returns(self, vectors: Vector, to_beat: Vector) -> Vector:
-        """Return the returns (k,) of vectors (k, P), exact only above ``to_beat`` (k,)."""
+    def estimate(self, vectors: Vector, number: int, to_beat: Vector) -> Vector:
+        """Return the returns (k,) of vectors (k, P), exact only above ``to_beat`` (k,).
+
+        Without chance, the ``number`` of an evaluation does not matter.
+        """
         self.steps += len(vectors) * self.task.horizon
         return self.engine.returns(vectors, to_beat)
 
@@ -68,8 +70,7 @@ def search_parking(evaluator: ParkingEvaluator, agent: Policy | Net, seed: int, 
     """
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(0,))))
     first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
-    strategy = "published" if budget.published else "gauss-newton"
-    search = start_search(strategy, agent.layout(), first, generator, dead_parameters(agent))
+    search = start_search("gauss-newton", agent.layout(), first, generator, dead_parameters(agent))
     curve: list[tuple[int, float]] = []
     ended, parks, best = "evaluations", None, -math.inf
     while search.evaluations < budget.evaluations:
@@ -78,19 +79,15 @@ def search_parking(evaluator: ParkingEvaluator, agent: Policy | Net, seed: int, 
             break
         ahead = min(search.most_ahead, budget.evaluations - search.evaluations)
         vectors, before = search.ask(ahead), search.value
-        if search.needs_misses:
-            values, counted, misses = evaluator.traces(vectors)
-            search.tell(counted, misses)
-        else:
-            values = counted = evaluator.returns(vectors, search.to_beat)
-            search.tell(counted)
+        values, counted, misses = evaluator.traces(vectors)
+        search.tell(counted, misses)
         if search.value == before:
             continue
         best = float(values[int(np.argmax(counted))])
         curve.append((evaluator.steps, best))
         if best >= evaluator.task.success and evaluator.outcome(search.incumbent)[1]:
             parks = search.incumbent
-            if best >= evaluator.task.enough and not budget.published:
+            if best >= evaluator.task.enough:
                 ended = "enough"
                 break
     return Found(search.incumbent if parks is None else parks, search.evaluations, tuple(curve), ended)

@@ -1,14 +1,13 @@
 """The published random search on a benchmark, from the best of many starts, with pruned estimates.
 
-By default the search of mountain car and cart-pole; with the published budget, that of all benchmarks. It
-deviates from the published search to need less time for the same end:
+The search of mountain car and cart-pole. It deviates from the published search
+(``published_search.py``) to need less time for the same end:
   * It starts from the best of many untuned agents: some tasks reward nothing before the goal.
   * Candidates that trail their incumbent after 1, 3 or 9 rollouts are pruned, judged by the same share of
     worst rollouts. A candidate that takes all rollouts gets the paper's estimate. A search compares a
     candidate only with its incumbent, so this loses only candidates that would have won by late luck.
   * After 51 failures the incumbent is estimated again, as in Algorithm 1: it may have been lucky.
   * The search stops at a return that is confirmed as enough, or when for long nothing got better.
-With the published budget it deviates only in the repeated estimates.
 """
 
 import math
@@ -42,8 +41,8 @@ class Budget:
     starts: int
     patience: int
     """Evaluations without a gain of a hundredth after which a run ends."""
-    published: bool = False
-    """The paper's search to its end: nothing is pruned, and no return is enough."""
+    strategy: str = ""
+    """One of the paper's own searches (``published_search.py``)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +78,7 @@ def search_randomly(
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_SEARCH,))))
     starts = untuned(agent, generator, budget.starts)
     search = Reestimating(agent.layout(), best_starts(evaluator, starts, seed)[0], generator)
-    enough = np.inf if budget.published else evaluator.task.enough
+    enough = evaluator.task.enough
     curve: list[tuple[int, float]] = []
     gained_at, gained = 0, 0.0
     ended = "evaluations"
@@ -114,7 +113,7 @@ def estimate(evaluator: Evaluator, vectors: Vector, seeds: Seeds, to_beat: Vecto
     The estimate of a candidate that is pruned is that of the rollouts that it had. Minus infinity in
     ``to_beat`` (k,) asks for all rollouts.
     """
-    rounds = [3**n for n in range(10) if 3**n < budget.rollouts and not budget.published]
+    rounds = [3**n for n in range(10) if 3**n < budget.rollouts]
     returns = np.full((len(vectors), budget.rollouts), np.nan)
     estimates = np.full(len(vectors), -np.inf)
     left, done = np.arange(len(vectors)), 0

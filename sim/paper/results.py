@@ -14,6 +14,7 @@ from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.search.base import Vector
+from sim.paper import BudgetName
 
 SHIPPED = Path(__file__).parent / "results"
 
@@ -24,13 +25,19 @@ class RunName(StrictModel):
     task: str
     agent: str
     seed: int
+    budget: BudgetName = BudgetName.DEFAULT
 
     def path(self, folder: Path) -> Path:
         """Return a run's file in a folder."""
-        return folder / self.task / f"{self.agent}-{self.seed:02}.json"
+        return _column(folder, self.budget) / self.task / f"{self.agent}-{self.seed:02}.json"
 
     def __str__(self) -> str:
         return f"{self.task} {self.agent} {self.seed}"
+
+
+def _column(folder: Path, budget: BudgetName) -> Path:
+    """Return the place of a budget's runs; those of the default lie in the folder itself."""
+    return folder if budget is BudgetName.DEFAULT else folder / budget
 
 
 class Packed(StrictModel):
@@ -66,7 +73,7 @@ class Result(StrictModel):
     ended: str
     """By enough, plateau, steps or evaluations."""
     curve: tuple[tuple[int, float], ...]
-    """(steps, estimate of the incumbent), thinned."""
+    """(steps, estimate of the incumbent), thinned; (iterations, estimate) with the paper's own searches."""
     episodes: int
     """Fresh episodes behind the next four fields."""
     mean: float
@@ -102,14 +109,19 @@ class ResultStore:
                 return name.path(folder)
         return None
 
+    def unfinished(self, name: RunName) -> Path:
+        """Return the file of a run's state before its end, in the user's folder."""
+        return name.path(self.own).with_suffix(".partial")
+
     def save(self, result: Result) -> None:
         """Write a result into the user's folder. Raises FileError."""
         write_atomic(result.name.path(self.own), json.dumps(result.model_dump(), allow_nan=False) + "\n")
 
-    def results(self, task: str, agent: str) -> list[Result]:
-        """Return all results of a task and an agent, by seed. Raises FileError."""
+    def results(self, task: str, agent: str, budget: BudgetName = BudgetName.DEFAULT) -> list[Result]:
+        """Return all results of a task, an agent and a budget, by seed. Raises FileError."""
         paths: dict[str, Path] = {}
         for folder in (self.shipped, self.own):
             if folder is not None:
-                paths |= {path.name: path for path in (folder / task).glob(f"{agent}-*.json")}
+                found = (_column(folder, budget) / task).glob(f"{agent}-*.json")
+                paths |= {path.name: path for path in found}
         return [load_result(paths[name]) for name in sorted(paths)]

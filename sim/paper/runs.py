@@ -4,7 +4,6 @@ import importlib
 import math
 import multiprocessing
 import shlex
-import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -23,11 +22,12 @@ from sim.learn.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector
 from sim.learn.workers import WorkerDied, starting_processes
-from sim.paper import BudgetName
+from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
 from sim.paper.evaluator import Evaluator, draw_seeds
 from sim.paper.parking import ParkingEvaluator, search_parking
+from sim.paper.published_search import BenchmarkEstimator, Partial, search_as_published
 from sim.paper.random_search import Budget, Found, search_randomly
 from sim.paper.results import Packed, Result, ResultStore, RunName
 from sim.paper.tasks import Benchmark, SearchName, Task, find_task
@@ -49,10 +49,11 @@ def budget_for(task: Task, name: BudgetName) -> Budget:
     settings = task.settings
     starts = task.untuned if isinstance(task, Benchmark) else 1
     default = Budget(settings.rollouts, settings.worst, _UNLIMITED, task.steps, starts, patience=15_000)
-    if name is BudgetName.PUBLISHED:
-        return Budget(
-            settings.rollouts, settings.worst, settings.iterations, _UNLIMITED, 1, _UNLIMITED, published=True
-        )
+    if name in FAITHFUL:
+        worst = settings.rollouts if name is BudgetName.PUBLISHED_MEAN else settings.worst
+        strategy = "algorithm1" if name is BudgetName.ALGORITHM1 else "published"
+        limits = (settings.iterations, _UNLIMITED, 1, _UNLIMITED)
+        return Budget(settings.rollouts, worst, *limits, strategy)
     if name is BudgetName.QUICK:
         return replace(
             default,
@@ -64,23 +65,21 @@ def budget_for(task: Task, name: BudgetName) -> Budget:
     return default
 
 
-def train_run(
-    name: RunName,
-    budget: BudgetName = BudgetName.DEFAULT,
-    circuit: Path | None = None,
-) -> Result:
-    """Make one run. The same name and budget give the same parameters and returns, to the last bit.
+def train_run(name: RunName, circuit: Path | None = None, unfinished: Path | None = None) -> Result:
+    """Make one run. The same name gives the same parameters and returns, to the last bit.
 
+    ``unfinished`` is the file in which the paper's own searches keep their state, to continue there.
     Raises UsageError, FileError or ConfigError for a run that cannot be.
     """
-    began, worked = time.monotonic(), time.process_time()
-    task = find_task(name.task)
+    task, budget = find_task(name.task), name.budget
+    limits = budget_for(task, budget)
+    partial = Partial(unfinished if budget in FAITHFUL else None, vars(limits))
     if name.agent in GRADIENTS and circuit is None:
-        found, agent, steps, settings = _train_by_gradients(task, name, budget)
+        found, agent, steps, settings = _train_by_gradients(task, name)
         libraries = ["stable-baselines3", "torch"]
     else:
         agent = build_agent(task, name.agent, name.seed, circuit)
-        found, steps, settings = _search(task, agent, name.seed, budget_for(task, budget))
+        found, steps, settings = _search(task, agent, name.seed, limits, partial)
         libraries = []
     if isinstance(task, Benchmark):
         libraries += ["gymnasium", "mujoco"] if task.model else ["gymnasium"]
@@ -88,34 +87,45 @@ def train_run(
     command += ["--seed", str(name.seed), "--budget", budget]
     command += ["--circuit", str(circuit)] if circuit else []
     episodes = _QUICK_EPISODES if budget is BudgetName.QUICK else _FINAL_EPISODES
+    points = _CURVE_POINTS * (5 if budget in FAITHFUL else 1)
+    wall_s, cpu_s = partial.times()
     return Result(
         name=name,
         command=shlex.join(command),
         budget=budget,
         settings=settings,
         made_with=made_with() | {library: metadata.version(library) for library in libraries},
-        wall_s=time.monotonic() - began,
-        cpu_s=time.process_time() - worked,
+        wall_s=wall_s,
+        cpu_s=cpu_s,
         evaluations=found.evaluations,
         steps=steps,
         ended=found.ended,
-        curve=_thinned(found.curve),
+        curve=_thinned(found.curve, points),
         circuit=circuit_to_yaml(agent.circuit) if circuit and isinstance(agent, Policy) else None,
         parameters=Packed.of(found.vector),
         **score(task, agent, found.vector, name.seed, episodes),
     )
 
 
-def _search(task: Task, agent: Policy | Net, seed: int, budget: Budget) -> tuple[Found, int, dict[str, Any]]:
-    """Return what the task's search found, the steps it took, and the settings to record."""
+def _search(
+    task: Task, agent: Policy | Net, seed: int, budget: Budget, partial: Partial
+) -> tuple[Found, int, dict[str, Any]]:
+    """Return what the search found, the steps it took, and the settings to record."""
     if not isinstance(task, Benchmark):
         parking = ParkingEvaluator(task, agent)
-        found = search_parking(parking, agent, seed, budget)
+        if budget.strategy:
+            found = search_as_published(parking, agent, seed, budget, partial)
+        else:
+            found = search_parking(parking, agent, seed, budget)
         return found, parking.steps, vars(budget)
+    if budget.strategy:
+        estimator = BenchmarkEstimator(task, agent, seed, budget)
+        found = search_as_published(estimator, agent, seed, budget, partial)
+        return found, estimator.steps, vars(budget)
     judge = Evaluator(task, agent)
     evaluator = judge if task.search_plant is None else Evaluator(task, agent, for_search=True)
     limits = {"steps": budget.steps, "starts": budget.starts}
-    if budget.published or task.search is SearchName.RANDOM:
+    if task.search is SearchName.RANDOM:
         found = search_randomly(evaluator, judge, agent, seed, budget)
         settings = vars(budget)
     elif task.search is SearchName.CMA:
@@ -127,24 +137,22 @@ def _search(task: Task, agent: Policy | Net, seed: int, budget: Budget) -> tuple
     return found, evaluator.steps + (0 if judge is evaluator else judge.steps), settings
 
 
-def _train_by_gradients(
-    task: Task, name: RunName, budget: BudgetName
-) -> tuple[Found, None, int, dict[str, Any]]:
+def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, None, int, dict[str, Any]]:
     from sim.paper.gradients import CELLS, train_actor, training_of  # an extra that other agents do without
 
-    if budget is BudgetName.PUBLISHED:
+    if name.budget in FAITHFUL:
         raise UsageError(f"the paper states no budget for {name.agent}")
     if not isinstance(task, Benchmark):
         raise UsageError(f"{name.agent} is not trained on {task.name}")
-    actor, steps = train_actor(task, name.agent, name.seed, quick=budget is BudgetName.QUICK)
+    actor, steps = train_actor(task, name.agent, name.seed, quick=name.budget is BudgetName.QUICK)
     training = training_of(task, name.agent)
     settings = {"cells": CELLS, "environments": training.environments, **training.options}
     return Found(actor.vector(), 0, (), "steps"), None, steps, settings
 
 
-def _thinned(curve: tuple[tuple[int, float], ...]) -> tuple[tuple[int, float], ...]:
+def _thinned(curve: tuple[tuple[int, float], ...], points: int) -> tuple[tuple[int, float], ...]:
     """Return some points of a curve at most, its ends among them."""
-    chosen = np.linspace(0, len(curve) - 1, min(len(curve), _CURVE_POINTS)).round().astype(int)
+    chosen = np.linspace(0, len(curve) - 1, min(len(curve), points)).round().astype(int)
     return tuple(curve[i] for i in chosen)
 
 
@@ -200,7 +208,6 @@ def agrees(result: Result, replayed: Mapping[str, Any]) -> bool:
 def make_runs(
     names: Sequence[RunName],
     store: ResultStore,
-    budget: BudgetName,
     circuit: Path | None,
     *,
     processes: int,
@@ -209,7 +216,8 @@ def make_runs(
 ) -> None:
     """Make runs, as many at once as there are processes, or on a Dask cluster; save each as it ends.
 
-    Interrupted, it gives up the unfinished runs. Raises UsageError, FileError or ConfigError for a run that
+    Interrupted, it gives up the unfinished runs, except those of the paper's own searches, which go on from
+    their last state when they are asked for again. Raises UsageError, FileError or ConfigError for a run that
     cannot be before the first one begins, and WorkerDied.
     """
     _require(names, circuit)
@@ -217,11 +225,12 @@ def make_runs(
     def keep(run: Future[Result]) -> None:
         result = run.result()
         store.save(result)
+        store.unfinished(result.name).unlink(missing_ok=True)
         on_result(result)
 
     if cluster is not None:
         with DaskCluster(cluster) as workers:
-            for run in as_completed([workers.submit(train_run, name, budget) for name in names]):
+            for run in as_completed([workers.submit(train_run, name) for name in names]):
                 keep(run)
         return
     # Spawned, never forked: numba and MuJoCo do not survive a fork.
@@ -229,7 +238,7 @@ def make_runs(
     with ProcessPoolExecutor(min(processes, len(names)), context) as pool:
         try:
             with starting_processes():  # the pool starts them as work is handed in
-                runs = [pool.submit(train_run, name, budget, circuit) for name in names]
+                runs = [pool.submit(train_run, name, circuit, store.unfinished(name)) for name in names]
             for run in as_completed(runs):
                 keep(run)
         except BaseException as error:

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rover_ncp.core.errors import UsageError
+from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import AGENTS, GRADIENTS
-from sim.paper.results import ResultStore, RunName
-from sim.paper.tasks import TASKS, find_task
+from sim.paper.results import Result, ResultStore, RunName
+from sim.paper.tasks import TASKS, Benchmark, find_task
 
 _GRADIENT_TASKS = ("pendulum", "roboschool", "mountain-car")
 """The tasks of the paper's table of reinforcement learning."""
@@ -16,32 +17,54 @@ _OWN_RUNS = 5
 
 
 class Group(NamedTuple):
-    """The runs of a task and an agent, one for each seed from 0 on."""
+    """The runs of a task, an agent and a budget, one for each seed from 0 on."""
 
     task: str
     agent: str
     runs: int
+    budget: BudgetName = BudgetName.DEFAULT
 
     def names(self, seeds: Sequence[int] | None = None) -> list[RunName]:
         """Return the group's runs, or those of the seeds given."""
-        return [RunName(task=self.task, agent=self.agent, seed=seed) for seed in seeds or range(self.runs)]
+        return [
+            RunName(task=self.task, agent=self.agent, seed=seed, budget=self.budget)
+            for seed in seeds or range(self.runs)
+        ]
+
+    def results(self, store: ResultStore) -> list[Result]:
+        """Return the group's runs that exist, by seed. Raises FileError."""
+        return store.results(self.task, self.agent, self.budget)
 
 
-def _grid() -> Iterator[Group]:
+def grid(budget: BudgetName = BudgetName.DEFAULT) -> tuple[Group, ...]:
+    """Return all groups of a budget."""
+    return tuple(_faithful(budget) if budget in FAITHFUL else _own(budget))
+
+
+def _own(budget: BudgetName) -> Iterator[Group]:
     for task in TASKS:
-        yield Group(task, "circuit", 12 if task == "four-dof" else 10)
-        yield Group(task, "random", 10)
-        yield Group(task, "mlp", 5)
-        yield Group(task, "lstm", 5)
+        yield Group(task, "circuit", 12 if task == "four-dof" else 10, budget)
+        yield Group(task, "random", 10, budget)
+        yield Group(task, "mlp", 5, budget)
+        yield Group(task, "lstm", 5, budget)
         if task in _GRADIENT_TASKS:
-            yield from (Group(task, agent, 5) for agent in GRADIENTS)
+            yield from (Group(task, agent, 5, budget) for agent in GRADIENTS)
 
 
-GRID = tuple(_grid())
+def _faithful(budget: BudgetName) -> Iterator[Group]:
+    """Yield the paper's ten runs of each row; its pendulum has the bonus, and only circuits park."""
+    for name, task in TASKS.items():
+        both_estimates_agree = task.settings.worst == task.settings.rollouts
+        if name.endswith("-plain") or (budget is BudgetName.PUBLISHED_MEAN and both_estimates_agree):
+            continue
+        if not isinstance(task, Benchmark):
+            yield Group(name, "circuit", 36 if name == "parking" else 12, budget)
+            continue
+        yield from (Group(name, agent, 10, budget) for agent in AGENTS if agent not in GRADIENTS)
 
 
-def coverage(store: ResultStore) -> list[dict[str, Any]]:
-    """Return each group of the grid with the number of its runs that exist."""
+def coverage(store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> list[dict[str, Any]]:
+    """Return each group of a budget with the number of its runs that exist."""
     return [
         {
             "task": group.task,
@@ -49,7 +72,7 @@ def coverage(store: ResultStore) -> list[dict[str, Any]]:
             "made": sum(store.find(name) is not None for name in group.names()),
             "runs": group.runs,
         }
-        for group in GRID
+        for group in grid(budget)
     ]
 
 
@@ -58,8 +81,9 @@ def select(
     agents: Sequence[str] | None,
     seeds: Sequence[int] | None,
     circuit: Path | None,
+    budget: BudgetName = BudgetName.DEFAULT,
 ) -> list[RunName]:
-    """Return the selected runs, circuits first: of the grid, or of any seeds given.
+    """Return the selected runs of a budget, circuits first: of the grid, or of any seeds given.
 
     Without ``agents``, PPO and A2C are left out. Raises UsageError for an unknown task or agent, and where
     nothing is left.
@@ -69,7 +93,7 @@ def select(
     if circuit is not None:
         if agents or not tasks:
             raise UsageError("--circuit FILE is an agent by itself; it wants a --task")
-        return [name for task in tasks for name in Group(task, circuit.stem, _OWN_RUNS).names(seeds)]
+        return [name for task in tasks for name in Group(task, circuit.stem, _OWN_RUNS, budget).names(seeds)]
     for agent in agents or ():
         if agent not in AGENTS:
             raise UsageError(f"no agent {agent!r}; there are {', '.join(AGENTS)}")
@@ -77,7 +101,7 @@ def select(
     names = [
         name
         for agent in AGENTS
-        for group in GRID
+        for group in grid(budget)
         if group.agent == agent and agent in wanted and (not tasks or group.task in tasks)
         for name in group.names(seeds)
     ]

@@ -16,16 +16,25 @@ from sim.paper import BudgetName
 from sim.paper.agents import GRADIENTS
 from sim.paper.results import Result, ResultStore
 from sim.paper.runs import budget_for
-from sim.paper.selection import GRID, Group
+from sim.paper.selection import Group, grid
 from sim.paper.tasks import TASKS
 
 LEVEL = 0.05
-TABLES: dict[str, tuple[str, ...]] = {
-    "table1": ("circuit", "random"),
-    "table2": ("circuit", *GRADIENTS),
-    "table3": ("lstm", "mlp", "circuit", "random"),
+
+
+class Table(NamedTuple):
+    """One of the paper's tables."""
+
+    number: str
+    title: str
+    agents: tuple[str, ...]
+
+
+TABLES = {
+    "random-circuits": Table("Table II", "the circuit and random circuits", ("circuit", "random")),
+    "policy-gradients": Table("Table III", "the circuit and policy gradients", ("circuit", *GRADIENTS)),
+    "networks": Table("Table IV", "networks and circuits", ("lstm", "mlp", "circuit", "random")),
 }
-"""Agents that each table compares."""
 
 
 class Published(NamedTuple):
@@ -64,7 +73,10 @@ PUBLISHED = {
         "random": Published(1743.0, 642.3, 0.5),
     },
 }
-_SPARSITY = {"lstm": 0.0, "mlp": 0.0, "circuit": 0.77, "random": 0.77}
+_TABLE_II = {"pendulum": Published(866.4, 418.0), "half-cheetah": Published(2891.4, 1016.0)}
+_TABLE_II["roboschool"] = _TABLE_II["pendulum"]
+"""The circuit's values where Table II differs from Table IV: failed attempts are included."""
+SPARSITY = {"lstm": 0.0, "mlp": 0.0, "circuit": 0.77, "random": 0.77}
 """Share of the possible connections that an agent does without."""
 
 
@@ -98,7 +110,7 @@ class Row:
     def fields(self) -> dict[str, Any]:
         """Return the row as ``--json`` prints it."""
         published = self.published._asdict() | {"runs": PUBLISHED_RUNS} if self.published else None
-        return vars(self) | {"published": published, "sparsity": _SPARSITY.get(self.agent), "test": "Welch"}
+        return vars(self) | {"published": published, "sparsity": SPARSITY.get(self.agent), "test": "Welch"}
 
     def texts(self) -> tuple[str, ...]:
         """Return the row's cells as Markdown."""
@@ -116,18 +128,26 @@ class Row:
         )
 
 
-def table(which: str, store: ResultStore) -> list[Row]:
+def table(which: str, store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> list[Row]:
     """Return a table's rows by task, including those without a run. Raises FileError."""
-    order = list(TABLES[which])
-    tasks = {group.task for group in GRID if group.agent == order[-1]}
-    groups = [group for group in GRID if group.agent in order and group.task in tasks]
-    groups.sort(key=lambda group: (list(TASKS).index(group.task), order.index(group.agent)))
-    return [make_row(group, store.results(group.task, group.agent)) for group in groups]
+    order = TABLES[which].agents
+    groups = grid(budget)
+    tasks = {group.task for group in groups if group.agent == order[-1]}
+    groups = tuple(group for group in groups if group.agent in order and group.task in tasks)
+    by_task = sorted(groups, key=lambda group: (list(TASKS).index(group.task), order.index(group.agent)))
+    return [make_row(group, group.results(store), published_value(which, group)) for group in by_task]
 
 
-def make_row(group: Group, results: Sequence[Result]) -> Row:
+def published_value(which: str, group: Group) -> Published | None:
+    """Return what one of the paper's tables says of a group, if it does."""
+    if which == "random-circuits" and group.agent == "circuit" and group.task in _TABLE_II:
+        return _TABLE_II[group.task]
+    return PUBLISHED.get(group.task, {}).get(group.agent)
+
+
+def make_row(group: Group, results: Sequence[Result], paper: Published | None) -> Row:
     """Return a row of a table."""
-    paper, judged, p = PUBLISHED.get(group.task, {}).get(group.agent), None, None
+    judged = p = None
     mean = std = plain = success = cpu_s = None
     if results:
         mean, plain, success, cpu_s = (
@@ -157,10 +177,11 @@ def compare(mean: float, std: float, runs: int, published: Published) -> tuple[V
     return (Verdict.BETTER if mean > published.mean else Verdict.WORSE), p
 
 
-def table_text(rows: Sequence[Row]) -> str:
+def table_text(which: str, rows: Sequence[Row]) -> str:
     """Return a table as Markdown."""
     head = ("task", "agent", "runs", "ours", "success", "paper", "verdict", "core time")
-    return markdown([head, *(row.texts() for row in rows)])
+    named = TABLES[which]
+    return f"{named.number}: {named.title}\n\n" + markdown([head, *(row.texts() for row in rows)])
 
 
 def parameters() -> list[dict[str, Any]]:

@@ -4,6 +4,7 @@ Mappings and settings: Hasani et al. (ICRA 2020), Tables S1 and S3. Thresholds a
 one. A pendulum's paper return has a bonus of 0.2 (1 - |x|) on every rewarded step, so it ends at 1200.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -82,6 +83,8 @@ class Benchmark(Task):
     """A faster plant for the search; reported results are those of ``plant``."""
     search: SearchName = SearchName.RANDOM
     bonus: float = 0.0
+    most: float = math.inf
+    """Upper bound of a return, with bonus."""
     untuned: int = 3000
     """Untuned agents that are tried before the search begins."""
 
@@ -166,6 +169,7 @@ def _pendulum(name: str, title: str, roboschool: bool, bonus: float) -> Benchmar
         search_plant=WRITTEN_PENDULUM,
         search=SearchName.CMA,
         bonus=bonus,
+        most=1000.0 * (1.0 + bonus),
         untuned=5000,
     )
 
@@ -200,6 +204,7 @@ _ALL = (
         policy=two_signals("mountain-car", {"position": 1.0, "velocity": 0.02}, 1.0),
         plant=MOUNTAIN_CAR,
         start=_car_start,
+        most=100.0,
         environment="MountainCarContinuous-v0",
     ),
     Benchmark(
@@ -229,6 +234,7 @@ _ALL = (
         policy=two_signals("cart-pole", {"angle": 0.15, "rate": 1.0}, 1.0),
         plant=CART_POLE,
         start=_cart_pole_start,
+        most=500.0,
         environment="CartPole-v1",
     ),
     _parking("parking", "Parking", parking_circuit),

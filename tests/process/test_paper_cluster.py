@@ -8,6 +8,7 @@ import pytest
 from dask_cluster import Cluster
 
 from rover_ncp.cli import run
+from sim.paper import BudgetName
 from sim.paper.results import RunName, load_result
 
 QUICK = ["paper", "run", "--task", "cart-pole", "--agent", "mlp", "--budget", "quick", "--again"]
@@ -40,7 +41,7 @@ def test_a_cluster_makes_the_runs_of_one_machine(
     made = json.loads(capsys.readouterr().out)["made"]
     assert sorted(row["seed"] for row in made) == [0, 1, 2]
     for seed in range(3):
-        name = RunName(task="cart-pole", agent="mlp", seed=seed)
+        name = RunName(task="cart-pole", agent="mlp", seed=seed, budget=BudgetName.QUICK)
         results = [load_result(name.path(folder)).model_dump(exclude=TIMES) for folder in (here, there)]
         assert results[0] == results[1]
 

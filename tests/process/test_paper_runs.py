@@ -21,12 +21,12 @@ from sim.paper.selection import select
 from sim.paper.tasks import TASKS
 
 QUICK = BudgetName.QUICK
-CAR = RunName(task="mountain-car", agent="circuit", seed=0)
+CAR = RunName(task="mountain-car", agent="circuit", seed=0, budget=QUICK)
 
 
 @pytest.fixture(scope="module")
 def car() -> Result:
-    return train_run(CAR, QUICK)
+    return train_run(CAR)
 
 
 def replays(result):
@@ -34,11 +34,11 @@ def replays(result):
 
 
 def test_the_same_run_gives_the_same_bits_and_replays(car):
-    again = train_run(CAR, QUICK)
+    again = train_run(CAR)
     assert again.model_dump(exclude={"wall_s", "cpu_s"}) == car.model_dump(exclude={"wall_s", "cpu_s"})
     assert replays(car)
     assert car.steps <= 2 * budget_for(TASKS["mountain-car"], QUICK).steps
-    other = train_run(CAR.model_copy(update={"seed": 1}), QUICK)
+    other = train_run(CAR.model_copy(update={"seed": 1}))
     assert other.parameters != car.parameters
 
 
@@ -52,7 +52,7 @@ def test_the_same_run_gives_the_same_bits_and_replays(car):
     ],
 )
 def test_a_quick_run_learns_and_replays(task, agent, least):
-    result = train_run(RunName(task=task, agent=agent, seed=0), QUICK)
+    result = train_run(RunName(task=task, agent=agent, seed=0, budget=QUICK))
     assert replays(result)
     assert result.mean >= least
     has_bonus = task == "roboschool"
@@ -67,11 +67,12 @@ def test_a_store_prefers_the_users_run_to_the_shipped_one(car, tmp_path):
     assert own.find(CAR) == CAR.path(tmp_path / "shipped")
     other = car.model_copy(update={"mean": 1.0})
     own.save(other)
-    assert own.results("mountain-car", "circuit") == [other]
+    assert own.results("mountain-car", "circuit", QUICK) == [other]
+    assert own.results("mountain-car", "circuit") == []
     assert load_result(shipped.find(CAR)) == car
     CAR.path(tmp_path / "own").write_text("{")
     with pytest.raises(FileError, match="damaged"):
-        own.results("mountain-car", "circuit")
+        own.results("mountain-car", "circuit", QUICK)
 
 
 def test_a_command_line_selects_runs(tmp_path):
@@ -99,7 +100,7 @@ def test_command_makes_runs_once_and_replays_them(tmp_path, capsys):
     assert (made["agent"], made["budget"]) == ("mine", "quick")
     assert run(["paper", "run", *arguments, "--budget", "quick"]) == 0
     assert json.loads(capsys.readouterr().out) == {"made": [], "found": 1}
-    assert run(["paper", "replay", *arguments]) == 0
+    assert run(["paper", "replay", *arguments, "--budget", "quick"]) == 0
     assert json.loads(capsys.readouterr().out) == {"replayed": 1, "exact": 1, "differ": []}
 
 
@@ -109,11 +110,15 @@ def test_an_unknown_task_is_one_line(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("task", "iterations"), [("pendulum", 25_000), ("mountain-car", 50_000), ("parking", 20_000)]
+    ("task", "iterations", "rollouts", "worst"),
+    [("pendulum", 25_000, 20, 10), ("mountain-car", 50_000, 20, 20), ("parking", 20_000, 1, 1)],
 )
-def test_the_published_budget_is_the_papers(task, iterations):
+def test_the_published_budget_is_the_papers(task, iterations, rollouts, worst):
     budget = budget_for(TASKS[task], BudgetName.PUBLISHED)
-    assert (budget.evaluations, budget.starts, budget.published) == (iterations, 1, True)
+    assert (budget.evaluations, budget.starts, budget.strategy) == (iterations, 1, "published")
+    assert (budget.rollouts, budget.worst) == (rollouts, worst)
+    assert budget_for(TASKS[task], BudgetName.PUBLISHED_MEAN).worst == rollouts
+    assert budget_for(TASKS[task], BudgetName.ALGORITHM1).strategy == "algorithm1"
 
 
 def test_runs_in_processes_are_those_of_one_process_and_an_interrupt_ends_them_all(tmp_path):
@@ -123,8 +128,8 @@ def test_runs_in_processes_are_those_of_one_process_and_an_interrupt_ends_them_a
     quick = [*command, "--seed", "0", "--seed", "1", "--budget", "quick"]
     subprocess.run(quick, check=True, capture_output=True, timeout=110)
     for seed in (0, 1):
-        name = RunName(task="cart-pole", agent="mlp", seed=seed)
-        assert load_result(name.path(tmp_path)).parameters == train_run(name, QUICK).parameters
+        name = RunName(task="cart-pole", agent="mlp", seed=seed, budget=QUICK)
+        assert load_result(name.path(tmp_path)).parameters == train_run(name).parameters
     long = [*command, "--budget", "published"]
     process = subprocess.Popen(
         long, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True

@@ -9,7 +9,7 @@ from rover_ncp import cli
 PAGE = Path("docs/paper.md")
 
 
-@pytest.mark.parametrize("what", ["table2", "table3", "time-constants", "contributions"])
+@pytest.mark.parametrize("what", ["policy-gradients", "networks", "time-constants", "contributions"])
 def test_the_page_has_the_table_that_the_command_prints(what, tmp_path, capsys):
     assert cli.run(["paper", what, "--runs", str(tmp_path)]) == 0
     table = capsys.readouterr().out.strip()

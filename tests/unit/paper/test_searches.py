@@ -84,17 +84,6 @@ def test_an_estimate_is_the_papers_except_for_pruned_candidates():
     pruned = estimate(place, vectors, seeds, np.full(3, 400.0), budget)
     assert np.all(pruned <= 400.0)
     assert place.steps - steps < 3 * 60  # one rollout each
-    published = estimate(place, vectors, seeds, np.full(3, 400.0), replace(budget, published=True))
-    assert published.tolist() == full.tolist()
-
-
-def test_the_published_search_parks_too_when_asked_for():
-    task = TASKS["parking"]
-    policy = task.policy(task.circuit())
-    budget = replace(budget_for(task, BudgetName.PUBLISHED), evaluations=60)
-    found = search_parking(ParkingEvaluator(task, policy), policy, 1, budget)
-    assert (found.ended, found.evaluations) == ("evaluations", 60)
-    assert found.curve[-1][1] == pytest.approx(ParkingEvaluator(task, policy).outcome(found.vector)[0])
 
 
 @pytest.mark.parametrize("name", ["parking", "four-dof"])

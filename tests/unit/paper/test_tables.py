@@ -10,8 +10,8 @@ from sim.paper import BudgetName
 from sim.paper.curves import curves_png
 from sim.paper.results import Packed, Result, ResultStore, RunName
 from sim.paper.runs import agrees, train_run
-from sim.paper.selection import GRID, coverage
-from sim.paper.tables import Published, Verdict, compare, parameters, table
+from sim.paper.selection import coverage, grid
+from sim.paper.tables import TABLES, Published, Verdict, compare, parameters, table
 from sim.paper.tasks import TASKS
 
 
@@ -47,7 +47,7 @@ def store(tmp_path):
 
 
 def test_a_row_holds_mean_spread_success_and_the_papers(store):
-    found = {(row.task, row.agent): row for row in table("table1", store)}
+    found = {(row.task, row.agent): row for row in table("random-circuits", store)}
     circuit, wiring = found["mountain-car", "circuit"], found["mountain-car", "random"]
     assert (circuit.mean, circuit.std, circuit.runs, circuit.wanted) == (98.0, 1.0, 3, 10)
     assert circuit.published == Published(91.5, 6.6, 0.8)
@@ -70,7 +70,26 @@ def test_coverage_counts_the_grids_runs_only(store):
     store.save(result("mountain-car", "mlp", 77, 1.0))
     made = {(row["task"], row["agent"]): row["made"] for row in coverage(store)}
     assert (made["mountain-car", "circuit"], made["mountain-car", "mlp"]) == (3, 0)
-    assert {group.task for group in GRID} == set(TASKS)
+    assert {group.task for group in grid()} == set(TASKS)
+
+
+def test_two_of_the_papers_tables_differ_on_the_same_experiment(store):
+    found = {
+        which: {row.task: row.published for row in table(which, store) if row.agent == "circuit"}
+        for which in TABLES
+    }
+    assert found["random-circuits"]["pendulum"].mean == 866.4
+    assert (
+        found["policy-gradients"]["pendulum"] == found["networks"]["pendulum"] == Published(1168.5, 21.7, 0.9)
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("table1", "random-circuits"), ("table2", "policy-gradients"), ("table3", "networks")]
+)
+def test_an_old_name_of_a_table_names_the_new_one(old, new, capsys):
+    assert run(["paper", old]) == 2
+    assert f"use paper {new}" in capsys.readouterr().err
 
 
 def test_parameters_are_the_papers():
@@ -87,7 +106,7 @@ def test_curves_are_a_picture(store):
     assert curves_png(store).startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("what", ["status", "table1", "table2", "table3", "parameters"])
+@pytest.mark.parametrize("what", ["status", *TABLES, "parameters"])
 def test_each_table_is_json_or_text(what, store, capsys):
     assert run(["paper", what, "--runs", str(store.own), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)
@@ -96,8 +115,9 @@ def test_each_table_is_json_or_text(what, store, capsys):
 
 
 def test_trained_parking_circuits_are_interpreted(tmp_path, capsys):
-    trained = train_run(RunName(task="parking", agent="circuit", seed=0), BudgetName.QUICK)
-    ResultStore(tmp_path).save(trained.model_copy(update={"success": True, "mean": 0.0}))
+    name = RunName(task="parking", agent="circuit", seed=0)
+    trained = train_run(name.model_copy(update={"budget": BudgetName.QUICK}))
+    ResultStore(tmp_path).save(trained.model_copy(update={"name": name, "success": True, "mean": 0.0}))
     for what, key in (("time-constants", "time_constants_s"), ("contributions", "contributions")):
         assert run(["paper", what, "--runs", str(tmp_path), "--json"]) == 0
         found = json.loads(capsys.readouterr().out)

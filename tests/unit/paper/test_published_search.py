@@ -1,0 +1,87 @@
+"""The paper's own searches: every iteration, the paper's decisions, and the same bits after an interruption."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rover_ncp.core.errors import FileError
+from sim.paper import BudgetName, published_search
+from sim.paper.agents import build_agent
+from sim.paper.parking import ParkingEvaluator
+from sim.paper.published_search import BenchmarkEstimator, Partial, search_as_published
+from sim.paper.runs import budget_for
+from sim.paper.tasks import TASKS
+
+ALONE = Partial(None, {})
+
+
+def budget(name, iterations, which=BudgetName.PUBLISHED, **changes):
+    return replace(budget_for(TASKS[name], which), evaluations=iterations, **changes)
+
+
+def search(name, limits, *, partial=ALONE, most=None):
+    task = TASKS[name] if most is None else replace(TASKS[name], most=most)
+    agent = build_agent(task, "circuit", 1)
+    return search_as_published(BenchmarkEstimator(task, agent, 1, limits), agent, 1, limits, partial)
+
+
+@pytest.mark.parametrize("which", [BudgetName.PUBLISHED, BudgetName.ALGORITHM1])
+def test_parking_takes_every_iteration_and_its_value_is_the_return(which):
+    task = TASKS["parking"]
+    policy = task.policy(task.circuit())
+    evaluator = ParkingEvaluator(task, policy)
+    found = search_as_published(evaluator, policy, 1, budget("parking", 150, which), ALONE)
+    assert found.evaluations == 151  # the start is no iteration
+    assert found.curve[-1][1] == pytest.approx(evaluator.outcome(found.vector)[0])
+    assert found.curve[-1][1] > found.curve[0][1]
+
+
+@pytest.mark.parametrize("worst", [3, 6])
+def test_rollouts_that_cannot_matter_change_no_decision(worst):
+    limits = budget("cart-pole", 200, rollouts=6, worst=worst)
+    early, all_rollouts = search("cart-pole", limits), search("cart-pole", limits, most=math.inf)
+    assert early.curve == all_rollouts.curve
+    assert early.vector.tolist() == all_rollouts.vector.tolist()
+
+
+def test_a_candidate_whose_worst_rollouts_would_win_gets_the_papers_estimate():
+    task, limits = TASKS["cart-pole"], budget("cart-pole", 1)
+    agent = build_agent(task, "circuit", 0)
+    estimator = BenchmarkEstimator(task, agent, 5, limits)
+    vectors = agent.parameters()[None]
+    value = estimator.estimate(vectors, 7, np.array([-math.inf]))[0]
+    steps = estimator.steps
+    assert estimator.estimate(vectors, 7, np.array([value - 1e-9]))[0] == value
+    bound = estimator.estimate(vectors, 7, np.array([495.0]))[0]
+    assert value <= bound <= 495.0
+    assert estimator.steps < 3 * steps
+
+
+def test_an_interrupted_search_goes_on_with_the_same_bits(tmp_path, monkeypatch):
+    limits = budget("cart-pole", 300, rollouts=3, worst=2)
+    whole = search("cart-pole", limits)
+    path = tmp_path / "circuit-00.partial"
+    monkeypatch.setattr(published_search, "_SAVE_EVERY_S", 0.0)
+    partial = Partial(path, vars(limits))
+    saves = iter(range(9))
+    save = partial.save
+
+    def interrupted(state):
+        save(state)
+        if next(saves) == 8:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(partial, "save", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        search("cart-pole", limits, partial=partial)
+    continued = Partial(path, vars(limits))
+    found = search("cart-pole", limits, partial=continued)
+    assert (found.curve, found.vector.tolist()) == (whole.curve, whole.vector.tolist())
+    assert continued.times()[1] > 0.0
+    with pytest.raises(FileError, match="other settings"):
+        Partial(path, {}).load()
+    path.write_text("{")
+    with pytest.raises(FileError, match="damaged"):
+        Partial(path, vars(limits)).load()

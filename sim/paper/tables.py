@@ -120,7 +120,7 @@ class Row:
             TASKS[self.task].title,
             self.agent,
             f"{self.runs} of {self.wanted}",
-            _mean(self.mean, self.std),
+            mean_text(self.mean, self.std),
             "" if self.success_rate is None else f"{self.success_rate:.0%}",
             "" if paper is None else f"{paper.mean:.1f} ± {paper.std:.1f}{rate}",
             "" if self.verdict is None else f"{self.verdict} (p = {self.p:.2g})",
@@ -224,7 +224,8 @@ def markdown(rows: Sequence[tuple[str, ...]]) -> str:
     return "\n".join([lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]])
 
 
-def _mean(mean: float | None, std: float | None) -> str:
+def mean_text(mean: float | None, std: float | None = None) -> str:
+    """Return a mean, and its deviation, with the digits of its size."""
     if mean is None:
         return ""
     digits = 1 if abs(mean) >= 10 else 3

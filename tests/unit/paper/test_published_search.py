@@ -1,4 +1,4 @@
-"""The paper's own searches: every iteration, the paper's decisions, and the same bits after an interruption."""
+"""The paper's own searches: every iteration, its decisions, the same bits after an interruption."""
 
 import math
 from dataclasses import replace

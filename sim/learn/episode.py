@@ -325,11 +325,12 @@ def finish_tick(
             misses[episode, target, 0] = dx
             misses[episode, target, 1] = dy
             misses[episode, target, 2] = dtheta
-        where = reference[task, now + 1]
-        dx, dy = poses[0, lane] - where[0], poses[1, lane] - where[1]
-        dtheta = wrapped(poses[2, lane] - where[2])
-        lanes.tracking[0, lane] += dx * dx + dy * dy
-        lanes.tracking[1, lane] += dtheta * dtheta
+        if tasks.has_reference:
+            where = reference[task, now + 1]
+            dx, dy = poses[0, lane] - where[0], poses[1, lane] - where[1]
+            dtheta = wrapped(poses[2, lane] - where[2])
+            lanes.tracking[0, lane] += dx * dx + dy * dy
+            lanes.tracking[1, lane] += dtheta * dtheta
         length = tail.shape[1]
         if not trials.exact:
             lanes.earlier[:, lane] = odometry[:, lane]

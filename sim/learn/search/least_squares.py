@@ -1,7 +1,7 @@
 """Nonlinear least squares: damped Gauss-Newton steps and Broyden's correction of the slopes.
 
-Compiled, with LAPACK's Cholesky factorisation: between two calls the evaluator displaces all code and data
-from the processor's caches, after which numpy's many small operations take two to four times as long.
+Mostly compiled, with LAPACK's Cholesky factorisation: between two calls the evaluator displaces all code and
+data from the processor's caches, after which numpy's many small operations take two to four times as long.
 
 Shapes: R residuals of D parameters; ``slopes`` (D, R) are the derivatives, a row for each parameter.
 """
@@ -14,7 +14,6 @@ from sim.learn.search.base import Vector
 _LEAST_SHARE = 1e-12
 
 
-@kernel
 def damped_steps(
     slopes: Vector, residuals: Vector, weights: Vector, point: Vector, dampings: Vector
 ) -> Vector:
@@ -25,13 +24,26 @@ def damped_steps(
 
     With S the weighted slopes, d = -S (SᵀS + damping)⁻¹ W r. These are R equations, often fewer than D.
     """
+    rows, right = _weighted(slopes, residuals, weights, point)
+    # By numpy: it computes half of a product with the transpose (BLAS's syrk), numba in a kernel all of it.
+    targets: Vector = _solved(rows, right, rows.T @ rows, point, dampings)
+    return targets
+
+
+@kernel
+def _weighted(slopes: Vector, residuals: Vector, weights: Vector, point: Vector) -> tuple[Vector, Vector]:
+    """Return the weighted slopes, those of held parameters 0, and the weighted residuals."""
     rows, right = slopes * weights, residuals * weights
     gradient = rows @ right
     for d in range(len(point)):
         if (point[d] <= 0.0 and gradient[d] > 0.0) or (point[d] >= 1.0 and gradient[d] < 0.0):
             rows[d] = 0.0
-    # A transposed copy: a product with the view takes half as long again.
-    products = np.ascontiguousarray(rows.T) @ rows
+    return rows, right
+
+
+@kernel
+def _solved(rows: Vector, right: Vector, products: Vector, point: Vector, dampings: Vector) -> Vector:
+    """Return where the steps lead; ``products`` (R, R) is SᵀS."""
     # With less damping than that, rounding could make the matrix negative.
     least = _LEAST_SHARE * np.diag(products).max()
     targets = np.empty((len(dampings), len(point)))

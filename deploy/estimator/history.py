@@ -160,7 +160,7 @@ class History:
         return Outcome.WAITING
 
     def at(self, t: float) -> tuple[Array, Array]:
-        """Return state (16,) and covariance (16, 16) at ``t``, not before the newest odometry."""
+        """Return state (18,) and covariance (18, 18) at ``t``, not before the newest odometry."""
         if t < self.t:
             raise ValueError(f"asked for {t} s, which is before the last measurement at {self.t} s")
         self._apply_again(len(self._entries))
@@ -234,7 +234,7 @@ class History:
         self._ekf.update(innovation, lambda _: H, lambda _: 0.0, R=noise)
 
     def _innovation(self, seen: Seen) -> tuple[Array, Array]:
-        """Return an external pose's innovation (3,) and its Jacobian (3, 16).
+        """Return an external pose's innovation (3,) and its Jacobian (3, 18).
 
         The pose was measured at its stamp minus the delay, and the rover went on until the entry's time.
         """

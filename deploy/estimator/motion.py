@@ -8,6 +8,8 @@ of the sensors, which the filter estimates beside the pose:
     GAIN      true turn over odometry's; a skid-steered robot with its weight off the middle turns more
     PULL      turn per distance that no encoder sees, rad/m
     CENTER    lateral velocity over turn rate, m: the centre of rotation lies so far behind the base's middle
+    DOWNHILL  slide over turned angle, m/rad, in x and y of the course's frame: on a slope the tyres of a
+              skid-steered robot slide sideways as it turns, and gravity then moves it
     DRIFT     of odometry's heading, rad/s, also while the rover stands
     BIAS      of the gyro, rad/s
     DELAY     of the external poses, s, beyond what their stamps show
@@ -28,9 +30,10 @@ from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import wrap_angle
 
 X, Y, THETA, OWN_X, OWN_Y, OWN_THETA, V, OMEGA, TURN = range(9)
-DISTANCE, GAIN, PULL, CENTER, DRIFT, BIAS, DELAY = range(9, 16)
-SIZE = 16
+DISTANCE, GAIN, PULL, CENTER, DOWN_X, DOWN_Y, DRIFT, BIAS, DELAY = range(9, 18)
+SIZE = 18
 POSE, OWN, MOTION = slice(X, THETA + 1), slice(OWN_X, OWN_THETA + 1), slice(V, OMEGA + 1)
+DOWNHILL = slice(DOWN_X, DOWN_Y + 1)
 
 Array = NDArray[np.float64]
 
@@ -39,7 +42,7 @@ STANDING_SHARE = 0.01
 
 
 class Step(NamedTuple):
-    """The state after a step (16,), its Jacobian and its process noise (16, 16)."""
+    """The state after a step (18,), its Jacobian and its process noise (18, 18)."""
 
     x: Array
     jacobian: Array
@@ -63,6 +66,8 @@ def initial(settings: EstimatorSettings) -> tuple[Array, Array]:
         s.turn_gain_std,
         s.imbalance_std_rad_m,
         s.rotation_center_std_m,
+        s.downhill_std_m,
+        s.downhill_std_m,
         s.drift_std_rad_s,
         s.gyro_bias_std_rad_s,
         s.pose_delay_std_s,
@@ -112,13 +117,14 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     heading = x[THETA] + 0.5 * turn
     cos, sin = math.cos(heading), math.sin(heading)
     dx, dy = cos * ahead - sin * left, sin * ahead + cos * left
-    moved[X] += dx
-    moved[Y] += dy
+    downhill = x[DOWNHILL]
+    moved[[X, Y]] += np.array([dx, dy]) + abs(turn) * downhill
     moved[THETA] = wrap_angle(x[THETA] + turn)
     moved[TURN] += turn
     jacobian[X, THETA], jacobian[Y, THETA] = -dy, dx
     center = x[CENTER]
     by_unseen[POSE] = -0.5 * dy - center * sin, 0.5 * dx + center * cos, 1.0
+    by_unseen[[X, Y]] += math.copysign(1.0, turn) * downhill
     by_unseen[TURN] = 1.0
     by_way += x[PULL] * by_unseen
     by_way[X] += x[DISTANCE] * cos
@@ -128,6 +134,7 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     jacobian[:, OMEGA] += dt * by_turn
     jacobian[X, DISTANCE], jacobian[Y, DISTANCE] = v * dt * cos, v * dt * sin
     jacobian[X, CENTER], jacobian[Y, CENTER] = -turn * sin, turn * cos
+    jacobian[X, DOWN_X] = jacobian[Y, DOWN_Y] = abs(turn)
     jacobian[:, GAIN] += omega * (1.0 - s.slip_s * abs(omega)) * dt * by_unseen
     jacobian[:, PULL] += v * dt * by_unseen
 
@@ -145,7 +152,7 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
 
 
 def _acceleration_noise(by_way: Array, by_turn: Array, dt: float, settings: EstimatorSettings) -> Array:
-    """Return the effects (16, 4) of white accelerations on speeds and poses, which are correlated."""
+    """Return the effects (18, 4) of white accelerations on speeds and poses, which are correlated."""
     noise = np.zeros((SIZE, 4))
     densities = settings.acceleration, settings.angular_acceleration
     for column, (by, rate) in enumerate(((by_way, V), (by_turn, OMEGA))):

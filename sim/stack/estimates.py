@@ -7,10 +7,65 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
+from deploy.drive.config import settings_for
 from deploy.drive.control_loop import Drive, Phase
+from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose, distance
+from rover_ncp.core.robot_profile import RoverProfile
+from sim.world.randomization import Randomization
+from sim.world.skid_robot import SkidRanges
 
 ELLIPSES = 0.5, 0.95
+TYPICAL_RAD_S = 0.12
+"""Of a turn on a course; slip is per rad/s."""
+EXACT = 1e-4
+"""Standard deviation of an error that a family of robots does not have."""
+LOADED_TYRE = 0.004
+"""A tyre under its load rolls on so much less than its radius (`sim.studies.rigid_body`)."""
+SLOPE = {"downhill_std_m": 0.25, "turn_gain_walk": 1.5, "rotation_center_walk_m": 0.6}
+"""Effects of a slope over its tangent divided by friction, for the families' centres of mass and directions:
+rms by Coulomb friction, in 2 rad with one change of direction (`sim.studies.rigid_body`)."""
+
+
+def settings_of(ranges: Randomization, known: RoverProfile, *, measured: bool) -> EstimatorSettings:
+    """Return the settings of a driver that knows the spread of its family's errors, and their noise.
+
+    The spread of odometry's errors is that of the profile if they were ``measured``.
+    """
+    settings = settings_for(known)
+    spread = _of_ground(ranges.skid_steer) if ranges.skid_steer else {}
+    if not measured:
+        if ranges.skid_steer:
+            wheels = ranges.skid_steer.wheel_radius / math.sqrt(3.0)
+            spread["distance_gain_std"] = math.hypot(wheels, LOADED_TYRE)
+        elif not ranges.turn_gain:
+            spread |= _of_plane(ranges)
+    return settings.model_copy(update={name: max(std, EXACT) for name, std in spread.items()})
+
+
+def _of_ground(ranges: SkidRanges) -> dict[str, float]:
+    least, most = ranges.slope_rad
+    slope = math.sqrt((least * least + least * most + most * most) / 3.0 / math.prod(ranges.friction))
+    usual = EstimatorSettings()
+    walks = {name: getattr(usual, name) for name in SLOPE if name.endswith(("walk", "walk_m"))}
+    return {name: math.hypot(by * slope, walks.get(name, 0.0)) for name, by in SLOPE.items()}
+
+
+def _of_plane(ranges: Randomization) -> dict[str, float]:
+    """Return the spreads of robots that do not skid."""
+    usual = EstimatorSettings()
+    scale = ranges.odometry_scale / math.sqrt(3.0)
+    slip = ranges.slip_s * TYPICAL_RAD_S / math.sqrt(3.0)  # about none: its mean is not known
+    return {
+        "distance_gain_std": scale,
+        "turn_gain_std": math.hypot(scale, slip),
+        "imbalance_std_rad_m": ranges.imbalance_rad_m / math.sqrt(3.0),
+        "rotation_center_std_m": ranges.rotation_center_m / math.sqrt(3.0),
+        "downhill_std_m": 0.0,
+        # The push comes once, in about a metre of driving.
+        "wander_m": math.hypot(usual.wander_m, ranges.bump_m / math.sqrt(3.0)),
+        "wander_rad": math.hypot(usual.wander_rad, ranges.bump_rad / math.sqrt(3.0)),
+    }
 
 
 class Belief(NamedTuple):

@@ -6,7 +6,6 @@ true pose is judged.
 """
 
 import copy
-import math
 import multiprocessing
 from bisect import bisect_right
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bridge.pioneer.robots import ROBOTS
-from deploy.drive.config import DriveConfig, settings_for
+from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
@@ -35,18 +34,13 @@ from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of, rover_model_of
 from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
 from sim.stack.camera import Camera, Localiser
-from sim.stack.estimates import Belief, belief_of
+from sim.stack.estimates import Belief, belief_of, settings_of
 from sim.stack.identification import identified, levelled
 from sim.stack.virtual import VirtualBridge, VirtualLink
-from sim.world.bodies import Body
 from sim.world.randomization import Randomization
 from sim.world.rover import Rover, RoverModel
 
 MODEL = "p3at-sh"
-TYPICAL_RAD_S = 0.12
-"""Of a turn on a course; slip is per rad/s."""
-EXACT = 1e-4
-"""Standard deviation of an error that a family of robots does not have."""
 _WORTH_A_PROCESS = 6
 """Fewer trials take no longer than a process takes to start."""
 
@@ -101,22 +95,8 @@ class Stack:
 
     @cached_property
     def settings(self) -> EstimatorSettings:
-        """The estimator's; the driver of robots that do not skid knows the spread of their odometry.
-
-        A driver of other robots assumes the spread of an unmeasured skid-steered robot.
-        """
-        settings, ranges = settings_for(self.known), self.ranges
-        if ranges.rover is not None or ranges.turn_gain or ranges.body is Body.MUJOCO:
-            return settings
-        scale = ranges.odometry_scale / math.sqrt(3.0)
-        slip = ranges.slip_s * TYPICAL_RAD_S / math.sqrt(3.0)  # about none: its mean is not known
-        spread = {
-            "distance_gain_std": scale,
-            "turn_gain_std": math.hypot(scale, slip),
-            "imbalance_std_rad_m": ranges.imbalance_rad_m / math.sqrt(3.0),
-            "rotation_center_std_m": ranges.rotation_center_m / math.sqrt(3.0),
-        }
-        return settings.model_copy(update={name: max(std, EXACT) for name, std in spread.items()})
+        """The estimator's, unless the robot is identified before its drive."""
+        return settings_of(self.ranges, self.known, measured=self.ranges.rover is not None)
 
     @cached_property
     def _controllers(self) -> dict[int, Controller]:
@@ -143,7 +123,7 @@ class Stack:
         known, settings = self.known, self.settings
         if self.identify is not None:
             known = self._identified(number, self.identify)
-            settings = settings_for(known)
+            settings = settings_of(self.ranges, known, measured=True)
         course, (rover, trials) = self.course(number), self.robot(number)
         flash = replace(config_of(MODEL), has_gyro=int(self.gyro))
         camera_seed, gyro_seed = np.random.SeedSequence(self.seed, spawn_key=(number, 2)).spawn(2)

@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from sim.world.bodies import Body
 from sim.world.described import default_rover
 from sim.world.mujoco_rover import MujocoRover
+from sim.world.randomization import load_randomization
 from sim.world.rover import SUBSTEP_S
-from sim.world.skid_robot import Contact, SkidRobot
+from sim.world.skid_robot import Contact, SkidRobot, draw_robot
 
 V_M_S, OMEGA_RAD_S = 0.16, 0.18
 """The fastest that a policy drives."""
@@ -34,11 +36,12 @@ class Motion(NamedTuple):
     """Speed to the left over the rate of turn; NaN without one."""
 
 
-def coulomb(robot: SkidRobot, v: float, omega: float) -> Motion:
+def coulomb(robot: SkidRobot, v: float, omega: float, heading: float = 0.0) -> Motion:
     """Return the motion of a robot with dry friction whose encoders see ``v`` and ``omega``.
 
-    The tyres slide so that friction dissipates the least power: its forces and moments are then balanced.
-    With the weight in the middle, the effective half track is t + L²/t, of half the track and wheelbase.
+    The tyres slide so that friction's power less gravity's is least: forces and moments are then balanced.
+    With the weight in the middle of level ground, the effective half track is t + L²/t, of half the track and
+    wheelbase.
     """
     wheelbase, track = robot.half_wheelbase_m, robot.half_track_m
     ahead = wheelbase * np.array([1.0, 1.0, -1.0, -1.0])
@@ -46,10 +49,14 @@ def coulomb(robot: SkidRobot, v: float, omega: float) -> Motion:
     x, y = robot.mass_center_m
     load = (1.0 + ahead * x / wheelbase**2) * (1.0 + left * y / track**2)
     rim = v - np.sign(left) * omega * robot.nominal_half_track_m
+    pull = len(load) * math.tan(robot.slope_rad) / robot.friction
+    downhill = robot.uphill_rad + math.pi - heading
 
     def power(motion: NDArray[np.float64]) -> float:
         forward, aside, turn = motion
-        return float(np.sum(load * np.hypot(rim - (forward - turn * left), aside + turn * ahead)))
+        slide = np.sum(load * np.hypot(rim - (forward - turn * left), aside + turn * ahead))
+        ahead_m_s, left_m_s = forward - turn * y, aside + turn * x  # of the weight
+        return float(slide - pull * (math.cos(downhill) * ahead_m_s + math.sin(downhill) * left_m_s))
 
     found = np.array([v, 0.0, omega])
     for _ in range(2):  # the simplex may collapse on an edge, and is then built again
@@ -107,6 +114,57 @@ def creep_m_s(robot: SkidRobot) -> float:
     return math.hypot(rover.pose.x - start.x, rover.pose.y - start.y) / seconds
 
 
+def downhill_m(robot: SkidRobot) -> float:
+    """Return how far a robot slides downhill per radian, in a full turn on the spot."""
+    rover = MujocoRover(default_rover(), robot)
+    rover.command(0.0, OMEGA_RAD_S)
+    advance(rover, SETTLED_S)
+    start, turned = rover.pose, rover.turned
+    while rover.turned < turned + math.tau:
+        rover.substep()
+    way = rover.pose.x - start.x, rover.pose.y - start.y
+    return -(way[0] * math.cos(robot.uphill_rad) + way[1] * math.sin(robot.uphill_rad)) / math.tau
+
+
+def coulomb_downhill_m(robot: SkidRobot) -> float:
+    """Return the same by dry friction."""
+    slides = []
+    for heading in np.linspace(0.0, math.tau, 8, endpoint=False):
+        motion, downhill = coulomb(robot, 0.0, OMEGA_RAD_S, heading), robot.uphill_rad + math.pi - heading
+        ahead_m = motion.forward_m_s / (motion.turn_gain * OMEGA_RAD_S)
+        slides.append(math.cos(downhill) * ahead_m + math.sin(downhill) * motion.slide_m)
+    return float(np.mean(slides))
+
+
+def slope_effects(seed: int, count: int) -> tuple[float, float, float]:
+    """Return three effects of slopes on random robots by dry friction, over the slope's tangent by friction.
+
+    They are rms: the slide in m/rad in one direction, and the changes of turn gain and of the centre of
+    rotation in m, as random walks per root of a radian. A turn of 2 rad that changes its direction once has
+    them.
+    """
+    slides, gains, centers, slopes = list[float](), list[float](), list[float](), list[float]()
+    ranges, stream = load_randomization("slope", Body.MUJOCO).skid_steer, np.random.default_rng(seed)
+    assert ranges is not None
+    for number in range(count):
+        robot, heading = draw_robot(ranges, seed, number), float(stream.uniform(-math.pi, math.pi))
+        level = coulomb(robot.model_copy(update={"slope_rad": 0.0}), 0.0, OMEGA_RAD_S)
+        here = coulomb(robot, 0.0, OMEGA_RAD_S, heading)
+        ahead_m = [m.forward_m_s / (m.turn_gain * OMEGA_RAD_S) for m in (here, level)]
+        slides += ahead_m[0] - ahead_m[1], here.slide_m - level.slide_m
+        before = coulomb(robot, 0.1, OMEGA_RAD_S, heading)
+        turned = coulomb(robot, 0.1, OMEGA_RAD_S, heading + 1.0)
+        back = coulomb(robot, 0.1, -OMEGA_RAD_S, heading + 1.0)
+        for first, second, share in ((before, turned, 1.0), (turned, back, 0.5)):
+            gains.append(share * (second.turn_gain - first.turn_gain) ** 2)
+            centers.append(share * (second.slide_m - first.slide_m) ** 2)
+        slopes.append(math.tan(robot.slope_rad) / robot.friction)
+    slope = math.sqrt(np.mean(np.square(slopes)))
+    means = np.mean(np.square(slides)), 2.0 * np.mean(gains), 2.0 * np.mean(centers)
+    slide, gain, center = (math.sqrt(mean) / slope for mean in means)
+    return slide, gain, center
+
+
 def shake_m_s2(robot: SkidRobot, omega: float) -> float:
     """Return the spread of the vertical acceleration while the rover turns on the spot: does it hop?"""
     rover = MujocoRover(default_rover(), robot)
@@ -140,6 +198,16 @@ def main() -> None:
     for degrees in (1.0, 3.0):
         creep = creep_m_s(SkidRobot(slope_rad=math.radians(degrees)))
         print(f"stands on {degrees:g} degrees: {1000 * creep:.3f} mm/s downhill")
+    slope = SkidRobot(slope_rad=math.radians(3.0))
+    print(
+        f"slides downhill as it turns on 3 degrees: {100 * downhill_m(slope):.2f} cm/rad; Coulomb friction: "
+        f"{100 * coulomb_downhill_m(slope):.2f}"
+    )
+    slide, gain, center = slope_effects(seed=1, count=100)
+    print(
+        f"Coulomb friction on slopes, rms, over slope / friction: slide {slide:.2f} m/rad, "
+        f"changes of turn gain {gain:.2f} and of centre of rotation {center:.2f} m, per root of a radian"
+    )
     print(f"\nturn on the spot at {OMEGA_RAD_S} rad/s, as turn gain and slide in cm")
     print(f"{'':26}" + "".join(f"{f'{100 * off:g} cm ahead':>18}" for off in OFF_CENTRE_M))
     robots = [SkidRobot(mass_center_m=(off, 0.0)) for off in OFF_CENTRE_M]

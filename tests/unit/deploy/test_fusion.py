@@ -258,3 +258,17 @@ def test_a_gap_of_the_gyro_adds_no_turn():
             estimator.gyro(0.5 if tick == 30 else 0.01, t)
         estimator.odometry(Pose(0, 0, 0), Velocity(0, 0), t)
     assert abs(estimator.at(6.0).pose.theta) < 0.002
+
+
+def test_poses_show_how_a_slope_moves_a_turning_rover():
+    """Poses of a rover that slides 3 cm per radian along y as it turns; then without them."""
+    estimator, slide, rate = Estimator(SETTINGS.model_copy(update={"downhill_std_m": 0.02})), 0.03, 0.2
+    estimator.start(Pose(0.0, 0.0, 0.0), 0.0)
+    pose = Pose(0.0, 0.0, 0.0)
+    for tick in range(1, 200):
+        angle = rate * tick * DT
+        pose = Pose(0.0, slide * angle, angle)
+        assert estimator.odometry(Pose(0.0, 0.0, angle), Velocity(0.0, rate), tick * DT) is Outcome.ACCEPTED
+        if angle < 2.0:
+            estimator.external(pose, np.diag(np.square([0.003, 0.003, 0.003])), tick * DT)
+    assert distance(estimator.at(200 * DT).pose, pose) < 0.01  # unknown, 2 rad more would be 6 cm

@@ -13,7 +13,9 @@ from sim.studies.rigid_body import (
     V_M_S,
     advance,
     coulomb,
+    coulomb_downhill_m,
     creep_m_s,
+    downhill_m,
     measure,
     shake_m_s2,
     stopping_m,
@@ -58,8 +60,13 @@ def test_weight_off_the_middle_turns_more_and_slides_as_dry_friction_says():
 
 
 def test_stands_on_a_slope():
-    # The verdict's limit is 2.5 mm/s.
-    assert creep_m_s(SkidRobot(slope_rad=math.radians(3.0))) < 0.8e-3
+    # The verdict's limit is 2.5 mm/s; in the 30 s of a drive this is 2 mm.
+    assert creep_m_s(SkidRobot(slope_rad=math.radians(3.0))) < 0.07e-3
+
+
+def test_slides_downhill_in_turns_as_dry_friction_says():
+    robot = SkidRobot(slope_rad=math.radians(3.0), friction=0.6)
+    assert downhill_m(robot) == pytest.approx(coulomb_downhill_m(robot), rel=0.1)
 
 
 @pytest.mark.parametrize("name", [name for name in SETTINGS if name != "as shipped"])

@@ -21,7 +21,6 @@ from bridge.pioneer.robots import ROBOTS
 from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
-from deploy.drive.publisher import Publisher
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile
@@ -36,7 +35,7 @@ from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
 from sim.stack.camera import Camera, Localiser
 from sim.stack.estimates import Belief, belief_of, settings_of
 from sim.stack.identification import identified, levelled
-from sim.stack.virtual import VirtualBridge, VirtualLink
+from sim.stack.virtual import SilentPublisher, VirtualBridge, VirtualLink
 from sim.world.randomization import Randomization
 from sim.world.rover import Rover, RoverModel
 
@@ -157,7 +156,7 @@ class Stack:
             estimator=settings,
             rover=known,
         )
-        publisher = Publisher(link, lambda message: None, self.driver.neurons, bridge)
+        publisher = SilentPublisher(link, lambda message: None, self.driver.neurons, bridge)
         drive = Drive(
             link, self._controller(number, known, settings), publisher, config, lambda: False, clock=bridge
         )

@@ -16,8 +16,12 @@ from bridge.node import Node
 from bridge.pioneer.base import ArcosBase
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
+from deploy.drive.controller import Tick
 from deploy.drive.lease import DriverLease
 from deploy.drive.measurements import Arrival, Inbox
+from deploy.drive.publisher import Publisher
+from deploy.drive_records import TickRecord
+from deploy.estimator.estimator import Estimate
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.key_table import spec
@@ -167,6 +171,13 @@ class _OdometryInbox(Inbox):
     def take(self, timeout_s: float = 0.0) -> list[Arrival]:
         self._bridge.wait(timeout_s, lambda: bool(self._arrivals))
         return super().take()
+
+
+class SilentPublisher(Publisher):
+    """The publisher of a driver without subscribers and without a recording: it encodes no ticks."""
+
+    def tick(self, record: TickRecord, estimate: Estimate, tick: Tick | None) -> None:
+        """Do nothing."""
 
 
 class VirtualLink:

@@ -55,7 +55,7 @@ TYRE_IMPEDANCE, SLIP_S = 0.5, 0.1
 """MuJoCo's solimp of a tyre, and the time constant of its friction. A soft tyre and a slow friction keep the
 lift small that MuJoCo's friction cone gives a sliding contact, about μ·slip·tyre_s²/SLIP_S."""
 FULL_FRICTION = 100.0
-"""MuJoCo's impratio: with SLIP_S it sets the slip from which friction is full: about 8 mm/s at μ = 0.7,
+"""MuJoCo's impratio: with SLIP_S it sets the slip from which friction is full: about 0.8 mm/s at μ = 0.7,
 by the creep on a slope."""
 
 

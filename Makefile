@@ -7,7 +7,7 @@ BROWSER_STAMP := $(VENV)/.browser
 DOCS_STAMP := $(VENV)/.docs
 GRADIENTS_STAMP := $(VENV)/.gradients
 
-.PHONY: park test test-system test-browser docs check lint types contracts safety clean paper paper-quick paper-gradients
+.PHONY: park test test-system test-browser docs check lint types contracts safety clean paper paper-quick paper-docs paper-gradients
 
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park --overwrite
@@ -58,6 +58,10 @@ paper-quick: $(STAMP)
 # The paper's missing runs, without PPO and A2C. Takes hours; an interrupted run can be continued.
 paper: $(STAMP)
 	$(BIN)/rover-ncp paper run
+
+# Writes what `rover-ncp paper` prints of the shipped runs into docs/paper.md.
+paper-docs: $(STAMP)
+	$(BIN)/python tests/tools/paper_tables.py
 
 # PPO and A2C: installs stable-baselines3, which needs torch.
 paper-gradients: $(GRADIENTS_STAMP)

@@ -20,10 +20,14 @@ class What(StrEnum):
     RANDOM_CIRCUITS = "random-circuits"
     POLICY_GRADIENTS = "policy-gradients"
     NETWORKS = "networks"
+    COMPARISONS = "comparisons"
+    CLAIMS = "claims"
     PARAMETERS = "parameters"
     TIME_CONSTANTS = "time-constants"
     CONTRIBUTIONS = "contributions"
     CURVES = "curves"
+    LESIONS = "lesions"
+    DISTURBANCES = "disturbances"
 
 
 _OLD_NAMES = {
@@ -51,8 +55,10 @@ def paper(
             metavar="|".join(What),
             help="run: make runs. status: list existing runs and their commits. replay: score stored "
             "parameters again. random-circuits: Table II. policy-gradients: Table III. networks: Table IV. "
-            "parameters: of the experiments. time-constants and contributions: of the parking circuits. "
-            "curves: a picture of the learning.",
+            "comparisons: the circuit against other agents, run by run. claims: what the paper says, and "
+            "whether it holds here. parameters: of the experiments. time-constants and contributions: of the "
+            "parking circuits. curves: a picture of the learning. lesions: the circuits without each neuron "
+            "and synapse. disturbances: agents under noise, delay and lost inputs.",
         ),
     ],
     *,
@@ -79,7 +85,12 @@ def paper(
     runs: Annotated[Path, typer.Option(help="Folder of your runs; they precede the shipped ones.")] = Path(
         "runs/paper"
     ),
-    out: Annotated[Path, typer.Option(help="curves: the picture.")] = Path("runs/paper/curves.png"),
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="curves, lesions, disturbances: the picture.", show_default="runs/paper/ and the name, .png"
+        ),
+    ] = None,
     again: Annotated[bool, typer.Option("--again", help="Repeat runs that exist already.")] = False,
     processes: Annotated[
         int | None,
@@ -119,7 +130,7 @@ def paper(
     if what is What.REPLAY:
         return _replay(output, store, select(task, agent, seed, circuit, budget), circuit)
     if what is not What.RUN:
-        _show(what, output, store, out, budget)
+        _show(what, output, store, out=out, budget=budget, tasks=task, agents=agent)
         return 0
     if cluster is not None and (processes is not None or circuit is not None):
         raise UsageError("--cluster goes with neither --processes nor --circuit, a file of this machine")
@@ -171,7 +182,16 @@ def _make(
     return made
 
 
-def _show(what: What, output: Output, store: Any, out: Path, budget: BudgetName) -> None:
+def _show(
+    what: What,
+    output: Output,
+    store: Any,
+    *,
+    out: Path | None,
+    budget: BudgetName,
+    tasks: list[str] | None,
+    agents: list[str] | None,
+) -> None:
     """Print a table or write the picture of the stored runs."""
     from sim.paper import interpretation, tables
 
@@ -179,8 +199,17 @@ def _show(what: What, output: Output, store: Any, out: Path, budget: BudgetName)
         from sim.paper.selection import coverage
 
         groups = coverage(store, budget)
-        lines = [f"{row['task']:17} {row['agent']:8} {row['made']} of {row['runs']} runs" for row in groups]
-        output.result({"groups": groups}, "\n".join(lines))
+        output.result({"groups": groups}, tables.coverage_text(groups))
+    elif what is What.CLAIMS:
+        from sim.paper.claims import all_claims, claims_fields, claims_text
+
+        claims = all_claims(store)
+        output.result({"claims": claims_fields(claims)}, claims_text(claims))
+    elif what is What.COMPARISONS:
+        from sim.paper.comparison import OTHERS, compare_agents, comparisons_text
+
+        compared = [row for other in agents or OTHERS for row in compare_agents(store, other)]
+        output.result({"comparisons": [row.fields() for row in compared]}, comparisons_text(compared))
     elif what in tables.TABLES:
         rows = tables.table(what, store, budget)
         cells = [row.fields() for row in rows]
@@ -195,12 +224,29 @@ def _show(what: What, output: Output, store: Any, out: Path, budget: BudgetName)
         signs = interpretation.parking_contributions(store)
         output.result(signs, interpretation.contributions_text(signs))
     else:
-        from rover_ncp.core.files import require_writable, write_atomic
-        from sim.paper.curves import curves_png
+        _draw(what, output, store, out or Path(f"runs/paper/{what}.png"), tasks)
 
-        require_writable(out)
-        write_atomic(out, curves_png(store))
-        output.result({"picture": str(out)}, str(out))
+
+def _draw(what: What, output: Output, store: Any, out: Path, tasks: list[str] | None) -> None:
+    """Write a picture of the stored runs, and print what it shows."""
+    from rover_ncp.core.files import require_writable, write_atomic
+    from sim.paper import curves, disturbance, lesions
+    from sim.paper.tasks import TASKS, find_task
+
+    require_writable(out)
+    names = [find_task(name).name for name in tasks or TASKS]
+    fields: dict[str, Any] = {"picture": str(out)}
+    text = str(out)
+    if what is What.CURVES:
+        picture = curves.curves_png(store)
+    elif what is What.LESIONS:
+        fields["lesions"] = rows = lesions.lesion_study(store, names)
+        picture, text = lesions.lesions_png(rows), lesions.lesions_text(rows)
+    else:
+        fields["disturbances"] = rows = disturbance.disturbance_study(store, names)
+        picture, text = disturbance.disturbances_png(rows), disturbance.disturbances_text(rows)
+    write_atomic(out, picture)
+    output.result(fields, text)
 
 
 def _replay(output: Output, store: Any, names: list[Any], circuit: Path | None) -> int:

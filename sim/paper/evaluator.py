@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH
-from sim.learn.commander import circuit_commander
+from sim.learn.commander import Commander, circuit_commander
 from sim.learn.networks import Net, network_commander
 from sim.paper.plants.lanes import NO_MUJOCO, Plants, observe, reset_plant, step_plant
 from sim.paper.tasks import Benchmark
@@ -109,6 +109,19 @@ def make_plants(task: Benchmark, count: int, *, for_search: bool = False) -> tup
     return plants, pool
 
 
+def first_states(task: Benchmark, seeds: Seeds) -> FloatArray:
+    """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
+    generators = (np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(s)))) for s in seeds)
+    return np.array([task.start(generator) for generator in generators])
+
+
+def commander_for(agent: Policy | Net) -> tuple[Commander, tuple[int, int]]:
+    """Return an agent's commander, and the numbers of its inputs and outputs."""
+    if isinstance(agent, Policy):
+        return circuit_commander(agent), (len(agent.sensing.inputs), len(agent.motors.outputs))
+    return network_commander(agent), (len(agent.scale), len(agent.high))
+
+
 class Evaluator:
     """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time.
 
@@ -122,19 +135,13 @@ class Evaluator:
         uses_mujoco = task.model is not None and not (for_search and task.search_plant is not None)
         count = lanes or (_MUJOCO_LANES if uses_mujoco else _LANES)
         self._plants, self._pool = make_plants(task, count, for_search=for_search)
-        if isinstance(agent, Policy):
-            commander = circuit_commander(agent)
-            self._shape = len(agent.sensing.inputs), len(agent.motors.outputs)
-        else:
-            commander = network_commander(agent)
-            self._shape = len(agent.scale), len(agent.high)
+        commander, self._shape = commander_for(agent)
         self._arrays = commander.allocate(count)
         self._kernel = episode_kernel(commander.start_lane, commander.tick_lanes)
 
     def starts(self, seeds: Seeds) -> FloatArray:
         """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
-        generators = (np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(s)))) for s in seeds)
-        return np.array([self.task.start(generator) for generator in generators])
+        return first_states(self.task, seeds)
 
     def run(self, vectors: ArrayLike, seeds: Seeds, *, horizon: int | None = None) -> FloatArray:
         """Run one episode for each vector (n, P) and seed (n,).

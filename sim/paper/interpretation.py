@@ -19,7 +19,7 @@ from sim.paper.tables import markdown
 from sim.paper.tasks import find_task
 
 
-def _drives(store: ResultStore) -> list[tuple[Policy, Rollout]]:
+def drives(store: ResultStore) -> list[tuple[Policy, Rollout]]:
     """Return the successful parking circuits, the highest return first, each with its drive."""
     results = [result for result in store.results("parking", "circuit") if result.success]
     if not results:
@@ -38,7 +38,7 @@ def parking_time_constants(store: ResultStore) -> dict[str, Any]:
             each.neuron: (each.lowest_s, each.highest_s)
             for each in time_constant_ranges(policy.circuit, drive.potentials, policy.sensing.neurons)
         }
-        for policy, drive in _drives(store)
+        for policy, drive in drives(store)
     ]
     rows = [
         {
@@ -54,7 +54,7 @@ def parking_time_constants(store: ResultStore) -> dict[str, Any]:
 
 def parking_contributions(store: ResultStore) -> dict[str, Any]:
     """Return Definition 1 for the neuron that turns right: signs by neuron, of how many circuits."""
-    runs = [contributions(policy.circuit.neurons, drive.potentials) for policy, drive in _drives(store)]
+    runs = [contributions(policy.circuit.neurons, drive.potentials) for policy, drive in drives(store)]
     rows = []
     for pair, published in PUBLISHED_SIGNS.items():
         best = runs[0][pair]

@@ -60,14 +60,11 @@ class Partial:
         """Return the state that was saved last. Raises FileError for a damaged file, or other settings."""
         if self._path is None or not self._path.is_file():
             return None
-        try:
-            data = json.loads(read_text(self._path))
-            if data["settings"] != self._settings:
-                raise FileError(f"{self._path}: a run with other settings; delete it to begin anew")
-            self._before = float(data["wall_s"]), float(data["cpu_s"])
-            return dict(data["state"])
-        except (ValueError, KeyError, TypeError) as error:
-            raise FileError(f"{self._path}: damaged; delete it to begin the run anew") from error
+        data = _read(self._path)
+        if data["settings"] != self._settings:
+            raise FileError(f"{self._path}: a run with other settings; delete it to begin anew")
+        self._before = float(data["wall_s"]), float(data["cpu_s"])
+        return dict(data["state"])
 
     def times(self) -> tuple[float, float]:
         """Return wall time and CPU time in s, those before an interruption included."""
@@ -114,6 +111,32 @@ def search_as_published(
         ahead = min(2 * ahead, _MOST_AHEAD) if search.value == before else _LEAST_AHEAD
         partial.save(state)
     return Found(search.incumbent, search.evaluations, tuple(curve), "evaluations")
+
+
+def read_partial(path: Path) -> dict[str, Any]:
+    """Return how far a run that has not ended has come: iterations of how many, estimate, CPU time in s."""
+    data = _read(path)
+    iterations, of = data["state"]["search"]["evaluations"] - 1, data["settings"]["evaluations"]
+    return {
+        "iterations": iterations,
+        "of": of,
+        "estimate": data["state"]["curve"][-1][1],
+        "cpu_s": data["cpu_s"],
+        "hours_to_run": data["cpu_s"] / max(iterations, 1) * of / 3600.0,
+    }
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Read a partial run. Raises FileError for a damaged file."""
+    try:
+        data: dict[str, Any] = json.loads(read_text(path))
+        if {"settings", "wall_s", "cpu_s", "state"} <= set(data) and {"search", "curve"} <= set(
+            data["state"]
+        ):
+            return data
+        raise ValueError("keys are missing")
+    except (ValueError, TypeError) as error:
+        raise FileError(f"{path}: damaged; delete it to begin the run anew") from error
 
 
 class BenchmarkEstimator(Evaluator):

@@ -1,5 +1,6 @@
 """The grid of runs behind the paper's tables, and the runs that a command line selects."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -7,7 +8,8 @@ from typing import Any, NamedTuple
 from rover_ncp.core.errors import UsageError
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import AGENTS, GRADIENTS
-from sim.paper.results import Result, ResultStore, RunName
+from sim.paper.published_search import read_partial
+from sim.paper.results import Result, ResultStore, RunName, load_result
 from sim.paper.tasks import TASKS, Benchmark, find_task
 
 _GRADIENT_TASKS = ("pendulum", "roboschool", "mountain-car")
@@ -64,16 +66,32 @@ def _faithful(budget: BudgetName) -> Iterator[Group]:
 
 
 def coverage(store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> list[dict[str, Any]]:
-    """Return each group of a budget with the number of its runs that exist."""
-    return [
-        {
-            "task": group.task,
-            "agent": group.agent,
-            "made": sum(store.find(name) is not None for name in group.names()),
-            "runs": group.runs,
-        }
-        for group in grid(budget)
-    ]
+    """Return each group of a budget: how many of its runs exist, how they ended, and the commits of them.
+
+    A run that has not ended is listed with its iterations and the estimate of its incumbent.
+    """
+    rows = []
+    for group in grid(budget):
+        paths = [store.find(name) for name in group.names()]
+        results = [load_result(path) for path in paths if path is not None]
+        commits = Counter(result.made_with.get("commit", "unknown") for result in results)
+        rows.append(
+            {
+                "task": group.task,
+                "agent": group.agent,
+                "made": len(results),
+                "runs": group.runs,
+                "commits": dict(commits),
+                "ended": dict(Counter(result.ended for result in results)),
+                "cpu_s": sum(result.cpu_s for result in results),
+                "unfinished": [
+                    {"seed": name.seed, **read_partial(store.unfinished(name))}
+                    for name in group.names()
+                    if store.unfinished(name).is_file()
+                ],
+            }
+        )
+    return rows
 
 
 def select(

@@ -46,6 +46,7 @@ class Published(NamedTuple):
 
 
 PUBLISHED_RUNS = 10
+_MOTORS_MV = "-70 .. -20 (text), -60 .. -20 (code)"
 _PENDULUM = {
     "lstm": Published(629.0, 453.1, 0.4),
     "mlp": Published(1177.5, 31.8, 1.0),
@@ -184,6 +185,34 @@ def table_text(which: str, rows: Sequence[Row]) -> str:
     return f"{named.number}: {named.title}\n\n" + markdown([head, *(row.texts() for row in rows)])
 
 
+def coverage_text(groups: Sequence[dict[str, Any]]) -> str:
+    """Return the groups of a budget as Markdown; runs of several commits were made at several times."""
+    rows: list[tuple[str, ...]] = [("task", "agent", "runs", "core s a run", "ended by", "commits")]
+    for group in groups:
+        took = [group["cpu_s"] / group["made"]] if group["made"] else []
+        took += [3600.0 * run["hours_to_run"] for run in group["unfinished"]]
+        part = [f"seed {run['seed']} at {run['iterations']} of {run['of']}" for run in group["unfinished"]]
+        rows.append(
+            (
+                group["task"],
+                group["agent"],
+                "; ".join([f"{group['made']} of {group['runs']}", *part]),
+                f"{np.mean(took):.0f}" if took else "",
+                _counts(group["ended"]),
+                _counts({_short(commit): count for commit, count in group["commits"].items()}),
+            )
+        )
+    return markdown(rows)
+
+
+def _short(commit: str) -> str:
+    return commit[:8] + ("-dirty" if commit.endswith("-dirty") else "")
+
+
+def _counts(found: dict[str, int]) -> str:
+    return ", ".join(key if len(found) == 1 else f"{count} {key}" for key, count in found.items())
+
+
 def parameters() -> list[dict[str, Any]]:
     """Return the experiments' parameters: the paper's, and the limits of a run with the default budget."""
     rows = []
@@ -196,6 +225,7 @@ def parameters() -> list[dict[str, Any]]:
                 "horizon": task.horizon,
                 **task.settings._asdict(),
                 "success": task.success,
+                "threshold_from": task.threshold_from,
                 "default_steps": ours.steps,
                 "default_starts": ours.starts,
                 "neurons": policy.circuit.size,
@@ -203,15 +233,31 @@ def parameters() -> list[dict[str, Any]]:
                 "parameters": policy.layout().size,
                 "sensors": {channel.name: dict(channel.sides) for channel in policy.sensing.channels},
                 "motors": {channel.name: dict(channel.sides) for channel in policy.motors.channels},
+                "motor_range_mV": [policy.motors.low_mV, policy.motors.high_mV],
+                "published_ranges": dict(task.published_ranges),
             }
         )
     return rows
 
 
 def parameters_text(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the experiments' parameters as Markdown."""
-    keys = ("task", "horizon", "iterations", "rollouts", "worst", "success", "parameters", "default_steps")
-    return markdown([keys, *(tuple(str(row[key]) for key in keys) for row in rows)])
+    """Return the experiments' parameters and their mappings, beside the paper's, as Markdown."""
+    keys = ("task", "horizon", "iterations", "rollouts", "worst", "parameters", "default_steps")
+    settings: list[tuple[str, ...]] = [(*keys, "success")]
+    mappings: list[tuple[str, ...]] = [("task", "signal", "neurons", "range", "the paper's")]
+    for row in rows:
+        threshold = f"{row['success']:g} ({row['threshold_from']})"
+        settings.append((*(str(row[key]) for key in keys), threshold))
+        for name, sides in (row["sensors"] | row["motors"]).items():
+            ends = _span(sorted({*sides.values(), *([0.0] if len(sides) == 1 else [])}))
+            paper = row["published_ranges"].get(name, "the same")
+            mappings.append((row["task"], name, ", ".join(sides), ends, paper))
+    mappings.append(("all", "potential, mV", "motor neurons", _span(rows[0]["motor_range_mV"]), _MOTORS_MV))
+    return f"{markdown(settings)}\n\n{markdown(mappings)}"
+
+
+def _span(ends: Sequence[float]) -> str:
+    return f"{ends[0]:g} .. {ends[-1]:g}"
 
 
 def markdown(rows: Sequence[tuple[str, ...]]) -> str:

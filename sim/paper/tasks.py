@@ -66,6 +66,10 @@ class Task:
     """Steps of the environment in a run with the default budget, at most."""
     policy: Callable[[Circuit], Policy]
     """Puts the task's sensing and motors around a circuit."""
+    threshold_from: str = "ours"
+    """Origin of ``success``; the paper states no threshold."""
+    published_ranges: tuple[tuple[str, str], ...] = ()
+    """Signals whose range in the paper is another, and that range."""
     circuit: Callable[[], Circuit] = tap_withdrawal_circuit
     """The untuned tap-withdrawal circuit with the task's motor neurons."""
 
@@ -162,6 +166,7 @@ def _pendulum(name: str, title: str, roboschool: bool, bonus: float) -> Benchmar
         enough=999.5 + 195.0 * bonus / 0.2,
         steps=12_000_000,
         policy=two_signals("pendulum", {"angle": 0.12, "cart": 1.0}, 0.3),
+        threshold_from="Gymnasium",
         plant=PENDULUM,
         start=_roboschool_start if roboschool else _pendulum_start,
         environment="InvertedPendulum-v5",
@@ -202,6 +207,9 @@ _ALL = (
         enough=98.0,
         steps=40_000_000,
         policy=two_signals("mountain-car", {"position": 1.0, "velocity": 0.02}, 1.0),
+        threshold_from="Gymnasium",
+        # The published circuit solves the task with 1.0 alone.
+        published_ranges=(("position", "±0.02 (Table S6), ±0.3 (last published code)"),),
         plant=MOUNTAIN_CAR,
         start=_car_start,
         most=100.0,
@@ -232,6 +240,7 @@ _ALL = (
         enough=499.0,
         steps=60_000_000,
         policy=two_signals("cart-pole", {"angle": 0.15, "rate": 1.0}, 1.0),
+        threshold_from="Gymnasium",
         plant=CART_POLE,
         start=_cart_pole_start,
         most=500.0,

@@ -1,17 +1,59 @@
-"""The tables in the documentation are those that the commands print of the shipped runs."""
+"""The page on the paper: its tables are those that the commands print, and its text cites the checklist."""
 
+import re
+import shlex
 from pathlib import Path
 
+import paper_tables
 import pytest
 
 from rover_ncp import cli
+from sim.paper.claims import all_claims
+from sim.paper.results import ResultStore
 
-PAGE = Path("docs/paper.md")
+PAGE = paper_tables.PAGE.read_text()
+BLOCKS = paper_tables.blocks(PAGE)
+TABLES = {"policy-gradients", "networks", "comparisons", "claims", "status", "parameters"}
+COMPARATIVE = re.compile(
+    r"\b(better|worse|higher|lower|faster|slower|fewer|(?:more|less) \w+ than|on par|beats?|outperforms?|"
+    r"ahead of|behind|as (?:well|good|fast) as)\b"
+)
 
 
-@pytest.mark.parametrize("what", ["policy-gradients", "networks", "time-constants", "contributions"])
-def test_the_page_has_the_table_that_the_command_prints(what, tmp_path, capsys):
-    assert cli.run(["paper", what, "--runs", str(tmp_path)]) == 0
+@pytest.fixture(scope="module")
+def names():
+    return {claim.name for claim in all_claims(ResultStore(Path("nowhere")))}
+
+
+@pytest.mark.parametrize("command", BLOCKS)
+def test_the_page_has_the_table_that_the_command_prints(command, tmp_path, capsys):
+    assert cli.run([*shlex.split(command)[1:], "--runs", str(tmp_path)]) == 0
     table = capsys.readouterr().out.strip()
     assert table.count("\n") > 5
-    assert table in PAGE.read_text(), f"rover-ncp paper {what} prints another table now"
+    assert table == BLOCKS[command], "make paper-docs writes the present tables"
+
+
+def test_the_page_has_all_tables():
+    assert {shlex.split(command)[2] for command in BLOCKS} >= TABLES
+
+
+def sentences():
+    """Return the sentences of the page outside of tables, code and headings."""
+    text = paper_tables.BLOCK.sub("", PAGE)
+    lines = [line for line in text.splitlines() if not line.startswith(("    ", "|", "#", "!"))]
+    for paragraph in "\n".join(lines).split("\n\n"):
+        yield from re.split(r"(?<=[.:])\s+(?=[A-Z*`-])", " ".join(paragraph.split()))
+
+
+def test_a_sentence_that_compares_cites_a_claim(names):
+    compared = [sentence for sentence in sentences() if COMPARATIVE.search(sentence)]
+    assert len(compared) > 5
+    for sentence in compared:
+        assert names & set(re.findall(r"`([\w-]+)`", sentence)), sentence
+
+
+def test_every_citation_is_a_claim(names):
+    cited = re.findall(r"\(((?:`[\w-]+`(?:, )?)+)\)", "\n".join(sentences()))
+    found = {name for group in cited for name in re.findall(r"`([\w-]+)`", group)}
+    assert found <= names, found - names
+    assert len(found) > 10

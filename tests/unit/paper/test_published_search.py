@@ -10,7 +10,7 @@ from rover_ncp.core.errors import FileError
 from sim.paper import BudgetName, published_search
 from sim.paper.agents import build_agent
 from sim.paper.parking import ParkingEvaluator
-from sim.paper.published_search import BenchmarkEstimator, Partial, search_as_published
+from sim.paper.published_search import BenchmarkEstimator, Partial, read_partial, search_as_published
 from sim.paper.runs import budget_for
 from sim.paper.tasks import TASKS
 
@@ -82,6 +82,7 @@ def test_an_interrupted_search_goes_on_with_the_same_bits(tmp_path, monkeypatch)
     assert continued.times()[1] > 0.0
     with pytest.raises(FileError, match="other settings"):
         Partial(path, {}).load()
+    assert 0 < read_partial(path)["iterations"] <= read_partial(path)["of"] == 300
     path.write_text("{")
     with pytest.raises(FileError, match="damaged"):
         Partial(path, vars(limits)).load()

@@ -1,0 +1,40 @@
+"""Run against run: the test, its correction and the effect size."""
+
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu
+
+from sim.paper.comparison import holm, measure
+
+
+def test_holms_correction_is_that_of_the_textbook():
+    # Holm (1979): 0.01, 0.02, 0.03, 0.04 times 4, 3, 2, 1, never falling.
+    assert holm([0.01, 0.04, 0.03, 0.02]) == pytest.approx([0.04, 0.06, 0.06, 0.06])
+    assert holm([0.4, 0.9]) == pytest.approx([0.8, 0.9])
+    assert holm([]) == []
+
+
+def test_a_permutation_test_of_few_runs_is_exact():
+    # 6 against 2 of 8 runs: 28 ways to divide them, of which one each way is as far apart.
+    effect = measure(np.arange(10.0, 16.0), np.array([1.0, 2.0]))
+    assert effect.p == pytest.approx(2 / 28)
+    assert effect.difference == pytest.approx(12.5 - 1.5)
+    assert effect.probability == 1.0
+    assert effect.interval[0] > 8.0
+
+
+def test_the_probability_of_superiority_counts_ties_by_half():
+    effect = measure(np.array([3.0, 3.0, 5.0]), np.array([3.0, 1.0, 3.0]))
+    assert effect.probability == pytest.approx((3 * 1 + 2 * 2 * 0.5 + 2) / 9)
+    assert effect.probability == mannwhitneyu([3, 3, 5], [3, 1, 3]).statistic / 9
+
+
+def test_equal_runs_show_no_difference():
+    effect = measure(np.full(10, 1000.0), np.full(5, 1000.0))
+    assert (effect.difference, effect.interval, effect.probability, effect.p) == (0.0, (0.0, 0.0), 0.5, 1.0)
+
+
+def test_p_values_of_equal_distributions_are_uniform():
+    rng = np.random.default_rng(0)
+    low = sum(measure(rng.normal(size=8), rng.normal(size=8)).p < 0.2 for _ in range(60))
+    assert 3 <= low <= 22  # 12 expected

@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +59,11 @@ def curve_png(agents: Sequence[AgentState], last: int, title: str) -> bytes:
     axes.grid(alpha=0.3)
     axes.set(xlabel="iteration", ylabel="best return so far", title=title, xlim=(0, max(last, 1)))
     axes.legend(loc="lower right")
+    return png_of(figure)
+
+
+def png_of(figure: Any) -> bytes:
+    """Return a figure as PNG, without version or time, so that the same curves give the same bytes."""
     buffer = io.BytesIO()
-    # Neither version nor time in the file: the same curves give the same bytes.
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()

@@ -1,11 +1,11 @@
 """Learning curves of all runs: mean and deviation, as in the paper, beside median and middle half."""
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from sim.learn.curve import png_of
 from sim.paper.agents import AGENTS
 from sim.paper.results import Result, ResultStore
 from sim.paper.tasks import TASKS, Task
@@ -43,9 +43,7 @@ def curves_png(store: ResultStore) -> bytes:
         axes.set_visible(False)
     figure.supxlabel("steps of the environment", fontsize=9)
     figure.supylabel("estimated return of the best so far", fontsize=9)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    return buffer.getvalue()
+    return png_of(figure)
 
 
 def _finish(axes: Any, task: Task, kind: str) -> None:

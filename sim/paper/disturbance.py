@@ -7,7 +7,6 @@ loss    share of the ticks on which no new observation arrives: the agent sees t
 Nothing is trained again. Pendulums are the written ones.
 """
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.kernels.jit import kernel
+from sim.learn.curve import png_of
 from sim.learn.networks import NetKind, net_for
 from sim.learn.search.base import Vector
 from sim.paper.agents import build_agent
@@ -158,6 +158,4 @@ def disturbances_png(rows: Sequence[dict[str, Any]]) -> bytes:
             axes.grid(alpha=0.3)
         panels[0].legend(fontsize=6, loc="lower left")
     figure.supylabel("return without bonus", fontsize=9)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    return buffer.getvalue()
+    return png_of(figure)

@@ -4,7 +4,6 @@ A lesion sets the weights of a synapse, or of all synapses from and to a neuron,
 again. Pendulums are the written ones.
 """
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import Policy
+from sim.learn.curve import png_of
 from sim.learn.search.base import Vector
 from sim.paper.evaluator import Evaluator, draw_seeds
 from sim.paper.parking import ParkingEvaluator
@@ -115,6 +115,4 @@ def lesions_png(rows: Sequence[dict[str, Any]]) -> bytes:
     axes.set_xticks(range(len(tasks)), tasks, rotation=45, ha="right", fontsize=8)
     axes.set_yticks(range(len(parts)), parts, fontsize=7)
     figure.colorbar(image, label="share of the circuits that still succeed")
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    return buffer.getvalue()
+    return png_of(figure)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rover_ncp.core.errors import UsageError
 from sim.paper.agents import AGENTS
 from sim.paper.results import ResultStore
 from sim.paper.tables import LEVEL, markdown, mean_text
@@ -91,7 +92,12 @@ class Comparison(NamedTuple):
 
 
 def compare_agents(store: ResultStore, other: str) -> list[Comparison]:
-    """Compare the circuit on all tasks of which at least two runs of each agent exist. Raises FileError."""
+    """Compare the circuit on all tasks of which at least two runs of each agent exist.
+
+    Raises FileError, and UsageError for an unknown agent.
+    """
+    if other not in OTHERS:
+        raise UsageError(f"the circuit is compared with {', '.join(OTHERS)}, not with {other!r}")
     pairs = {task: (store.results(task, "circuit"), store.results(task, other)) for task in TASKS}
     pairs = {task: pair for task, pair in pairs.items() if min(map(len, pair)) > 1}
     returns = {

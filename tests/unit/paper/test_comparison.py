@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
+from rover_ncp.cli import run
 from sim.paper.comparison import holm, measure
 
 
@@ -38,3 +39,8 @@ def test_p_values_of_equal_distributions_are_uniform():
     rng = np.random.default_rng(0)
     low = sum(measure(rng.normal(size=8), rng.normal(size=8)).p < 0.2 for _ in range(60))
     assert 3 <= low <= 22  # 12 expected
+
+
+def test_an_agent_that_is_not_compared_is_one_line(capsys):
+    assert run(["paper", "comparisons", "--agent", "gru"]) == 2
+    assert "not with 'gru'" in capsys.readouterr().err

@@ -6,7 +6,6 @@ returns its exit code, or None for 0. Only the module of the command that runs i
 all of them for their first lines.
 """
 
-import gc
 import json
 import os
 import signal
@@ -192,8 +191,6 @@ def main() -> None:
     # Read by numpy and scipy when they are loaded. For matrices as small as ours BLAS's threads only wait for
     # each other: on a busy machine planning a course took fifty times as long with two.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Imports make many objects that stay; collecting garbage among them takes a tenth of a command's start.
-    gc.set_threshold(100_000)
     # SIGTERM ends a command as Ctrl-C does: it also ends its children and closes its files.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     stdout, stderr = install()

@@ -36,12 +36,12 @@ class EstimatorSettings(StrictModel):
 
     wander_m: float = Field(default=0.001, gt=0, description="random, after a metre")
     wander_rad: float = Field(default=0.002, gt=0, description="random, after a metre")
-    skid_m: float = Field(default=0.002, gt=0, description="random, after a turn of 1 rad")
+    skid_m: float = Field(default=0.001, gt=0, description="random, after a turn of 1 rad")
     skid_rad: float = Field(default=0.003, gt=0, description="random, after a turn of 1 rad")
-    creep_m: float = Field(default=0.0003, gt=0, description="random, after standing for 1 s")
+    creep_m: float = Field(default=0.0004, gt=0, description="random, after standing for 1 s")
     creep_rad: float = Field(default=0.0003, gt=0, description="random, after standing for 1 s")
     turn_gain_walk: float = Field(default=0.02, gt=0, description="random change after a turn of 1 rad")
-    rotation_center_walk_m: float = Field(default=0.009, gt=0, description="the same")
+    rotation_center_walk_m: float = Field(default=0.003, gt=0, description="the same")
 
     pose_m: float = Field(default=0.02, gt=0, description="external pose without a covariance")
     pose_rad: float = Field(default=0.035, gt=0)

@@ -22,9 +22,9 @@ EXACT = 1e-4
 """Standard deviation of an error that a family of robots does not have."""
 LOADED_TYRE = 0.004
 """A tyre under its load rolls on so much less than its radius (`sim.studies.rigid_body`)."""
-SLOPE = {"downhill_std_m": 0.25, "turn_gain_walk": 1.5, "rotation_center_walk_m": 0.6}
-"""Effects of a slope over its tangent divided by friction, for the families' centres of mass and directions:
-rms by Coulomb friction, in 2 rad with one change of direction (`sim.studies.rigid_body`)."""
+DOWNHILL_M, GAIN_WALK = 0.25, 1.5
+"""The slide downhill and the change of turn gain on a slope, over its tangent divided by friction, for the
+families' centres of mass and directions: rms by Coulomb friction (`sim.studies.rigid_body`)."""
 
 
 def settings_of(ranges: Randomization, known: RoverProfile, *, measured: bool) -> EstimatorSettings:
@@ -46,9 +46,8 @@ def settings_of(ranges: Randomization, known: RoverProfile, *, measured: bool) -
 def _of_ground(ranges: SkidRanges) -> dict[str, float]:
     least, most = ranges.slope_rad
     slope = math.sqrt((least * least + least * most + most * most) / 3.0 / math.prod(ranges.friction))
-    usual = EstimatorSettings()
-    walks = {name: getattr(usual, name) for name in SLOPE if name.endswith(("walk", "walk_m"))}
-    return {name: math.hypot(by * slope, walks.get(name, 0.0)) for name, by in SLOPE.items()}
+    walk = math.hypot(EstimatorSettings().turn_gain_walk, GAIN_WALK * slope)
+    return {"downhill_std_m": DOWNHILL_M * slope, "turn_gain_walk": walk}
 
 
 def _of_plane(ranges: Randomization) -> dict[str, float]:

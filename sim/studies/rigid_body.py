@@ -136,33 +136,29 @@ def coulomb_downhill_m(robot: SkidRobot) -> float:
     return float(np.mean(slides))
 
 
-def slope_effects(seed: int, count: int) -> tuple[float, float, float]:
-    """Return three effects of slopes on random robots by dry friction, over the slope's tangent by friction.
+def slope_effects(seed: int, count: int) -> tuple[float, float]:
+    """Return the effects of slopes on random robots by dry friction, over the slope's tangent by friction.
 
-    They are rms: the slide in m/rad in one direction, and the changes of turn gain and of the centre of
-    rotation in m, as random walks per root of a radian. A turn of 2 rad that changes its direction once has
-    them.
+    They are rms: the slide in m/rad in one direction; the change of turn gain as a random walk, per root of a
+    radian. A turn of 2 rad that changes its direction once has it.
     """
-    slides, gains, centers, slopes = list[float](), list[float](), list[float](), list[float]()
+    slides, gains, slopes = list[float](), list[float](), list[float]()
     ranges, stream = load_randomization("slope", Body.MUJOCO).skid_steer, np.random.default_rng(seed)
     assert ranges is not None
     for number in range(count):
         robot, heading = draw_robot(ranges, seed, number), float(stream.uniform(-math.pi, math.pi))
         level = coulomb(robot.model_copy(update={"slope_rad": 0.0}), 0.0, OMEGA_RAD_S)
         here = coulomb(robot, 0.0, OMEGA_RAD_S, heading)
-        ahead_m = [m.forward_m_s / (m.turn_gain * OMEGA_RAD_S) for m in (here, level)]
+        ahead_m = [motion.forward_m_s / (motion.turn_gain * OMEGA_RAD_S) for motion in (here, level)]
         slides += ahead_m[0] - ahead_m[1], here.slide_m - level.slide_m
-        before = coulomb(robot, 0.1, OMEGA_RAD_S, heading)
-        turned = coulomb(robot, 0.1, OMEGA_RAD_S, heading + 1.0)
-        back = coulomb(robot, 0.1, -OMEGA_RAD_S, heading + 1.0)
-        for first, second, share in ((before, turned, 1.0), (turned, back, 0.5)):
-            gains.append(share * (second.turn_gain - first.turn_gain) ** 2)
-            centers.append(share * (second.slide_m - first.slide_m) ** 2)
+        first, second, third = (
+            coulomb(robot, 0.1, omega, heading + turned).turn_gain
+            for turned, omega in ((0.0, OMEGA_RAD_S), (1.0, OMEGA_RAD_S), (1.0, -OMEGA_RAD_S))
+        )
+        gains.append((second - first) ** 2 + 0.5 * (third - second) ** 2)
         slopes.append(math.tan(robot.slope_rad) / robot.friction)
     slope = math.sqrt(np.mean(np.square(slopes)))
-    means = np.mean(np.square(slides)), 2.0 * np.mean(gains), 2.0 * np.mean(centers)
-    slide, gain, center = (math.sqrt(mean) / slope for mean in means)
-    return slide, gain, center
+    return math.sqrt(np.mean(np.square(slides))) / slope, math.sqrt(np.mean(gains)) / slope
 
 
 def shake_m_s2(robot: SkidRobot, omega: float) -> float:
@@ -203,10 +199,10 @@ def main() -> None:
         f"slides downhill as it turns on 3 degrees: {100 * downhill_m(slope):.2f} cm/rad; Coulomb friction: "
         f"{100 * coulomb_downhill_m(slope):.2f}"
     )
-    slide, gain, center = slope_effects(seed=1, count=100)
+    slide, gain = slope_effects(seed=1, count=100)
     print(
-        f"Coulomb friction on slopes, rms, over slope / friction: slide {slide:.2f} m/rad, "
-        f"changes of turn gain {gain:.2f} and of centre of rotation {center:.2f} m, per root of a radian"
+        f"Coulomb friction on slopes, rms, by slope / friction: slide {slide:.2f} m/rad, turn gain changes "
+        f"by {gain:.2f} per root of a radian"
     )
     print(f"\nturn on the spot at {OMEGA_RAD_S} rad/s, as turn gain and slide in cm")
     print(f"{'':26}" + "".join(f"{f'{100 * off:g} cm ahead':>18}" for off in OFF_CENTRE_M))

@@ -266,6 +266,7 @@ class _Motor:
         self._robot = robot
         self._most_n_m = robot.torque_n_m
         self._ticks, self._speed, self._integral = 0, 0.0, 0.0
+        self._rests = True
 
     @property
     def way_m(self) -> float:
@@ -273,7 +274,13 @@ class _Motor:
         return self._ticks / TICKS_PER_M
 
     def torque(self, wanted: float) -> float:
-        """Return the torque in N·m for the next period, so that the rim goes at ``wanted`` m/s."""
+        """Return the torque in N·m for the next period, so that the rim goes at ``wanted`` m/s.
+
+        A rim that comes to rest gives up the torque that the last turn needed, and then holds its place.
+        """
+        rested, self._rests = self._rests, wanted == 0.0 and (self._rests or abs(self._speed) < STILL_M_S)
+        if self._rests and not rested:
+            self._integral = 0.0
         error, most = wanted - self._speed, self._most_n_m
         self._integral = min(max(self._integral + INTEGRAL * CONTROL_S * error, -most), most)
         return min(max(PROPORTIONAL * error + self._integral, -most), most)

@@ -41,6 +41,7 @@ class SkidDrive:
         self.center = draw(s.rotation_center_m, s.rotation_center_std_m)
         self.drift = draw(0.0, s.drift_std_rad_s)
         self.bias = gyro_bias * rng.normal()
+        self.downhill = s.downhill_std_m * rng.normal(size=2)
         motion = np.array(random_course(seed, number)[1].motion)
         motion = motion[: np.flatnonzero(motion.any(axis=1))[-1] + 1]
         rest = [np.zeros((round(t / TICK_S), 2)) for t in (before_s, after_s)]
@@ -71,10 +72,11 @@ class SkidDrive:
         self.center += s.rotation_center_walk_m * math.sqrt(angle) * rng.normal()
         heading, own = x[2] + 0.5 * h * turn, x[5] + 0.5 * h * omega
         spread = math.sqrt(s.wander_m**2 * length + s.skid_m**2 * angle)
+        slide = angle * self.downhill + spread * rng.normal(size=2)
         return x + np.array(
             [
-                h * (ahead * math.cos(heading) - left * math.sin(heading)) + spread * rng.normal(),
-                h * (ahead * math.sin(heading) + left * math.cos(heading)) + spread * rng.normal(),
+                h * (ahead * math.cos(heading) - left * math.sin(heading)) + slide[0],
+                h * (ahead * math.sin(heading) + left * math.cos(heading)) + slide[1],
                 h * turn + math.sqrt(s.wander_rad**2 * length + s.skid_rad**2 * angle) * rng.normal(),
                 h * v * math.cos(own),
                 h * v * math.sin(own),

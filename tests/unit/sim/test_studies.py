@@ -9,9 +9,12 @@ from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
 from sim.evaluate.driver import load_driver
 from sim.evaluate.evaluate import evaluate
+from sim.stack.camera import Camera
+from sim.studies.carried import WITHIN_S, CarriedStack
 from sim.studies.compare import find_agent
 from sim.studies.known_center import of_centre
 from sim.studies.paired import Paired, paired, parked
+from sim.world.bodies import Body
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import load_randomization
@@ -70,3 +73,10 @@ def test_a_centre_of_rotation_drives_as_the_middle_of_a_rover_without_skid(cente
                 rover.substep()
     assert of_centre(sliding.pose, center_m) == pytest.approx(straight.pose, abs=1e-4)
     assert math.dist(sliding.pose[:2], straight.pose[:2]) > 0.01
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_rover_that_is_carried_or_turned_is_stopped(turned):
+    course, ranges = load_course("parking"), load_randomization("varied", Body.MUJOCO)
+    stack = CarriedStack(load_driver("course"), (course,), ranges, 1, camera=Camera(), turned=turned)
+    assert stack.stopped_s(0) <= WITHIN_S

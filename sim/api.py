@@ -82,7 +82,7 @@ def evaluate(
     """Drive random trials, trial i on course i modulo their number, and return how they ended."""
     from sim.evaluate.driver import Driver
     from sim.evaluate.evaluate import evaluate as run
-    from sim.world.randomization import ranges_for
+    from sim.world.described import ranges_for
 
     many = [course] if isinstance(course, str | Path) or not isinstance(course, Sequence) else course
     ranges = ranges_for(randomize, None)

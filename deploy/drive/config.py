@@ -13,6 +13,7 @@ from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
 from rover_ncp.core.config import dump_yaml, parse_yaml, read_yaml
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording
+from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import Course
 
@@ -25,6 +26,9 @@ STD = {
     "rotation_center_m": "rotation_center_std_m",
 }
 """Odometry's errors in the estimator's settings, and their standard deviations."""
+
+AXLE_STD_M = 0.002
+"""How well a description knows where the axle of a differential drive is (chosen)."""
 
 PoseUse = Literal["auto", "required", "none"]
 """Whether external poses give the start pose: if they come, always, or never."""
@@ -54,13 +58,13 @@ class DriveConfig(Timeouts):
     rover: RoverProfile | None = Field(default=None, description="what was measured of this robot")
 
 
-def settings_for(rover: RoverProfile | None) -> EstimatorSettings:
-    """Return the estimator's settings for a robot, from what was measured of its odometry.
+def settings_for(rover: RoverProfile | None, described: RobotDescription | None = None) -> EstimatorSettings:
+    """Return the estimator's settings for a robot, from what was measured and described of its odometry.
 
     A measured value and that of an unmeasured robot are weighted by their variances; a value without a
     standard deviation is taken as it is, with that of an unmeasured robot.
     """
-    usual = EstimatorSettings()
+    usual = EstimatorSettings() if described is None else _described(described)
     if rover is None:
         return usual
     measured = {
@@ -85,6 +89,25 @@ def settings_for(rover: RoverProfile | None) -> EstimatorSettings:
             known[name] = share * value + (1.0 - share) * getattr(usual, name)
             known[STD[name]] = math.sqrt(share) * std
     return usual.model_copy(update=known)
+
+
+def _described(robot: RobotDescription) -> EstimatorSettings:
+    """Return the settings for an unmeasured robot, whose errors are uniform in the described ranges.
+
+    The process noise lets its speed change by what it can change by between two reports.
+    """
+    usual, motion, odometry = EstimatorSettings(), robot.motion, robot.odometry
+    spread = {
+        "position_m": max(usual.position_m, odometry.noise_m),
+        "heading_rad": max(usual.heading_rad, odometry.noise_rad),
+        "acceleration": max(motion.accel, motion.decel) ** 2 / odometry.rate_hz,
+        "angular_acceleration": max(motion.alpha, motion.alpha_decel) ** 2 / odometry.rate_hz,
+        "distance_gain_std": odometry.distance_error / math.sqrt(3.0),
+        "turn_gain_std": odometry.turn_error / math.sqrt(3.0),
+    }
+    if robot.drive.kind == "differential":  # it turns about the middle of its axle
+        spread["rotation_center_std_m"] = AXLE_STD_M
+    return usual.model_copy(update=spread)
 
 
 def attachments(policy: Policy, course: Course, config: DriveConfig) -> dict[str, bytes]:

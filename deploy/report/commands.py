@@ -9,6 +9,7 @@ import typer
 
 from rover_ncp.core.console import Json, Output
 from rover_ncp.core.errors import UsageError
+from rover_ncp.core.files import USUAL_ROBOT
 
 
 class What(StrEnum):
@@ -37,15 +38,17 @@ def course(
         str | None, typer.Option(help="new: what the course is called.", show_default="the file's name")
     ] = None,
     model: Annotated[
-        str, typer.Option(help="check: whose outline must be clear of obstacles, a name or a file.")
-    ] = "p3at-sh",
+        str,
+        typer.Option(help="check: the robot's description, for its speeds and outline: a name or a file."),
+    ] = USUAL_ROBOT,
     json: Json = False,
 ) -> int:
     """Make a course, or check whether one can be driven, with place and reason if not.
 
     new takes the poses to drive through, or a drive that was recorded with 'rover-ncp teleop' or 'rover-ncp
     deploy', makes the first pose the origin and chooses deadlines that the motors (0.16 m/s, 0.18 rad/s) can
-    meet. check compares any course with the motors, the rover's size and the obstacles.
+    meet. check compares any course with the motors, the rover's size and the obstacles; for a robot that is
+    slower than a circuit's commands it takes longer, as in 'deploy'.
 
         rover-ncp course new poses.csv --out mine.yaml
         rover-ncp course check mine.yaml --out mine.png
@@ -55,17 +58,19 @@ def course(
     from rover_ncp.core.robot_description import load_description
     from rover_ncp.course.course import load_course
     from rover_ncp.course.feasibility import check_course
+    from rover_ncp.course.fit import slowed
 
-    output = Output(json)
+    output, pace = Output(json), ""
     if what is What.NEW:
         made, found = _new(Path(source), out, name)
     else:
         if name is not None:
             raise UsageError("--name is for new")
-        made = load_course(source)
-        found = check_course(made, load_description(model))
+        robot = load_description(model)
+        made, pace = slowed(load_course(source), robot)
+        found = check_course(made, robot)
         if out is not None:
-            _draw(out, made, found)
+            _draw(out, made, found, robot)
     miss_m = max(miss.error_m for miss in found.misses)
     miss_rad = max(miss.error_rad for miss in found.misses)
     fields = {
@@ -77,6 +82,7 @@ def course(
         "worst_miss_m": miss_m,
         "worst_miss_rad": miss_rad,
         "clearance_m": found.clearance_m,
+        "scaled": [pace] if pace else [],
         "out": str(out) if out else None,
     }
     words = (
@@ -86,7 +92,10 @@ def course(
     )
     if found.clearance_m is not None:
         words += f"; {1000 * found.clearance_m:.0f} mm from the nearest obstacle"
-    output.result(fields, "\n".join([words, *map(str, found.problems), *([f"wrote {out}"] if out else [])]))
+    output.result(
+        fields,
+        "\n".join([*fields["scaled"], words, *map(str, found.problems), *([f"wrote {out}"] if out else [])]),
+    )
     return 0 if found.drivable else 1
 
 
@@ -105,12 +114,13 @@ def _new(source: Path, out: Path | None, name: str | None) -> Any:
     return made, found
 
 
-def _draw(out: Path, made: Any, found: Any) -> None:
+def _draw(out: Path, made: Any, found: Any, robot: Any) -> None:
+    from deploy.report.charts.figure import outline_of
     from deploy.report.charts.path import course_picture
     from rover_ncp.core.files import require_writable, write_atomic
 
     if out.suffix not in {".png", ".svg"}:
         raise UsageError(f"--out {out}: expected a picture, .png or .svg")
     require_writable(out)
-    picture = course_picture(made, found)
+    picture = course_picture(made, found, outline_of(robot))
     write_atomic(out, picture.png if out.suffix == ".png" else picture.svg)

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.circuit.sensing import Channel, require_distinct
 from rover_ncp.core.config import StrictModel
+from rover_ncp.course.reference import COMMAND_MAX
 
 
 class MotorMap(NamedTuple):
@@ -90,7 +91,7 @@ def course_motors() -> Motors:
     """
     return Motors(
         outputs=("v", "omega"),
-        limits=(0.24, 0.36),
+        limits=(COMMAND_MAX.v, COMMAND_MAX.omega),
         channels=(
             Channel(name="forward", positive="FWD", maximum=1.0),
             Channel(name="reverse", positive="REV", maximum=1.0),

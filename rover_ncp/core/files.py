@@ -13,6 +13,8 @@ from rover_ncp.core.errors import FileError
 _RECORDING = b"\x89MCAP0\r\n"
 """First bytes of a recording, also of a damaged or unfinished one."""
 _DATA = resources.files("rover_ncp") / "data"
+USUAL_ROBOT = "p3at-sh"
+"""The robot that courses and policies were made for: the description in use unless another is named."""
 
 
 def shipped_names(kind: str) -> list[str]:

@@ -4,6 +4,7 @@ Poses are those of the base in the course's frame; times count from the run's st
 its reward are in section VI and the published simulator.
 """
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from rover_ncp.core.config import StrictModel, load_yaml
+from rover_ncp.core.config import StrictModel, load_yaml, validated
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 
@@ -110,6 +111,21 @@ class Course(StrictModel):
         """The last checkpoint."""
         return self.checkpoints[-1].pose
 
+    def scaled(self, size: float, time: float) -> "Course":
+        """Return the course so many times as large, and taking so many times as long.
+
+        What counts as parked stays as it is. Raises ConfigError if it would take too long.
+        """
+        places = {"x": size, "y": size}
+        changed = {
+            "start_signal_s": self.start_signal_s * time,
+            "horizon_s": math.ceil(self.horizon_s * time / TICK_S - 1e-9) * TICK_S,
+            "checkpoints": [_times(point, places | {"t": time}) for point in self.checkpoints],
+            "obstacles": [_times(each, places | {"length": size, "width": size}) for each in self.obstacles],
+        }
+        source = f"course {self.name}, {size:g} times as large, {time:g} times as long"
+        return validated(self.model_dump() | changed, Course, source)
+
     def start_signal(self, t: float) -> float:
         """Return the start signal at ``t`` seconds: 0 before its time, 1 from then on.
 
@@ -149,6 +165,10 @@ class Course(StrictModel):
 def load_course(name_or_path: str | Path) -> Course:
     """Load a shipped course by name or a course file by path. Raises FileError or ConfigError."""
     return load_yaml(resolve("courses", name_or_path), Course)
+
+
+def _times(part: StrictModel, factors: dict[str, float]) -> dict[str, float]:
+    return {name: value * factors.get(name, 1.0) for name, value in part.model_dump().items()}
 
 
 def due_checkpoints(course: Course) -> NDArray[np.int64]:

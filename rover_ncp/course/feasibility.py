@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.core.robot_description import RobotDescription, load_description
 from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle
@@ -20,8 +21,6 @@ from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Deviation, Reference, d
 
 FloatArray = NDArray[np.float64]
 
-MODEL = "p3at-sh"
-"""The robot that a course is checked for, unless another is given."""
 GOAL_SHARE = 0.25
 SIDEWAYS = 0.5
 """A way whose tangent to the heading exceeds this is sideways, not a bend."""
@@ -72,7 +71,7 @@ class Drivability:
 
 def check_course(course: Course, robot: RobotDescription | None = None) -> Drivability:
     """Plan a course's reference and check it, for the outline of ``robot``; None is a Pioneer 3-AT."""
-    robot = load_description(MODEL) if robot is None else robot
+    robot = load_description(USUAL_ROBOT) if robot is None else robot
     reference = plan_reference(course)
     misses = tuple(deviations(course, reference))
     problems = [*_start(course), *_missed(course, misses), *_rest(course, reference)]

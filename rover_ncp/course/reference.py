@@ -33,6 +33,8 @@ V_MAX = 0.16
 """Fastest reference in m/s: the paper's motors."""
 OMEGA_MAX = 0.18
 """Fastest turn of a reference in rad/s: the paper's motors."""
+COMMAND_MAX = Velocity(0.24, 0.36)
+"""Fastest command of a circuit that follows a reference: it must be able to catch up."""
 
 KNOT_TICKS = 5
 """Speed and turn of a planned reference are linear between knots so many ticks apart."""

@@ -56,7 +56,16 @@ class EvalOptions:
     randomize: Annotated[
         str | None,
         typer.Option(
-            help=f"Randomization of the trials: {PRESET_WORDS}; or a YAML file.", show_default="none; nominal"
+            help=f"Randomization of the trials: {PRESET_WORDS}; or a YAML file.",
+            show_default="none; nominal; with --model the robot's own",
+        ),
+    ] = None
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="The robot's description, a name or a YAML file: its motion, size, sensors and, without "
+            "--randomize, its ranges.",
+            show_default="p3at-sh, as in the training",
         ),
     ] = None
     body: BodyOption = Body.PYMUNK
@@ -71,9 +80,12 @@ class EvalOptions:
         typer.Option("--stack", help="Drive through firmware, bridge and driver, on a virtual clock."),
     ] = False
     sensors: Annotated[
-        Sensors,
-        typer.Option(help="With --stack: what the driver has beside encoders: a gyro, a camera, both."),
-    ] = Sensors.ENCODERS
+        Sensors | None,
+        typer.Option(
+            help="With --stack: what the driver has beside encoders: a gyro, a camera, both.",
+            show_default="encoders; with --model the gyro that it describes",
+        ),
+    ] = None
     identify: Annotated[
         Place | None,
         typer.Option(
@@ -137,9 +149,9 @@ class EvalOptions:
         return self.course or ["parking"]
 
     @property
-    def randomization(self) -> str:
-        """The name or file of the randomization."""
-        return PRESETS[self.body][0] if self.randomize is None else self.randomize
+    def randomization(self) -> str | None:
+        """The name or file of the randomization; None for the ranges of a described robot."""
+        return self.randomize or (PRESETS[self.body][0] if self.model is None else None)
 
 
 @command
@@ -169,6 +181,12 @@ def evaluate(options: EvalOptions) -> int:
 
         rover-ncp eval course --trials 300 --stack --body mujoco --randomize varied --sensors gyro
 
+    --model names another robot: its size, motion, delays and sensors, and the ranges in which robots of that
+    model differ. A course becomes slower for a robot that is slower than a circuit's commands, and one with
+    obstacles becomes larger for a larger robot; the result says so.
+
+        rover-ncp eval course --trials 300 --stack --model turtlebot4
+
     --live drives each of them as three real processes, over TCP and Zenoh. The driver does not know the mock
     robot's errors. With --stack too, trials are driven both ways, and the distance between their ends is
     printed.
@@ -189,8 +207,10 @@ def evaluate(options: EvalOptions) -> int:
         raise UsageError("--range needs --task")
     if options.body is Body.MUJOCO and not (options.stack or options.live):
         raise UsageError("--body mujoco needs --stack or --live: plain simulation is pymunk's")
-    if options.sensors is not Sensors.ENCODERS and not options.stack:
+    if options.sensors is not None and not options.stack:
         raise UsageError("--sensors needs --stack")
+    if options.live and options.model is not None:
+        raise UsageError("--live drives a Pioneer 3-AT: for another robot use park --model")
     if options.identify is not None and (options.profile is not None or not options.stack):
         raise UsageError("--identify needs --stack, without --profile")
     if options.processes is not None and not (options.stack or options.live):
@@ -206,11 +226,12 @@ def evaluate(options: EvalOptions) -> int:
 def _drive_once(options: EvalOptions) -> int:
     """Drive once on the nominal rover model."""
     from rover_ncp.circuit.policy_file import load_policy
-    from rover_ncp.course.course import load_course
+    from sim.evaluate.courses import fitted_courses
     from sim.learn.rollout import rollout
+    from sim.world.described import described_rover
 
-    course = load_course(options.courses[0])
-    run = rollout(load_policy(options.policy), course)
+    (course,), robot, changes = fitted_courses(options)
+    run = rollout(load_policy(options.policy), course, described_rover(robot) if robot else None)
     verdict = run.verdict
     fields = {
         "return": run.total,
@@ -219,11 +240,14 @@ def _drive_once(options: EvalOptions) -> int:
         "error_m": verdict.error_m,
         "error_rad": verdict.error_rad,
         "rms_m": run.rms_m,
+        "model": options.model,
+        "scaled": changes,
     }
     ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
     Output(options.json).result(
         fields,
-        f"{ending}; return {run.total:.4f}; final errors {1000 * verdict.error_m:.0f} mm and "
+        "".join(f"{line}\n" for line in changes)
+        + f"{ending}; return {run.total:.4f}; final errors {1000 * verdict.error_m:.0f} mm and "
         f"{1000 * verdict.error_rad:.0f} mrad; {1000 * run.rms_m:.0f} mm rms from the checkpoints",
     )
     return 0 if verdict.parked else 1

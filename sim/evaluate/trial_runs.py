@@ -11,52 +11,66 @@ from rich.progress import Progress
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import distance, wrap_angle
-from rover_ncp.course.course import load_course
+from rover_ncp.core.robot_description import RobotDescription
 from sim.evaluate.commands import EvalOptions, Sensors
+from sim.evaluate.courses import fitted_courses
 from sim.evaluate.driver import CIRCUIT, load_driver
-from sim.evaluate.evaluate import Evaluation, Spread, evaluate, tally, unseen_courses
+from sim.evaluate.evaluate import Evaluation, Spread, evaluate, tally
 from sim.live.trials import drive_live, trial_folder
 from sim.stack.camera import Camera
 from sim.stack.estimates import summary, words
 from sim.stack.trials import Driven, Stack, drive_all
-from sim.world.randomization import ranges_for
+from sim.world.described import described_rover, ranges_for
 
 
 def run_trials(options: EvalOptions) -> int:
     """Drive trials, report, and return the exit code: 1 if a single one was driven and did not park."""
-    ranges = ranges_for(options.randomization, options.profile, options.body)
-    courses = [load_course(name) for name in options.courses]
-    if options.random_courses:
-        courses = unseen_courses(options.seed, options.random_courses)
+    courses, robot, changes = fitted_courses(options)
+    ranges = ranges_for(options.randomization, options.profile, options.body, robot)
     trials, driver = options.trials or options.live or 1, load_driver(options.policy)
     output, more = Output(options.json), dict[str, Any]()
     if options.stack or options.live:
         if options.live and driver.agent != CIRCUIT:
             raise UsageError(f"{options.policy}: --live needs a policy")
         camera = Camera(options.camera_hz, options.camera_noise, options.camera_delay)
+        gyro, seen = _sensors(options, robot)
         stack = Stack(
             driver,
             tuple(courses),
             ranges,
             options.seed,
-            gyro=options.sensors in {Sensors.GYRO, Sensors.BOTH},
-            camera=camera if options.sensors in {Sensors.CAMERA, Sensors.BOTH} else None,
+            gyro=gyro,
+            camera=camera if seen else None,
             identify=options.identify,
             identify_camera=camera,
+            robot=robot,
         )
         run = _live if options.live else _through_stack
         found, more = run(output, stack, options, trials)
     else:
-        found = evaluate(driver, courses, ranges, trials=trials, seed=options.seed)
+        model = described_rover(robot) if robot else None
+        found = evaluate(driver, courses, ranges, trials=trials, seed=options.seed, model=model)
     fields = found.fields() | {
-        "randomize": options.randomization,
+        "randomize": options.randomization or ranges.name,
+        "model": options.model,
+        "scaled": changes,
         "body": options.body.value,
         "seed": options.seed,
         "random_courses": options.random_courses or 0,
         "course": ",".join(options.courses),
     }
-    output.result(fields | more, "\n".join(_words(found, more)))
+    output.result(fields | more, "\n".join([*changes, *_words(found, more)]))
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
+
+
+def _sensors(options: EvalOptions, robot: RobotDescription | None) -> tuple[bool, bool]:
+    """Return whether the driver has a gyro, and whether it has a camera."""
+    if options.sensors is None:
+        return robot is not None and robot.gyro is not None, False
+    gyro = options.sensors in {Sensors.GYRO, Sensors.BOTH}
+    if gyro and robot is not None and robot.arcos is None and robot.gyro is None:
+        raise UsageError(f"--sensors {options.sensors}: {robot.name} has no gyro")
+    return gyro, options.sensors in {Sensors.CAMERA, Sensors.BOTH}
 
 
 def _through_stack(

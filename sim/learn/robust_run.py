@@ -37,8 +37,8 @@ from sim.learn.robust import (
 from sim.learn.run_folder import open_folder
 from sim.learn.train import find_workers
 from sim.learn.workers import MadeOnce, Workers, available_processes
-from sim.world.described import default_rover
-from sim.world.randomization import Randomization, draw_trials, ranges_for
+from sim.world.described import default_rover, ranges_for
+from sim.world.randomization import Randomization, draw_trials
 
 FloatArray = NDArray[np.float64]
 

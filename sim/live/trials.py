@@ -10,7 +10,7 @@ from pathlib import Path
 
 from deploy.report.recorded_drive import read_drive
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.files import write_atomic
+from rover_ncp.core.files import USUAL_ROBOT, write_atomic
 from rover_ncp.core.recording import read_recording, rewrite
 from sim.evaluate.commands import EvalOptions
 from sim.evaluate.evaluate import cause
@@ -18,7 +18,7 @@ from sim.live.live_run import LiveRun
 from sim.live.peers import StartPosePublisher
 from sim.live.processes import ProcessError
 from sim.live.truth import during, judge_truth, recorded_truth
-from sim.stack.trials import MODEL, Driven, Stack
+from sim.stack.trials import Driven, Stack
 
 _EXTRA_S = 180.0
 """For a driver to start, on a machine that does other things too, and to stand for a moment."""
@@ -58,12 +58,14 @@ class _LiveTrial(LiveRun):
         self._out, self._stack, self._number = trial_folder(options.out, number), stack, number
         self._policy, self._course_file = options.policy, str(self._out / "course.yaml")
         self._localiser = ExitStack()
-        robot = ["--body", options.body.value, "--randomize", options.randomization]
+        robot = ["--body", options.body.value, "--randomize", options.randomization or ""]
         robot += ["--trial", str(number), "--seed", str(options.seed)]
         robot += ["--gyro"] if stack.gyro else []
         if options.profile is not None:
             robot += ["--profile", str(options.profile)]
-        super().__init__(self._out / "log", mock=["--model", MODEL, "--course", self._course_file, *robot])
+        super().__init__(
+            self._out / "log", mock=["--model", USUAL_ROBOT, "--course", self._course_file, *robot]
+        )
 
     def start(self) -> None:
         """Write the trial's files, and start mock and bridge."""
@@ -75,7 +77,7 @@ class _LiveTrial(LiveRun):
 
     def start_driver(self) -> None:
         """Publish the rover's start pose, and start the driver."""
-        start = self._stack.robot(self._number).rover.pose
+        start = self._stack.drawn(self._number).rover.pose
         self._localiser.enter_context(StartPosePublisher(self.robot, start))
         self._driver = self.deploy(
             *("--policy", self._policy, "--course", self._course_file),

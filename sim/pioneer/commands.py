@@ -84,7 +84,7 @@ def mock(
     --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
     """
     from sim.pioneer.run import Ros2Options, run_mock
-    from sim.world.randomization import ranges_for
+    from sim.world.described import ranges_for
 
     run_mock(
         listen=listen,

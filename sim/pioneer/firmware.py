@@ -91,7 +91,7 @@ class Firmware:
         self.baudrate = RATES[0]
         """The rate of its serial line: HOSTBAUD changes it, the end of a session restores FLASH's."""
         self.client = ClientState.WAITING
-        self.sip_due_s = self._measure_due_s = math.inf
+        self.due_s = self._measure_due_s = math.inf
         """When the next SIP will be sent, and when its content will be measured."""
         self._expected = 0
         self._out = bytearray()
@@ -149,9 +149,9 @@ class Firmware:
         if self.client is ClientState.OPEN and self.now >= self._measure_due_s - 1e-9:
             self._measure_due_s += self._config.sip_cycle / 1000
             self._reporter.measure()
-        if self.client is ClientState.OPEN and self.now >= self.sip_due_s - 1e-9:
+        if self.client is ClientState.OPEN and self.now >= self.due_s - 1e-9:
             self._report()
-            self.sip_due_s = self._measure_due_s + self._trial.next_age_s
+            self.due_s = self._measure_due_s + self._trial.next_age_s
 
     def _report(self) -> None:
         self._begin_tick()
@@ -315,7 +315,7 @@ class Firmware:
         """End the session: stop, motors off, working values as in FLASH (AROS manual p. 44)."""
         self.client = ClientState.WAITING
         self._expected = 0
-        self.sip_due_s = self._measure_due_s = math.inf
+        self.due_s = self._measure_due_s = math.inf
         self._streams: dict[int, int] = {}
         self._gyro.on = False
         self.baudrate = RATES[self._config.host_baud]
@@ -327,7 +327,7 @@ class Firmware:
         if self.client is ClientState.SYNCED:
             self.client = ClientState.OPEN
             self._measure_due_s = self.now + self._config.sip_cycle / 1000
-            self.sip_due_s = self._measure_due_s + self._trial.next_age_s
+            self.due_s = self._measure_due_s + self._trial.next_age_s
 
     def _restart(self) -> None:
         self._emit(Packet(Kind.RESET_FF))

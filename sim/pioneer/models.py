@@ -6,12 +6,11 @@ Factors, outlines and motion are those of the descriptions; FLASH values from re
 
 import math
 
-from bridge.base import RobotShape, shape_of
+from bridge.base import shape_of
 from bridge.pioneer.packets import ConfigPac
 from bridge.pioneer.robots import ROBOTS, RobotParameters
 from rover_ncp.core.robot_description import RobotDescription, load_description
 from sim.world.described import described_rover
-from sim.world.rover import RoverModel
 
 BASE_NAME, BASE_CLASS = "rover-ncp_mock", "Pioneer"
 
@@ -20,11 +19,6 @@ TICKS_PER_MM = 128
 
 BUMPER_SEGMENTS = 5
 """Front and rear, as ARIA's defaults."""
-
-
-def rover_model_of(robot: RobotShape) -> RoverModel:
-    """Return the simulated rover of a shipped model."""
-    return described_rover(load_description(robot.name))
 
 
 def wheel_parameters(description: RobotDescription) -> RobotParameters:
@@ -41,7 +35,7 @@ def wheel_parameters(description: RobotDescription) -> RobotParameters:
 def config_of(name: str) -> ConfigPac:
     """Return the CONFIGpac of a model fresh from power-up. Its COUNT is beyond 127, as a real one's."""
     robot = ROBOTS[name]
-    rover = rover_model_of(robot)
+    rover = described_rover(load_description(name))
     accel, decel = round(rover.accel * 1000), round(rover.decel * 1000)
     turn_accel, turn_decel = round(math.degrees(rover.alpha)), round(math.degrees(rover.alpha_decel))
     return ConfigPac(

@@ -35,14 +35,16 @@ class SimulatedBase(Protocol):
     """A base on a simulated rover, as `sim.pioneer.firmware.Firmware`."""
 
     drive: DriveTrain
-    sip_due_s: float
-    """When the base sends its next message."""
     observe: Callable[[float], None] | None
     """Called after each substep with its time in s."""
 
     @property
     def now(self) -> float:
         """The time up to which the rover has moved, s."""
+
+    @property
+    def due_s(self) -> float:
+        """When the base sends its next message."""
 
     def advance(self, now: float) -> None:
         """Let time pass until ``now``."""
@@ -110,7 +112,7 @@ class RealTimeLoop:
         if fault_lines is not None:
             self.selector.register(fault_lines, selectors.EVENT_READ, lambda: self._read_fault(fault_lines))
         while not stopping():
-            sleep_s = max(min(self._base.sip_due_s - time.monotonic(), PERIOD_S), 0.0)
+            sleep_s = max(min(self._base.due_s - time.monotonic(), PERIOD_S), 0.0)
             self._lateness.begin(sleep_s)
             for key, _ in self.selector.select(sleep_s):
                 key.data()

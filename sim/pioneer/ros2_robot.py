@@ -7,6 +7,7 @@ that is ignored, as ros2_control's diff_drive_controller does.
 
 import math
 import random
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -52,7 +53,6 @@ class Ros2Robot:
         self.drive = DriveTrain(wheel_parameters(description), rover, self._trial)
         self.drive.enable(True)
         self.observe: Callable[[float], None] | None = None
-        self.sip_due_s = start_s
         self.ignored = 0
         """Commands that could not be read, or were too old."""
         self._faults, self._random = faults or Faults(), random.Random(seed)
@@ -61,7 +61,17 @@ class Ros2Robot:
         """When the first command that moves it came."""
         self._fed_s = self._silent_until_s = -math.inf
         self._was_reset = False
-        self._gyro_due_s = self._battery_due_s = self._scan_due_s = start_s
+        rates = {
+            self.topics.odom: description.odometry.rate_hz,
+            self.topics.imu: description.gyro.rate_hz if description.gyro else 0.0,
+            self.topics.battery_state: 1.0 / BATTERY_S,
+            self.topics.scan: description.scan.rate_hz if description.scan else 0.0,
+        }
+        self._rates = {name: hz for name, hz in rates.items() if name is not None and hz}
+        """How often it publishes each of its topics, by name."""
+        self._due = dict.fromkeys(self._rates, start_s)
+        self._held: deque[tuple[float, bytes]] = deque()
+        """Odometry that is sent late, and when."""
         self._turned, self._turned_s = rover.turned, start_s
         self._out: list[tuple[str, bytes]] = []
         self._frozen: Pose | None = None
@@ -70,6 +80,13 @@ class Ros2Robot:
     def now(self) -> float:
         """The time up to which the rover has moved, s."""
         return self._start_s + self._substeps * SUBSTEP_S
+
+    @property
+    def due_s(self) -> float:
+        """The end of the substep in which it next publishes odometry; all else may wait for that."""
+        next_s = min(self._due[self.topics.odom], self._held[0][0] if self._held else math.inf)
+        substeps = math.ceil((next_s - self._start_s) / SUBSTEP_S - 1e-6)
+        return self._start_s + max(substeps, self._substeps + 1) * SUBSTEP_S
 
     def advance(self, now: float) -> None:
         """Let time pass until ``now``."""
@@ -143,30 +160,42 @@ class Ros2Robot:
         self._report()
 
     def _report(self) -> None:
-        due = self.now >= self.sip_due_s - 1e-9
-        if due:
-            self.sip_due_s = max(self.sip_due_s + 1.0 / self.description.odometry.rate_hz, self.now)
-        if self._fault("mute") is not None or self.now < self._silent_until_s:
+        now, topics = self.now, self.topics
+        due = {name for name, due_s in self._due.items() if now >= due_s - 1e-9}
+        for name in due:
+            self._due[name] = max(self._due[name] + 1.0 / self._rates[name], now)
+        if self._fault("mute") is not None or now < self._silent_until_s:
+            self._held.clear()
             return
-        gyro, topics = self.description.gyro, self.topics
-        if gyro is not None and topics.imu is not None and self.now >= self._gyro_due_s - 1e-9:
-            self._gyro_due_s = max(self._gyro_due_s + 1.0 / gyro.rate_hz, self.now)
-            self._emit(topics.imu, messages.imu(self._turn_rate(), gyro.noise_rad_s**2, self._stamp_ns()))
-        if topics.battery_state is not None and self.now >= self._battery_due_s - 1e-9:
-            self._battery_due_s = self.now + BATTERY_S
+        while self._held and now >= self._held[0][0] - 1e-9:
+            self._emit(topics.odom, self._held.popleft()[1])
+        if topics.imu in due:
+            self._emit(topics.imu, self._gyro())
+        if topics.battery_state in due:
             volts = self._fault("low-battery") or self.description.battery.nominal_v
             self._emit(topics.battery_state, messages.battery_state(volts, self._stamp_ns()))
-        if topics.scan is not None and self.now >= self._scan_due_s - 1e-9:
+        if topics.scan in due:
             self._emit(topics.scan, self._scan())
-        if due:
-            frames = topics.odom_frame, topics.base_frame
-            odometry = messages.odometry(self._pose(), self.drive.measured, self._stamp_ns(), frames=frames)
-            self._emit(topics.odom, odometry)
+        if topics.odom in due:
+            self._send_odometry()
+
+    def _send_odometry(self) -> None:
+        """Publish odometry, or hold it back for as long as a trial's messages take."""
+        frames = self.topics.odom_frame, self.topics.base_frame
+        data = messages.odometry(self._pose(), self.drive.measured, self._stamp_ns(), frames=frames)
+        age_s = self._trial.next_age_s
+        if age_s or self._held:
+            self._held.append((max(self.now + age_s, self._held[-1][0] if self._held else 0.0), data))
+        else:
+            self._emit(self.topics.odom, data)
+
+    def _gyro(self) -> bytes:
+        assert self.description.gyro is not None
+        return messages.imu(self._turn_rate(), self.description.gyro.noise_rad_s**2, self._stamp_ns())
 
     def _scan(self) -> bytes:
         laser = self.description.scan
         assert laser is not None
-        self._scan_due_s = self.now + 1.0 / laser.rate_hz
         rover = self.drive.rover
         mount = compose(rover.pose, Pose(laser.x_m, laser.y_m, math.radians(laser.yaw_deg)))
         beams = [compose(mount, Pose(0.0, 0.0, math.tau * beam / BEAMS)) for beam in range(BEAMS)]

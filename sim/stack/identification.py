@@ -8,10 +8,11 @@ from deploy.identify.excitation import FENCE_M, excite
 from deploy.identify.fit import identify
 from deploy.identify.motion_log import motion_log
 from rover_ncp.core.recording import Recorded
+from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.core.robot_profile import RoverProfile
-from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, Drawn
 from sim.stack.camera import Camera, Localiser
+from sim.stack.lines import simulated_base
 from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.randomization import Randomization
 
@@ -24,14 +25,16 @@ def levelled(ranges: Randomization) -> Randomization:
     return ranges.model_copy(update={"skid_steer": level})
 
 
-def identified(drawn: Drawn, model: str, camera: Camera, stream: np.random.Generator) -> RoverProfile:
+def identified(
+    drawn: Drawn, robot: RobotDescription, camera: Camera, stream: np.random.Generator
+) -> RoverProfile:
     """Drive a robot forward and back, left and right, under a camera, and return its profile."""
-    firmware = Firmware(model, drawn.rover, trial=BaseTrial(drawn.trials))
-    bridge, received = VirtualBridge(firmware), list[Recorded]()
+    base = simulated_base(robot, drawn.rover, BaseTrial(drawn.trials), gyro=False)
+    bridge, received = VirtualBridge(base), list[Recorded]()
     link = VirtualLink(bridge, drawn.rover.pose, received.append)
-    firmware.observe = Localiser(camera, drawn.rover, stream, link.localise).observe
+    base.observe = Localiser(camera, drawn.rover, stream, link.localise).observe
     measurements = Measurements(link)
     monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
     monitor.wait()
     excite(link, measurements, monitor, FENCE_M, bridge)
-    return identify(motion_log(received), model)
+    return identify(motion_log(received), robot.name)

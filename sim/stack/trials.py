@@ -11,35 +11,35 @@ from bisect import bisect_right
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from bridge.pioneer.robots import ROBOTS
-from deploy.drive.config import DriveConfig
+from deploy.drive.config import DriveConfig, settings_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.estimator.settings import EstimatorSettings
+from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.geometry import Pose
+from rover_ncp.core.robot_description import RobotDescription, load_description
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import Course, Verdict
 from sim.evaluate.commands import Place
 from sim.evaluate.driver import Driver
 from sim.evaluate.evaluate import cause
 from sim.learn.workers import WorkerDied, available_processes, starting_processes
-from sim.pioneer.firmware import Firmware
-from sim.pioneer.models import config_of, rover_model_of
 from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
 from sim.stack.camera import Camera, Localiser
 from sim.stack.estimates import Belief, belief_of, settings_of
 from sim.stack.identification import identified, levelled
+from sim.stack.lines import simulated_base
 from sim.stack.virtual import SilentPublisher, VirtualBridge, VirtualLink
+from sim.world.described import described_rover
 from sim.world.randomization import Randomization
 from sim.world.rover import Rover, RoverModel
 
-MODEL = "p3at-sh"
 _WORTH_A_PROCESS = 6
 """Fewer trials take no longer than a process takes to start."""
 
@@ -76,11 +76,18 @@ class Stack:
     identify: Place | None = None
     """Where the robot is identified before it drives, if at all; ``identify_camera`` then sees it."""
     identify_camera: Camera = field(default_factory=Camera)
+    robot: RobotDescription | None = None
+    """The model of robot; None is a Pioneer 3-AT that its driver knows nothing of."""
+
+    @cached_property
+    def description(self) -> RobotDescription:
+        """The robot's."""
+        return self.robot or load_description(USUAL_ROBOT)
 
     @cached_property
     def model(self) -> RoverModel:
         """The nominal rover."""
-        return rover_model_of(ROBOTS[MODEL])
+        return described_rover(self.description)
 
     @cached_property
     def known(self) -> RoverProfile:
@@ -95,7 +102,12 @@ class Stack:
     @cached_property
     def settings(self) -> EstimatorSettings:
         """The estimator's, unless the robot is identified before its drive."""
-        return settings_of(self.ranges, self.known, measured=self.ranges.rover is not None)
+        return self._settings(self.known, measured=self.ranges.rover is not None)
+
+    def _settings(self, known: RoverProfile, *, measured: bool) -> EstimatorSettings:
+        if self.robot is not None:
+            return settings_for(known, self.robot)
+        return settings_of(self.ranges, known, measured=measured)
 
     @cached_property
     def _controllers(self) -> dict[int, Controller]:
@@ -106,7 +118,7 @@ class Stack:
         """Return the course of a trial."""
         return self.courses[number % len(self.courses)]
 
-    def robot(self, number: int) -> Drawn:
+    def drawn(self, number: int) -> Drawn:
         """Return the robot of a trial."""
         return draw_rover(self.ranges, self.model, self.course(number), seed=self.seed, number=number)
 
@@ -115,25 +127,19 @@ class Stack:
         ranges = levelled(self.ranges) if place is Place.LEVEL else self.ranges
         drawn = draw_rover(ranges, self.model, None, seed=self.seed, number=number)
         stream = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number, 3)))
-        return self._completed(identified(drawn, MODEL, self.identify_camera, stream))
+        return self._completed(identified(drawn, self.description, self.identify_camera, stream))
 
     def drive(self, number: int) -> Driven:
         """Drive a trial from power-up to the motors' release."""
         known, settings = self.known, self.settings
         if self.identify is not None:
             known = self._identified(number, self.identify)
-            settings = settings_of(self.ranges, known, measured=True)
-        course, (rover, trials) = self.course(number), self.robot(number)
-        flash = replace(config_of(MODEL), has_gyro=int(self.gyro))
-        camera_seed, gyro_seed = np.random.SeedSequence(self.seed, spawn_key=(number, 2)).spawn(2)
-        firmware = Firmware(
-            MODEL,
-            rover,
-            config=flash,
-            trial=BaseTrial(trials),
-            gyro_seed=int(gyro_seed.generate_state(1)[0]),
-        )
-        bridge = VirtualBridge(firmware)
+            settings = self._settings(known, measured=True)
+        course, (rover, trials) = self.course(number), self.drawn(number)
+        camera_seed, base_seed = np.random.SeedSequence(self.seed, spawn_key=(number, 2)).spawn(2)
+        gyro_seed = int(base_seed.generate_state(1)[0])
+        base = simulated_base(self.description, rover, BaseTrial(trials), gyro=self.gyro, seed=gyro_seed)
+        bridge = VirtualBridge(base)
         link = VirtualLink(bridge, rover.pose)
         truth = _Truth(rover, watch=bool(course.obstacles))
         watching = [truth.note]
@@ -145,7 +151,7 @@ class Stack:
             for watch in watching:
                 watch(now)
 
-        firmware.observe = observe
+        base.observe = observe
         config = DriveConfig(
             robot=link.robot,
             namespace="",
@@ -172,8 +178,8 @@ class Stack:
             rover.pose,
             report.ticks,
             report.overruns,
-            bridge.bytes_to_base,
-            bridge.bytes_from_base,
+            bridge.line.bytes_to_base,
+            bridge.line.bytes_from_base,
             belief_of(drive, rover.pose),
         )
 

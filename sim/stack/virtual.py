@@ -1,6 +1,6 @@
 """Stack simulation: base, bridge and network on a virtual clock, without sockets, Zenoh and waiting.
 
-Firmware and bridge loop are those of the processes, and exchange the same bytes. The driver uses
+Robot and bridge loop are those of the processes, and exchange the same bytes. The driver uses
 `VirtualLink` in place of its Zenoh session. Time passes only while the driver waits, in the order of events:
 bytes reach the bridge when the base sends them, and the bridge's loop turns when something arrives or its
 timer expires. A delay of a millisecond in a live run is zero here.
@@ -9,13 +9,9 @@ timer expires. A delay of a millisecond in a live run is zero here.
 import math
 from collections.abc import Callable
 
-from bridge.base_connection import Opened, Received
 from bridge.gate.limits import Limits
 from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
-from bridge.pioneer.base import ArcosBase
-from bridge.pioneer.session import Session
-from bridge.pioneer.setpoints import MotionLimits
 from deploy.drive.controller import Tick
 from deploy.drive.lease import DriverLease
 from deploy.drive.measurements import Arrival, Inbox
@@ -37,6 +33,8 @@ from rover_ncp.core.protocol import (
 from rover_ncp.core.recording import Recorded
 from sim.live.peers import known_pose
 from sim.pioneer.firmware import Firmware
+from sim.pioneer.ros2_robot import Ros2Robot
+from sim.stack.lines import virtual_line
 
 NS = 1_000_000_000
 WALL_NS = 1_700_000_000 * NS
@@ -46,21 +44,19 @@ _LATE_NS = 1000
 
 
 class VirtualBridge:
-    """A base with its bridge. The firmware's clock must begin at 0."""
+    """A robot with its bridge. The robot's clock must begin at 0."""
 
-    def __init__(self, firmware: Firmware, limits: Limits | None = None) -> None:
-        self.firmware = firmware
+    def __init__(self, robot: Firmware | Ros2Robot, limits: Limits | None = None) -> None:
+        self.line = virtual_line(robot, limits)
         self.now_ns = 0
-        self.bytes_to_base = self.bytes_from_base = 0
         self.deliver: Callable[[str, bytes], None] = lambda name, data: None
         """Called with all that the bridge publishes: its key and the CDR bytes."""
-        allowed = limits or Limits()
-        self._inbox: list[object] = [Opened()]
+        self._inbox: list[object] = []
         self._node = Node(
-            ArcosBase(self, Session("auto", MotionLimits(v=allowed.v_max, omega=allowed.omega_max))),
+            self.line.base,
             self,
             self,
-            limits=allowed,
+            limits=self.line.limits,
             accept_ros=False,
             say=lambda words: None,
             ready=lambda: None,
@@ -90,21 +86,15 @@ class VirtualBridge:
         until_ns = self.now_ns + max(math.ceil(seconds * NS), 0)
         self._turn()
         while not condition() and self.now_ns < until_ns:
-            due_s = min(self.firmware.sip_due_s, self._node.due_s)
+            due_s = min(self.line.due_s, self._node.due_s)
             due_ns = until_ns if math.isinf(due_s) else math.ceil(due_s * NS) + _LATE_NS
             self.now_ns = min(max(due_ns, self.now_ns), until_ns)
-            self.firmware.advance(self.monotonic())
-            self._collect()
+            self.line.advance(self.monotonic())
             self._turn()
 
     def _turn(self) -> None:
-        while self._inbox or self._node.due_s * NS + _LATE_NS <= self.now_ns:
+        while self.line.arrivals or self._inbox or self._node.due_s * NS + _LATE_NS <= self.now_ns:
             self._node.turn()
-
-    def _collect(self) -> None:
-        if data := self.firmware.data_to_send():
-            self.bytes_from_base += len(data)
-            self._inbox.append(Received(data))
 
     # What the driver sends.
 
@@ -121,36 +111,14 @@ class VirtualBridge:
             raise RuntimeError(f"the bridge does not answer {name}")
         return replies[0]
 
-    # What the bridge's loop calls: its inbox, its connection to the base, its Zenoh session.
-
-    endpoint = "virtual"
+    # What the bridge's loop calls: its inbox and its Zenoh session.
 
     def take(self, timeout_s: float) -> list[tuple[float, object]]:
         """Return what arrived; time passes elsewhere."""
-        arrived, self._inbox = self._inbox, []
+        arrived = [*self.line.arrivals, *self._inbox]
+        self.line.arrivals.clear()
+        self._inbox.clear()
         return [(self.monotonic(), arrival) for arrival in arrived]
-
-    def use(self) -> None:
-        """Do nothing: there is only one connection."""
-
-    def drop(self) -> None:
-        """Do nothing: the connection never breaks."""
-
-    def close(self) -> None:
-        """Do nothing: the connection stays open."""
-
-    def set_baudrate(self, baudrate: int) -> None:
-        """Do nothing: the connection has no rate."""
-
-    def reopen(self, reason: str) -> None:
-        """Open a new connection."""
-        self._inbox.append(Opened())
-
-    def write(self, data: bytes) -> None:
-        """Bring bytes to the base."""
-        self.bytes_to_base += len(data)
-        self.firmware.receive(data, self.monotonic())
-        self._collect()
 
     def key(self, name: str) -> str:
         """Return the key expression of a message; there is no namespace."""

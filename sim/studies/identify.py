@@ -19,22 +19,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.progress import track
 
-from bridge.pioneer.robots import ROBOTS
 from bridge.pioneer.setpoints import MotionLimits
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify.excitation import FENCE_M, excite
 from deploy.identify.fit import identify
 from deploy.identify.motion_log import motion_log
+from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance
 from rover_ncp.core.recording import Recorded
 from rover_ncp.core.robot_profile import RoverProfile
 from sim.pioneer.firmware import Firmware
-from sim.pioneer.models import rover_model_of
 from sim.pioneer.trial import BaseTrial, rover_of
-from sim.stack.trials import MODEL
 from sim.stack.virtual import VirtualBridge, VirtualLink
+from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground
 from sim.world.randomization import Randomization, Trials, draw_trials, load_randomization
 from sim.world.rover import SUBSTEP_S
@@ -56,14 +55,13 @@ class Error(NamedTuple):
 
 def robot(ranges: Randomization, seed: int, number: int) -> Trials:
     """Draw a robot, as row 0."""
-    model = rover_model_of(ROBOTS[MODEL])
-    return draw_trials(ranges, model, seed, count=1, ticks=TICKS, first=number)
+    return draw_trials(ranges, default_rover(), seed, count=1, ticks=TICKS, first=number)
 
 
 def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Recorded]:
     """Drive a robot as `identify` does, through firmware, bridge and driver's code on a virtual clock."""
-    rover = rover_of(trials, rover_model_of(ROBOTS[MODEL]), Ground(()))
-    bridge = VirtualBridge(Firmware(MODEL, rover, trial=BaseTrial(trials)))
+    rover = rover_of(trials, default_rover(), Ground(()))
+    bridge = VirtualBridge(Firmware(USUAL_ROBOT, rover, trial=BaseTrial(trials)))
     received: list[Recorded] = []
     look = _camera(rover, bridge, received, np.random.default_rng(seed)) if outside else lambda: None
 

@@ -1,19 +1,19 @@
 """A robot description as a simulated rover, and the ranges in which robots of that model differ.
 
-Which robots a driver meets: their start is known to 10 cm and 10°, commands get lost, wheels slip and a cable
-lies on the way, as in the randomization harsh. Delays and odometry are those of the description.
+Start, accelerations, gains, slip, drift and a push on the way are those of the randomization harsh; delays
+and odometry are those of the description.
 """
 
 from functools import cache
+from pathlib import Path
 
+from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.robot_description import RobotDescription, load_description
+from rover_ncp.core.robot_profile import load_profile
+from sim.world.bodies import PRESETS, Body
 from sim.world.randomization import Randomization, load_randomization
 from sim.world.rover import RoverModel
 
-DEFAULT = "p3at-sh"
-"""The robot that is simulated unless another is named: the paper's."""
-OWN = "robot"
-"""The name of a description's own ranges, in place of a randomization's."""
 DELAYS = (0.5, 2.0)
 """Least and greatest delay over the usual one."""
 CENTER = 0.1
@@ -23,7 +23,7 @@ CENTER = 0.1
 @cache
 def default_rover(**different: float) -> RoverModel:
     """Return the simulated Pioneer 3-AT, or one with other values."""
-    return described_rover(load_description(DEFAULT)).model_copy(update=different)
+    return described_rover(load_description(USUAL_ROBOT)).model_copy(update=different)
 
 
 def described_rover(description: RobotDescription) -> RoverModel:
@@ -54,7 +54,26 @@ def ranges_of(description: RobotDescription) -> Randomization:
         own["rotation_center_m"] = CENTER * description.length_m
     if description.arcos is None:
         own |= {"speed_step_m_s": 0.0, "turn_step_rad_s": 0.0, "noise_m": 0.0, "noise_rad": 0.0}
+        # Over TCP, to the robot's own computer: few get lost, and one at a time.
+        own |= {"lost": 0.05, "burst": 1.0}
     return load_randomization("harsh").model_copy(update=own)
+
+
+def ranges_for(
+    name_or_path: str | Path | None,
+    profile: Path | None,
+    body: Body = Body.PYMUNK,
+    robot: RobotDescription | None = None,
+) -> Randomization:
+    """Load ranges, with the profile of the known rover, if any.
+
+    Without a name they are those of the robot, or else a body's nominal ones. Raises UsageError.
+    """
+    if name_or_path is None and robot is not None:
+        ranges = ranges_of(robot)
+    else:
+        ranges = load_randomization(PRESETS[body][0] if name_or_path is None else name_or_path, body)
+    return ranges if profile is None else ranges.model_copy(update={"rover": load_profile(profile)})
 
 
 def _times(delay_s: float) -> tuple[float, float]:

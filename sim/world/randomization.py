@@ -17,7 +17,7 @@ from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.robot_profile import RoverProfile, load_profile
+from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import TICK_S
 from sim.world.bodies import PRESETS, Body
 from sim.world.rover import SUBSTEP_S, RoverModel
@@ -121,14 +121,6 @@ def load_randomization(name_or_path: str | Path, body: Body = Body.PYMUNK) -> Ra
             f"{', '.join(PRESETS[body])}, or a YAML file"
         )
     return ranges
-
-
-def ranges_for(
-    name_or_path: str | Path | None, profile: Path | None, body: Body = Body.PYMUNK
-) -> Randomization:
-    """Load ranges, a body's nominal ones by default, and the profile of the known rover, if any."""
-    ranges = load_randomization(PRESETS[body][0] if name_or_path is None else name_or_path, body)
-    return ranges if profile is None else ranges.model_copy(update={"rover": load_profile(profile)})
 
 
 def nominal_trials(model: RoverModel, ticks: int) -> Trials:

@@ -12,10 +12,10 @@ from arcos_captures import CAPTURES
 
 from bridge.pioneer.arcos import Decoder
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Kind, Sip
-from bridge.pioneer.robots import ROBOTS
+from rover_ncp.core.robot_description import load_description
 from sim.pioneer.firmware import ClientState, Firmware
-from sim.pioneer.models import rover_model_of
 from sim.pioneer.server import Server
+from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 
 MODEL = "p3at-sh"
@@ -56,7 +56,7 @@ class AmriSimServer:
     """One on TCP, turned by a thread until ``close``."""
 
     def __init__(self):
-        self.rover = PymunkRover(rover_model_of(ROBOTS[MODEL]), Ground())
+        self.rover = PymunkRover(described_rover(load_description(MODEL)), Ground())
         flash = ConfigPac.decode(RECORDED[Kind.CONFIG].payload)
         firmware = AmriSim(MODEL, self.rover, None, time.monotonic(), config=flash)
         self.server = Server("127.0.0.1", 0, firmware)

@@ -5,12 +5,12 @@ import struct
 
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command, encode_frame
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
-from bridge.pioneer.robots import ROBOTS
+from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import Obstacle
 from sim.pioneer.client_commands import STRING
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import ClientState, Firmware
-from sim.pioneer.models import rover_model_of
+from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 
 Argument = int | bytes | tuple[int, int, int] | None
@@ -28,7 +28,7 @@ class Pioneer:
         config: ConfigPac | None = None,
     ) -> None:
         walls = [Obstacle(x=wall_x, y=0.0, length=0.2, width=4.0)] if wall_x is not None else []
-        self.rover = PymunkRover(rover_model_of(ROBOTS[model]), Ground(walls))
+        self.rover = PymunkRover(described_rover(load_description(model)), Ground(walls))
         injected = Faults([parse_fault(text) for text in faults], seed)
         self.firmware = Firmware(model, self.rover, injected, config=config)
         self.now = 0.0

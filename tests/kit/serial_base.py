@@ -12,9 +12,10 @@ from dataclasses import replace
 
 from bridge.pioneer.arcos import Command, Packet
 from bridge.pioneer.baud import RATES
-from bridge.pioneer.robots import ROBOTS
+from rover_ncp.core.robot_description import load_description
 from sim.pioneer.firmware import Firmware
-from sim.pioneer.models import config_of, rover_model_of
+from sim.pioneer.models import config_of
+from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 
 SPEEDS = {getattr(termios, f"B{rate}"): rate for rate in (9600, 19200, 38400, 57600, 115200)}
@@ -44,7 +45,7 @@ class SerialBase:
         )  # ours stays open: without it, reading ends when a client leaves
         tty.setraw(self._near)
         self.port = os.ttyname(self._near)
-        self.rover = PymunkRover(rover_model_of(ROBOTS[model]), Ground())
+        self.rover = PymunkRover(described_rover(load_description(model)), Ground())
         self._start_s = time.monotonic()
         flash = replace(config_of(model), host_baud=RATES.index(rate))
         self.firmware = Listening(model, self.rover, start_s=self._start_s, config=flash)

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.robot_description import Circle, RobotDescription, load_description
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,11 +30,23 @@ POTENTIAL_MAP = "viridis"
 POTENTIAL_LOW_MV, POTENTIAL_HIGH_MV = -90.0, 0.0
 """Range of all potentials; colours mean the same in every figure."""
 
-_ROVER = load_description("p3at-sh")
-LENGTH_M, WIDTH_M = _ROVER.length_m, _ROVER.width_m
+
 _UNIT = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1], [1, 1]]) / 2
-OUTLINE = _UNIT * [LENGTH_M, WIDTH_M]
-"""The rover's corners in its own frame, closed, in m."""
+_SIDES = 36
+"""Of a round outline."""
+
+
+def outline_of(robot: RobotDescription) -> FloatArray:
+    """Return a robot's outline (n, 2) in its own frame, closed, in m; the first two points are its front."""
+    if isinstance(robot.footprint, Circle):
+        turns = np.linspace(0.0, math.tau, _SIDES + 1) + math.pi / _SIDES
+        return robot.footprint.radius_m * np.column_stack([np.cos(turns), np.sin(turns)])[::-1]
+    front, rear, half = robot.front_m, -robot.rear_m, robot.width_m / 2
+    return np.array([[front, half], [front, -half], [rear, -half], [rear, half], [front, half]])
+
+
+OUTLINE = outline_of(load_description(USUAL_ROBOT))
+"""That of the robot that courses and policies were made for."""
 
 
 class Picture(NamedTuple):

@@ -11,7 +11,6 @@ from deploy.report.charts.figure import (
     GREEN,
     GREY,
     INK,
-    LENGTH_M,
     OUTLINE,
     POTENTIAL_HIGH_MV,
     POTENTIAL_LOW_MV,
@@ -81,12 +80,14 @@ def trajectory(trace: Trace, course: Course, found: Sequence[Phase]) -> Picture:
     return render(drawn)
 
 
-def drive_chart(course: Course, truth: Sequence[Pose], estimate: Sequence[Pose]) -> Picture:
+def drive_chart(
+    course: Course, truth: Sequence[Pose], estimate: Sequence[Pose], outline: FloatArray = OUTLINE
+) -> Picture:
     """Draw the true and the estimated path of a drive, and the deadlines of its checkpoints."""
     drawn = figure(7.6, 6.2)
     axes = drawn.add_subplot()
     draw_course(axes, course)
-    _draw_ends(axes, np.array(truth))
+    _draw_ends(axes, np.array(truth), outline)
     for poses, color, dash, words in (
         (truth, BLUE, "solid", "true path"),
         (estimate, VERMILLION, "dashed", "estimate"),
@@ -149,7 +150,7 @@ def activity(trace: Trace, course: Course) -> Picture:
     return render(drawn)
 
 
-def course_picture(course: Course, found: Drivability) -> Picture:
+def course_picture(course: Course, found: Drivability, outline: FloatArray = OUTLINE) -> Picture:
     """Draw a course with its reference; crosses and causes mark checkpoints that cannot be driven."""
     drawn = figure(7.6, 6.2)
     axes = drawn.add_subplot()
@@ -164,8 +165,8 @@ def course_picture(course: Course, found: Drivability) -> Picture:
             line = np.where(which[:, None], way[:, :2], np.nan)
             axes.plot(*line.T, color=color, linestyle=dash, linewidth=2.5, label=words, zorder=4)
     for pose in way[::OUTLINE_EVERY]:
-        axes.plot(*placed(OUTLINE, pose).T, color=GREY, linewidth=0.5, alpha=0.6)
-    _draw_ends(axes, way)
+        axes.plot(*placed(outline, pose).T, color=GREY, linewidth=0.5, alpha=0.6)
+    _draw_ends(axes, way, outline)
     bad = sorted({problem.checkpoint for problem in found.problems})
     label = "cannot be driven"
     for number in bad:
@@ -237,9 +238,9 @@ def _draw_deadlines(axes: "Axes", course: Course) -> None:
             label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
 
 
-def _draw_ends(axes: "Axes", poses: FloatArray) -> None:
+def _draw_ends(axes: "Axes", poses: FloatArray, outline: FloatArray = OUTLINE) -> None:
     """Draw the rover's outline at the start, dashed, and at the end."""
     for words, pose, dash in (("start", poses[0], (0, (2, 2))), ("end", poses[-1], "solid")):
-        axes.plot(*placed(OUTLINE, pose).T, color=GREY, linewidth=1, linestyle=dash)
-        nose = placed(np.array([[LENGTH_M / 2, 0.0]]), pose)[0]
+        axes.plot(*placed(outline, pose).T, color=GREY, linewidth=1, linestyle=dash)
+        nose = placed(outline[:2].mean(axis=0, keepdims=True), pose)[0]
         axes.annotate(words, nose, xytext=(3, 3), textcoords="offset points", fontsize=8, color=GREY)

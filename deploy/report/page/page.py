@@ -10,6 +10,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup, escape
 
+from deploy.report.charts.figure import OUTLINE, FloatArray
 from deploy.report.findings import Findings, analyse
 from deploy.report.interpretation import PUBLISHED_SIGNS, SYMBOLS
 from deploy.report.page.page_data import circuit_data, columns, course_data, event_rows, rings
@@ -44,7 +45,7 @@ def drive_page(drive: Drive) -> str:
         "page.html",
         title=f"{summary.headline}: {drive.policy.circuit.name} on {drive.course.name}",
         data={
-            **_frame(drive.policy, drive.course),
+            **_frame(drive.policy, drive.course, drive.outline),
             "news": {
                 "reset": True,
                 **columns(drive.timeline, Counter()),
@@ -109,5 +110,5 @@ def findings_html(findings: Findings) -> dict[str, Markup]:
     }
 
 
-def _frame(policy: Policy, course: Course) -> dict[str, Any]:
-    return {"course": course_data(course), "circuit": circuit_data(policy)}
+def _frame(policy: Policy, course: Course, outline: FloatArray = OUTLINE) -> dict[str, Any]:
+    return {"course": course_data(course, outline), "circuit": circuit_data(policy)}

@@ -28,7 +28,7 @@ LEAST_RING = 1.5
 """Least width of a ring, so that a constant time constant has a visible one."""
 
 
-def course_data(course: Course) -> dict[str, Any]:
+def course_data(course: Course, outline: FloatArray = OUTLINE) -> dict[str, Any]:
     """Return a course and the rover's outline."""
     return {
         "checkpoints": [[p.t, p.x, p.y, p.theta] for p in course.checkpoints],
@@ -38,7 +38,7 @@ def course_data(course: Course) -> dict[str, Any]:
         ],
         "goal": [course.goal.x, course.goal.y, course.parked.position_m],
         "horizon": course.horizon_s,
-        "outline": OUTLINE.tolist(),
+        "outline": outline.round(4).tolist(),
     }
 
 

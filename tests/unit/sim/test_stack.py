@@ -24,8 +24,8 @@ from sim.stack.estimates import summary
 from sim.stack.identification import levelled
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
-from sim.world.described import default_rover
-from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials, ranges_for
+from sim.world.described import default_rover, ranges_for
+from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials
 from sim.world.skid_robot import SkidRanges, draw_robot
 
 SHORT = str(DATA / "short_course.yaml")
@@ -73,7 +73,7 @@ def test_drivers_beliefs_are_compared_with_the_truth(parking):
 def test_the_stack_drives_the_trials_of_plain_simulation(parking):
     driven, found = parking
     for number, trial in enumerate(found):
-        plain = rollout(driven.driver.policy, driven.course(number), trials=driven.robot(number).trials)
+        plain = rollout(driven.driver.policy, driven.course(number), trials=driven.drawn(number).trials)
         assert plain.verdict.parked
         # What differs: whole mm/s and deg/s, encoder steps, and an estimate that is less noisy.
         assert apart(plain.poses[-1], trial.pose) < 0.025
@@ -96,7 +96,7 @@ def test_without_errors_the_stack_ends_where_the_simulator_does():
 def test_a_known_start_reaches_the_driver_through_external_poses():
     driven = stack(Randomization(name="far", start_m=0.1, start_rad=0.1745), seed=5)
     for number in range(2):
-        trials = driven.robot(number).trials
+        trials = driven.drawn(number).trials
         plain = rollout(driven.driver.policy, driven.course(number), trials=trials)
         assert np.hypot(*trials.start[0, :2]) > 0.05
         assert apart(plain.poses[-1], driven.drive(number).pose) < 0.01

@@ -30,8 +30,10 @@ from rover_ncp.core.messages import (
     twist_stamped,
 )
 from rover_ncp.core.process import Interrupts
+from rover_ncp.core.robot_description import load_description
 from rover_ncp.core.robot_profile import load_profile
 from rover_ncp.course.course import TICK_S, load_course
+from rover_ncp.course.fit import slowed
 
 SWITCH_INTERVAL_S = 0.0005
 """How long another thread may keep the interpreter from the control loop (Python's default is 5 ms)."""
@@ -45,6 +47,7 @@ def run(
     *,
     policy: str = "course",
     course: str = "parking",
+    model: str | None = None,
     profile: Path | None = None,
     pose: PoseUse = "auto",
     require_accuracy_m: float | None = None,
@@ -60,6 +63,10 @@ def run(
     """
     the_policy, the_course = load_policy(policy), load_course(course)
     rover = load_profile(profile) if profile else None
+    robot = load_description(model) if model else None
+    if robot is not None:
+        the_course, pace = slowed(the_course, robot)
+        output.say(pace)
     ticks = the_course.ticks
     if duration_s is not None:
         if not TICK_S <= duration_s < math.inf:
@@ -74,8 +81,9 @@ def run(
         ticks=ticks,
         pose=pose,
         require_accuracy_m=require_accuracy_m,
-        estimator=settings_for(rover),
+        estimator=settings_for(rover, robot),
         rover=rover,
+        described=robot,
     )
     controller = Controller(the_policy, the_course, config.estimator, rover)
     files = attachments(the_policy, the_course, config)

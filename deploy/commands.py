@@ -18,6 +18,14 @@ def deploy(
     course: Annotated[
         str, typer.Option(help="Course by name or file: goal, start signal, time.")
     ] = "parking",
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="The robot's description, a name or a YAML file: the course takes longer for a slow robot, "
+            "and the estimator expects its errors.",
+            show_default="p3at-sh, as in the training",
+        ),
+    ] = None,
     record: Annotated[
         Path | None, typer.Option(help="Record the drive to this MCAP file; see 'rover-ncp replay'.")
     ] = None,
@@ -76,6 +84,7 @@ def deploy(
         Output(json, controls=True),
         policy=policy,
         course=course,
+        model=model,
         profile=profile,
         pose=pose,
         require_accuracy_m=require_accuracy,

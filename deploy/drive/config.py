@@ -56,6 +56,7 @@ class DriveConfig(Timeouts):
     )
     estimator: EstimatorSettings = EstimatorSettings()
     rover: RoverProfile | None = Field(default=None, description="what was measured of this robot")
+    described: RobotDescription | None = Field(default=None, description="what is known of its model")
 
 
 def settings_for(rover: RoverProfile | None, described: RobotDescription | None = None) -> EstimatorSettings:

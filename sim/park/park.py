@@ -167,8 +167,11 @@ def _clear(folder: Path, *, overwrite: bool) -> None:
 def _drive(run: LiveRun, options: ParkOptions, policy: str, horizon_s: float) -> tuple[Finished, Finished]:
     """Drive the course; return how driver and bridge ended. Raises ProcessError."""
     recording = str(options.out / "run.mcap")
+    described = ["--model", options.model] if options.model != USUAL_ROBOT else []
     driver = run.deploy(
-        *("--policy", policy, "--course", options.course, "--record", recording), *_overwrite(options)
+        *("--policy", policy, "--course", options.course, "--record", recording),
+        *described,
+        *_overwrite(options),
     )
     try:
         done = driver.wait(horizon_s + _DEPLOY_EXTRA_S)

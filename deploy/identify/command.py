@@ -23,6 +23,13 @@ def identify(
             show_default=False,
         ),
     ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="The robot's description, a name or a YAML file: steps are no faster than it drives.",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(help="The rover profile to write (YAML).")] = Path("rover.yaml"),
     fence: Annotated[
         float, typer.Option(min=0.1, max=5.0, help="How far from its start the rover may come, m.")
@@ -59,11 +66,13 @@ def identify(
     from deploy.identify.run import identify_recording, identify_robot
     from deploy.recorder import Recorder
     from deploy.zenoh_client import BridgeAddress
+    from rover_ncp.core.robot_description import load_description
 
     if robot is None:
         assert recording is not None
-        if record is not None:
-            raise UsageError("--record goes with --robot")
+        if record is not None or model is not None:
+            raise UsageError("--record and --model go with --robot")
         return identify_recording(recording, out, output)
     address = BridgeAddress(robot, namespace, zenoh_config)
-    return identify_robot(address, Recorder(record, overwrite=overwrite), fence, out, output)
+    described = load_description(model) if model else None
+    return identify_robot(address, Recorder(record, overwrite=overwrite), fence, out, output, robot=described)

@@ -20,6 +20,7 @@ from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance
 from rover_ncp.core.messages import OdometrySample
 from rover_ncp.core.process import Clock
+from rover_ncp.core.robot_description import RobotDescription
 
 FENCE_M = 0.8
 """How far from its start the rover may come; the steps take it half as far."""
@@ -41,19 +42,28 @@ class Step(NamedTuple):
     seconds: float
 
 
-def steps() -> list[Step]:
-    """Return the whole drive: 51 s."""
+def steps(robot: RobotDescription | None = None) -> list[Step]:
+    """Return the whole drive, 51 s, at speeds that the robot reaches."""
+    v_share = min(1.0, robot.motion.v_max / max(_SPEEDS_M_S)) if robot else 1.0
+    turn_share = min(1.0, robot.motion.omega_max / math.radians(max(_TURNS_DEG_S))) if robot else 1.0
     rest = Velocity(0.0, 0.0)
     found = [Step(rest, _BEFORE_S)]
     for v in _SPEEDS_M_S:
-        found += [Step(Velocity(v, 0.0), _DRIVE_S), Step(rest, _REST_S)]
+        found += [Step(Velocity(v_share * v, 0.0), _DRIVE_S), Step(rest, _REST_S)]
     for turn in _TURNS_DEG_S:
-        found += [Step(Velocity(0.0, math.radians(turn)), _TURN_S), Step(rest, _TURN_REST_S)]
+        omega = turn_share * math.radians(turn)
+        found += [Step(Velocity(0.0, omega), _TURN_S), Step(rest, _TURN_REST_S)]
     return [*found, Step(rest, _AFTER_S)]
 
 
 def excite(
-    link: Link, measurements: Measurements, monitor: SafetyMonitor, fence_m: float, clock: Clock = time
+    link: Link,
+    measurements: Measurements,
+    monitor: SafetyMonitor,
+    fence_m: float,
+    clock: Clock = time,
+    *,
+    robot: RobotDescription | None = None,
 ) -> None:
     """Drive the steps, after ``monitor.wait``; the lease is always released.
 
@@ -66,7 +76,7 @@ def excite(
         link.request_motors("identify")
         monitor.granted()
         due = clock.monotonic()
-        for step in steps():
+        for step in steps(robot) if robot else steps():
             end = due + step.seconds
             while due < end:
                 monitor.check()

@@ -19,6 +19,7 @@ from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.core.process import Interrupts
 from rover_ncp.core.recording import Recorded, read_recording
+from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.core.robot_profile import RoverProfile
 
 SETTINGS_FILE = "identify.yaml"
@@ -48,9 +49,15 @@ def identify_recording(path: Path, out: Path, output: Output) -> int:
 
 
 def identify_robot(
-    address: BridgeAddress, recorder: Recorder, fence_m: float, out: Path, output: Output
+    address: BridgeAddress,
+    recorder: Recorder,
+    fence_m: float,
+    out: Path,
+    output: Output,
+    *,
+    robot: RobotDescription | None = None,
 ) -> int:
-    """Drive a robot, write its profile, and return the exit code.
+    """Drive a robot at speeds that its model reaches, write its profile, and return the exit code.
 
     Raises RoverNcpError or KeyboardInterrupt; the rover was stopped before.
     """
@@ -69,16 +76,22 @@ def identify_robot(
         recorder.open({SETTINGS_FILE: dump_yaml(about).encode()})
         seconds = sum(step.seconds for step in steps())
         output.say(f"driving for {seconds:.0f} s within {fence_m} m of here; Ctrl-C stops the rover")
-        excite(link, measurements, monitor, fence_m)
+        excite(link, measurements, monitor, fence_m, robot=robot)
     if recorder.failure:
         raise FileError(f"the recording failed: {recorder.failure}")
-    return _write_profile(received, address.robot, out, output)
+    return _write_profile(received, address.robot, out, output, robot)
 
 
-def _write_profile(messages: list[Recorded], origin: str, out: Path, output: Output) -> int:
+def _write_profile(
+    messages: list[Recorded],
+    origin: str,
+    out: Path,
+    output: Output,
+    robot: RobotDescription | None = None,
+) -> int:
     """Return 1 when delays or gains could not be determined, else 0."""
     profile = identify(motion_log(messages), out.stem)
-    made = {"from": origin, "version": version("rover-ncp")}
+    made = {"from": origin, "version": version("rover-ncp")} | ({"model": robot.name} if robot else {})
     profile = profile.model_copy(update={"measured": made | profile.measured})
     write_atomic(out, dump_yaml(profile.model_dump(mode="json", exclude_none=True)))
     fields = profile.model_dump(mode="json", exclude={"format"})

@@ -15,6 +15,13 @@ def check(
     on_blocks: Annotated[
         bool, typer.Option("--on-blocks", help="The wheels are off the ground; the check turns them.")
     ] = False,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="The robot's description, a name or a YAML file: what the bridge must drive, at its rate.",
+            show_default=False,
+        ),
+    ] = None,
     namespace: Namespace = "",
     zenoh_config: ZenohConfig = None,
     json: Json = False,
@@ -31,9 +38,11 @@ def check(
         raise UsageError("the check turns the wheels: put the robot on blocks and give --on-blocks")
     from deploy.preflight.preflight import run
     from deploy.zenoh_client import BridgeAddress
+    from rover_ncp.core.robot_description import load_description
 
     output = Output(json, controls=True)
-    findings, locator = run(BridgeAddress(robot, namespace, zenoh_config))
+    described = load_description(model) if model else None
+    findings, locator = run(BridgeAddress(robot, namespace, zenoh_config), described)
     ready = all(finding.ok for finding in findings)
     lines = [f"{'ok ' if finding.ok else 'NO '} {finding.name:9} {finding.detail}" for finding in findings]
     verdict = "yes: it may drive" if ready else f"no: {findings[-1].name}: {findings[-1].detail}"

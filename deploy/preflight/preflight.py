@@ -22,12 +22,15 @@ from rover_ncp.core.messages import OdometrySample
 from rover_ncp.core.process import Interrupts
 from rover_ncp.core.protocol import CHECK, BaseReply, GateStatus, TimeoutState
 from rover_ncp.core.recording import Recorded
+from rover_ncp.core.robot_description import RobotDescription
 
 V_M_S, OMEGA_RAD_S = 0.1, 0.2
 """Slow, and still well above the noise of wheels in the air."""
 MOVE_S, PERIOD_S = 1.5, 0.05
 RATE_HZ, LISTEN_S = 8.0, 2.0
 """A base reports ten times a second; with fewer than eight, packets are lost."""
+RATE_SHARE, MOST_HZ = 0.8, 50.0
+"""The same share of a described rate; a bridge passes on 50 reports a second at most."""
 BATTERY_V, BATTERY_WAIT_S = 11.5, 2.0
 """The base's own alarm level (Pioneer manual); below it a drive may end in the middle."""
 STOP_S = 0.5
@@ -51,14 +54,17 @@ class Finding:
     detail: str
 
 
-def run(address: BridgeAddress) -> tuple[list[Finding], str]:
-    """Check a robot; return the findings and the bridge's locator. Raises NoBridge, NotAuthorised."""
+def run(address: BridgeAddress, robot: RobotDescription | None = None) -> tuple[list[Finding], str]:
+    """Check a robot against its description, if there is one.
+
+    Returns the findings and the bridge's locator. Raises NoBridge, NotAuthorised.
+    """
     battery = Battery()
     with Interrupts() as interrupts, ZenohLink(address, battery.record) as link:
         measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: interrupts.raised)
         monitor.wait_for_bridge()
-        return Preflight(link, measurements, monitor, battery).run(), link.robot
+        return Preflight(link, measurements, monitor, battery, robot).run(), link.robot
 
 
 class Battery:
@@ -86,15 +92,21 @@ class Preflight:
     """Checks one robot. At every end, the lease is released."""
 
     def __init__(
-        self, link: CheckedLink, measurements: Measurements, monitor: SafetyMonitor, battery: Battery
+        self,
+        link: CheckedLink,
+        measurements: Measurements,
+        monitor: SafetyMonitor,
+        battery: Battery,
+        robot: RobotDescription | None = None,
     ) -> None:
-        self._link, self._measurements = link, measurements
+        self._link, self._measurements, self._robot = link, measurements, robot
         self._monitor, self._battery = monitor, battery
 
     def run(self) -> list[Finding]:
         """Run all checks, in this order. Raises KeyboardInterrupt after a termination signal."""
         findings: list[Finding] = []
         checks = {
+            **({"model": self._check_model} if self._robot else {}),
             "odometry": self._check_odometry,
             "battery": self._check_battery,
             "stop": self._check_holds,
@@ -118,11 +130,20 @@ class Preflight:
             self._link.release()
         return findings
 
+    def _check_model(self) -> tuple[bool, str]:
+        assert self._robot is not None
+        base = self._link.about_base()
+        found = base.model if base else "a robot that it does not name"
+        return found == self._robot.name, f"the bridge drives {found}, expected {self._robot.name}"
+
     def _check_odometry(self) -> tuple[bool, str]:
         before = self._measurements.taken["odom"]
         self._until(lambda: False, LISTEN_S)
         rate = (self._measurements.taken["odom"] - before) / LISTEN_S
-        return rate >= RATE_HZ, f"{rate:.1f} reports a second (at least {RATE_HZ:g})"
+        least = RATE_HZ
+        if self._robot is not None:
+            least = RATE_SHARE * min(self._robot.odometry.rate_hz, MOST_HZ)
+        return rate >= least, f"{rate:.1f} reports a second (at least {least:g})"
 
     def _check_battery(self) -> tuple[bool, str]:
         base = self._link.about_base()

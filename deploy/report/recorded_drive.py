@@ -6,12 +6,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from deploy.report.charts.figure import OUTLINE, FloatArray, outline_of
 from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml
-from rover_ncp.core.config import parse_yaml, read_yaml
+from rover_ncp.core.config import parse_yaml, read_yaml, validated
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording, read_recording
+from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.course.course import Course, Verdict
 
 Rows = tuple[tuple[str, str], ...]
@@ -30,6 +32,14 @@ class Drive:
     timeline: Timeline
     complete: bool
     """False if the recording was cut off."""
+
+    @property
+    def outline(self) -> FloatArray:
+        """The outline of the robot that the driver's settings describe, or of a Pioneer 3-AT."""
+        described = self.settings.get("described")
+        if described is None:
+            return OUTLINE
+        return outline_of(validated(described, RobotDescription, f"{self.path}, deploy.yaml, $.described"))
 
 
 class Summary(NamedTuple):

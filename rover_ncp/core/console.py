@@ -200,8 +200,9 @@ class Output:
             Output.blocked_s = BLOCKED_S
 
     def say(self, text: str) -> None:
-        """Print a line for people; it is dropped when they read too slowly."""
-        self.console.print(printable(text), markup=False, emoji=False)
+        """Print a line for people, unless it is empty; it is dropped when they read too slowly."""
+        if text:
+            self.console.print(printable(text), markup=False, emoji=False)
 
     def announce(self, text: str) -> None:
         """Print a line that programs wait for; it is never dropped while they read."""

@@ -25,6 +25,12 @@ def train(
             show_default="parking, tracking if random",
         ),
     ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="The robot's description, a name or a YAML file.", show_default="the paper's p3at-sh"
+        ),
+    ] = None,
     seed: Annotated[
         int | None,
         typer.Option(min=0, max=MOST_SEED, help="Root seed of all random numbers.", show_default="0"),
@@ -124,9 +130,8 @@ def train(
         rover-ncp train --randomize full --out runs/robust
         rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine
     """
-    from rover_ncp.course.course import load_course
     from sim.learn.progress import TrainProgress
-    from sim.learn.record import RobustSettings, TrainSettings, resolve_task
+    from sim.learn.record import RobustSettings, TrainSettings, course_of, resolve_task
     from sim.learn.run_folder import new_run_path, saved_settings
     from sim.learn.train import train as run_training
     from sim.learn.workers import WorkerDied
@@ -135,6 +140,7 @@ def train(
     options: dict[str, Any] = {
         "course": course,
         "circuit": circuit,
+        "model": model,
         "seed": seed,
         "agents": agents,
         "iterations": iterations,
@@ -161,7 +167,7 @@ def train(
         if "rollouts" in asked:
             asked.setdefault("worst", asked["rollouts"])
         settings = RobustSettings(**(before | asked))
-        load_course(settings.course)  # before a folder is made, so that a typo leaves none behind
+        course_of(settings)  # before a folder is made, so that a typo leaves none behind
         _train_robust(output, settings, out or new_run_path(), resume, processes)
         return
     if processes is not None and cluster is not None:
@@ -187,7 +193,7 @@ def train(
 
     from sim.learn.rollout import rollout
 
-    verdict = rollout(result.policy, task.course).verdict
+    verdict = rollout(result.policy, task.course, plain.rover).verdict
     fields = {
         "returns": result.agents.returns,
         "best_return": result.agents.best.value,

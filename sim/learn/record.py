@@ -22,16 +22,29 @@ from rover_ncp.circuit.policy_file import circuit_to_yaml, load_start, policy_da
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.config import StrictModel, dump_yaml
 from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import Course, load_course
+from rover_ncp.course.fit import slowed
 from sim.learn.search.strategies import SearchName
-from sim.world.described import default_rover
+from sim.world.described import default_rover, described_rover
 from sim.world.pymunk_rover import require_free_start
+from sim.world.rover import RoverModel
 
 _LIBRARIES = ("rover-ncp", "numpy", "scipy", "numba", "pymunk")
 _GIT_TIMEOUT_S = 5.0
 
 
 class _Settings(StrictModel):
+    course: str = "parking"
+    model: str | None = Field(
+        default=None, exclude_if=lambda name: name is None, description="the robot, if it is not a 3-AT"
+    )
+
+    @property
+    def rover(self) -> RoverModel:
+        """The simulated robot."""
+        return default_rover() if self.model is None else described_rover(load_description(self.model))
+
     def command(self) -> str:
         """Return the command line that makes the same circuits again."""
         options = [
@@ -51,7 +64,6 @@ def _known_search(name: str) -> str:
 class TrainSettings(_Settings):
     """Settings that decide a training run's result; the number of processes does not."""
 
-    course: str = "parking"
     circuit: str = "parking"
     seed: int = Field(default=0, ge=0)
     agents: int = Field(default=12, ge=1, le=1000)
@@ -62,7 +74,6 @@ class TrainSettings(_Settings):
 class RobustSettings(_Settings):
     """Settings that decide the result of a training on random trials."""
 
-    course: str = "parking"
     circuit: str = "tracking"
     randomize: str = "full"
     seed: int = Field(default=0, ge=0)
@@ -110,9 +121,9 @@ class Record(StrictModel, Generic[SettingsT]):
         """Raise ConfigError, naming every difference, unless ``other`` asks for the run recorded here."""
         saved, asked = self.settings.model_dump(), other.settings.model_dump()
         problems = [
-            f"--{name} was {saved[name]} when this run began, now {asked[name]}"
-            for name in saved
-            if saved[name] != asked[name]
+            f"--{name} was {saved.get(name)} when this run began, now {asked.get(name)}"
+            for name in {**saved, **asked}
+            if saved.get(name) != asked.get(name)
         ]
         problems += [
             f"the {what} {asked[what]} has changed since this run began"
@@ -142,13 +153,19 @@ def _start_data(name: str, policy: Policy) -> dict[str, Any]:
     return circuit
 
 
+def course_of(settings: _Settings) -> Course:
+    """Load the course, as slow as the robot asks for. Raises FileError or ConfigError."""
+    course = load_course(settings.course)
+    return course if settings.model is None else slowed(course, load_description(settings.model))[0]
+
+
 def resolve_task(settings: TrainSettings) -> Task:
     """Load the course and the circuit that the settings name.
 
     Raises FileError, or ConfigError also for a circuit that cannot drive and a course that cannot begin.
     """
-    course = load_course(settings.course)
-    require_free_start(default_rover(), course)
+    course = course_of(settings)
+    require_free_start(settings.rover, course)
     start = load_start(settings.circuit)
     if isinstance(start, Policy):
         RoverInterface(start)  # raises for a policy that drives none

@@ -22,10 +22,10 @@ from rover_ncp.circuit.policy_file import load_start, save_policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import read_text, write_atomic
-from rover_ncp.course.course import Course, load_course
+from rover_ncp.course.course import Course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.evaluator import Evaluator
-from sim.learn.record import Record, RobustSettings, Task
+from sim.learn.record import Record, RobustSettings, Task, course_of
 from sim.learn.robust import (
     Drive,
     Generation,
@@ -37,7 +37,7 @@ from sim.learn.robust import (
 from sim.learn.run_folder import open_folder
 from sim.learn.train import find_workers
 from sim.learn.workers import MadeOnce, Workers, available_processes
-from sim.world.described import default_rover, ranges_for
+from sim.world.described import ranges_for
 from sim.world.randomization import Randomization, draw_trials
 
 FloatArray = NDArray[np.float64]
@@ -59,7 +59,7 @@ def _drive(settings: RobustSettings, start: Policy, course: Course, ranges: Rand
     courses, references = training_courses(
         course, plan_reference(course), settings.seed, settings.random_courses
     )
-    model, ticks = default_rover(), max(each.ticks for each in courses)
+    model, ticks = settings.rover, max(each.ticks for each in courses)
     nothing_yet = draw_trials(ranges, model, settings.seed, count=1, ticks=ticks)
     engine = Evaluator(start, courses, model, nothing_yet, references)
     return drive_trials(engine, ranges, model, settings.seed)
@@ -88,7 +88,7 @@ def train_robust(
     """
     if settings.worst > settings.rollouts:
         raise UsageError(f"the worst {settings.worst} of {settings.rollouts} rollouts cannot be taken")
-    course = load_course(settings.course)
+    course = course_of(settings)
     ranges = ranges_for(settings.randomize, Path(settings.profile) if settings.profile else None)
     loaded = load_start(settings.circuit)
     start = loaded if isinstance(loaded, Policy) else course_policy(loaded)

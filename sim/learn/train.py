@@ -39,7 +39,7 @@ def training_plan(settings: TrainSettings, task: Task) -> Plan:
         strategy=settings.search,
         layout=task.policy.layout(),
         defaults=task.policy.parameters(),
-        build_evaluator=partial(Evaluator, task.policy, task.course),
+        build_evaluator=partial(Evaluator, task.policy, task.course, settings.rover),
         inert=inert_parameters(task.policy),
     )
 

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from deploy.report.charts.figure import outline_of
 from deploy.report.charts.path import drive_chart
 from deploy.report.page.page import drive_page
 from deploy.report.recorded_drive import read_drive
@@ -18,10 +19,11 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import require_creatable, write_atomic
+from rover_ncp.core.files import USUAL_ROBOT, require_creatable, write_atomic
 from rover_ncp.core.recording import read_recording, rewrite
 from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import Course, load_course
+from rover_ncp.course.fit import slowed
 from sim.learn.progress import TrainProgress
 from sim.learn.record import TrainSettings
 from sim.learn.rollout import rollout
@@ -43,10 +45,11 @@ _DEPLOY_EXTRA_S = 60.0
 def run_park(options: ParkOptions) -> int:
     """Run ``park`` and return its exit code. Raises RoverNcpError when training or a process fails."""
     output, out, policy = Output(options.json), options.out, options.policy
-    course = load_course(options.course)
+    model, robot = options.model, load_description(options.model)
+    form = PIONEER if robot.arcos is not None else ROS2DDS
+    course, pace = slowed(load_course(options.course), robot)
     for name in ("run.mcap", f"log/{TRUTH}"):  # before a long training
         require_creatable(out / name, overwrite=options.overwrite)
-    model, form = _robot(options.model)
     training: dict[str, Any] | None = None
     if policy is None and form != PIONEER:
         policy = TRACKING_POLICY
@@ -70,6 +73,7 @@ def run_park(options: ParkOptions) -> int:
         base_form=form,
     )
     with run:
+        output.say(pace)
         output.say(
             f"mock {model} and bridge are up ({run.robot}); the circuit drives for {course.horizon_s:.0f} s"
         )
@@ -80,7 +84,7 @@ def run_park(options: ParkOptions) -> int:
     began_ns = drive.timeline.ticks[0].wall_ns
     true_path = [state.pose for state in truth if state.wall_ns >= began_ns]
     estimates = [tick.estimate.pose for tick in drive.timeline.ticks]
-    write_atomic(picture, drive_chart(course, true_path, estimates).png)
+    write_atomic(picture, drive_chart(course, true_path, estimates, outline_of(robot)).png)
     write_atomic(report, drive_page(drive))
     verdict = judge_truth(course, truth, began_ns)
     fields = {
@@ -108,11 +112,6 @@ def run_park(options: ParkOptions) -> int:
         f"picture: {picture}\nrecording: {recording}\nreport: {report}",
     )
     return 0 if verdict.parked else 1
-
-
-def _robot(model: str) -> tuple[str, str]:
-    """Return a model and the form of its base's address. Raises FileError or ConfigError."""
-    return model, PIONEER if load_description(model).arcos is not None else ROS2DDS
 
 
 def _train(options: ParkOptions, course: Course, output: Output) -> tuple[dict[str, Any], str, str]:

@@ -24,6 +24,7 @@ def run_bridge(
     model: str,
     limits: Path | None,
     zenoh_config: Path | None,
+    base_zenoh_config: Path | None,
     ros: Collection[Convention],
     accept_ros: bool,
     insecure: bool,
@@ -32,7 +33,7 @@ def run_bridge(
 ) -> int:
     """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
     output = Output(as_json, controls=True)
-    chosen = choose_base(base, model)
+    chosen = choose_base(base, model, base_zenoh_config)
     allowed = gate_limits(limits, chosen.description)
     inbox = Inbox()
     with (

@@ -82,6 +82,8 @@ class BaseReport:
     """Heading in rad, counter-clockwise, not wrapped."""
     v: float = 0.0
     omega: float = 0.0
+    age_s: float = 0.0
+    """How long before its arrival it was measured, as far as the base tells."""
     battery_v: float = 0.0
     """0 = not reported."""
     charging: bool | None = None

@@ -1,8 +1,14 @@
-"""Opens the base that an address and a model name: a Pioneer on a line, or a ROS 2 robot over Zenoh."""
+"""Opens the base that an address and a model name: a Pioneer on a line, a ROS 2 robot over Zenoh, or another.
 
+Other base drivers are entry points of the group `DRIVERS`: an address NAME/REST goes to the one that has this
+name, which is called with REST, the robot's description and a function that puts arrivals into the inbox.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from bridge.base import Base
 from bridge.base_connection import BaseConnection
@@ -17,20 +23,46 @@ from bridge.ros_base.base import LoopSeen, Ros2Base
 from bridge.ros_base.line import LOOP_KEY, RosLine
 from bridge.ros_base.silence_file import SilenceFile
 from bridge.zenoh_link import ZenohLink
-from rover_ncp.core.config import load_yaml
+from rover_ncp.core.config import load_yaml, validated
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import shipped_names
-from rover_ncp.core.robot_description import RobotDescription, load_description
+from rover_ncp.core.robot_description import RobotDescription, Topics, load_description
+
+DRIVERS = "rover_ncp.bases"
+
+
+class ByteCounts(Protocol):
+    """Bytes to and from a base."""
+
+    @property
+    def bytes_in(self) -> int:
+        """Bytes from the base."""
+
+    @property
+    def bytes_out(self) -> int:
+        """Bytes to it."""
+
+
+class CountedBase(Base, ByteCounts, Protocol):
+    """What a base driver of another package returns."""
+
+
+BaseDriver = Callable[[str, RobotDescription, Callable[[object], None]], CountedBase]
+"""Opens a base. Arrivals may be put from any thread; only `Base.receive` looks at them."""
 
 
 @dataclass(frozen=True)
 class ChosenBase:
-    """``description`` is None for a Pioneer that says itself what it is; ``ros2`` is None for ARCOS."""
+    """``description`` is None for a Pioneer that says itself what it is; ``ros2`` is None for others.
+
+    ``driver`` is that of another package, if one is named.
+    """
 
     address: str
     model: str
     description: RobotDescription | None
-    ros2: RosAddress | None
+    ros2: RosAddress | None = None
+    driver: EntryPoint | None = None
 
 
 class SilenceOptions(NamedTuple):
@@ -40,20 +72,32 @@ class SilenceOptions(NamedTuple):
     unsafe: bool = False
 
 
-def choose_base(address: str, model: str) -> ChosenBase:
-    """Check an address and a model. Raises UsageError, FileError or ConfigError."""
-    ros2 = parse_address(address) if address.startswith(PREFIX) else None
+def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> ChosenBase:
+    """Check an address and a model; ``zenoh_config`` is for the session with a ROS 2 robot.
+
+    Raises UsageError, FileError or ConfigError.
+    """
+    ros2 = parse_address(address, zenoh_config) if address.startswith(PREFIX) else None
+    if zenoh_config is not None and ros2 is None:
+        raise UsageError(f"--base-zenoh-config: {address} is not a ROS 2 robot (ros2/tcp/HOST)")
+    driver = next(iter(entry_points(group=DRIVERS, name=address.partition("/")[0])), None)
     if model == "auto":
-        if ros2 is None:
-            return ChosenBase(address, model, None, None)
+        if ros2 is None and driver is None:
+            return ChosenBase(address, model, None)
         known = ", ".join(shipped_names("robots"))
-        raise UsageError(f"--model auto: a ROS 2 robot does not say what it is; name a file, or {known}")
+        raise UsageError(f"--model auto: only a Pioneer says what it is; name a file, or {known}")
     description = load_description(model)
-    if ros2 is not None and description.topics is None:
+    if driver is not None:
+        return ChosenBase(address, model, description, driver=driver)
+    if ros2 is None:
+        if model not in ROBOTS:
+            raise UsageError(f"--model {model}: not a model that speaks ARCOS: auto, {', '.join(ROBOTS)}")
+        return ChosenBase(address, model, description)
+    if description.topics is None:
         raise UsageError(f"--model {model}: the description has no topics, which a ROS 2 robot needs")
-    if ros2 is None and model not in ROBOTS:
-        raise UsageError(f"--model {model}: not a model that speaks ARCOS: auto, {', '.join(ROBOTS)}")
-    return ChosenBase(address, model, description, ros2)
+    changed = {name: value or None for name, value in ros2.topics.items()}
+    topics = validated(description.topics.model_dump() | changed, Topics, f"base {address}")
+    return ChosenBase(address, model, description.model_copy(update={"topics": topics}), ros2)
 
 
 def gate_limits(file: Path | None, description: RobotDescription | None) -> Limits:
@@ -62,7 +106,7 @@ def gate_limits(file: Path | None, description: RobotDescription | None) -> Limi
     Raises FileError or ConfigError, and UsageError for a limit in the file that the robot does not reach.
     """
     given = Limits() if file is None else load_yaml(file, Limits)
-    if description is None or description.topics is None:
+    if description is None or description.arcos is not None:
         return given
     motion, chosen = description.motion, dict[str, float]()
     own = {"v_max": motion.v_max, "omega_max": motion.omega_max, "brake": motion.decel}
@@ -78,11 +122,15 @@ def gate_limits(file: Path | None, description: RobotDescription | None) -> Limi
 
 def open_base(
     chosen: ChosenBase, limits: Limits, inbox: Inbox, link: ZenohLink, silence: SilenceOptions
-) -> tuple[BaseConnection | RosLine, Base, str]:
+) -> tuple[ByteCounts, Base, str]:
     """Open the line to the base; also return what a user has to know of it.
 
     Raises UsageError, FileError, ConfigError or NoRobot.
     """
+    if chosen.driver is not None:
+        assert chosen.description is not None  # choose_base checks it
+        base = _load(chosen.driver)(chosen.address.partition("/")[2], chosen.description, inbox.put)
+        return base, base, ""
     if chosen.ros2 is None:
         session = Session(chosen.model, MotionLimits(v=limits.v_max, omega=limits.omega_max))
         connection = BaseConnection(chosen.address, inbox)
@@ -93,3 +141,11 @@ def open_base(
     line = RosLine(chosen.ros2, chosen.description.topics, inbox)
     link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
     return line, Ros2Base(line, chosen.description, known, file.store), known.note
+
+
+def _load(driver: EntryPoint) -> BaseDriver:
+    try:
+        loaded: BaseDriver = driver.load()
+    except (ImportError, AttributeError) as error:
+        raise UsageError(f"base driver {driver.name} ({driver.value}) cannot be loaded: {error}") from error
+    return loaded

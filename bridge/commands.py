@@ -15,7 +15,8 @@ def bridge(
         str,
         typer.Option(
             help="The robot: tcp/HOST[:8101], serial//dev/ttyUSB0 (#baudrate=... is the rate tried first) or "
-            "ros2/tcp/HOST[:7447], a ROS 2 robot's Zenoh router (#rmw=zenoh&domain=N for rmw_zenoh)."
+            "ros2/tcp/HOST[:7447], a ROS 2 robot's Zenoh router (#rmw=zenoh&domain=N for rmw_zenoh, "
+            "&odom=TOPIC for topics of its own); or NAME/... of an installed base driver."
         ),
     ],
     listen: Annotated[
@@ -37,6 +38,12 @@ def bridge(
     zenoh_config: Annotated[
         Path | None,
         typer.Option(help="Zenoh configuration for TLS, users and access control; see 'rover-ncp keys'."),
+    ] = None,
+    base_zenoh_config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Zenoh configuration (JSON5) of the session with a ROS 2 robot: TLS, user and password."
+        ),
     ] = None,
     ros: Annotated[
         list[Convention] | None,
@@ -90,6 +97,7 @@ def bridge(
         model=model,
         limits=limits,
         zenoh_config=zenoh_config,
+        base_zenoh_config=base_zenoh_config,
         ros=ros or [Convention.ROS2DDS],
         accept_ros=accept_ros,
         insecure=insecure,

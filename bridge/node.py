@@ -223,10 +223,10 @@ class Node:
 
     def _publish_report(self, report: BaseReport, arrived_s: float) -> None:
         assert self._robot is not None  # a base is ready before it reports
-        stamp_ns = self._wall_ns(arrived_s)
+        stamp_ns = self._wall_ns(arrived_s - report.age_s)
         for name, data in ros.each_report(report, self._robot, stamp_ns).items():
             self._link.publish(name, data)
-        self._link.publish("rover/cmd_out", twist_stamped(self._sent.velocity, stamp_ns))
+        self._link.publish("rover/cmd_out", twist_stamped(self._sent.velocity, self._wall_ns(arrived_s)))
 
     def _publish_slowly(self, now: float) -> None:
         self._slow_due_s = now + SLOW_S

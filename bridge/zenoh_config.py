@@ -40,12 +40,7 @@ def configured(listen: str | None, file: Path | None, insecure: bool) -> tuple[z
     Raises FileError for a bad file, and UsageError for a bad endpoint or, unless ``insecure``, for one beyond
     this machine without authentication.
     """
-    if file is not None:
-        existing_file(file)
-    try:
-        settings = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
-    except zenoh.ZError as error:
-        raise FileError(f"{file}: not a Zenoh configuration: {reason(error)}") from error
+    settings = read_config(file)
     endpoints = [listen] if listen else _endpoints(settings)
     for path, value in _SETTINGS.items():
         settings.insert_json5(path, json.dumps(value))
@@ -62,6 +57,17 @@ def configured(listen: str | None, file: Path | None, insecure: bool) -> tuple[z
     if any_port(endpoints):
         settings.insert_json5("adminspace/enabled", "true")  # the port is shown nowhere else
     return settings, endpoints
+
+
+def read_config(file: Path | None) -> zenoh.Config:
+    """Return the settings in a file, or Zenoh's own. Raises FileError."""
+    if file is None:
+        return zenoh.Config()
+    existing_file(file)
+    try:
+        return zenoh.Config.from_file(str(file))
+    except zenoh.ZError as error:
+        raise FileError(f"{file}: not a Zenoh configuration: {reason(error)}") from error
 
 
 def any_port(endpoints: list[str]) -> bool:

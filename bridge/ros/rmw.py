@@ -1,7 +1,7 @@
 """rmw_zenoh's form: keys of topics, tokens of its graph, the attachment of each message. Pure functions.
 
 Form from rmw_zenoh (docs/design.md, liveliness_utils.cpp, attachment_helpers.cpp; facts only), as of ROS 2
-Jazzy and later: Humble has no type hashes and does not receive these. The payloads are the plain keys' own.
+Jazzy and later; Humble has no type hashes. The payloads are the plain keys' own.
 """
 
 import re
@@ -35,10 +35,16 @@ class Topic:
     name: str
     ros_type: str
     latched: bool = False
+    hashed: bool = True
 
     def key(self, domain: int) -> str:
         """Return the key its messages travel on."""
-        return f"{domain}/{self.name}/{self.dds_type}/{type_hash(self.ros_type)}"
+        return f"{domain}/{self.name}/{self.dds_type}/{self.hash}"
+
+    @property
+    def hash(self) -> str:
+        """Return the type's hash, or what stands in its place in ROS 2 Humble."""
+        return type_hash(self.ros_type) if self.hashed else "TypeHashNotSupported"
 
     @property
     def dds_type(self) -> str:
@@ -84,7 +90,7 @@ class Graph:
 
     def _topic_token(self, number: int, kind: str, topic: Topic) -> str:
         qos = _LATCHED if topic.latched else _KEEP_10
-        hashed = type_hash(topic.ros_type)
+        hashed = topic.hash
         return f"{self._token(number, kind)}/{_mangled(topic.name)}/{topic.dds_type}/{hashed}/{qos}"
 
 

@@ -1,15 +1,18 @@
 """The address of a ROS 2 robot: where its Zenoh router is, and in which form its topics are there."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 
 from bridge.ros.discovery import Convention
 from bridge.transport import split_host
 from rover_ncp.core.errors import UsageError
+from rover_ncp.core.robot_description import Topics
 
 PREFIX = "ros2/"
 _PORT = 7447
 _FORM = (
-    "expected ros2/tcp/HOST[:PORT], then #rmw=zenoh&domain=N for rmw_zenoh, &namespace=NAME for a namespace"
+    "expected ros2/tcp/HOST[:PORT], then #rmw=zenoh&domain=N for rmw_zenoh (&distro=humble for Humble's), "
+    "&namespace=NAME for a namespace, and &odom=, &cmd_vel=, &cmd_vel_type= ... for a description's topics"
 )
 _MOST_DOMAIN = 232
 """The largest ROS_DOMAIN_ID whose ports DDS has."""
@@ -17,26 +20,34 @@ _MOST_DOMAIN = 232
 
 @dataclass(frozen=True)
 class RosAddress:
-    """``endpoint`` is a Zenoh endpoint; ``namespace`` is put before all topics."""
+    """``endpoint`` is a Zenoh endpoint; ``namespace`` is put before all topics.
+
+    ``hashed`` is whether keys of rmw_zenoh have type hashes: Humble's have none. ``topics`` are fields of a
+    description's topics that the address replaces; "" stands for none.
+    """
 
     endpoint: str
     convention: Convention = Convention.ROS2DDS
     domain: int = 0
     namespace: str = ""
+    hashed: bool = True
+    topics: dict[str, str] = field(default_factory=dict, hash=False)
+    zenoh_config: Path | None = None
 
     def topic(self, name: str) -> str:
         """Return a topic with the namespace, without a leading slash."""
         return f"{self.namespace}/{name}" if self.namespace else name
 
 
-def parse_address(text: str) -> RosAddress:
-    """Read ``ros2/tcp/HOST[:PORT][#rmw=zenoh&domain=N&namespace=NAME]``. Raises UsageError."""
+def parse_address(text: str, zenoh_config: Path | None = None) -> RosAddress:
+    """Read ``ros2/tcp/HOST[:PORT][#rmw=zenoh&domain=N&namespace=NAME&odom=TOPIC...]``. Raises UsageError."""
     place, _, settings = text.removeprefix(PREFIX).partition("#")
     protocol, _, address = place.partition("/")
     host, port = split_host(address, _PORT)
     found = dict(item.partition("=")[::2] for item in settings.split("&") if item)
     rmw, domain = found.pop("rmw", "ros2dds"), found.pop("domain", "0")
-    namespace = found.pop("namespace", "").strip("/")
+    namespace, distro = found.pop("namespace", "").strip("/"), found.pop("distro", "jazzy")
+    topics = {name: value.strip("/") for name, value in found.items()}
     valid = (
         text.startswith(PREFIX)
         and protocol in {"tcp", "tls", "quic"}
@@ -47,10 +58,19 @@ def parse_address(text: str) -> RosAddress:
         and domain.isascii()
         and domain.isdigit()
         and int(domain) <= _MOST_DOMAIN
-        and not found
+        and distro in {"jazzy", "humble"}
+        and topics.keys() <= Topics.model_fields.keys()
     )
     if not valid:
         raise UsageError(f"base {text}: {_FORM}")
     convention = Convention.RMW_ZENOH if rmw == "zenoh" else Convention.ROS2DDS
     where = f"[{host}]" if ":" in host else host
-    return RosAddress(f"{protocol}/{where}:{port}", convention, int(domain), namespace)
+    return RosAddress(
+        f"{protocol}/{where}:{port}",
+        convention,
+        int(domain),
+        namespace,
+        hashed=distro != "humble",
+        topics=topics,
+        zenoh_config=zenoh_config,
+    )

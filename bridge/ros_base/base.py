@@ -263,6 +263,7 @@ class Ros2Base:
         ahead, behind = self._room.clear(now) if self._room is not None else (math.nan, math.nan)
         report = BaseReport(
             *(x, y, theta, v, omega),
+            age_s=moved.age_s,
             battery_v=self._battery_v,
             charging=self._charging,
             clear_ahead_m=ahead,

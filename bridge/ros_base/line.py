@@ -8,6 +8,7 @@ import json
 import secrets
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -18,7 +19,7 @@ from bridge.ros.rmw import Attachment, Graph, Topic, gid, read_token
 from bridge.ros.rmw_node import publisher
 from bridge.ros_base.address import RosAddress
 from bridge.ros_base.base import TokenSeen
-from bridge.zenoh_config import reason
+from bridge.zenoh_config import read_config, reason
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.messages import BATTERY_STATE, IMU, LASER_SCAN, ODOMETRY, TWIST, TWIST_STAMPED
 from rover_ncp.core.robot_description import Topics
@@ -36,7 +37,7 @@ class RosLine:
         self.endpoint, self._address, self._inbox = address.endpoint, address, inbox
         self.bytes_in = self.bytes_out = self._sequence = 0
         self.source: bytes | None = None
-        self._session = _open(address.endpoint)
+        self._session = _open(address.endpoint, address.zenoh_config)
         self.zid = str(self._session.info.zid())
         self.nonce = secrets.token_hex(8)
         self._held: list[Any] = []
@@ -85,16 +86,17 @@ class RosLine:
         graph = Graph(domain, self.zid, self._address.namespace)
         tokens = [graph.node_token()]
         for name, kind in inputs:
-            topic = Topic(self.topic(name), kind)
+            topic = Topic(self.topic(name), kind, hashed=self._address.hashed)
             self._subscribe(topic.key(domain), name)
             tokens.append(graph.subscriber_token(len(tokens), topic))
-        topic = Topic(self.topic(cmd_vel), ros_type)
+        topic = Topic(self.topic(cmd_vel), ros_type, hashed=self._address.hashed)
         token = graph.publisher_token(len(tokens), topic)
         tokens.append(token)
         self.source = gid(token)
         self._publisher = publisher(self._session, topic.key(domain), latched=False)
         for kind in (TWIST, TWIST_STAMPED):
-            self._subscribe(Topic(self.topic(cmd_vel), kind).key(domain), cmd_vel)
+            taken = Topic(self.topic(cmd_vel), kind, hashed=self._address.hashed)
+            self._subscribe(taken.key(domain), cmd_vel)
         self._watch_tokens(f"@ros2_lv/{domain}/**", read_token)
         self._declare(tokens)
 
@@ -144,8 +146,8 @@ def _source(sample: zenoh.Sample) -> bytes | None:
         return None
 
 
-def _open(endpoint: str) -> zenoh.Session:
-    config = zenoh.Config()
+def _open(endpoint: str, file: Path | None) -> zenoh.Session:
+    config = read_config(file)
     for path, value in {**CLIENT, "connect/endpoints": [endpoint]}.items():
         config.insert_json5(path, json.dumps(value))
     try:

@@ -28,10 +28,11 @@ CONFLICT_S = 1.0
 
 
 class Moved(NamedTuple):
-    """Pose since the connection, heading not wrapped, and speeds."""
+    """Pose since the connection, heading not wrapped, and speeds; ``age_s`` is beyond the least transit."""
 
     pose: Pose
     velocity: Velocity
+    age_s: float
 
 
 class RosOdometer:
@@ -54,7 +55,7 @@ class RosOdometer:
         self._alternations: deque[float] = deque(maxlen=ALTERNATIONS)
         self._clock_backs: deque[float] = deque(maxlen=ALTERNATIONS)
         self._origin: Pose | None = None
-        self._theta = 0.0
+        self._theta = self._age_s = 0.0
 
     def take(self, payload: bytes, arrived_s: float, source: bytes | None = None) -> Moved | None:
         """Return the motion that a message reports; None if it does not count."""
@@ -114,6 +115,7 @@ class RosOdometer:
         return round((now - min(offset for _, offset in self._minima)) * 1e9) if self._minima else 0
 
     def _new_and_fresh(self, stamp_ns: int, arrived_s: float) -> bool:
+        self._age_s = 0.0
         if stamp_ns == 0:  # a publisher without a clock
             return True
         if stamp_ns < self._stamp_ns - round(CLOCK_BACK_S * 1e9):
@@ -125,10 +127,10 @@ class RosOdometer:
             return False
         self._stamp_ns = stamp_ns
         self._minima = remember(self._minima, arrived_s, stamp_ns)
-        age = arrived_s - stamp_ns * 1e-9 - min(offset for _, offset in self._minima)
-        if age > STALE_S:
+        self._age_s = arrived_s - stamp_ns * 1e-9 - min(offset for _, offset in self._minima)
+        if self._age_s > STALE_S:
             self.counters["stale"] += 1
-            self.problem = f"odometry arrives {age:.1f} s late"
+            self.problem = f"odometry arrives {self._age_s:.1f} s late"
             return False
         return True
 
@@ -153,7 +155,7 @@ class RosOdometer:
         else:
             self._theta += wrap_angle(sample.pose.theta - last.theta)
         x, y, _ = relative(self._origin, sample.pose)
-        return Moved(Pose(x, y, self._theta), sample.velocity)
+        return Moved(Pose(x, y, self._theta), sample.velocity, self._age_s)
 
     def _jumps(self, pose: Pose, index: int, arrived_s: float) -> bool:
         at, before = self._seen[index]

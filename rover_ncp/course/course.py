@@ -85,6 +85,12 @@ class Course(StrictModel):
     checkpoints: tuple[Checkpoint, ...] = Field(min_length=1, max_length=MOST_CHECKPOINTS)
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=MOST_CHECKPOINTS)
     parked: ParkedRule = ParkedRule()
+    slower: float = Field(
+        default=1.0,
+        ge=1,
+        exclude_if=lambda factor: factor == 1.0,
+        description="the fastest speed and turn of the reference are divided by this",
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -111,13 +117,15 @@ class Course(StrictModel):
         """The last checkpoint."""
         return self.checkpoints[-1].pose
 
-    def scaled(self, size: float, time: float) -> "Course":
-        """Return the course so many times as large, and taking so many times as long.
+    def scaled(self, size: float, slower: float) -> "Course":
+        """Return the course so many times as large, driven so many times as slowly.
 
         What counts as parked stays as it is. Raises ConfigError if it would take too long.
         """
+        time = size * slower
         places = {"x": size, "y": size}
         changed = {
+            "slower": self.slower * slower,
             "start_signal_s": self.start_signal_s * time,
             "horizon_s": math.ceil(self.horizon_s * time / TICK_S - 1e-9) * TICK_S,
             "checkpoints": [_times(point, places | {"t": time}) for point in self.checkpoints],

@@ -111,6 +111,7 @@ def _missed(course: Course, misses: tuple[Deviation, ...]) -> list[Problem]:
 def _demands(course: Course) -> list[tuple[int, Cause, str]]:
     """Return the checkpoints that need more than the motors can, from the previous one."""
     found = []
+    v_max, omega_max = V_MAX / course.slower, OMEGA_MAX / course.slower
     points = list(course.checkpoints)
     if points[0].t > 0:
         points.insert(0, Checkpoint(t=0.0, x=0.0, y=0.0, theta=0.0))
@@ -119,15 +120,15 @@ def _demands(course: Course) -> list[tuple[int, Cause, str]]:
         ahead, left, turn = _way(a.pose, b.pose)
         seconds = b.t - a.t
         speed, rate = math.hypot(ahead, left) / seconds, abs(turn) / seconds
-        if speed > V_MAX:
-            found.append((number, Cause.FAST, f"{speed:.2f} m/s (at most {V_MAX} m/s)"))
+        if speed > v_max:
+            found.append((number, Cause.FAST, f"{speed:.2f} m/s (at most {v_max:.3g} m/s)"))
         elif abs(left) > SIDEWAYS_M and abs(left) > SIDEWAYS * abs(ahead):
             side = "left" if left > 0 else "right"
             found.append(
                 (number, Cause.SIDEWAYS, f"{abs(left):.2f} m to the {side}, {abs(ahead):.2f} m along")
             )
-        elif rate > OMEGA_MAX:
-            found.append((number, Cause.TURN, f"{rate:.2f} rad/s (at most {OMEGA_MAX} rad/s)"))
+        elif rate > omega_max:
+            found.append((number, Cause.TURN, f"{rate:.2f} rad/s (at most {omega_max:.3g} rad/s)"))
     return found
 
 

@@ -35,7 +35,7 @@ def enlarged(course: Course, robot: RobotDescription) -> tuple[Course, str]:
     if not course.obstacles or larger <= 1.0:
         return course, ""
     larger = _up(larger)
-    return course.scaled(larger, larger), (
+    return course.scaled(larger, 1.0), (
         f"{course.name} is {larger:g} times as large for {robot.name}, {robot.length_m:g} m by "
         f"{robot.width_m:g} m, and takes {larger:g} times as long"
     )

@@ -113,6 +113,7 @@ def plan_reference(course: Course, v_max: float = V_MAX, omega_max: float = OMEG
 
     Otherwise it begins at the origin, as the rover does. It goes backward only where the course does.
     """
+    v_max, omega_max = v_max / course.slower, omega_max / course.slower
     # scipy is a matter of half a second, and of those courses that a policy follows by their reference.
     from scipy.optimize import least_squares
 

@@ -1,0 +1,78 @@
+"""A ROS 2 base driver on a virtual clock: its line, its robot's odometry, and what came of both."""
+
+from ros_cdr import odometry
+
+from bridge.base import BaseReport, Setpoint, TurnRate
+from bridge.inbox import RobotMessage
+from bridge.ros_base.base import Ros2Base
+from bridge.ros_base.silence import Silence
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.robot_description import load_description
+
+BURGER = load_description("turtlebot3-burger")
+EPOCH_S = 1.7e9
+OURS = b"o" * 16
+
+
+class Line:
+    """A session that keeps what is sent."""
+
+    endpoint, zid, source = "tcp/robot:7447", "ours", OURS
+
+    def __init__(self):
+        self.sent, self.closed = [], False
+
+    def topic(self, name):
+        return name
+
+    def publish(self, payload):
+        assert not self.closed
+        self.sent.append(payload)
+
+    def close(self):
+        self.closed = True
+
+
+class World:
+    """A base, a line and a clock; ``events`` is all that happened, reports apart."""
+
+    def __init__(self, description=BURGER):
+        self.line, self.now = Line(), 100.0
+        self.stored = []
+        self.base = Ros2Base(self.line, description, Silence(), self.stored.append)
+        self.events, self.reports, self.turns = [], [], []
+        self.x = self.setpoint_v = 0.0
+        self.clock_s = EPOCH_S
+
+    def keep(self, events):
+        for event in events:
+            kind = {BaseReport: self.reports, TurnRate: self.turns}.get(type(event), self.events)
+            kind.append(event)
+
+    def tell(self, arrival):
+        self.keep(self.base.receive(arrival, self.now))
+
+    def hear(self, topic, payload, source=None):
+        self.tell(RobotMessage(topic, payload, self.now, source))
+
+    def odom(self, source=None, **values):
+        self.hear("odom", odometry(self.clock_s + self.now, **{"x": self.x, **values}), source)
+
+    def run(self, seconds, odom=True, rate_hz=20.0, each=None, **values):
+        """Let time pass in ticks of 10 ms."""
+        due_s = self.now
+        for _ in range(round(seconds * 100)):
+            self.now += 0.01
+            self.x += 0.01 * self.setpoint_v
+            if odom and self.now >= due_s - 1e-9:
+                due_s += 1 / rate_hz
+                self.odom(**{"v": self.setpoint_v, **values})
+            if each:
+                each()
+            setpoint = Setpoint(Velocity(self.setpoint_v, 0.0), True, False)
+            self.keep(self.base.drive(setpoint, self.now))
+        return self
+
+    @property
+    def last(self):
+        return self.events[-1] if self.events else None

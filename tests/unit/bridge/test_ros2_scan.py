@@ -1,0 +1,78 @@
+"""The room around a ROS 2 robot by its laser, from scans that an independent library encodes."""
+
+import math
+
+import pytest
+from ros2_world import World
+from ros_cdr import LaserScan
+
+from rover_ncp.core.robot_description import load_description
+
+
+def scan(*hits, first_deg=0.0, count=360, step_deg=1.0):
+    """Return a LaserScan's bytes; ``hits`` are (degrees from the laser's x-axis, range in m)."""
+    ranges = [math.inf] * count
+    for degrees, range_m in hits:
+        ranges[round((degrees - first_deg) / step_deg) % 360] = range_m
+    return LaserScan(
+        angle_min=math.radians(first_deg),
+        angle_increment=math.radians(step_deg),
+        range_min=0.1,
+        range_max=8.0,
+        ranges=ranges,
+    ).serialize()
+
+
+@pytest.mark.parametrize(
+    ("payload", "ahead", "behind"),
+    [
+        # The Burger's laser is 0.032 m behind its centre; its outline ends 0.041 m before it, 0.105 m behind.
+        (scan((0, 1.0)), 1.0 - 0.032 - 0.041, math.inf),
+        (scan((180, 1.0)), math.inf, 1.0 + 0.032 - 0.105),
+        (scan((0, 1.0), (180, 0.5)), 0.927, 0.427),
+        (scan((90, 0.3), (45, 0.5)), math.inf, math.inf),  # beside the way
+        (scan((8, 1.0)), math.cos(math.radians(8)) - 0.073, math.inf),  # 0.139 m from the middle line
+        (scan((10, 1.0)), math.inf, math.inf),  # 0.174 m
+        (scan((0, 0.05)), math.inf, math.inf),  # below the least range
+        (scan((0, math.nan)), math.inf, math.inf),
+        (scan((0, 2.0), first_deg=-90.0, count=181), 2.0 - 0.073, math.nan),  # it looks ahead only
+    ],
+)
+def test_room_by_a_scan_counts_from_the_outline(ready, payload, ahead, behind):
+    ready.hear("scan", payload)
+    ready.run(0.1)
+    report = ready.reports[-1]
+    assert report.clear_ahead_m == pytest.approx(ahead, abs=1e-3, nan_ok=True)
+    assert report.clear_behind_m == pytest.approx(behind, abs=1e-3, nan_ok=True)
+
+
+def test_posts_of_the_robots_own_are_no_obstacles(ready):
+    ready.hear("scan", scan((180, 0.102), (0, 0.07)))  # 0.134 m behind its centre: outside; 0.038 m before it
+    ready.run(0.1)
+    assert ready.reports[-1].clear_ahead_m == math.inf
+    assert ready.reports[-1].clear_behind_m == pytest.approx(0.029, abs=1e-3)
+
+
+def test_an_old_scan_and_none_at_all_are_no_room(ready):
+    assert math.isnan(ready.reports[-1].clear_ahead_m)
+    ready.hear("scan", scan())
+    ready.run(0.5)
+    assert ready.reports[-1].clear_ahead_m == math.inf
+    ready.run(1.0)
+    assert math.isnan(ready.reports[-1].clear_ahead_m)
+
+
+@pytest.mark.parametrize("payload", [b"", LaserScan().serialize(), LaserScan(ranges=[1.0]).serialize()])
+def test_a_scan_that_is_none_is_counted(ready, payload):
+    ready.hear("scan", payload)
+    ready.run(0.1)
+    assert math.isnan(ready.reports[-1].clear_ahead_m)
+    assert ready.base.health().counters["unreadable"] == 1
+
+
+def test_a_laser_that_looks_to_the_left_is_turned():
+    world = World(load_description("turtlebot4"))
+    world.run(2.0, frames=("odom", "base_link"))
+    world.hear("scan", scan((-90, 1.0)))
+    world.run(0.1, frames=("odom", "base_link"))
+    assert world.reports[-1].clear_ahead_m == pytest.approx(1.0 - 0.04 - 0.171, abs=1e-3)

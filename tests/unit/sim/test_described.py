@@ -1,0 +1,77 @@
+"""Described robots in evaluations, and a fifth robot that is one YAML file."""
+
+import json
+
+import pytest
+
+from rover_ncp.cli import run
+from rover_ncp.core.robot_description import load_description
+from rover_ncp.course.course import load_course
+from sim.evaluate.driver import load_driver
+from sim.stack.trials import Stack
+from sim.world.described import described_rover, ranges_of
+from sim.world.randomization import draw_trials
+
+FIFTH = """
+name: fifth
+based_on: turtlebot4
+footprint: {radius_m: 0.25}
+motion: {v_max: 0.15, omega_max: 0.9, accel: 0.5, decel: 0.5}
+odometry: {rate_hz: 10}
+topics: {odom: wheels/odom, cmd_vel: base/cmd_vel, cmd_vel_type: TwistStamped, base_frame: base_footprint}
+"""
+
+
+@pytest.fixture
+def fifth(tmp_path):
+    file = tmp_path / "fifth.yaml"
+    file.write_text(FIFTH)
+    return str(file)
+
+
+@pytest.mark.parametrize("name", ["turtlebot3-burger", "husky-a200", "p3at-sh"])
+def test_trials_of_a_model_differ_as_its_description_says(name):
+    robot = load_description(name)
+    trials = draw_trials(ranges_of(robot), described_rover(robot), 1, count=300, ticks=10)
+    delay_s = trials.delay[:, 0] * 0.01
+    assert delay_s.min() == pytest.approx(robot.delays.v_s / 2, abs=0.011)
+    assert delay_s.max() == pytest.approx(robot.delays.v_s * 2, abs=0.011)
+    turned = trials.turning[:, 0]
+    if robot.drive.kind == "skid":
+        assert (turned.min(), turned.max()) == pytest.approx((0.75, 1.25), abs=0.01)
+        assert trials.turning[:, 1].any()
+    else:
+        assert turned.min() == turned.max() == 1.0
+    assert abs(trials.odometry[:, 0] - 1.0).max() == pytest.approx(0.03, abs=0.001)
+
+
+def test_a_fast_reporting_robot_with_late_odometry_is_driven():
+    """Fifty reports a second, each up to 50 ms late: their age is known from their stamps."""
+    robot = load_description("jackal-j100")
+    late = ranges_of(robot).model_copy(update={"jitter_s": 0.05})
+    stack = Stack(load_driver("course"), (load_course("parking"),), late, 0, gyro=True, robot=robot)
+    assert [stack.drive(number).reason for number in range(2)] == ["", ""]
+
+
+def test_a_fifth_robot_is_evaluated_from_its_file(fifth, capsys):
+    assert run(["eval", "course", "--stack", "--model", fifth, "--json"]) == 0
+    fields = json.loads(capsys.readouterr().out)
+    assert fields["success_rate"] == 1.0
+    assert fields["randomize"] == "fifth"
+    assert "1.6 times as long for fifth: it reaches 0.15 m/s" in fields["scaled"][0]
+    assert run(["course", "check", "bay", "--model", fifth]) == 0
+    assert "1.6 times as long for fifth" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--live", "1"], "park --model"),
+        (["--stack", "--sensors", "gyro"], "nogyro has no gyro"),
+    ],
+)
+def test_what_a_described_robot_has_not_is_refused(options, expected, tmp_path, capsys):
+    file = tmp_path / "nogyro.yaml"
+    file.write_text("name: nogyro\nbased_on: turtlebot4\ngyro: null\n")
+    assert run(["eval", "course", "--model", str(file), *options]) == 2
+    assert expected in capsys.readouterr().err

@@ -36,7 +36,19 @@ from bridge.ros_base.silence import Silence
 from rover_ncp.core.cdr import encode
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import ODOMETRY, TWIST, TWIST_STAMPED, read_battery, read_imu
+from rover_ncp.core.messages import (
+    BUMP,
+    CLIFF,
+    ODOMETRY,
+    STALL,
+    TWIST,
+    TWIST_STAMPED,
+    WHEEL_DROP,
+    read_battery,
+    read_boolean,
+    read_hazards,
+    read_imu,
+)
 from rover_ncp.core.protocol import TimeoutState
 from rover_ncp.core.robot_description import RobotDescription, Topics
 
@@ -60,6 +72,7 @@ MOST_SILENT_S = 5.0
 """A base that has not halted after this time without commands has no timeout."""
 HALTED = 0.5
 """A base has halted when its speed is below this share of what it was."""
+_BUMPERS = frozenset({BUMP, CLIFF, WHEEL_DROP})
 ZERO = Velocity(0.0, 0.0)
 _LOOP = (
     "the robot's Zenoh network is connected to the drivers': commands could reach the robot past the bridge; "
@@ -138,6 +151,7 @@ class Ros2Base:
         self._alone_since_s: float | None = None
         self._battery_v = 0.0
         self._charging: bool | None = None
+        self._stop_pressed, self._hazards = False, frozenset[int]()
         self._turns: deque[float] = deque(maxlen=100)
         self._room = ScanRoom(description) if self._topics.scan is not None else None
         self.silence, self._store = silence, store
@@ -234,6 +248,10 @@ class Ros2Base:
                     self._turns.append(rate)
             elif topic == self._topics.scan and self._room is not None:
                 self._room.take(message.payload, now)
+            elif topic == self._topics.stop:
+                self._stop_pressed = read_boolean(message.payload)
+            elif topic == self._topics.hazards:
+                self._hazards = read_hazards(message.payload)
             elif topic == self._topics.battery_state:
                 battery = read_battery(message.payload)
                 if math.isfinite(battery.voltage):
@@ -266,6 +284,9 @@ class Ros2Base:
             age_s=moved.age_s,
             battery_v=self._battery_v,
             charging=self._charging,
+            stop_pressed=self._stop_pressed,
+            stalled=(STALL in self._hazards, STALL in self._hazards),
+            bumpers=(int(not self._hazards.isdisjoint(_BUMPERS)), 0),
             clear_ahead_m=ahead,
             clear_behind_m=behind,
         )

@@ -21,7 +21,16 @@ from bridge.ros_base.address import RosAddress
 from bridge.ros_base.base import TokenSeen
 from bridge.zenoh_config import read_config, reason
 from rover_ncp.core.errors import FormatError, NoRobot
-from rover_ncp.core.messages import BATTERY_STATE, IMU, LASER_SCAN, ODOMETRY, TWIST, TWIST_STAMPED
+from rover_ncp.core.messages import (
+    BATTERY_STATE,
+    BOOL,
+    HAZARDS,
+    IMU,
+    LASER_SCAN,
+    ODOMETRY,
+    TWIST,
+    TWIST_STAMPED,
+)
 from rover_ncp.core.robot_description import Topics
 from rover_ncp.core.zenoh_settings import CLIENT
 
@@ -42,7 +51,7 @@ class RosLine:
         self.nonce = secrets.token_hex(8)
         self._held: list[Any] = []
         wanted = [(topics.odom, ODOMETRY), (topics.imu, IMU), (topics.battery_state, BATTERY_STATE)]
-        wanted.append((topics.scan, LASER_SCAN))
+        wanted += [(topics.scan, LASER_SCAN), (topics.stop, BOOL), (topics.hazards, HAZARDS)]
         inputs = [(name, ros_type) for name, ros_type in wanted if name is not None]
         stamped = topics.cmd_vel_type == "TwistStamped"
         if address.convention is Convention.RMW_ZENOH:

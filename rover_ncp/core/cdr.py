@@ -12,15 +12,26 @@ from typing import Any
 import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rover_ncp.core.errors import FormatError
 
+_OTHERS = {
+    "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",
+    "irobot_create_msgs/msg/HazardDetectionVector": (
+        "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections\n"
+    ),
+}
+"""Types that are not ROS's own."""
+
 
 @functools.cache
 def _store() -> Typestore:
-    return get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in _OTHERS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
 
 
 def encode(ros_type: str, **fields: Any) -> bytes:

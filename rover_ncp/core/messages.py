@@ -28,6 +28,10 @@ STRING = "std_msgs/msg/String"
 FLOATS = "std_msgs/msg/Float64MultiArray"
 IMU = "sensor_msgs/msg/Imu"
 BATTERY_STATE = "sensor_msgs/msg/BatteryState"
+BOOL = "std_msgs/msg/Bool"
+HAZARDS = "irobot_create_msgs/msg/HazardDetectionVector"
+BUMP, CLIFF, STALL, WHEEL_DROP = 1, 2, 3, 4
+"""Of its hazards, those that stop a robot; 0 is the limit of driving backward, 5 something near."""
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 
 TWIST_BYTES = 52
@@ -276,6 +280,27 @@ def read_battery(data: bytes) -> BatterySample:
     # The type's POWER_SUPPLY_STATUS: 0 unknown, 1 charging, 2 discharging, 3 not charging, 4 full.
     status = message.power_supply_status
     return BatterySample(float(message.voltage), None if status == 0 else status == 1)
+
+
+def boolean(value: bool) -> bytes:
+    """Return a Bool."""
+    return encode(BOOL, data=value)
+
+
+def read_boolean(data: bytes) -> bool:
+    """Read a Bool. Raises FormatError."""
+    return bool(decode(BOOL, data).data)
+
+
+def hazards(kinds: Sequence[int], stamp_ns: int) -> bytes:
+    """Return a HazardDetectionVector."""
+    header = _header(stamp_ns, BASE_FRAME)
+    return encode(HAZARDS, header=header, detections=[{"header": header, "type": kind} for kind in kinds])
+
+
+def read_hazards(data: bytes) -> frozenset[int]:
+    """Read the kinds of a HazardDetectionVector. Raises FormatError."""
+    return frozenset(int(found.type) for found in decode(HAZARDS, data).detections)
 
 
 def point_cloud(

@@ -119,6 +119,10 @@ class Topics(StrictModel):
     imu: TopicName | None = None
     battery_state: TopicName | None = None
     scan: TopicName | None = None
+    stop: TopicName | None = None
+    """std_msgs/Bool, true while an emergency stop is pressed."""
+    hazards: TopicName | None = None
+    """irobot_create_msgs/HazardDetectionVector: bumps, cliffs, stalls and wheels in the air."""
     odom_frame: str = Field(default="odom", min_length=1)
     base_frame: str = Field(default="base_link", min_length=1)
     cmd_vel_timeout_s: float | None = Field(default=None, gt=0, le=10)

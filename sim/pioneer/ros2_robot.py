@@ -29,6 +29,8 @@ RESTART_S = 1.5
 """How long a robot that restarts is silent (chosen)."""
 BATTERY_S = 1.0
 """Time between two reports of the battery."""
+SWITCHES_HZ = 20.0
+"""Of the stop button and of hazards (chosen)."""
 BEAMS = 120
 """Of the mock's laser, 3 degrees apart."""
 
@@ -65,6 +67,8 @@ class Ros2Robot:
             self.topics.odom: description.odometry.rate_hz,
             self.topics.imu: description.gyro.rate_hz if description.gyro else 0.0,
             self.topics.battery_state: 1.0 / BATTERY_S,
+            self.topics.stop: SWITCHES_HZ,
+            self.topics.hazards: SWITCHES_HZ,
             self.topics.scan: description.scan.rate_hz if description.scan else 0.0,
         }
         self._rates = {name: hz for name, hz in rates.items() if name is not None and hz}
@@ -153,7 +157,7 @@ class Ros2Robot:
         timeout_s = self.topics.cmd_vel_timeout_s
         if timeout_s is not None and self.now - self._fed_s > timeout_s:
             self.drive.stop()
-        self.drive.substep(halted=self._fault("stall") is not None)
+        self.drive.substep(halted=any(self._fault(name) is not None for name in ("stall", "stop-button")))
         self._substeps += 1
         if self.observe:
             self.observe(self.now)
@@ -174,6 +178,12 @@ class Ros2Robot:
         if topics.battery_state in due:
             volts = self._fault("low-battery") or self.description.battery.nominal_v
             self._emit(topics.battery_state, messages.battery_state(volts, self._stamp_ns()))
+        if topics.stop in due:
+            self._emit(topics.stop, messages.boolean(self._fault("stop-button") is not None))
+        if topics.hazards in due:
+            kinds = {"bumper": messages.BUMP, "stall": messages.STALL}
+            found = [kind for fault, kind in kinds.items() if self._fault(fault) is not None]
+            self._emit(topics.hazards, messages.hazards(found, self._stamp_ns()))
         if topics.scan in due:
             self._emit(topics.scan, self._scan())
         if topics.odom in due:

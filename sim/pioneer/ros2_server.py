@@ -17,7 +17,16 @@ from bridge.ros.rmw import Attachment, Graph, Topic, gid
 from bridge.ros.rmw_node import publisher
 from bridge.zenoh_config import reason
 from rover_ncp.core.errors import PortInUse
-from rover_ncp.core.messages import BATTERY_STATE, IMU, LASER_SCAN, ODOMETRY, TWIST, TWIST_STAMPED
+from rover_ncp.core.messages import (
+    BATTERY_STATE,
+    BOOL,
+    HAZARDS,
+    IMU,
+    LASER_SCAN,
+    ODOMETRY,
+    TWIST,
+    TWIST_STAMPED,
+)
 from sim.pioneer.real_time import RealTimeLoop, TruthFile
 from sim.pioneer.ros2_robot import Ros2Robot
 
@@ -56,7 +65,7 @@ class Ros2Server(RealTimeLoop):
         self._held: list[Any] = []
         topics = robot.topics
         sent = [(topics.odom, ODOMETRY), (topics.imu, IMU), (topics.battery_state, BATTERY_STATE)]
-        sent.append((topics.scan, LASER_SCAN))
+        sent += [(topics.scan, LASER_SCAN), (topics.stop, BOOL), (topics.hazards, HAZARDS)]
         outputs = [(name, ros_type) for name, ros_type in sent if name is not None]
         taken = TWIST_STAMPED if topics.cmd_vel_type == "TwistStamped" else TWIST
         declare = self._plain if convention is Convention.ROS2DDS else self._graph

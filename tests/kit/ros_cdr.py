@@ -20,6 +20,23 @@ class Header(IdlStruct):
 
 
 @dataclass
+class Bool(IdlStruct):
+    data: bool = False
+
+
+@dataclass
+class HazardDetection(IdlStruct):
+    header: Header = field(default_factory=Header)
+    type: uint8 = 0
+
+
+@dataclass
+class HazardDetectionVector(IdlStruct):
+    header: Header = field(default_factory=Header)
+    detections: sequence[HazardDetection] = field(default_factory=list)
+
+
+@dataclass
 class Vector3(IdlStruct):
     x: float64 = 0.0
     y: float64 = 0.0

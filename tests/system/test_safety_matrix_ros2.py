@@ -29,9 +29,8 @@ PAGE = ROOT / "docs" / "safety.md"
 ROWS_FILE = os.environ.get("ROVER_NCP_SAFETY_ROWS")
 
 WITHOUT = {
-    "bumper": "the driver reads no bumpers",
-    "stall": "Odometry has no stall flag",
-    "stop-button": "the driver reads no stop button",
+    "bumper": "this robot has none",
+    "stall": "this robot reports none",
     "wall": "the description of this robot has no laser",
     "line-reset": "Zenoh connects again within 0.2 s, and the drive goes on",
 }

@@ -4,8 +4,20 @@ import math
 
 import pytest
 import ros_cdr
-from ros2_world import EPOCH_S, OURS, World
-from ros_cdr import BatteryState, Imu, Quaternion, String, Twist, TwistStamped, Vector3, odometry
+from ros2_world import BURGER, EPOCH_S, OURS, World
+from ros_cdr import (
+    BatteryState,
+    Bool,
+    HazardDetection,
+    HazardDetectionVector,
+    Imu,
+    Quaternion,
+    String,
+    Twist,
+    TwistStamped,
+    Vector3,
+    odometry,
+)
 
 from bridge.base import Failed, Lost, Ready, Recovered
 from bridge.ros.discovery import Announced
@@ -88,6 +100,19 @@ def test_gyro_and_battery_are_passed_on(ready):
     assert ready.turns[-1].rate == pytest.approx(0.3)
     assert ready.reports[-1].battery_v == pytest.approx(11.5)
     assert ready.reports[-1].charging is True
+
+
+@pytest.mark.parametrize("pressed", [True, False])
+def test_a_stop_button_and_hazards_are_passed_on(pressed):
+    topics = BURGER.topics.model_copy(update={"stop": "stop", "hazards": "hazard_detection"})
+    world = World(BURGER.model_copy(update={"topics": topics}))
+    found = [HazardDetection(type=kind) for kind in ((1, 3) if pressed else (0, 5))]
+    world.run(2.0)
+    world.hear("stop", Bool(pressed).serialize())
+    world.hear("hazard_detection", HazardDetectionVector(detections=found).serialize())
+    world.run(0.1)
+    report = world.reports[-1]
+    assert (report.stop_pressed, report.stalled[0], any(report.bumpers)) == (pressed,) * 3
 
 
 # Bad input.

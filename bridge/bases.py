@@ -15,7 +15,7 @@ from bridge.base_connection import BaseConnection
 from bridge.gate.limits import Limits
 from bridge.inbox import Inbox
 from bridge.pioneer.base import ArcosBase
-from bridge.pioneer.robots import ROBOTS
+from bridge.pioneer.robots import ROBOTS, parameters_of
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros_base.address import PREFIX, RosAddress, parse_address
@@ -90,8 +90,10 @@ def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> C
     if driver is not None:
         return ChosenBase(address, model, description, driver=driver)
     if ros2 is None:
-        if model not in ROBOTS:
-            raise UsageError(f"--model {model}: not a model that speaks ARCOS: auto, {', '.join(ROBOTS)}")
+        if description.arcos is None:
+            raise UsageError(
+                f"--model {model}: it has no arcos, which a Pioneer has; expected auto, {', '.join(ROBOTS)}"
+            )
         return ChosenBase(address, model, description)
     if description.topics is None:
         raise UsageError(f"--model {model}: the description has no topics, which a ROS 2 robot needs")
@@ -132,7 +134,8 @@ def open_base(
         base = _load(chosen.driver)(chosen.address.partition("/")[2], chosen.description, inbox.put)
         return base, base, ""
     if chosen.ros2 is None:
-        session = Session(chosen.model, MotionLimits(v=limits.v_max, omega=limits.omega_max))
+        robot = parameters_of(chosen.description) if chosen.description else None
+        session = Session(robot, MotionLimits(v=limits.v_max, omega=limits.omega_max))
         connection = BaseConnection(chosen.address, inbox)
         return connection, ArcosBase(connection, session), ""
     assert chosen.description is not None and chosen.description.topics is not None  # choose_base checks it

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from bridge.base import RobotShape, shape_of
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.core.robot_description import RobotDescription, load_description
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,10 @@ WHEEL_SPEED_M_S = 0.001
 """Metres per second per unit of wheel speed."""
 
 
-def _parameters(name: str) -> RobotParameters:
-    description = load_description(name)
+def parameters_of(description: RobotDescription) -> RobotParameters:
+    """Return the parameters of a described Pioneer, which has ``arcos``."""
     arcos, shape = description.arcos, shape_of(description)
-    assert arcos is not None  # each of NAMES has it
+    assert arcos is not None
     return RobotParameters(
         **vars(shape),
         distance_m=arcos.distance_mm / 1000,
@@ -42,5 +42,5 @@ def _parameters(name: str) -> RobotParameters:
 
 
 NAMES = ("p3at", "p3at-sh", "p3dx", "p3dx-sh")
-ROBOTS = {name: _parameters(name) for name in NAMES}
+ROBOTS = {name: parameters_of(load_description(name)) for name in NAMES}
 """By the subtype that the base reports in SYNC2 (``-sh``: the SH2 controller that runs ARCOS)."""

@@ -23,7 +23,6 @@ from bridge.pioneer.packets import SIP_KINDS, ConfigPac, GyroPac, Kind, Sip, dec
 from bridge.pioneer.robots import ROBOTS, RobotParameters
 from bridge.pioneer.setpoints import MotionLimits, Setpoints
 from bridge.pioneer.states import LOSS_S, PATIENCE_S, TABLE, Input, SessionState
-from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Velocity
 
 CONFIG_S, OPEN_S = 1.0, 2.0
@@ -61,21 +60,19 @@ SessionEvent: TypeAlias = BaseEvent | BaudChanged
 
 
 class Session:
-    """One base on one line. ``model`` is a key of ``ROBOTS``, or ``auto`` for the one it reports.
+    """One base on one line. Without a ``robot`` it is the one of ``ROBOTS`` that it reports.
 
-    Raises UsageError for another model. Times are seconds on any clock that does not go back.
+    Times are seconds on any clock that does not go back.
     """
 
-    def __init__(self, model: str = "auto", limits: MotionLimits | None = None) -> None:
-        if model != "auto" and model not in ROBOTS:
-            raise UsageError(f"model {model}: expected auto, {', '.join(ROBOTS)}")
+    def __init__(self, robot: RobotParameters | None = None, limits: MotionLimits | None = None) -> None:
         self.state = SessionState.IDLE
         self.decoder = Decoder()
         """Its counters show the quality of the link."""
-        self._model = model
+        self._chosen = robot
         self._setpoints = Setpoints(limits or MotionLimits(), self._send)
         # Replaced when the base has sent its name.
-        self._odometer = Odometer(ROBOTS.get(model, ROBOTS["p3at-sh"]))
+        self._odometer = Odometer(robot or ROBOTS["p3at-sh"])
         self._sip = Sip()
         self._names = ("", "", "")
         self._report: BaseReport | None = None
@@ -205,7 +202,7 @@ class Session:
         return _PACKET_INPUTS.get(packet.kind)
 
     def _robot(self) -> RobotParameters | None:
-        return ROBOTS.get(self._names[2].lower() if self._model == "auto" else self._model)
+        return self._chosen or ROBOTS.get(self._names[2].lower())
 
     # Actions.
 

@@ -23,8 +23,9 @@ from enum import Enum
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.baud import RATES
 from bridge.pioneer.packets import ConfigPac, Kind, encode_names
-from bridge.pioneer.robots import ROBOTS
+from bridge.pioneer.robots import parameters_of
 from rover_ncp.core.geometry import Pose
+from rover_ncp.core.robot_description import RobotDescription, load_description
 from sim.pioneer.client_commands import IGNORED, MockCommand, decode_argument, pair
 from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.faults import Fault, Faults
@@ -54,7 +55,7 @@ class ClientState(Enum):
 
 
 class Firmware:
-    """One base: ``model`` is a key of ``ROBOTS``, ``rover`` is what it drives, from where that stands.
+    """One base: ``model`` is a description or its name, ``rover`` is what it drives, from where that stands.
 
     ``observe`` is called after each substep with its time in s, on the clock that ``start_s`` is of.
     ``config`` holds the FLASH values if they are not those of the model; ``trial`` has the
@@ -63,7 +64,7 @@ class Firmware:
 
     def __init__(
         self,
-        model: str,
+        model: str | RobotDescription,
         rover: Rover,
         faults: Faults | None = None,
         start_s: float = 0.0,
@@ -73,7 +74,7 @@ class Firmware:
         trial: BaseTrial | None = None,
         gyro_seed: int = 0,
     ) -> None:
-        self.robot = ROBOTS[model]
+        self.robot = parameters_of(load_description(model) if isinstance(model, str) else model)
         self.decoder = Decoder()
         self._trial = trial or BaseTrial(nominal_trials(rover.model, ticks=1))
         self.drive = DriveTrain(self.robot, rover, self._trial)

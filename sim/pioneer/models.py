@@ -8,7 +8,7 @@ import math
 
 from bridge.base import shape_of
 from bridge.pioneer.packets import ConfigPac
-from bridge.pioneer.robots import ROBOTS, RobotParameters
+from bridge.pioneer.robots import RobotParameters, parameters_of
 from rover_ncp.core.robot_description import RobotDescription, load_description
 from sim.world.described import described_rover
 
@@ -32,10 +32,10 @@ def wheel_parameters(description: RobotDescription) -> RobotParameters:
     )
 
 
-def config_of(name: str) -> ConfigPac:
+def config_of(model: str | RobotDescription) -> ConfigPac:
     """Return the CONFIGpac of a model fresh from power-up. Its COUNT is beyond 127, as a real one's."""
-    robot = ROBOTS[name]
-    rover = described_rover(load_description(name))
+    described = load_description(model) if isinstance(model, str) else model
+    robot, rover = parameters_of(described), described_rover(described)
     accel, decel = round(rover.accel * 1000), round(rover.decel * 1000)
     turn_accel, turn_decel = round(math.degrees(rover.alpha)), round(math.degrees(rover.alpha_decel))
     return ConfigPac(

@@ -59,7 +59,7 @@ def run_mock(
     output = Output(as_json, controls=True)
     host, port = parse_listen(listen)
     description = load_description(model)
-    if ros2 is None and model not in ROBOTS:
+    if ros2 is None and description.arcos is None:
         raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}, or --ros2")
     if ros2 is not None and description.topics is None:
         raise UsageError(f"--model {model}: the description has no topics, which a ROS 2 robot needs")
@@ -74,8 +74,8 @@ def run_mock(
     file = TruthFile(truth, overwrite=overwrite) if truth else None
     server: Server | Ros2Server
     if ros2 is None:
-        flash = replace(config_of(model), has_gyro=int(gyro))
-        firmware = Firmware(model, rover, injected, now, config=flash, trial=base_trial, gyro_seed=seed)
+        flash = replace(config_of(description), has_gyro=int(gyro))
+        firmware = Firmware(description, rover, injected, now, config=flash, trial=base_trial, gyro_seed=seed)
         server = Server(host, port, firmware, file, output.say)
     else:
         epoch_s = time.time() - now

@@ -29,8 +29,8 @@ def simulated_base(
 ) -> Firmware | Ros2Robot:
     """Return a robot on a rover, with or without a gyro for its driver, whose clock begins at 0."""
     if robot.arcos is not None:
-        flash = replace(config_of(robot.name), has_gyro=int(gyro))
-        return Firmware(robot.name, rover, config=flash, trial=trial, gyro_seed=seed)
+        flash = replace(config_of(robot), has_gyro=int(gyro))
+        return Firmware(robot, rover, config=flash, trial=trial, gyro_seed=seed)
     assert robot.topics is not None
     # No laser: without sonar_stop_m the gate does not look at it.
     topics = robot.topics.model_copy(update={"scan": None})
@@ -71,7 +71,7 @@ class ArcosLine:
         self.bytes_to_base = self.bytes_from_base = 0
         self.arrivals: list[object] = [Opened()]
         most = MotionLimits(v=self.limits.v_max, omega=self.limits.omega_max)
-        self.base: Base = ArcosBase(self, Session("auto", most))
+        self.base: Base = ArcosBase(self, Session(firmware.robot, most))
 
     @property
     def due_s(self) -> float:

@@ -2,6 +2,7 @@
 
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import ConfigPac, Sip, encode_names
+from bridge.pioneer.robots import ROBOTS
 from bridge.pioneer.session import Session, SessionEvent
 from bridge.pioneer.states import PATIENCE_S, Input, SessionState
 from sim.pioneer.client_commands import decode_argument
@@ -38,7 +39,7 @@ class Bench:
     """A session with a simulated peer, which records the bytes sent and the events."""
 
     def __init__(self, model: str = "auto") -> None:
-        self.session = Session(model)
+        self.session = Session(ROBOTS.get(model))
         self.now = 100.0
         self.baudrate: int | None = None
         self.events: list[SessionEvent] = []

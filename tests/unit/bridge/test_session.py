@@ -14,7 +14,6 @@ from bridge.pioneer.packets import ConfigPac, Flag, GyroPac, Kind
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.pioneer.states import PATIENCE_S, SessionState
-from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Velocity
 
 
@@ -134,11 +133,6 @@ def test_chosen_model_has_precedence_over_the_reported_one() -> None:
     configured = bench.events[-1]
     assert isinstance(configured, Ready)
     assert configured.robot.name == "p3dx"
-
-
-def test_an_unknown_model_is_a_usage_error() -> None:
-    with pytest.raises(UsageError, match="expected auto, p3at, p3at-sh"):
-        Session("roomba")
 
 
 def test_limits_are_sent_in_the_bases_units() -> None:

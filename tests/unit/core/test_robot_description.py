@@ -9,8 +9,12 @@ from bridge.pioneer.robots import NAMES
 from bridge.ros.urdf import urdf
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.core.files import resolve, shipped_names
+from rover_ncp.core.protocol import BaseReply, parse_json
 from rover_ncp.core.robot_description import load_description
+from sim.pioneer.firmware import Firmware
+from sim.stack.virtual import VirtualBridge
 from sim.world.described import described_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
 
 SHIPPED = shipped_names("robots")
 
@@ -99,7 +103,7 @@ def test_an_unknown_name_shows_the_shipped_ones():
     [
         ("ros2/tcp/robot", "auto", "--model auto: .*turtlebot4"),
         ("ros2/tcp/robot", "p3at-sh", "no topics"),
-        ("tcp/robot", "turtlebot4", "speaks ARCOS"),
+        ("tcp/robot", "turtlebot4", "has no arcos"),
     ],
 )
 def test_a_model_that_does_not_fit_its_address_is_refused(base, model, expected):
@@ -116,3 +120,15 @@ def test_the_gates_limits_are_those_of_the_robot(tmp_path):
     with pytest.raises(UsageError, match=r"v_max is 0.25, but turtlebot3-burger has 0.22"):
         gate_limits(file, burger)
     assert gate_limits(file, load_description("p3at-sh")).v_max == 0.25
+
+
+def test_a_pioneer_of_ones_own_is_simulated_and_driven_from_its_file(tmp_path):
+    file = tmp_path / "arm.yaml"
+    file.write_text(
+        "name: p3at-arm\nbased_on: p3at-sh\nfootprint: {front_m: 0.5, rear_m: 0.313, width_m: 0.505}\n"
+    )
+    robot = choose_base("tcp/robot", str(file)).description
+    bridge = VirtualBridge(Firmware(robot, PymunkRover(described_rover(robot), Ground())))
+    bridge.sleep(3.0)
+    shape = parse_json(BaseReply, bridge.query("rover/base", b"{}"))
+    assert shape.model == "p3at-arm"

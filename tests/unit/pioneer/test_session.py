@@ -30,7 +30,7 @@ class Pair:
 
     def __init__(self, pioneer: Pioneer | None = None, model: str = "auto") -> None:
         self.pioneer = pioneer or Pioneer()
-        self.session = Session(model)
+        self.session = Session(ROBOTS.get(model))
         self.events: list[SessionEvent] = []
         self.driver: Callable[[Session], None] = lambda session: None
         self.cut_up = self.cut_down = False

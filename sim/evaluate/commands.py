@@ -240,8 +240,7 @@ def _drive_once(options: EvalOptions) -> int:
         "error_m": verdict.error_m,
         "error_rad": verdict.error_rad,
         "rms_m": run.rms_m,
-        "model": options.model,
-        "scaled": changes,
+        **({"model": options.model, "scaled": changes} if options.model else {}),
     }
     ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
     Output(options.json).result(

@@ -52,8 +52,7 @@ def run_trials(options: EvalOptions) -> int:
         found = evaluate(driver, courses, ranges, trials=trials, seed=options.seed, model=model)
     fields = found.fields() | {
         "randomize": options.randomization or ranges.name,
-        "model": options.model,
-        "scaled": changes,
+        **({"model": options.model, "scaled": changes} if options.model else {}),
         "body": options.body.value,
         "seed": options.seed,
         "random_courses": options.random_courses or 0,

@@ -33,10 +33,11 @@ from bridge.ros.discovery import Announced
 from bridge.ros_base.odometry import LEAST_IN_RATE_S, RATE_S, Moved, RosOdometer
 from bridge.ros_base.scan import ScanRoom
 from bridge.ros_base.silence import Silence
-from rover_ncp.core.cdr import encode
+from rover_ncp.core.cdr import decode, encode
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.messages import (
+    BOOL,
     BUMP,
     CLIFF,
     ODOMETRY,
@@ -45,7 +46,6 @@ from rover_ncp.core.messages import (
     TWIST_STAMPED,
     WHEEL_DROP,
     read_battery,
-    read_boolean,
     read_hazards,
     read_imu,
 )
@@ -249,7 +249,7 @@ class Ros2Base:
             elif topic == self._topics.scan and self._room is not None:
                 self._room.take(message.payload, now)
             elif topic == self._topics.stop:
-                self._stop_pressed = read_boolean(message.payload)
+                self._stop_pressed = bool(decode(BOOL, message.payload).data)
             elif topic == self._topics.hazards:
                 self._hazards = read_hazards(message.payload)
             elif topic == self._topics.battery_state:

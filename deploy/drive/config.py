@@ -106,8 +106,8 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
         "distance_gain_std": odometry.distance_error / math.sqrt(3.0),
         "turn_gain_std": odometry.turn_error / math.sqrt(3.0),
     }
-    if robot.drive.kind == "differential":  # it turns about the middle of its axle
-        spread["rotation_center_std_m"] = AXLE_STD_M
+    if robot.drive.kind == "differential":  # it turns about the middle of its axle, and does not slide
+        spread |= {"rotation_center_std_m": AXLE_STD_M, "downhill_std_m": AXLE_STD_M}
     return usual.model_copy(update=spread)
 
 

@@ -30,8 +30,7 @@ IMU = "sensor_msgs/msg/Imu"
 BATTERY_STATE = "sensor_msgs/msg/BatteryState"
 BOOL = "std_msgs/msg/Bool"
 HAZARDS = "irobot_create_msgs/msg/HazardDetectionVector"
-BUMP, CLIFF, STALL, WHEEL_DROP = 1, 2, 3, 4
-"""Of its hazards, those that stop a robot; 0 is the limit of driving backward, 5 something near."""
+BUMP, CLIFF, STALL, WHEEL_DROP = 1, 2, 3, 4  # of its hazards, those that stop a robot
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 
 TWIST_BYTES = 52
@@ -280,16 +279,6 @@ def read_battery(data: bytes) -> BatterySample:
     # The type's POWER_SUPPLY_STATUS: 0 unknown, 1 charging, 2 discharging, 3 not charging, 4 full.
     status = message.power_supply_status
     return BatterySample(float(message.voltage), None if status == 0 else status == 1)
-
-
-def boolean(value: bool) -> bytes:
-    """Return a Bool."""
-    return encode(BOOL, data=value)
-
-
-def read_boolean(data: bytes) -> bool:
-    """Read a Bool. Raises FormatError."""
-    return bool(decode(BOOL, data).data)
 
 
 def hazards(kinds: Sequence[int], stamp_ns: int) -> bytes:

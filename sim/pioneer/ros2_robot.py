@@ -13,6 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rover_ncp.core import messages
+from rover_ncp.core.cdr import encode
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, compose, wrap_angle
 from rover_ncp.core.messages import TWIST_BYTES
@@ -179,7 +180,7 @@ class Ros2Robot:
             volts = self._fault("low-battery") or self.description.battery.nominal_v
             self._emit(topics.battery_state, messages.battery_state(volts, self._stamp_ns()))
         if topics.stop in due:
-            self._emit(topics.stop, messages.boolean(self._fault("stop-button") is not None))
+            self._emit(topics.stop, encode(messages.BOOL, data=self._fault("stop-button") is not None))
         if topics.hazards in due:
             kinds = {"bumper": messages.BUMP, "stall": messages.STALL}
             found = [kind for fault, kind in kinds.items() if self._fault(fault) is not None]

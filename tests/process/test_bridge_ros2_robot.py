@@ -216,7 +216,8 @@ def test_an_unchecked_robot_is_driven_by_the_check_alone_until_its_timeout_is_kn
             reply = driver.motors()
             assert (reply.granted, reply.reason) == (False, "unchecked")
             assert "rover-ncp check" in reply.detail
-        with Process("check", ["--robot", rig.locator, "--on-blocks"], tmp_path) as check:
+        about = ["--robot", rig.locator, "--on-blocks", "--model", "husky-a200"]
+        with Process("check", about, tmp_path) as check:
             done = check.wait(60.0)
         findings = {finding["name"]: finding for finding in done.result["findings"]}
         assert done.code == 0, findings
@@ -230,7 +231,8 @@ def test_a_robot_without_a_timeout_is_driven_only_if_that_is_asked_for(tmp_path)
     bridge = ["--model", "turtlebot3-burger", "--state", str(tmp_path / "robots.yaml")]
     mock = ["--ros2", "--model", "turtlebot3-burger"]
     with Rig(tmp_path / "run", mock=mock, bridge=bridge, base_form=ROS2DDS) as rig:
-        with Process("check", ["--robot", rig.locator, "--on-blocks"], tmp_path) as check:
+        about = ["--robot", rig.locator, "--on-blocks", "--model", "turtlebot3-burger"]
+        with Process("check", about, tmp_path) as check:
             done = check.wait(60.0)
         assert done.code == 1
         assert "does not halt" in done.result["findings"][-1]["detail"]

@@ -18,6 +18,7 @@ from rover_ncp.core.errors import FileError, SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, distance
 from rover_ncp.core.messages import odometry, twist_stamped
 from rover_ncp.core.recording import Recorded, RecordingWriter
+from rover_ncp.core.robot_description import load_description
 from rover_ncp.core.robot_profile import load_profile
 from sim.live.live_run import LiveRun
 from sim.pioneer.firmware import Firmware
@@ -313,3 +314,12 @@ def test_a_live_robot_is_identified_and_its_recording_says_the_same(tmp_path, ca
     again = load_profile(tmp_path / "b.yaml")
     assert again.delay_v_s == pytest.approx(profile.delay_v_s, abs=0.005)
     assert again.gain_omega == pytest.approx(profile.gain_omega, rel=0.005)
+
+
+def test_a_slow_robot_is_driven_within_its_limits():
+    burger = load_description("turtlebot3-burger")
+    motion = burger.motion.model_copy(update={"v_max": 0.1, "omega_max": 0.2})
+    slow = burger.model_copy(update={"motion": motion})
+    velocities = np.abs([step.velocity for step in steps(slow)])
+    assert velocities.max(axis=0) == pytest.approx([0.1, 0.2])
+    assert steps(burger) == steps()

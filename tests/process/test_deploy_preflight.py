@@ -23,6 +23,9 @@ def check(capsys):
 
 def test_a_robot_that_is_well(tmp_path, check):
     with Rig(tmp_path) as rig:
+        code, wrong, _ = check(rig.locator, "--model", "turtlebot4")
+        assert (code, [finding["name"] for finding in wrong["findings"]]) == (1, ["model"])
+        assert "the bridge drives p3at-sh, expected turtlebot4" in wrong["findings"][0]["detail"]
         code, said, _ = check(rig.locator)
         stopped = rig.stood_after(rig.truth.read()[-1].wall_ns)
         gate = rig.bridge.stop().result

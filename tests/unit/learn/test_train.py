@@ -20,9 +20,9 @@ from rover_ncp.course.course import load_course
 from sim.learn.agents import AgentState, Snapshot
 from sim.learn.curve import curve_csv, curve_iterations, curve_png
 from sim.learn.evaluator import Evaluator
-from sim.learn.record import TrainSettings
+from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.run_folder import is_milestone
-from sim.learn.train import TrainResult, train
+from sim.learn.train import TrainResult, train, training_plan
 
 COURSE = DATA / "short_course.yaml"
 SETTINGS = TrainSettings(course=str(COURSE), seed=1, agents=2, iterations=150)
@@ -340,3 +340,15 @@ def test_the_picture_depends_on_the_curves_alone() -> None:
 
 def test_a_perfect_return_can_be_drawn() -> None:
     assert np.frombuffer(curve_png(agents_with([(0, 0.0)]), 0, "perfect"), np.uint8).size > 1000
+
+
+def test_a_described_robot_is_trained_on_and_named_in_the_command(tmp_path: Path) -> None:
+    described = tmp_path / "slow.yaml"
+    described.write_text("name: slow\nbased_on: turtlebot4\nmotion: {v_max: 0.12}\n")
+    settings = TrainSettings(model=str(described))
+    assert f"--model {described}" in settings.command()
+    assert "model" not in TrainSettings().model_dump()
+    task = resolve_task(settings)
+    assert task.course.horizon_s == pytest.approx(2 * load_course("parking").horizon_s)
+    engine = training_plan(settings, task).build_evaluator()
+    assert engine.model.v_max == 0.12

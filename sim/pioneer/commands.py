@@ -7,7 +7,7 @@ import typer
 
 from bridge.ros.discovery import Convention
 from rover_ncp.core.console import MOST_SEED, Json, Overwrite
-from sim.world.bodies import PRESET_WORDS, Body, BodyOption
+from sim.world.bodies import PRESET_WORDS, PRESETS, Body, BodyOption
 
 
 def mock(
@@ -83,6 +83,7 @@ def mock(
 
     --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
     """
+    from rover_ncp.core.robot_description import load_description
     from sim.pioneer.run import Ros2Options, run_mock
     from sim.world.described import ranges_for
 
@@ -95,7 +96,7 @@ def mock(
         overwrite=overwrite,
         faults=fault or [],
         seed=seed,
-        ranges=ranges_for(randomize, profile, body),
+        ranges=ranges_for(randomize or PRESETS[body][0], profile, body, load_description(model)),
         trial=trial,
         gyro=gyro,
         as_json=json,

@@ -25,7 +25,6 @@ from sim.pioneer.ros2_robot import Ros2Robot
 from sim.pioneer.ros2_server import Ros2Server
 from sim.pioneer.server import Server, parse_listen
 from sim.pioneer.trial import BaseTrial, draw_rover
-from sim.world.bodies import Body
 from sim.world.described import described_rover
 from sim.world.randomization import Randomization
 
@@ -63,8 +62,6 @@ def run_mock(
         raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}, or --ros2")
     if ros2 is not None and description.topics is None:
         raise UsageError(f"--model {model}: the description has no topics, which a ROS 2 robot needs")
-    if ranges.body is Body.MUJOCO and not model.startswith("p3at"):
-        raise UsageError(f"--model {model}: the body mujoco has four wheels, expected p3at or p3at-sh")
     injected = Faults([parse_fault(text) for text in faults if text != FROM_STDIN], seed)
     # Unbuffered, so that the server's selector sees every line that is left to read.
     fault_lines = io.FileIO(sys.stdin.fileno(), closefd=False) if FROM_STDIN in faults else None

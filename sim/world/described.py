@@ -7,6 +7,7 @@ and odometry are those of the description.
 from functools import cache
 from pathlib import Path
 
+from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.robot_description import RobotDescription, load_description
 from rover_ncp.core.robot_profile import load_profile
@@ -69,7 +70,11 @@ def ranges_for(
 
     Without a name they are those of the robot, or else a body's nominal ones. Raises UsageError.
     """
-    if name_or_path is None and robot is not None:
+    if body is Body.MUJOCO and robot is not None and not robot.name.startswith("p3at"):
+        raise UsageError(
+            f"--body mujoco has the wheels and the weight of a Pioneer 3-AT, not of {robot.name}"
+        )
+    if name_or_path is None and robot is not None and body is Body.PYMUNK:
         ranges = ranges_of(robot)
     else:
         ranges = load_randomization(PRESETS[body][0] if name_or_path is None else name_or_path, body)

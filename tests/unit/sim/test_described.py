@@ -67,6 +67,7 @@ def test_a_fifth_robot_is_evaluated_from_its_file(fifth, capsys):
     ("options", "expected"),
     [
         (["--live", "1"], "park --model"),
+        (["--stack", "--body", "mujoco"], "of a Pioneer 3-AT, not of nogyro"),
         (["--stack", "--sensors", "gyro"], "nogyro has no gyro"),
     ],
 )

@@ -7,6 +7,7 @@ import pytest
 
 from deploy.replay import replay
 from rover_ncp.cli import run
+from rover_ncp.core.robot_description import load_description
 
 FIFTH = """
 name: fifth
@@ -25,7 +26,9 @@ def test_a_ros2_robot_parks(model, tmp_path, capsys):
         Path(model).write_text(FIFTH)
     out = tmp_path / "park"
     assert run(["park", "--model", model, "--out", str(out), "--json"]) == 0
-    fields = json.loads(capsys.readouterr().out)
+    said = capsys.readouterr()
+    fields = json.loads(said.out)
     assert fields["parked"]
+    assert ("times as long" in said.err) == (load_description(model).motion.v_max < 0.24)
     assert fields["policy"] == "course"
     assert replay(out / "run.mcap").difference is None

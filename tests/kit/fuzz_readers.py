@@ -200,7 +200,10 @@ def _robot(data):
     """A ROS 2 robot whose topics send anything, before and after good odometry; its tokens are anything."""
     words = data.decode(errors="replace")
     tokens = [read(words) for read in (read_topic_token, read_token)]
-    base = Ros2Base(_NoLine(), load_description("turtlebot3-burger"), Silence(), lambda _: None)
+    burger = load_description("turtlebot3-burger")
+    switches = burger.topics.model_copy(update={"stop": "stop", "hazards": "hazards"})
+    robot = burger.model_copy(update={"topics": switches})
+    base = Ros2Base(_NoLine(), robot, Silence(), lambda _: None)
     for token in tokens:
         if token is not None:
             base.receive(TokenSeen(token, True), 0.0)
@@ -209,7 +212,7 @@ def _robot(data):
         good = odometry(HERE, STILL, round(1e9 * (1000 + now)), frames=("odom", "base_footprint"))
         topics = {
             "odom": data if k % 10 == 9 else good,
-            **dict.fromkeys(("imu", "battery_state", "scan"), data),
+            **dict.fromkeys(("imu", "battery_state", "scan", "stop", "hazards"), data),
         }
         topics |= {"cmd_vel": data} if k == 35 else {}
         for topic, payload in topics.items():

@@ -151,7 +151,9 @@ class EvalOptions:
     @property
     def randomization(self) -> str | None:
         """The name or file of the randomization; None for the ranges of a described robot."""
-        return self.randomize or (PRESETS[self.body][0] if self.model is None else None)
+        if self.randomize is not None or self.model is not None:
+            return self.randomize
+        return PRESETS[self.body][0]
 
 
 @command

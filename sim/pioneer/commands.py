@@ -87,6 +87,7 @@ def mock(
     from sim.pioneer.run import Ros2Options, run_mock
     from sim.world.described import ranges_for
 
+    robot = load_description(model)
     run_mock(
         listen=listen,
         model=model,
@@ -96,7 +97,7 @@ def mock(
         overwrite=overwrite,
         faults=fault or [],
         seed=seed,
-        ranges=ranges_for(randomize or PRESETS[body][0], profile, body, load_description(model)),
+        ranges=ranges_for(PRESETS[body][0] if randomize is None else randomize, profile, body, robot),
         trial=trial,
         gyro=gyro,
         as_json=json,

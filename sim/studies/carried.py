@@ -41,9 +41,9 @@ class CarriedStack(Stack):
             return tick, Pose(0.0, 0.0, math.copysign(TURNED_RAD, direction))
         return tick, Pose(CARRIED_M * math.cos(direction), CARRIED_M * math.sin(direction), 0.0)
 
-    def robot(self, number: int) -> Drawn:
+    def drawn(self, number: int) -> Drawn:
         """Return the robot of a trial, with its displacement."""
-        drawn, (tick, by) = super().robot(number), self.displacement(number)
+        drawn, (tick, by) = super().drawn(number), self.displacement(number)
         return drawn._replace(trials=drawn.trials._replace(bump=np.array([[tick, *by]])))
 
     def stopped_s(self, number: int) -> float:

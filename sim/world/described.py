@@ -71,9 +71,7 @@ def ranges_for(
     Without a name they are those of the robot, or else a body's nominal ones. Raises UsageError.
     """
     if body is Body.MUJOCO and robot is not None and not robot.name.startswith("p3at"):
-        raise UsageError(
-            f"--body mujoco has wheels and weight of a Pioneer 3-AT, not of {robot.name}"
-        )
+        raise UsageError(f"--body mujoco has wheels and weight of a Pioneer 3-AT, not of {robot.name}")
     if name_or_path is None and robot is not None and body is Body.PYMUNK:
         ranges = ranges_of(robot)
     else:

@@ -10,11 +10,13 @@ from enum import StrEnum
 from statistics import median
 from typing import Any
 
+import numpy as np
+
 from sim.paper import BudgetName
 from sim.paper.agents import GRADIENTS
-from sim.paper.comparison import OTHERS, Comparison, compare_agents
+from sim.paper.comparison import OTHERS, Comparison, compare_agents, measure
 from sim.paper.results import Result, ResultStore
-from sim.paper.tables import TABLES, Row, Verdict, mean_text, table
+from sim.paper.tables import LEVEL, TABLES, Row, Verdict, mean_text, table
 from sim.paper.tasks import TASKS
 
 FAST = 5000
@@ -58,6 +60,7 @@ def all_claims(store: ResultStore) -> list[Claim]:
     return [
         *_search_claims(store),
         *_cell_claims(store),
+        *_two_values(store),
         *(claim for other in OTHERS for claim in _comparison_claims(other, compare_agents(store, other))),
         *circuit_claims(store),
         *_untested(),
@@ -87,6 +90,28 @@ def _cell_claims(store: ResultStore) -> Iterator[Claim]:
                 command=f"rover-ncp paper {which}" + (" --budget published" if with_theirs else ""),
                 why=why,
             )
+
+
+def _two_values(store: ResultStore) -> Iterator[Claim]:
+    """Yield the experiments of which Tables II and IV give two values, with and without failures."""
+    for task in _PAPER_TASKS:
+        rows = [
+            next(row for row in table(which, store) if (row.task, row.agent) == (task, "circuit"))
+            for which in ("random-circuits", "networks")
+        ]
+        if rows[0].published == rows[1].published or rows[0].success_rate is None:
+            continue
+        failed = rows[0].success_rate < 1.0
+        yield Claim(
+            name=f"two-values-{task}",
+            claim=f"{TASKS[task].title}: {' and '.join(map(_published, rows))} are of one experiment, "
+            "with and without failed attempts",
+            source="Tables II and IV",
+            verdict=Finding.DIFFERENCE if failed else Finding.NOT_REPRODUCED,
+            figure=_ours(rows[0]),
+            command="rover-ncp paper random-circuits",
+            why="" if failed else "none of our attempts failed, with our search, so that there is one value",
+        )
 
 
 def _cell_verdict(row: Row, same_search: bool) -> tuple[Finding, str]:
@@ -226,16 +251,35 @@ def _estimate_claims(store: ResultStore) -> Iterator[Claim]:
             verdict = Finding.REPRODUCED if low <= _RATES[task] <= high else Finding.NOT_REPRODUCED
         figure = f"{hits} of {len(runs)} succeed (Wilson {low:.0%} to {high:.0%})"
         yield Claim(f"published-{task}", words, source, verdict, figure, command)
-    same = [task for task in TASKS.values() if task.settings.worst == task.settings.rollouts]
-    yield Claim(
-        "mean-or-worst",
-        "the mean of the worst k rollouts is a better objective than the mean of all N",
-        "Algorithm 1, section on the objective",
-        Finding.NOT_TESTED,
-        f"k = N on {', '.join(task.name for task in same)}, where both are the same",
-        "rover-ncp paper run --budget published-mean",
-        "where they differ, no run of either has come to its end",
-    )
+    yield from _objective_claims(store)
+
+
+def _objective_claims(store: ResultStore) -> Iterator[Claim]:
+    """Yield the comparison of the two estimates, on the tasks where they differ."""
+    for task in TASKS.values():
+        name = f"mean-or-worst-{task.name}"
+        words = f"{task.title}: the mean of the worst k rollouts is a better objective than the mean of all N"
+        command = f"rover-ncp paper run --budget published-mean --task {task.name}"
+        source = "section on the objective"
+        budgets = (BudgetName.PUBLISHED, BudgetName.PUBLISHED_MEAN)
+        worst, mean = (
+            [result.mean for result in store.results(task.name, "circuit", budget)] for budget in budgets
+        )
+        if task.settings.worst == task.settings.rollouts:
+            why = f"k = N = {task.settings.rollouts}, so that both are the same"
+            yield Claim(name, words, source, Finding.NOT_TESTED, "0 runs", command, why)
+        elif min(len(worst), len(mean)) < _ENOUGH_RUNS:
+            if task.name in (*_PAPER_TASKS, "cart-pole"):
+                yield _no_runs(name, words, source, command)
+        else:
+            effect = measure(np.array(worst), np.array(mean))
+            better = effect.p < LEVEL and effect.difference > 0.0
+            verdict = Finding.REPRODUCED if better else Finding.NOT_REPRODUCED
+            figure = (
+                f"{mean_text(median(worst))} against {mean_text(median(mean))} (medians); "
+                + effect.sentence(len(worst), len(mean))
+            )
+            yield Claim(name, words, source, verdict, figure, command)
 
 
 _UNTESTED = (

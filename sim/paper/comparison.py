@@ -35,6 +35,14 @@ class Effect(NamedTuple):
     """That a run of the first set has the higher return."""
     p: float
 
+    def sentence(self, runs: int, other_runs: int) -> str:
+        """Return test, n, p and effect size in a line."""
+        low, high = map(mean_text, self.interval)
+        return (
+            f"difference {mean_text(self.difference)} ({low} .. {high}), P(above) {self.probability:.2f}; "
+            f"permutation test, n = {runs} and {other_runs}, p = {self.p:.2g}"
+        )
+
 
 class Comparison(NamedTuple):
     """The circuit against another agent on one task."""
@@ -82,13 +90,8 @@ class Comparison(NamedTuple):
 
     def sentence(self) -> str:
         """Return means, test, n, p and effect size in a line."""
-        low, high = map(mean_text, self.effect.interval)
-        return (
-            f"{mean_text(self.means[0])} against {mean_text(self.means[1])}: difference "
-            f"{mean_text(self.effect.difference)} ({low} .. {high}), P(circuit above) "
-            f"{self.effect.probability:.2f}; permutation test, n = {self.runs[0]} and {self.runs[1]}, "
-            f"p = {self.effect.p:.2g}, by Holm {self.p_holm:.2g}"
-        )
+        means = " against ".join(map(mean_text, self.means))
+        return f"{means}: {self.effect.sentence(*self.runs)}, by Holm {self.p_holm:.2g}"
 
 
 def compare_agents(store: ResultStore, other: str) -> list[Comparison]:

@@ -138,7 +138,7 @@ def disturbances_png(rows: Sequence[dict[str, Any]]) -> bytes:
     from matplotlib.figure import Figure
 
     tasks = list(dict.fromkeys(row["task"] for row in rows))
-    figure = Figure(figsize=(9.0, 1.9 * len(tasks)), dpi=100, layout="constrained")
+    figure = Figure(figsize=(9.0, 1.9 * len(tasks)), dpi=80, layout="constrained")
     grid: Any = figure.subplots(len(tasks), len(LEVELS), squeeze=False, sharey="row")
     colors = dict(zip(_AGENTS, ("tab:blue", "tab:green", "tab:red"), strict=True))
     for panels, task in zip(grid, tasks, strict=True):
@@ -153,7 +153,7 @@ def disturbances_png(rows: Sequence[dict[str, Any]]) -> bytes:
                 )
                 axes.plot(levels, means, color=color, linewidth=1.2, label=f"{agent} ({own[0]['runs']})")
             axes.axhline(TASKS[task].success, color="0.6", linewidth=0.8, linestyle=":")
-            axes.set_title(f"{TASKS[task].title}: {kind}", fontsize=7)
+            axes.set_title(f"{task}: {kind}", fontsize=7)
             axes.tick_params(labelsize=7)
             axes.grid(alpha=0.3)
         panels[0].legend(fontsize=6, loc="lower left")

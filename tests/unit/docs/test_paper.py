@@ -9,10 +9,11 @@ import pytest
 
 from rover_ncp import cli
 from sim.paper.claims import all_claims
+from sim.paper.lesions import lesion_study
 from sim.paper.results import ResultStore
 
 PAGE = paper_tables.PAGE.read_text()
-BLOCKS = paper_tables.blocks(PAGE)
+BLOCKS = paper_tables.blocks(PAGE, "command")
 TABLES = {"policy-gradients", "networks", "comparisons", "claims", "status", "parameters"}
 COMPARATIVE = re.compile(
     r"\b(better|worse|higher|lower|faster|slower|fewer|(?:more|less) \w+ than|on par|beats?|outperforms?|"
@@ -31,6 +32,19 @@ def test_the_page_has_the_table_that_the_command_prints(command, tmp_path, capsy
     table = capsys.readouterr().out.strip()
     assert table.count("\n") > 5
     assert table == BLOCKS[command], "make paper-docs writes the present tables"
+
+
+@pytest.mark.parametrize("study", paper_tables.STUDIES)
+def test_the_page_has_the_table_of_a_stored_study(study):
+    table = paper_tables.STUDIES[study](paper_tables.stored(study))
+    assert paper_tables.blocks(PAGE, "study")[study] == table, "make paper-docs writes the present tables"
+
+
+def test_the_stored_lesions_are_those_of_the_shipped_circuits():
+    found = lesion_study(ResultStore(Path("nowhere")), ["parking"])
+    rows = [row for row in paper_tables.stored("lesions") if row["task"] == "parking"]
+    assert [(row["part"], row["succeed"]) for row in rows] == [(row["part"], row["succeed"]) for row in found]
+    assert [row["mean"] for row in rows] == pytest.approx([row["mean"] for row in found], rel=1e-9)
 
 
 def test_the_page_has_all_tables():

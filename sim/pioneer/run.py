@@ -25,7 +25,6 @@ from sim.pioneer.ros2_robot import Ros2Robot
 from sim.pioneer.ros2_server import Ros2Server
 from sim.pioneer.server import Server, parse_listen
 from sim.pioneer.trial import BaseTrial, draw_rover
-from sim.world.described import described_rover
 from sim.world.randomization import Randomization
 
 FROM_STDIN = "-"
@@ -66,7 +65,7 @@ def run_mock(
     # Unbuffered, so that the server's selector sees every line that is left to read.
     fault_lines = io.FileIO(sys.stdin.fileno(), closefd=False) if FROM_STDIN in faults else None
     known = load_course(course) if course else None
-    rover, trials = draw_rover(ranges, described_rover(description), known, seed=seed, number=trial)
+    rover, trials = draw_rover(ranges, description, known, seed=seed, number=trial)
     base_trial, now = BaseTrial(trials), time.monotonic()
     file = TruthFile(truth, overwrite=overwrite) if truth else None
     server: Server | Ros2Server

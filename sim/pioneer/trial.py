@@ -9,7 +9,9 @@ pose in that tick. Quantised commands are not among a trial's errors here: ARCOS
 from typing import NamedTuple
 
 from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.course.course import TICK_S, Course
+from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import (
     Randomization,
@@ -21,7 +23,7 @@ from sim.world.randomization import (
     trial_body,
 )
 from sim.world.rover import SUBSTEP_S, Rover, RoverModel
-from sim.world.skid_robot import draw_robot
+from sim.world.skid_robot import draw_robot, rigid_body_of
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 TRIAL_TICKS = 600
@@ -93,14 +95,16 @@ class Drawn(NamedTuple):
 
 
 def draw_rover(
-    ranges: Randomization, model: RoverModel, course: Course | None, *, seed: int, number: int
+    ranges: Randomization, description: RobotDescription, course: Course | None, *, seed: int, number: int
 ) -> Drawn:
     """Draw trial ``number`` of a seed, for as long as the course lasts."""
+    model = described_rover(description)
     ticks, obstacles = (course.ticks, course.obstacles) if course else (TRIAL_TICKS, ())
     trials = draw_trials(ranges, model, seed, count=1, ticks=ticks, first=number)
     if ranges.skid_steer is None:
         return Drawn(rover_of(trials, model, Ground(obstacles)), trials)
     from sim.world.mujoco_rover import MujocoRover  # needs an extra of its own
 
-    robot, start = draw_robot(ranges.skid_steer, seed, number), Pose(*trials.start[0].tolist())
+    usual = rigid_body_of(description)
+    robot, start = draw_robot(ranges.skid_steer, seed, number, usual), Pose(*trials.start[0].tolist())
     return Drawn(MujocoRover(trial_body(model, trials, 0), robot, obstacles, start), trials)

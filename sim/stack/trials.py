@@ -120,12 +120,12 @@ class Stack:
 
     def drawn(self, number: int) -> Drawn:
         """Return the robot of a trial."""
-        return draw_rover(self.ranges, self.model, self.course(number), seed=self.seed, number=number)
+        return draw_rover(self.ranges, self.description, self.course(number), seed=self.seed, number=number)
 
     def _identified(self, number: int, place: Place) -> RoverProfile:
         """Identify the robot of a trial, and return what its driver then knows."""
         ranges = levelled(self.ranges) if place is Place.LEVEL else self.ranges
-        drawn = draw_rover(ranges, self.model, None, seed=self.seed, number=number)
+        drawn = draw_rover(ranges, self.description, None, seed=self.seed, number=number)
         stream = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number, 3)))
         return self._completed(identified(drawn, self.description, self.identify_camera, stream))
 

@@ -39,9 +39,16 @@ def described_rover(description: RobotDescription) -> RoverModel:
     )
 
 
-def ranges_of(description: RobotDescription) -> Randomization:
-    """Return the ranges of a described model; a ROS 2 robot adds the noise of its odometry itself."""
+def ranges_of(description: RobotDescription, body: Body = Body.PYMUNK) -> Randomization:
+    """Return the ranges of a described model; a ROS 2 robot adds the noise of its odometry itself.
+
+    On the second body they are those of the randomization varied, with the description's delays.
+    """
     delays, odometry = description.delays, description.odometry
+    if body is Body.MUJOCO:
+        varied = load_randomization("varied", body)
+        late = {"delay_v_s": _times(delays.v_s), "delay_omega_s": _times(delays.omega_s)}
+        return varied.model_copy(update={"name": description.name, **late})
     own = {
         "name": description.name,
         "delay_v_s": _times(delays.v_s),
@@ -70,10 +77,10 @@ def ranges_for(
 
     Without a name they are those of the robot, or else a body's nominal ones. Raises UsageError.
     """
-    if body is Body.MUJOCO and robot is not None and not robot.name.startswith("p3at"):
-        raise UsageError(f"--body mujoco has wheels and weight of a Pioneer 3-AT, not of {robot.name}")
-    if name_or_path is None and robot is not None and body is Body.PYMUNK:
-        ranges = ranges_of(robot)
+    if body is Body.MUJOCO and robot is not None and robot.drive.kind != "skid":
+        raise UsageError(f"--body mujoco has four wheels; {robot.name} has two")
+    if name_or_path is None and robot is not None:
+        ranges = ranges_of(robot, body)
     else:
         ranges = load_randomization(PRESETS[body][0] if name_or_path is None else name_or_path, body)
     return ranges if profile is None else ranges.model_copy(update={"rover": load_profile(profile)})

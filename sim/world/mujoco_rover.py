@@ -36,15 +36,19 @@ MOVING_S = 0.05
 PROPORTIONAL, INTEGRAL = 60.0, 1500.0
 """Gains of a motor controller, in N·m per m/s and per m at the rims (chosen): a step takes 20 ms, and a
 rim that is held gives way by 1 mm for 1.5 N·m."""
-SHELL_HEIGHT_M, CLEARANCE_M, WALL_HEIGHT_M = 0.277, 0.06, 0.5
+WALL_HEIGHT_M = 0.5
 CABLE_M = 3.0
 SETTLING_S = 0.5
 """So long a rover stands on its tyres before it is placed."""
-RAY_HEIGHT_M = 0.25
+RAY_BELOW_M = 0.027
+"""How far below its top the robot looks for walls."""
+WHEEL_INERTIA, ARMATURE = (0.003, 0.006, 0.003), 0.005
+"""Of a wheel and of its motor, for a 3-AT; in proportion to mass and radius squared for others."""
 _WALLS_ONLY = np.array([0, 1, 0, 0, 0, 0], np.uint8)
 """The geometry groups that a ray meets."""
 _YAW = 2
 """The place of the gyro's vertical axis among the sensors' values."""
+USUAL = SkidRobot()
 _ORIGIN, _STILL = Pose(0.0, 0.0, 0.0), Velocity(0.0, 0.0)
 _CABLES, _WALLS = 1, 2
 """Bits of collisions: tyres roll over cables, walls stop tyres and shell."""
@@ -65,7 +69,7 @@ def _model_xml(robot: SkidRobot, model: RoverModel, obstacles: Sequence[Obstacle
     frame_kg = robot.mass_kg - 4 * wheel_kg
     # The wheels' own centre of mass is the middle.
     ahead, left = (place * robot.mass_kg / frame_kg for place in robot.mass_center_m)
-    length, width, height = model.length, model.width, SHELL_HEIGHT_M
+    length, width, height = model.length, model.width, robot.height_m
     inertia = " ".join(
         str(frame_kg / 12 * (a * a + b * b)) for a, b in ((width, height), (length, height), (length, width))
     )
@@ -75,11 +79,13 @@ def _model_xml(robot: SkidRobot, model: RoverModel, obstacles: Sequence[Obstacle
         for side, y in (("left", robot.half_track_m), ("right", -robot.half_track_m))
     ]
     tyre = f'solref="{contact.tyre_s} 1" solimp="{TYRE_IMPEDANCE} {TYRE_IMPEDANCE} 0.001"'
+    heavy = wheel_kg * radius * radius / (USUAL.wheel_mass_kg * USUAL.wheel_radius_m * USUAL.wheel_radius_m)
+    wheel_inertia = " ".join(str(heavy * each) for each in WHEEL_INERTIA)
     wheels = "".join(
         f"""
       <body pos="{x} {y} {radius}">
-        <inertial pos="0 0 0" mass="{wheel_kg}" diaginertia="0.003 0.006 0.003"/>
-        <joint name="{name}" type="hinge" axis="0 1 0" armature="0.005"/>
+        <inertial pos="0 0 0" mass="{wheel_kg}" diaginertia="{wheel_inertia}"/>
+        <joint name="{name}" type="hinge" axis="0 1 0" armature="{heavy * ARMATURE}"/>
         <geom name="{name}" type="sphere" size="{radius * factor}" contype="0" conaffinity="{_TYRES}"
           friction="{robot.friction} 0 0" {tyre}/>
       </body>"""
@@ -109,7 +115,7 @@ def _model_xml(robot: SkidRobot, model: RoverModel, obstacles: Sequence[Obstacle
         -down * math.sin(robot.uphill_rad),
         -GRAVITY_M_S2 * math.cos(robot.slope_rad),
     )
-    half_height = 0.5 * (height - CLEARANCE_M)
+    half_height = 0.5 * (height - robot.clearance_m)
     return f"""
 <mujoco>
   <compiler angle="radian"/>
@@ -121,7 +127,7 @@ def _model_xml(robot: SkidRobot, model: RoverModel, obstacles: Sequence[Obstacle
       <freejoint/>
       <inertial pos="{ahead} {left} {robot.mass_height_m}" mass="{frame_kg}" diaginertia="{inertia}"/>
       <geom type="box" size="{length / 2} {width / 2} {half_height}" contype="0" conaffinity="{_WALLS}"
-        pos="0 0 {CLEARANCE_M + half_height}" friction="{model.shell_friction} 0 0"/>
+        pos="0 0 {robot.clearance_m + half_height}" friction="{model.shell_friction} 0 0"/>
       <site name="imu"/>{wheels}
     </body>
   </worldbody>
@@ -220,7 +226,7 @@ class MujocoRover:
         self._turned += float(data.sensordata[_YAW]) * CONTROL_S
 
     def range_along(self, ray: Pose, most_m: float) -> float | None:
-        start, hit = np.array([ray.x, ray.y, RAY_HEIGHT_M]), np.zeros(1, np.int32)
+        start, hit = np.array([ray.x, ray.y, self.robot.height_m - RAY_BELOW_M]), np.zeros(1, np.int32)
         along = np.array([math.cos(ray.theta), math.sin(ray.theta), 0.0])
         way = mujoco.mj_ray(self._physics, self.data, start, along, _WALLS_ONLY, 1, -1, hit)
         return float(way) if 0.0 <= way <= most_m else None
@@ -265,6 +271,7 @@ class _Motor:
     def __init__(self, robot: SkidRobot) -> None:
         self._robot = robot
         self._most_n_m = robot.torque_n_m
+        self._stronger = robot.torque_n_m / USUAL.torque_n_m
         self._ticks, self._speed, self._integral = 0, 0.0, 0.0
         self._rests = True
 
@@ -282,8 +289,8 @@ class _Motor:
         if self._rests and not rested:
             self._integral = 0.0
         error, most = wanted - self._speed, self._most_n_m
-        self._integral = min(max(self._integral + INTEGRAL * CONTROL_S * error, -most), most)
-        return min(max(PROPORTIONAL * error + self._integral, -most), most)
+        self._integral = min(max(self._integral + self._stronger * INTEGRAL * CONTROL_S * error, -most), most)
+        return min(max(self._stronger * PROPORTIONAL * error + self._integral, -most), most)
 
     def measure(self, angle: float, rate: float) -> None:
         """Read the shaft at a period's end: rad in all, and rad/s, for which ticks are too coarse."""

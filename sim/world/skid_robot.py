@@ -6,6 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from rover_ncp.core.config import StrictModel
+from rover_ncp.core.robot_description import RobotDescription
 
 
 class Contact(StrictModel):
@@ -42,6 +43,8 @@ class SkidRobot(StrictModel):
         default=(), description="x, y in m and direction in rad of cables on the ground"
     )
     cable_height_m: float = Field(default=0.006, gt=0)
+    height_m: float = Field(default=0.277, gt=0, description="of the shell's top; a ray looks below it")
+    clearance_m: float = Field(default=0.06, gt=0, description="below the shell")
     contact: Contact = Contact()
 
 
@@ -61,26 +64,47 @@ class SkidRanges(StrictModel):
     contact: Contact = Field(default=Contact(), description="not drawn")
 
 
-def draw_robot(ranges: SkidRanges, seed: int, number: int) -> SkidRobot:
-    """Draw the robot and the ground of trial ``number`` of a seed."""
+def rigid_body_of(robot: RobotDescription) -> SkidRobot:
+    """Return a described robot with four wheels; what a description leaves out is that of a 3-AT, scaled."""
+    usual = SkidRobot()
+    heavier, larger = robot.mass_kg / usual.mass_kg, robot.wheels.radius_m / usual.wheel_radius_m
+    higher = robot.height_m / usual.height_m
+    return SkidRobot(
+        mass_kg=robot.mass_kg,
+        wheel_mass_kg=usual.wheel_mass_kg * heavier,
+        mass_height_m=usual.mass_height_m * higher,
+        half_track_m=robot.wheels.track_m / 2,
+        half_wheelbase_m=robot.wheels.axles_m / 2,
+        nominal_half_track_m=robot.track_m / 2,
+        wheel_radius_m=robot.wheels.radius_m,
+        torque_n_m=usual.torque_n_m * heavier * larger,
+        height_m=robot.height_m,
+        clearance_m=usual.clearance_m * larger,
+    )
+
+
+def draw_robot(ranges: SkidRanges, seed: int, number: int, usual: SkidRobot | None = None) -> SkidRobot:
+    """Draw the robot and the ground of trial ``number`` of a seed, about a ``usual`` one."""
     # Beside the stream of the trial, whose key is its number alone.
     stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 1)))
     u = stream.uniform(-1.0, 1.0, 7).tolist()
     radii = stream.uniform(-1.0, 1.0, 4)
     places = stream.uniform(-1.0, 1.0, (ranges.cables, 3))
-    usual = SkidRobot()
+    usual = usual or SkidRobot()
     off, aside = ranges.mass_center_m * 0.5 * (1.0 + u[2]), math.pi * u[3]
     within = ranges.cables_within_m
-    return SkidRobot(
-        mass_kg=usual.mass_kg * (1.0 + ranges.mass * u[0]),
-        friction=_between(ranges.friction, u[1]),
-        mass_center_m=(off * math.cos(aside), off * math.sin(aside)),
-        half_track_m=usual.half_track_m * (1.0 + ranges.track * u[4]),
-        radius_factors=tuple((1.0 + ranges.wheel_radius * radii).tolist()),
-        slope_rad=_between(ranges.slope_rad, u[5]),
-        uphill_rad=math.pi * u[6],
-        cables=tuple((within * x, within * y, math.pi * turn) for x, y, turn in places.tolist()),
-        contact=ranges.contact,
+    return usual.model_copy(
+        update={
+            "mass_kg": usual.mass_kg * (1.0 + ranges.mass * u[0]),
+            "friction": _between(ranges.friction, u[1]),
+            "mass_center_m": (off * math.cos(aside), off * math.sin(aside)),
+            "half_track_m": usual.half_track_m * (1.0 + ranges.track * u[4]),
+            "radius_factors": tuple((1.0 + ranges.wheel_radius * radii).tolist()),
+            "slope_rad": _between(ranges.slope_rad, u[5]),
+            "uphill_rad": math.pi * u[6],
+            "cables": tuple((within * x, within * y, math.pi * turn) for x, y, turn in places.tolist()),
+            "contact": ranges.contact,
+        }
     )
 
 

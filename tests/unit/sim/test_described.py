@@ -9,8 +9,10 @@ from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import load_course
 from sim.evaluate.driver import load_driver
 from sim.stack.trials import Stack
+from sim.world.bodies import Body
 from sim.world.described import described_rover, ranges_of
 from sim.world.randomization import draw_trials
+from sim.world.skid_robot import SkidRobot, rigid_body_of
 
 FIFTH = """
 name: fifth
@@ -53,6 +55,15 @@ def test_a_fast_reporting_robot_with_late_odometry_is_driven():
     assert [stack.drive(number).reason for number in range(2)] == ["", ""]
 
 
+def test_a_skid_steered_robot_has_a_rigid_body_of_its_own():
+    robot = load_description("husky-a200")
+    assert rigid_body_of(load_description("p3at-sh")) == SkidRobot()
+    ranges = ranges_of(robot, Body.MUJOCO)
+    stack = Stack(load_driver("course"), (load_course("parking"),), ranges, 0, gyro=True, robot=robot)
+    assert stack.drawn(0).rover.robot.mass_kg == pytest.approx(50.0, rel=0.21)
+    assert stack.drive(0).parked
+
+
 def test_a_fifth_robot_is_evaluated_from_its_file(fifth, capsys):
     assert run(["eval", "course", "--stack", "--model", fifth, "--json"]) == 0
     fields = json.loads(capsys.readouterr().out)
@@ -67,7 +78,7 @@ def test_a_fifth_robot_is_evaluated_from_its_file(fifth, capsys):
     ("options", "expected"),
     [
         (["--live", "1"], "park --model"),
-        (["--stack", "--body", "mujoco"], "of a Pioneer 3-AT, not of nogyro"),
+        (["--stack", "--body", "mujoco"], "four wheels; nogyro has two"),
         (["--stack", "--sensors", "gyro"], "nogyro has no gyro"),
     ],
 )

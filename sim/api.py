@@ -18,13 +18,14 @@ if TYPE_CHECKING:
     from rover_ncp.course.course import Course
     from sim.evaluate.evaluate import Evaluation
     from sim.explain.explain import Explanation
+    from sim.explain.task import TaskExplanation
     from sim.learn.agents import Snapshot
     from sim.learn.robust import Generation
     from sim.learn.robust_run import RobustResult
     from sim.learn.rollout import Rollout
     from sim.learn.train import TrainResult
 
-__all__ = ["evaluate", "explain", "rollout", "train", "train_robust"]
+__all__ = ["evaluate", "explain", "explain_task", "rollout", "train", "train_robust", "train_task"]
 
 
 def train(
@@ -71,6 +72,27 @@ def train_robust(
     return run(asked, Path(out), resume=resume, processes=processes, on_generation=on_generation)
 
 
+def train_task(
+    out: str | Path,
+    *,
+    resume: bool = False,
+    processes: int | None = None,
+    on_generation: "Callable[[Generation], None]" = lambda generation: None,
+    **settings: Any,
+) -> "RobustResult":
+    """Train on a Gymnasium environment, as ``rover-ncp train --task``.
+
+    ``settings`` are those of `sim.learn.record.TaskSettings`: task (the environment's id), circuit (a policy
+    file), seed, iterations and rollouts. Raises as `train` does.
+    """
+    from rover_ncp.core.config import validated
+    from sim.learn.environment_run import train_task as run
+    from sim.learn.record import TaskSettings
+
+    asked = validated(settings, TaskSettings, "train_task")
+    return run(asked, Path(out), resume=resume, processes=processes, on_generation=on_generation)
+
+
 def evaluate(
     policy: "Policy | str | Path",
     course: "Course | str | Path | Sequence[Course | str | Path]" = "parking",
@@ -101,6 +123,13 @@ def explain(source: str | Path, course: str | None = None) -> "Explanation":
     from sim.explain.explain import explain as run
 
     return run(str(source), course)
+
+
+def explain_task(source: "str | Path | None", task: str) -> "TaskExplanation":
+    """Explain a policy on a benchmark of the paper or a Gymnasium environment, as ``explain --task``."""
+    from sim.explain.task import explain_task as run
+
+    return run(None if source is None else str(source), task)
 
 
 def _policy(given: "Policy | str | Path") -> "Policy":

@@ -71,7 +71,7 @@ class Findings:
 
 
 def analyse(trace: Trace, threshold: float = THRESHOLD) -> Findings:
-    """Explain a run. The policy's outputs must be v and omega."""
+    """Explain a run."""
     explanations = explain(trace)
     moving = [each.phase for each in explanations if any(each.phase.signs)]
     potentials, sensing = trace.potentials, trace.policy.sensing.neurons

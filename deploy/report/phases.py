@@ -4,7 +4,7 @@ A tick is labelled by the signs of its command; a command below a tenth of the c
 Phases shorter than half a second are merged with their longer neighbour. A phase is explained backwards from
 its output: the motor neuron with the largest share in it, the neuron whose synapse pulls most on that motor
 neuron, and the synapses that pull most on that neuron. Pulls are means over the phase in mV
-(`deploy.report.trace`).
+(`deploy.report.trace`). In a task that is no drive, the commands are the policy's outputs.
 """
 
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from deploy.report.trace import Currents, Trace, motor_shares, synapse_currents
 from rover_ncp.circuit.circuit import MIDPOINT_MV
-from rover_ncp.core.geometry import wrap_angle
+from rover_ncp.core.geometry import Velocity, wrap_angle
 
 FloatArray = NDArray[np.float64]
 
 V, OMEGA = 0, 1
 IDLE = 0.1
 SHORTEST_S = 0.5
-LABELS = {
+LABELS: dict[tuple[int, ...], str] = {
     (0, 0): "standing still",
     (1, 0): "straight ahead",
     (1, 1): "left turn",
@@ -54,7 +54,8 @@ class Phase:
     """One phase: ticks ``first`` up to, not including, ``last``."""
 
     label: str
-    signs: tuple[int, int]
+    signs: tuple[int, ...]
+    """Of v and omega, or of each output of a task that is no drive."""
     first: int
     last: int
     start_s: float
@@ -109,8 +110,8 @@ class Explanation:
 
 
 def phases(trace: Trace) -> tuple[Phase, ...]:
-    """Return a run's phases, in order and without gaps. The policy's outputs must be v and omega."""
-    runs = [_Run((v, omega), 1) for v, omega in _signs(trace).tolist()]
+    """Return a run's phases, in order and without gaps."""
+    runs = [_Run(tuple(signs), 1) for signs in _signs(trace).tolist()]
     shortest = max(1, round(SHORTEST_S / trace.policy.tick_s))
     runs = _joined(runs)
     while len(runs) > 1 and min(run.ticks for run in runs) < shortest:
@@ -126,7 +127,7 @@ def phases(trace: Trace) -> tuple[Phase, ...]:
 
 
 def explain(trace: Trace) -> tuple[Explanation, ...]:
-    """Explain a run phase by phase. The policy's outputs must be v and omega."""
+    """Explain a run phase by phase."""
     currents = synapse_currents(trace.policy.circuit, trace.potentials)
     found: list[Explanation] = []
     for phase in phases(trace):
@@ -135,12 +136,12 @@ def explain(trace: Trace) -> tuple[Explanation, ...]:
 
 
 class _Run(NamedTuple):
-    signs: tuple[int, int]
+    signs: tuple[int, ...]
     ticks: int
 
 
 def _signs(trace: Trace) -> NDArray[np.int64]:
-    """Return the signs (T, 2) of the commands, 0 for a command that counts as zero."""
+    """Return the signs (T, outputs) of the commands, 0 for a command that counts as zero."""
     motors, size = trace.policy.motors, trace.potentials.shape[1]
     limits = np.array([np.full(size, motors.low_mV), np.full(size, motors.high_mV)])
     spans = [np.abs(np.diff(share, axis=0))[0] for _, share in motor_shares(trace.policy, limits)]
@@ -155,11 +156,18 @@ def _joined(runs: Sequence[_Run]) -> list[_Run]:
     return [_Run(signs, sum(run.ticks for run in group)) for signs, group in groups]
 
 
-def _phase(trace: Trace, signs: tuple[int, int], first: int, last: int) -> Phase:
+def _label(outputs: Sequence[str], signs: tuple[int, ...]) -> str:
+    if tuple(outputs) == Velocity._fields:
+        return LABELS[signs]
+    words = {0: "about 0", 1: "positive", -1: "negative"}
+    return ", ".join(f"{name} {words[sign]}" for name, sign in zip(outputs, signs, strict=True))
+
+
+def _phase(trace: Trace, signs: tuple[int, ...], first: int, last: int) -> Phase:
     way = trace.poses[first : last + 1]
     end_s = trace.times[last] if last < len(trace.times) else trace.times[-1] + trace.policy.tick_s
     return Phase(
-        label=LABELS[signs],
+        label=_label(trace.outputs, signs),
         signs=signs,
         first=first,
         last=last,
@@ -198,7 +206,9 @@ def _explained(trace: Trace, currents: Currents, phase: Phase, before: Phase | N
 def _motors(trace: Trace, phase: Phase) -> tuple[str, str | None]:
     """Return the motor neuron with the largest share in a phase's output, and the strongest against it."""
     shares = motor_shares(trace.policy, trace.potentials)
-    output = OMEGA if phase.signs[OMEGA] else V
+    # A turn explains more than the speed; the first output that acts, where they are others.
+    acting = [i for i, sign in enumerate(phase.signs) if sign]
+    output = OMEGA if trace.outputs == Velocity._fields and OMEGA in acting else (acting or [V])[0]
     if not any(phase.signs):  # standing still: the neuron that could have moved it
         reach = [float(np.abs(share[:, V]).max()) for _, share in shares]
         return shares[int(np.argmax(reach))][0], None

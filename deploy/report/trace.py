@@ -19,6 +19,7 @@ from rover_ncp.circuit.circuit import REVERSAL_MV, Circuit, SynapseKind
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import declared_motion
 from rover_ncp.circuit.solver_reference import conductances
+from rover_ncp.core.geometry import Velocity
 
 FloatArray = NDArray[np.float64]
 
@@ -31,9 +32,10 @@ class Trace:
     times: FloatArray
     """(T,) s since the first tick, at each tick's start."""
     poses: FloatArray
-    """(T + 1, 3) x, y in m and theta in rad in the course frame: at each tick's start, and at the end."""
+    """(T + 1, 3) x, y in m and theta in rad in the course frame: at each tick's start, and at the end. All 0
+    for a task that is no drive."""
     commands: FloatArray
-    """(T, outputs) the circuit's commands."""
+    """(T, 2) v and omega; (T, outputs) for a task that is no drive."""
     potentials: FloatArray
     """(T, n) mV, at each tick's end."""
 
@@ -41,6 +43,12 @@ class Trace:
     def neurons(self) -> tuple[str, ...]:
         """The circuit's neurons."""
         return self.policy.circuit.neurons
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the columns of ``commands``."""
+        drives = declared_motion(self.policy) is not None
+        return Velocity._fields if drives else self.policy.motors.outputs
 
     def of(self, neuron: str) -> FloatArray:
         """Return a neuron's potential over the run, (T,) in mV."""

@@ -132,7 +132,8 @@ class EvalOptions:
     task: Annotated[
         str | None,
         typer.Option(
-            help="Play one of the paper's benchmarks with a circuit, YAML or .bnn.", show_default=False
+            help="Play episodes of one of the paper's benchmarks, or of a Gymnasium environment by its id.",
+            show_default=False,
         ),
     ] = None
     range_: Annotated[
@@ -197,9 +198,11 @@ def evaluate(options: EvalOptions) -> int:
 
     Without --stack, kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws.
 
-    --task plays episodes (--trials, 100) of one of the paper's other benchmarks; see 'paper'.
+    --task plays episodes (--trials, 100) of one of the paper's other benchmarks with a circuit, YAML or .bnn
+    (see 'paper'), or of a Gymnasium environment with a policy (see 'train').
 
         rover-ncp eval mine.bnn --task mountain-car --range position=1.0 --range velocity=0.02
+        rover-ncp eval runs/reach/policy.yaml --task my_task:Reach-v0
 
     Ends with 1 if a single trial was driven and did not park, else with 0.
     """
@@ -255,13 +258,16 @@ def _drive_once(options: EvalOptions) -> int:
 
 
 def _play_task(options: EvalOptions, task: str) -> int:
-    """Play one of the paper's benchmarks; return 1 if a single episode was played and no success."""
+    """Play a task; return 1 if a single episode was played and no success."""
     from sim.paper.score_file import EPISODES, score_circuit
+    from sim.paper.tasks import TASKS
 
     others = ("course", "stack", "live", "profile", "randomize", "random_courses")
     if any(getattr(options, name) for name in others):
         raise UsageError("--task goes with --range, --trials and --seed alone")
     trials = options.trials or EPISODES
+    if task not in TASKS:
+        return _play_environment(options, task, trials)
     found = score_circuit(options.policy, task, options.range_ or [], trials, options.seed)
     Output(options.json).result(
         found,
@@ -269,3 +275,16 @@ def _play_task(options: EvalOptions, task: str) -> int:
         f"{found['successes']} of them successful",
     )
     return 1 if trials == 1 and not found["success"] else 0
+
+
+def _play_environment(options: EvalOptions, task: str, trials: int) -> int:
+    """Play a Gymnasium environment; return 1 if a single episode was played and no success."""
+    from rover_ncp.circuit.policy_file import load_policy
+    from sim.learn.environment_run import score_task
+
+    if options.range_:
+        raise UsageError("--range is for the paper's benchmarks: a policy file has ranges of its own")
+    score = score_task(task, load_policy(options.policy), trials, options.seed)
+    fields = {"task": task, "episodes": trials, "return": score.mean, "std": score.std}
+    Output(options.json).result(fields | {"successes": score.successes}, f"{task}: {score}")
+    return 1 if trials == 1 and score.successes == 0 else 0

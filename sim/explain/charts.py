@@ -19,6 +19,7 @@ from deploy.report.charts.figure import (
     render,
 )
 from deploy.report.sentences import number
+from sim.explain.task import TaskKnockout
 from sim.explain.what_if import STEP, Knockout, Sensitivity
 
 if TYPE_CHECKING:
@@ -50,6 +51,19 @@ def knock_out_chart(rows: Sequence[Knockout], intact_m: float, tolerance_m: floa
     across = axes.get_yaxis_transform()
     for place, row in enumerate(rows):
         axes.text(1.01, place, number(row.total, 2), fontsize=7, color=GREY, va="center", transform=across)
+    return _finished(drawn, axes)
+
+
+def return_chart(rows: Sequence[TaskKnockout], intact: float) -> Picture:
+    """Draw the mean returns without each part, the lowest on top, beside the intact circuit's."""
+    rows = sorted(rows, key=lambda row: -row.total)
+    drawn, axes = _bars([row.title for row in rows], "The episodes without each neuron and synapse")
+    places = np.arange(len(rows))
+    totals = [row.total for row in rows]
+    axes.hlines(places, intact, totals, color=PALE, linewidth=1.5)
+    axes.plot(totals, places, "o", color=VERMILLION, markersize=6, label="without", linestyle="none")
+    axes.axvline(intact, color=INK, linewidth=1, label="intact")
+    axes.set_xlabel("mean return")
     return _finished(drawn, axes)
 
 

@@ -6,13 +6,24 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import Json, Output
+from rover_ncp.core.errors import UsageError
 
 
 def explain(
     source: Annotated[
-        str, typer.Argument(help="A policy (name, YAML or .bnn), or a recording (.mcap) of a drive.")
-    ],
+        str | None,
+        typer.Argument(
+            help="A policy (name, YAML or .bnn), or a recording (.mcap) of a drive.", show_default=False
+        ),
+    ] = None,
     *,
+    task: Annotated[
+        str | None,
+        typer.Option(
+            help="One of the paper's benchmarks, or a Gymnasium environment by its id, in place of a course.",
+            show_default=False,
+        ),
+    ] = None,
     course: Annotated[
         str | None,
         typer.Option(
@@ -37,17 +48,34 @@ def explain(
     neuron (Definition 1 of the paper, with its counts), and the range of each time constant. It also has the
     drive simulated again without each neuron and each synapse, and the sensitivity of the return to each
     parameter.
+
+    With --task, the phases are those of the circuit's outputs in one episode, and the returns are means of a
+    few. Without a policy, the best stored circuit of the paper's benchmark is explained.
+
+        rover-ncp explain course --course bay --out runs/why
+        rover-ncp explain --task mountain-car --out runs/why-mountain-car
+        rover-ncp explain runs/reach/policy.yaml --task my_task:Reach-v0
     """
     from rich.table import Table
 
     from rover_ncp.core.files import require_writable
+    from sim.explain.explain import Explanation
     from sim.explain.explain import explain as explain_source
     from sim.explain.files import sections, write
+    from sim.explain.task import TaskExplanation, explain_task
 
     output = Output(json)
     if out is not None:
         require_writable(out / "explanation.md")
-    found = explain_source(source, course, threshold=threshold, on_progress=output.say)
+    found: Explanation | TaskExplanation
+    if task is not None:
+        if course is not None:
+            raise UsageError("--task and --course do not go together")
+        found = explain_task(source, task, threshold=threshold, on_progress=output.say)
+    elif source is not None:
+        found = explain_source(source, course, threshold=threshold, on_progress=output.say)
+    else:
+        raise UsageError("explain needs a policy or a recording, or --task with a benchmark of the paper")
     for number, sentence in enumerate(found.findings.sentences, 1):
         output.say(f"{number}. {sentence}")
     for section in sections(found):

@@ -11,6 +11,7 @@ from typing import Any
 from deploy.report.findings import Findings, analyse
 from deploy.report.interpretation import THRESHOLD
 from deploy.report.recorded_drive import read_drive
+from deploy.report.sentences import number
 from deploy.report.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
@@ -33,6 +34,22 @@ class Explanation:
     findings: Findings
     knock_outs: tuple[Knockout, ...]
     sensitivities: tuple[Sensitivity, ...]
+
+    @property
+    def title(self) -> str:
+        """What was explained."""
+        return f"{self.policy.circuit.name} on {self.course.name}"
+
+    @property
+    def command(self) -> str:
+        """The command that makes this."""
+        return f"rover-ncp explain {self.source}"
+
+    @property
+    def ending(self) -> str:
+        """The run's end in words."""
+        how = "parked" if self.verdict.parked else f"not parked: {self.verdict.reason}"
+        return f"{how}; return in simulation {number(self.intact.total, 4)}"
 
     def fields(self) -> dict[str, Any]:
         """Return everything but the potentials as plain values."""

@@ -20,14 +20,17 @@ from deploy.report.interpretation import (
 )
 from deploy.report.sentences import number
 from rover_ncp.core.files import write_atomic
-from sim.explain.charts import knock_out_chart, sensitivity_chart
+from sim.explain.charts import knock_out_chart, return_chart, sensitivity_chart
 from sim.explain.explain import Explanation
+from sim.explain.task import TaskExplanation
 from sim.explain.what_if import STEP
 
 SHOWN, DRAWN = 12, 25
 """Parameters in the text and in the chart; the CSV file has them all."""
 UNCHANGED = 0.01
-"""Least change of the return that counts."""
+"""Least change of a drive's return that counts."""
+LEAST_SHARE = 0.01
+"""The same for a task, as a share of the return."""
 
 
 class Section(NamedTuple):
@@ -41,7 +44,7 @@ class Section(NamedTuple):
     pictures: Sequence[str]
 
 
-def sections(found: Explanation) -> Iterator[Section]:
+def sections(found: Explanation | TaskExplanation) -> Iterator[Section]:
     """Yield the sections of an explanation."""
     run, sign = found.findings, f"{found.findings.threshold:g}"
     yield Section(
@@ -53,30 +56,26 @@ def sections(found: Explanation) -> Iterator[Section]:
         "",
         ["slopes", "phase_plots"],
     )
-    if pairs := [pair for pair in PUBLISHED_SIGNS if pair in run.contributions]:
+    parks = isinstance(found, Explanation)  # as the circuit whose figures the paper has
+    if parks and (pairs := [pair for pair in PUBLISHED_SIGNS if pair in run.contributions]):
         yield _compared(run, pairs)
     yield Section(
         "Time constants (s)",
         "",
-        ["neuron", "this run", "in the paper (Table S7)"],
+        ["neuron", "this run", *(["in the paper (Table S7)"] if parks else [])],
         [
-            [neuron, f"{low:.3g} to {high:.3g}", "{:.3g} to {:.3g}".format(*paper) if paper else ""]
+            [
+                neuron,
+                f"{low:.3g} to {high:.3g}",
+                *(["{:.3g} to {:.3g}".format(*paper) if paper else ""] if parks else []),
+            ]
             for neuron, low, high in run.time_constants
             for paper in [PUBLISHED_TIME_CONSTANTS_S.get(neuron)]
         ],
         "",
         [],
     )
-    needed = sorted((row for row in found.knock_outs if not row.parked), key=lambda row: row.total)
-    spared = [row.title for row in found.knock_outs if row.parked and abs(row.change) < UNCHANGED]
-    yield Section(
-        "Without a part",
-        f"Without any of these {len(needed)} it does not park:",
-        ["without", "return", "m from the goal"],
-        [[row.title, number(row.total, 2), f"{row.error_m:.2f}"] for row in needed],
-        f"Without any of these nothing changes: {', '.join(spared)}." if spared else "",
-        ["knock_outs"],
-    )
+    yield _without(found) if isinstance(found, Explanation) else _without_in_task(found)
     yield Section(
         f"Change of the return when a parameter moves by {100 * STEP:g} % of its range",
         "",
@@ -91,18 +90,15 @@ def sections(found: Explanation) -> Iterator[Section]:
     )
 
 
-def markdown(found: Explanation) -> str:
+def markdown(found: Explanation | TaskExplanation) -> str:
     """Return an explanation as Markdown; it links figures in the same folder."""
-    verdict = found.verdict
-    ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
     blocks = [
-        f"# {found.policy.circuit.name} on {found.course.name}",
-        f"Made by `rover-ncp explain {found.source} --out FOLDER`.\n"
-        f"This run: {ending}; return in simulation {number(found.intact.total, 4)}.",
+        f"# {found.title}",
+        f"Made by `{found.command} --out FOLDER`.\nThis run: {found.ending}.",
         "\n".join(f"{i}. {sentence}" for i, sentence in enumerate(found.findings.sentences, 1)),
         "A pull is how far one synapse moves the potential its neuron is heading for, in mV, as a mean over\n"
         "the phase.",
-        _images(["trajectory", "circuit", "activity"]),
+        _images(["trajectory", "circuit", "activity"] if isinstance(found, Explanation) else ["circuit"]),
     ]
     for title, before, header, rows, after, pictures in sections(found):
         lines = [f"| {' | '.join(row)} |" for row in (header, *rows)]
@@ -111,7 +107,7 @@ def markdown(found: Explanation) -> str:
     return "\n\n".join(block for block in blocks if block) + "\n"
 
 
-def write(found: Explanation, folder: Path) -> list[Path]:
+def write(found: Explanation | TaskExplanation, folder: Path) -> list[Path]:
     """Write text, tables and figures into a folder; return the files. Raises FileError."""
     files: dict[str, bytes | str] = {"explanation.md": markdown(found)}
     for name, text in _tables(found).items():
@@ -121,6 +117,36 @@ def write(found: Explanation, folder: Path) -> list[Path]:
     for name, content in files.items():
         write_atomic(folder / name, content)
     return [folder / name for name in sorted(files)]
+
+
+def _without(found: Explanation) -> Section:
+    needed = sorted((row for row in found.knock_outs if not row.parked), key=lambda row: row.total)
+    spared = [row.title for row in found.knock_outs if row.parked and abs(row.change) < UNCHANGED]
+    return Section(
+        "Without a part",
+        f"Without any of these {len(needed)} it does not park:",
+        ["without", "return", "m from the goal"],
+        [[row.title, number(row.total, 2), f"{row.error_m:.2f}"] for row in needed],
+        _spared(spared),
+        ["knock_outs"],
+    )
+
+
+def _without_in_task(found: TaskExplanation) -> Section:
+    least = LEAST_SHARE * abs(float(found.returns.mean()))
+    rows = sorted((row for row in found.knock_outs if abs(row.change) >= least), key=lambda row: row.total)
+    return Section(
+        "Without a part",
+        f"Mean return of {len(found.returns)} episodes; {found.returns.mean():.4g} with all parts.",
+        ["without", "return"],
+        [[row.title, f"{row.total:.4g}".replace("-", "−")] for row in rows],
+        _spared([row.title for row in found.knock_outs if abs(row.change) < least]),
+        ["knock_outs"],
+    )
+
+
+def _spared(titles: Sequence[str]) -> str:
+    return f"Without any of these nothing changes: {', '.join(titles)}." if titles else ""
 
 
 def _compared(run: Findings, pairs: Sequence[tuple[str, str]]) -> Section:
@@ -145,7 +171,7 @@ def _compared(run: Findings, pairs: Sequence[tuple[str, str]]) -> Section:
     )
 
 
-def _tables(found: Explanation) -> dict[str, str]:
+def _tables(found: Explanation | TaskExplanation) -> dict[str, str]:
     run = found.findings
     trace, counts = run.trace, ("sign", "P", "Q", "flat", "vertical")
     figures = ("label", "start_s", "end_s", "driven_m", "turned_rad")
@@ -187,20 +213,26 @@ def _tables(found: Explanation) -> dict[str, str]:
     }
 
 
-def _pictures(found: Explanation) -> dict[str, Picture]:
-    run, course = found.findings, found.course
+def _pictures(found: Explanation | TaskExplanation) -> dict[str, Picture]:
+    run = found.findings
     trace, pairs = run.trace, run.contributions
     deepest = sorted(found.sensitivities, key=lambda row: row.worst)[:DRAWN]
-    return {
-        "trajectory": trajectory(trace, course, [each.phase for each in run.explanations]),
-        "activity": activity(trace, course),
+    if isinstance(found, Explanation):
+        course = found.course
+        own = {
+            "trajectory": trajectory(trace, course, [each.phase for each in run.explanations]),
+            "activity": activity(trace, course),
+            "knock_outs": knock_out_chart(
+                found.knock_outs, found.intact.verdict.error_m, course.parked.position_m
+            ),
+        }
+    else:
+        own = {"knock_outs": return_chart(found.knock_outs, float(found.returns.mean()))}
+    return own | {
         "circuit": circuit(trace, run.time_constants),
         "slopes": slope_histograms(pairs, run.sources, run.motors),
         "slopes_of_all_pairs": slope_histograms(pairs, trace.neurons, trace.neurons),
         "phase_plots": phase_plots(trace, run.sources, run.motors),
-        "knock_outs": knock_out_chart(
-            found.knock_outs, found.intact.verdict.error_m, course.parked.position_m
-        ),
         "sensitivities": sensitivity_chart(deepest),
     }
 

@@ -1,15 +1,18 @@
 """What-ifs: a circuit simulated without each part, and with each parameter changed a little."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import Course
 from sim.learn.evaluator import Evaluator
 from sim.learn.rollout import Rollout, rollout
+
+FloatArray = NDArray[np.float64]
 
 STEP = 0.01
 """Step of a parameter, as a fraction of the range between its bounds."""
@@ -35,7 +38,12 @@ class Knockout:
     @property
     def title(self) -> str:
         """The part's name for tables and charts."""
-        return f"neuron {self.name}" if self.kind == "neuron" else self.name.replace("->", "→")
+        return part_title(self.kind, self.name)
+
+
+def part_title(kind: str, name: str) -> str:
+    """Return the name of a neuron or a synapse for tables and charts."""
+    return f"neuron {name}" if kind == "neuron" else name.replace("->", "→")
 
 
 @dataclass(frozen=True)
@@ -73,8 +81,8 @@ class Sensitivity:
 def knock_outs(policy: Policy, course: Course, intact: Rollout) -> tuple[Knockout, ...]:
     """Drive the course once without each neuron and each synapse. Raises ConfigError."""
     found = []
-    for kind, name, damaged in _damaged(policy):
-        run = rollout(damaged, course)
+    for kind, name, rest in damaged(policy):
+        run = rollout(rest, course)
         verdict, change = run.verdict, run.total - intact.total
         found.append(
             Knockout(kind, name, run.total, change, verdict.error_m, verdict.error_rad, verdict.parked)
@@ -104,15 +112,22 @@ def without_synapse(policy: Policy, synapse: int) -> Policy:
 
 
 def sensitivities(policy: Policy, course: Course, step: float = STEP) -> tuple[Sensitivity, ...]:
+    """Return the sensitivities of a drive. Raises ConfigError."""
+    return sensitivities_of(policy, Evaluator(policy, course).returns, step)
+
+
+def sensitivities_of(
+    policy: Policy, score: Callable[[FloatArray], FloatArray], step: float = STEP
+) -> tuple[Sensitivity, ...]:
     """Score a policy with each parameter moved by ``step`` of its range, at most to its bound.
 
-    Raises ConfigError.
+    ``score`` returns the returns (n,) of vectors (n, P).
     """
     layout, intact = policy.layout(), policy.parameters()
     span = step * (layout.upper - layout.lower)
     down, up = np.minimum(span, intact - layout.lower), np.minimum(span, layout.upper - intact)
     vectors = np.concatenate([[intact], intact - np.diag(down), intact + np.diag(up)])
-    returns = Evaluator(policy, course).returns(np.clip(vectors, layout.lower, layout.upper))
+    returns = score(np.clip(vectors, layout.lower, layout.upper))
     lower, higher = (returns[1:] - returns[0]).reshape(2, -1)
     return tuple(
         Sensitivity(str(kind), name, BOUNDS[kind].unit, *map(float, numbers))
@@ -140,7 +155,8 @@ def parameter_names(policy: Policy) -> list[tuple[ParameterKind, str]]:
     return names
 
 
-def _damaged(policy: Policy) -> Iterator[tuple[str, str, Policy]]:
+def damaged(policy: Policy) -> Iterator[tuple[str, str, Policy]]:
+    """Yield kind and name of each neuron and synapse, and the policy without it."""
     for neuron in policy.circuit.neurons:
         yield "neuron", neuron, without_neuron(policy, neuron)
     for synapse in range(policy.circuit.synapse_count):

@@ -1,5 +1,7 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +13,7 @@ from sim.learn.search.strategies import SearchName
 
 if TYPE_CHECKING:
     from sim.learn.record import RobustSettings
+    from sim.learn.robust import Generation
 
 
 def train(
@@ -42,7 +45,17 @@ def train(
     iterations: Annotated[
         int | None,
         typer.Option(
-            min=1, max=10**9, help="Candidates that each agent tries.", show_default="20000, 2600 if random"
+            min=1,
+            max=10**9,
+            help="Candidates that each agent tries; generations if random, or of a task.",
+            show_default="20000, 2600 if random, 200 of a task",
+        ),
+    ] = None,
+    task: Annotated[
+        str | None,
+        typer.Option(
+            help="Gymnasium environment to learn in place of a course: an id, or MODULE:ID.",
+            show_default=False,
         ),
     ] = None,
     search: Annotated[
@@ -61,7 +74,12 @@ def train(
     ] = None,
     rollouts: Annotated[
         int | None,
-        typer.Option(min=1, max=100_000, help="Trials of a candidate.", show_default="144 if random"),
+        typer.Option(
+            min=1,
+            max=100_000,
+            help="Trials of a candidate, or episodes.",
+            show_default="144 if random, 8 of a task",
+        ),
     ] = None,
     worst: Annotated[
         int | None,
@@ -129,9 +147,15 @@ def train(
 
         rover-ncp train --randomize full --out runs/robust
         rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine
+
+    With --task, a circuit learns any Gymnasium environment. The circuit is a policy file: an entry of the
+    observation is an input of it, an entry of the action an output. A score is the mean return of the
+    rollouts, and the search is CMA-ES. MODULE:ID imports a module first, also from the working folder.
+
+        rover-ncp train --task my_task:Reach-v0 --circuit reach.yaml --out runs/reach
     """
     from sim.learn.progress import TrainProgress
-    from sim.learn.record import RobustSettings, TrainSettings, course_of, resolve_task
+    from sim.learn.record import RobustSettings, TaskSettings, TrainSettings, course_of, resolve_task
     from sim.learn.run_folder import new_run_path, saved_settings
     from sim.learn.train import train as run_training
     from sim.learn.workers import WorkerDied
@@ -157,6 +181,15 @@ def train(
     if resume and out is None:
         raise UsageError("--resume needs --out, the folder of the run to go on with")
     saved = saved_settings(out) if resume and out is not None else None
+    if task is not None or isinstance(saved, TaskSettings):
+        if {course, model, agents, search, randomize, worst, random_courses, profile, cluster} != {None}:
+            raise UsageError("--task goes with --circuit, --seed, --iterations, --rollouts and --processes")
+        before = saved.model_dump() if isinstance(saved, TaskSettings) else {}
+        asked = {"task": task, "rollouts": rollouts, **options}
+        _train_task(
+            output, before | {k: v for k, v in asked.items() if v is not None}, out, resume, processes
+        )
+        return
     if randomize is not None or isinstance(saved, RobustSettings):
         if not {agents, search} <= {None}:
             raise UsageError("--randomize goes with neither --agents nor --search")
@@ -175,7 +208,7 @@ def train(
     if any(value is not None for value in robust.values()):
         raise UsageError("--rollouts, --worst, --random-courses and --profile need --randomize")
     plain = TrainSettings(**((saved.model_dump() if saved else {}) | given))
-    task = resolve_task(plain)  # before a folder is made, so that a typo leaves none behind
+    learned = resolve_task(plain)  # before a folder is made, so that a typo leaves none behind
     folder = out or new_run_path()
     try:
         with TrainProgress(plain.iterations) as progress:
@@ -193,7 +226,7 @@ def train(
 
     from sim.learn.rollout import rollout
 
-    verdict = rollout(result.policy, task.course, plain.rover).verdict
+    verdict = rollout(result.policy, learned.course, plain.rover).verdict
     fields = {
         "returns": result.agents.returns,
         "best_return": result.agents.best.value,
@@ -221,26 +254,10 @@ def _train_robust(
     output: Output, settings: "RobustSettings", out: Path, resume: bool, processes: int | None
 ) -> None:
     """Train on random trials."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     from sim.learn.robust_run import train_robust
-    from sim.learn.workers import WorkerDied
 
-    console = Console(stderr=True)
-    try:
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            task = progress.add_task("generations", total=settings.iterations)
-            result = train_robust(
-                settings,
-                out,
-                resume=resume,
-                processes=processes,
-                on_generation=lambda last: progress.update(task, completed=last.number),
-            )
-    except (KeyboardInterrupt, WorkerDied):
-        output.say(f"Go on with: rover-ncp train --out {out} --resume")
-        raise
+    with _generations(output, settings.iterations, out) as on_generation:
+        result = train_robust(settings, out, resume=resume, processes=processes, on_generation=on_generation)
     fields = settings.model_dump() | {
         "generations": result.last.number,
         "cost": result.last.best,
@@ -249,3 +266,48 @@ def _train_robust(
     output.result(
         fields, f"cost {result.last.best:.3f} after {result.last.number} generations\n{result.path}"
     )
+
+
+def _train_task(
+    output: Output, asked: dict[str, Any], out: Path | None, resume: bool, processes: int | None
+) -> None:
+    """Train on a Gymnasium environment, and score the policy in fresh episodes."""
+    from sim.learn.environment_run import score_task, start_of, train_task
+    from sim.learn.record import TaskSettings
+    from sim.learn.run_folder import new_run_path
+
+    if "circuit" not in asked:
+        raise UsageError("--task needs --circuit, a policy file with the task's inputs and outputs")
+    settings = TaskSettings(**asked)
+    start_of(settings)  # before a folder is made, so that a typo leaves none behind
+    out = out or new_run_path()
+    with _generations(output, settings.iterations, out) as on_generation:
+        result = train_task(settings, out, resume=resume, processes=processes, on_generation=on_generation)
+    score = score_task(settings.task, result.policy)
+    fields = settings.model_dump() | {
+        "generations": result.last.number,
+        "return": score.mean,
+        "std": score.std,
+        "episodes": score.episodes,
+        "successes": score.successes,
+        "policy": str(result.path),
+    }
+    output.result(fields, f"{score} after {result.last.number} generations\n{result.path}")
+
+
+@contextmanager
+def _generations(output: Output, total: int, out: Path) -> "Iterator[Callable[[Generation], None]]":
+    """Show the progress of a search by generations, and how to go on after an interruption."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from sim.learn.workers import WorkerDied
+
+    console = Console(stderr=True)
+    try:
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+            bar = progress.add_task("generations", total=total)
+            yield lambda last: progress.update(bar, completed=last.number)
+    except (KeyboardInterrupt, WorkerDied):
+        output.say(f"Go on with: rover-ncp train --out {out} --resume")
+        raise

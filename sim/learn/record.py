@@ -35,16 +35,6 @@ _GIT_TIMEOUT_S = 5.0
 
 
 class _Settings(StrictModel):
-    course: str = "parking"
-    model: str | None = Field(
-        default=None, exclude_if=lambda name: name is None, description="the robot, if it is not a 3-AT"
-    )
-
-    @property
-    def rover(self) -> RoverModel:
-        """The simulated robot."""
-        return default_rover() if self.model is None else described_rover(load_description(self.model))
-
     def command(self) -> str:
         """Return the command line that makes the same circuits again."""
         options = [
@@ -55,13 +45,25 @@ class _Settings(StrictModel):
         return shlex.join(["rover-ncp", "train", *options])
 
 
+class _CourseSettings(_Settings):
+    course: str = "parking"
+    model: str | None = Field(
+        default=None, exclude_if=lambda name: name is None, description="the robot, if it is not a 3-AT"
+    )
+
+    @property
+    def rover(self) -> RoverModel:
+        """The simulated robot."""
+        return default_rover() if self.model is None else described_rover(load_description(self.model))
+
+
 def _known_search(name: str) -> str:
     if name not in list(SearchName):
         raise ValueError(f"no search {name!r}; expected {', '.join(SearchName)}")
     return name
 
 
-class TrainSettings(_Settings):
+class TrainSettings(_CourseSettings):
     """Settings that decide a training run's result; the number of processes does not."""
 
     circuit: str = "parking"
@@ -71,7 +73,7 @@ class TrainSettings(_Settings):
     search: Annotated[str, AfterValidator(_known_search)] = SearchName.GAUSS_NEWTON.value
 
 
-class RobustSettings(_Settings):
+class RobustSettings(_CourseSettings):
     """Settings that decide the result of a training on random trials."""
 
     circuit: str = "tracking"
@@ -86,6 +88,16 @@ class RobustSettings(_Settings):
     )
 
 
+class TaskSettings(_Settings):
+    """Settings that decide the result of a training on a Gymnasium environment."""
+
+    task: str
+    circuit: str
+    seed: int = Field(default=0, ge=0)
+    iterations: int = Field(default=200, ge=1, description="generations")
+    rollouts: int = Field(default=8, ge=1, description="episodes of a candidate")
+
+
 class Task(NamedTuple):
     """The course, and the policy whose parameters are the untuned start."""
 
@@ -93,7 +105,7 @@ class Task(NamedTuple):
     policy: Policy
 
 
-SettingsT = TypeVar("SettingsT", TrainSettings, RobustSettings)
+SettingsT = TypeVar("SettingsT", TrainSettings, RobustSettings, TaskSettings)
 
 
 class Record(StrictModel, Generic[SettingsT]):
@@ -103,18 +115,19 @@ class Record(StrictModel, Generic[SettingsT]):
     command: str
     settings: SettingsT
     made_with: dict[str, str]
-    course: dict[str, Any]
+    course: dict[str, Any] | None = Field(default=None, exclude_if=lambda course: course is None)
+    """None for a task that is no course."""
     circuit: dict[str, Any]
 
     @classmethod
-    def of(cls, settings: SettingsT, task: Task) -> Self:
+    def of(cls, settings: SettingsT, policy: Policy, course: Course | None) -> Self:
         """Record a run that starts now."""
         return cls(
             command=settings.command(),
             settings=settings,
             made_with=made_with(),
-            course=task.course.model_dump(mode="json"),
-            circuit=_start_data(settings.circuit, task.policy),
+            course=None if course is None else course.model_dump(mode="json"),
+            circuit=_start_data(settings.circuit, policy),
         )
 
     def require_same(self, other: "Record[SettingsT]", source: str) -> None:
@@ -128,7 +141,7 @@ class Record(StrictModel, Generic[SettingsT]):
         problems += [
             f"the {what} {asked[what]} has changed since this run began"
             for what in ("course", "circuit")
-            if saved[what] == asked[what] and getattr(self, what) != getattr(other, what)
+            if what in saved and saved[what] == asked[what] and getattr(self, what) != getattr(other, what)
         ]
         if problems:
             raise ConfigError(source, problems)

@@ -166,20 +166,27 @@ def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, se
     return drive
 
 
-def _stage(number: int) -> Stage:
-    stage = [stage for stage in _STAGES if stage.since <= number][-1]
-    return stage._replace(rounded=stage.rounded and number % 2 == 1)
-
-
 class RobustSearch:
-    """A search from the box's start, generation by generation. The same seed gives the same search."""
+    """A search from the box's start, generation by generation. The same seed gives the same search.
 
-    def __init__(self, box: UnitBox, *, seed: int, rollouts: int, worst: int) -> None:
-        self._box = box
+    ``spreads`` are the first and the greatest.
+    """
+
+    def __init__(
+        self,
+        box: UnitBox,
+        *,
+        seed: int,
+        rollouts: int,
+        worst: int,
+        stages: Sequence[Stage] = _STAGES,
+        spreads: tuple[float, float] = (_FIRST_SPREAD, _MOST_SPREAD),
+    ) -> None:
+        self._box, self._stages, self._most_spread = box, stages, spreads[1]
         self._rollouts, self._worst = rollouts, worst
         start = box.start
         self.population = round(_POPULATION * default_population(len(start)))
-        self._cma = Cma(start, _FIRST_SPREAD, seed=seed, population=self.population)
+        self._cma = Cma(start, spreads[0], seed=seed, population=self.population)
         self._means: list[list[float]] = []
 
     @property
@@ -189,8 +196,8 @@ class RobustSearch:
 
     def advance(self, drive: Drive) -> Generation:
         """Do one generation, whose trials are driven by ``drive``."""
-        stage = _stage(self.number)
-        self._cma.limits = stage.least_spread, _MOST_SPREAD
+        stage = self._stage(self.number)
+        self._cma.limits = stage.least_spread, self._most_spread
         vectors = self._box.vectors(reflected(self._cma.ask()))
         count, worst = self._rollouts // stage.divisor, self._worst // stage.divisor
         found = drive(vectors, self.number * self._rollouts, max(count, 1), stage)
@@ -199,10 +206,14 @@ class RobustSearch:
         self._means = [*self._means, self._cma.mean.tolist()][-_AVERAGED:]
         return Generation(self.number, self.winner, self._cma.spread, float(values.min()))
 
+    def _stage(self, number: int) -> Stage:
+        stage = [stage for stage in self._stages if stage.since <= number][-1]
+        return stage._replace(rounded=stage.rounded and number % 2 == 1)
+
     @property
     def episodes(self) -> int:
         """Episodes driven so far."""
-        rollouts = (max(self._rollouts // _stage(number).divisor, 1) for number in range(self.number))
+        rollouts = (max(self._rollouts // self._stage(number).divisor, 1) for number in range(self.number))
         return self.population * sum(rollouts)
 
     @property

@@ -25,7 +25,7 @@ from rover_ncp.core.files import read_text, write_atomic
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.evaluator import Evaluator
-from sim.learn.record import Record, RobustSettings, Task, course_of
+from sim.learn.record import Record, RobustSettings, TaskSettings, course_of
 from sim.learn.robust import (
     Drive,
     Generation,
@@ -93,29 +93,31 @@ def train_robust(
     loaded = load_start(settings.circuit)
     start = loaded if isinstance(loaded, Policy) else course_policy(loaded)
     RoverInterface(start)  # raises for a policy that drives none
-    record = Record[RobustSettings].of(settings, Task(course, start))
+    record = Record[RobustSettings].of(settings, start, course)
     make = partial(_drive, settings, start, course, ranges)
+    search = RobustSearch(
+        policy_box(start), seed=settings.seed, rollouts=settings.rollouts, worst=settings.worst
+    )
+    courses = (course.name, *(["random"] if settings.random_courses else []))
     with open_folder(out, record, resume) as began:
-        run = _Run(out, began, start)
-        if run.search.number < settings.iterations:
-            with find_workers(min(processes or available_processes(), run.search.population)) as workers:
-                run.advance(partial(_drive_parts, workers, MadeOnce(make)), on_generation)
-        return RobustResult(run.save(), run.policy_path, run.last)
+        run = SearchRun(out, began, replace(start, courses=courses), search)
+        return run.finished(make, processes, on_generation)
 
 
-class _Run:
-    """A search and its folder."""
+class SearchRun:
+    """A search and its folder. ``start`` is the untuned policy."""
 
-    def __init__(self, path: Path, record: Record[RobustSettings], start: Policy) -> None:
+    def __init__(
+        self,
+        path: Path,
+        record: Record[RobustSettings] | Record[TaskSettings],
+        start: Policy,
+        search: RobustSearch,
+    ) -> None:
         self.policy_path = path / "policy.yaml"
         self._saved, self._curve_path = path / "search.json", path / "curve.csv"
-        self._record, self._start, self._settings = record, start, record.settings
-        self.search = RobustSearch(
-            policy_box(start),
-            seed=self._settings.seed,
-            rollouts=self._settings.rollouts,
-            worst=self._settings.worst,
-        )
+        self._record, self._start, self._iterations = record, start, record.settings.iterations
+        self.search = search
         self._curve: list[tuple[float, float]] = []
         if self._saved.is_file():
             self._load()
@@ -126,13 +128,25 @@ class _Run:
         best, spread = self._curve[-1]
         return Generation(self.search.number, self.search.winner, spread, best)
 
+    def finished(
+        self,
+        make: Callable[[], Drive],
+        processes: int | None,
+        on_generation: Callable[[Generation], None],
+    ) -> RobustResult:
+        """Search to the end with what ``make`` makes in each process."""
+        if self.search.number < self._iterations:
+            with find_workers(min(processes or available_processes(), self.search.population)) as workers:
+                self.advance(partial(_drive_parts, workers, MadeOnce(make)), on_generation)
+        return RobustResult(self.save(), self.policy_path, self.last)
+
     def advance(self, drive: Drive, on_generation: Callable[[Generation], None]) -> None:
         """Search to the end; save the state if the run ends early."""
         saved_s = save_cost_s = 0.0
         # What an interrupt in the middle of a generation leaves is no state to go on from.
         state = self.search.state()
         try:
-            while self.search.number < self._settings.iterations:
+            while self.search.number < self._iterations:
                 last = self.search.advance(drive)
                 self._curve.append((last.best, last.spread))
                 state = self.search.state()
@@ -156,7 +170,6 @@ class _Run:
         last = self.last
         policy = replace(
             self._start.with_parameters(last.winner),
-            courses=(self._record.course["name"], *(["random"] if self._settings.random_courses else [])),
             provenance=self._record.provenance(last.number, cost=last.best),
         )
         save_policy(self.policy_path, policy)

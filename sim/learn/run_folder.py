@@ -28,7 +28,15 @@ from rover_ncp.core.files import write_atomic
 from sim.learn.agent_file import load_agent, save_agent
 from sim.learn.agents import AgentState, Plan, Snapshot
 from sim.learn.curve import curve_csv, curve_png
-from sim.learn.record import Record, RobustSettings, SettingsT, Task, TrainSettings, resolve_task
+from sim.learn.record import (
+    Record,
+    RobustSettings,
+    SettingsT,
+    Task,
+    TaskSettings,
+    TrainSettings,
+    resolve_task,
+)
 
 _RUNS = Path("runs")
 _RECORD = "settings.yaml"
@@ -70,13 +78,16 @@ class _Kind(BaseModel):
     settings: dict[str, Any]
 
 
-def saved_settings(path: Path) -> TrainSettings | RobustSettings:
+def saved_settings(path: Path) -> TrainSettings | RobustSettings | TaskSettings:
     """Return the settings of the run in a folder. Raises UsageError (none), FileError, ConfigError."""
     saved = path / _RECORD
     if not saved.exists():
         raise _nothing_to_resume(path)
-    if "randomize" in load_yaml(saved, _Kind).settings:
+    kind = load_yaml(saved, _Kind).settings
+    if "randomize" in kind:
         return load_yaml(saved, Record[RobustSettings]).settings
+    if "task" in kind:
+        return load_yaml(saved, Record[TaskSettings]).settings
     return load_yaml(saved, Record[TrainSettings]).settings
 
 
@@ -142,7 +153,7 @@ class RunFolder:
 def open_run(path: Path, settings: TrainSettings, resume: bool) -> Iterator[RunFolder]:
     """Begin a run, or go on with one, as ``open_folder`` does."""
     task = resolve_task(settings)
-    with open_folder(path, Record[TrainSettings].of(settings, task), resume) as record:
+    with open_folder(path, Record[TrainSettings].of(settings, task.policy, task.course), resume) as record:
         yield RunFolder(path, record, task)
 
 

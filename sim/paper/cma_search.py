@@ -21,11 +21,11 @@ import numpy as np
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import Policy
 from sim.learn.networks import Net
-from sim.learn.search.base import Vector
+from sim.learn.search.base import Seeds, Vector, draw_seeds
 from sim.learn.search.cma import Cma
 from sim.learn.search.unit_box import UnitBox, reflected
 from sim.paper.agents import dead_parameters, untuned
-from sim.paper.evaluator import Evaluator, Seeds, draw_seeds
+from sim.paper.evaluator import Evaluator
 from sim.paper.random_search import Budget, Found, best_starts, confirmed
 
 # Streams of random numbers; others are those of ``random_search.py``.

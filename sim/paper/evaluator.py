@@ -15,11 +15,11 @@ from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH
 from sim.learn.commander import Commander, circuit_commander
 from sim.learn.networks import Net, network_commander
+from sim.learn.search.base import Seeds
 from sim.paper.plants.lanes import NO_MUJOCO, Plants, observe, reset_plant, step_plant
 from sim.paper.tasks import Benchmark
 
 FloatArray = NDArray[np.float64]
-Seeds = NDArray[np.uint64]
 
 _IDLE = -1
 _LANES, _MUJOCO_LANES = WIDTH, 16
@@ -78,12 +78,6 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
                     running -= 1
 
     return run_episodes
-
-
-def draw_seeds(root: int, key: tuple[int, ...], count: int) -> Seeds:
-    """Return the seeds (count,) of a stream."""
-    sequence = np.random.SeedSequence(root, spawn_key=key)
-    return sequence.generate_state(count, np.uint64).astype(np.uint64, copy=False)
 
 
 def make_plants(task: Benchmark, count: int, *, for_search: bool = False) -> tuple[Plants, Any]:

@@ -17,10 +17,10 @@ import numpy as np
 
 from rover_ncp.circuit.policy import Policy
 from sim.learn.networks import Net
-from sim.learn.search.base import Vector
+from sim.learn.search.base import Seeds, Vector, draw_seeds
 from sim.learn.search.published import FAILURES_TO_WIDEN, Caps, Published
 from sim.paper.agents import untuned
-from sim.paper.evaluator import Evaluator, Seeds, draw_seeds
+from sim.paper.evaluator import Evaluator
 
 # Streams of random numbers.
 _SEARCH, _ROLLOUTS, _STARTS, _CONFIRM = range(4)

@@ -20,12 +20,12 @@ from rover_ncp.core.errors import UsageError
 from sim.learn.cluster import DaskCluster
 from sim.learn.networks import Net
 from sim.learn.record import made_with
-from sim.learn.search.base import Vector
+from sim.learn.search.base import Vector, draw_seeds
 from sim.learn.workers import WorkerDied, starting_processes
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
-from sim.paper.evaluator import Evaluator, draw_seeds
+from sim.paper.evaluator import Evaluator
 from sim.paper.parking import ParkingEvaluator, search_parking
 from sim.paper.published_search import BenchmarkEstimator, Partial, search_as_published
 from sim.paper.random_search import Budget, Found, search_randomly

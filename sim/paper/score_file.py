@@ -9,7 +9,8 @@ import numpy as np
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import UsageError
-from sim.paper.evaluator import Evaluator, draw_seeds
+from sim.learn.search.base import draw_seeds
+from sim.paper.evaluator import Evaluator
 from sim.paper.tasks import Benchmark, find_task
 
 EPISODES = 100

@@ -7,26 +7,33 @@ import sys
 from pathlib import Path
 
 import pytest
-from paths import ROOT
+from tutorials import PAGES, steps
 
-TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
-BLOCK = re.compile(r"^```(sh|yaml) ?(?:title=\"([^\"]+)\")?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 NEEDS_A_CLONE = "source .venv/bin/activate"
+COMMANDS = ("rover-ncp ", "python ", "sed ")
 
 
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_command_of_a_tutorial_runs(page, tmp_path):
-    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    installed = tmp_path / "installed"  # not into the environment of the tests
+    environment = {
+        **os.environ,
+        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+        "PIP_TARGET": str(installed),
+        "PYTHONPATH": str(installed),
+    }
     ran = 0
-    for kind, name, content in BLOCK.findall(page.read_text()):
-        if kind == "yaml":
+    for name, content in steps(page):
+        if name is not None:
+            (tmp_path / name).parent.mkdir(exist_ok=True)
             (tmp_path / name).write_text(content)
             continue
         for line in content.splitlines():
             if line == NEEDS_A_CLONE:
                 continue
+            assert line.startswith(COMMANDS), line
             done = subprocess.run(
-                line, shell=True, cwd=tmp_path, env={**os.environ, "PATH": path},
+                line, shell=True, cwd=tmp_path, env=environment,
                 capture_output=True, text=True, timeout=200, check=False,
             )  # fmt: skip
             assert done.returncode == 0, (line, done.stdout[-1500:], done.stderr[-1500:])
@@ -35,10 +42,7 @@ def test_every_command_of_a_tutorial_runs(page, tmp_path):
 
 
 def test_the_tutorials_leave_no_command_out():
-    for page in TUTORIALS:
-        text = page.read_text()
-        shown = len(re.findall(r"^ *rover-ncp ", text, re.MULTILINE))
-        executed = sum(
-            content.count("rover-ncp ") for kind, _, content in BLOCK.findall(text) if kind == "sh"
-        )
+    for page in PAGES:
+        shown = len(re.findall(r"^ *rover-ncp ", page.read_text(), re.MULTILINE))
+        executed = sum(content.count("rover-ncp ") for name, content in steps(page) if name is None)
         assert shown == executed, page

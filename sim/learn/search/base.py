@@ -14,9 +14,16 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy import ParameterLayout
 
 Vector = NDArray[np.float64]
+Seeds = NDArray[np.uint64]
 
 SearchState = Mapping[str, Any]
 """A search between ``tell`` and ``ask`` as plain values, arrays, lists and mappings."""
+
+
+def draw_seeds(root: int, key: Sequence[int], count: int) -> Seeds:
+    """Return the seeds (count,) of a stream."""
+    sequence = np.random.SeedSequence(root, spawn_key=tuple(key))
+    return sequence.generate_state(count, np.uint64).astype(np.uint64, copy=False)
 
 
 def dump_state(state: SearchState) -> str:

@@ -4,7 +4,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-from sim.paper.evaluator import Evaluator, draw_seeds
+from sim.learn.search.base import draw_seeds
+from sim.paper.evaluator import Evaluator
 from sim.paper.gradients import CELLS, Actor, PaperEnvironment, score_actor
 from sim.paper.tasks import TASKS
 

@@ -4,8 +4,9 @@ import gymnasium
 import numpy as np
 import pytest
 
+from sim.learn.search.base import draw_seeds
 from sim.paper.agents import build_agent
-from sim.paper.evaluator import Evaluator, draw_seeds, make_plants
+from sim.paper.evaluator import Evaluator, make_plants
 from sim.paper.plants.lanes import observe, reset_plant, step_plant
 from sim.paper.tasks import TASKS
 

@@ -1,0 +1,184 @@
+"""Explanation of a circuit on a task that is no drive: a benchmark of the paper or a Gymnasium environment.
+
+One episode is explained; the what-ifs are mean returns of the same few episodes.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.report.findings import Findings, analyse
+from deploy.report.interpretation import THRESHOLD
+from deploy.report.trace import Trace
+from rover_ncp.circuit.circuit import Circuit
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import load_policy, load_start
+from rover_ncp.core.errors import UsageError
+from sim.explain.what_if import Sensitivity, damaged, part_title, sensitivities_of
+from sim.learn.environment import EnvironmentEvaluator, Play
+from sim.learn.search.base import Seeds, draw_seeds
+from sim.paper.agents import build_agent
+from sim.paper.play import BenchmarkEpisodes
+from sim.paper.results import ResultStore
+from sim.paper.tasks import TASKS, Benchmark, Task
+
+FloatArray = NDArray[np.float64]
+
+EPISODES = 8
+
+
+class Episodes(Protocol):
+    """Episodes of a task with one policy."""
+
+    enough: float | None
+
+    def returns(self, vectors: FloatArray, seeds: Seeds) -> FloatArray:
+        """Return the returns (n, k) of vectors (n, P), each in the episodes of seeds (k,)."""
+
+    def play(self, seed: int) -> Play:
+        """Play one episode of the policy."""
+
+    def of(self, policy: Policy) -> Self:
+        """Return those of another policy with the same inputs and outputs."""
+
+
+@dataclass(frozen=True)
+class TaskKnockout:
+    """The episodes without a part."""
+
+    kind: str
+    """neuron or synapse."""
+    name: str
+    total: float
+    """Mean return."""
+    change: float
+    """Difference to the intact circuit's."""
+
+    @property
+    def title(self) -> str:
+        """The part's name for tables and charts."""
+        return part_title(self.kind, self.name)
+
+
+@dataclass(frozen=True, eq=False)
+class TaskExplanation:
+    """Result of ``rover-ncp explain --task``."""
+
+    source: str
+    command: str
+    """That makes this."""
+    policy: Policy
+    task: str
+    returns: FloatArray
+    """(EPISODES,) of the intact circuit."""
+    enough: float | None
+    findings: Findings
+    """Of the first episode."""
+    knock_outs: tuple[TaskKnockout, ...]
+    sensitivities: tuple[Sensitivity, ...]
+
+    @property
+    def title(self) -> str:
+        """What was explained."""
+        return f"{self.policy.circuit.name} on {self.task}"
+
+    @property
+    def ending(self) -> str:
+        """The score in words."""
+        return f"mean return {self.returns.mean():.4g} of {len(self.returns)} episodes"
+
+    def fields(self) -> dict[str, Any]:
+        """Return everything but the potentials as plain values."""
+        findings = self.findings
+        return {
+            "source": self.source,
+            "policy": self.policy.circuit.name,
+            "task": self.task,
+            "simulated": {
+                "return": float(self.returns.mean()),
+                "returns": self.returns.tolist(),
+                "enough": self.enough,
+            },
+            **findings.fields((a, b) for b in findings.motors for a in findings.sources),
+            "knock_outs": [vars(row) for row in self.knock_outs],
+            "sensitivities": [{**vars(row), "slope": row.slope} for row in self.sensitivities],
+        }
+
+
+class Subject(NamedTuple):
+    """What is explained, and its episodes."""
+
+    source: str
+    policy: Policy
+    episodes: Episodes
+
+
+def explain_task(
+    source: str | None,
+    task: str,
+    *,
+    threshold: float = THRESHOLD,
+    on_progress: Callable[[str], None] = lambda _: None,
+) -> TaskExplanation:
+    """Explain a policy (name or file) on a task; without one, the best stored run of a benchmark.
+
+    Raises UsageError, FileError and ConfigError.
+    """
+    subject = _subject(source, task)
+    policy, episodes = subject.policy, subject.episodes
+    seeds = draw_seeds(0, (), EPISODES)
+    [returns] = episodes.returns(policy.parameters()[None], seeds)
+    play = episodes.play(int(seeds[0]))
+    count = len(play.outputs)
+    times = policy.tick_s * np.arange(count, dtype=np.float64)
+    trace = Trace(policy, times, np.zeros((count + 1, 3)), play.outputs, play.potentials)
+    parts = policy.circuit.size + policy.circuit.synapse_count
+    on_progress(f"playing {EPISODES} episodes without each of {parts} neurons and synapses")
+    without = []
+    for kind, name, rest in damaged(policy):
+        total = float(episodes.of(rest).returns(rest.parameters()[None], seeds).mean())
+        without.append(TaskKnockout(kind, name, total, total - float(returns.mean())))
+    on_progress(f"moving each of {policy.layout().size} parameters a little")
+    return TaskExplanation(
+        source=subject.source,
+        command=" ".join(["rover-ncp explain", *([source] if source else []), "--task", task]),
+        policy=policy,
+        task=task,
+        returns=returns,
+        enough=episodes.enough,
+        findings=analyse(trace, threshold),
+        knock_outs=tuple(without),
+        sensitivities=sensitivities_of(policy, lambda rows: episodes.returns(rows, seeds).mean(axis=1)),
+    )
+
+
+def stored_policy(task: Task) -> tuple[str, Policy]:
+    """Return the best stored circuit of one of the paper's tasks, and its name. Raises UsageError."""
+    results = ResultStore(Path("runs/paper")).results(task.name, "circuit")
+    if not results:
+        raise UsageError(f"no circuit is stored for {task.name}: rover-ncp paper run --task {task.name}")
+    best = max(results, key=lambda result: (result.success, result.mean))
+    untrained = build_agent(task, "circuit", best.name.seed)
+    assert isinstance(untrained, Policy)
+    return f"paper run {best.name}", untrained.with_parameters(best.parameters.array())
+
+
+def _subject(source: str | None, task: str) -> Subject:
+    known = TASKS.get(task)
+    if isinstance(known, Benchmark):
+        if source is None:
+            name, policy = stored_policy(known)
+        else:
+            start = load_start(source)
+            name, policy = source, known.policy(start) if isinstance(start, Circuit) else start
+        return Subject(name, policy, BenchmarkEpisodes(known, policy))
+    if known is not None:
+        raise UsageError(f"--task {task}: explain a drive without --task, with --course parking")
+    if source is None:
+        raise UsageError(f"--task {task}: an environment needs a policy")
+    policy = load_policy(source)
+    return Subject(source, policy, EnvironmentEvaluator(task, policy))

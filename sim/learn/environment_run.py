@@ -1,0 +1,101 @@
+"""Training on a Gymnasium environment: what ``rover-ncp train --task`` does.
+
+The folder is that of a training on random trials (``robust_run.py``); a cost is minus a return. Each
+generation plays other episodes, the same for all its candidates.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import load_start
+from rover_ncp.core.errors import UsageError
+from sim.learn.environment import EnvironmentEvaluator
+from sim.learn.record import Record, TaskSettings
+from sim.learn.robust import Drive, Generation, RobustSearch, Stage, policy_box
+from sim.learn.robust_run import RobustResult, SearchRun
+from sim.learn.run_folder import open_folder
+from sim.learn.search.base import draw_seeds
+
+FloatArray = NDArray[np.float64]
+
+EPISODES = 100
+"""Fresh episodes that score a policy."""
+_STAGES = (Stage(0, 1, 0.005, 0.0, 0.0, 0.0, False),)
+_SPREADS = (0.15, 0.3)
+"""A circuit of one's own begins far from any solution."""
+_TRAINING, _SCORING = range(2)
+"""Streams of random numbers: no episode of a training scores its policy."""
+
+
+class Score(NamedTuple):
+    """Returns in fresh episodes."""
+
+    episodes: int
+    mean: float
+    std: float
+    successes: int | None
+    """Episodes that reach the environment's threshold; None where it names none."""
+
+    def __str__(self) -> str:
+        solved = "" if self.successes is None else f", {self.successes} of them successful"
+        return f"return {self.mean:.4g} ± {self.std:.3g} in {self.episodes} fresh episodes{solved}"
+
+
+def _episodes(task: str, start: Policy, seed: int) -> Drive:
+    evaluator = EnvironmentEvaluator(task, start)
+
+    def drive(vectors: FloatArray, first: int, count: int, stage: Stage) -> FloatArray:
+        return -evaluator.returns(vectors, draw_seeds(seed, (_TRAINING, first), count))
+
+    return drive
+
+
+def start_of(settings: TaskSettings) -> Policy:
+    """Return the untuned policy. Raises UsageError, FileError, or ConfigError if it does not fit the task."""
+    start = load_start(settings.circuit)
+    if not isinstance(start, Policy):
+        problem = "is a circuit alone; a task needs a policy file, which also has sensing and motors"
+        raise UsageError(f"{settings.circuit}: {problem}")
+    EnvironmentEvaluator(settings.task, start)
+    return start
+
+
+def train_task(
+    settings: TaskSettings,
+    out: Path,
+    *,
+    resume: bool = False,
+    processes: int | None = None,
+    on_generation: Callable[[Generation], None] = lambda _: None,
+) -> RobustResult:
+    """Train a policy on an environment and leave the run in the folder ``out``, as `train_robust` does.
+
+    Raises as that does.
+    """
+    start = start_of(settings)
+    record = Record[TaskSettings].of(settings, start, None)
+    search = RobustSearch(
+        policy_box(start),
+        seed=settings.seed,
+        rollouts=settings.rollouts,
+        worst=settings.rollouts,
+        stages=_STAGES,
+        spreads=_SPREADS,
+    )
+    with open_folder(out, record, resume) as began:
+        run = SearchRun(out, began, start, search)
+        return run.finished(partial(_episodes, settings.task, start, settings.seed), processes, on_generation)
+
+
+def score_task(task: str, policy: Policy, episodes: int = EPISODES, seed: int = 0) -> Score:
+    """Return the score of a policy in fresh episodes. Raises UsageError and ConfigError."""
+    evaluator = EnvironmentEvaluator(task, policy)
+    [returns] = evaluator.returns(policy.parameters(), draw_seeds(seed, (_SCORING,), episodes))
+    successes = None if evaluator.enough is None else int((returns >= evaluator.enough).sum())
+    return Score(episodes, float(returns.mean()), float(returns.std()), successes)

@@ -17,6 +17,7 @@ from rover_ncp.circuit import policy_file
 from rover_ncp.core.key_table import KEYS, Kind, Role
 from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.course import reference
 from rover_ncp.course.builder import PoseList
 from rover_ncp.course.course import Course
 from sim.world.randomization import Randomization
@@ -97,7 +98,31 @@ def files_page() -> str:
                 parts.append(inspect.cleandoc(each.__doc__))
             parts.append(_keys(each))
             seen += [part for part in _parts(each) if part not in seen]
+        if name == "policy":
+            parts.append(_signals_and_motions())
     return "\n\n".join(parts) + "\n"
+
+
+def _signals_and_motions() -> str:
+    """Return the section of what a policy may name, from the docstring of ``course/reference.py``."""
+    text = inspect.getdoc(reference) or ""
+    rows = re.findall(r"^    (\S.*?) {2,}(\S.*(?:\n {20,}\S.*)*)$", text, re.MULTILINE)
+    if ", ".join(names for names, _ in rows).split(", ") != list(reference.SIGNALS):
+        raise ValueError(f"the docstring of {reference.__name__} does not list the signals in their order")
+    table = ["| signals | meaning |", "|---|---|"]
+    for names, meaning in rows:
+        quoted = ", ".join(f"`{name}`" for name in names.split(", "))
+        table.append(f"| {quoted} | {_cell(meaning)} |")
+    return "\n\n".join(
+        [
+            "### Signals and motions",
+            "`sensing.inputs` of a policy that drives a rover name these signals:",
+            "\n".join(table),
+            "`motors.outputs` are `v` in m/s, forward, and `omega` in rad/s, to the left. Python can declare "
+            "more of both: [Your own circuit](../tutorials/own_circuit.md#sensors-and-motors-of-your-own). "
+            "The inputs and outputs of a policy for a Gymnasium environment have names of your choice.",
+        ]
+    )
 
 
 def _keys(model: type[BaseModel]) -> str:

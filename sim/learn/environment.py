@@ -43,14 +43,17 @@ def make_environment(name: str) -> "gymnasium.Env[Any, Any]":
 
     Raises UsageError.
     """
-    if ":" in name and str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))
+    here = str(Path.cwd())
     try:
+        # Last, and for this import alone: no file of the folder takes the place of a library.
+        sys.path.append(here)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
             return gymnasium.make(name)
     except (gymnasium.error.Error, ImportError) as error:
         raise UsageError(f"environment {name}: {str(error).strip()}") from error
+    finally:
+        del sys.path[-1 - sys.path[::-1].index(here)]
 
 
 def require_fit(name: str, environment: "gymnasium.Env[Any, Any]", policy: Policy) -> None:

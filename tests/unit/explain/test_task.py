@@ -1,0 +1,103 @@
+"""Explanations of circuits on tasks that are no drives."""
+
+import json
+
+import numpy as np
+import pytest
+from tutorials import PAGES, write_files
+
+from rover_ncp.cli import run
+from rover_ncp.core.errors import ConfigError, UsageError
+from sim import api
+from sim.explain.files import markdown
+from sim.explain.task import EPISODES, explain_task, stored_policy
+from sim.explain.what_if import without_neuron
+from sim.learn.environment import EnvironmentEvaluator
+from sim.learn.search.base import draw_seeds
+from sim.paper.play import BenchmarkEpisodes
+from sim.paper.tasks import TASKS
+
+[PAGE] = [page for page in PAGES if page.stem == "own_task"]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    write_files(PAGE, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_command_explains_a_policy_on_an_environment(folder, capsys):
+    command = ["explain", "wall.yaml", "--task", "wall:FollowWall-v0", "--out", "why", "--json"]
+    assert run(command) == 0
+    said = capsys.readouterr()
+    fields = json.loads(said.out)
+    assert fields["simulated"]["enough"] == -10.0
+    assert fields["simulated"]["return"] == pytest.approx(np.mean(fields["simulated"]["returns"]))
+    assert {row["kind"] for row in fields["knock_outs"]} == {"neuron", "synapse"}
+    assert len(fields["knock_outs"]) == 6 + 6
+    labels = {phase["label"] for phase in fields["phases"]}
+    assert labels <= {"turn positive", "turn negative", "turn about 0"}
+    text = (folder / "why" / "explanation.md").read_text()
+    assert text.startswith("# wall on wall:FollowWall-v0\n")
+    assert "`rover-ncp explain wall.yaml --task wall:FollowWall-v0 --out FOLDER`" in text
+    assert "Table S7" not in text
+    for name in ("circuit", "knock_outs", "sensitivities", "slopes"):
+        assert (folder / "why" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    assert not (folder / "why" / "trajectory.png").exists()
+
+
+def test_a_knock_out_is_the_mean_return_of_the_same_episodes(folder):
+    found = explain_task("wall.yaml", "wall:FollowWall-v0")
+    again = explain_task("wall.yaml", "wall:FollowWall-v0")
+    assert found.fields() == again.fields()
+    by_name = {row.name: row for row in found.knock_outs}
+    lame = without_neuron(found.policy, "LEFT")
+    returns = EnvironmentEvaluator("wall:FollowWall-v0", lame).returns(
+        lame.parameters(), draw_seeds(0, (), EPISODES)
+    )
+    assert by_name["LEFT"].total == pytest.approx(returns.mean())
+    assert by_name["LEFT"].change == pytest.approx(returns.mean() - found.returns.mean())
+
+
+def test_a_stored_circuit_of_the_paper_plays_as_it_is_scored():
+    name, policy = stored_policy(TASKS["mountain-car"])
+    assert name.startswith("paper run mountain-car circuit")
+    episodes = BenchmarkEpisodes(TASKS["mountain-car"], policy)
+    seeds = np.array([5, 6], np.uint64)
+    [returns] = episodes.returns(policy.parameters()[None], seeds)
+    assert [episodes.play(int(seed)).rewards.sum() for seed in seeds] == pytest.approx(returns, abs=1e-9)
+    assert returns.min() > TASKS["mountain-car"].success
+    [blind] = episodes.of(without_neuron(policy, "FWD")).returns(policy.parameters()[None], seeds)
+    assert not np.array_equal(blind, returns)
+
+
+@pytest.mark.parametrize(
+    ("source", "task", "error", "words"),
+    [
+        (
+            "course",
+            "mountain-car",
+            ConfigError,
+            "inputs are longitudinal, .*; mountain-car has position, velocity",
+        ),
+        (None, "parking", UsageError, "without --task, with --course parking"),
+        (None, "Pendulum-v1", UsageError, "an environment needs a policy"),
+    ],
+)
+def test_what_cannot_be_explained_is_named(source, task, error, words):
+    if source is not None:
+        from rover_ncp.core.files import resolve
+
+        source = str(resolve("policies", source))
+    with pytest.raises(error, match=words):
+        explain_task(source, task)
+
+
+def test_the_paper_circuit_is_explained_in_words(monkeypatch):
+    monkeypatch.setattr("sim.explain.task.EPISODES", 2)
+    found = api.explain_task(None, "mountain-car")
+    text = markdown(found)
+    assert "`rover-ncp explain --task mountain-car --out FOLDER`" in text
+    assert "Action positive" in text
+    assert "position" in text

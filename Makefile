@@ -63,8 +63,9 @@ paper: $(STAMP)
 paper-docs: $(STAMP)
 	$(BIN)/python tests/tools/paper_tables.py
 
-# PPO and A2C: installs stable-baselines3, which needs torch.
+# PPO in the parking environment, then PPO and A2C: installs stable-baselines3, which needs torch.
 paper-gradients: $(GRADIENTS_STAMP)
+	$(BIN)/python docs/examples/ppo_parking.py
 	$(BIN)/rover-ncp paper run --agent ppo --agent a2c
 
 # The gate's own tests must run every line and branch of it.

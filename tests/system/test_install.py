@@ -29,7 +29,10 @@ WORKS = {
     "": [("urdf", 0), ("bridge --base tcp/127.0.0.1:1", 3)],
     "drive": [("course check parking", 0), ("export parking --to json --out exported", 0)],
     "keys": [("keys --out keys", 0)],
+    "drive,report": [("watch --robot tcp/127.0.0.1:1", 3)],
     "train": [("eval parking", 0)],
+    "cluster": [("train --cluster tcp://127.0.0.1:1 --agents 1 --iterations 1 --out run", 2)],
+    "mujoco": [("eval course --stack --body mujoco --randomize nominal", 0)],
     "all": [("eval parking", 0), ("park --policy nowhere.yaml", 2)],
 }
 # A command that needs other extras, and those.
@@ -62,6 +65,15 @@ def test_wheel_and_sdist_hold_the_packages_with_their_data(built):
 @pytest.mark.parametrize("extras", WORKS)
 def test_an_installed_wheel_does_what_its_extras_promise(extras, built, tmp_path):
     check_install(sys.executable, extras, built[".whl"], tmp_path)
+
+
+def test_the_extra_paper_can_be_installed_beside_the_versions_of_this_project(built, tmp_path):
+    # Only resolved: torch is too large to be installed in each run. make paper-gradients installs it.
+    pip = [sys.executable, "-m", "pip", "install", "--dry-run", "--ignore-installed", "--quiet"]
+    limits = ["--constraint", str(ROOT / "constraints.txt"), "--report", "-"]
+    done = run([*pip, *limits, f"{built['.whl']}[paper]"], tmp_path)
+    names = {entry["metadata"]["name"].lower() for entry in json.loads(done.stdout)["install"]}
+    assert {"torch", "stable-baselines3", "mujoco", "imageio"} <= names
 
 
 @pytest.mark.skipif(NEWEST is None, reason="needs Python 3.13")

@@ -16,12 +16,18 @@ class Target(StrEnum):
     C = "c"
     JSON = "json"
     NCPS = "ncps"
+    YAML = "yaml"
 
 
 def export(
     policy: Annotated[str, typer.Argument(help="Policy: a name, a YAML file, or a .bnn circuit.")],
     *,
-    to: Annotated[Target, typer.Option(help="c: C99 sources. json: plain form. ncps: wiring for ncps.")],
+    to: Annotated[
+        Target,
+        typer.Option(
+            help="c: C99 sources. json: plain form. ncps: wiring for ncps. yaml: a policy file to edit."
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="Folder for the files; those of the same names are replaced.")],
     course: Annotated[
         str | None,
@@ -41,7 +47,8 @@ def export(
         cc -std=c99 -O2 -ffp-contract=off -o check firmware/*.c -lm && ./check
 
     To json: NAME.json, the policy with the constants of its equations and test vectors. To ncps:
-    NAME_ncps.json, the wiring for ncps.wirings.Wiring.from_config.
+    NAME_ncps.json, the wiring for ncps.wirings.Wiring.from_config. To yaml: NAME.yaml, the policy file, to
+    begin one of your own with (train --circuit NAME.yaml).
     """
     from rover_ncp.circuit.policy_file import load_policy
     from rover_ncp.core.files import require_writable, write_atomic

@@ -3,6 +3,7 @@
 from importlib.metadata import version
 
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import policy_to_yaml
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import needs_reference, plan_reference
 from rover_ncp.export.circuit_c import circuit_files
@@ -15,6 +16,8 @@ def exported(policy: Policy, to: str, name: str, course: Course) -> dict[str, st
     """Return the text of each file. Raises ConfigError for a wiring that the target cannot hold."""
     if to == "ncps":
         return {f"{name}_ncps.json": ncps_file(policy)}
+    if to == "yaml":
+        return {f"{name}.yaml": policy_to_yaml(policy)}
     reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
     vectors = make_vectors(policy, course, reference)
     if to == "json":

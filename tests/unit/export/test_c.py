@@ -16,7 +16,7 @@ from ncps.wirings import Wiring
 from wirings import wirings
 
 from rover_ncp.circuit.policy import PolicyRunner
-from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml
+from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
 from rover_ncp.cli import run
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
@@ -139,6 +139,11 @@ def test_the_command_writes_its_files_and_names_them(tmp_path, capsys):
         "course_check.c",
     }
     assert all(Path(path).is_file() for path in fields["files"])
+
+
+def test_yaml_is_a_policy_file_to_edit(tmp_path):
+    assert run(["export", "parking", "--to", "yaml", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "parking.yaml").read_text() == policy_to_yaml(load_policy("parking"))
 
 
 def test_a_file_name_that_is_no_identifier_becomes_one(tmp_path):

@@ -22,9 +22,9 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.networks import Net
-from sim.learn.search.base import Vector, dump_state
+from sim.learn.search.base import Vector, draw_seeds, dump_state
 from sim.learn.search.strategies import start_search
-from sim.paper.evaluator import Evaluator, draw_seeds
+from sim.paper.evaluator import Evaluator
 from sim.paper.random_search import Budget, Found
 from sim.paper.tasks import Benchmark
 

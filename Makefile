@@ -7,7 +7,7 @@ BROWSER_STAMP := $(VENV)/.browser
 DOCS_STAMP := $(VENV)/.docs
 GRADIENTS_STAMP := $(VENV)/.gradients
 
-.PHONY: park test test-system test-browser docs check lint types contracts safety clean paper paper-quick paper-docs paper-gradients
+.PHONY: park test test-system test-browser docs tutorials check lint types contracts safety clean paper paper-quick paper-docs paper-gradients
 
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park --overwrite
@@ -29,7 +29,7 @@ test-system: $(STAMP)
 test-browser: $(BROWSER_STAMP)
 	$(BIN)/pytest -m browser
 
-check: lint types contracts test test-system
+check: lint types contracts test tutorials test-system
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -41,6 +41,10 @@ types: $(STAMP)
 
 contracts: $(STAMP)
 	$(BIN)/lint-imports
+
+# Every command of the tutorials; they mostly wait for drives in real time. With make docs under four minutes.
+tutorials: $(STAMP)
+	$(BIN)/pytest tests/system/test_tutorials.py --numprocesses 3 --dist worksteal
 
 # The documentation as a site in build/site; a broken link or reference is an error.
 docs: $(DOCS_STAMP)

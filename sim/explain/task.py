@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from deploy.report.findings import Findings, analyse
 from deploy.report.interpretation import THRESHOLD
 from deploy.report.trace import Trace
-from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.policy_file import load_policy, load_start
+from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import UsageError
 from sim.explain.what_if import Sensitivity, damaged, part_title, sensitivities_of
 from sim.learn.environment import EnvironmentEvaluator, Play
@@ -24,6 +23,7 @@ from sim.learn.search.base import Seeds, draw_seeds
 from sim.paper.agents import build_agent
 from sim.paper.play import BenchmarkEpisodes
 from sim.paper.results import ResultStore
+from sim.paper.score_file import benchmark_policy
 from sim.paper.tasks import TASKS, Benchmark, Task
 
 FloatArray = NDArray[np.float64]
@@ -173,8 +173,7 @@ def _subject(source: str | None, task: str) -> Subject:
         if source is None:
             name, policy = stored_policy(known)
         else:
-            start = load_start(source)
-            name, policy = source, known.policy(start) if isinstance(start, Circuit) else start
+            name, policy = source, benchmark_policy(source, known)
         return Subject(name, policy, BenchmarkEpisodes(known, policy))
     if known is not None:
         raise UsageError(f"--task {task}: explain a drive without --task, with --course parking")

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.policy_file import load_circuit
-from rover_ncp.core.errors import UsageError
+from rover_ncp.circuit.policy_file import load_start
+from rover_ncp.core.errors import ConfigError, UsageError
 from sim.learn.search.base import draw_seeds
 from sim.paper.evaluator import Evaluator
 from sim.paper.tasks import Benchmark, find_task
@@ -21,18 +21,12 @@ def score_circuit(
 ) -> dict[str, Any]:
     """Return the score of a circuit in episodes of a task, with other sensor ranges if such are given.
 
-    A ``.bnn`` circuit gets unclamped sensors, as it was trained with. Raises UsageError, FileError, or
-    ConfigError when the circuit lacks a neuron that the task's mapping names.
+    Raises as `benchmark_policy`.
     """
     task = find_task(task_name)
     if not isinstance(task, Benchmark):
         raise UsageError(f"{task_name}: use eval without --task, with --course parking")
-    policy = task.policy(load_circuit(file))
-    if policy.input_layer is not None:
-        raise UsageError(f"{task_name} has linear layers, which a circuit file does not contain")
-    policy = _with_ranges(policy, ranges)
-    if file.endswith(".bnn"):
-        policy = replace(policy, sensing=policy.sensing.model_copy(update={"clamp": False}))
+    policy = _with_ranges(benchmark_policy(file, task), ranges)
     vectors = np.tile(policy.parameters(), (episodes, 1))
     found = Evaluator(task, policy).run(vectors, draw_seeds(seed, (0,), episodes))
     returns, plain = found[:, :2].sum(axis=1), found[:, 0]
@@ -46,6 +40,31 @@ def score_circuit(
         "success": bool(plain.mean() >= task.success),
         "ranges": {channel.name: max(end for _, end in channel.sides) for channel in policy.sensing.channels},
     }
+
+
+def benchmark_policy(file: str, task: Benchmark) -> Policy:
+    """Load a circuit, which gets the task's sensing and motors, or a policy, which has its own.
+
+    A ``.bnn`` circuit gets unclamped sensors, as it was trained with. Raises UsageError, FileError, or
+    ConfigError when a circuit lacks a neuron that the task's mapping names, or for a policy of another task.
+    """
+    start = load_start(file)
+    if isinstance(start, Policy):
+        own = task.policy(task.circuit())
+        for what, found, expected in (
+            ("inputs", start.sensing.inputs, own.sensing.inputs),
+            ("outputs", start.motors.outputs, own.motors.outputs),
+        ):
+            if found != expected:
+                problem = f"its {what} are {', '.join(found)}; {task.name} has {', '.join(expected)}"
+                raise ConfigError(f"policy {start.circuit.name}", [problem])
+        return start
+    policy = task.policy(start)
+    if policy.input_layer is not None:
+        raise UsageError(f"{task.name} has linear layers, which a circuit file does not contain")
+    if file.endswith(".bnn"):
+        policy = replace(policy, sensing=policy.sensing.model_copy(update={"clamp": False}))
+    return policy
 
 
 def _with_ranges(policy: Policy, ranges: Sequence[str]) -> Policy:

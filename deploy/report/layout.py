@@ -25,6 +25,8 @@ LARGEST_GAP = 190.0
 LAYERS = ("sensory", "inter", "command", "motor")
 ORDER = ["PVD", "AVM", "PLM", "ALM", "DVA", "PVC", "AVD", "AVB", "AVA", "LFT", "FWD", "REV", "RGT"]
 """Neurons of the shipped wirings, in each row from left to right."""
+FITTING = 6
+"""Letters of a name that fit into a neuron."""
 SWEEPS = 4
 BENDS = (0.0, 0.08, -0.08, 0.15, -0.15, 0.25, -0.25)
 """Distances of a curve's middle from the straight line, in lengths of the line."""
@@ -73,6 +75,11 @@ def labels(policy: Policy) -> dict[str, str]:
         for channel in (*policy.sensing.channels, *policy.motors.channels)
         for neuron, end in channel.sides
     }
+
+
+def name_scale(name: str) -> float:
+    """Return how much smaller than others a neuron's name is written, so that it fits into its circle."""
+    return min(1.0, FITTING / len(name))
 
 
 def lay_out(policy: Policy) -> Layout:

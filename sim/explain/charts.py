@@ -64,7 +64,7 @@ def return_chart(rows: Sequence[TaskKnockout], intact: float) -> Picture:
     axes.plot(totals, places, "o", color=VERMILLION, markersize=6, label="without", linestyle="none")
     axes.axvline(intact, color=INK, linewidth=1, label="intact")
     axes.set_xlabel("mean return")
-    return _finished(drawn, axes)
+    return _finished(drawn, axes, "lower left")
 
 
 def sensitivity_chart(rows: Sequence[Sensitivity]) -> Picture:
@@ -97,6 +97,6 @@ def _bars(names: Sequence[str], title: str) -> "tuple[Figure, Axes]":
     return drawn, axes
 
 
-def _finished(drawn: "Figure", axes: "Axes") -> Picture:
-    axes.legend(loc="lower right", fontsize=8, frameon=True, framealpha=0.9, edgecolor="none")
+def _finished(drawn: "Figure", axes: "Axes", legend: str = "lower right") -> Picture:
+    axes.legend(loc=legend, fontsize=8, frameon=True, framealpha=0.9, edgecolor="none")
     return render(drawn)

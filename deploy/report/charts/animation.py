@@ -17,7 +17,7 @@ from deploy.report.charts.figure import (
     placed,
 )
 from deploy.report.charts.path import draw_course
-from deploy.report.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out
+from deploy.report.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out, name_scale
 from deploy.report.trace import Trace, synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.course.course import Course
@@ -93,10 +93,12 @@ class _Drawing:
         self._neurons, self._names = [], []
         for name, (x, y) in zip(policy.circuit.neurons, layout.places, strict=True):
             self._neurons.append(beside.add_patch(Circle((x, y), RADIUS, edgecolor=INK, zorder=5)))
-            text: dict[str, Any] = {"fontsize": 7.5, "ha": "center", "va": "center", "zorder": 6}
-            self._names.append(beside.text(x, y, name, weight="bold", **text))
+            text: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6}
+            size = 7.5 * name_scale(name)
+            self._names.append(beside.text(x, y, name, fontsize=size, weight="bold", **text))
             away = -1 if name in policy.sensing.neurons else 1
-            beside.text(x, y + away * (RADIUS + 14), meanings.get(name, ""), style="italic", **text)
+            meaning = meanings.get(name, "")
+            beside.text(x, y + away * (RADIUS + 14), meaning, fontsize=7.5, style="italic", **text)
 
     def show(self, tick: int) -> None:
         """Show the moment after a tick."""

@@ -17,7 +17,18 @@ from deploy.report.charts.figure import (
     ring_radius,
 )
 from deploy.report.interpretation import TimeConstant
-from deploy.report.layout import HEIGHT, LAYERS, MARGIN, RADIUS, ROW, WIDTH, Curve, labels, lay_out
+from deploy.report.layout import (
+    HEIGHT,
+    LAYERS,
+    MARGIN,
+    RADIUS,
+    ROW,
+    WIDTH,
+    Curve,
+    labels,
+    lay_out,
+    name_scale,
+)
 from deploy.report.trace import Trace, synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
 
@@ -101,7 +112,7 @@ def _draw_neuron(axes: "Axes", name: str, x: float, y: float, tau: TimeConstant 
 
     axes.add_patch(Circle((x, y), RADIUS, facecolor="white", edgecolor=INK, linewidth=1.4, zorder=5))
     text: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6}
-    axes.text(x, y - 9 if tau else y, name, fontsize=10.5, weight="bold", **text)
+    axes.text(x, y - 9 if tau else y, name, fontsize=10.5 * name_scale(name), weight="bold", **text)
     if tau is None:
         return
     inner, outer = ring_radius(tau.lowest_s), ring_radius(tau.highest_s)

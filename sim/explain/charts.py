@@ -1,7 +1,7 @@
 """Charts of the what-ifs: a row for each missing part or changed parameter, with the result of the drive."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -97,6 +97,8 @@ def _bars(names: Sequence[str], title: str) -> "tuple[Figure, Axes]":
     return drawn, axes
 
 
-def _finished(drawn: "Figure", axes: "Axes", legend: str = "lower right") -> Picture:
+def _finished(
+    drawn: "Figure", axes: "Axes", legend: Literal["lower left", "lower right"] = "lower right"
+) -> Picture:
     axes.legend(loc=legend, fontsize=8, frameon=True, framealpha=0.9, edgecolor="none")
     return render(drawn)

@@ -23,9 +23,9 @@ SEQUENCES = [
     [f"train --course {SHORT} --agents 1 --iterations 2 --processes 1 --out run", "report run"],
     [f"train --randomize mild --course {SHORT} --iterations 1 --rollouts 2 --random-courses 0 --out run"],
     ["train --task wall:FollowWall-v0 --circuit wall.yaml --iterations 1 --rollouts 1 --out run"],
-    ["export parking --to yaml --out mine", "urdf p3at", "recover drive.mcap", "replay drive.mcap"],
+    ["export parking --to yaml --out mine", "urdf p3at", "recover drive.mcap"],
     [f"explain parking --course {SHORT}", "explain wall.yaml --task wall:FollowWall-v0", "report drive.mcap"],
-    [f"paper {what}" for what in ("status", "table1", "parameters", "time-constants", "contributions")],
+    [f"paper {what}" for what in ("status", "networks", "parameters", "time-constants", "contributions")],
 ]
 
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from rover_ncp.kernels.jit import kernel
 from sim.learn.curve import png_of
 from sim.learn.networks import NetKind, net_for
-from sim.learn.search.base import Vector
+from sim.learn.search.base import Seeds, Vector, draw_seeds
 from sim.paper.agents import build_agent
-from sim.paper.evaluator import Seeds, commander_for, draw_seeds, first_states, make_plants
+from sim.paper.evaluator import commander_for, first_states, make_plants
 from sim.paper.plants.lanes import Plants, observe, reset_plant, step_plant
 from sim.paper.results import ResultStore
 from sim.paper.tables import markdown

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import Policy
 from sim.learn.curve import png_of
-from sim.learn.search.base import Vector
-from sim.paper.evaluator import Evaluator, draw_seeds
+from sim.learn.search.base import Vector, draw_seeds
+from sim.paper.evaluator import Evaluator
 from sim.paper.parking import ParkingEvaluator
 from sim.paper.results import ResultStore
 from sim.paper.tables import markdown, mean_text

@@ -8,9 +8,10 @@ import pytest
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.cli import run
+from sim.learn.search.base import draw_seeds
 from sim.paper.agents import build_agent
 from sim.paper.disturbance import disturbed_returns
-from sim.paper.evaluator import Evaluator, draw_seeds
+from sim.paper.evaluator import Evaluator
 from sim.paper.lesions import INTACT, lesion_study, lesioned
 from sim.paper.results import ResultStore
 from sim.paper.tasks import TASKS

@@ -125,7 +125,7 @@ def explain(source: str | Path, course: str | None = None) -> "Explanation":
     return run(str(source), course)
 
 
-def explain_task(source: "str | Path | None", task: str) -> "TaskExplanation":
+def explain_task(source: "str | Path | None", task: str) -> "Explanation | TaskExplanation":
     """Explain a policy on a benchmark of the paper or a Gymnasium environment, as ``explain --task``."""
     from sim.explain.task import explain_task as run
 

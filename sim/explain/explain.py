@@ -25,6 +25,8 @@ class Explanation:
     """Result of ``rover-ncp explain``."""
 
     source: str
+    command: str
+    """That makes this."""
     policy: Policy
     course: Course
     verdict: Verdict
@@ -39,11 +41,6 @@ class Explanation:
     def title(self) -> str:
         """What was explained."""
         return f"{self.policy.circuit.name} on {self.course.name}"
-
-    @property
-    def command(self) -> str:
-        """The command that makes this."""
-        return f"rover-ncp explain {self.source}"
 
     @property
     def ending(self) -> str:
@@ -91,12 +88,61 @@ def explain(
         policy, known = load_policy(source), load_course(course or "parking")
         intact = rollout(policy, known)
         trace, verdict = traced(policy, intact), intact.verdict
+    return _explained(
+        known,
+        intact,
+        trace,
+        verdict,
+        source=source,
+        command=f"rover-ncp explain {source}",
+        threshold=threshold,
+        on_progress=on_progress,
+    )
+
+
+def explain_stored(
+    source: str,
+    command: str,
+    policy: Policy,
+    *,
+    threshold: float = THRESHOLD,
+    on_progress: Callable[[str], None] = lambda _: None,
+) -> Explanation:
+    """Explain a stored circuit of the paper's parking tasks, as ``explain`` does a policy."""
+    known = load_course("parking")
+    intact = rollout(policy, known)
+    trace = traced(policy, intact)
+    return _explained(
+        known,
+        intact,
+        trace,
+        intact.verdict,
+        source=source,
+        command=command,
+        threshold=threshold,
+        on_progress=on_progress,
+    )
+
+
+def _explained(
+    known: Course,
+    intact: Rollout,
+    trace: Trace,
+    verdict: Verdict,
+    *,
+    source: str,
+    command: str,
+    threshold: float,
+    on_progress: Callable[[str], None],
+) -> Explanation:
+    policy = trace.policy
     parts = policy.circuit.size + policy.circuit.synapse_count
     on_progress(f"driving the course without each of {parts} neurons and synapses")
     without = knock_outs(policy, known, intact)
     on_progress(f"moving each of {policy.layout().size} parameters a little")
     return Explanation(
         source=source,
+        command=command,
         policy=policy,
         course=known,
         verdict=verdict,

@@ -17,6 +17,7 @@ from deploy.report.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import UsageError
+from sim.explain.explain import Explanation, explain_stored
 from sim.explain.what_if import Sensitivity, damaged, part_title, sensitivities_of
 from sim.learn.environment import EnvironmentEvaluator, Play
 from sim.learn.search.base import Seeds, draw_seeds
@@ -123,11 +124,18 @@ def explain_task(
     *,
     threshold: float = THRESHOLD,
     on_progress: Callable[[str], None] = lambda _: None,
-) -> TaskExplanation:
-    """Explain a policy (name or file) on a task; without one, the best stored run of a benchmark.
+) -> Explanation | TaskExplanation:
+    """Explain a policy (name or file) on a task; without one, the best stored circuit of the paper's.
 
     Raises UsageError, FileError and ConfigError.
     """
+    command = " ".join(["rover-ncp explain", *([source] if source else []), "--task", task])
+    known = TASKS.get(task)
+    if known is not None and not isinstance(known, Benchmark):
+        if source is not None:
+            raise UsageError(f"--task {task}: explain a policy's drive without --task, with --course parking")
+        name, parks = stored_policy(known)
+        return explain_stored(name, command, parks, threshold=threshold, on_progress=on_progress)
     subject = _subject(source, task)
     policy, episodes = subject.policy, subject.episodes
     seeds = draw_seeds(0, (), EPISODES)
@@ -145,7 +153,7 @@ def explain_task(
     on_progress(f"moving each of {policy.layout().size} parameters a little")
     return TaskExplanation(
         source=subject.source,
-        command=" ".join(["rover-ncp explain", *([source] if source else []), "--task", task]),
+        command=command,
         policy=policy,
         task=task,
         returns=returns,
@@ -175,8 +183,6 @@ def _subject(source: str | None, task: str) -> Subject:
         else:
             name, policy = source, benchmark_policy(source, known)
         return Subject(name, policy, BenchmarkEpisodes(known, policy))
-    if known is not None:
-        raise UsageError(f"--task {task}: explain a drive without --task, with --course parking")
     if source is None:
         raise UsageError(f"--task {task}: an environment needs a policy")
     policy = load_policy(source)

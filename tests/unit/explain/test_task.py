@@ -9,8 +9,9 @@ from tutorials import PAGES, write_files
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError
 from sim import api
+from sim.explain.explain import Explanation
 from sim.explain.files import markdown
-from sim.explain.task import EPISODES, explain_task, stored_policy
+from sim.explain.task import EPISODES, TaskExplanation, explain_task, stored_policy
 from sim.explain.what_if import without_neuron
 from sim.learn.environment import EnvironmentEvaluator
 from sim.learn.search.base import draw_seeds
@@ -49,6 +50,7 @@ def test_command_explains_a_policy_on_an_environment(folder, capsys):
 
 def test_a_knock_out_is_the_mean_return_of_the_same_episodes(folder):
     found = explain_task("wall.yaml", "wall:FollowWall-v0")
+    assert isinstance(found, TaskExplanation)
     again = explain_task("wall.yaml", "wall:FollowWall-v0")
     assert found.fields() == again.fields()
     by_name = {row.name: row for row in found.knock_outs}
@@ -81,7 +83,7 @@ def test_a_stored_circuit_of_the_paper_plays_as_it_is_scored():
             ConfigError,
             "inputs are longitudinal, .*; mountain-car has position, velocity",
         ),
-        (None, "parking", UsageError, "without --task, with --course parking"),
+        ("course", "parking", UsageError, "without --task, with --course parking"),
         (None, "Pendulum-v1", UsageError, "an environment needs a policy"),
     ],
 )
@@ -92,6 +94,14 @@ def test_what_cannot_be_explained_is_named(source, task, error, words):
         source = str(resolve("policies", source))
     with pytest.raises(error, match=words):
         explain_task(source, task)
+
+
+def test_a_stored_parking_circuit_is_explained_as_a_drive():
+    found = api.explain_task(None, "four-dof")
+    assert isinstance(found, Explanation)
+    assert found.verdict.parked
+    assert {"FWD", "REV", "LFT", "RGT"} <= set(found.policy.circuit.neurons)
+    assert found.command == "rover-ncp explain --task four-dof"
 
 
 def test_the_paper_circuit_is_explained_in_words(monkeypatch):

@@ -13,7 +13,7 @@ from rover_ncp.cli import run
 SHORT = str(DATA / "short_course.yaml")
 PAGE = (ROOT / "docs" / "cli.md").read_text()
 SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL))
-BY_NAME = {"failures", "ranges", "circuits", "std", "tasks", "best"}
+BY_NAME = {"commits", "ended", "failures", "ranges", "circuits", "std", "tasks", "best"}
 """Fields whose own keys are names: of reasons, neurons and the like."""
 SEQUENCES = [
     [f"course check {SHORT}", "course new poses.yaml --out made.yaml"],

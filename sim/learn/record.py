@@ -166,7 +166,7 @@ def _start_data(name: str, policy: Policy) -> dict[str, Any]:
     return circuit
 
 
-def course_of(settings: _Settings) -> Course:
+def course_of(settings: _CourseSettings) -> Course:
     """Load the course, as slow as the robot asks for. Raises FileError or ConfigError."""
     course = load_course(settings.course)
     return course if settings.model is None else slowed(course, load_description(settings.model))[0]

@@ -72,7 +72,9 @@ def test_the_extra_paper_can_be_installed_beside_the_versions_of_this_project(bu
     pip = [sys.executable, "-m", "pip", "install", "--dry-run", "--ignore-installed", "--quiet"]
     limits = ["--constraint", str(ROOT / "constraints.txt"), "--report", "-"]
     done = run([*pip, *limits, f"{built['.whl']}[paper]"], tmp_path)
-    names = {entry["metadata"]["name"].lower() for entry in json.loads(done.stdout)["install"]}
+    names = {
+        entry["metadata"]["name"].lower().replace("_", "-") for entry in json.loads(done.stdout)["install"]
+    }
     assert {"torch", "stable-baselines3", "mujoco", "imageio"} <= names
 
 

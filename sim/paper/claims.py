@@ -246,11 +246,16 @@ def _estimate_claims(store: ResultStore) -> Iterator[Claim]:
             continue
         hits = sum(result.success for result in runs)
         low, high = binomtest(hits, len(runs)).proportion_ci(method="wilson")
-        verdict = share_finding(hits, len(runs))
+        verdict, why = share_finding(hits, len(runs)), ""
         if task in _RATES:
-            verdict = Finding.REPRODUCED if low <= _RATES[task] <= high else Finding.NOT_REPRODUCED
+            verdict, rate = Finding.REPRODUCED, _RATES[task]
+            if not low <= rate <= high:
+                verdict, why = (
+                    Finding.NOT_REPRODUCED,
+                    f"the rate is {'higher' if low > rate else 'lower'} here",
+                )
         figure = f"{hits} of {len(runs)} succeed (Wilson {low:.0%} to {high:.0%})"
-        yield Claim(f"published-{task}", words, source, verdict, figure, command)
+        yield Claim(f"published-{task}", words, source, verdict, figure, command, why)
     yield from _objective_claims(store)
 
 

@@ -27,6 +27,8 @@ STD = {
 }
 """Odometry's errors in the estimator's settings, and their standard deviations."""
 
+REJECTED_S = 0.3
+"""So long may odometry be rejected: three reports of a Pioneer, after a push that only a gyro sees."""
 AXLE_STD_M = 0.002
 """How well a description knows where the axle of a differential drive is (chosen)."""
 
@@ -103,6 +105,7 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
         "heading_rad": max(usual.heading_rad, odometry.noise_rad),
         "acceleration": max(motion.accel, motion.decel) ** 2 / odometry.rate_hz,
         "angular_acceleration": max(motion.alpha, motion.alpha_decel) ** 2 / odometry.rate_hz,
+        "rejected_in_a_row": max(usual.rejected_in_a_row, math.ceil(REJECTED_S * odometry.rate_hz)),
         "distance_gain_std": odometry.distance_error / math.sqrt(3.0),
         "turn_gain_std": odometry.turn_error / math.sqrt(3.0),
     }

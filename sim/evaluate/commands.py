@@ -280,10 +280,16 @@ def _play_task(options: EvalOptions, task: str) -> int:
 def _play_environment(options: EvalOptions, task: str, trials: int) -> int:
     """Play a Gymnasium environment; return 1 if a single episode was played and no success."""
     from rover_ncp.circuit.policy_file import load_policy
+    from sim.learn.environment import make_environment
     from sim.learn.environment_run import score_task
+    from sim.paper.tasks import TASKS
 
     if options.range_:
         raise UsageError("--range is for the paper's benchmarks: a policy file has ranges of its own")
+    try:
+        make_environment(task).close()
+    except UsageError as error:
+        raise UsageError(f"no task {task}: it is none of {', '.join(TASKS)}; {error}") from error
     score = score_task(task, load_policy(options.policy), trials, options.seed)
     fields = {"task": task, "episodes": trials, "return": score.mean, "std": score.std}
     Output(options.json).result(fields | {"successes": score.successes}, f"{task}: {score}")

@@ -75,6 +75,10 @@ def test_play_runs_and_pause_holds(opened):
     opened.page.click("#play")
     opened.until("document.getElementById('time').value > 2")
     opened.page.click("#play")
+    # The moment of the last frame before the pause is drawn in the next one.
+    opened.page.evaluate(
+        "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+    )
     held = opened.clock()
     opened.page.wait_for_timeout(300)
     assert opened.clock() == held

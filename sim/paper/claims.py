@@ -110,7 +110,9 @@ def _two_values(store: ResultStore) -> Iterator[Claim]:
             verdict=Finding.DIFFERENCE if failed else Finding.NOT_REPRODUCED,
             figure=_ours(rows[0]),
             command="rover-ncp paper random-circuits",
-            why="" if failed else "none of the attempts of our default search failed, so that there is one value",
+            why=""
+            if failed
+            else "none of the attempts of our default search failed, so that there is one value",
         )
 
 

@@ -76,7 +76,7 @@ def excite(
         link.request_motors("identify")
         monitor.granted()
         due = clock.monotonic()
-        for step in steps(robot) if robot else steps():
+        for step in steps(robot):
             end = due + step.seconds
             while due < end:
                 monitor.check()

@@ -294,7 +294,7 @@ def test_identify_says_what_is_wrong_in_one_line(tmp_path, capsys):
 
 def test_a_live_robot_is_identified_and_its_recording_says_the_same(tmp_path, capsys, monkeypatch):
     # Half of the drive. A command that a busy machine loses spoils one of its steps, and three must be left.
-    monkeypatch.setattr(excitation, "steps", lambda: [*steps()[:9], *steps()[15:23]])
+    monkeypatch.setattr(excitation, "steps", lambda robot: [*steps()[:9], *steps()[15:23]])
     with LiveRun(tmp_path / "log", mock=["--randomize", "full", "--seed", "4711", "--trial", "3"]) as live:
         code = run(
             [

@@ -7,6 +7,7 @@ import typer
 
 from bridge.ros.discovery import Convention
 from rover_ncp.core.console import Json
+from rover_ncp.core.files import USUAL_ROBOT
 
 
 def bridge(
@@ -107,7 +108,7 @@ def bridge(
 
 
 def urdf(
-    model: Annotated[str, typer.Argument(help="A robot description: a name or a file.")] = "p3at-sh",
+    model: Annotated[str, typer.Argument(help="A robot description: a name or a file.")] = USUAL_ROBOT,
     *,
     json: Json = False,
 ) -> None:

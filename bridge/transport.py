@@ -31,7 +31,7 @@ BITS_PER_BYTE = 10
 LINGER_S = 0.3
 """How long closing waits for the base to hang up too."""
 
-_RESET = struct.pack("ii", 1, 0)
+ABORT = struct.pack("ii", 1, 0)
 """SO_LINGER: close by a reset, and drop undelivered bytes."""
 
 CHUNK_BYTES = 4096
@@ -148,7 +148,7 @@ class TcpTransport(Transport):
     def abort(self) -> None:
         """See Transport."""
         with suppress(OSError):
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ABORT)
         with suppress(OSError):
             self._socket.close()
 

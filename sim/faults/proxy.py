@@ -16,7 +16,6 @@ An empty line has no effect. Each line is answered by ``applied t_ns=… late_ns
 
 import asyncio
 import socket
-import struct
 import sys
 import time
 from collections.abc import Callable
@@ -24,6 +23,7 @@ from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 
+from bridge.transport import ABORT
 from sim.live.processes import Applied, Process
 from sim.pioneer.lateness import Lateness
 
@@ -32,8 +32,6 @@ TURN_S = 0.005
 """The loop wakes up so often; a turn that ends later shows how long the proxy had no CPU."""
 PIECE_S = 0.05
 """A throttled link delivers so many seconds' worth of bytes at once."""
-ABORT = struct.pack("ii", 1, 0)
-"""SO_LINGER: close by a reset, and drop undelivered bytes."""
 
 
 class Proxy(Process):

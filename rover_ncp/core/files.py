@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+import secrets
 import tempfile
 from importlib import resources
 from pathlib import Path
@@ -82,22 +83,19 @@ def write_atomic(path: Path, content: bytes | str, private: bool = False) -> Non
     written.
     """
     data = content.encode() if isinstance(content, str) else content
+    # Named before it is made: Ctrl-C at any moment leaves nothing behind.
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}"
+    mode = 0o600 if private else 0o666
     try:
         _make_folder(path.parent)
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         try:
-            with os.fdopen(handle, "wb") as file:
+            with open(temporary, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
-            if not private:
-                # mkstemp makes private files; what we ship to users follows their umask as any file would.
-                umask = os.umask(0)
-                os.umask(umask)
-                Path(temporary).chmod(0o666 & ~umask)
-            Path(temporary).replace(path)
+            temporary.replace(path)
         except BaseException:
-            Path(temporary).unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
             raise
     except OSError as error:
         raise FileError(f"{path}: cannot be written: {error.strerror}") from error

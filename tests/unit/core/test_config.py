@@ -1,6 +1,7 @@
 import math
 import os
 import struct
+import sys
 
 import pytest
 from hypothesis import given
@@ -131,6 +132,34 @@ def test_failed_atomic_write_keeps_the_old_file_and_is_our_error(tmp_path, monke
         write_atomic(path, "new")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_ctrl_c_between_any_two_lines_of_a_write_leaves_no_other_file(tmp_path):
+    path, steps = tmp_path / "file.txt", 0
+    write_atomic(path, "old")
+    while True:
+        left = steps
+
+        def trace(frame, event, _):
+            nonlocal left
+            if frame.f_code is write_atomic.__code__ and event == "line":
+                left -= 1
+                if left < 0:
+                    sys.settrace(None)
+                    raise KeyboardInterrupt
+            return trace
+
+        sys.settrace(trace)
+        try:
+            write_atomic(path, "new")
+            break
+        except KeyboardInterrupt:
+            steps += 1
+        finally:
+            sys.settrace(None)
+        assert path.read_text() in {"old", "new"}
+        assert list(tmp_path.iterdir()) == [path], f"before line {steps}"
+    assert steps > 10
 
 
 def test_written_files_follow_the_umask(tmp_path):

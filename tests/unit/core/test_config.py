@@ -134,6 +134,7 @@ def test_failed_atomic_write_keeps_the_old_file_and_is_our_error(tmp_path, monke
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # interrupted as it was to be closed
 def test_ctrl_c_between_any_two_lines_of_a_write_leaves_no_other_file(tmp_path):
     path, steps = tmp_path / "file.txt", 0
     write_atomic(path, "old")

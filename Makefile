@@ -7,7 +7,7 @@ BROWSER_STAMP := $(VENV)/.browser
 DOCS_STAMP := $(VENV)/.docs
 GRADIENTS_STAMP := $(VENV)/.gradients
 
-.PHONY: park test test-system test-browser docs tutorials check lint types contracts safety clean paper paper-quick paper-docs paper-gradients
+.PHONY: park test test-system test-browser docs reference tutorials check lint types contracts safety clean paper paper-quick paper-docs paper-gradients
 
 park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park --overwrite
@@ -48,8 +48,13 @@ tutorials: $(STAMP)
 	$(BIN)/pytest tests/system/test_tutorials.py --numprocesses 3 --dist worksteal
 
 # The documentation as a site in build/site; a broken link or reference is an error.
-docs: $(DOCS_STAMP)
+docs: reference $(DOCS_STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "The site: open $(CURDIR)/build/site/index.html in a browser."
+
+# Writes the pages of docs/reference that are made from the code.
+reference: $(STAMP)
+	$(BIN)/python docs/reference_pages.py
 
 # Measures the safety matrix and writes it into docs/safety.md.
 safety: $(STAMP)

@@ -1,4 +1,7 @@
-"""mkdocs hook: the pages that are made from the code, and the front page from README.md."""
+"""Pages that are made from the code, which ``make reference`` writes into ``reference/``.
+
+As a mkdocs hook, this module makes the site's front page from README.md.
+"""
 
 import ast
 import inspect
@@ -36,18 +39,17 @@ MODELS: dict[str, tuple[str, type[BaseModel]]] = {
 """By the name of the example in ``examples/``."""
 
 
+def reference_pages() -> dict[str, str]:
+    """Return the generated pages by their name in ``reference/``."""
+    return {"commands.md": commands_page(), "files.md": files_page(), "keys.md": keys_page()}
+
+
 def on_files(files: Any, config: Any) -> Any:
-    """Add the generated pages to the site."""
+    """Add the front page to the site."""
     from mkdocs.structure.files import File
 
-    pages = {
-        "index.md": front_page((DOCS.parent / "README.md").read_text()),
-        "reference/commands.md": commands_page(),
-        "reference/files.md": files_page(),
-        "reference/keys.md": keys_page(),
-    }
-    for path, text in pages.items():
-        files.append(File.generated(config, path, content=text))
+    text = front_page((DOCS.parent / "README.md").read_text())
+    files.append(File.generated(config, "index.md", content=text))
     return files
 
 
@@ -221,3 +223,8 @@ def _cell(text: str) -> str:
     parts[::2] = [re.sub(r"([|\[*_])", r"\\\1", part) for part in parts[::2]]
     parts[::2] = [part.replace("<", "&lt;") for part in parts[::2]]
     return "`".join(parts)
+
+
+if __name__ == "__main__":
+    for name, text in reference_pages().items():
+        (DOCS / "reference" / name).write_text(text)

@@ -7,7 +7,7 @@ import ast
 import inspect
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from pydantic import BaseModel
 from bridge.gate.limits import Limits
 from rover_ncp import cli
 from rover_ncp.circuit import policy_file
+from rover_ncp.core.config import models_in
 from rover_ncp.core.key_table import KEYS, Kind, Role
 from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.core.robot_profile import RoverProfile
@@ -92,14 +93,17 @@ def files_page() -> str:
     for name, (title, model) in MODELS.items():
         example = (DOCS / "examples" / f"{name}.yaml").read_text()
         parts += [f"## {title}", f"```yaml\n{example}```"]
+        comments = re.findall(r"^ *(?:- )?(\w+):.* # (.+)$", example, re.MULTILINE)
+        said = {key: text for key, text in comments if len(re.findall(rf"\b{key}:", example)) == 1}
         seen: list[type[BaseModel]] = [model]
         for each in seen:
             if each is not model:
                 parts.append(f"### {title}: {each.__name__.lstrip('_')}")
             if each.__doc__ and each.__doc__ != BaseModel.__doc__ and not each.__name__.startswith("_"):
                 parts.append(inspect.cleandoc(each.__doc__))
-            parts.append(_keys(each))
-            seen += [part for part in _parts(each) if part not in seen]
+            parts.append(_keys(each, said))
+            parts_of = [part for field in each.model_fields.values() for part in models_in(field.annotation)]
+            seen += [part for part in dict.fromkeys(parts_of) if part not in seen]
         if name == "policy":
             parts.append(_signals_and_motions())
     return "\n\n".join(parts) + "\n"
@@ -127,7 +131,8 @@ def _signals_and_motions() -> str:
     )
 
 
-def _keys(model: type[BaseModel]) -> str:
+def _keys(model: type[BaseModel], said: Mapping[str, str]) -> str:
+    """Return the table of a model's keys; ``said`` are the comments of the example, by key."""
     notes, required = _notes(model), model.model_json_schema().get("required", [])
     rows = ["| key | type | default | meaning |", "|---|---|---|---|"]
     for name, field in model.model_fields.items():
@@ -135,7 +140,7 @@ def _keys(model: type[BaseModel]) -> str:
         default = "required" if name in required else f"`{field.get_default(call_default_factory=True)}`"
         if default in {"`None`", "`()`", "`{}`", "``"} or isinstance(field.default, BaseModel):
             default = ""
-        meaning = field.description or notes.get(name, "")
+        meaning = field.description or notes.get(name) or said.get(name, "")
         rows.append(f"| `{name}` | {_type(schema)} | {default} | {_cell(meaning)} |")
     return "\n".join(rows)
 
@@ -164,16 +169,6 @@ def _type(schema: dict[str, Any]) -> str:
     signs = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
     bounds = [f"{sign} {schema[key]:g}" for key, sign in signs.items() if key in schema]
     return ", ".join([text, *bounds])
-
-
-def _parts(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
-    """Yield the models of a model's fields."""
-    waiting: list[Any] = [field.annotation for field in model.model_fields.values()]
-    while waiting:
-        kind = waiting.pop(0)
-        if inspect.isclass(kind) and issubclass(kind, BaseModel):
-            yield kind
-        waiting += getattr(kind, "__args__", ())
 
 
 def _notes(model: type[BaseModel]) -> dict[str, str]:

@@ -79,6 +79,8 @@ class _Commands(TyperGroup):
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self._points = {point.name: point for point in entry_points(group=GROUP)}
+        # Typer suggests these names for a mistyped one; it reads nothing else of them.
+        self.commands = dict.fromkeys(self._points)  # type: ignore[assignment]
 
     def list_commands(self, ctx: Any) -> list[str]:
         return sorted(

@@ -53,7 +53,7 @@ class Limits(StrictModel):
     silence_s: float = Field(default=0.3, gt=0, le=0.4)
     """A command is in force for this long after it was sent. The base's own delay comes on top."""
     stale_s: float = Field(default=0.2, gt=0, le=0.3)
-    """The gate drops a command that is older than this on arrival."""
+    """The gate drops a signed command that is older than this on arrival; one of plain ROS, above 0.3 s."""
     odometry_s: float = Field(default=0.35, gt=0, le=0.45)
     """The gate holds the rover when odometry is older than this: three SIPs of 0.1 s may be lost."""
     lease_s: float = Field(default=1.0, gt=0, le=5.0)

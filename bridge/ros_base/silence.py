@@ -4,6 +4,10 @@ from dataclasses import dataclass, replace
 
 from rover_ncp.core.protocol import TimeoutState
 
+_REMEDIES = {
+    TimeoutState.NONE: "to drive it, the bridge needs --no-base-watchdog",
+    TimeoutState.UNKNOWN: "put it on blocks and run 'rover-ncp check', or give the bridge --no-base-watchdog",
+}
 MOST_ALLOWED_S = 2.5
 """A base that takes longer to halt counts as one without a timeout: a Pioneer takes 2 s."""
 
@@ -26,20 +30,17 @@ class Silence:
         """Why no driver but the check may drive; "" if every one may."""
         if self.unsafe or self.state is TimeoutState.MEASURED:
             return ""
-        if self.state is TimeoutState.NONE:
-            return (
-                "the robot does not halt by itself when its commands stop; to drive it, the bridge needs "
-                "--no-base-watchdog"
-            )
-        return (
-            "it is not known whether the robot halts by itself when its commands stop; put it on blocks and "
-            "run 'rover-ncp check', or give the bridge --no-base-watchdog"
-        )
+        known = f"the robot {self._known} by itself when its commands stop"
+        return f"{known}; {_REMEDIES[self.state]}"
 
     @property
     def note(self) -> str:
         """What a user has to know at each start."""
         if self.state is TimeoutState.MEASURED:
             return f"if this bridge dies, the robot halts after {self.timeout_s:.1f} s (measured)"
-        known = "does not halt" if self.state is TimeoutState.NONE else "is not known to halt"
-        return f"if this bridge dies, the robot {known}" + ("" if self.unsafe else f": {self.refusal}")
+        remedy = "" if self.unsafe else f"; {_REMEDIES[self.state]}"
+        return f"if this bridge dies, the robot {self._known}{remedy}"
+
+    @property
+    def _known(self) -> str:
+        return "does not halt" if self.state is TimeoutState.NONE else "is not known to halt"

@@ -31,17 +31,25 @@ Layer = tuple[tuple[float, ...], ...]
 class _Neuron(StrictModel):
     name: Name
     capacitance: float = _bounded(ParameterKind.CAPACITANCE)
+    """F."""
     leak: float = _bounded(ParameterKind.LEAK)
+    """Conductance to the leak potential, S."""
     leak_potential: float = _bounded(ParameterKind.LEAK_POTENTIAL)
+    """Potential at rest, without synapses, mV."""
     held_mV: Annotated[float, _bounded(ParameterKind.LEAK_POTENTIAL)] | None = None
+    """Constant potential of a neuron that never changes."""
 
 
 class _Synapse(StrictModel):
     kind: Literal["excitatory", "inhibitory", "gap"]
     source: str
+    """Neuron that opens the synapse."""
     destination: str
+    """Neuron into which the current flows; a gap junction, too, feeds this one only."""
     weight: float = _bounded(ParameterKind.WEIGHT)
+    """Conductance when open, S."""
     sigma: Annotated[float, _bounded(ParameterKind.SIGMA)] | None = None
+    """Steepness of the opening, 1/mV; of chemical synapses only."""
 
 
 class _Circuit(StrictModel):

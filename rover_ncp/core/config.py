@@ -5,6 +5,8 @@ typo is found; infinities and NaN are errors everywhere.
 """
 
 import reprlib
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -97,7 +99,7 @@ def validated(data: Any, model: type[ModelT], source: str) -> ModelT:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(source, [_line(item) for item in error.errors()]) from error
+        raise ConfigError(source, [_line(item, model) for item in error.errors()]) from error
 
 
 def load_yaml(path: Path, model: type[ModelT]) -> ModelT:
@@ -113,14 +115,32 @@ def dump_yaml(data: dict[str, Any]) -> str:
     return str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110))
 
 
-def _line(item: Any) -> str:
+def _known_keys(model: type[BaseModel], place: Sequence[Any]) -> list[str]:
+    """Return the keys at a place in a model, such as ``("checkpoints", 0)``."""
+    models = [model]
+    for part in place:
+        fields = [each.model_fields[part] for each in models if part in each.model_fields]
+        models = [found for field in fields for found in models_in(field.annotation)] or models
+    return [key for each in models for key in each.model_fields]
+
+
+def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the models in the type of a field."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in getattr(annotation, "__args__", ()):
+        yield from models_in(part)
+
+
+def _line(item: Any, model: type[BaseModel]) -> str:
     path = "$"
     for part in item["loc"]:
         path += f"[{part}]" if isinstance(part, int) else f".{part}"
     message = item["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
     if item["type"] == "extra_forbidden":
-        return f"{path}: unknown key"
+        near = get_close_matches(str(item["loc"][-1]), _known_keys(model, item["loc"][:-1]), n=1)
+        return f"{path}: unknown key" + (f"; did you mean {near[0]}?" if near else "")
     if item["type"] == "missing":
         return f"{path}: this key is missing"
     shown = _SHORT.repr(item["input"])

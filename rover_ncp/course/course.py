@@ -12,7 +12,7 @@ from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from rover_ncp.core.config import StrictModel, load_yaml, validated
 from rover_ncp.core.files import resolve
@@ -23,17 +23,25 @@ TICK_S = 0.1
 
 MOST_CHECKPOINTS = 1000
 """Of checkpoints, and of obstacles: the time that planning a course takes grows with both."""
-FAR_M, FAR_RAD = 1000.0, 1000.0
+FAR_M = 1000.0
 """No rover comes farther within the longest horizon, an hour."""
-Coordinate = Annotated[float, Field(ge=-FAR_M, le=FAR_M)]
-Angle = Annotated[float, Field(ge=-FAR_RAD, le=FAR_RAD)]
+
+
+def _radians(angle: float) -> float:
+    if abs(angle) > 2 * math.pi:
+        raise ValueError("an angle is in radians, from -2π to 2π")
+    return angle
+
+
+Coordinate = Annotated[float, Field(ge=-FAR_M, le=FAR_M, description="m")]
+Angle = Annotated[float, AfterValidator(_radians), Field(description="rad, left positive, -2π to 2π")]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=64)]
 
 
 class Checkpoint(StrictModel):
     """Pose that the base should have at a deadline: t in s, x and y in m, theta in rad."""
 
-    t: float = Field(ge=0)
+    t: float = Field(ge=0, description="s")
     x: Coordinate
     y: Coordinate
     theta: Angle
@@ -50,8 +58,8 @@ class Obstacle(StrictModel):
     x: Coordinate
     y: Coordinate
     theta: Angle = 0.0
-    length: float = Field(gt=0, le=FAR_M)
-    width: float = Field(gt=0, le=FAR_M)
+    length: float = Field(gt=0, le=FAR_M, description="m, along theta")
+    width: float = Field(gt=0, le=FAR_M, description="m")
 
 
 class ParkedRule(StrictModel):

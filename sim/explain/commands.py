@@ -52,6 +52,8 @@ def explain(
     With --task, the phases are those of the circuit's outputs in one episode, and the returns are means of a
     few. Without a policy, the best stored circuit of the paper's benchmark is explained.
 
+    A policy on a course takes half a minute to a minute.
+
         rover-ncp explain course --course bay --out runs/why
         rover-ncp explain --task mountain-car --out runs/why-mountain-car
         rover-ncp explain runs/reach/policy.yaml --task my_task:Reach-v0
@@ -79,14 +81,13 @@ def explain(
     for number, sentence in enumerate(found.findings.sentences, 1):
         output.say(f"{number}. {sentence}")
     for section in sections(found):
-        if section.before:
-            output.say(f"\n{section.before}")
+        output.console.print()
+        output.say(section.before.replace("\n", " "))
         table = Table(*section.header, title=section.title, title_justify="left")
         for row in section.rows:
             table.add_row(*row)
         output.console.print(table)
-        if section.after:
-            output.say(section.after)
+        output.say(section.after.replace("\n", " "))
     written = write(found, out) if out is not None else []
     ending = f"{len(written)} files in {out}" if out is not None else "--out DIR writes tables and pictures"
     output.result({**found.fields(), "files": [str(path) for path in written]}, ending)

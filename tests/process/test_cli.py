@@ -115,6 +115,7 @@ def test_a_missing_extra_is_installed_from_where_rover_ncp_came_from(record, exp
     ("arguments", "expected"),
     [
         (["fly"], "No such command 'fly'"),
+        (["evla"], "Did you mean 'eval'"),
         (["train", "--agens", "3"], "--agens"),
         (["train", "--agents", "x"], "'--agents'"),
     ],

@@ -34,11 +34,24 @@ def test_every_problem_is_reported_at_once_with_its_path():
         "$.wheels[0].radius_m",
         "got -1",
         "$.wheels[1].name: this key is missing",
-        "$.spede: unknown key",
+        "$.spede: unknown key; did you mean speed?",
         "$.speed",
     ]:
         assert part in message
     assert len(caught.value.problems) == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("wheels: [{name: x, radius: 1}]", "$.wheels[0].radius: unknown key; did you mean radius_m?"),
+        ("wheels: []\nradius_m: 1", "$.radius_m: unknown key"),  # it is one, but of a wheel
+    ],
+)
+def test_an_unknown_key_is_answered_with_a_near_one_of_the_same_place(text, expected):
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(text, Base, "base.yaml")
+    assert expected in caught.value.problems
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,8 @@ from rover_ncp.course.reference import plan_reference
 ORIGIN = Pose(0.0, 0.0, 0.0)
 FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
+LEAST_TURN_GAIN = 0.5
+"""No description has robots that turn less than this share of what their wheels say."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,8 @@ class Runner(Protocol):
 class Controller:
     """Estimator and circuit of one drive. Times are seconds on one clock, any zero.
 
-    With the known gains of a ``rover``, commands are divided by them, so that it moves as the circuit asks.
-    A ``runner`` takes the place of the policy's circuit.
+    Commands are divided by the known gains of a ``rover`` and by the turn gain that the estimator finds on
+    the way, so that it moves as the circuit asks. A ``runner`` takes the place of the policy's circuit.
     """
 
     def __init__(
@@ -130,11 +132,12 @@ class Controller:
         start = self._course.start_signal(index * TICK_S)
         outputs = self._runner.tick(self._observation(estimate.pose, index, start))
         v, omega = self._interface.command(outputs)
+        turn_gain = max(estimate.turn_gain, LEAST_TURN_GAIN)
         return Tick(
             index,
             index * TICK_S,
             estimate,
-            Velocity(float(v) / self._gains.v, float(omega) / self._gains.omega),
+            Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain)),
             self._runner.potentials,
         )
 
@@ -171,10 +174,10 @@ class Controller:
 
 
 def _gains(rover: RoverProfile | None) -> Velocity:
-    """Return a robot's known gains: true speed over commanded speed."""
+    """Return a robot's known gains: true speed over commanded speed, and odometry's turn over commanded turn.
+
+    The estimate has the true turn over odometry's, which begins at the profile's.
+    """
     if rover is None:
         return Velocity(1.0, 1.0)
-    return Velocity(
-        (rover.gain_v or 1.0) / (rover.odometry_distance or 1.0),
-        (rover.gain_omega or 1.0) / (rover.odometry_heading or 1.0),
-    )
+    return Velocity((rover.gain_v or 1.0) / (rover.odometry_distance or 1.0), rover.gain_omega or 1.0)

@@ -34,6 +34,8 @@ class Estimate:
     pose: Pose
     velocity: Velocity
     covariance: Array
+    turn_gain: float
+    """True turn over odometry's."""
 
 
 class _Gyro:
@@ -147,7 +149,7 @@ class Estimator:
         rows[3, V], rows[3, DISTANCE] = x[DISTANCE], x[V]
         rows[4, OMEGA], rows[4, GAIN], rows[4, V], rows[4, PULL] = x[GAIN], x[OMEGA], x[PULL], x[V]
         pose = Pose(*x[POSE].tolist())
-        return Estimate(t, pose, Velocity(ahead, turn), rows @ P @ rows.T)
+        return Estimate(t, pose, Velocity(ahead, turn), rows @ P @ rows.T, float(x[GAIN]))
 
     def forecast(
         self, path: Sequence[Pose], motion: Sequence[Velocity], period_s: float, gyro: bool

@@ -196,6 +196,15 @@ def test_a_driver_makes_up_for_known_gains():
     assert apart(known.drive(0).pose, there) < 0.01 < apart(unknown.drive(0).pose, there)
 
 
+@pytest.mark.parametrize("turn_gain", [0.7, 1.5])
+def test_a_driver_makes_up_for_the_turn_gain_that_its_gyro_shows(turn_gain):
+    ranges = load_randomization("none").model_copy(update={"turn_gain": (turn_gain, turn_gain)})
+    usual, other = (stack(each, course="parking", gyro=True).drive(0) for each in ("none", ranges))
+    # Far outside the training's turn gains of 1.0 to 1.4.
+    assert other.parked
+    assert apart(other.pose, usual.pose) < 0.02
+
+
 def test_the_command_line_drives_through_the_stack(capsys):
     assert run(["eval", "course", "--trials", "2", "--course", SHORT, "--stack", "--json"]) == 0
     fields = json.loads(capsys.readouterr().out)

@@ -101,6 +101,8 @@ def run(
             period_s=period_s,
         )
         drive.wait()
+        if robot is not None:
+            output.say(link.other_model(robot))
         recorder.open(files)
         with output.live(lambda: drive.progress):
             drive.run({name: zlib.crc32(content) for name, content in files.items()})

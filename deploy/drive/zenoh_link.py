@@ -39,6 +39,7 @@ from rover_ncp.core.protocol import (
     parse_json,
 )
 from rover_ncp.core.recording import Recorded, header_stamp_ns
+from rover_ncp.core.robot_description import RobotDescription
 
 QUERY_TIMEOUT_S = 2.0
 RELEASE_TIMEOUT_S = 1.0
@@ -179,6 +180,16 @@ class ZenohLink(ZenohClient):
                 if reply.ok is not None:
                     return parse_json(BaseReply, reply.ok.payload.to_bytes())
         return None
+
+    def other_model(self, robot: RobotDescription) -> str:
+        """Return a warning if the bridge drives another model of robot; "" if not, or if it names none."""
+        base = self.about_base()
+        if base is None or base.model in {"", robot.name}:
+            return ""
+        return (
+            f"warning: the bridge at {self.robot} drives {base.model}, but --model is {robot.name}: "
+            f"its limits and errors may be others"
+        )
 
     def release(self) -> None:
         """Stop the rover and release the lease, if we hold it.

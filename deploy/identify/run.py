@@ -72,6 +72,8 @@ def identify_robot(
         measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: interrupts.raised)
         monitor.wait()
+        if robot is not None:
+            output.say(link.other_model(robot))
         about = {"version": version("rover-ncp"), "robot": address.robot}
         recorder.open({SETTINGS_FILE: dump_yaml(about).encode()})
         seconds = sum(step.seconds for step in steps())

@@ -38,6 +38,16 @@ def test_a_robot_that_is_well(tmp_path, check):
     assert gate["stops"] == {"silence": 1}  # the rehearsal, and no other
 
 
+def test_a_driver_is_warned_of_another_model(tmp_path, capsys):
+    with Rig(tmp_path) as rig:
+        for model in ("turtlebot4", "p3at-sh"):
+            looks = ["deploy", "--robot", rig.locator, "--dry-run", "--duration", "0.3", "--model", model]
+            assert cli.run(looks) == 0
+    assert re.findall(r"drives (\S+), but --model is (\S+):", capsys.readouterr().out) == [
+        ("p3at-sh", "turtlebot4")
+    ]
+
+
 @pytest.mark.parametrize(
     ("faults", "name", "words"),
     [

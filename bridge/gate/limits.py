@@ -57,6 +57,7 @@ class Limits(StrictModel):
     odometry_s: float = Field(default=0.35, gt=0, le=0.45)
     """The gate holds the rover when odometry is older than this: three SIPs of 0.1 s may be lost."""
     lease_s: float = Field(default=1.0, gt=0, le=5.0)
+    """A lease ends this long after the last accepted command or renewal."""
     battery_min_v: float = Field(default=11.0, ge=0)
     """Pioneer manual: charge below 12 V; the base's own alarm comes at 11.5 V, damage below 11 V."""
     battery_low_s: float = Field(default=2.0, ge=0)

@@ -35,6 +35,7 @@ class Motors(StrictModel):
 
     outputs: tuple[str, ...] = Field(min_length=1)
     limits: tuple[Annotated[float, Field(gt=0)], ...] | None = None
+    """By output, with an output layer: its largest value."""
     low_mV: float = Field(default=-60.0, ge=-90, le=0)
     high_mV: float = Field(default=-20.0, ge=-90, le=0)
     channels: tuple[Channel, ...] = Field(min_length=1)

@@ -68,7 +68,9 @@ class _PolicyFile(StrictModel):
     sensing: Sensing
     motors: Motors
     input_layer: Layer | None = None
+    """A row for each channel of the sensing, a column for each input."""
     output_layer: Layer | None = None
+    """A row for each output, a column for each channel of the motors."""
     dt_s: float
     substeps: int
     courses: tuple[Name, ...]

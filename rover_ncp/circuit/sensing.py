@@ -28,9 +28,13 @@ class Channel(StrictModel):
 
     name: str = Field(min_length=1)
     positive: str | None = None
+    """Neuron of the values above 0."""
     maximum: float | None = Field(default=None, gt=0)
+    """Value at which that neuron is at the upper end of its range."""
     negative: str | None = None
+    """Neuron of the values below 0."""
     minimum: float | None = Field(default=None, lt=0)
+    """Value at which that neuron is at the upper end of its range."""
     origin: float | None = None
     """Sensors only: the value, if not 0, at which its neurons are at the lower end, and its range begins."""
 
@@ -72,6 +76,7 @@ class Sensing(StrictModel):
     name: str = Field(min_length=1)
     inputs: tuple[str, ...] = Field(min_length=1)
     ranges: tuple[Annotated[float, Field(gt=0)], ...] | None = None
+    """By input, with an input layer: the layer gets the input divided by this."""
     clamp: bool = True
     channels: tuple[Channel, ...] = Field(min_length=1)
 

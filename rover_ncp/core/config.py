@@ -99,7 +99,10 @@ def validated(data: Any, model: type[ModelT], source: str) -> ModelT:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(source, [_line(item, model) for item in error.errors()]) from error
+        items = error.errors()
+        # pydantic counts only the valid items of a list: one with a wrong item is also "too short".
+        wrong = [item for item in items if item["type"] != "too_short" or not _has_part_in(item, items)]
+        raise ConfigError(source, [_line(item, model) for item in wrong]) from error
 
 
 def load_yaml(path: Path, model: type[ModelT]) -> ModelT:
@@ -113,6 +116,12 @@ def load_yaml(path: Path, model: type[ModelT]) -> ModelT:
 def dump_yaml(data: dict[str, Any]) -> str:
     """Return YAML whose numbers read back to the same bits, keys in the given order."""
     return str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110))
+
+
+def _has_part_in(item: Any, items: Sequence[Any]) -> bool:
+    """Return whether another problem lies inside the value of this one."""
+    depth = len(item["loc"])
+    return any(len(other["loc"]) > depth and other["loc"][:depth] == item["loc"] for other in items)
 
 
 def _known_keys(model: type[BaseModel], place: Sequence[Any]) -> list[str]:

@@ -60,9 +60,13 @@ class Motion(StrictModel):
     v_max: float = Field(gt=0, le=5)
     omega_max: float = Field(gt=0, le=10)
     accel: float = Field(gt=0, le=50)
+    """Of the speed, away from 0."""
     decel: float = Field(gt=0, le=50)
+    """Of the speed, towards 0."""
     alpha: float = Field(gt=0, le=100)
+    """Of the turn rate, away from 0."""
     alpha_decel: float = Field(gt=0, le=100)
+    """Of the turn rate, towards 0."""
 
 
 class Delays(StrictModel):

@@ -90,6 +90,15 @@ def test_a_drive_to_and_fro_keeps_its_turning_point(tmp_path):
     assert found.reference.motion[:, 0].min() < -0.05
 
 
+def test_an_angle_in_degrees_is_the_only_problem_of_its_file(tmp_path):
+    file = tmp_path / "poses.yaml"
+    file.write_text("poses:\n- {x: 0, y: 0, theta: 0}\n- {x: 1, y: 0, theta: 90}\n")
+    with pytest.raises(ConfigError) as caught:
+        read_poses(file)
+    (problem,) = caught.value.problems
+    assert problem == "$.poses[1].theta: an angle is in radians, from -2π to 2π, got 90"
+
+
 @pytest.mark.parametrize(
     ("name", "content", "error", "words"),
     [

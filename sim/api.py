@@ -86,11 +86,13 @@ def train_task(
     file), seed, iterations and rollouts. Raises as `train` does.
     """
     from rover_ncp.core.config import validated
+    from sim.learn.environment_run import start_of
     from sim.learn.environment_run import train_task as run
     from sim.learn.record import TaskSettings
 
     asked = validated(settings, TaskSettings, "train_task")
-    return run(asked, Path(out), resume=resume, processes=processes, on_generation=on_generation)
+    start = start_of(asked)
+    return run(asked, start, Path(out), resume=resume, processes=processes, on_generation=on_generation)
 
 
 def evaluate(

@@ -25,8 +25,8 @@ LARGEST_GAP = 190.0
 LAYERS = ("sensory", "inter", "command", "motor")
 ORDER = ["PVD", "AVM", "PLM", "ALM", "DVA", "PVC", "AVD", "AVB", "AVA", "LFT", "FWD", "REV", "RGT"]
 """Neurons of the shipped wirings, in each row from left to right."""
-FITTING = 6
-"""Letters of a name that fit into a neuron."""
+FITTING = 5
+"""Letters of a name that fit into a neuron, in figures and pages."""
 SWEEPS = 4
 BENDS = (0.0, 0.08, -0.08, 0.15, -0.15, 0.25, -0.25)
 """Distances of a curve's middle from the straight line, in lengths of the line."""

@@ -1,5 +1,7 @@
 """The courses of an evaluation, fitted to its robot."""
 
+from typing import Any
+
 from rover_ncp.core.robot_description import RobotDescription, load_description
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.fit import enlarged, slowed
@@ -10,18 +12,18 @@ _SHOWN = 5
 """Of the lines about courses; random ones may be many."""
 
 
-def fitted_courses(options: EvalOptions) -> tuple[list[Course], RobotDescription | None, list[str]]:
-    """Return the courses, the robot if one is named, and lines that say what was changed for it."""
+def fitted_courses(options: EvalOptions) -> tuple[list[Course], RobotDescription | None, dict[str, Any]]:
+    """Return the courses, the robot if one is named, and what the result says of both."""
     if options.random_courses:
         courses = unseen_courses(options.seed, options.random_courses)
     else:
         courses = [load_course(name) for name in options.courses]
-    if options.model is None:
-        return courses, None, []
-    robot, changes = load_description(options.model), list[str]()
+    robot, changes = None if options.model is None else load_description(options.model), list[str]()
     for place, course in enumerate(courses):
+        if robot is None:
+            break
         larger, size = enlarged(course, robot)
         courses[place], pace = slowed(larger, robot)
         changes += filter(None, (size, pace))
     more = [f"and {len(changes) - _SHOWN} more courses"] if len(changes) > _SHOWN else []
-    return courses, robot, changes[:_SHOWN] + more
+    return courses, robot, {"model": options.model, "scaled": changes[:_SHOWN] + more}

@@ -25,7 +25,7 @@ from sim.world.described import described_rover, ranges_for
 
 def run_trials(options: EvalOptions) -> int:
     """Drive trials, report, and return the exit code: 1 if a single one was driven and did not park."""
-    courses, robot, changes = fitted_courses(options)
+    courses, robot, fitted = fitted_courses(options)
     ranges = ranges_for(options.randomization, options.profile, options.body, robot)
     trials, driver = options.trials or options.live or 1, load_driver(options.policy)
     output, more = Output(options.json), dict[str, Any]()
@@ -52,13 +52,13 @@ def run_trials(options: EvalOptions) -> int:
         found = evaluate(driver, courses, ranges, trials=trials, seed=options.seed, model=model)
     fields = found.fields() | {
         "randomize": options.randomization or ranges.name,
-        **({"model": options.model, "scaled": changes} if options.model else {}),
+        **fitted,
         "body": options.body.value,
         "seed": options.seed,
         "random_courses": options.random_courses or 0,
         "course": ",".join(options.courses),
     }
-    output.result(fields | more, "\n".join([*changes, *_words(found, more)]))
+    output.result(fields | more, "\n".join([*fitted["scaled"], *_words(found, more)]))
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
 
 

@@ -25,8 +25,9 @@ from rover_ncp.core.files import existing_file, read_text, require_writable, wri
 from rover_ncp.course.course import Course
 from sim.explain.what_if import parameter_names
 from sim.learn.curve import curve_iterations
-from sim.learn.record import Record, TrainSettings
+from sim.learn.record import Record, TaskSettings, TrainSettings
 from sim.learn.rollout import Rollout, rollout
+from sim.learn.run_folder import saved_settings
 
 FloatArray = NDArray[np.float64]
 
@@ -96,10 +97,18 @@ class Page(NamedTuple):
 
 def read_training(folder: Path) -> Training:
     """Read the folder of ``rover-ncp train``. Raises FileError and ConfigError."""
-    settings = folder / "settings.yaml"
-    if not settings.is_file():
+    if not (folder / "settings.yaml").is_file():
         raise FileError(f"{folder}: holds no training run (no settings.yaml)")
-    record = load_yaml(settings, Record)
+    settings = saved_settings(folder)
+    if not isinstance(settings, TrainSettings):
+        on = (
+            f"--task {settings.task}" if isinstance(settings, TaskSettings) else f"--course {settings.course}"
+        )
+        raise UsageError(
+            f"{folder}: no page for a training with --task or --randomize; {folder / 'curve.csv'} has its "
+            f"costs, and rover-ncp explain {folder / 'policy.yaml'} {on} explains its policy"
+        )
+    record = load_yaml(folder / "settings.yaml", Record[TrainSettings])
     course = Course.model_validate(record.course)
     files = sorted((folder / "agents").glob("*.json"))
     if not files or not (folder / "policy.yaml").is_file():

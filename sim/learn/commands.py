@@ -279,10 +279,12 @@ def _train_task(
     if "circuit" not in asked:
         raise UsageError("--task needs --circuit, a policy file with the task's inputs and outputs")
     settings = TaskSettings(**asked)
-    start_of(settings)  # before a folder is made, so that a typo leaves none behind
+    start = start_of(settings)  # before a folder is made, so that a typo leaves none behind
     out = out or new_run_path()
     with _generations(output, settings.iterations, out) as on_generation:
-        result = train_task(settings, out, resume=resume, processes=processes, on_generation=on_generation)
+        result = train_task(
+            settings, start, out, resume=resume, processes=processes, on_generation=on_generation
+        )
     score = score_task(settings.task, result.policy)
     fields = settings.model_dump() | {
         "generations": result.last.number,

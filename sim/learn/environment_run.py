@@ -5,6 +5,7 @@ generation plays other episodes, the same for all its candidates.
 """
 
 from collections.abc import Callable
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_start
 from rover_ncp.core.errors import UsageError
-from sim.learn.environment import EnvironmentEvaluator
+from sim.learn.environment import EnvironmentEvaluator, make_environment, require_fit
 from sim.learn.record import Record, TaskSettings
 from sim.learn.robust import Drive, Generation, RobustSearch, Stage, policy_box
 from sim.learn.robust_run import RobustResult, SearchRun
@@ -62,23 +63,24 @@ def start_of(settings: TaskSettings) -> Policy:
     if not isinstance(start, Policy):
         problem = "is a circuit alone; a task needs a policy file, which also has sensing and motors"
         raise UsageError(f"{settings.circuit}: {problem}")
-    EnvironmentEvaluator(settings.task, start)
+    with closing(make_environment(settings.task)) as environment:
+        require_fit(settings.task, environment, start)
     return start
 
 
 def train_task(
     settings: TaskSettings,
+    start: Policy,
     out: Path,
     *,
     resume: bool = False,
     processes: int | None = None,
     on_generation: Callable[[Generation], None] = lambda _: None,
 ) -> RobustResult:
-    """Train a policy on an environment and leave the run in the folder ``out``, as `train_robust` does.
+    """Train the policy of `start_of` and leave the run in the folder ``out``, as `train_robust` does.
 
     Raises as that does.
     """
-    start = start_of(settings)
     record = Record[TaskSettings].of(settings, start, None)
     search = RobustSearch(
         policy_box(start),

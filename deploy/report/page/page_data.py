@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from deploy.report.charts.figure import OUTLINE, FloatArray, rectangle, ring_radius
 from deploy.report.charts.path import deadlines
 from deploy.report.findings import Findings
-from deploy.report.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out
+from deploy.report.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out, name_scale
 from deploy.report.timeline import Command, Moved, Tick, Timeline
 from deploy.report.trace import synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
@@ -54,6 +54,7 @@ def circuit_data(policy: Policy) -> dict[str, Any]:
                 "x": round(x, 1),
                 "y": round(y, 1),
                 "label": meanings.get(name, ""),
+                "fits": name_scale(name) == 1.0,
             }
             for name, layer, (x, y) in zip(circuit.neurons, layout.layers, layout.places, strict=True)
         ],

@@ -61,16 +61,16 @@ def run_bridge(
     status = ros_messages.gate_status(node.gate)
     output.result(
         {
-            "zenoh": link.locator,
-            "base": base,
-            "bytes_to_base": line.bytes_out,
-            "bytes_from_base": line.bytes_in,
-            "accepted": status.accepted,
-            "dropped": status.dropped,
-            "limited": status.limited,
-            "stops": status.stops,
-            "reconnects": max(node.reconnects, 0),
-            "flooded": inbox.flooded,
+            "zenoh": link.locator,  #: the locator for drivers
+            "base": base,  #: its address
+            "bytes_to_base": line.bytes_out,  #: those of payloads, if the base is a ROS 2 robot
+            "bytes_from_base": line.bytes_in,  #: the same
+            "accepted": status.accepted,  #: commands that the gate passed
+            "dropped": status.dropped,  #: commands, by reason
+            "limited": status.limited,  #: commands, by reason
+            "stops": status.stops,  #: by reason
+            "reconnects": max(node.reconnects, 0),  #: to the base
+            "flooded": inbox.flooded,  #: messages dropped because the queue was full
         },
         f"{status.accepted} commands passed, {sum(status.dropped.values())} dropped, "
         f"{sum(status.stops.values())} stops; {line.bytes_out} bytes to the base, {line.bytes_in} from it",

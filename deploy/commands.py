@@ -113,10 +113,10 @@ def replay(
     found = recompute(run, policy)
     same = found.difference is None
     fields = {
-        "same": same,
-        "ticks": found.ticks,
-        "complete": found.complete,
-        "difference": vars(found.difference) if found.difference else None,
+        "same": same,  #: to the last bit
+        "ticks": found.ticks,  #: that were compared
+        "complete": found.complete,  #: false for a recording that was cut off
+        "difference": found.difference,  #: the first one
     }
     cut = "" if found.complete else " (the recording was cut off; the rest was compared)"
     words = (

@@ -81,8 +81,8 @@ class Recorder(ClosedAtExit):
     def fields(self) -> dict[str, Any]:
         """The recording in a command's result."""
         return {
-            "recording": str(self.path) if self.path else None,
-            "recording_failure": self.failure or None,
+            "recording": str(self.path) if self.path else None,  #: its file
+            "recording_failure": self.failure or None,  #: why it is not whole
         }
 
     def _run(self, writer: RecordingWriter) -> None:

@@ -8,11 +8,11 @@ import inspect
 import re
 import textwrap
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
+from result_fields import RESULTS, noted, result_fields
 
 from bridge.gate.limits import Limits
 from rover_ncp import cli
@@ -38,11 +38,19 @@ MODELS: dict[str, tuple[str, type[BaseModel]]] = {
     "limits": ("Limits of the gate", Limits),
 }
 """By the name of the example in ``examples/``."""
+UNITS = {"rad_m": "rad/m", "rad_s": "rad/s", "per_s": "1/s", "us": "µs", "hz": "Hz", "mb": "MB"}
+UNITS |= {unit: unit for unit in ("m", "rad", "s", "ms", "ns", "mV")}
+"""By the end of a field's name."""
 
 
 def reference_pages() -> dict[str, str]:
     """Return the generated pages by their name in ``reference/``."""
-    return {"commands.md": commands_page(), "files.md": files_page(), "keys.md": keys_page()}
+    return {
+        "commands.md": commands_page(),
+        "files.md": files_page(),
+        "keys.md": keys_page(),
+        "results.md": results_page(),
+    }
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -63,7 +71,8 @@ def commands_page() -> str:
     """Return the page of all commands with their arguments and options."""
     parts = [
         "# Commands",
-        "`rover-ncp --version` prints the version. Results and exit codes: [Command line](../cli.md).",
+        "`rover-ncp --version` prints the version. Exit codes and files: [Command line](../cli.md). What "
+        "`--json` prints: [JSON results](results.md).",
     ]
     group = cli.get_command(cli._app())
     context = group.make_context("rover-ncp", [], resilient_parsing=True)
@@ -177,10 +186,7 @@ def _notes(model: type[BaseModel]) -> dict[str, str]:
     for base in reversed(model.__mro__):
         if not issubclass(base, BaseModel) or not base.__module__.startswith(("rover_ncp", "bridge", "sim")):
             continue
-        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0].body  # type: ignore[attr-defined]
-        for field, below in pairwise(body):
-            if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
-                notes[field.target.id] = below.value.value  # type: ignore[union-attr,attr-defined]
+        notes |= noted(ast.parse(textwrap.dedent(inspect.getsource(base))).body[0])
     return notes
 
 
@@ -205,6 +211,24 @@ def keys_page() -> str:
                     f"| {row.max_bytes} B | {_cell(row.about)}{latched} |"
                 )
         parts += [f"## {title}", "\n".join(rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+def results_page() -> str:
+    """Return the page of the JSON that commands print."""
+    parts = [
+        "# JSON results",
+        "With `--json` a command prints one JSON object. A dot leads into an object, or into the objects of "
+        "a list; `NAME` stands for any name. A value that is not known or not finite is null. Files and exit "
+        "codes: [Command line](../cli.md).",
+    ]
+    for command in RESULTS:
+        rows = ["| field | unit | meaning |", "|---|---|---|"]
+        for path, meaning in result_fields(command).items():
+            names = path.split(".")[::-1]
+            units = (unit for name in names for end, unit in UNITS.items() if name.endswith(f"_{end}"))
+            rows.append(f"| `{path}` | {next(units, '')} | {_cell(meaning)} |")
+        parts += [f"## {command}", "\n".join(rows)]
     return "\n\n".join(parts) + "\n"
 
 

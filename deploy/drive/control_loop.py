@@ -104,19 +104,19 @@ class Drive:
         estimator = self._controller.estimator
         outcomes, nis = estimator.poses, estimator.nis
         return {
-            "odometry": {
+            "odometry": {  #: samples
                 "taken": taken["odom"],
                 "unreadable": unreadable["odom"],
-                "rejected": estimator.rejected,
+                "rejected": estimator.rejected,  #: by the filter
             },
-            "pose": {
-                "placed": self._placed,
+            "pose": {  #: external poses
+                "placed": self._placed,  #: whether they gave the start
                 "taken": taken["pose"],
                 "unreadable": unreadable["pose"],
-                "used": outcomes[Outcome.ACCEPTED],
+                "used": outcomes[Outcome.ACCEPTED],  #: by the filter
                 "refused": outcomes[Outcome.OUTLIER] + outcomes[Outcome.NOT_FINITE],
-                "too_late": outcomes[Outcome.TOO_OLD],
-                "nis": nis,
+                "too_late": outcomes[Outcome.TOO_OLD],  #: older than the filter's history
+                "nis": nis,  #: normalised innovation squared while standing, moving; 3 if all is as assumed
             },
         }
 

@@ -96,7 +96,7 @@ def _write_profile(
     made = {"from": origin, "version": version("rover-ncp")} | ({"model": robot.name} if robot else {})
     profile = profile.model_copy(update={"measured": made | profile.measured})
     write_atomic(out, dump_yaml(profile.model_dump(mode="json", exclude_none=True)))
-    fields = profile.model_dump(mode="json", exclude={"format"})
+    fields = profile.model_dump(mode="json")
     output.result(fields | {"out": str(out)}, "\n".join([*_lines(profile), str(out)]))
     needed = (profile.delay_v_s, profile.delay_omega_s, profile.gain_v, profile.gain_omega)
     return 0 if None not in needed else 1

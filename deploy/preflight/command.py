@@ -47,7 +47,7 @@ def check(
     lines = [f"{'ok ' if finding.ok else 'NO '} {finding.name:9} {finding.detail}" for finding in findings]
     verdict = "yes: it may drive" if ready else f"no: {findings[-1].name}: {findings[-1].detail}"
     output.result(
-        {"ready": ready, "findings": [vars(finding) for finding in findings], "robot": locator},
+        {"ready": ready, "findings": findings, "robot": locator},
         "\n".join(map(printable, [*lines, verdict])),
     )
     return 0 if ready else 1

@@ -74,16 +74,16 @@ def course(
     miss_m = max(miss.error_m for miss in found.misses)
     miss_rad = max(miss.error_rad for miss in found.misses)
     fields = {
-        "course": made.name,
-        "drivable": found.drivable,
-        "problems": [vars(problem) | {"cause": problem.cause.value} for problem in found.problems],
-        "checkpoints": len(made.checkpoints),
+        "course": made.name,  #: its name
+        "drivable": found.drivable,  #: whether there is no problem
+        "problems": found.problems,  #: times count in the course, checkpoints from 1
+        "checkpoints": len(made.checkpoints),  #: how many
         "horizon_s": made.horizon_s,
-        "worst_miss_m": miss_m,
+        "worst_miss_m": miss_m,  #: of the nearest drive, at the checkpoints
         "worst_miss_rad": miss_rad,
-        "clearance_m": found.clearance_m,
-        "scaled": [pace] if pace else [],
-        "out": str(out) if out else None,
+        "clearance_m": found.clearance_m,  #: null without obstacles
+        "scaled": [pace] if pace else [],  #: the line on a course that takes longer for --model
+        "out": str(out) if out else None,  #: the file that was written
     }
     words = (
         f"{made.name}: {'' if found.drivable else 'not '}drivable; {len(made.checkpoints)} checkpoints, "

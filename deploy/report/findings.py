@@ -47,19 +47,20 @@ class Findings:
     def fields(self, pairs: Iterable[tuple[str, str]]) -> dict[str, Any]:
         """Return the findings as plain values, with the contributions of some pairs."""
         return {
+            #: with --task by the signs of the outputs, and times are the circuit's
             "phases": [_phase(*both) for both in zip(self.explanations, self.sentences, strict=True)],
-            "threshold": self.threshold,
-            "contributions": [
+            "threshold": self.threshold,  #: ratio by which one sign must outnumber the other
+            "contributions": [  #: of sensory, inter and command neurons to motor neurons
                 {
                     **vars(self.contributions[pair]),
-                    "driving": {
+                    "driving": {  #: the same without the rest at both ends of the run
                         name: getattr(self.driving[pair], name) for name in ("sign", "positive", "negative")
                     },
-                    "paper": PUBLISHED_SIGNS.get(pair),
+                    "paper": PUBLISHED_SIGNS.get(pair),  #: the paper's sign
                 }
                 for pair in pairs
             ],
-            "time_constants": [
+            "time_constants": [  #: in the run; paper_s is the paper's range
                 {**row._asdict(), "paper_s": PUBLISHED_TIME_CONSTANTS_S.get(row.neuron)}
                 for row in self.time_constants
             ],
@@ -94,14 +95,14 @@ def _phase(explained: Explanation, text: str) -> dict[str, Any]:
         "label": phase.label,
         "start_s": phase.start_s,
         "end_s": phase.end_s,
-        "driven_m": phase.driven_m,
-        "turned_rad": phase.turned_rad,
-        "motor": explained.motor._asdict(),
+        "driven_m": phase.driven_m,  #: length of the path
+        "turned_rad": phase.turned_rad,  #: to the left
+        "motor": explained.motor._asdict(),  #: motor neuron with the largest share in the output
         "rival": explained.rival._asdict() if explained.rival else None,
-        "behind": explained.behind._asdict() if explained.behind else None,
-        "by_leak": explained.by_leak,
-        "activity": explained.activity,
-        "pulls": [pull._asdict() for pull in explained.pulls],
-        "change": explained.change._asdict() if explained.change else None,
-        "sentence": text,
+        "behind": explained.behind._asdict() if explained.behind else None,  #: pulls most on it
+        "by_leak": explained.by_leak,  #: whether the leak alone determines the motor neuron's potential
+        "activity": explained.activity,  #: how open that synapse is
+        "pulls": [pull._asdict() for pull in explained.pulls],  #: on the neuron behind, the strongest first
+        "change": explained.change._asdict() if explained.change else None,  #: the pull that changed most
+        "sentence": text,  #: all this in words
     }

@@ -136,12 +136,12 @@ def run(address: BridgeAddress, recorder: Recorder, output: Output) -> int:
         except KeyboardInterrupt:
             code, ending = INTERRUPTED, "interrupted; the rover was stopped"
     fields: dict[str, Any] = {
-        "seconds": teleop.seconds,
-        "driven_m": teleop.driven_m,
+        "seconds": teleop.seconds,  #: of driving
+        "driven_m": teleop.driven_m,  #: by odometry, as the next
         "turned_rad": teleop.turned_rad,
-        "keys": teleop.keyboard.count,
-        "commands": teleop.commands,
-        "stopped_by": stop.rule if stop else None,
+        "keys": teleop.keyboard.count,  #: that were pressed
+        "commands": teleop.commands,  #: that were sent
+        "stopped_by": stop.rule if stop else None,  #: the safety rule
         **recorder.fields,
         "exit_code": code,
     }

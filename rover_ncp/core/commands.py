@@ -80,10 +80,10 @@ def recover(
     said = "was whole already" if recording.complete else "is whole again"
     Output(json).result(
         {
-            "recording": str(target),
-            "was_complete": recording.complete,
-            "messages": count,
-            "attachments": sorted(recording.attachments),
+            "recording": str(target),  #: the file that is whole
+            "was_complete": recording.complete,  #: whether it was already
+            "messages": count,  #: how many
+            "attachments": sorted(recording.attachments),  #: their names
             "seconds": seconds,
         },
         f"{target} {said}: {count} messages over {seconds:.1f} s, {len(recording.attachments)} attachments",

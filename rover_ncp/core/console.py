@@ -18,6 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import is_dataclass
 from typing import Annotated, Any, TextIO
 
 import typer
@@ -237,7 +238,11 @@ class Output:
 
 
 def _plain(value: Any) -> Any:
-    """Turn numpy values into JSON's own; a number that is not finite becomes null, as JSON has none."""
+    """Turn numpy values and the fields of classes into JSON; a number that is not finite becomes null."""
+    if is_dataclass(value):
+        value = vars(value)
+    elif hasattr(value, "_asdict"):  # a NamedTuple
+        value = value._asdict()
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

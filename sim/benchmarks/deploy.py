@@ -36,9 +36,9 @@ START_S, EXTRA_S = 120.0, 60.0
 def bench_deploy(seconds: float, say: Callable[[str], None]) -> dict[str, Any]:
     """Measure at each rate for so many seconds. Raises RoverNcpError when a process fails."""
     fields: dict[str, Any] = {"cores": os.cpu_count(), "load_before": os.getloadavg()[0]}
-    fields["circuit_us"] = _circuit_us()
+    fields["circuit_us"] = _circuit_us()  #: of a tick, median CPU time
     say(f"the circuit takes {fields['circuit_us']:.1f} µs a tick")
-    fields["rates"] = []
+    fields["rates"] = []  #: of 10, 50 and 100 Hz
     for rate_hz in RATES_HZ:
         measured = _measure(rate_hz, seconds, ping=True)
         fields["rates"].append(measured)
@@ -49,12 +49,12 @@ def bench_deploy(seconds: float, say: Callable[[str], None]) -> dict[str, Any]:
             f"{measured['cpu_share']:.0%} of a core"
         )
     fastest = _measure(FASTEST_HZ, min(seconds, FASTEST_S), ping=False)
-    fields["fastest"] = {
+    fields["fastest"] = {  #: when 500 Hz are requested
         name: fastest[name]
         for name in ("rate_hz", "ticks", "predicted", "missed", "tick_rate_hz", "cpu_share")
     }
     say("{rate_hz:.0f} Hz requested: {tick_rate_hz:.1f} ticks a second, {missed} missed".format(**fastest))
-    fields["load_after"] = os.getloadavg()[0]
+    fields["load_after"] = os.getloadavg()[0]  #: of the machine, over a minute
     return fields
 
 
@@ -92,9 +92,9 @@ def _measure(rate_hz: float, seconds: float, *, ping: bool) -> dict[str, Any]:
             raise driver.failure()
     drive = done.result
     return {
-        "rate_hz": rate_hz,
+        "rate_hz": rate_hz,  #: samples of odometry
         **{field: drive[field] for field in ("ticks", "predicted", "missed", "tick_rate_hz")},
-        "cpu_share": (cpu_s[-1][0] - cpu_s[0][0]) / (cpu_s[-1][1] - cpu_s[0][1]),
+        "cpu_share": (cpu_s[-1][0] - cpu_s[0][0]) / (cpu_s[-1][1] - cpu_s[0][1]),  #: of a core
         **(latencies(peer.moments, rate_hz) if ping else {}),
     }
 
@@ -109,11 +109,11 @@ def latencies(moments: Moments, rate_hz: float) -> dict[str, Any]:
     bare = quantiles((np.array(moments.pongs[:pairs]) - np.array(moments.pings[:pairs])) / 2e6)
     jitter = np.abs(np.diff(commands) - 1e9 / rate_hz) / 1e6
     return {
-        "samples": len(commands),
-        "odometry_to_command_ms": ours,
-        "bare_half_round_trip_ms": bare,
-        "above_bare_ms": {name: ours[name] - bare[name] for name in ("p50", "p99")},
-        "tick_jitter_ms": quantiles(jitter),
+        "samples": len(commands),  #: commands that were timed
+        "odometry_to_command_ms": ours,  #: from a sample's sending until the driver hands its command over
+        "bare_half_round_trip_ms": bare,  #: of the same bytes between two bare processes
+        "above_bare_ms": {name: ours[name] - bare[name] for name in ("p50", "p99")},  #: their difference
+        "tick_jitter_ms": quantiles(jitter),  #: intervals between commands against the period
     }
 
 

@@ -37,9 +37,9 @@ def bench_search(
             trained[strategy] = run_rounds(workers, plan, start, iterations, lambda _: False).agents
         say(_line(strategy, [agent.value for agent in trained[strategy]]))
     fields = {
-        "seed": seed,
-        "agents": agents,
-        "iterations": marks,
+        "seed": seed,  #: root seed
+        "agents": agents,  #: how many
+        "iterations": marks,  #: at which returns are looked at
         "strategies": {name: _summary(found, marks) for name, found in trained.items()},
     }
     return fields, trained
@@ -49,8 +49,9 @@ def _summary(agents: Sequence[AgentState], marks: Sequence[int]) -> dict[str, An
     returns = {mark: [agent.value_at(mark) for agent in agents] for mark in marks}
     last = returns[marks[-1]]
     return {
-        "returns": returns,
-        "median": {mark: median(values) for mark, values in returns.items()},
+        "returns": returns,  #: by iteration, then by agent
+        "median": {mark: median(values) for mark, values in returns.items()},  #: by iteration
+        #: by return: how many agents end past it
         "passed": {f"{level:g}": sum(value > level for value in last) for level in PASSED},
     }
 

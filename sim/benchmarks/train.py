@@ -72,18 +72,19 @@ def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
     )
     for row in fields["cost_by_lanes"]:
         say("{lanes} lanes: circuit {circuit_ns:.0f} ns, physics {physics_ns:.0f} ns a substep".format(**row))
-    fields["iterations_per_s"] = {}
+    speeds: dict[str, Any] = {}
     in_engine = {}
     for name, plan in plans.items():
         one, in_engine[name] = _iterations_per_cpu_s(plan, task, iterations)
         every, wall = _iterations_on_all_cores(plan, iterations, cores)
-        fields["iterations_per_s"][name] = {
-            "one_core": one,
-            "all_cores": every,
-            "ratio": every / one,
-            "all_cores_wall": wall,
+        speeds[name] = {
+            "one_core": one,  #: per second of CPU time
+            "all_cores": every,  #: the same; all last as long as the slowest process
+            "ratio": every / one,  #: of the two
+            "all_cores_wall": wall,  #: per second of wall time
         }
         say(f"{name}: {one:.0f} iterations/s and core, {every / one:.2f} times that on {cores} cores")
+    fields["iterations_per_s"] = speeds
     fields["share"] = _shares(fields, in_engine["gauss-newton"])
     fields["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     cold, cached = _compile_times()
@@ -114,6 +115,7 @@ def _parts(task: Task) -> dict[str, Any]:
     by_lanes = [
         {"lanes": lanes}
         | {
+            #: CPU time of a substep and lane
             f"{name}_ns": cpu_s[f"{name} {lanes}"] * _NS / (lanes * _ticks(lanes) * SUBSTEPS)
             for name in ("circuit", "physics")
         }
@@ -122,11 +124,11 @@ def _parts(task: Task) -> dict[str, Any]:
     lane = next(row for row in by_lanes if row["lanes"] == STREAM_LANES)
     in_lanes, plain = len(vectors) / cpu_s["episodes"], len(alone) / cpu_s["plain"]
     return {
-        "episodes_per_s": in_lanes,
-        "plain_episodes_per_s": plain,
-        "ratio_to_plain": in_lanes / plain,
-        "cost_by_lanes": by_lanes,
-        "substep_ns": {
+        "episodes_per_s": in_lanes,  #: of one core, per second of CPU time, as the next two
+        "plain_episodes_per_s": plain,  #: of the single-rover environment on the same circuits
+        "ratio_to_plain": in_lanes / plain,  #: of the two
+        "cost_by_lanes": by_lanes,  #: for 1 to 4096 lanes
+        "substep_ns": {  #: alone and called from Python (scalar), and as wide as in training (lane)
             name: {"scalar": cpu_s[name] * _NS / (_TICKS * SUBSTEPS), "lane": lane[f"{name}_ns"]}
             for name in ("circuit", "physics")
         },
@@ -253,12 +255,16 @@ def _shares(fields: dict[str, Any], in_engine: float) -> dict[str, float]:
     """Return the parts of a gauss-newton iteration's time; they sum up to 1. Within the engine, as in whole
     episodes."""
     substeps = 32.0 / TICK_S * SUBSTEPS
-    parts = {
-        name: fields["substep_ns"][name]["lane"] * substeps / _NS * fields["episodes_per_s"]
+    physics, circuit = (
+        fields["substep_ns"][name]["lane"] * substeps / _NS * fields["episodes_per_s"]
         for name in ("physics", "circuit")
+    )
+    return {
+        "physics": physics * in_engine,  #: share of a gauss-newton iteration, as the next three
+        "circuit": circuit * in_engine,
+        "other_engine": (1.0 - physics - circuit) * in_engine,
+        "search": 1.0 - in_engine,
     }
-    parts["other_engine"] = 1.0 - sum(parts.values())
-    return {name: part * in_engine for name, part in parts.items()} | {"search": 1.0 - in_engine}
 
 
 def _compile_times() -> tuple[float, float]:

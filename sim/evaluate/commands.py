@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import MOST_SEED, Json, Output, command
-from rover_ncp.core.errors import ConfigError, UsageError
+from rover_ncp.core.errors import UsageError
 from sim.world.bodies import PRESET_WORDS, PRESETS, Body, BodyOption
 
 
@@ -239,12 +239,9 @@ def _drive_once(options: EvalOptions) -> int:
     run = rollout(load_policy(options.policy), course, described_rover(robot) if robot else None)
     verdict = run.verdict
     fields = {
-        "return": run.total,
-        "parked": verdict.parked,
-        "reason": verdict.reason,
-        "error_m": verdict.error_m,
-        "error_rad": verdict.error_rad,
-        "rms_m": run.rms_m,
+        "return": run.total,  #: the paper's; 0 is out of reach
+        **vars(verdict),
+        "rms_m": run.rms_m,  #: of the distances to the checkpoints, each when it was judged
         **fitted,
     }
     ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
@@ -280,18 +277,17 @@ def _play_task(options: EvalOptions, task: str) -> int:
 def _play_environment(options: EvalOptions, task: str, trials: int) -> int:
     """Play a Gymnasium environment; return 1 if a single episode was played and no success."""
     from rover_ncp.circuit.policy_file import load_policy
+    from sim.learn.environment import make_environment
     from sim.learn.environment_run import score_task
     from sim.paper.tasks import TASKS
 
     if options.range_:
         raise UsageError("--range is for the paper's benchmarks: a policy file has ranges of its own")
-    policy = load_policy(options.policy)
     try:
-        score = score_task(task, policy, trials, options.seed)
-    except ConfigError:  # an environment that is not the policy's
-        raise
+        environment = make_environment(task)
     except UsageError as error:
         raise UsageError(f"no task {task}: it is none of {', '.join(TASKS)}; {error}") from error
+    score = score_task(task, load_policy(options.policy), trials, options.seed, environment)
     fields = {"task": task, "episodes": trials, "return": score.mean, "std": score.std}
     Output(options.json).result(fields | {"successes": score.successes}, f"{task}: {score}")
     return 1 if trials == 1 and score.successes == 0 else 0

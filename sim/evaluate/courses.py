@@ -18,12 +18,12 @@ def fitted_courses(options: EvalOptions) -> tuple[list[Course], RobotDescription
         courses = unseen_courses(options.seed, options.random_courses)
     else:
         courses = [load_course(name) for name in options.courses]
-    robot, changes = None if options.model is None else load_description(options.model), list[str]()
+    robot = None if options.model is None else load_description(options.model)
+    changes: list[str] = []
     for place, course in enumerate(courses):
-        if robot is None:
-            break
-        larger, size = enlarged(course, robot)
-        courses[place], pace = slowed(larger, robot)
-        changes += filter(None, (size, pace))
+        if robot is not None:
+            larger, size = enlarged(course, robot)
+            courses[place], pace = slowed(larger, robot)
+            changes += filter(None, (size, pace))
     more = [f"and {len(changes) - _SHOWN} more courses"] if len(changes) > _SHOWN else []
     return courses, robot, {"model": options.model, "scaled": changes[:_SHOWN] + more}

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,11 +53,6 @@ class Evaluation(NamedTuple):
     error_rad: Spread
     failures: dict[str, int]
     """First reason, in the order of ``Course.judge``: how many."""
-
-    def fields(self) -> dict[str, Any]:
-        """Return what ``--json`` prints."""
-        spreads = {"error_m": self.error_m._asdict(), "error_rad": self.error_rad._asdict()}
-        return self._asdict() | {"success_ci95": list(self.success_ci95)} | spreads
 
 
 def evaluate(

@@ -50,13 +50,13 @@ def run_trials(options: EvalOptions) -> int:
     else:
         model = described_rover(robot) if robot else None
         found = evaluate(driver, courses, ranges, trials=trials, seed=options.seed, model=model)
-    fields = found.fields() | {
-        "randomize": options.randomization or ranges.name,
+    fields = found._asdict() | {
+        "randomize": options.randomization or ranges.name,  #: the name or file of the randomization
         **fitted,
-        "body": options.body.value,
-        "seed": options.seed,
-        "random_courses": options.random_courses or 0,
-        "course": ",".join(options.courses),
+        "body": options.body.value,  #: the simulator's
+        "seed": options.seed,  #: root seed
+        "random_courses": options.random_courses or 0,  #: how many
+        "course": ",".join(options.courses),  #: several are joined by commas
     }
     output.result(fields | more, "\n".join([*fitted["scaled"], *_words(found, more)]))
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
@@ -96,26 +96,36 @@ def _live(
         raise UsageError(f"{options.out}: is not an empty folder")
     with _progress(output, count) as done:
         driven = drive_live(stack, options, count, done)
-    fields = _totals(driven)
-    fields["live"] = entries = [
+    virtual = drive_all(stack, count, options.processes) if options.stack else []
+    apart = [_apart(*both) for both in zip(driven, virtual, strict=False)]
+    entries = [
         {
-            "trial": number,
-            "course": stack.course(number).name,
+            "trial": number,  #: its number
+            "course": stack.course(number).name,  #: its name
             **{name: getattr(trial, name) for name in ("parked", "reason", "error_m", "error_rad")},
-            "pose": list(trial.pose),
+            "pose": list(trial.pose),  #: the true one at the end: x, y, theta
             "overruns": trial.overruns,
+            #: of the trial: course.yaml, driver.yaml, run.mcap, log
             "folder": str(trial_folder(options.out, number)),
+            **(apart[number] if apart else {}),
         }
         for number, trial in enumerate(driven)
     ]
-    if options.stack:
-        virtual = drive_all(stack, count, options.processes)
-        for entry, here, there in zip(entries, driven, virtual, strict=True):
-            entry["apart_m"] = distance(here.pose, there.pose)
-            entry["apart_rad"] = abs(wrap_angle(here.pose.theta - there.pose.theta))
-        for name in ("apart_m", "apart_rad"):
-            fields[name] = Spread.of(np.array([entry[name] for entry in entries]))._asdict()
+    fields = _totals(driven) | {"live": entries}
+    if apart:
+        fields |= {
+            name: Spread.of(np.array([each[name] for each in apart]))._asdict()
+            for name in ("apart_m", "apart_rad")
+        }
     return _sum_up(driven), fields
+
+
+def _apart(live: Driven, virtual: Driven) -> dict[str, float]:
+    """Return how far apart two drives of a trial ended."""
+    return {
+        "apart_m": distance(live.pose, virtual.pose),
+        "apart_rad": abs(wrap_angle(live.pose.theta - virtual.pose.theta)),  #: between their headings
+    }
 
 
 def _sum_up(driven: Sequence[Driven]) -> Evaluation:
@@ -125,6 +135,7 @@ def _sum_up(driven: Sequence[Driven]) -> Evaluation:
 
 def _totals(driven: Sequence[Driven]) -> dict[str, Any]:
     return {
+        #: of all trials
         name: sum(getattr(trial, name) for trial in driven)
         for name in ("bytes_to_base", "bytes_from_base", "overruns")
     }

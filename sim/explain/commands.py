@@ -123,10 +123,10 @@ def report(
     page = write_page(source, out)
     output.result(
         {
-            "page": str(page.path),
-            "kind": page.kind,
-            "bytes": page.size,
-            "animation": None if animation is None else str(animation),
+            "page": str(page.path),  #: its file
+            "kind": page.kind,  #: drive or training
+            "bytes": page.size,  #: its size
+            "animation": None if animation is None else str(animation),  #: its file
         },
         f"report: {page.path}",
     )

@@ -50,17 +50,12 @@ class Explanation:
 
     def fields(self) -> dict[str, Any]:
         """Return everything but the potentials as plain values."""
-        findings, verdict = self.findings, self.verdict
+        findings = self.findings
         return {
-            "source": self.source,
-            "policy": self.policy.circuit.name,
-            "course": self.course.name,
-            "run": {
-                "parked": verdict.parked,
-                "reason": verdict.reason,
-                "error_m": verdict.error_m,
-                "error_rad": verdict.error_rad,
-            },
+            "source": self.source,  #: the argument
+            "policy": self.policy.circuit.name,  #: its name
+            "course": self.course.name,  #: its name
+            "run": vars(self.verdict),  #: simulated or recorded
             "simulated": {"return": self.intact.total, "parked": self.intact.verdict.parked},
             **findings.fields((a, b) for b in findings.motors for a in findings.sources),
             "knock_outs": [vars(row) for row in self.knock_outs],

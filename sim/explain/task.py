@@ -96,13 +96,13 @@ class TaskExplanation:
         """Return everything but the potentials as plain values."""
         findings = self.findings
         return {
-            "source": self.source,
-            "policy": self.policy.circuit.name,
+            "source": self.source,  #: the argument
+            "policy": self.policy.circuit.name,  #: its name
             "task": self.task,
-            "simulated": {
-                "return": float(self.returns.mean()),
-                "returns": self.returns.tolist(),
-                "enough": self.enough,
+            "simulated": {  #: the intact circuit
+                "return": float(self.returns.mean()),  #: their mean
+                "returns": self.returns.tolist(),  #: of the episodes
+                "enough": self.enough,  #: the return that counts as solved
             },
             **findings.fields((a, b) for b in findings.motors for a in findings.sources),
             "knock_outs": [vars(row) for row in self.knock_outs],

@@ -46,16 +46,17 @@ def fields(soaked: Soaked, seed: int) -> dict[str, Any]:
     wrong = verdict(soaked)
     recordings = soaked.recordings
     return {
-        "passed": not wrong,
-        "wrong": wrong,
+        "passed": not wrong,  #: whether nothing is wrong
+        "wrong": wrong,  #: the problems, in words
         "seed": seed,
         "wall_s": soaked.wall_s,
-        "load": soaked.load,
-        "rounds": [_round_fields(done) for done in soaked.rounds],
-        "not_reached": [row.key for row in soaked.not_reached],
-        "still": soaked.still,
+        "load": soaked.load,  #: highest load average of a minute
+        "rounds": [_round_fields(done) for done in soaked.rounds],  #: one fault each
+        "not_reached": [row.key for row in soaked.not_reached],  #: rows
+        "still": soaked.still,  #: whether the rover stands in the end
+        #: bridge and mock: each first and last
         "processes": {name: found._asdict() for name, found in _leaks(soaked).items()},
-        "recordings": {
+        "recordings": {  #: of all; unexplained are missing messages, gaps of SIPs and skipped commands
             "count": len(recordings),
             **{
                 name: sum(getattr(each, name) for each in recordings)
@@ -68,17 +69,18 @@ def fields(soaked: Soaked, seed: int) -> dict[str, Any]:
 def _round_fields(done: Round) -> dict[str, Any]:
     found = done.measured
     return {
-        "row": done.row.key,
-        "at_s": done.at_s,
-        "driver": done.driver,
-        "passed": done.passed,
-        "failure": done.failure,
-        "stands_after_s": found.seconds if found else None,
+        "row": done.row.key,  #: of the safety matrix
+        "at_s": done.at_s,  #: since the beginning
+        "driver": done.driver,  #: hand, that is the scripted driver, or circuit
+        "passed": done.passed,  #: whether it stood in time
+        "failure": done.failure,  #: why it was not measured, or empty
+        "stands_after_s": found.seconds if found else None,  #: until the rover stood
+        #: the longest that the machine kept mock and line from running
         "late_s": found.late_s if found else None,
-        "bound_s": done.row.bound_s,
-        "braking_s": found.braking_s if found else None,
-        "stopped_by": found.stopped_by if found else "",
-        "note": found.note if found else "",
+        "bound_s": done.row.bound_s,  #: allowed, without braking
+        "braking_s": found.braking_s if found else None,  #: from the speed that it had
+        "stopped_by": found.stopped_by if found else "",  #: the safety rule
+        "note": found.note if found else "",  #: what the driver said
     }
 
 

@@ -165,9 +165,9 @@ def train(
         "course": course,
         "circuit": circuit,
         "model": model,
-        "seed": seed,
-        "agents": agents,
-        "iterations": iterations,
+        "seed": seed,  #: root seed
+        "agents": agents,  #: how many
+        "iterations": iterations,  #: of each agent
         "search": search,
     }
     given = {name: value for name, value in options.items() if value is not None}
@@ -228,19 +228,17 @@ def train(
 
     verdict = rollout(result.policy, learned.course, plain.rover).verdict
     fields = {
-        "returns": result.agents.returns,
-        "best_return": result.agents.best.value,
-        "median_return": result.agents.median_return,
-        "parked": verdict.parked,
-        "error_m": verdict.error_m,
-        "error_rad": verdict.error_rad,
-        "wall_s": result.wall_s,
-        "iterations_per_s": result.iterations_per_s,
+        "returns": result.agents.returns,  #: by agent
+        "best_return": result.agents.best.value,  #: of all agents
+        "median_return": result.agents.median_return,  #: of all agents
+        **vars(verdict),
+        "wall_s": result.wall_s,  #: how long it took
+        "iterations_per_s": result.iterations_per_s,  #: of all agents together, without start-up
         "seed": plain.seed,
         "agents": plain.agents,
         "iterations": result.agents.iterations,
-        "out": str(folder),
-        "policy": str(result.policy_path),
+        "out": str(folder),  #: the folder
+        "policy": str(result.policy_path),  #: the best agent's file
     }
     how = "parks" if verdict.parked else f"does not park: {verdict.reason}"
     output.result(
@@ -259,9 +257,9 @@ def _train_robust(
     with _generations(output, settings.iterations, out) as on_generation:
         result = train_robust(settings, out, resume=resume, processes=processes, on_generation=on_generation)
     fields = settings.model_dump() | {
-        "generations": result.last.number,
-        "cost": result.last.best,
-        "policy": str(result.path),
+        "generations": result.last.number,  #: how many were made
+        "cost": result.last.best,  #: lowest of the last generation
+        "policy": str(result.path),  #: its file
     }
     output.result(
         fields, f"cost {result.last.best:.3f} after {result.last.number} generations\n{result.path}"
@@ -287,12 +285,12 @@ def _train_task(
         )
     score = score_task(settings.task, result.policy)
     fields = settings.model_dump() | {
-        "generations": result.last.number,
-        "return": score.mean,
+        "generations": result.last.number,  #: how many were made
+        "return": score.mean,  #: mean of the policy in fresh episodes
         "std": score.std,
-        "episodes": score.episodes,
-        "successes": score.successes,
-        "policy": str(result.path),
+        "episodes": score.episodes,  #: how many scored the policy
+        "successes": score.successes,  #: episodes that reach the environment's threshold; null without one
+        "policy": str(result.path),  #: its file
     }
     output.result(fields, f"{score} after {result.last.number} generations\n{result.path}")
 

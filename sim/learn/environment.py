@@ -10,7 +10,7 @@ import sys
 import warnings
 from copy import copy
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import gymnasium
 import numpy as np
@@ -21,6 +21,7 @@ from rover_ncp.core.errors import ConfigError, UsageError
 from sim.learn.commander import circuit_commander
 from sim.learn.search.base import Seeds
 
+Environment: TypeAlias = gymnasium.Env[Any, Any]
 FloatArray = NDArray[np.float64]
 
 MOST_STEPS = 100_000
@@ -38,7 +39,7 @@ class Play(NamedTuple):
     """(T,)."""
 
 
-def make_environment(name: str) -> "gymnasium.Env[Any, Any]":
+def make_environment(name: str) -> Environment:
     """Make an environment by its id; ``module:id`` imports a module first, also one in the working folder.
 
     Raises UsageError.
@@ -56,7 +57,7 @@ def make_environment(name: str) -> "gymnasium.Env[Any, Any]":
         del sys.path[-1 - sys.path[::-1].index(here)]
 
 
-def require_fit(name: str, environment: "gymnasium.Env[Any, Any]", policy: Policy) -> None:
+def require_fit(name: str, environment: Environment, policy: Policy) -> None:
     """Raise ConfigError unless a policy's inputs and outputs are the environment's."""
     seen, action = environment.observation_space, environment.action_space
     inputs, outputs = policy.sensing.inputs, policy.motors.outputs
@@ -81,12 +82,13 @@ def require_fit(name: str, environment: "gymnasium.Env[Any, Any]", policy: Polic
 class EnvironmentEvaluator:
     """Scores parameter vectors of a policy by episodes of an environment. One thread at a time.
 
-    Raises UsageError for an environment that cannot be made, ConfigError for one that is not the policy's.
+    ``made`` is an environment of this name, if there is one already. Raises UsageError for an environment
+    that cannot be made, ConfigError for one that is not the policy's.
     """
 
-    def __init__(self, name: str, policy: Policy) -> None:
+    def __init__(self, name: str, policy: Policy, made: Environment | None = None) -> None:
         self.name, self.steps = name, 0
-        self._environments = [make_environment(name)]
+        self._environments = [made or make_environment(name)]
         require_fit(name, self._environments[0], policy)
         self.enough = None if (spec := self._environments[0].spec) is None else spec.reward_threshold
         """The return that counts as solved; None where the environment names none."""
@@ -147,7 +149,7 @@ class EnvironmentEvaluator:
         return Play(*(np.array(part) for part in zip(*rows, strict=True)))
 
     def _step(
-        self, environment: "gymnasium.Env[Any, Any]", outputs: FloatArray, step: int
+        self, environment: Environment, outputs: FloatArray, step: int
     ) -> tuple[FloatArray, float, bool]:
         """Advance an environment; return the observation, the reward and whether the episode is over."""
         space: Any = environment.action_space

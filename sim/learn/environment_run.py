@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_start
 from rover_ncp.core.errors import UsageError
-from sim.learn.environment import EnvironmentEvaluator, make_environment, require_fit
+from sim.learn.environment import Environment, EnvironmentEvaluator, make_environment, require_fit
 from sim.learn.record import Record, TaskSettings
 from sim.learn.robust import Drive, Generation, RobustSearch, Stage, policy_box
 from sim.learn.robust_run import RobustResult, SearchRun
@@ -95,9 +95,11 @@ def train_task(
         return run.finished(partial(_episodes, settings.task, start, settings.seed), processes, on_generation)
 
 
-def score_task(task: str, policy: Policy, episodes: int = EPISODES, seed: int = 0) -> Score:
-    """Return the score of a policy in fresh episodes. Raises UsageError and ConfigError."""
-    evaluator = EnvironmentEvaluator(task, policy)
+def score_task(
+    task: str, policy: Policy, episodes: int = EPISODES, seed: int = 0, made: Environment | None = None
+) -> Score:
+    """Return the score of a policy in fresh episodes. Raises as `EnvironmentEvaluator`."""
+    evaluator = EnvironmentEvaluator(task, policy, made)
     [returns] = evaluator.returns(policy.parameters(), draw_seeds(seed, (_SCORING,), episodes))
     successes = None if evaluator.enough is None else int((returns >= evaluator.enough).sum())
     return Score(episodes, float(returns.mean()), float(returns.std()), successes)

@@ -5,10 +5,9 @@ verdict that depends on them is computed too.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from statistics import median
-from typing import Any
 
 import numpy as np
 
@@ -339,11 +338,6 @@ def _untested() -> Iterator[Claim]:
     """Yield what nothing here tests."""
     for name, claim, source, command, why in _UNTESTED:
         yield Claim(name, claim, source, Finding.NOT_TESTED, "none", command, why)
-
-
-def claims_fields(found: Sequence[Claim]) -> list[dict[str, Any]]:
-    """Return claims as ``--json`` prints them; ``why`` only where there is a reason."""
-    return [{key: value for key, value in asdict(claim).items() if value or key != "why"} for claim in found]
 
 
 def claims_text(found: Sequence[Claim]) -> str:

@@ -166,9 +166,14 @@ def _make(
     bar = progress.add_task("runs", total=len(names))
 
     def on_result(result: Any) -> None:
-        fields = {"mean", "std", "plain_mean", "success", "cpu_s", "steps", "ended", "budget"}
-        summary = result.model_dump(include=fields)
-        made.append({"path": str(result.name.path(store.own)), **result.name.model_dump(), **summary})
+        made.append(
+            {
+                "path": str(result.name.path(store.own)),  #: its file
+                **result.name.model_dump(),
+                **{name: getattr(result, name) for name in ("mean", "std", "plain_mean", "success")},
+                **{name: getattr(result, name) for name in ("cpu_s", "steps", "ended", "budget")},
+            }
+        )
         progress.advance(bar)
         output.say(
             f"{result.name}: {result.mean:.4g} ± {result.std:.3g}{'' if result.success else ', no success'} "
@@ -201,10 +206,10 @@ def _show(
         groups = coverage(store, budget)
         output.result({"groups": groups}, tables.coverage_text(groups))
     elif what is What.CLAIMS:
-        from sim.paper.claims import all_claims, claims_fields, claims_text
+        from sim.paper.claims import all_claims, claims_text
 
         claims = all_claims(store)
-        output.result({"claims": claims_fields(claims)}, claims_text(claims))
+        output.result({"claims": claims}, claims_text(claims))
     elif what is What.COMPARISONS:
         from sim.paper.comparison import OTHERS, compare_agents, comparisons_text
 
@@ -212,8 +217,7 @@ def _show(
         output.result({"comparisons": [row.fields() for row in compared]}, comparisons_text(compared))
     elif what in tables.TABLES:
         rows = tables.table(what, store, budget)
-        cells = [row.fields() for row in rows]
-        output.result({"table": tables.TABLES[what].number, "cells": cells}, tables.table_text(what, rows))
+        output.result(tables.table_fields(what, rows), tables.table_text(what, rows))
     elif what is What.PARAMETERS:
         found = tables.parameters()
         output.result({"tasks": found}, tables.parameters_text(found))

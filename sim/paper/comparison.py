@@ -68,9 +68,10 @@ class Comparison(NamedTuple):
     def fields(self) -> dict[str, Any]:
         """Return the comparison as ``--json`` prints it."""
         verdict = "better" if self.better else "worse" if self.worse else "no difference found"
-        plain = self._asdict() | self.effect._asdict() | {"test": "permutation", "verdict": verdict}
-        del plain["effect"]
-        return plain
+        own = {
+            name: getattr(self, name) for name in ("task", "other", "runs", "means", "successes", "p_holm")
+        }
+        return own | self.effect._asdict() | {"test": "permutation", "verdict": verdict}
 
     def texts(self) -> tuple[str, ...]:
         """Return the comparison's cells as Markdown."""

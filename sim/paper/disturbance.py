@@ -107,12 +107,12 @@ def disturbance_study(store: ResultStore, tasks: Sequence[str]) -> list[dict[str
                         {
                             "task": name,
                             "agent": agent,
-                            "kind": kind,
-                            "level": level,
-                            "runs": len(results),
-                            "mean": float(means.mean()),
-                            "std": float(means.std(ddof=min(len(means) - 1, 1))),
-                            "succeed": int(np.sum(means >= task.success)),
+                            "kind": kind,  #: noise, delay or loss
+                            "level": level,  #: share of a range, ticks, or share of ticks
+                            "runs": len(results),  #: how many
+                            "mean": float(means.mean()),  #: return without bonus
+                            "std": float(means.std(ddof=min(len(means) - 1, 1))),  #: over runs
+                            "succeed": int(np.sum(means >= task.success)),  #: how many runs still do
                         }
                     )
     return rows

@@ -43,9 +43,9 @@ def parking_time_constants(store: ResultStore) -> dict[str, Any]:
     rows = [
         {
             "neuron": neuron,
-            "best": best,
-            "all": (min(r[neuron][0] for r in ranges), max(r[neuron][1] for r in ranges)),
-            "published": PUBLISHED_TIME_CONSTANTS_S.get(neuron),
+            "best": best,  #: least and largest of the best circuit, as in the next two
+            "all": (min(r[neuron][0] for r in ranges), max(r[neuron][1] for r in ranges)),  #: of all circuits
+            "published": PUBLISHED_TIME_CONSTANTS_S.get(neuron),  #: the paper's
         }
         for neuron, best in ranges[0].items()
     ]
@@ -64,9 +64,9 @@ def parking_contributions(store: ResultStore) -> dict[str, Any]:
                 "source": pair[0],
                 "destination": pair[1],
                 "best": {"sign": best.sign, "positive": best.positive, "negative": best.negative},
-                "circuits": dict(signs),
-                "published": published,
-                "agree": signs[published],
+                "circuits": dict(signs),  #: by sign: how many
+                "published": published,  #: the paper's sign
+                "agree": signs[published],  #: how many circuits have the paper's sign
             }
         )
     return {"runs": len(runs), "contributions": rows}

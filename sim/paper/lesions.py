@@ -56,11 +56,11 @@ def lesion_study(store: ResultStore, tasks: Sequence[str]) -> list[dict[str, Any
             rows.append(
                 {
                     "task": name,
-                    "part": part,
-                    "neuron": part in policy.circuit.neurons,
-                    "circuits": len(results),
-                    "mean": float(returns[:, number].mean()),
-                    "succeed": int(successes[:, number].sum()),
+                    "part": part,  #: that was taken out
+                    "neuron": part in policy.circuit.neurons,  #: whether the part is one
+                    "circuits": len(results),  #: how many
+                    "mean": float(returns[:, number].mean()),  #: return without bonus
+                    "succeed": int(successes[:, number].sum()),  #: how many circuits still do
                 }
             )
     return rows

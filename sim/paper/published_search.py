@@ -118,11 +118,11 @@ def read_partial(path: Path) -> dict[str, Any]:
     data = _read(path)
     iterations, of = data["state"]["search"]["evaluations"] - 1, data["settings"]["evaluations"]
     return {
-        "iterations": iterations,
-        "of": of,
-        "estimate": data["state"]["curve"][-1][1],
-        "cpu_s": data["cpu_s"],
-        "hours_to_run": data["cpu_s"] / max(iterations, 1) * of / 3600.0,
+        "iterations": iterations,  #: that were made
+        "of": of,  #: of how many
+        "estimate": data["state"]["curve"][-1][1],  #: of the incumbent
+        "cpu_s": data["cpu_s"],  #: so far
+        "hours_to_run": data["cpu_s"] / max(iterations, 1) * of / 3600.0,  #: of a whole run, on one core
     }
 
 

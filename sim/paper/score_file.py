@@ -31,13 +31,14 @@ def score_circuit(
     found = Evaluator(task, policy).run(vectors, draw_seeds(seed, (0,), episodes))
     returns, plain = found[:, :2].sum(axis=1), found[:, 0]
     return {
-        "task": task_name,
-        "episodes": episodes,
-        "return": float(returns.mean()),
+        "task": task_name,  #: its name
+        "episodes": episodes,  #: how many
+        "return": float(returns.mean()),  #: mean, with the bonus where the task has one
         "std": float(returns.std()),
-        "plain_return": float(plain.mean()),
-        "successes": int((plain >= task.success).sum()),
-        "success": bool(plain.mean() >= task.success),
+        "plain_return": float(plain.mean()),  #: Gymnasium's
+        "successes": int((plain >= task.success).sum()),  #: episodes past the task's threshold
+        "success": bool(plain.mean() >= task.success),  #: whether the mean is past it
+        #: of the sensors, by name
         "ranges": {channel.name: max(end for _, end in channel.sides) for channel in policy.sensing.channels},
     }
 

@@ -79,12 +79,13 @@ def coverage(store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> lis
             {
                 "task": group.task,
                 "agent": group.agent,
-                "made": len(results),
-                "runs": group.runs,
-                "commits": dict(commits),
+                "made": len(results),  #: how many runs exist
+                "runs": group.runs,  #: how many are wanted
+                "commits": dict(commits),  #: by commit: how many runs
+                #: by how a run ended: how many runs
                 "ended": dict(Counter(result.ended for result in results)),
-                "cpu_s": sum(result.cpu_s for result in results),
-                "unfinished": [
+                "cpu_s": sum(result.cpu_s for result in results),  #: of all together
+                "unfinished": [  #: runs of the paper's own searches that have not ended
                     {"seed": name.seed, **read_partial(store.unfinished(name))}
                     for name in group.names()
                     if store.unfinished(name).is_file()

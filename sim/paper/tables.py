@@ -110,8 +110,12 @@ class Row:
 
     def fields(self) -> dict[str, Any]:
         """Return the row as ``--json`` prints it."""
-        published = self.published._asdict() | {"runs": PUBLISHED_RUNS} if self.published else None
-        return vars(self) | {"published": published, "sparsity": SPARSITY.get(self.agent), "test": "Welch"}
+        return vars(self) | {
+            "published": self.published._asdict() | {"runs": PUBLISHED_RUNS} if self.published else None,
+            #: share of the possible connections that the agent does without
+            "sparsity": SPARSITY.get(self.agent),
+            "test": "Welch",  #: behind verdict and p
+        }
 
     def texts(self) -> tuple[str, ...]:
         """Return the row's cells as Markdown."""
@@ -178,6 +182,11 @@ def compare(mean: float, std: float, runs: int, published: Published) -> tuple[V
     return (Verdict.BETTER if mean > published.mean else Verdict.WORSE), p
 
 
+def table_fields(which: str, rows: Sequence[Row]) -> dict[str, Any]:
+    """Return a table as ``--json`` prints it."""
+    return {"table": TABLES[which].number, "cells": [row.fields() for row in rows]}
+
+
 def table_text(which: str, rows: Sequence[Row]) -> str:
     """Return a table as Markdown."""
     head = ("task", "agent", "runs", "ours", "success", "paper", "verdict", "core time")
@@ -222,19 +231,19 @@ def parameters() -> list[dict[str, Any]]:
         rows.append(
             {
                 "task": task.name,
-                "horizon": task.horizon,
+                "horizon": task.horizon,  #: in ticks
                 **task.settings._asdict(),
-                "success": task.success,
-                "threshold_from": task.threshold_from,
-                "default_steps": ours.steps,
-                "default_starts": ours.starts,
+                "success": task.success,  #: least mean return, without bonus
+                "threshold_from": task.threshold_from,  #: who set it
+                "default_steps": ours.steps,  #: at most, in a run with the default budget, as the starts
+                "default_starts": ours.starts,  #: of a search, at most
                 "neurons": policy.circuit.size,
                 "synapses": policy.circuit.synapse_count,
                 "parameters": policy.layout().size,
                 "sensors": {channel.name: dict(channel.sides) for channel in policy.sensing.channels},
                 "motors": {channel.name: dict(channel.sides) for channel in policy.motors.channels},
-                "motor_range_mV": [policy.motors.low_mV, policy.motors.high_mV],
-                "published_ranges": dict(task.published_ranges),
+                "motor_range_mV": [policy.motors.low_mV, policy.motors.high_mV],  #: of a motor neuron
+                "published_ranges": dict(task.published_ranges),  #: the paper's, where they are others
             }
         )
     return rows

@@ -88,21 +88,23 @@ def run_park(options: ParkOptions) -> int:
     write_atomic(report, drive_page(drive))
     verdict = judge_truth(course, truth, began_ns)
     fields = {
-        "parked": verdict.parked,
-        "reason": verdict.reason,
-        "true_error_m": verdict.error_m,
-        "true_error_rad": verdict.error_rad,
+        "parked": verdict.parked,  #: the verdict on the true pose
+        "reason": verdict.reason,  #: why it did not park, or empty
+        "true_error_m": verdict.error_m,  #: distance to the last checkpoint at the end
+        "true_error_rad": verdict.error_rad,  #: difference of its heading then
         **{
+            #: as deploy reports it
             name: done.result[name]
             for name in ("estimate_error_m", "estimate_error_rad", "ticks", "overruns")
         },
-        "recording": str(recording),
-        "picture": str(picture),
-        "report": str(report),
-        "policy": policy,
+        "recording": str(recording),  #: with the true pose as truth/pose
+        "picture": str(picture),  #: of the true path
+        "report": str(report),  #: the page of the drive
+        "policy": policy,  #: its name or file
+        #: process ids of mock, bridge and deploy
         "pids": {process.command: process.pid for process in run.processes},
         **{name: bridge.result.get(name) for name in ("bytes_to_base", "bytes_from_base")},
-        "train": training,
+        "train": training,  #: null with --policy
     }
     ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
     output.result(
@@ -130,10 +132,10 @@ def _train(options: ParkOptions, course: Course, output: Output) -> tuple[dict[s
             stop_when=lambda snapshot, best: _parks_well(best, course) or time.monotonic() > deadline,
         )
     fields = {
-        "best_return": result.agents.best.value,
-        "returns": result.agents.returns,
-        "iterations": result.agents.iterations,
-        "iterations_per_s": result.iterations_per_s,
+        "best_return": result.agents.best.value,  #: of all agents
+        "returns": result.agents.returns,  #: of each agent
+        "iterations": result.agents.iterations,  #: of each agent
+        "iterations_per_s": result.iterations_per_s,  #: of all agents together
     }
     return fields, str(result.policy_path), rollout(result.policy, course).verdict.reason
 

@@ -98,14 +98,14 @@ def run_mock(
         came = f"{server.connections} connections, {server.firmware.decoder.packets} packets"
     output.result(
         {
-            "listen": f"{server.host}:{server.port}",
-            "model": model,
-            "bytes_in": server.bytes_in,
-            "bytes_out": server.bytes_out,
+            "listen": f"{server.host}:{server.port}",  #: its address
+            "model": model,  #: the description
+            "bytes_in": server.bytes_in,  #: of commands
+            "bytes_out": server.bytes_out,  #: of reports
             **(_of_firmware(server) if isinstance(server, Server) else {"ignored": server.robot.ignored}),
-            "touched": server.touched,
-            "pose": {"x": pose.x, "y": pose.y, "theta": pose.theta},
-            "truth": str(truth) if truth else None,
+            "touched": server.touched,  #: whether the rover touched anything
+            "pose": {"x": pose.x, "y": pose.y, "theta": pose.theta},  #: the true one at the end, m and rad
+            "truth": str(truth) if truth else None,  #: the file of true poses
         },
         f"{came}; the rover stands at x={pose.x:.3f} m, y={pose.y:.3f} m, theta={pose.theta:.3f} rad",
     )
@@ -115,7 +115,7 @@ def _of_firmware(server: Server) -> dict[str, int]:
     """Return the counters of a Pioneer's line."""
     firmware = server.firmware
     return {
-        "connections": server.connections,
+        "connections": server.connections,  #: not with --ros2, as the other counters
         "packets": firmware.decoder.packets,
         "bad_checksums": firmware.decoder.bad_checksums,
         "skipped_bytes": firmware.decoder.skipped_bytes,

@@ -99,13 +99,17 @@ def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> dict[str, Any]
     """Return the estimates of drives that truly ended ``parked`` or not, as numbers for JSON."""
     squared = np.array([belief.squared for belief in beliefs if math.isfinite(belief.squared)])
     return {
+        #: of the driver's estimate at the goal, against the truth
         "error_m": _percentiles([belief.error_m for belief in beliefs]),
+        #: as deploy predicts it, without external poses
         "predicted_error_m": _percentiles([belief.predicted_m for belief in beliefs]),
-        "inside": {
+        "inside": {  #: share of drives whose true position is inside the 50 % and the 95 % ellipse
             f"{share:.0%}": float(np.mean(squared <= chi2.ppf(share, 2))) if len(squared) else None
             for share in ELLIPSES
         },
+        #: mean normalised innovation squared of external poses, while the rover stood and moved
         "nis": {name: _mean([belief.nis[name] for belief in beliefs]) for name in ("standing", "moving")},
+        #: share of drives of which the driver's verdict is the true one
         "verdict_agrees": float(np.mean([belief.parked for belief in beliefs] == np.array(parked))),
     }
 

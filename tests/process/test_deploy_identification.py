@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from json_fields import assert_on_page
 
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
@@ -303,6 +304,7 @@ def test_a_live_robot_is_identified_and_its_recording_says_the_same(tmp_path, ca
             ]
         )
     fields = json.loads(capsys.readouterr().out)
+    assert_on_page(fields, "identify")
     assert code == 0
     profile = load_profile(tmp_path / "a.yaml")
     assert fields["delay_v_s"] == profile.delay_v_s

@@ -6,6 +6,7 @@ import threading
 
 import pytest
 from bridge_bench import BRAKING_M_S2, Rig, wait_for
+from json_fields import undescribed
 
 from deploy.preflight.preflight import STANDING
 from rover_ncp import cli
@@ -16,7 +17,9 @@ def check(capsys):
     def check(robot, *options):
         code = cli.run(["check", "--robot", robot, "--on-blocks", "--json", *options])
         captured = capsys.readouterr()
-        return code, json.loads(captured.out), captured.err
+        result = json.loads(captured.out)
+        assert not undescribed("check", result)
+        return code, result, captured.err
 
     return check
 

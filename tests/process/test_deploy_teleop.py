@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import pytest
 from bridge_bench import MACHINE_S, Rig, braking_s, wait_for
+from json_fields import undescribed
 
 from deploy.teleop.keyboard import HOLD_S, V_M_S
 from rover_ncp import cli
@@ -80,7 +81,9 @@ class Person:
 
     def end(self, timeout_s=10.0):
         code = self.process.wait(timeout_s)
-        return code, json.loads(self._out.read_text())
+        result = json.loads(self._out.read_text())
+        assert not undescribed("teleop", result)
+        return code, result
 
     def close(self):
         if self.process.poll() is None:

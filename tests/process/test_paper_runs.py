@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from json_fields import assert_on_page
 
 from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.circuit.tap_withdrawal import tap_withdrawal_circuit
@@ -96,7 +97,9 @@ def test_command_makes_runs_once_and_replays_them(tmp_path, capsys):
     common = ["--task", "mountain-car", "--circuit", str(wiring), "--seed", "0", "--json"]
     arguments = [*common, "--runs", str(tmp_path / "runs"), "--processes", "1"]
     assert run(["paper", "run", *arguments, "--budget", "quick"]) == 0
-    [made] = json.loads(capsys.readouterr().out)["made"]
+    first = json.loads(capsys.readouterr().out)
+    assert_on_page(first, "paper run")
+    [made] = first["made"]
     assert (made["agent"], made["budget"]) == ("mine", "quick")
     assert run(["paper", "run", *arguments, "--budget", "quick"]) == 0
     assert json.loads(capsys.readouterr().out) == {"made": [], "found": 1}

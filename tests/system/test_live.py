@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from json_fields import assert_on_page
 from paths import DATA
 
 from deploy.replay import replay
@@ -21,6 +22,7 @@ def test_live_and_virtual_trials_end_at_the_same_pose(tmp_path, capsys):
     # The short course ends while the rover moves: the poses at that time are compared.
     assert run(["eval", "course", *asked, "--out", str(out), "--json"]) in {0, 1}
     fields = json.loads(capsys.readouterr().out)
+    assert_on_page(fields, "eval --trials", "eval --trials --live, besides")
     trial = fields["live"][0]
     assert (fields["trials"], trial["trial"], trial["course"]) == (1, 0, "short")
     assert not trial["reason"].startswith("stopped by")

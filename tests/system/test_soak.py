@@ -8,6 +8,7 @@ import sys
 
 import psutil
 import pytest
+from json_fields import assert_on_page
 
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.messages import odometry, twist_stamped
@@ -169,6 +170,7 @@ def test_report_lists_every_failed_check():
     soaked.rounds.append(Round(9.0, ROWS["stall"], "hand", None, "timed out"))
     soaked.usage["bridge"] = samples(100, sockets=1)
     said = fields(soaked, 0)
+    assert_on_page(said, "soak")
     words = " ".join(said["wrong"])
     assert not said["passed"]
     for word in ("TOO LATE", "FAILED: timed out", "bridge leaks sockets", "does not stand"):

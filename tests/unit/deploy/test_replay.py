@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from json_fields import assert_on_page
 
 from deploy.drive.config import CONFIG_FILE, POLICY_FILE, DriveConfig, attachments
 from deploy.drive.controller import Controller
@@ -282,6 +283,7 @@ def test_the_command_says_same_or_different_by_its_exit_code(recorded, policy, t
     save_policy(path, nudged_leak(policy, 9))
     assert shell(["replay", str(recorded), "--policy", str(path), "--json"]) == 1
     fields = json.loads(capsys.readouterr().out)
+    assert_on_page(fields, "replay")
     assert fields["difference"]["tick"] == 0
     assert not fields["same"]
 

@@ -1,58 +1,78 @@
-"""The fields of ``--json`` as commands print them, against their description in docs/cli.md."""
+"""The fields of ``--json`` as commands print them, against the page of JSON results."""
 
 import json
-import re
+from importlib.metadata import entry_points
 
 import pytest
-from paths import DATA, ROOT
+import reference_pages
+from json_fields import assert_on_page, described
+from paths import DATA
 from recorded_drives import write_drive
+from result_fields import RESULTS
 from tutorials import PAGES, write_files
 
+from rover_ncp import cli
 from rover_ncp.cli import run
 
 SHORT = str(DATA / "short_course.yaml")
-PAGE = (ROOT / "docs" / "cli.md").read_text()
-SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL))
-BY_NAME = {"commits", "ended", "failures", "ranges", "circuits", "std", "tasks", "best"}
-"""Fields whose own keys are names: of reasons, neurons and the like."""
+TABLES = "random-circuits, policy-gradients, networks"
+FINDINGS = "explain with or without --task, besides"
+STACK = ["eval --trials", "eval --trials --stack, besides"]
 SEQUENCES = [
-    [f"course check {SHORT}", "course new poses.yaml --out made.yaml"],
-    [f"eval parking --course {SHORT}", f"eval parking --course {SHORT} --trials 2 --randomize mild"],
-    [f"eval course --course {SHORT} --stack --trials 2"],
-    ["eval wall.yaml --task wall:FollowWall-v0 --trials 2"],
-    [f"train --course {SHORT} --agents 1 --iterations 2 --processes 1 --out run", "report run"],
-    [f"train --randomize mild --course {SHORT} --iterations 1 --rollouts 2 --random-courses 0 --out run"],
-    ["train --task wall:FollowWall-v0 --circuit wall.yaml --iterations 1 --rollouts 1 --out run"],
-    ["export parking --to yaml --out mine", "urdf p3at", "recover drive.mcap"],
-    [f"explain parking --course {SHORT}", "explain wall.yaml --task wall:FollowWall-v0", "report drive.mcap"],
-    [f"paper {what}" for what in ("status", "networks", "parameters", "time-constants", "contributions")],
+    {"course new aside.csv --out made.yaml": ["course"], "course check made.yaml": ["course"]},
+    {f"eval parking --course {SHORT}": ["eval"]},
+    {f"eval parking --course {SHORT} --trials 2 --randomize mild": ["eval --trials"]},
+    {f"eval course --course {SHORT} --stack --trials 2": STACK},
+    {"eval wall.yaml --task wall:FollowWall-v0 --trials 2": ["eval --task, an environment"]},
+    {
+        f"train --course {SHORT} --agents 1 --iterations 2 --processes 1 --out run": ["train"],
+        "report run": ["report"],
+    },
+    {
+        f"train --randomize mild --course {SHORT} --iterations 1 --rollouts 2 --random-courses 0 --out run": [
+            "train --randomize"
+        ]
+    },
+    {
+        "train --task wall:FollowWall-v0 --circuit wall.yaml --iterations 1 --rollouts 1 --out run": [
+            "train --task"
+        ]
+    },
+    {"export parking --to yaml --out mine": ["export"]},
+    {"urdf p3at": ["urdf"]},
+    {"recover drive.mcap": ["recover"], "report drive.mcap": ["report"]},
+    {"keys --out keys": ["keys"]},
+    {f"explain parking --course {SHORT} --out why": ["explain", FINDINGS]},
+    {"explain wall.yaml --task wall:FollowWall-v0": ["explain --task", FINDINGS]},
+    {"paper status": ["paper status"]},
+    {"paper networks": [f"paper {TABLES}"]},
+    *({f"paper {what}": [f"paper {what}"]} for what in ("parameters", "time-constants", "contributions")),
 ]
+"""Commands with the headings of their fields."""
+UNSEEN = ("model", "profile", "groups.unfinished.")
+UNSEEN += tuple(f"phases.{name}." for name in ("behind", "rival", "pulls", "change"))
+"""Fields that are printed only with an option or an event that these commands lack."""
 
 
-def fields(value):
-    """Yield the keys of an object and of those in it."""
-    if isinstance(value, list):
-        for item in value:
-            yield from fields(item)
-    elif isinstance(value, dict):
-        for key, inner in value.items():
-            yield key
-            if key not in BY_NAME:
-                yield from fields(inner)
-
-
-@pytest.mark.parametrize("commands", SEQUENCES, ids=lambda commands: commands[0].split()[0])
-def test_every_field_that_a_command_prints_is_described(commands, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("commands", SEQUENCES, ids=lambda commands: next(iter(commands)).rsplit("/")[0])
+def test_page_has_the_fields_that_a_command_prints(commands, tmp_path, monkeypatch, capsys):
     [page] = [page for page in PAGES if page.stem == "own_task"]
     write_files(page, tmp_path)
     write_drive(tmp_path / "drive.mcap", course=SHORT)
-    poses = "poses:\n- {x: 0.0, y: 0.0, theta: 0.0}\n- {x: 0.5, y: 0.0, theta: 0.0}\n"
-    (tmp_path / "poses.yaml").write_text(poses)
+    (tmp_path / "aside.csv").write_text("x,y,theta\n0,0,0\n0,0.5,0\n")
     monkeypatch.chdir(tmp_path)
-    for command in commands:
+    for command, headings in commands.items():
         assert run([*command.split(), "--json"]) in (0, 1), command
         found = json.loads(capsys.readouterr().out)
         assert "error" not in found, (command, found)
-        described = set(re.findall(r"`([^`]+)`", SECTIONS[command.split()[0]]))
-        missing = {key for key in fields(found) if key not in described}
-        assert not missing, (command, missing)
+        assert_on_page(found, *headings, unseen=UNSEEN)
+
+
+def test_page_lists_the_fields_of_every_command():
+    page = reference_pages.results_page()
+    commands = {heading.split()[0] for heading in RESULTS}
+    assert commands == {point.name for point in entry_points(group=cli.GROUP)}
+    for heading in RESULTS:
+        section = page.split(f"\n## {heading}\n")[1].split("\n## ")[0]
+        assert described(heading)
+        assert all(f"\n| `{path}` |" in section for path in described(heading))

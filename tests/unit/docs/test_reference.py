@@ -29,7 +29,7 @@ def test_an_example_is_valid_and_has_every_key_that_its_file_needs(name):
     assert not missing or name in OPTIONAL
 
 
-@pytest.mark.parametrize("name", ["commands.md", "files.md", "keys.md"])
+@pytest.mark.parametrize("name", ["commands.md", "files.md", "keys.md", "results.md"])
 def test_a_generated_page_is_that_of_the_present_code(name):
     page = (ROOT / "docs" / "reference" / name).read_text()
     assert page == reference_pages.reference_pages()[name], "make reference writes it"

@@ -1,6 +1,7 @@
 """Circuits on Gymnasium environments: the episodes are the environment's own, and misfits are named."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -9,8 +10,10 @@ from tutorials import PAGES, write_files
 
 from rover_ncp.circuit.policy import PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError
 from sim import api
+from sim.explain.training import write_page
 from sim.learn.environment import MOST_STEPS, EnvironmentEvaluator
 from sim.learn.search.base import draw_seeds
 
@@ -139,9 +142,20 @@ def test_training_is_the_same_after_an_interruption_and_for_any_number_of_proces
     for name in ("policy.yaml", "curve.csv", "search.json", "settings.yaml"):
         assert (folder / "parts" / name).read_bytes() == (folder / "whole" / name).read_bytes(), name
     assert load_policy(whole.path).sensing.inputs == ("far", "heading")
+    with pytest.raises(UsageError, match=rf"explain whole/policy\.yaml --task {TASK}"):
+        write_page(Path("whole"))
 
 
 def test_a_circuit_without_sensing_is_refused(folder):
     with pytest.raises(UsageError, match="needs a policy file"):
         api.train_task("run", task=TASK, circuit="parking")
     assert not (folder / "run").exists()
+
+
+def test_error_for_an_unknown_environment_differs_from_one_for_a_misfit(folder, capsys):
+    assert run(["eval", "wall.yaml", "--task", "Nowhere-v0"]) == 2
+    assert "no task Nowhere-v0: it is none of pendulum" in capsys.readouterr().err
+    assert run(["eval", "wall.yaml", "--task", "CartPole-v1"]) == 2
+    said = capsys.readouterr().err
+    assert "its observation has 4 entries" in said
+    assert "no task" not in said

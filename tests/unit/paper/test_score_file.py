@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from bnn_text import circuit_to_bnn
+from json_fields import assert_on_page
 
 from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
@@ -35,6 +36,7 @@ def test_a_published_circuit_plays_its_benchmark(trained, tmp_path, capsys):
     yaml.write_text(circuit_to_yaml(circuit))
     code, clamped = evaluate(capsys, str(yaml), "--task", "mountain-car")
     assert code == 0
+    assert_on_page(clamped, "eval --task, a benchmark of the paper")
     assert clamped["return"] == pytest.approx(result.mean, abs=3.0)  # other episodes of the same circuit
     assert clamped["ranges"] == {"position": 1.0, "velocity": 0.02}
     _, unclamped = evaluate(capsys, str(bnn), "--task", "mountain-car")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from json_fields import assert_on_page
 from typer.testing import CliRunner
 
 from sim.benchmarks import train as bench_train
@@ -57,6 +58,7 @@ def test_the_searches_are_compared_by_what_training_gives(
         last = [agent.value for agent in agents]
         assert summary["passed"]["-30"] == sum(value > -30 for value in last)
         assert summary["passed"]["-8"] == sum(value > -8 for value in last)
+    assert_on_page(found, "bench search")
     assert len(rows) == 3 * len(SearchName)
     alone = run("search", "--search", "published", "--iterations", "40", "--agents", "3", "--seed", "4")
     assert (
@@ -76,6 +78,7 @@ def test_the_speeds_and_their_shares(monkeypatch: pytest.MonkeyPatch) -> None:
     timed = ("published", "gauss-newton")
     monkeypatch.setattr(bench_train, "SearchName", timed)
     found = run("train", "--iterations", "6")
+    assert_on_page(found, "bench train")
     assert set(found["iterations_per_s"]) == set(timed)
     assert all(value > 0 for speeds in found["iterations_per_s"].values() for value in speeds.values())
     assert [row["lanes"] for row in found["cost_by_lanes"]] == [1, 6, 8]

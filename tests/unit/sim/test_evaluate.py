@@ -73,6 +73,8 @@ def test_scores_a_published_circuit_with_sensors_that_are_not_clamped(files):
         "error_m": expected.verdict.error_m,
         "error_rad": expected.verdict.error_rad,
         "rms_m": expected.rms_m,
+        "model": None,
+        "scaled": [],
     }
     assert fields["return"] == pytest.approx(-47.06, abs=0.02)  # by the published simulator
 

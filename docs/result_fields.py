@@ -1,0 +1,206 @@
+"""The fields of the JSON that commands print, read from the code that makes them."""
+
+import ast
+from collections.abc import Iterator
+from itertools import chain, pairwise, takewhile
+from pathlib import Path
+from typing import Any
+
+RESULTS = {
+    "park": "sim.park.park:run_park train=:_train",
+    "train": "sim.learn.commands:train rover_ncp.course.course:Verdict",
+    "train --randomize": "sim.learn.commands:_train_robust sim.learn.record:_CourseSettings :RobustSettings",
+    "train --task": "sim.learn.commands:_train_task sim.learn.record:TaskSettings",
+    "eval": "sim.evaluate.commands:_drive_once rover_ncp.course.course:Verdict "
+    "sim.evaluate.courses:fitted_courses",
+    "eval --trials": "sim.evaluate.evaluate:Evaluation error_m=:Spread error_rad=:Spread "
+    "sim.evaluate.courses:fitted_courses sim.evaluate.trial_runs:run_trials",
+    "eval --trials --stack, besides": "sim.evaluate.trial_runs:_totals :_through_stack "
+    "estimate=sim.stack.estimates:summary estimate.error_m=:_percentiles "
+    "estimate.predicted_error_m=:_percentiles",
+    "eval --trials --live, besides": "sim.evaluate.trial_runs:_totals :_live live=:_apart "
+    "apart_m=sim.evaluate.evaluate:Spread apart_rad=:Spread",
+    "eval --task, a benchmark of the paper": "sim.paper.score_file:score_circuit",
+    "eval --task, an environment": "sim.evaluate.commands:_play_environment",
+    "bench train": "sim.benchmarks.train:_parts :bench_train share=:_shares",
+    "bench search": "sim.benchmarks.search:bench_search strategies.NAME=:_summary",
+    "bench deploy": "sim.benchmarks.deploy:bench_deploy rates=:_measure rates=:latencies "
+    "rates.odometry_to_command_ms=:quantiles rates.bare_half_round_trip_ms=:quantiles "
+    "rates.tick_jitter_ms=:quantiles",
+    "paper run": "sim.paper.commands:paper made=sim.paper.results:RunName made=sim.paper.commands:_make",
+    "paper status": "groups=sim.paper.selection:coverage "
+    "groups.unfinished=sim.paper.published_search:read_partial",
+    "paper replay": "sim.paper.commands:_replay differ=sim.paper.results:RunName",
+    "paper random-circuits, policy-gradients, networks": "sim.paper.tables:table_fields cells=:Row "
+    "cells=:Row.fields cells.published=:Published",
+    "paper claims": "claims=sim.paper.claims:Claim",
+    "paper comparisons": "comparisons=sim.paper.comparison:Comparison.fields comparisons=:Effect",
+    "paper parameters": "tasks=sim.paper.tables:parameters tasks=sim.paper.tasks:Settings",
+    "paper time-constants": "sim.paper.interpretation:parking_time_constants",
+    "paper contributions": "sim.paper.interpretation:parking_contributions",
+    "paper curves, lesions, disturbances": "sim.paper.commands:_draw lesions=sim.paper.lesions:lesion_study "
+    "disturbances=sim.paper.disturbance:disturbance_study",
+    "soak": "sim.faults.soak_report:fields rounds=:_round_fields processes.NAME=sim.faults.losses:Leaks",
+    "mock": "sim.pioneer.run:run_mock :_of_firmware",
+    "bridge": "bridge.app:run_bridge",
+    "export": "rover_ncp.export.commands:export",
+    "urdf": "bridge.commands:urdf",
+    "deploy": "deploy.app:_result deploy.drive.control_loop:Drive.measurements_used deploy.app:run "
+    "deploy.recorder:Recorder.fields",
+    "teleop": "deploy.teleop.teleop:run deploy.recorder:Recorder.fields",
+    "identify": "rover_ncp.core.robot_profile:RoverProfile deploy.identify.run:_write_profile",
+    "course": "deploy.report.commands:course problems=rover_ncp.course.feasibility:Problem",
+    "replay": "deploy.commands:replay difference=deploy.replay:Difference",
+    "check": "deploy.preflight.command:check findings=deploy.preflight.preflight:Finding",
+    "keys": "rover_ncp.core.commands:keys",
+    "recover": "rover_ncp.core.commands:recover",
+    "explain": "sim.explain.explain:Explanation.fields run=rover_ncp.course.course:Verdict "
+    "knock_outs=sim.explain.what_if:Knockout sensitivities=:Sensitivity sim.explain.commands:explain",
+    "explain --task": "sim.explain.task:TaskExplanation.fields knock_outs=:TaskKnockout "
+    "sensitivities=sim.explain.what_if:Sensitivity sim.explain.commands:explain",
+    "explain with or without --task, besides": "deploy.report.findings:Findings.fields phases=:_phase "
+    "phases.motor=deploy.report.phases:Mean phases.rival=:Mean phases.behind=:Mean phases.pulls=:Mean "
+    "phases.change=:Change contributions=deploy.report.interpretation:Contribution "
+    "time_constants=:TimeConstant",
+    "report": "sim.explain.commands:report",
+    "watch": "deploy.watch.server:run",
+}
+"""By command: the code of its fields as ``module:name``, of those of an object ``a`` as ``a=module:name``.
+
+A place without a module is in the module of the place before it. A function returns the object, or gives it
+to ``Output.result``. A comment that begins with ``#:``, behind a key or above it, describes the key.
+"""
+COMMON = {
+    "p50": "median",
+    "p95": "95th percentile",
+    "p99": "99th percentile",
+    "p99_9": "99.9th percentile, from 10,000 samples on",
+    "max": "largest",
+    "parked": "whether the rover parked",
+    "reason": "why it did not park, or empty",
+    "error_m": "final position error",
+    "error_rad": "final heading error",
+    "std": "standard deviation",
+    "model": "the robot's description, if one was named",
+    "scaled": "lines on the courses that were changed for the robot",
+    "seed": "of random numbers",
+    "bytes_to_base": "over the bridge's line",
+    "bytes_from_base": "over the bridge's line",
+    "predicted": "ticks without fresh odometry",
+    "missed": "ticks that did not run",
+    "overruns": "predicted and missed ticks",
+    "mean": "mean return, with the bonus where the task has one",
+    "plain_mean": "mean return without bonus",
+    "published": "the paper's",
+    "p_holm": "p corrected for the number of tasks",
+    "source": "the neuron that acts",
+    "destination": "the neuron that it acts on",
+    "sign": "of the contribution, by Definition 1 of the paper",
+}
+"""Meanings by the last name of a field that is not described where it is made."""
+_ROOT = Path(__file__).parents[1]
+
+
+def result_fields(command: str) -> dict[str, str]:
+    """Return the fields of a command's JSON with their meanings."""
+    found: dict[str, str] = {}
+    module = ""
+    for entry in RESULTS[command].split():
+        prefix, _, place = entry.rpartition("=")
+        module = place.partition(":")[0] or module
+        if prefix and not prefix.endswith("NAME"):
+            found.setdefault(prefix, "")
+        for path, meaning in _Source(module, place.partition(":")[2]).fields():
+            whole = f"{prefix}.{path}" if prefix else path
+            if not whole.endswith("NAME"):
+                found[whole] = found.get(whole) or meaning
+    order = list(found)
+    paths = sorted(found, key=lambda path: order.index(path.split(".")[0]))
+    return {path: found[path] or COMMON.get(path.split(".")[-1], "") for path in paths}
+
+
+def noted(node: Any) -> dict[str, str]:
+    """Return the fields of a class, each with its ``description`` or the text below it."""
+    found = {}
+    for field, below in pairwise([*node.body, None]):
+        if isinstance(field, ast.AnnAssign):
+            words = [each.value for each in getattr(field.value, "keywords", []) if each.arg == "description"]
+            words += [below.value] if isinstance(below, ast.Expr) else []
+            found[ast.unparse(field.target)] = words[0].value if words else ""
+    return found
+
+
+class _Source:
+    """A class or a function, found in the file of its module."""
+
+    def __init__(self, module: str, name: str) -> None:
+        text = (_ROOT / f"{module.replace('.', '/')}.py").read_text()
+        self._lines, self._node = text.splitlines(), ast.parse(text)
+        for part in name.split("."):
+            named = (node for node in ast.walk(self._node) if getattr(node, "name", None) == part)
+            self._node: Any = next(node for node in named if not isinstance(node, ast.alias))
+        self._nodes = list(ast.walk(self._node))
+        self._open: set[str] = set()
+
+    def fields(self) -> Iterator[tuple[str, str]]:
+        """Yield the paths of all fields with their meanings."""
+        if isinstance(self._node, ast.ClassDef):
+            yield from noted(self._node).items()
+            return
+        calls = [node for node in self._nodes if isinstance(node, ast.Call) and node.args]
+        printed = [call.args[0] for call in calls if getattr(call.func, "attr", "") == "result"]
+        for value in printed or [node.value for node in self._nodes if isinstance(node, ast.Return)]:
+            yield from self._keys(value)
+
+    def _keys(self, value: Any) -> Iterator[tuple[str, str]]:
+        """Yield the keys of an expression that is an object, or a list of objects."""
+        match value:
+            case ast.Dict():
+                for key, inner in zip(value.keys, value.values, strict=True):
+                    yield from self._keys(inner) if key is None else self._key(key, inner)
+            case ast.DictComp(generators=[ast.comprehension(iter=ast.Tuple(elts=names))]):
+                for name in names:
+                    yield from self._key(value.key, value.value, name.value)
+            case ast.DictComp():
+                yield from self._key(value.key, value.value)
+            case ast.IfExp(body=first, orelse=second):
+                yield from chain(self._keys(first), self._keys(second))
+            case ast.BinOp() | ast.ListComp() | ast.List() | ast.Tuple():
+                for part in ast.iter_child_nodes(value):
+                    yield from self._keys(part)
+            case ast.Name(id=name) if name not in self._open:
+                self._open.add(name)
+                yield from self._assigned(name)
+                self._open.remove(name)
+
+    def _key(self, key: Any, value: Any, name: str = "NAME", at: Any = None) -> Iterator[tuple[str, str]]:
+        """Yield a key with what is inside it; ``name`` is that of a loop's variable."""
+        parts = key.values if isinstance(key, ast.JoinedStr) else [key]
+        path = "".join(part.value if isinstance(part, ast.Constant) else name for part in parts)
+        yield path, self._meaning(at or key)
+        for inner, meaning in self._keys(value):
+            yield f"{path}.{inner}", meaning
+
+    def _assigned(self, name: str) -> Iterator[tuple[str, str]]:
+        """Yield the keys of a variable, from what is assigned to it or to its keys, or appended to it."""
+        for node in self._nodes:
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == f"{name}.append":
+                yield from self._keys(node.args[0])
+            if not isinstance(node, ast.Assign | ast.AnnAssign | ast.AugAssign):
+                continue
+            for target in getattr(node, "targets", None) or [node.target]:
+                match target:
+                    case ast.Name(id=own) if own == name:
+                        yield from self._keys(node.value)
+                    case ast.Subscript(value=ast.Name(id=own), slice=key) if own == name:
+                        yield from self._key(key, node.value, at=target)
+
+    def _meaning(self, key: Any) -> str:
+        """Return the comment behind a key that begins its line, or above it."""
+        line = self._lines[key.lineno - 1]
+        if line[: key.col_offset].strip():
+            return ""
+        _, _, text = line.partition("  #: ")
+        before = map(str.strip, self._lines[key.lineno - 2 :: -1])
+        above = [line.removeprefix("#: ") for line in takewhile(lambda line: line.startswith("#: "), before)]
+        return text or " ".join(above[::-1])

@@ -14,7 +14,7 @@ from rover_ncp.core.config import dump_yaml, parse_yaml, read_yaml
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording
 from rover_ncp.core.robot_description import RobotDescription
-from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.core.robot_profile import OF_THE_GROUND, RoverProfile
 from rover_ncp.course.course import Course
 
 POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
@@ -83,6 +83,10 @@ def settings_for(rover: RoverProfile | None, described: RobotDescription | None 
         "heading_rad": max(usual.heading_rad, rover.noise_rad or 0.0),
         "slip_s": rover.slip_s or 0.0,
     }
+    # Taken as measured: an unmeasured robot's values are those of level ground.
+    known |= {name: getattr(rover, name) or 0.0 for name in OF_THE_GROUND}
+    if slides := [std for name, std in rover.std.items() if name in {"downhill_x_m", "downhill_y_m"}]:
+        known["downhill_std_m"] = max(slides)
     for name, (value, std) in measured.items():
         if value is None:
             continue

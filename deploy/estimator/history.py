@@ -98,9 +98,7 @@ class History:
     ) -> None:
         s = self._settings = settings
         self._ekf: Any = _Filter(dim_x=SIZE, dim_z=5)
-        x, P = initial(s)
-        x[POSE] = pose.x, pose.y, wrap_angle(pose.theta)
-        x[OWN] = own.x, own.y, wrap_angle(own.theta)
+        x, P = initial(s, own, pose)
         P[POSE, POSE] = covariance
         deviations = [s.position_m, s.position_m, s.heading_rad, s.speed_m_s, s.turn_rad_s]
         self._noise = np.diag(np.square(deviations))

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.estimator.settings import EstimatorSettings
-from rover_ncp.core.geometry import wrap_angle
+from rover_ncp.core.geometry import Pose, compose, wrap_angle
 
 X, Y, THETA, OWN_X, OWN_Y, OWN_THETA, V, OMEGA, TURN = range(9)
 DISTANCE, GAIN, PULL, CENTER, DOWN_X, DOWN_Y, DRIFT, BIAS, DELAY = range(9, 18)
@@ -49,10 +49,17 @@ class Step(NamedTuple):
     noise: Array
 
 
-def initial(settings: EstimatorSettings) -> tuple[Array, Array]:
-    """Return state and covariance of a rover that stands at both origins, its course pose exact."""
+def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, Array]:
+    """Return state and covariance of a rover that stands at a ``pose`` (course frame), which is exact.
+
+    ``own`` is the pose in odometry's own frame.
+    """
     s = settings
     x, deviations = np.zeros(SIZE), np.zeros(SIZE)
+    x[POSE] = pose.x, pose.y, wrap_angle(pose.theta)
+    x[OWN] = own.x, own.y, wrap_angle(own.theta)
+    slide = compose(Pose(0.0, 0.0, pose.theta), Pose(s.downhill_x_m, s.downhill_y_m, 0.0))
+    x[DOWNHILL] = slide.x, slide.y
     x[[DISTANCE, GAIN, PULL, CENTER, DELAY]] = (
         s.distance_gain,
         s.turn_gain,
@@ -78,7 +85,7 @@ def initial(settings: EstimatorSettings) -> tuple[Array, Array]:
 def true_motion(x: Array, settings: EstimatorSettings) -> tuple[float, float, float]:
     """Return the true speed ahead and to the left (m/s) and the turn rate (rad/s)."""
     v, omega = float(x[V]), float(x[OMEGA])
-    turn = float(x[GAIN]) * omega * (1.0 - settings.slip_s * abs(omega)) + float(x[PULL]) * v
+    turn = float(x[GAIN]) * _turned(omega, settings)[0] + float(x[PULL]) * v
     return float(x[DISTANCE]) * v, float(x[CENTER]) * turn, turn
 
 
@@ -117,25 +124,25 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     heading = x[THETA] + 0.5 * turn
     cos, sin = math.cos(heading), math.sin(heading)
     dx, dy = cos * ahead - sin * left, sin * ahead + cos * left
-    downhill = x[DOWNHILL]
+    center, downhill = x[CENTER], x[DOWNHILL]
     moved[[X, Y]] += np.array([dx, dy]) + abs(turn) * downhill
     moved[THETA] = wrap_angle(x[THETA] + turn)
     moved[TURN] += turn
     jacobian[X, THETA], jacobian[Y, THETA] = -dy, dx
-    center = x[CENTER]
     by_unseen[POSE] = -0.5 * dy - center * sin, 0.5 * dx + center * cos, 1.0
     by_unseen[[X, Y]] += math.copysign(1.0, turn) * downhill
     by_unseen[TURN] = 1.0
     by_way += x[PULL] * by_unseen
     by_way[X] += x[DISTANCE] * cos
     by_way[Y] += x[DISTANCE] * sin
-    by_turn += x[GAIN] * (1.0 - 2.0 * s.slip_s * abs(omega)) * by_unseen
+    turned, by_omega = _turned(omega, s)
+    by_turn += x[GAIN] * by_omega * by_unseen
     jacobian[:, V] += dt * by_way
     jacobian[:, OMEGA] += dt * by_turn
     jacobian[X, DISTANCE], jacobian[Y, DISTANCE] = v * dt * cos, v * dt * sin
     jacobian[X, CENTER], jacobian[Y, CENTER] = -turn * sin, turn * cos
     jacobian[X, DOWN_X] = jacobian[Y, DOWN_Y] = abs(turn)
-    jacobian[:, GAIN] += omega * (1.0 - s.slip_s * abs(omega)) * dt * by_unseen
+    jacobian[:, GAIN] += turned * dt * by_unseen
     jacobian[:, PULL] += v * dt * by_unseen
 
     noise = np.zeros((SIZE, 11))
@@ -149,6 +156,12 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     noise[GAIN, 9] = s.turn_gain_walk * math.sqrt(angle)
     noise[CENTER, 10] = s.rotation_center_walk_m * math.sqrt(angle)
     return Step(moved, jacobian, noise @ noise.T)
+
+
+def _turned(omega: float, settings: EstimatorSettings) -> tuple[float, float]:
+    """Return the true turn rate over the turn gain, without the pull, and its derivative by ω."""
+    slip, to_left = settings.slip_s * abs(omega), math.copysign(settings.turn_asymmetry, omega)
+    return omega * (1.0 - slip + to_left), 1.0 - 2.0 * slip + to_left
 
 
 def _acceleration_noise(by_way: Array, by_turn: Array, dt: float, settings: EstimatorSettings) -> Array:

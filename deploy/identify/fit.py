@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
 from deploy.identify.motion_log import MotionLog
-from deploy.identify.odometry_fit import fit_center, fit_distance, fit_turns, stands_beside
+from deploy.identify.odometry_fit import Fit, fit_center, fit_distance, fit_turns, stands_beside
 from rover_ncp.core.robot_profile import RoverProfile
 
 FloatArray = NDArray[np.float64]
@@ -50,6 +50,9 @@ WIDEST = {
     "delay_omega_s": WIDEST_S,
     "imbalance_rad_m": 0.03,
     "slip_s": 0.15,
+    "turn_asymmetry": 0.05,
+    "downhill_x_m": 0.01,
+    "downhill_y_m": 0.01,
     "rotation_center_m": 0.03,
 }
 """The same, SI."""
@@ -76,16 +79,14 @@ def identify(log: MotionLog, name: str) -> RoverProfile:
         measured["external_poses"] = len(log.external.t)
         beside = stands_beside(log, stands, (STEP_M, STEP_RAD))
         if way := fit_distance(beside):
-            found["odometry_distance"] = _Value(float(way.values[0]), math.sqrt(way.covariance[0, 0]))
+            found |= _named(("odometry_distance",), way)
             odometry = OdometryErrors(np.append(way.values, 0.0), np.pad(way.covariance, (0, 1))), odometry[1]
         if turn := fit_turns(log, beside):
-            names = "odometry_heading", "slip_s", "imbalance_rad_m"
-            deviations = np.sqrt(np.diag(turn.covariance))
-            for key, value, std in zip(names, turn.values.tolist(), deviations.tolist(), strict=False):
-                found[key] = _Value(value, std)
+            names = "odometry_heading", "slip_s", "imbalance_rad_m", None, "turn_asymmetry"
+            found |= _named(names, turn)
             odometry = odometry[0], OdometryErrors(turn.values[:2], turn.covariance[:2, :2])
         if center := fit_center(beside):
-            found["rotation_center_m"] = _Value(float(center.values[0]), math.sqrt(center.covariance[0, 0]))
+            found |= _named(("rotation_center_m", "downhill_x_m", "downhill_y_m"), center)
     for axis, keys in enumerate((("delay_v_s", "accel", "gain_v"), ("delay_omega_s", "alpha", "gain_omega"))):
         fitted = identify_axis(log, axis, odometry[axis])
         if fitted is not None:
@@ -100,6 +101,13 @@ def identify(log: MotionLog, name: str) -> RoverProfile:
         }
         | {key: float(f"{value:.5g}") for key, (value, _) in sure.items()}
     )
+
+
+def _named(names: Sequence[str | None], fit: Fit) -> dict[str, _Value]:
+    """Return the values of a fit that have a name."""
+    deviations = np.sqrt(np.diag(fit.covariance)).tolist()
+    values = map(_Value, fit.values.tolist(), deviations)
+    return {name: value for name, value in zip(names, values, strict=True) if name}
 
 
 def _sure(key: str, found: _Value) -> bool:

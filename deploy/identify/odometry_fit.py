@@ -110,9 +110,11 @@ def fit_distance(stands: Sequence[Stand]) -> Fit | None:
 
 
 def fit_turns(log: MotionLog, stands: Sequence[Stand]) -> Fit | None:
-    """Fit heading scale, slip (s), imbalance (rad/m) and drift (rad/s), in this order.
+    """Fit heading scale, slip (s), imbalance (rad/m), drift (rad/s) and asymmetry, in this order.
 
-    turn = scale · (true turn + slip · ∫|ω|ω dt − imbalance · way) + drift · time. None if intervals are few.
+    turn = scale · (true turn + slip · ∫|ω|ω dt − imbalance · way − asymmetry · |true turn|) + drift · time.
+    On a slope, gravity turns a rover with its weight off the middle to one side as its tyres slide: the
+    asymmetry, which belongs to the ground and the heading. None if intervals are few.
     """
     turns, true_turns, motions, ways, seconds = [], [], [], [], []
     times, (v, omega) = log.odometry.t, log.motion.T
@@ -124,37 +126,42 @@ def fit_turns(log: MotionLog, stands: Sequence[Stand]) -> Fit | None:
         motions.append((times[span], omega[span]))
         ways.append(float(np.trapezoid(v[span], times[span])))
         seconds.append((b.begin_s + b.end_s - a.begin_s - a.end_s) / 2.0)
-    if len(turns) < 6:
+    if len(turns) < 7:
         return None
     turn, true_turn, way, second = (np.array(column) for column in (turns, true_turns, ways, seconds))
 
     def residuals(x: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
-        scale, slip, imbalance, drift = x
+        scale, slip, imbalance, drift, asymmetry = x
         slipped = np.array([_slipped(times, rate / scale, slip) for times, rate in motions])
-        found: FloatArray = scale * (true_turn + slip * slipped - imbalance * way) + drift * second - turn
+        unseen = imbalance * way + asymmetry * np.abs(true_turn)
+        found: FloatArray = scale * (true_turn + slip * slipped - unseen) + drift * second - turn
         return found[kept]
 
     variances = np.array([(stand.own_variance + stand.true_variance)[2] for stand in stands])
     covariance = np.diag(variances[:-1] + variances[1:])
     beside = np.arange(len(turn) - 1)
     covariance[beside, beside + 1] = covariance[beside + 1, beside] = -variances[1:-1]
-    limits = [(0.0, math.inf), (0.0, SLIP_MAX_S), (-math.inf, math.inf), (-math.inf, math.inf)]
-    return _fitted(residuals, [1.0, 0.01, 0.0, 0.0], covariance, limits)
+    free = -math.inf, math.inf
+    limits = [(0.0, math.inf), (0.0, SLIP_MAX_S), free, free, free]
+    return _fitted(residuals, [1.0, 0.01, 0.0, 0.0, 0.0], covariance, limits)
 
 
 def fit_center(stands: Sequence[Stand]) -> Fit | None:
-    """Fit the centre of rotation (m): lateral velocity over turn rate; None from fewer than three turns.
+    """Fit the centre of rotation (m), lateral velocity over turn rate, and the slide downhill (m/rad).
 
-    Turning on the spot from heading a to b moves the rover by center · (cos b − cos a, sin b − sin a).
+    Turning on the spot from heading a to b moves the rover by center · (cos b − cos a, sin b − sin a) +
+    slide · |b − a|. The slide's x points along the first stand's heading. None from fewer than three turns.
     """
+    heading = stands[0].true[2] if stands else 0.0
+    ahead, left = (math.cos(heading), math.sin(heading)), (-math.sin(heading), math.cos(heading))
     moves, arcs, rows = [], [], []
     for row, (a, b) in enumerate(pairwise(stands)):
         spot = math.hypot(*(b.own - a.own)[:2]) < SPOT_M
         if spot and abs(b.own[2] - a.own[2]) > LEAST_TURN_RAD:
             moves.append((b.true - a.true)[:2])
-            arcs.append(
-                [math.cos(b.true[2]) - math.cos(a.true[2]), math.sin(b.true[2]) - math.sin(a.true[2])]
-            )
+            arc = math.cos(b.true[2]) - math.cos(a.true[2]), math.sin(b.true[2]) - math.sin(a.true[2])
+            angle = abs(b.true[2] - a.true[2])
+            arcs += [[arc[i], angle * ahead[i], angle * left[i]] for i in range(2)]
             rows.append(row)
     if len(rows) < 3:
         return None
@@ -164,9 +171,9 @@ def fit_center(stands: Sequence[Stand]) -> Fit | None:
         if rows[i + 1] == rows[i] + 1:
             covariance[i, i + 1] = covariance[i + 1, i] = -variances[rows[i + 1]]
     both = np.kron(covariance, np.eye(2)).astype(np.float64)
-    move, arc = np.ravel(moves), np.ravel(arcs)
+    move, design = np.ravel(moves), np.array(arcs)
     limits = -CENTER_MAX_M, CENTER_MAX_M
-    return _fitted(lambda x, kept: (x[0] * arc - move)[kept], [0.0], both, [limits], limits)
+    return _fitted(lambda x, kept: (design @ x - move)[kept], [0.0] * 3, both, [limits] * 3, limits)
 
 
 def _slipped(times: FloatArray, rate: FloatArray, slip: float) -> float:

@@ -37,6 +37,9 @@ _WORDS: dict[str, tuple[str, float, str]] = {
     "odometry_heading": ("odometry's turn over the true one", 1.0, ""),
     "imbalance_rad_m": ("unseen turn on the way", 1000.0, "mrad/m"),
     "rotation_center_m": ("centre of rotation behind the middle", 1000.0, "mm"),
+    "turn_asymmetry": ("unseen turn to the left, on this ground", 1000.0, "mrad/rad"),
+    "downhill_x_m": ("slide ahead on a turn, on this ground", 1000.0, "mm/rad"),
+    "downhill_y_m": ("slide to the left on a turn, on this ground", 1000.0, "mm/rad"),
     "slip_s": ("share of a turn that slips away", 1.0, "per rad/s"),
 }
 """Of each value of a profile: its name, unit and factor for people."""

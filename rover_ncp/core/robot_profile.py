@@ -37,6 +37,12 @@ class RoverProfile(StrictModel):
     """Lateral velocity over turn rate: the rover turns about a point so far behind its middle."""
     imbalance_rad_m: float | None = None
     """Turn per way that no encoder sees."""
+    turn_asymmetry: float | None = Field(default=None, ge=-0.5, le=0.5)
+    """On a slope: unseen turn to the left per turned angle."""
+    downhill_x_m: float | None = Field(default=None, ge=-0.5, le=0.5)
+    """On a slope: slide per turned angle (m/rad), along the heading at the start."""
+    downhill_y_m: float | None = Field(default=None, ge=-0.5, le=0.5)
+    """The same, to the left of it."""
     slip_s: float | None = Field(default=None, ge=0)
     """Share of a turn that slips away unseen, per rad/s."""
     drift_rad_s: float | None = None
@@ -48,6 +54,10 @@ class RoverProfile(StrictModel):
     """Standard deviation of each value above that was fitted, by its name and in its unit."""
     measured: dict[str, Any] = Field(default_factory=dict)
     """How it was found: by whom, from what, how well it fits."""
+
+
+OF_THE_GROUND = "turn_asymmetry", "downhill_x_m", "downhill_y_m"
+"""Values of a profile that hold where it was measured, for a rover that starts in the same direction."""
 
 
 def load_profile(path: str | Path) -> RoverProfile:

@@ -34,6 +34,8 @@ def settings_of(ranges: Randomization, known: RoverProfile, *, measured: bool) -
     """
     settings = settings_for(known)
     spread = _of_ground(ranges.skid_steer) if ranges.skid_steer else {}
+    if known.downhill_x_m is not None:
+        spread.pop("downhill_std_m", None)
     if not measured:
         if ranges.skid_steer:
             wheels = ranges.skid_steer.wheel_radius / math.sqrt(3.0)

@@ -24,7 +24,7 @@ from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_description import RobotDescription, load_description
-from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.core.robot_profile import OF_THE_GROUND, RoverProfile
 from rover_ncp.course.course import Course, Verdict
 from sim.evaluate.commands import Place
 from sim.evaluate.driver import Driver
@@ -127,7 +127,8 @@ class Stack:
         ranges = levelled(self.ranges) if place is Place.LEVEL else self.ranges
         drawn = draw_rover(ranges, self.description, None, seed=self.seed, number=number)
         stream = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number, 3)))
-        return self._completed(identified(drawn, self.description, self.identify_camera, stream))
+        found = self._completed(identified(drawn, self.description, self.identify_camera, stream))
+        return found.model_copy(update=dict.fromkeys(OF_THE_GROUND)) if place is Place.LEVEL else found
 
     def drive(self, number: int) -> Driven:
         """Drive a trial from power-up to the motors' release."""

@@ -29,7 +29,7 @@ from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance
 from rover_ncp.core.recording import Recorded
-from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.core.robot_profile import OF_THE_GROUND, RoverProfile
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.virtual import VirtualBridge, VirtualLink
@@ -120,6 +120,7 @@ def truth(ranges: Randomization, trials: Trials) -> dict[str, float]:
         "rotation_center_m": rotation_center_m,
         "imbalance_rad_m": float(trials.imbalance[0]),
         "slip_s": float(trials.slip[0]),
+        **dict.fromkeys(OF_THE_GROUND, 0.0),  # level
     }
 
 

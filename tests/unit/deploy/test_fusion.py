@@ -151,6 +151,29 @@ def test_measured_errors_of_odometry_enter_the_estimate():
     assert pose.y == pytest.approx(center * math.sin(true_turn), abs=0.002)
 
 
+def test_the_slope_that_was_measured_enters_the_estimate():
+    profile = RoverProfile(
+        name="slope", turn_asymmetry=0.1, downhill_x_m=0.02, downhill_y_m=-0.03, std={"downhill_x_m": 0.002}
+    )
+    settings = settings_for(profile)
+    assert settings.downhill_std_m == 0.002
+    ends = []
+    for side in (1.0, -1.0):
+        estimator = Estimator(settings)
+        estimator.start(Pose(0.0, 0.0, math.pi / 2), 0.0)
+        for tick in range(1, 80):
+            rate = side * 0.2
+            estimator.odometry(
+                Pose(0.0, 0.0, math.pi / 2 + rate * DT * (tick - 0.5)), Velocity(0.0, rate), tick * DT
+            )
+        ends.append(estimator.at(79 * DT).pose)
+    turns = [math.remainder(end.theta - math.pi / 2, math.tau) for end in ends]
+    assert turns[0] + turns[1] == pytest.approx(0.1 * (turns[0] - turns[1]), abs=0.01)
+    assert turns[0] > 1.5
+    for end, turn in zip(ends, turns, strict=True):  # ahead at the start is y
+        assert (end.x, end.y) == pytest.approx((0.03 * abs(turn), 0.02 * abs(turn)), abs=0.002)
+
+
 @pytest.mark.parametrize("carried", [(0.3, 0.0, 0.0), (0.0, -0.3, 0.0), (0.0, 0.0, 0.3)])
 def test_a_rover_that_was_carried_or_turned_is_stopped_within_two_seconds(drives, carried):
     for drive in drives:

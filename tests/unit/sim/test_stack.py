@@ -13,7 +13,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, distance
-from rover_ncp.core.robot_profile import RoverProfile, load_profile
+from rover_ncp.core.robot_profile import OF_THE_GROUND, RoverProfile, load_profile
 from rover_ncp.course.course import load_course
 from sim.evaluate.commands import Place
 from sim.evaluate.driver import Driver, load_driver
@@ -266,6 +266,19 @@ def test_a_robot_that_was_identified_under_a_camera_drives_by_its_encoders():
     unknown = stack(SKIDDING, seed=7, course="parking").drive(1)
     known = stack(SKIDDING, seed=7, course="parking", identify=Place.HERE, identify_camera=good).drive(1)
     assert known.belief.error_m < 0.5 * unknown.belief.error_m
+
+
+def test_a_robot_that_was_identified_on_its_slope_drives_there_by_its_encoders():
+    # Gravity turns this one to the left by 0.15 rad per radian, whichever way it turns.
+    slope = load_randomization("slope", Body.MUJOCO)
+    known = stack(
+        slope, seed=990001, course="parking", identify=Place.HERE, identify_camera=Camera(delay_s=0.1)
+    )
+    profile = known._identified(18, Place.HERE)
+    assert profile.turn_asymmetry > 0.05
+    assert profile.odometry_heading < 0.8
+    assert {*OF_THE_GROUND} & set(known._identified(18, Place.LEVEL).model_dump(exclude_none=True)) == set()
+    assert known.drive(18).belief.error_m < 0.08
 
 
 def test_identification_on_level_ground_is_of_the_same_robot():

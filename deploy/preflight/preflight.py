@@ -29,6 +29,8 @@ V_M_S, OMEGA_RAD_S = 0.1, 0.2
 MOVE_S, PERIOD_S = 1.5, 0.05
 RATE_HZ, LISTEN_S = 8.0, 2.0
 """A base reports ten times a second; with fewer than eight, packets are lost."""
+LISTENS = 2
+"""Once more if odometry was rare: a busy moment of this computer says nothing of the robot."""
 RATE_SHARE, MOST_HZ = 0.8, 50.0
 """The same share of a described rate; a bridge passes on 50 reports a second at most."""
 BATTERY_V, BATTERY_WAIT_S = 11.5, 2.0
@@ -137,12 +139,15 @@ class Preflight:
         return found == self._robot.name, f"the bridge drives {found}, expected {self._robot.name}"
 
     def _check_odometry(self) -> tuple[bool, str]:
-        before = self._measurements.taken["odom"]
-        self._until(lambda: False, LISTEN_S)
-        rate = (self._measurements.taken["odom"] - before) / LISTEN_S
-        least = RATE_HZ
+        least, rate = RATE_HZ, 0.0
         if self._robot is not None:
             least = RATE_SHARE * min(self._robot.odometry.rate_hz, MOST_HZ)
+        for _ in range(LISTENS):
+            before = self._measurements.taken["odom"]
+            self._until(lambda: False, LISTEN_S)
+            rate = (self._measurements.taken["odom"] - before) / LISTEN_S
+            if rate >= least:
+                break
         return rate >= least, f"{rate:.1f} reports a second (at least {least:g})"
 
     def _check_battery(self) -> tuple[bool, str]:

@@ -3,12 +3,13 @@
 import json
 import re
 import threading
+from types import SimpleNamespace
 
 import pytest
 from bridge_bench import BRAKING_M_S2, Rig, wait_for
 from json_fields import undescribed
 
-from deploy.preflight.preflight import STANDING
+from deploy.preflight.preflight import STANDING, Battery, Preflight
 from rover_ncp import cli
 
 
@@ -49,6 +50,19 @@ def test_a_driver_is_warned_of_another_model(tmp_path, capsys):
     assert re.findall(r"drives (\S+), but --model is (\S+):", capsys.readouterr().out) == [
         ("p3at-sh", "turtlebot4")
     ]
+
+
+@pytest.mark.parametrize(("reports", "ok"), [([10, 20], True), ([10, 15], False)])
+def test_rare_odometry_is_listened_to_once_more(reports, ok):
+    counts, taken = iter(reports), {"odom": 0}
+
+    def listen(condition, timeout_s):
+        taken["odom"] += next(counts)
+
+    measurements, monitor = SimpleNamespace(taken=taken), SimpleNamespace(until=listen)
+    found, words = Preflight(None, measurements, monitor, Battery())._check_odometry()
+    assert found is ok
+    assert words == f"{reports[-1] / 2:.1f} reports a second (at least 8)"
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,9 @@ class Timeline:
         self.unreadable: Counter[str] = Counter()
         self.status: DriverStatus | None = None
         self.gate: GateStatus | None = None
+        """The newest state; its counters are this drive's."""
+        self._gate_before = GateStatus()
+        """The gate before the drive: its counters are since the bridge's start."""
         self._events: list[Event] = []
         self._course_odom: Pose | None = None
         self._readers = {
@@ -215,7 +218,10 @@ class Timeline:
         self._events += [Event(message.log_ns, *news) for news in _driver_news(before, self.status)]
 
     def _read_gate(self, message: Recorded) -> None:
-        before, self.gate = self.gate or GateStatus(), parse_json(GateStatus, read_text(message.data))
+        now, before = parse_json(GateStatus, read_text(message.data)), self.gate or GateStatus()
+        if not self.ticks and (self.gate is None or not now.lease):
+            self._gate_before = now
+        self.gate = _since(self._gate_before, now)
         self._events += [Event(message.log_ns, *news) for news in _gate_news(before, self.gate)]
 
     def _read_battery(self, message: Recorded) -> None:
@@ -231,6 +237,14 @@ class Timeline:
             self.predicted += 1
             words = f"no odometry in time: tick {index} ran on prediction"
             self._events.append(Event(message.log_ns, "late", words))
+
+
+def _since(before: GateStatus, now: GateStatus) -> GateStatus:
+    """Return the gate's state with the counters of the time between two states."""
+    more: dict[str, Any] = {"accepted": max(0, now.accepted - before.accepted)}
+    for name in ("dropped", "limited", "stops"):
+        more[name] = dict(Counter(getattr(now, name)) - Counter(getattr(before, name)))
+    return now.model_copy(update=more)
 
 
 def _driver_news(before: DriverStatus | None, now: DriverStatus) -> Iterator[tuple[str, str]]:

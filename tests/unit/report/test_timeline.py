@@ -69,15 +69,15 @@ def test_events_are_the_changes_of_driver_and_gate(short):
     states = [
         DriverStatus(state="armed"),
         DriverStatus(state="driving"),
-        DriverStatus(state="driving"),
-        GateStatus(accepted=11, held="bumper"),
-        GateStatus(accepted=11, held="bumper"),
-        GateStatus(accepted=12),
+        GateStatus(accepted=9, held="no-lease"),
+        GateStatus(lease=1, accepted=11, held="bumper"),
+        GateStatus(lease=1, accepted=11, held="bumper"),
+        GateStatus(lease=1, accepted=12),
         DriverStatus(state="driving", tick=14, overruns=1),
-        GateStatus(accepted=12, limited={"speed": 1}),
-        GateStatus(accepted=13, limited={"speed": 2}, dropped={"stale": 1}),
-        GateStatus(**held, stop_reason="a person"),
-        GateStatus(**held, ended="stopped"),
+        GateStatus(lease=1, accepted=12, limited={"speed": 1}),
+        GateStatus(lease=1, accepted=13, limited={"speed": 2}, dropped={"stale": 1}),
+        GateStatus(lease=1, **held, stop_reason="a person"),
+        GateStatus(lease=1, **held, ended="stopped"),
         DriverStatus(state="fault", reason="stopped by lease"),
     ]
     topics = {DriverStatus: "rover/status", GateStatus: "rover/gate"}
@@ -151,6 +151,30 @@ def test_bumper_counts_as_contact(short):
     bump = text("rover/gate", GateStatus(accepted=9, held="bumper", stops={"bumper": 1}), BEGAN_NS + 10**10)
     verdicts = timeline_of(policy, course, [*received, bump]).judge()
     assert {verdict.reason for verdict in verdicts.values()} == {"touched an obstacle"}
+
+
+def test_gate_decisions_of_earlier_drives_do_not_count(short):
+    policy, course, received, _ = short
+    earlier = {"accepted": 4000, "dropped": {"stale": 3}, "stops": {"bumper": 2, "stale": 1}}
+    first, last = received[0].log_ns, received[-1].log_ns
+    gates = [
+        text("rover/gate", GateStatus(**earlier), first - 2),
+        text("rover/gate", GateStatus(**earlier, lease=7), first - 1),
+        *received,
+        text(
+            "rover/gate",
+            GateStatus(accepted=4100, dropped={"stale": 5}, stops={"bumper": 2, "stale": 1}),
+            last + 1,
+        ),
+    ]
+    others = [message for message in gates if message.topic != "rover/gate" or message not in received]
+    timeline = timeline_of(policy, course, others)
+    assert timeline.gate.model_dump(include={"accepted", "dropped", "stops"}) == {
+        "accepted": 100,
+        "dropped": {"stale": 2},
+        "stops": {},
+    }
+    assert not any("touched" in verdict.reason for verdict in timeline.judge().values())
 
 
 def test_incomplete_recordings_are_rejected(tmp_path):

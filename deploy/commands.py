@@ -7,6 +7,7 @@ import typer
 
 from deploy.options import Namespace, Robot, ZenohConfig
 from rover_ncp.core.console import Json, Output, Overwrite
+from rover_ncp.core.files import USUAL_ROBOT
 
 
 def deploy(
@@ -135,6 +136,9 @@ def watch(
         str, typer.Option(help="The policy that drives, by name or file; the page draws its neurons.")
     ] = "course",
     course: Annotated[str, typer.Option(help="The course that is driven, by name or file.")] = "parking",
+    model: Annotated[
+        str, typer.Option(help="The robot's description, for its outline: a name or a YAML file.")
+    ] = USUAL_ROBOT,
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Where this machine serves the page; 0 takes a free port.")
     ] = 8080,
@@ -153,4 +157,4 @@ def watch(
     from deploy.zenoh_client import BridgeAddress
 
     address = BridgeAddress(robot, namespace, zenoh_config)
-    return run(address, policy, course, port, Output(json, controls=True))
+    return run(address, policy, course, port, Output(json, controls=True), model=model)

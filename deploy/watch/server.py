@@ -21,6 +21,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
+from deploy.report.charts.figure import outline_of
 from deploy.report.page.feed import Feed, Place
 from deploy.report.page.page import watch_page
 from deploy.watch.viewer import Viewer
@@ -29,6 +30,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import PortInUse, UnreachableError
 from rover_ncp.core.process import Interrupts
+from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import load_course
 
 HOST = "127.0.0.1"
@@ -36,11 +38,11 @@ INTERRUPTED = 130
 PERIOD_S = 0.1
 
 
-def run(address: BridgeAddress, policy: str, course: str, port: int, output: Output) -> int:
+def run(address: BridgeAddress, policy: str, course: str, port: int, output: Output, *, model: str) -> int:
     """Serve until interrupted. Raises RoverNcpError if it could not begin."""
     the_policy, the_course = load_policy(policy), load_course(course)
     feed = Feed(the_policy, the_course)
-    page = watch_page(address.robot, the_policy, the_course)
+    page = watch_page(address.robot, the_policy, the_course, outline_of(load_description(model)))
     with _listener(port) as listener, Viewer(address, feed.take) as viewer:
         url = f"http://{HOST}:{listener.getsockname()[1]}/"
         application = _application(page, feed, viewer, ending=lambda: server.should_exit)

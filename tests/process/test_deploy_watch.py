@@ -14,9 +14,13 @@ import pytest
 from recorded_drives import drive_messages
 
 from deploy.report.page.feed import Feed, Place
+from deploy.watch import server
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core import messages
+from rover_ncp.core.console import Output
+from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.protocol import DriverStatus, dump_json
 from rover_ncp.core.recording import Recorded
 from rover_ncp.course.course import load_course
@@ -117,6 +121,15 @@ def test_a_new_drive_begins_anew(short):
     for message in received:
         feed.take(message)
     assert len(feed.news(place)["ticks"]["t"]) == course.ticks
+
+
+@pytest.mark.parametrize(("model", "corners"), [("p3at-sh", 5), ("turtlebot4", 37)])
+def test_the_page_draws_the_robots_own_outline(short, monkeypatch, model, corners):
+    drawn = []
+    monkeypatch.setattr(server, "watch_page", lambda *parts: drawn.append(parts[-1]))
+    with pytest.raises(NoBridge):
+        server.run(BridgeAddress("tcp/127.0.0.1:9"), "parking", SHORT, 0, Output(False), model=model)
+    assert len(drawn[0]) == corners
 
 
 def test_waiting_for_a_drive_costs_no_memory(short):

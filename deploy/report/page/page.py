@@ -64,13 +64,13 @@ def drive_page(drive: Drive) -> str:
     )
 
 
-def watch_page(robot: str, policy: Policy, course: Course) -> str:
+def watch_page(robot: str, policy: Policy, course: Course, outline: FloatArray = OUTLINE) -> str:
     """Return the page of ``watch`` as HTML; its script gets all news from the server."""
     title = fragment("title", "waiting", "", "for the bridge")
     return page(
         "page.html",
         title=f"Watching {robot}",
-        data=_frame(policy, course),
+        data=_frame(policy, course, outline),
         html={"title": title},
         live=True,
     )

@@ -178,11 +178,15 @@ class Drive:
             self._controller.take(sample, self._start.seconds_to(ref.measured_ns))
             self._used.append(ref)
         error = self.predicted_error_m = self._controller.predicted_error_m(gyro=bool(readings))
+        if self._placed:
+            return
         words = f"predicted position error of the estimate at the goal: {error:.2f} m in 95 % of drives"
-        advice = "a gyro, external poses or a profile that 'identify' measured make it less"
-        if required is not None and not self._placed and error > required:
+        absent = {"a gyro": not readings, "a profile of 'identify'": self._config.rover is None}
+        ways = ["external poses", *(way for way, missing in absent.items() if missing)]
+        advice = f"{' or '.join(ways)} would make it less"
+        if required is not None and error > required:
             raise SafetyStop("accuracy", f"{words}, expected {required:g} m at most; {advice}")
-        if not readings and not self._placed:
+        if not readings:
             self._say(f"{words}; {advice}")
 
     def _drive(self) -> None:

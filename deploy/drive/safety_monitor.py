@@ -20,6 +20,8 @@ from rover_ncp.course.course import TICK_S
 
 POLL_S = 0.002
 
+PAUSE_S = 0.15
+"""Checks that are so far apart show that the driver did not run; it waits for 0.05 s at most."""
 WINDOW_TICKS = round(1.0 / TICK_S)
 LAG_TICKS = round(0.7 / TICK_S)
 SHORTEST_LAG_TICKS = round(0.1 / TICK_S)
@@ -57,6 +59,9 @@ class SafetyMonitor:
         self._granted_ns: int | None = None
         self._lease_confirmed = False
         self._response = ResponseCheck()
+        self._checked_ns: int | None = None
+        self._pause_s, self._pause_odometry = 0.0, measurements.newest
+        """The longest time between two checks since the newest odometry."""
 
     def wait(self, *, drives: bool = True) -> None:
         """Wait for bridge, permission (if it ``drives``) and odometry.
@@ -92,7 +97,7 @@ class SafetyMonitor:
 
     def granted(self) -> None:
         """Note that the lease is ours from now on; the gate has a limited time to confirm it."""
-        self._granted_ns = self._clock.monotonic_ns()
+        self._granted_ns = self._checked_ns = self._clock.monotonic_ns()
 
     def check(self) -> None:
         """Check bridge, age of odometry and lease. Raises SafetyStop or KeyboardInterrupt."""
@@ -101,14 +106,24 @@ class SafetyMonitor:
         if not self._link.bridge_alive:
             raise SafetyStop("bridge-lost", "the bridge is gone")
         assert self._measurements.newest is not None  # `wait` was called
-        age_s = (self._clock.monotonic_ns() - self._measurements.newest.ref.measured_ns) / NS
-        limit_s = self._timeouts.odometry_age_s
+        now_ns, newest = self._clock.monotonic_ns(), self._measurements.newest
+        self._note_pause(now_ns)
+        age_s, limit_s = (now_ns - newest.ref.measured_ns) / NS, self._timeouts.odometry_age_s
         if age_s > limit_s:
+            busy = f"; this computer was busy: the driver itself did not run for {self._pause_s:.2f} s"
             raise SafetyStop(
-                "odometry-age", f"the newest odometry is {age_s:.2f} s old (at most {limit_s} s)"
+                "odometry-age",
+                f"the newest odometry is {age_s:.2f} s old (at most {limit_s} s)"
+                + (busy if self._pause_s > PAUSE_S else ""),
             )
         if self._granted_ns is not None:
             self._check_lease(self._granted_ns)
+
+    def _note_pause(self, now_ns: int) -> None:
+        pause_s = 0.0 if self._checked_ns is None else (now_ns - self._checked_ns) / NS
+        if self._pause_odometry is not self._measurements.newest:
+            self._pause_s, self._pause_odometry = 0.0, self._measurements.newest
+        self._checked_ns, self._pause_s = now_ns, max(self._pause_s, pause_s)
 
     def _check_lease(self, granted_ns: int) -> None:
         gate, lease, now_ns = self._link.gate, self._link.lease, self._clock.monotonic_ns()

@@ -128,11 +128,15 @@ def test_a_rover_that_was_carried_away_is_stopped(bridge, drive, tmp_path):
     assert replay(tmp_path / "run.mcap").difference is None
 
 
-def test_without_the_required_accuracy_the_rover_is_not_driven(bridge, drive):
+def test_without_the_required_accuracy_the_rover_is_not_driven(bridge, drive, tmp_path):
     code, result = drive(require_accuracy_m=0.01)
     assert (code, result["stopped_by"]) == (4, "accuracy")
     assert result["predicted_error_m"] > 0.01
     assert "expected 0.01 m at most" in result["reason"]
+    assert result["reason"].endswith("external poses or a gyro or a profile of 'identify' would make it less")
+    (tmp_path / "mine.yaml").write_text("{name: mine, gain_v: 1.0}")
+    code, result = drive(require_accuracy_m=0.01, profile=tmp_path / "mine.yaml")
+    assert result["reason"].endswith("external poses or a gyro would make it less")
     assert bridge.requests == []
     bridge.odom = localised(bridge, inverse(ODOM_AT_START))
     code, result = drive(require_accuracy_m=0.01, duration_s=0.3)

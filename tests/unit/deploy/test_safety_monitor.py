@@ -1,0 +1,29 @@
+"""The words of a stop, on virtual time."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from deploy.drive.measurements import NS
+from deploy.drive.safety_monitor import SafetyMonitor
+from rover_ncp.core.errors import SafetyStop
+
+
+def stop_after(pauses_s):
+    """Check after each pause, with odometry of time 0 alone; return the words of the stop."""
+    now_ns = [0]
+    clock = SimpleNamespace(monotonic_ns=lambda: now_ns[0])
+    link = SimpleNamespace(bridge_alive=True)
+    newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=0))
+    monitor = SafetyMonitor(link, SimpleNamespace(newest=newest), lambda: False, clock=clock)
+    monitor.check()
+    with pytest.raises(SafetyStop, match="odometry-age") as stop:
+        for pause_s in pauses_s:
+            now_ns[0] += round(pause_s * NS)
+            monitor.check()
+    return str(stop.value)
+
+
+def test_old_odometry_is_not_blamed_on_the_robot_while_the_driver_did_not_run():
+    assert "this computer was busy: the driver itself did not run for 0.31 s" in stop_after([0.02, 0.31, 0.1])
+    assert "busy" not in stop_after([0.02] * 30)

@@ -105,7 +105,11 @@ def run(
             output.say(link.other_model(robot))
         recorder.open(files)
         with output.live(lambda: drive.progress):
-            drive.run({name: zlib.crc32(content) for name, content in files.items()})
+            try:
+                drive.run({name: zlib.crc32(content) for name, content in files.items()})
+            finally:
+                if drive.estimate is None:  # no tick: the recording would only be in the way of the next
+                    recorder.discard()
     fields = _result(drive, config) | {
         "policy": policy,  #: its name or file
         **recorder.fields,

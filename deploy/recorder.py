@@ -5,6 +5,7 @@ disk fails, recording ends, `Recorder.failure` gives the reason, and the drive g
 readable. A killed process loses at most the messages after the last flush.
 """
 
+import contextlib
 import queue
 import threading
 import time
@@ -76,6 +77,14 @@ class Recorder(ClosedAtExit):
         self._thread.join(CLOSE_TIMEOUT_S)
         if self._thread.is_alive():
             self.failure = self.failure or "the disk did not answer"
+
+    def discard(self) -> None:
+        """Close the recording and remove its file. A file that cannot be removed stays."""
+        self.close()
+        if self._thread is not None and self.path is not None:
+            with contextlib.suppress(OSError):
+                self.path.unlink()
+        self.path = None
 
     @property
     def fields(self) -> dict[str, Any]:

@@ -181,19 +181,22 @@ def test_a_rover_that_does_not_follow_its_commands_is_stopped(bridge, drive, gol
     assert result["ticks"] < 60
 
 
-def test_a_refusal_names_its_reason_and_moves_nothing(bridge, drive):
+def test_a_refusal_names_its_reason_moves_nothing_and_leaves_no_recording(bridge, drive, tmp_path):
     bridge.refusal = "stop-button"
     code, result = drive()
     assert (code, result["stopped_by"]) == (4, "stop-button")
     assert "refuses the motors: it is pressed" in result["reason"]
+    assert result["recording"] is None
+    assert not (tmp_path / "run.mcap").exists()
     assert [velocity for _, velocity in bridge.commands if velocity != STILL] == []
 
 
-def test_a_second_driver_gets_the_reason(bridge, drive):
+def test_a_second_driver_gets_the_reason(bridge, drive, tmp_path):
     bridge.gate = GateStatus(lease=LEASE + 1)
     bridge.refusal = "another-driver"
     with pytest.raises(AnotherDriver, match="refuses the motors"):
         drive()
+    assert not (tmp_path / "run.mcap").exists()
     assert [velocity for _, velocity in bridge.commands if velocity != STILL] == []
 
 

@@ -312,8 +312,11 @@ class Ros2Base:
         return [
             found
             for found in self._tokens
-            if found.topic == name and found.published == published and found.zid != self._line.zid
+            if found.topic == name and found.published == published and self._by_others(found)
         ]
+
+    def _by_others(self, found: Announced) -> bool:
+        return found.zid != self._line.zid
 
     # State.
 
@@ -364,7 +367,9 @@ class Ros2Base:
         types = sorted({found.ros_type for found in self._announced(self._topics.odom, published=True)})
         if types and types != [ODOMETRY]:
             return f"{where} has the type {', '.join(types)}, expected {ODOMETRY}"
-        published = sorted({found.topic for found in self._tokens if found.published})
+        published = sorted(
+            {found.topic for found in self._tokens if found.published and self._by_others(found)}
+        )
         known = f"published there: {', '.join(published[:8])}" if published else "no topic is announced there"
         return f"no {ODOMETRY} arrives on {where}; {known}"
 

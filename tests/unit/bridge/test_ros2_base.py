@@ -129,6 +129,13 @@ def test_missing_odometry_is_named_with_what_is_there(world):
     assert "published there: odometry/filtered" in world.last.reason
 
 
+def test_the_bridges_own_topics_are_not_named_as_the_robots(world):
+    world.tell(announced("wheel/odom", "nav_msgs/msg/Odometry"))
+    world.tell(TokenSeen(Announced("ours", True, "cmd_vel", "geometry_msgs/msg/Twist", "the bridge"), True))
+    world.run(7.0, odom=False)
+    assert world.last.reason.endswith("published there: wheel/odom")
+
+
 def test_an_announced_type_that_is_not_odometry_is_named(world):
     world.tell(announced("odom", "geometry_msgs/msg/PoseStamped"))
     world.run(7.0, odom=False)

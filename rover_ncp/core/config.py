@@ -5,6 +5,7 @@ typo is found; infinities and NaN are errors everywhere.
 """
 
 import reprlib
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -99,10 +100,8 @@ def validated(data: Any, model: type[ModelT], source: str) -> ModelT:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        items = error.errors()
-        # pydantic counts only the valid items of a list: one with a wrong item is also "too short".
-        wrong = [item for item in items if item["type"] != "too_short" or not _has_part_in(item, items)]
-        raise ConfigError(source, [_line(item, model) for item in wrong]) from error
+        other = _other_kind(data, model)
+        raise ConfigError(source, [other] if other else _lines(error.errors(), model)) from error
 
 
 def load_yaml(path: Path, model: type[ModelT]) -> ModelT:
@@ -116,12 +115,6 @@ def load_yaml(path: Path, model: type[ModelT]) -> ModelT:
 def dump_yaml(data: dict[str, Any]) -> str:
     """Return YAML whose numbers read back to the same bits, keys in the given order."""
     return str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110))
-
-
-def _has_part_in(item: Any, items: Sequence[Any]) -> bool:
-    """Return whether another problem lies inside the value of this one."""
-    depth = len(item["loc"])
-    return any(len(other["loc"]) > depth and other["loc"][:depth] == item["loc"] for other in items)
 
 
 def _known_keys(model: type[BaseModel], place: Sequence[Any]) -> list[str]:
@@ -141,16 +134,58 @@ def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from models_in(part)
 
 
-def _line(item: Any, model: type[BaseModel]) -> str:
-    path = "$"
-    for part in item["loc"]:
-        path += f"[{part}]" if isinstance(part, int) else f".{part}"
+KINDS = {
+    "a course": {"checkpoints"},
+    "a list of poses": {"poses"},
+    "a policy": {"sensing"},
+    "a circuit": {"synapses"},
+    "a robot's description": {"footprint", "based_on"},
+    "a robot's profile": {"gain_v", "measured"},
+}
+"""Kinds of files by top-level keys that no other kind has."""
+
+
+def _other_kind(data: Any, model: type[BaseModel]) -> str:
+    """Return what a file looks like if it is not of the model's kind; "" if it may be."""
+    expected = [kind for kind, keys in KINDS.items() if keys & set(model.model_fields)]
+    found = [kind for kind, keys in KINDS.items() if isinstance(data, dict) and keys & set(data)]
+    if not expected or not found or set(expected) & set(found):
+        return ""
+    return f"looks like {found[0]}, expected {expected[0]}"
+
+
+def _lines(errors: Sequence[Any], model: type[BaseModel]) -> list[str]:
+    """Return a line for each problem; the same one in several items of a list is one line with a count."""
+    outer = {item["loc"][:length] for item in errors for length in range(len(item["loc"]))}
+    keys: defaultdict[tuple[Any, str], list[str]] = defaultdict(list)
+    for item in errors:
+        keys[item["loc"][:-1], item["type"]] += item["loc"][-1:]
+    places: defaultdict[tuple[Any, str], list[str]] = defaultdict(list)
+    for item in errors:
+        loc, kind, text = item["loc"], item["type"], _text(item)
+        missing, unknown = keys[loc[:-1], "missing"], keys[loc[:-1], "extra_forbidden"]
+        misspelt = len(missing) == len(unknown) == 1
+        # pydantic counts only the valid items of a list, and a misspelt key as unknown and as missing.
+        if loc in outer or (misspelt and kind == "missing"):
+            continue
+        if kind == "extra_forbidden":
+            near = missing if misspelt else get_close_matches(str(loc[-1]), _known_keys(model, loc[:-1]), n=1)
+            text += f"; did you mean {near[0]}?" if near else ""
+        path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc)
+        items = tuple("" if isinstance(part, int) else part for part in loc)
+        places[items, text].append(f"${path}: {text}")
+    return [
+        first + (f" (also in {len(others)} other item{'s' if len(others) > 1 else ''})" if others else "")
+        for first, *others in places.values()
+    ]
+
+
+def _text(item: Any) -> str:
     message = item["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
     if item["type"] == "extra_forbidden":
-        near = get_close_matches(str(item["loc"][-1]), _known_keys(model, item["loc"][:-1]), n=1)
-        return f"{path}: unknown key" + (f"; did you mean {near[0]}?" if near else "")
+        return "unknown key"
     if item["type"] == "missing":
-        return f"{path}: this key is missing"
+        return "this key is missing"
     shown = _SHORT.repr(item["input"])
-    return f"{path}: {message}, got {shown if len(shown) <= 60 else shown[:57] + '...'}"
+    return f"{message}, got {shown if len(shown) <= 60 else shown[:57] + '...'}"

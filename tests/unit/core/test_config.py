@@ -41,6 +41,25 @@ def test_every_problem_is_reported_at_once_with_its_path():
     assert len(caught.value.problems) == 4
 
 
+def test_one_typo_in_many_items_is_one_clause():
+    wheels = "\n".join("- {radius_mm: 0.1, name: left}" for _ in range(8))
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(f"wheels:\n{wheels}", Base, "base.yaml")
+    assert caught.value.problems == (
+        "$.wheels[0].radius_mm: unknown key; did you mean radius_m? (also in 7 other items)",
+    )
+
+
+def test_bad_items_do_not_make_their_list_too_short():
+    class Pair(StrictModel):
+        wheels: tuple[Wheel, ...] = Field(min_length=2)
+
+    text = "wheels:\n- {radius_m: 0.1, name: left}\n- {radius_m: 0.1, label: right}\n"
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(text, Pair, "base.yaml")
+    assert caught.value.problems == ("$.wheels[1].label: unknown key; did you mean name?",)
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [

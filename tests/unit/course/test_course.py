@@ -2,8 +2,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import Course, load_course
 
@@ -24,6 +26,17 @@ def test_the_papers_course_has_its_checkpoints(parking):
     assert parking.goal == Pose(0.781439, 0.571493, 0.0)
     # A rover that never moves pays every checkpoint's squared distance: the paper's simulator gives -14.18.
     assert sum(p.x**2 + p.y**2 + p.theta**2 for p in parking.checkpoints) == pytest.approx(14.18, abs=0.005)
+
+
+def test_a_file_of_another_kind_is_named_in_one_clause(tmp_path):
+    poses = tmp_path / "poses.yaml"
+    poses.write_text("poses:\n- {x: 0, y: 0, theta: 0}\n- {x: 1, y: 0, theta: 0}\n")
+    with pytest.raises(ConfigError) as caught:
+        load_course(poses)
+    assert str(caught.value) == f"{poses}: looks like a list of poses, expected a course"
+    with pytest.raises(ConfigError) as caught:
+        load_policy(resolve("courses", "parking"))
+    assert caught.value.problems == ("looks like a course, expected a policy",)
 
 
 @pytest.mark.parametrize(("tick", "signal"), [(0, 0.0), (29, 0.0), (30, 1.0), (31, 1.0), (320, 1.0)])

@@ -77,7 +77,12 @@ def analyse(trace: Trace, threshold: float = THRESHOLD) -> Findings:
     moving = [each.phase for each in explanations if any(each.phase.signs)]
     potentials, sensing = trace.potentials, trace.policy.sensing.neurons
     driving = potentials[moving[0].first : moving[-1].last] if moving else potentials[:1]
-    senses = {neuron: label for neuron, label in labels(trace.policy).items() if neuron in sensing}
+    # Without an output layer, the phase's label says what its motor neuron does.
+    named = {
+        neuron: label
+        for neuron, label in labels(trace.policy).items()
+        if neuron in sensing or trace.policy.output_layer is not None
+    }
     return Findings(
         trace=trace,
         threshold=threshold,
@@ -85,7 +90,7 @@ def analyse(trace: Trace, threshold: float = THRESHOLD) -> Findings:
         driving=contributions(trace.neurons, driving, threshold=threshold),
         time_constants=time_constant_ranges(trace.policy.circuit, potentials, sensing),
         explanations=explanations,
-        sentences=tuple(sentence(each, senses) for each in explanations),
+        sentences=tuple(sentence(each, named, sensing) for each in explanations),
     )
 
 
@@ -101,7 +106,7 @@ def _phase(explained: Explanation, text: str) -> dict[str, Any]:
         "rival": explained.rival._asdict() if explained.rival else None,
         "behind": explained.behind._asdict() if explained.behind else None,  #: pulls most on it
         "by_leak": explained.by_leak,  #: whether the leak alone determines the motor neuron's potential
-        "activity": explained.activity,  #: how open that synapse is
+        "opening": explained.opening,  #: of the synapse of `behind`, 0 to 1; null for a gap junction
         "pulls": [pull._asdict() for pull in explained.pulls],  #: on the neuron behind, the strongest first
         "change": explained.change._asdict() if explained.change else None,  #: the pull that changed most
         "sentence": text,  #: all this in words

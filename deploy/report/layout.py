@@ -69,12 +69,41 @@ def layers(policy: Policy) -> tuple[str, ...]:
 
 
 def labels(policy: Policy) -> dict[str, str]:
-    """Return the inputs of sensory neurons and the outputs of motor neurons, as in ``omega > 0``."""
-    return {
-        neuron: channel.name if len(channel.sides) == 1 else f"{channel.name} {'>' if end > 0 else '<'} 0"
-        for channel in (*policy.sensing.channels, *policy.motors.channels)
-        for neuron, end in channel.sides
-    }
+    """Return the inputs of sensory neurons and the outputs of motor neurons, as in ``omega > 0``.
+
+    Of a channel that a layer mixes, the label has the two strongest parts: ``speed − heading > 0`` is sensed,
+    ``v > 0, omega < 0`` is driven. Parts below a quarter of the strongest are left out.
+    """
+    sensing, motors = policy.sensing, policy.motors
+    found: dict[str, str] = {}
+    for number, channel in enumerate(sensing.channels):
+        name = channel.name
+        if policy.input_layer is not None:
+            parts = _strongest(sensing.inputs, policy.input_layer[number])
+            plus, minus = ([part for part, weight in parts if weight * side > 0] for side in (1, -1))
+            name = " + ".join(plus) + "".join(f" − {part}" for part in minus)
+        for neuron, end in channel.sides:
+            one_sided = len(channel.sides) == 1 and policy.input_layer is None
+            found[neuron] = name if one_sided else f"{name.strip()} {'>' if end > 0 else '<'} 0"
+    for number, channel in enumerate(motors.channels):
+        layer = np.eye(len(motors.outputs)) if policy.output_layer is None else policy.output_layer
+        one_sided = len(channel.sides) == 1 and policy.output_layer is None
+        for neuron, end in channel.sides:
+            parts = _strongest(motors.outputs, end * layer[:, number])
+            driven = [name if one_sided else f"{name} {'>' if sign > 0 else '<'} 0" for name, sign in parts]
+            found[neuron] = ", ".join([*([found[neuron]] if neuron in found else []), *driven])
+    return found
+
+
+def label_lines(label: str) -> list[str]:
+    """Return a label as lines that fit between neighbours: each further part of a mixture on its own."""
+    return label.replace(" + ", "\n+ ").replace(" − ", "\n− ").split("\n")
+
+
+def _strongest(names: Sequence[str], weights: FloatArray) -> list[tuple[str, float]]:
+    """Return the two largest weights of a mixture, with their names, in the order of the names."""
+    least = max(np.sort(np.abs(weights))[-2:][0], 0.25 * np.abs(weights).max())
+    return [(name, float(w)) for name, w in zip(names, weights, strict=True) if abs(w) >= least]
 
 
 def name_scale(name: str) -> float:

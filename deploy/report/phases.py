@@ -1,10 +1,11 @@
 """Phases of a manoeuvre (driving straight, turning, standing) and the neurons that caused them, in numbers.
 
 A tick is labelled by the signs of its command; a command below a tenth of the circuit's range counts as zero.
-Phases shorter than half a second are merged with their longer neighbour. A phase is explained backwards from
-its output: the motor neuron with the largest share in it, the neuron whose synapse pulls most on that motor
-neuron, and the synapses that pull most on that neuron. Pulls are means over the phase in mV
-(`deploy.report.trace`). In a task that is no drive, the commands are the policy's outputs.
+Phases shorter than half a second are merged with their longer neighbour. A phase whose commands all count as
+zero but add up to a visible way or turn is named for it. A phase is explained backwards from its output: the
+motor neuron with the largest share in it, the neuron whose synapse pulls most on that motor neuron, and the
+synapses that pull most on that neuron. Pulls are means over the phase in mV (`deploy.report.trace`). In a
+task that is no drive, the commands are the policy's outputs.
 """
 
 from collections.abc import Sequence
@@ -24,6 +25,8 @@ FloatArray = NDArray[np.float64]
 V, OMEGA = 0, 1
 IDLE = 0.1
 SHORTEST_S = 0.5
+VISIBLE = (0.05, float(np.radians(10.0)))
+"""Way in m and turn in rad that a whole phase may command and still count as standing, or as straight."""
 LABELS: dict[tuple[int, ...], str] = {
     (0, 0): "standing still",
     (1, 0): "straight ahead",
@@ -99,10 +102,10 @@ class Explanation:
     """The neuron that pulls most on the motor neuron; None if it has no synapse."""
     by_leak: bool = True
     """Whether the leak, not a synapse, determines the motor neuron's potential."""
-    activity: str = ""
-    """Opening of that neuron's synapse: active (over a half), partly active, quiet (under a tenth)."""
+    opening: float | None = None
+    """Mean opening of that neuron's synapse, 0 to 1; None for a gap junction."""
     pulls: tuple[Mean, ...] = ()
-    """Pulls on the neuron behind, the strongest first."""
+    """Pulls on the neuron behind, the strongest first; none on a sensory neuron, which its input drives."""
     change: Change | None = None
     """The pull that changed most since the phase before."""
     swinging: tuple[Mean, ...] = ()
@@ -119,11 +122,9 @@ def phases(trace: Trace) -> tuple[Phase, ...]:
         longer = max((i for i in (short - 1, short + 1) if 0 <= i < len(runs)), key=lambda i: runs[i].ticks)
         runs[short] = _Run(runs[longer].signs, runs[short].ticks)
         runs = _joined(runs)
-    ends = np.cumsum([0, *(run.ticks for run in runs)]).tolist()
-    return tuple(
-        _phase(trace, run.signs, first, last)
-        for run, first, last in zip(runs, ends[:-1], ends[1:], strict=True)
-    )
+    if trace.outputs == Velocity._fields:
+        runs = _joined([_named(trace, *each) for each in _placed(runs)])
+    return tuple(_phase(trace, run.signs, first, last) for run, first, last in _placed(runs))
 
 
 def explain(trace: Trace) -> tuple[Explanation, ...]:
@@ -138,6 +139,19 @@ def explain(trace: Trace) -> tuple[Explanation, ...]:
 class _Run(NamedTuple):
     signs: tuple[int, ...]
     ticks: int
+
+
+def _placed(runs: Sequence[_Run]) -> list[tuple[_Run, int, int]]:
+    """Return each run with its first tick and the one after its last."""
+    ends = np.cumsum([0, *(run.ticks for run in runs)]).tolist()
+    return list(zip(runs, ends[:-1], ends[1:], strict=True))
+
+
+def _named(trace: Trace, run: _Run, first: int, last: int) -> _Run:
+    """Return a run whose signs are not 0 where commands that count as zero add up to a visible motion."""
+    moved = trace.commands[first:last].sum(axis=0) * trace.policy.tick_s
+    slow = np.where(np.abs(moved) >= VISIBLE, np.sign(moved), 0).astype(int).tolist()
+    return run._replace(signs=tuple(sign or other for sign, other in zip(run.signs, slow, strict=True)))
 
 
 def _signs(trace: Trace) -> NDArray[np.int64]:
@@ -191,13 +205,14 @@ def _explained(trace: Trace, currents: Currents, phase: Phase, before: Phase | N
     if synapse is None:
         return found
     behind = circuit.neurons[circuit.source[synapse]]
-    opening = 1.0 / (1.0 + np.exp(-circuit.sigma[synapse] * (trace.of(behind)[phase.ticks] - MIDPOINT_MV)))
+    above = trace.of(behind)[phase.ticks] - MIDPOINT_MV
+    opening = float((1.0 / (1.0 + np.exp(-circuit.sigma[synapse] * above))).mean())
     pulls = _pulls(trace, currents, behind, phase)
     return replace(
         found,
         behind=mean(behind),
         by_leak=bool(abs(currents.pull[phase.ticks, synapse].mean()) < LEAK_MV),
-        activity="active" if opening.mean() > 0.5 else "partly active" if opening.mean() > 0.1 else "quiet",
+        opening=opening if circuit.chemical[synapse] else None,
         pulls=pulls,
         change=_change(_pulls(trace, currents, behind, before), pulls) if before else None,
     )
@@ -233,6 +248,8 @@ def _strongest(trace: Trace, currents: Currents, neuron: str, phase: Phase) -> i
 
 def _pulls(trace: Trace, currents: Currents, neuron: str, phase: Phase) -> tuple[Mean, ...]:
     circuit = trace.policy.circuit
+    if neuron in trace.policy.sensing.neurons:
+        return ()
     synapses = np.flatnonzero(circuit.destination == circuit.index(neuron))
     means = currents.pull[phase.ticks, synapses].mean(axis=0)
     rows = [Mean(circuit.neurons[circuit.source[s]], float(m)) for s, m in zip(synapses, means, strict=True)]

@@ -1,6 +1,6 @@
 """The sentence for each phase of a manoeuvre."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -12,34 +12,36 @@ NAMED = 2
 """Most neurons that a sentence names on either side."""
 
 
-def sentence(explained: Explanation, senses: Mapping[str, str]) -> str:
-    """Describe a phase in one to three sentences; ``senses`` are the inputs of the sensory neurons."""
+def sentence(explained: Explanation, labels: Mapping[str, str], sensory: Collection[str]) -> str:
+    """Describe a phase in one to three sentences; ``labels`` are inputs and outputs of neurons."""
 
     def named(neuron: str) -> str:
-        return f"{neuron} [{senses[neuron]}]" if neuron in senses else neuron
+        return f"{neuron} [{labels[neuron]}]" if neuron in labels else neuron
 
     def listed(pulls: Sequence[Mean]) -> str:
         return " and ".join(
             f"{named(pull.neuron)} ({_mv(pull.mean_mV, sign=True)})" for pull in pulls[:NAMED]
         )
 
-    motor = f"{explained.motor.neuron} at {_mv(explained.motor.mean_mV)}"
+    motor = f"{named(explained.motor.neuron)} at {_mv(explained.motor.mean_mV)}"
     text = f"{_head(explained.phase)}: "
     if explained.by_leak:
         text += f"{motor} by its own leak"
     if explained.behind is not None:
         text += ", " if explained.by_leak else ""
-        text += f"{named(explained.behind.neuron)} {explained.activity} ({_mv(explained.behind.mean_mV)}), "
+        opening = "" if explained.opening is None else f"; its synapse {100 * explained.opening:.0f} % open"
+        text += f"{named(explained.behind.neuron)} ({_mv(explained.behind.mean_mV)}{opening}), "
         strongest = max(abs(pull.mean_mV) for pull in explained.pulls) if explained.pulls else 0.0
         strong = [p for p in explained.pulls if abs(p.mean_mV) >= max(WEAK_MV, WEAK_SHARE * strongest)]
         up, down = [p for p in strong if p.mean_mV > 0], [p for p in strong if p.mean_mV < 0]
         clauses = [f"driven by {listed(up)}"] if up else []
         clauses += [f"{'against' if up else 'held down by'} {listed(down)}"] if down else []
-        text += " ".join(clauses) or "left to its leak"
+        alone = "set by its input" if explained.behind.neuron in sensory else "left to its leak"
+        text += " ".join(clauses) or alone
     if not explained.by_leak:
         text += f"; it puts {motor}"
     if explained.rival is not None:
-        text += f"; against it {explained.rival.neuron} at {_mv(explained.rival.mean_mV)}"
+        text += f"; against it {named(explained.rival.neuron)} at {_mv(explained.rival.mean_mV)}"
     text += "."
     if explained.behind is not None and (change := explained.change) is not None:
         verb = "grew" if abs(change.now_mV) > abs(change.before_mV) else "fell"

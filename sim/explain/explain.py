@@ -3,6 +3,7 @@
 The run is simulated or recorded; the what-ifs are always simulated.
 """
 
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +41,7 @@ class Explanation:
     @property
     def title(self) -> str:
         """What was explained."""
-        return f"{self.policy.circuit.name} on {self.course.name}"
+        return f"Policy {self.policy.circuit.name} on course {self.course.name}"
 
     @property
     def ending(self) -> str:
@@ -89,10 +90,17 @@ def explain(
         trace,
         verdict,
         source=source,
-        command=f"rover-ncp explain {source}",
+        command=command_line(source, threshold, course=course),
         threshold=threshold,
         on_progress=on_progress,
     )
+
+
+def command_line(source: str | None, threshold: float, **options: str | None) -> str:
+    """Return the command that makes an explanation, without ``--out``."""
+    words = ["rover-ncp", "explain", *([source] if source else [])]
+    words += [word for name, value in options.items() if value for word in (f"--{name}", value)]
+    return shlex.join(words + ([] if threshold == THRESHOLD else ["--threshold", f"{threshold:g}"]))
 
 
 def explain_stored(

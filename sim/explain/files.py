@@ -97,7 +97,7 @@ def markdown(found: Explanation | TaskExplanation) -> str:
         f"Made by `{found.command} --out FOLDER`.\nThis run: {found.ending}.",
         "\n".join(f"{i}. {sentence}" for i, sentence in enumerate(found.findings.sentences, 1)),
         "A pull is how far one synapse moves the potential its neuron is heading for, in mV, as a mean over\n"
-        "the phase.",
+        "the phase. Of a mixture of inputs or outputs the two largest parts are named.",
         _images(["trajectory", "circuit", "activity"] if isinstance(found, Explanation) else ["circuit"]),
     ]
     for title, before, header, rows, after, pictures in sections(found):
@@ -120,11 +120,19 @@ def write(found: Explanation | TaskExplanation, folder: Path) -> list[Path]:
 
 
 def _without(found: Explanation) -> Section:
-    needed = sorted((row for row in found.knock_outs if not row.parked), key=lambda row: row.total)
-    spared = [row.title for row in found.knock_outs if row.parked and abs(row.change) < UNCHANGED]
+    parks = found.intact.verdict.parked
+    worse = [row for row in found.knock_outs if (not row.parked if parks else row.change <= -UNCHANGED)]
+    needed = sorted(worse, key=lambda row: row.total)
+    spared = [row.title for row in found.knock_outs if row not in needed and abs(row.change) < UNCHANGED]
+    before = (
+        f"Without any of these {len(needed)} it does not park:"
+        if parks
+        else f"The whole circuit does not park in simulation; its return is {number(found.intact.total, 2)}. "
+        f"Without any of these {len(needed)} the return is lower:"
+    )
     return Section(
         "Without a part",
-        f"Without any of these {len(needed)} it does not park:",
+        before,
         ["without", "return", "m from the goal"],
         [[row.title, number(row.total, 2), f"{row.error_m:.2f}"] for row in needed],
         _spared(spared),
@@ -193,13 +201,13 @@ def _tables(found: Explanation | TaskExplanation) -> dict[str, str]:
             ([*row, *PUBLISHED_TIME_CONSTANTS_S.get(row.neuron, (None, None))] for row in run.time_constants),
         ),
         "phases": _csv(
-            ["phase", *figures[1:], "motor", "behind", "activity", "sentence"],
+            ["phase", *figures[1:], "motor", "behind", "opening", "sentence"],
             (
                 [
                     *(getattr(one.phase, name) for name in figures),
                     one.motor.neuron,
                     one.behind and one.behind.neuron,
-                    one.activity,
+                    one.opening,
                     sentence,
                 ]
                 for one, sentence in zip(run.explanations, run.sentences, strict=True)

@@ -17,7 +17,7 @@ from deploy.report.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import UsageError
-from sim.explain.explain import Explanation, explain_stored
+from sim.explain.explain import Explanation, command_line, explain_stored
 from sim.explain.what_if import Sensitivity, damaged, part_title, sensitivities_of
 from sim.learn.environment import EnvironmentEvaluator, Play
 from sim.learn.search.base import Seeds, draw_seeds
@@ -85,7 +85,7 @@ class TaskExplanation:
     @property
     def title(self) -> str:
         """What was explained."""
-        return f"{self.policy.circuit.name} on {self.task}"
+        return f"Policy {self.policy.circuit.name} on {self.task}"
 
     @property
     def ending(self) -> str:
@@ -129,7 +129,7 @@ def explain_task(
 
     Raises UsageError, FileError and ConfigError.
     """
-    command = " ".join(["rover-ncp explain", *([source] if source else []), "--task", task])
+    command = command_line(source, threshold, task=task)
     known = TASKS.get(task)
     if known is not None and not isinstance(known, Benchmark):
         if source is not None:

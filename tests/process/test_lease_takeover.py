@@ -51,5 +51,5 @@ def test_1000_attempts_to_take_over_a_drive_fail_and_it_ends_parked(tmp_path, re
     assert len(attacker.answers) >= 0.4 * ATTEMPTS
     assert {answer["granted"] for answer in attacker.answers} == {False}
     assert not any("key" in answer for answer in attacker.answers)
-    assert {gate["driver_name"] for gate in attacker.gates} == {"", "policy tracking"}
+    assert {gate["driver_name"] for gate in attacker.gates} == {"", "policy course"}
     assert {gate["lease"] for gate in attacker.gates} == {0, 1}

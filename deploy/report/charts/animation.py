@@ -17,7 +17,7 @@ from deploy.report.charts.figure import (
     placed,
 )
 from deploy.report.charts.path import draw_course
-from deploy.report.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out, name_scale
+from deploy.report.layout import HEIGHT, RADIUS, WIDTH, label_lines, labels, lay_out, name_scale
 from deploy.report.trace import Trace, synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.course.course import Course
@@ -78,7 +78,7 @@ class _Drawing:
         beside.set_aspect("equal")
         beside.axis("off")
         beside.set_title(
-            f"{policy.circuit.name}: potentials and currents", loc="left", fontsize=10, color=INK
+            f"policy {policy.circuit.name}: potentials and currents", loc="left", fontsize=10, color=INK
         )
         current = np.abs(synapse_currents(policy.circuit, trace.potentials).current)
         self._widths = 0.3 + 4.0 * np.sqrt(current / max(float(current.max(initial=0.0)), 1e-12))
@@ -97,8 +97,9 @@ class _Drawing:
             size = 7.5 * name_scale(name)
             self._names.append(beside.text(x, y, name, fontsize=size, weight="bold", **text))
             away = -1 if name in policy.sensing.neurons else 1
-            meaning = meanings.get(name, "")
-            beside.text(x, y + away * (RADIUS + 14), meaning, fontsize=7.5, style="italic", **text)
+            meaning = "\n".join(label_lines(meanings.get(name, "")))
+            text |= {"va": "bottom" if away < 0 else "top"}
+            beside.text(x, y + away * (RADIUS + 5), meaning, fontsize=7.5, style="italic", **text)
 
     def show(self, tick: int) -> None:
         """Show the moment after a tick."""

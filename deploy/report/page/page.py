@@ -43,7 +43,7 @@ def drive_page(drive: Drive) -> str:
     verdict, _, reason = summary.headline.partition(": ")
     return page(
         "page.html",
-        title=f"{summary.headline}: {drive.policy.circuit.name} on {drive.course.name}",
+        title=f"{summary.headline}: policy {drive.policy.circuit.name} on course {drive.course.name}",
         data={
             **_frame(drive.policy, drive.course, drive.outline),
             "news": {

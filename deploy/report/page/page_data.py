@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from deploy.report.charts.figure import OUTLINE, FloatArray, rectangle, ring_radius
 from deploy.report.charts.path import deadlines
 from deploy.report.findings import Findings
-from deploy.report.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out, name_scale
+from deploy.report.layout import HEIGHT, RADIUS, WIDTH, label_lines, labels, lay_out, name_scale
 from deploy.report.timeline import Command, Moved, Tick, Timeline
 from deploy.report.trace import synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
@@ -55,6 +55,7 @@ def circuit_data(policy: Policy) -> dict[str, Any]:
                 "y": round(y, 1),
                 "label": meanings.get(name, ""),
                 "fits": name_scale(name) == 1.0,
+                "lines": label_lines(meanings.get(name, "")),
             }
             for name, layer, (x, y) in zip(circuit.neurons, layout.layers, layout.places, strict=True)
         ],

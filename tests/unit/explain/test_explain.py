@@ -1,5 +1,6 @@
 import csv
 import json
+import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -118,6 +119,21 @@ def test_command_writes_files_and_json_and_a_recording_is_explained_alike(tmp_pa
     assert sentences[0] == sentences[1]
     for name in ("contributions", "time_constants", "knock_outs", "sensitivities"):
         assert recorded[name] == fields[name]
+
+
+def test_a_circuit_that_does_not_park_is_not_said_to_need_its_parts_for_it(tmp_path, capsys):
+    command = ["explain", "docs/examples/policy.yaml", "--course", SHORT]
+    assert run([*command, "--out", str(tmp_path)]) == 0
+    written, said = (tmp_path / "explanation.md").read_text(), capsys.readouterr().out
+    assert f"Made by `rover-ncp {' '.join(command)} --out FOLDER`." in written
+    assert "it does not park:" not in written
+    assert "The whole circuit does not park in simulation" in written
+    (total,) = re.findall(r"its return is (−\d+\.\d+)\.", written)
+    rows = re.findall(r"^\| (.* → .*|neuron .*) \| (−\d+\.\d+) \| \d", written, re.MULTILINE)
+    assert rows
+    assert all(float(one.replace("−", "-")) < float(total.replace("−", "-")) for _, one in rows)
+    assert "The whole circuit does not park in simulation" in said
+    assert "\\n" not in said
 
 
 def test_figure_has_the_same_bytes_each_time(parking):

@@ -40,7 +40,7 @@ def test_command_explains_a_policy_on_an_environment(folder, capsys):
     labels = {phase["label"] for phase in fields["phases"]}
     assert labels <= {"turn positive", "turn negative", "turn about 0"}
     text = (folder / "why" / "explanation.md").read_text()
-    assert text.startswith("# wall on wall:FollowWall-v0\n")
+    assert text.startswith("# Policy wall on wall:FollowWall-v0\n")
     assert "`rover-ncp explain wall.yaml --task wall:FollowWall-v0 --out FOLDER`" in text
     assert "Table S7" not in text
     for name in ("circuit", "knock_outs", "sensitivities", "slopes"):

@@ -1,7 +1,9 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
-from deploy.report.layout import HEIGHT, RADIUS, WIDTH, lay_out, layers
+from deploy.report.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out, layers
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_policy
@@ -75,3 +77,15 @@ def test_synapse_of_a_neuron_on_itself_is_drawn():
 def test_sensory_neuron_onto_a_motor_neuron_stays_sensory():
     direct = build_circuit("direct", PARKING_NEURONS, [(SynapseKind.EXCITATORY, 0, 9, 1.0)])
     assert layers(parking_policy(direct))[0] == "sensory"
+
+
+def test_labels_name_the_largest_parts_of_a_mixture():
+    policy = load_policy("course")
+    found = labels(policy)
+    assert (found["FWD"], found["REV"]) == ("v > 0, omega < 0", "v > 0, omega > 0")
+    assert (found["PLM"], found["AVM"]) == ("speed − heading > 0", "speed − heading < 0")
+    # Of the row below, the second is less than a quarter of the first.
+    alone = policy.input_layer * [[0.0, 0.0, 0.0, 1.0, 0.3], [1.0, 1.0, 1.0, 1.0, 1.0]]
+    assert labels(dataclasses.replace(policy, input_layer=alone))["PLM"] == "speed > 0"
+    assert labels(dataclasses.replace(policy, input_layer=-alone))["PLM"] == "− speed > 0"
+    assert labels(load_policy("parking"))["PVD"] == "x"

@@ -74,6 +74,14 @@ def test_command_below_a_tenth_of_the_range_counts_as_zero():
     assert phases(trace_of([(0.0161, -0.0181)] * 9))[0].label == "right turn"
 
 
+def test_a_long_phase_is_named_for_what_its_small_commands_add_up_to():
+    creep, bend = (0.011, 0.0), (0.1, 0.017)  # below a tenth of 0.16 m/s and of 0.18 rad/s
+    found = phases(trace_of([LEFT] * 20 + [AHEAD] * 10 + [bend] * 140 + [creep] * 150))
+    assert [phase.label for phase in found] == ["left turn", "straight ahead"]
+    assert phases(trace_of([creep] * 40))[0].label == "standing still"
+    assert phases(trace_of([(-0.011, 0.0)] * 150))[0].label == "straight back"
+
+
 def test_short_phase_is_merged_with_its_longer_neighbour():
     found = phases(trace_of([LEFT] * 20 + [AHEAD] * 4 + [RIGHT] * 10))
     assert [(p.label, p.first, p.last) for p in found] == [("left turn", 0, 24), ("right turn", 24, 34)]
@@ -107,16 +115,25 @@ def test_a_left_turn_is_explained_from_its_numbers():
     ahead, left = found.explanations
     assert (ahead.motor.neuron, ahead.behind) == ("F", None)
     assert found.sentences[0] == "Straight ahead 0.0 to 1.0 s (0.10 m): F at −30 mV by its own leak."
-    assert (left.motor, left.behind, left.activity) == (("L", -25), ("A", -30), "active")
+    assert (left.motor, left.behind) == (("L", -25), ("A", -30))
     # By hand: A rests at -70 mV with 1 S; X at -20 mV opens 2 S by 1 / (1 + exp(-0.1 * 20)) = 0.8808.
     pull = -70 / (1 + 2 * 0.880797) + 70
     assert left.pulls == (("X", pytest.approx(pull)),)
     before = -70 / (1 + 2 * 0.047426) + 70  # X at -70 mV
     assert left.change == ("X", pytest.approx(before, abs=1e-4), pytest.approx(pull))
     assert found.sentences[1] == (
-        "Left turn 1.0 to 2.0 s (0.10 m, +9°): A active (−30 mV), driven by X [x] (+45 mV); "
+        "Left turn 1.0 to 2.0 s (0.10 m, +9°): A (−30 mV; its synapse 73 % open), driven by X [x] (+45 mV); "
         "it puts L at −25 mV. What changed: the pull of X [x] on A grew from +6 mV to +45 mV."
     )
+
+
+def test_a_sensory_neuron_before_a_motor_neuron_is_set_by_its_input():
+    circuit = build_circuit("direct", ["X", "Y", "L", "R", "F"], [(EX, 0, 2, 3.0), (EX, 1, 0, 3.0)])
+    small = small_policy()
+    policy = dataclasses.replace(small, circuit=circuit)
+    left, text = explained([[-25, -20, -30, -70, -30]] * 10, policy)
+    assert (left.behind, left.pulls, left.change) == (("X", -25), (), None)
+    assert "X [x] (−25 mV; its synapse 82 % open), set by its input; it puts L at −30 mV." in text
 
 
 def explained(potentials, policy=None):
@@ -131,7 +148,7 @@ def test_motor_neuron_without_strong_pull_acts_by_its_leak():
     quiet = [[-70, -70, -70, -30, -70, -30]] * 10
     left, text = explained(quiet, dataclasses.replace(policy, circuit=weak))
     assert left.by_leak
-    assert "L at −30 mV by its own leak, A quiet (−70 mV)" in text
+    assert "L at −30 mV by its own leak, A (−70 mV; its synapse 5 % open)" in text
 
 
 def test_rival_motor_neuron_is_named():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.files import shipped_names
 from rover_ncp.course.course import load_course
 from sim.evaluate.driver import load_driver
 from sim.evaluate.evaluate import evaluate, unseen_courses
@@ -39,3 +40,8 @@ def test_policy_contains_the_command_that_reproduces_it():
     assert policy.provenance["command"].startswith("rover-ncp train")
     assert policy.provenance["made_with"]["commit"]
     assert np.count_nonzero(policy.circuit.weight) <= 28
+
+
+@pytest.mark.parametrize("name", shipped_names("policies"))
+def test_a_shipped_policy_is_shown_under_the_name_by_which_it_is_asked_for(name):
+    assert load_policy(name).circuit.name == name

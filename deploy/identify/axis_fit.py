@@ -1,7 +1,8 @@
-"""Delay, acceleration and gain of one axis (speed or turn rate) from commands and reported motion.
+"""Delay, acceleration, deceleration and gain of one axis (speed or turn rate) from commands and reports.
 
 The model is the simulator's. A command takes effect after a delay, times a gain, and the motion approaches it
-with at most one acceleration, so it is piecewise linear in time. Odometry reports the motion times a scale.
+with at most an acceleration, or a deceleration while its size shrinks, so it is piecewise linear in time.
+Odometry reports the motion times a scale.
 For turns, unseen slip acts on both (`sim.world.randomization`). The uncertainty of scale and slip adds to
 that of the fit.
 
@@ -20,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import norm
 from scipy.stats import t as student
 
@@ -39,12 +40,14 @@ LEAST_MOTION = (0.05, 0.08)
 """An axis whose commands never exceeded this, in m/s and rad/s, is not fitted."""
 PAUSE_S = 0.3
 """A command that changes after so long without a change begins a block."""
-DIFFERENCES = (0.005, 0.002, 0.01)
-"""Steps of delay, gain and log acceleration for derivatives; commands of a driver are stairs of 20 ms."""
+DIFFERENCES = (0.005, 0.002, 0.01, 0.01)
+"""Steps of delay, gain and log accelerations for derivatives; commands of a driver are stairs of 20 ms."""
 LEAST_BLOCKS, FEW_BLOCKS = 3, 6
 """Fewer blocks give no estimate of their spread; with few, Student's quantile replaces 1.96 deviations."""
 SINGULAR = 1e12
 """Condition number beyond which a matrix counts as singular."""
+NEGLIGIBLE = 1e-3
+"""A value is not determined if a unit of it changes all samples by less than this share of SCALES."""
 MISFIT = 1.3
 """Residuals count as rounding if their mean square is at most so many times that of rounding."""
 OUTLIER = 5.0
@@ -59,14 +62,16 @@ class OdometryErrors(NamedTuple):
 
 
 class Axis(NamedTuple):
-    """One axis: s, m/s² or rad/s² (true), gain as odometry sees it; their standard deviations; SI."""
+    """One axis: s, gain as odometry sees it, m/s² or rad/s² (true); and their standard deviations; SI."""
 
     delay_s: float
-    acceleration: float
     gain: float
+    acceleration: float
+    deceleration: float
     delay_std: float
-    acceleration_std: float
     gain_std: float
+    acceleration_std: float
+    deceleration_std: float
     residual: float
     """Root mean square over the blocks that were kept, m/s or rad/s."""
 
@@ -82,34 +87,43 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
     sigma = _step(reported) / math.sqrt(12.0)
 
     def misses(x: FloatArray, errors: FloatArray = odometry.values) -> FloatArray:
-        motion = _modelled((times + x[0], values), x[1], usual * math.exp(x[2]), errors, t)
+        motion = _modelled((times + x[0], values), x[1], usual * np.exp(x[2:]), errors, t)
         found: FloatArray = motion - reported
         return found
 
     first = min(
         (
-            np.array([delay, 1.0, effort])
+            np.array([delay, 1.0, effort, effort])
             for delay in np.arange(0.0, DELAY_MAX_S, 0.04)
             for effort in (-0.7, 0.0, 1.5)
         ),
         key=lambda x: float(np.log1p(np.square(misses(x) / scale / 10.0)).sum()),
     )
-    bounds = [0.0, 0.3, math.log(BOUNDS[0])], [DELAY_MAX_S, 3.0, math.log(BOUNDS[1])]
-    steps = (0.05, 0.1, 0.2)
+    least, most = np.log(BOUNDS).tolist()
+    bounds = [0.0, 0.3, least, least], [DELAY_MAX_S, 3.0, most, most]
+    steps = (0.05, 0.1, 0.2, 0.2)
 
     def jacobian(x: FloatArray) -> FloatArray:
         return np.column_stack(
             [(misses(x + step) - misses(x - step)) / (2.0 * step.max()) for step in np.diag(DIFFERENCES)]
         )
 
-    x = least_squares(
-        lambda x: misses(x) / scale,
-        first,
-        lambda x: jacobian(x) / scale,
-        bounds=bounds,
-        loss="cauchy",
-        x_scale=steps,
-    ).x
+    def robust(ways: FloatArray, start: FloatArray) -> OptimizeResult:
+        """Fit the combinations ``ways`` (4, k) of the parameters from a start (k,)."""
+        count = len(start)
+        return least_squares(
+            lambda y: misses(ways @ y) / scale,
+            start,
+            lambda y: jacobian(ways @ y) @ ways / scale,
+            bounds=(bounds[0][:count], bounds[1][:count]),
+            loss="cauchy",
+            x_scale=steps[:count],
+        )
+
+    # The fit of short ramps has several minima: one of them is near that with one acceleration for both.
+    one = np.eye(4)[:, [0, 1, 2]] + np.eye(4)[:, [3]] * [0.0, 0.0, 1.0]
+    starts = first, one @ robust(one, first[:3]).x
+    x = min((robust(np.eye(4), start) for start in starts), key=lambda fit: float(fit.cost)).x
 
     begins = times[np.diff(times, prepend=-math.inf) > PAUSE_S]
     blocks = np.searchsorted(begins + x[0], t, side="right")
@@ -134,22 +148,22 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
         kept = ~np.isin(blocks, _outliers(misses(x), blocks, scale))
         if (kept == chosen).all() or not kept.any():
             break
-    covariance = _covariance(fit.jac, fit.fun, blocks[chosen], weights[chosen] * sigma, groups[chosen])
+    # Where commands change more slowly than the base could, they do not show an acceleration: it is left out.
+    seen = np.linalg.norm(fit.jac, axis=0) > NEGLIGIBLE * scale
+    slopes, covariance = fit.jac[:, seen], np.diag(np.where(seen, 0.0, np.inf))
+    covariance[np.ix_(seen, seen)] = _covariance(
+        slopes, fit.fun, blocks[chosen], weights[chosen] * sigma, groups[chosen]
+    )
     by_odometry = np.column_stack(
         [(misses(x, odometry.values + change) - misses(x))[chosen] / 1e-4 for change in 1e-4 * np.eye(2)]
     )
-    shift = np.linalg.lstsq(fit.jac, by_odometry * weights[chosen][:, None])[0]
-    deviations = np.sqrt(np.diag(covariance + shift @ odometry.covariance @ shift.T))
-    acceleration = usual * math.exp(x[2])
-    return Axis(
-        float(x[0]),
-        acceleration,
-        float(x[1]),
-        float(deviations[0]),
-        float(deviations[2]) * acceleration,
-        float(deviations[1]),
-        float(np.sqrt(np.mean(np.square(misses(x)[chosen])))),
-    )
+    shift = np.zeros((len(x), 2))
+    shift[seen] = np.linalg.lstsq(slopes, by_odometry * weights[chosen][:, None])[0]
+    units = np.append(np.ones(2), usual * np.exp(x[2:]))
+    deviations = units * np.sqrt(np.diag(covariance + shift @ odometry.covariance @ shift.T))
+    found = np.append(x[:2], units[2:])
+    residual = float(np.sqrt(np.mean(np.square(misses(x)[chosen]))))
+    return Axis._make([*found.tolist(), *deviations.tolist(), residual])
 
 
 def _changes(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -161,29 +175,36 @@ def _changes(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
 def _modelled(
     commands: tuple[FloatArray, FloatArray],
     gain: float,
-    acceleration: float,
+    limits: FloatArray,
     errors: FloatArray,
     t: FloatArray,
 ) -> FloatArray:
-    """Return the reported motion at ``t`` for commands at the times when they take effect."""
-    (due, asked), (scale, slip) = commands, errors.tolist()
+    """Return the reported motion at ``t`` for commands at the times when they take effect.
+
+    ``limits`` (2,) are acceleration and deceleration.
+    """
+    (due, asked), (scale, slip), (rise, fall) = commands, errors.tolist(), limits.tolist()
     targets = gain / scale * asked
     targets = targets * (1.0 - slip * np.abs(targets))
-    knots, speeds = [-math.inf], [0.0]
+    knots, speeds = [-1e9], [0.0]
     now, speed, target = -1e9, 0.0, 0.0
     for when, wanted in zip([*due.tolist(), math.inf], [*targets.tolist(), 0.0], strict=True):
-        reached = now + abs(target - speed) / acceleration
-        if reached < when:
+        # Through a change of sign the size first shrinks to 0.
+        for goal in (0.0, target) if speed * target < 0.0 else (target,):
+            limit = fall if abs(goal) < abs(speed) else rise
+            reached = now + abs(goal - speed) / limit
+            if reached < when:
+                speed = goal
+            else:
+                reached, speed = when, speed + math.copysign(limit * (when - now), goal - speed)
             knots.append(reached)
-            speeds.append(target)
-            speed = target
-        else:
-            speed += math.copysign(acceleration * (when - now), target - speed)
+            speeds.append(speed)
+            now = reached
         if when < math.inf:
             knots.append(when)
             speeds.append(speed)
         now, target = when, wanted
-    motion = np.interp(t, knots[1:], speeds[1:])
+    motion = np.interp(t, knots, speeds)
     found: FloatArray = scale * motion * (1.0 + slip * np.abs(motion))
     return found
 

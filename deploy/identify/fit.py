@@ -38,7 +38,9 @@ WIDEST_SHARE = {
     "gain_v": 0.03,
     "gain_omega": 0.03,
     "accel": 0.15,
+    "decel": 0.15,
     "alpha": 0.15,
+    "alpha_decel": 0.15,
     "noise_m": 0.25,
     "noise_rad": 0.25,
     "odometry_distance": 0.03,
@@ -56,6 +58,12 @@ WIDEST = {
     "rotation_center_m": 0.03,
 }
 """The same, SI."""
+
+
+_AXES = (
+    ("delay_v_s", "gain_v", "accel", "decel"),
+    ("delay_omega_s", "gain_omega", "alpha", "alpha_decel"),
+)
 
 
 class _Value(NamedTuple):
@@ -87,10 +95,10 @@ def identify(log: MotionLog, name: str) -> RoverProfile:
             odometry = odometry[0], OdometryErrors(turn.values[:2], turn.covariance[:2, :2])
         if center := fit_center(beside):
             found |= _named(("rotation_center_m", "downhill_x_m", "downhill_y_m"), center)
-    for axis, keys in enumerate((("delay_v_s", "accel", "gain_v"), ("delay_omega_s", "alpha", "gain_omega"))):
+    for axis, keys in enumerate(_AXES):
         fitted = identify_axis(log, axis, odometry[axis])
         if fitted is not None:
-            found |= {key: _Value(fitted[i], fitted[i + 3]) for i, key in enumerate(keys)}
+            found |= {key: _Value(fitted[i], fitted[i + 4]) for i, key in enumerate(keys)}
             measured[("v", "omega")[axis]] = {"residual": float(f"{fitted.residual:.3g}")}
     sure = {key: value for key, value in found.items() if _sure(key, value)}
     return RoverProfile.model_validate(

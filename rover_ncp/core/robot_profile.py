@@ -25,8 +25,12 @@ class RoverProfile(StrictModel):
     delay_v_s: float | None = _Delay
     """From a command's arrival at the base until the speed begins to change."""
     delay_omega_s: float | None = _Delay
-    accel: float | None = Field(default=None, gt=0, description="m/s², true, speeding up and braking")
+    accel: float | None = Field(default=None, gt=0, description="m/s², true")
+    decel: float | None = Field(
+        default=None, gt=0, description="m/s², true, while braking; None: in the description's ratio to accel"
+    )
     alpha: float | None = Field(default=None, gt=0, description="rad/s², true")
+    alpha_decel: float | None = Field(default=None, gt=0, description="rad/s², true, while braking")
     gain_v: float | None = _Factor
     """Speed over commanded speed, as odometry reports it."""
     gain_omega: float | None = _Factor

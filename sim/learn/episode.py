@@ -226,10 +226,10 @@ def start_episode(
     lanes.odometry[:, lane] = trials.start[trial]
     lanes.earlier[:, lane] = trials.start[trial]
     for axis in range(2):
-        factor = trials.acceleration[trial, axis]
+        faster, slower = trials.acceleration[trial, axis], trials.acceleration[trial, axis + 2]
         gain = trials.turning[trial, 0] if axis == 1 else 1.0
-        fleet.rise[axis, lane] = (tasks.limits[2 * axis] * factor) * SUBSTEP_S * gain
-        fleet.fall[axis, lane] = (tasks.limits[2 * axis + 1] * factor) * SUBSTEP_S * gain
+        fleet.rise[axis, lane] = (tasks.limits[2 * axis] * faster) * SUBSTEP_S * gain
+        fleet.fall[axis, lane] = (tasks.limits[2 * axis + 1] * slower) * SUBSTEP_S * gain
         fleet.delay[axis, lane] = trials.delay[trial, axis]
         fleet.turning[axis, lane] = trials.turning[trial, axis]
     put_at_start(trials, lanes, fleet, trial, lane)

@@ -149,11 +149,7 @@ class DriveTrain:
 
     def _real(self, limits: dict[str, float]) -> dict[str, float]:
         """Return the rover's real accelerations under the commanded ``limits``."""
-        trial = self._trial
-        return {
-            name: limit * (trial.effort_omega if name.startswith("alpha") else trial.effort_v)
-            for name, limit in limits.items()
-        }
+        return {name: limit * self._trial.efforts[name] for name, limit in limits.items()}
 
     def _wheels(self, v: float, omega: float) -> tuple[float, float]:
         return v - omega * self._half_track, v + omega * self._half_track

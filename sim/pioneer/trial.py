@@ -37,7 +37,9 @@ class BaseTrial:
         self._trials, self._row = trials, row
         self._base = base_errors(trials, row)
         self._odometry = odometry_errors(trials._replace(sensors=(False, False)), row)
-        self.effort_v, self.effort_omega = trials.acceleration[row].tolist()
+        self.efforts = dict(
+            zip(("accel", "alpha", "decel", "alpha_decel"), trials.acceleration[row].tolist(), strict=True)
+        )
         """Factors on the acceleration limits that are set in the base."""
         self.tick = -1
         """Before the first; and after the last there is neither loss nor push."""

@@ -103,14 +103,16 @@ def truth(ranges: Randomization, trials: Trials) -> dict[str, float]:
     odometry, limits = trials.odometry[0], MotionLimits()
     delay_v, delay_omega = (trials.delay[0] * SUBSTEP_S).tolist()
     gain_v, gain_omega = (trials.gain[0] * odometry).tolist()
-    effort_v, effort_omega = trials.acceleration[0].tolist()
+    accel, alpha, decel, alpha_decel = trials.acceleration[0].tolist()
     turn_gain, rotation_center_m = trials.turning[0].tolist()
     return {
         "delay_v_s": delay_v,
         "delay_omega_s": delay_omega,
         # As the bridge sets them in the base, in whole mm/s² and deg/s².
-        "accel": round(limits.accel * 1000) / 1000 * effort_v,
-        "alpha": math.radians(round(math.degrees(limits.alpha))) * effort_omega * turn_gain,
+        "accel": round(limits.accel * 1000) / 1000 * accel,
+        "decel": round(limits.decel * 1000) / 1000 * decel,
+        "alpha": math.radians(round(math.degrees(limits.alpha))) * alpha * turn_gain,
+        "alpha_decel": math.radians(round(math.degrees(limits.alpha_decel))) * alpha_decel * turn_gain,
         "gain_v": gain_v,
         "gain_omega": gain_omega,
         "noise_m": ranges.noise_m,

@@ -82,7 +82,7 @@ class Trials(NamedTuple):
     start: FloatArray
     """(N, 3) pose in the course's frame."""
     acceleration: FloatArray
-    """(N, 2) factors on the limits of v and omega."""
+    """(N, 4) factors on the limits accel, alpha, decel and alpha_decel."""
     delay: IntArray
     """(N, 2) substeps."""
     gain: FloatArray
@@ -165,7 +165,7 @@ def draw_trials(
         ),
         sensors=(ranges.sensors != "encoders", ranges.sensors == "camera"),
         start=u[:, 0:3] * np.array([ranges.start_m, ranges.start_m, ranges.start_rad]),
-        acceleration=1.0 + ranges.acceleration * u[:, 5:7],
+        acceleration=np.tile(1.0 + ranges.acceleration * u[:, 5:7], 2),
         delay=np.rint(delay_s / SUBSTEP_S).astype(np.int64),
         gain=1.0 + ranges.gain * u[:, 7:9],
         odometry=1.0 + ranges.odometry_scale * u[:, 9:11],
@@ -213,11 +213,13 @@ def _of_known(
     turn_gain = drawn.turning[:, 0]
     if known.odometry_heading is not None:
         odometry[:, 1] *= turn_gain  # known is the share of the true turn, not of the wheels'
-    acceleration = _columns(
-        drawn.acceleration, _share(known.accel, model.accel), _share(known.alpha, model.alpha)
-    )
-    if known.alpha is not None:
-        acceleration[:, 1] /= turn_gain
+    shares = _share(known.accel, model.accel), _share(known.alpha, model.alpha)
+    own = _share(known.decel, model.decel), _share(known.alpha_decel, model.alpha_decel)
+    braking = (usual if share is None else share for share, usual in zip(own, shares, strict=True))
+    acceleration = _columns(drawn.acceleration, *shares, *braking)
+    for column, value in ((1, known.alpha), (3, known.alpha_decel or known.alpha)):
+        if value is not None:
+            acceleration[:, column] /= turn_gain
     errs = (odometry - 1.0).any() or imbalance.any() or slip.any() or drift.any()
     return drawn._replace(
         exact=drawn.exact and not errs,
@@ -260,13 +262,13 @@ def _lost(ranges: Randomization, chance: FloatArray) -> NDArray[np.bool_]:
 
 def trial_model(model: RoverModel, trials: Trials, row: int) -> RoverModel:
     """Return the rover of one trial."""
-    forward, turning = trials.acceleration[row].tolist()
+    accel, alpha, decel, alpha_decel = trials.acceleration[row].tolist()
     return trial_body(model, trials, row).model_copy(
         update={
-            "accel": model.accel * forward,
-            "decel": model.decel * forward,
-            "alpha": model.alpha * turning,
-            "alpha_decel": model.alpha_decel * turning,
+            "accel": model.accel * accel,
+            "decel": model.decel * decel,
+            "alpha": model.alpha * alpha,
+            "alpha_decel": model.alpha_decel * alpha_decel,
         }
     )
 

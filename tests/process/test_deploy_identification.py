@@ -29,6 +29,7 @@ from sim.studies.identify import driven, errors, identified, robot, truth
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground
 from sim.world.randomization import load_randomization
+from sim.world.rover import toward
 
 
 @pytest.mark.parametrize("number", range(2))
@@ -77,7 +78,7 @@ STEPS = (0.001, math.radians(0.1))
 """In which a Pioneer reports speed and turn rate."""
 
 
-def made(delay, gain, acceleration, *, rounded=False):
+def made(delay, gain, acceleration, deceleration=None, *, rounded=False):
     """Return the record of a base that does exactly this on both axes, its odometry ten times a second."""
     velocities = np.array([step.velocity for step in steps()])
     ends = 0.4 + np.cumsum([step.seconds for step in steps()])
@@ -87,7 +88,9 @@ def made(delay, gain, acceleration, *, rounded=False):
     for axis in range(2):
         before = gain * np.concatenate([[0.0], velocities[:-1, axis]])
         after = gain * velocities[:, axis]
-        reached = begins + delay + np.abs(after - before) / acceleration
+        braking = np.abs(after) < np.abs(before)
+        limit = np.where(braking, deceleration or acceleration, acceleration)
+        reached = begins + delay + np.abs(after - before) / limit
         knots = np.column_stack([begins + delay, reached]).ravel()
         motion[:, axis] = np.interp(t, knots, np.column_stack([before, after]).ravel())
         if rounded:
@@ -106,6 +109,46 @@ def test_fit_finds_delay_gain_and_acceleration(delay, gain, acceleration):
     for factor in (found.gain_v, found.gain_omega):
         assert factor == pytest.approx(gain, rel=0.003)
     assert found.accel == pytest.approx(acceleration, rel=0.05)
+
+
+@pytest.mark.parametrize("deceleration", [0.35, 0.7])
+def test_deceleration_of_its_own_is_not_taken_for_a_gain(deceleration):
+    found = identify(made(0.12, 1.0, 0.5, deceleration, rounded=True), "otter")
+    assert abs(found.gain_v - 1.0) < 3.0 * found.std["gain_v"] < 0.01
+    assert found.accel == pytest.approx(0.5, abs=3.0 * found.std["accel"])
+    assert found.decel == pytest.approx(deceleration, abs=3.0 * found.std["decel"])
+
+
+def followed(sent_s, sent, delay, accel, decel):
+    """Return the record of a base that moves as the simulators do: both axes alike, odometry at 10 Hz."""
+    at, speed = 0.001 * np.arange(round(1000 * (sent_s[-1] + 3.0))), [0.0]
+    for now in at[1:]:
+        due = np.searchsorted(sent_s + delay, now + 1e-9)
+        speed.append(toward(speed[-1], sent[due - 1] if due else 0.0, 0.001 * accel, 0.001 * decel))
+    t = np.arange(0.037, at[-1], 0.1)
+    motion = np.column_stack([np.interp(t, at, speed)] * 2)
+    still, none = Track(t, np.zeros((len(t), 3))), Track(t[:0], np.zeros((0, 3)))
+    return MotionLog(sent_s, np.column_stack([sent] * 2), still, motion, none)
+
+
+def test_a_command_that_reverses_first_brakes():
+    # No rest between forward and back: the base brakes to 0 and then speeds up.
+    log = followed(1.0 + 3.03 * np.arange(12), 0.2 * (-1.0) ** np.arange(12), 0.2, 0.3, 0.6)
+    found = identify_axis(log, 0, OdometryErrors(np.array([1.0, 0.0]), np.zeros((2, 2))))
+    assert found.gain == pytest.approx(1.0, abs=0.002)
+    assert (found.acceleration, found.deceleration) == pytest.approx((0.3, 0.6), rel=0.02)
+
+
+def test_an_acceleration_that_no_command_shows_leaves_the_rest_known():
+    # The gate raises the command by 0.02 m/s each 20 ms, which the base does at once, and brakes at once.
+    climb = np.append(0.02 * np.arange(1, 11), 0.0)
+    begins = 1.0 + 4.06 * np.arange(6)
+    sent_s = np.concatenate([begin + np.append(0.02 * np.arange(10), 2.1) for begin in begins])
+    found = identify(followed(sent_s, np.tile(climb, 6), 0.2, 4.0, 0.5), "burger")
+    assert found.delay_v_s == pytest.approx(0.2, abs=0.004)
+    assert found.gain_v == pytest.approx(1.0, abs=0.002)
+    assert found.decel == pytest.approx(0.5, rel=0.05)
+    assert found.accel is None
 
 
 def test_lost_command_does_not_disturb_the_fit():
@@ -129,23 +172,24 @@ def test_axis_without_commands_is_not_known():
 
 
 def test_intervals_cover_the_truth():
-    """Intervals of 95 % of 40 random bases, six values each.
+    """Intervals of 95 % of 40 random bases, eight values each.
 
     If they are exact, 85 % or fewer hold the truth with a probability below 1e-8 if all are independent, and
-    of 0.4 % if the six of a base always miss together.
+    of 0.4 % if the eight of a base always miss together.
     """
     random = np.random.default_rng(20261122)
     ratios = []
     for _ in range(40):
-        delay, gain, acceleration = random.uniform([0.05, 0.9, 0.2], [0.3, 1.1, 1.6])
-        log = made(delay, gain, acceleration, rounded=True)
+        delay, gain, *limits = random.uniform([0.05, 0.9, 0.2, 0.2], [0.3, 1.1, 1.6, 1.6])
+        log = made(delay, gain, *limits, rounded=True)
         known = OdometryErrors(np.array([1.0, 0.0]), np.zeros((2, 2)))
         for axis in range(2):
             found = identify_axis(log, axis, known)
             ratios += [
                 (found.delay_s - delay) / found.delay_std,
                 (found.gain - gain) / found.gain_std,
-                (found.acceleration - acceleration) / found.acceleration_std,
+                (found.acceleration - limits[0]) / found.acceleration_std,
+                (found.deceleration - limits[1]) / found.deceleration_std,
             ]
     assert np.mean(np.abs(ratios) < 1.96) > 0.85
     assert np.median(np.abs(ratios)) > 0.3  # 0.67 if exact: intervals are not wide for safety

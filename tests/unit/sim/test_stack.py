@@ -147,7 +147,7 @@ def test_without_a_trial_a_base_is_as_it_should_be():
     base = BaseTrial(nominal_trials(default_rover(), 1))
     assert base.driven(0.123, -0.456) == (0.123, -0.456)
     assert base.measured(Velocity(0.123, -0.456)) == (0.123, -0.456)
-    assert (base.effort_v, base.effort_omega) == (1.0, 1.0)
+    assert set(base.efforts.values()) == {1.0}
 
 
 def test_values_of_a_profile_are_not_drawn():

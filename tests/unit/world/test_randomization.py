@@ -123,6 +123,19 @@ def test_known_odometry_holds_whatever_the_turn_gain():
     assert [trial_model(MODEL, trials, row).alpha * gain[row] for row in range(5)] == pytest.approx([1.0] * 5)
 
 
+def test_a_known_deceleration_is_the_trials_own():
+    def trial_of(**known):
+        ranges = load_randomization("full").model_copy(update={"rover": RoverProfile(name="mine", **known)})
+        return trial_model(MODEL, draw_trials(ranges, MODEL, 1, count=1, ticks=TICKS), 0)
+
+    both = trial_of(accel=0.2, decel=0.5, alpha=1.0, alpha_decel=2.0)
+    assert (both.accel, both.decel, both.alpha, both.alpha_decel) == pytest.approx((0.2, 0.5, 1.0, 2.0))
+    # Older profiles have one acceleration for both; what is not known of a robot is drawn.
+    old = trial_of(accel=0.2)
+    assert (old.accel, old.decel) == pytest.approx((0.2, 0.2 * MODEL.decel / MODEL.accel))
+    assert trial_of(decel=0.5).decel == pytest.approx(0.5)
+
+
 def test_a_trial_is_the_same_in_any_company():
     together = drawn("harsh", 6)
     alone = drawn("harsh", 2, first=3)

@@ -5,9 +5,11 @@ Keys, attachments and tokens are those that zenoh-bridge-ros2dds and rmw_zenoh u
 
 import json
 import queue
+import selectors
 import socket
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import zenoh
@@ -59,6 +61,10 @@ class Ros2Server(RealTimeLoop):
         self.bytes_in = self.bytes_out = 0
         self._namespace, self._domain = namespace.strip("/"), domain
         self._commands: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._arrived, self._woken = socket.socketpair()
+        self._arrived.setblocking(False)
+        # As a robot does, the mock takes a command when it arrives, not when its next step is due.
+        self.selector.register(self._woken, selectors.EVENT_READ, lambda: self._woken.recv(4096))
         self._session = _open(host, self.port)
         self._publishers: dict[str, Any] = {}
         self._numbers: dict[str, tuple[bytes, int]] = {}
@@ -91,6 +97,8 @@ class Ros2Server(RealTimeLoop):
         session: Any = self._session
         session.close()
         super().close()
+        self._arrived.close()
+        self._woken.close()
 
     def _topic(self, name: str) -> str:
         return f"{self._namespace}/{name}" if self._namespace else name
@@ -121,6 +129,8 @@ class Ros2Server(RealTimeLoop):
             payload = sample.payload.to_bytes()
             self.bytes_in += len(payload)
             self._commands.put(payload)
+            with suppress(BlockingIOError):  # full: the mock will wake
+                self._arrived.send(b"\0")
 
         self._held.append(self._session.declare_subscriber(key, receive))
 

@@ -83,7 +83,7 @@ def test_json_is_one_object_with_the_documented_fields(
     assert printed.out.count("\n") == 1
     assert "\x1b" not in printed.err
     assert set(fields) == {
-        *("returns", "best_return", "median_return", "parked", "error_m", "error_rad"),
+        *("returns", "best_return", "median_return", "parked", "reason", "error_m", "error_rad"),
         *("wall_s", "iterations_per_s", "seed", "agents", "iterations", "out", "policy"),
     }
     assert (fields["seed"], fields["agents"], fields["iterations"]) == (4, 2, 20)

@@ -12,7 +12,7 @@ Rules of this file:
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import Protocol
 
 import numpy as np
@@ -32,6 +32,8 @@ from rover_ncp.course.reference import plan_reference
 ORIGIN = Pose(0.0, 0.0, 0.0)
 FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
+HOLD = Velocity(0.004, math.radians(1.0))
+"""At the goal, commands below both are answers to the noise of the estimate; the rover then stands."""
 LEAST_TURN_GAIN = 0.5
 """No description has robots that turn less than this share of what their wheels say."""
 
@@ -78,6 +80,10 @@ class Controller:
     ) -> None:
         self._interface = RoverInterface(policy)
         self._course = course
+        goal = course.checkpoints[-1].pose
+        at_goal = takewhile(lambda point: point.pose == goal, reversed(course.checkpoints))
+        self._goal_s = min(point.t for point in at_goal)
+        """From when on the rover is to stand."""
         self._reference = plan_reference(course) if self._interface.needs_reference else None
         self._runner: Runner = runner or PolicyRunner(policy)
         self._runner.tick([0.0] * len(policy.sensing.inputs))  # compiles now, before the rover waits for it
@@ -133,13 +139,10 @@ class Controller:
         outputs = self._runner.tick(self._observation(estimate.pose, index, start))
         v, omega = self._interface.command(outputs)
         turn_gain = max(estimate.turn_gain, LEAST_TURN_GAIN)
-        return Tick(
-            index,
-            index * TICK_S,
-            estimate,
-            Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain)),
-            self._runner.potentials,
-        )
+        command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
+        if index * TICK_S > self._goal_s and abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega:
+            command = Velocity(0.0, 0.0)
+        return Tick(index, index * TICK_S, estimate, command, self._runner.potentials)
 
     def look(self, index: int, t: float) -> Estimate:
         """Note the estimate at time ``t`` for the verdict, without a tick of the circuit."""

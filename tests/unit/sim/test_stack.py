@@ -281,6 +281,12 @@ def test_a_robot_that_was_identified_on_its_slope_drives_there_by_its_encoders()
     assert known.drive(18).belief.error_m < 0.08
 
 
+def test_noise_of_the_estimate_does_not_move_a_rover_at_its_goal():
+    # Answers of 1 to 2 mm/s and half a degree a second moved these robots by more than parking allows.
+    full = stack(load_randomization("full"), seed=61201, course="parking")
+    assert [full.drive(number).reason for number in (14, 28, 33)] == ["", "", ""]
+
+
 def test_identification_on_level_ground_is_of_the_same_robot():
     rough = load_randomization("rough", Body.MUJOCO)
     robot, level = (draw_robot(each.skid_steer, 1, 7) for each in (rough, levelled(rough)))

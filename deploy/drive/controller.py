@@ -23,7 +23,7 @@ from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.circuit.rover_interface import RoverInterface
-from rover_ncp.core.geometry import Pose, Velocity, compose
+from rover_ncp.core.geometry import Pose, Velocity, compose, distance, wrap_angle
 from rover_ncp.core.messages import OdometrySample, PoseSample, TurnSample
 from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import TICK_S, Course, Verdict
@@ -33,7 +33,8 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
 HOLD = Velocity(0.004, math.radians(1.0))
-"""At the goal, commands below both are answers to the noise of the estimate; the rover then stands."""
+"""At the goal, commands below both are answers to the noise of the estimate: the rover then stands, as long
+as its estimate counts as parked."""
 LEAST_TURN_GAIN = 0.5
 """No description has robots that turn less than this share of what their wheels say."""
 
@@ -80,10 +81,10 @@ class Controller:
     ) -> None:
         self._interface = RoverInterface(policy)
         self._course = course
-        goal = course.checkpoints[-1].pose
-        at_goal = takewhile(lambda point: point.pose == goal, reversed(course.checkpoints))
+        at_goal = takewhile(lambda point: point.pose == course.goal, reversed(course.checkpoints))
         self._goal_s = min(point.t for point in at_goal)
         """From when on the rover is to stand."""
+        self._holds = False
         self._reference = plan_reference(course) if self._interface.needs_reference else None
         self._runner: Runner = runner or PolicyRunner(policy)
         self._runner.tick([0.0] * len(policy.sensing.inputs))  # compiles now, before the rover waits for it
@@ -140,9 +141,16 @@ class Controller:
         v, omega = self._interface.command(outputs)
         turn_gain = max(estimate.turn_gain, LEAST_TURN_GAIN)
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
-        if index * TICK_S > self._goal_s and abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega:
-            command = Velocity(0.0, 0.0)
+        if index * TICK_S > self._goal_s:
+            tiny = abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega
+            self._holds = (tiny or self._holds) and self._is_parked(estimate.pose)
+            command = Velocity(0.0, 0.0) if self._holds else command
         return Tick(index, index * TICK_S, estimate, command, self._runner.potentials)
+
+    def _is_parked(self, pose: Pose) -> bool:
+        rule, goal = self._course.parked, self._course.goal
+        turned = abs(wrap_angle(pose.theta - goal.theta))
+        return distance(pose, goal) <= rule.position_m and turned <= rule.heading_rad
 
     def look(self, index: int, t: float) -> Estimate:
         """Note the estimate at time ``t`` for the verdict, without a tick of the circuit."""

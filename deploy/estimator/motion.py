@@ -160,7 +160,7 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
 
 def _turned(omega: float, settings: EstimatorSettings) -> tuple[float, float]:
     """Return the true turn rate over the turn gain, without the pull, and its derivative by ω."""
-    slip, to_left = settings.slip_s * abs(omega), math.copysign(settings.turn_asymmetry, omega)
+    slip, to_left = settings.slip_s * abs(omega), settings.turn_asymmetry * math.copysign(1.0, omega)
     return omega * (1.0 - slip + to_left), 1.0 - 2.0 * slip + to_left
 
 

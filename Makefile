@@ -13,15 +13,16 @@ park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park --overwrite
 
 # Unit tests in two workers, as CI has two cores; process tests in four, as they mostly wait for real processes. Then a
-# short set of system tests, alone, because they measure times.
+# short set of system tests, alone, because they measure times. All within five minutes on two cores.
 test: $(STAMP)
-	$(BIN)/pytest tests/unit --numprocesses 2 --dist worksteal
-	$(BIN)/pytest tests/process --numprocesses 4 --dist worksteal
+	$(BIN)/pytest tests/unit -m "not long" --numprocesses 2 --dist worksteal
+	$(BIN)/pytest tests/process -m "not long" --numprocesses 4 --dist worksteal
 	$(BIN)/pytest tests/system -m short
 
-# The other system tests: installations and drives; then, with little beside them, those that measure times:
-# every row of both safety matrices, the soak, live drives.
+# The long unit and process tests, then the other system tests: installations and drives; then, with little beside
+# them, those that measure times: every row of both safety matrices, the soak, live drives.
 test-system: $(STAMP)
+	$(BIN)/pytest tests/unit tests/process -m long --numprocesses 3 --dist worksteal
 	$(BIN)/pytest tests/system -m "not short and not browser and not timed" --ignore=tests/system/test_tutorials.py \
 		--numprocesses 2 --dist worksteal
 	$(BIN)/pytest tests/system -m "timed and not short" --numprocesses 3 --dist loadgroup

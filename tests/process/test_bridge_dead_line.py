@@ -46,7 +46,7 @@ def test_a_connection_that_falls_silent_is_replaced_and_the_log_says_so_once(tmp
     assert (done.code, done.result["reconnects"]) == (0, 1)
 
 
-@pytest.mark.parametrize("stopped_s", [2.0, 4.0, 10.0])
+@pytest.mark.parametrize("stopped_s", [2.0, 4.0, pytest.param(10.0, marks=pytest.mark.long)])
 def test_a_base_that_stops_for_a_while_is_there_again_soon_after(tmp_path, stopped_s):
     with Rig(tmp_path) as rig, Driver(rig.locator) as driver:
         driver.start()
@@ -72,6 +72,7 @@ def test_a_base_that_stops_for_a_while_is_there_again_soon_after(tmp_path, stopp
     ],
     ids=["slow", "resetting"],
 )
+@pytest.mark.long
 def test_a_base_that_answers_without_end_but_never_connects_is_exit_3(capsys, stream, period_s):
     with socket.create_server(("127.0.0.1", 0)) as server:
 

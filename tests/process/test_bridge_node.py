@@ -181,7 +181,8 @@ def test_garbage_from_the_driver_stops_the_rover(rig, driver):
         sent_ns = driver.drive(0.05)
         for _ in range(3):
             driver.put(data, driver.tag(data))
-        wait_for(lambda: driver.gate.dropped.get(dropped, 0) == before + 3)  # noqa: B023
+        # Zenoh may drop some: on a busy machine even those of 100 kB.
+        wait_for(lambda: driver.gate.dropped.get(dropped, 0) > before)  # noqa: B023
         wait_for(lambda: driver.gate.held == held)  # noqa: B023
         assert driver.out == Velocity(0.0, 0.0)
     assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S

@@ -208,6 +208,7 @@ def test_nothing_at_the_robots_address_is_one_line(tmp_path):
     assert f"tcp/127.0.0.1:{port}: no Zenoh router answers there" in ended.last_line
 
 
+@pytest.mark.long
 def test_an_unchecked_robot_is_driven_by_the_check_alone_until_its_timeout_is_known(tmp_path):
     bridge = ["--model", "husky-a200", "--state", str(tmp_path / "robots.yaml")]
     mock = ["--ros2", "--model", "husky-a200"]
@@ -227,6 +228,7 @@ def test_an_unchecked_robot_is_driven_by_the_check_alone_until_its_timeout_is_kn
             assert driver.motors().granted
 
 
+@pytest.mark.long
 def test_a_robot_without_a_timeout_is_driven_only_if_that_is_asked_for(tmp_path):
     bridge = ["--model", "turtlebot3-burger", "--state", str(tmp_path / "robots.yaml")]
     mock = ["--ros2", "--model", "turtlebot3-burger"]

@@ -17,6 +17,7 @@ from sim.pioneer.faults import parse_fault
 from sim.pioneer.firmware import ClientState
 
 
+@pytest.mark.long
 def test_soar_connects_drives_and_disconnects() -> None:
     with SerialBase() as base:
         peer = ROOT / "tests/kit/soar_peer.py"
@@ -85,6 +86,7 @@ def test_wrong_baud_rate_is_corrected(bridge_on) -> None:
     assert len(base.heard(Command.HOSTBAUD)) == 1
 
 
+@pytest.mark.long
 def test_a_silent_serial_line_is_opened_again_and_the_base_found_at_its_rate(bridge_on, tmp_path) -> None:
     with SerialBase(strict=True) as base:
         _, zenoh = bridge_on(base, 9600)

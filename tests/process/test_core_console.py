@@ -166,6 +166,7 @@ def test_ascii_terminal_gets_escape_sequences_for_other_characters(locale):
     assert b"\\xb1" in done.stdout
 
 
+@pytest.mark.long
 def test_blocked_output_keeps_no_process_from_its_work_nor_from_its_end(tmp_path):
     """Mock, bridge, viewer and driver: the output of each is blocked from its first line on."""
     processes = {}

@@ -337,6 +337,7 @@ def test_identify_says_what_is_wrong_in_one_line(tmp_path, capsys):
     assert not (tmp_path / "p.yaml").exists()
 
 
+@pytest.mark.long
 def test_a_live_robot_is_identified_and_its_recording_says_the_same(tmp_path, capsys, monkeypatch):
     # Half of the drive. A command that a busy machine loses spoils one of its steps, and three must be left.
     monkeypatch.setattr(excitation, "steps", lambda robot: [*steps()[:9], *steps()[15:23]])

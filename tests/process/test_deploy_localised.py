@@ -55,6 +55,7 @@ class Localiser(threading.Thread):
 
 
 @pytest.mark.parametrize("seed", [1])
+@pytest.mark.long
 def test_a_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path, seed):
     rng = np.random.default_rng(seed)
     start = Pose(*(rng.uniform(-1, 1, 3) * (0.1, 0.1, 0.17)))

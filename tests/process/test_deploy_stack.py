@@ -88,6 +88,7 @@ def test_the_estimate_is_where_the_rover_is_and_the_drive_recomputes(run, deploy
     assert replay(tmp_path / "run.mcap").difference is None
 
 
+@pytest.mark.long
 def test_however_a_drive_ends_the_rover_stands(run, deploy, tmp_path):
     """Interrupted, killed, without a bridge: three drivers, one after the other, on one rover."""
     recording_path = tmp_path / "run.mcap"

@@ -120,6 +120,7 @@ def moved_since(rig, began_ns):
     return driven, turned, states[-1].pose.x - states[0].pose.x
 
 
+@pytest.mark.long
 def test_it_drives_while_a_key_repeats_and_stands_when_it_is_released(rig, sit_down, tmp_path):
     record, made = tmp_path / "run.mcap", tmp_path / "driven.yaml"
     person, began_ns = sit_down("--record", str(record)), time.time_ns()

@@ -231,6 +231,7 @@ MOMENTS = [
 ]
 
 
+@pytest.mark.long
 def test_killed_again_and_again_it_ends_in_the_same_bytes(tmp_path: Path) -> None:
     """Each kill comes up to 0.1 s after another file appeared, and the run goes on from there."""
     assert run([*TRAIN, "--out", str(tmp_path / "undisturbed"), "--processes", "1"]) == 0

@@ -2,6 +2,7 @@
 
 import time
 
+import pytest
 from attacker import Attacker
 from bridge_bench import wait_for
 
@@ -16,6 +17,7 @@ from sim.live.truth import judge_truth
 ATTEMPTS, PERIOD_S = 1000, 0.005
 
 
+@pytest.mark.long
 def test_1000_attempts_to_take_over_a_drive_fail_and_it_ends_parked(tmp_path, request):
     course = request.config.rootpath / "tests" / "data" / "brief_course.yaml"
     recording = tmp_path / "run.mcap"

@@ -124,6 +124,7 @@ def test_the_published_budget_is_the_papers(task, iterations, rollouts, worst):
     assert budget_for(TASKS[task], BudgetName.ALGORITHM1).strategy == "algorithm1"
 
 
+@pytest.mark.long
 def test_runs_in_processes_are_those_of_one_process_and_an_interrupt_ends_them_all(tmp_path):
     code = "from rover_ncp.cli import main; main()"
     runs = ["--runs", str(tmp_path), "--again", "--task", "cart-pole", "--processes", "2"]

@@ -68,6 +68,7 @@ def policy():
     return with_names(api.load_policy("parking"), ("x", "distance", "bearing", "elapsed"), ("v", "curvature"))
 
 
+@pytest.mark.long
 def test_simulator_lanes_driver_and_controller_agree_to_the_last_bit(policy):
     course = api.load_course(SHORT)
     run = sim_api.rollout(policy, course)

@@ -162,6 +162,7 @@ print(json.dumps([commands, runner.potentials.tolist()]))
 """
 
 
+@pytest.mark.long
 def test_another_processor_gives_the_same_bits(tmp_path):
     def run(**environment):
         command = [sys.executable, "-c", SHORT_RUN]

@@ -19,7 +19,12 @@ def with_limits(robot, **limits):
 
 
 @pytest.mark.parametrize(
-    "robot", [BURGER, with_limits(HUSKY, omega_max=0.2), with_limits(BURGER, v_max=0.05, omega_max=0.1)]
+    "robot",
+    [
+        BURGER,
+        with_limits(HUSKY, omega_max=0.2),
+        pytest.param(with_limits(BURGER, v_max=0.05, omega_max=0.1), marks=pytest.mark.long),
+    ],
 )
 def test_a_slow_robot_can_catch_up_with_its_reference_as_in_the_training(robot):
     course, said = slowed(PARKING, robot)

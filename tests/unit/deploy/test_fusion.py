@@ -46,6 +46,7 @@ def band(degrees, count, share=0.999):
 
 
 @pytest.mark.parametrize("name", SENSORS)
+@pytest.mark.long
 def test_errors_at_the_goal_agree_with_the_covariance(runs, name):
     ends = [(errors[-1], covariances[-1]) for errors, covariances, _ in runs[name]]
     nees = [error @ np.linalg.solve(covariance, error) for error, covariance in ends]
@@ -56,6 +57,7 @@ def test_errors_at_the_goal_agree_with_the_covariance(runs, name):
 
 
 @pytest.mark.parametrize("name", ["camera", "both"])
+@pytest.mark.long
 def test_innovations_agree_with_their_covariance_standing_and_moving(runs, name):
     for words in ("standing", "moving"):
         means = [estimator.nis[words] for _, _, estimator in runs[name]]
@@ -63,6 +65,7 @@ def test_innovations_agree_with_their_covariance_standing_and_moving(runs, name)
         assert low < np.mean(means) < high
 
 
+@pytest.mark.long
 def test_the_errors_of_odometry_are_learned_from_poses(drives, runs):
     """Poses on two thirds of the way: after them, the estimate drifts less than without any."""
     drifts = []

@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+import pytest
+
 from sim.explain.explain import explain
 from sim.explain.files import markdown
 
@@ -12,6 +14,7 @@ AGAIN = (
 )
 
 
+@pytest.mark.long
 def test_the_shipped_circuit_is_the_one_that_is_explained():
     assert (FOLDER / "explanation.md").read_text() == markdown(explain("parking")), AGAIN
 

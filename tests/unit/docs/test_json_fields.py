@@ -54,6 +54,7 @@ UNSEEN += tuple(f"phases.{name}." for name in ("behind", "rival", "pulls", "chan
 """Fields that are printed only with an option or an event that these commands lack."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("commands", SEQUENCES, ids=lambda commands: next(iter(commands)).rsplit("/")[0])
 def test_page_has_the_fields_that_a_command_prints(commands, tmp_path, monkeypatch, capsys):
     [page] = [page for page in PAGES if page.stem == "own_task"]

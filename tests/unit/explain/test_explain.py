@@ -77,6 +77,7 @@ def test_sensitivities_are_the_returns_of_moved_parameters(parking):
             assert row.down == pytest.approx(min(0.01 * (bounds.upper - bounds.lower), row.value))
 
 
+@pytest.mark.long
 def test_command_writes_files_and_json_and_a_recording_is_explained_alike(tmp_path, capsys):
     code = run(["explain", "parking", "--course", SHORT, "--out", str(tmp_path / "out"), "--json"])
     said = capsys.readouterr()

@@ -28,6 +28,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.long
 def test_command_explains_a_policy_on_an_environment(folder, capsys):
     command = ["explain", "wall.yaml", "--task", "wall:FollowWall-v0", "--out", "why", "--json"]
     assert run(command) == 0

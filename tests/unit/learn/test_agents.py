@@ -149,6 +149,7 @@ def test_improvements_are_the_whole_curve():
 
 
 @pytest.mark.parametrize("portion_s", [0.0, 0.05, 10.0])
+@pytest.mark.long
 def test_processes_and_portions_of_time_give_the_same_rounds(portion_s, monkeypatch):
     monkeypatch.setattr(agents_module, "_PORTION_S", portion_s)
     plan, seen = parking_plan(), {}

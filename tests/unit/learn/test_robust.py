@@ -209,6 +209,7 @@ def test_a_search_goes_on_where_it_was():
         going.restore({"cma": going.state()["cma"], "means": [[0.0]]})
 
 
+@pytest.mark.long
 def test_the_command_leaves_a_policy_that_says_how_it_was_made(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     options = ["--randomize", "mild", "--iterations", "2", "--rollouts", "4", "--random-courses", "2"]

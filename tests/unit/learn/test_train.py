@@ -139,6 +139,7 @@ class _Died(BaseException):
     """Stands for a kill: no handler of the code under test knows it."""
 
 
+@pytest.mark.long
 def test_dying_before_any_single_write_changes_nothing(
     reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -55,6 +55,7 @@ def test_cma_gets_better_and_gives_the_same_bits_again(agent):
     assert again.curve == found[0].curve
 
 
+@pytest.mark.long
 def test_halving_gives_the_same_bits_again():
     budget = replace(budget_for(TASKS["half-cheetah"], BudgetName.QUICK), steps=20_000, starts=20)
     found = [search_by_halving(*evaluator("half-cheetah", "mlp"), seed, budget) for seed in (3, 3, 4)]

@@ -114,6 +114,7 @@ def test_each_table_is_json_or_text(what, store, capsys):
     assert "mountain-car" in capsys.readouterr().out.lower().replace(" ", "-")
 
 
+@pytest.mark.long
 def test_trained_parking_circuits_are_interpreted(tmp_path, capsys):
     name = RunName(task="parking", agent="circuit", seed=0)
     trained = train_run(name.model_copy(update={"budget": BudgetName.QUICK}))

@@ -67,6 +67,7 @@ def test_the_searches_are_compared_by_what_training_gives(
     assert len(alone["strategies"]) == 1
 
 
+@pytest.mark.long
 def test_the_speeds_and_their_shares(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench_train, "LANES", (1, 6, 8))
     monkeypatch.setattr(bench_train, "_REPEATS", 1)
@@ -93,6 +94,7 @@ def test_the_speeds_and_their_shares(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found["cores"] >= 1
 
 
+@pytest.mark.long
 def test_speed_does_not_count_first_call_of_a_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     kernel, calls = descent.damped_steps, 0
 

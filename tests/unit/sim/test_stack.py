@@ -79,6 +79,7 @@ def test_the_stack_drives_the_trials_of_plain_simulation(parking):
         assert apart(plain.poses[-1], trial.pose) < 0.025
 
 
+@pytest.mark.long
 def test_a_trial_is_the_same_whatever_the_number_of_processes():
     alone = drive_all(stack("harsh"), 4, 1)
     assert drive_all(stack("harsh"), 4, 2) == alone
@@ -216,6 +217,7 @@ def test_the_command_line_drives_through_the_stack(capsys):
 
 
 @pytest.mark.parametrize("name", ["kanayama", "lstm"])
+@pytest.mark.long
 def test_laws_and_networks_drive_through_the_stack_as_in_plain_simulation(name, tmp_path):
     if name == "lstm":
         results = (ROOT / "docs" / "data" / "compare.jsonl").read_text().splitlines()
@@ -268,6 +270,7 @@ def test_a_robot_that_was_identified_under_a_camera_drives_by_its_encoders():
     assert known.belief.error_m < 0.5 * unknown.belief.error_m
 
 
+@pytest.mark.long
 def test_a_robot_that_was_identified_on_its_slope_drives_there_by_its_encoders():
     # Gravity turns this one to the left by 0.15 rad per radian, whichever way it turns.
     slope = load_randomization("slope", Body.MUJOCO)
@@ -342,6 +345,7 @@ def parks_with_room(policy, course):
     )
 
 
+@pytest.mark.long
 def test_circuits_that_park_without_quantisation_park_with_it():
     course, shipped = load_course("parking"), load_policy("parking")
     layout, stream, found = shipped.layout(), np.random.default_rng(5), 0

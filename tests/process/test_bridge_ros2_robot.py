@@ -268,6 +268,7 @@ def test_a_wall_in_its_scan_stops_the_robot_and_the_way_back_is_free(tmp_path):
 
 
 @pytest.mark.parametrize("form", [ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])
+@pytest.mark.long
 def test_a_robot_and_its_router_that_restart_are_used_again(form, tmp_path):
     with robot(tmp_path / "run", form) as rig, Driver(rig.locator) as driver:
         driver.start(v=0.1)

@@ -61,6 +61,7 @@ def bridge_on(tmp_path):
         process.stop()
 
 
+@pytest.mark.long
 def test_a_bridge_on_a_serial_line_asks_for_a_faster_rate_and_drives(bridge_on) -> None:
     with SerialBase(strict=True) as base:
         assert base.firmware.baudrate == 9600

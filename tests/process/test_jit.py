@@ -79,6 +79,7 @@ def run(folder, factor, environment=None, count=1, caller=CALLER, command=COMMAN
     return results
 
 
+@pytest.mark.long
 def test_machine_code_is_kept_until_something_in_it_changes(tmp_path):
     assert run(tmp_path, 2.0) == [(42.0, 0)]
     assert run(tmp_path, 2.0) == [(42.0, 1)]
@@ -86,6 +87,7 @@ def test_machine_code_is_kept_until_something_in_it_changes(tmp_path):
     assert run(tmp_path, 3.0) == [(63.0, 0)]
 
 
+@pytest.mark.long
 def test_kernels_of_a_factory_are_kept_until_a_free_variable_changes(tmp_path):
     def run_made(factor):
         return run(tmp_path, factor, caller=FACTORY)

@@ -65,6 +65,7 @@ def test_without_scheduler_or_workers_it_says_so(
         assert message in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_cluster_gives_the_bytes_of_one_machine_though_a_worker_is_killed(
     cluster: Cluster, tmp_path: Path
 ) -> None:

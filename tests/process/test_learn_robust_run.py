@@ -42,6 +42,7 @@ def test_a_run_leaves_these_files(reference: Path) -> None:
     assert sorted(content(reference)) == ["curve.csv", "policy.yaml", "search.json", "settings.yaml"]
 
 
+@pytest.mark.long
 def test_processes_change_nothing(reference: Path, tmp_path: Path) -> None:
     train_robust(SETTINGS, tmp_path / "two", processes=2)
     assert content(tmp_path / "two") == content(reference)
@@ -114,6 +115,7 @@ def test_resuming_needs_no_option_again(
     assert content(reference) == before
 
 
+@pytest.mark.long
 def test_ctrl_c_with_processes_leaves_a_run_that_goes_on(tmp_path: Path) -> None:
     options = ["--randomize", "mild", "--iterations", "100000", "--rollouts", "4", "--random-courses", "1"]
     command = [sys.executable, "-m", "rover_ncp", "train", *options, "--processes", "2", "--out", "run"]

@@ -91,6 +91,7 @@ def test_a_command_line_selects_runs(tmp_path):
             select(*wrong)
 
 
+@pytest.mark.long
 def test_command_makes_runs_once_and_replays_them(tmp_path, capsys):
     wiring = tmp_path / "mine.yaml"
     wiring.write_text(circuit_to_yaml(tap_withdrawal_circuit()))

@@ -40,6 +40,7 @@ def test_the_page_has_the_table_of_a_stored_study(study):
     assert paper_tables.blocks(PAGE, "study")[study] == table, "make paper-docs writes the present tables"
 
 
+@pytest.mark.long
 def test_the_stored_lesions_are_those_of_the_shipped_circuits():
     found = lesion_study(ResultStore(Path("nowhere")), ["parking"])
     rows = [row for row in paper_tables.stored("lesions") if row["task"] == "parking"]

@@ -28,6 +28,7 @@ def search(name, limits, *, partial=ALONE, most=None):
 
 
 @pytest.mark.parametrize("which", [BudgetName.PUBLISHED, BudgetName.ALGORITHM1])
+@pytest.mark.long
 def test_parking_takes_every_iteration_and_its_value_is_the_return(which):
     task = TASKS["parking"]
     policy = task.policy(task.circuit())

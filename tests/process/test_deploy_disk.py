@@ -88,6 +88,7 @@ def test_a_killed_drive_loses_half_a_second_and_is_made_whole(start, tmp_path, c
     assert cli.run(["replay", str(record)]) == 0
 
 
+@pytest.mark.long
 def test_no_recording_is_overwritten_not_even_while_it_is_written(rig, start, tmp_path, capsys):
     record = tmp_path / "run.mcap"
     process = start(record, None, "--duration", "4")
@@ -107,6 +108,7 @@ def test_no_recording_is_overwritten_not_even_while_it_is_written(rig, start, tm
     assert record.read_bytes() == content
 
 
+@pytest.mark.long
 def test_a_full_disk_does_not_stop_the_drive_and_is_reported(start, tmp_path):
     record = tmp_path / "run.mcap"
     process = start(record, SMALL_BYTES, "--duration", "5")

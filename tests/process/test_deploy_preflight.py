@@ -79,6 +79,7 @@ def test_rare_odometry_is_listened_to_once_more(reports, ok):
         (["bumper@0.5"], "forward", "the gate stopped the robot: bumper"),
     ],
 )
+@pytest.mark.long
 def test_a_robot_that_is_not(tmp_path, check, faults, name, words):
     with Rig(tmp_path, mock=[item for fault in faults for item in ("--fault", fault)]) as rig:
         code, said, err = check(rig.locator)
@@ -89,6 +90,7 @@ def test_a_robot_that_is_not(tmp_path, check, faults, name, words):
     assert f"no: {name}: " in err or not err
 
 
+@pytest.mark.long
 def test_a_robot_that_is_stopped_while_it_turns(tmp_path, check):
     with Rig(tmp_path) as rig:
 
@@ -105,6 +107,7 @@ def test_a_robot_that_is_stopped_while_it_turns(tmp_path, check):
     assert "the gate stopped the robot: bumper" in said["findings"][-1]["detail"]
 
 
+@pytest.mark.long
 def test_a_limit_that_slows_the_robot_is_named(tmp_path, check):
     limits = tmp_path / "limits.yaml"
     limits.write_text("v_max: 0.03\n")

@@ -6,6 +6,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 CALLEE = """
 from rover_ncp.kernels.jit import kernel
 FACTOR = {factor}

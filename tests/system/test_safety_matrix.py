@@ -114,7 +114,6 @@ def test_blocked_output_delays_no_stop(rig_with, key):
     test_the_rover_stands_in_time_and_stays(rig_with(ROWS[key].outlet), key)
 
 
-@pytest.mark.short
 def test_two_deploys_at_once_of_which_the_second_is_refused(rig):
     deploys = [rig.drive_course() for _ in range(2)]
     wait_for(lambda: not all(deploy.running for deploy in deploys), 20.0)

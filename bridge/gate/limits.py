@@ -15,9 +15,13 @@ class Fence(StrictModel):
     """A rectangle in odom, in metres; the base's centre stays inside."""
 
     x_min: float
+    """Its rear edge."""
     x_max: float
+    """Its front edge."""
     y_min: float
+    """Its right edge."""
     y_max: float
+    """Its left edge."""
 
     @model_validator(mode="after")
     def _has_an_inside(self) -> Self:

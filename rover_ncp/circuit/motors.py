@@ -39,6 +39,7 @@ class Motors(StrictModel):
     low_mV: float = Field(default=-60.0, ge=-90, le=0)
     high_mV: float = Field(default=-20.0, ge=-90, le=0)
     channels: tuple[Channel, ...] = Field(min_length=1)
+    """With the motor neurons that drive each."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -30,6 +30,7 @@ Layer = tuple[tuple[float, ...], ...]
 
 class _Neuron(StrictModel):
     name: Name
+    """Different from those of the other neurons."""
     capacitance: float = _bounded(ParameterKind.CAPACITANCE)
     """F."""
     leak: float = _bounded(ParameterKind.LEAK)
@@ -42,6 +43,7 @@ class _Neuron(StrictModel):
 
 class _Synapse(StrictModel):
     kind: Literal["excitatory", "inhibitory", "gap"]
+    """Chemical (the first two), or a gap junction."""
     source: str
     """Neuron that opens the synapse."""
     destination: str
@@ -54,8 +56,11 @@ class _Synapse(StrictModel):
 
 class _Circuit(StrictModel):
     name: Name
+    """Of the wiring, for messages and reports."""
     neurons: tuple[_Neuron, ...] = Field(min_length=1)
+    """Sensory neurons, interneurons and motor neurons."""
     synapses: tuple[_Synapse, ...]
+    """At most one of a kind from one neuron to another."""
 
 
 class _CircuitFile(_Circuit):
@@ -66,7 +71,9 @@ class _PolicyFile(StrictModel):
     format: Literal[1]
     circuit: _Circuit
     sensing: Sensing
+    """From inputs to potentials of sensory neurons."""
     motors: Motors
+    """From potentials of motor neurons to outputs."""
     input_layer: Layer | None = None
     """A row for each channel of the sensing, a column for each input."""
     output_layer: Layer | None = None

@@ -27,6 +27,7 @@ class Channel(StrictModel):
     """One variable and the neurons it drives, one for its positive values, one for its negative, or both."""
 
     name: str = Field(min_length=1)
+    """The input or output that it carries, if no layer lies between."""
     positive: str | None = None
     """Neuron of the values above 0."""
     maximum: float | None = Field(default=None, gt=0)
@@ -74,11 +75,13 @@ class Sensing(StrictModel):
     """
 
     name: str = Field(min_length=1)
+    """Of the mapping, for messages."""
     inputs: tuple[str, ...] = Field(min_length=1)
     ranges: tuple[Annotated[float, Field(gt=0)], ...] | None = None
     """By input, with an input layer: the layer gets the input divided by this."""
     clamp: bool = True
     channels: tuple[Channel, ...] = Field(min_length=1)
+    """With the sensory neurons that each drives."""
 
     @model_validator(mode="after")
     def _distinct(self) -> Self:

@@ -25,21 +25,27 @@ class Rectangle(StrictModel):
     """An outline around the centre of rotation, bumpers included."""
 
     front_m: Metres
+    """Its reach before the centre of rotation."""
     rear_m: Metres
+    """Its reach behind it."""
     width_m: Metres
+    """From side to side."""
 
 
 class Circle(StrictModel):
     """A round outline; its middle is the centre of rotation."""
 
     radius_m: Metres
+    """With bumpers."""
 
 
 class Wheels(StrictModel):
     """Driven wheels, all alike: two, or four with an axle distance."""
 
     radius_m: Metres
+    """Of a wheel with its tyre."""
     width_m: Metres
+    """Of a tyre."""
     track_m: Metres
     """Between the middles of left and right wheels."""
     axles_m: float = Field(default=0.0, ge=0, le=5)
@@ -50,6 +56,7 @@ class Drive(StrictModel):
     """Differential: one axle. Skid: wheels that slip sideways in a turn."""
 
     kind: Literal["differential", "skid"]
+    """How it turns; skid needs `wheels.axles_m`."""
     effective_track_m: Metres | None = None
     """Difference of wheel speeds over turn rate, as its odometry has it; None = the wheels' track."""
 
@@ -58,7 +65,9 @@ class Motion(StrictModel):
     """Limits in m/s, rad/s, m/s² and rad/s² that the base keeps by itself."""
 
     v_max: float = Field(gt=0, le=5)
+    """Of the speed, in both directions."""
     omega_max: float = Field(gt=0, le=10)
+    """Of the turn rate, to both sides."""
     accel: float = Field(gt=0, le=50)
     """Of the speed, away from 0."""
     decel: float = Field(gt=0, le=50)
@@ -70,18 +79,23 @@ class Motion(StrictModel):
 
 
 class Delays(StrictModel):
-    """From a command's arrival at the base until the speed begins to change."""
+    """Times from a command's arrival at the base."""
 
     v_s: float = Field(ge=0, le=2)
+    """Until the speed begins to change."""
     omega_s: float = Field(ge=0, le=2)
+    """Until the turn rate begins to change."""
 
 
 class Odometry(StrictModel):
     """How often the base reports its pose, and its usual errors before it is measured."""
 
     rate_hz: float = Field(gt=0, le=1000)
+    """Reports per second."""
     noise_m: float = Field(default=0.0, ge=0, le=1)
+    """Standard deviation of a reported x and y."""
     noise_rad: float = Field(default=0.0, ge=0, le=1)
+    """Standard deviation of a reported heading."""
     distance_error: float = Field(gt=0, lt=0.5)
     """Within ± this share of the true distance."""
     turn_error: float = Field(gt=0, lt=0.5)
@@ -92,16 +106,22 @@ class Gyro(StrictModel):
     """A gyro that the base publishes."""
 
     rate_hz: float = Field(gt=0, le=1000)
+    """Readings per second."""
     noise_rad_s: float = Field(default=0.0, ge=0, le=1)
+    """Standard deviation of a reading."""
 
 
 class Scan(StrictModel):
     """A planar laser: its place on the base, and what the mock's is like."""
 
     x_m: float = Field(ge=-2, le=2)
+    """Ahead of the centre of rotation."""
     y_m: float = Field(default=0.0, ge=-2, le=2)
+    """To the left of it."""
     yaw_deg: float = Field(default=0.0, ge=-180, le=180)
+    """Direction of its zero angle, to the left of straight ahead."""
     rate_hz: float = Field(default=5.0, gt=0, le=100)
+    """Scans per second."""
     range_m: tuple[float, float] = (0.12, 3.5)
     """The least and the greatest range."""
 
@@ -110,6 +130,7 @@ class Battery(StrictModel):
     """Voltages of the whole pack."""
 
     nominal_v: float = Field(gt=0, le=100)
+    """Its maker's figure, which the mock reports."""
     min_v: float = Field(ge=0, le=100)
     """The gate stops a robot whose battery stays below this."""
 
@@ -118,17 +139,25 @@ class Topics(StrictModel):
     """ROS 2 topics without a leading slash; None = the robot has none."""
 
     odom: TopicName = "odom"
+    """nav_msgs/Odometry."""
     cmd_vel: TopicName = "cmd_vel"
+    """The commands."""
     cmd_vel_type: Literal["Twist", "TwistStamped"] = "Twist"
+    """Type of the commands, of geometry_msgs."""
     imu: TopicName | None = None
+    """sensor_msgs/Imu."""
     battery_state: TopicName | None = None
+    """sensor_msgs/BatteryState."""
     scan: TopicName | None = None
+    """sensor_msgs/LaserScan; needs the section `scan`."""
     stop: TopicName | None = None
     """std_msgs/Bool, true while an emergency stop is pressed."""
     hazards: TopicName | None = None
     """irobot_create_msgs/HazardDetectionVector: bumps, cliffs, stalls and wheels in the air."""
     odom_frame: str = Field(default="odom", min_length=1)
+    """frame_id of the odometry; with another one it is refused."""
     base_frame: str = Field(default="base_link", min_length=1)
+    """child_frame_id of the odometry, and frame_id of the commands."""
     cmd_vel_timeout_s: float | None = Field(default=None, gt=0, le=10)
     """The published time after which the base halts without a command; None = none is known."""
 
@@ -137,7 +166,9 @@ class Sonars(StrictModel):
     """Poses of the sonars on the base, in m and degrees; the index is the sonar's number."""
 
     height_m: Metres
+    """Of all, above the ground."""
     poses_m_deg: tuple[tuple[float, float, float], ...]
+    """x ahead, y to the left and direction of each."""
 
 
 class Arcos(StrictModel):
@@ -146,16 +177,22 @@ class Arcos(StrictModel):
     distance_mm: float = Field(gt=0)
     """Per unit of XPOS and YPOS (DistConvFactor)."""
     diff_conv_factor: float = Field(gt=0)
+    """One over half the effective track in mm (DiffConvFactor)."""
     v_top_mm_s: int = Field(gt=0)
+    """The firmware's highest limit of the speed."""
     omega_top_deg_s: int = Field(gt=0)
+    """The firmware's highest limit of the turn rate."""
 
 
 class Source(StrictModel):
-    """The origin of figures; ``of`` are their paths in the file, ``read`` is when they were read there."""
+    """The origin of figures."""
 
     of: tuple[str, ...]
+    """Their paths in the file."""
     source: str = Field(min_length=1)
+    """Document or address."""
     read: date
+    """When they were read there."""
 
 
 class RobotDescription(StrictModel):
@@ -164,20 +201,27 @@ class RobotDescription(StrictModel):
     format: Literal[1] = 1
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")
     based_on: str | None = None
+    """Name or file of the description that gives what this one leaves out."""
     footprint: Rectangle | Circle
     height_m: Metres
+    """Of its top, above the ground."""
     mass_kg: float = Field(gt=0, le=2000)
+    """With batteries, without load."""
     wheels: Wheels
+    """The driven ones."""
     drive: Drive
     motion: Motion
     delays: Delays
     odometry: Odometry
     gyro: Gyro | None = None
     battery: Battery
+    """Its voltages."""
     topics: Topics | None = None
     """None for a robot without ROS 2."""
     sonars: Sonars | None = None
+    """None for a robot without them."""
     scan: Scan | None = None
+    """None for a robot without a laser."""
     arcos: Arcos | None = None
     """None for a robot that does not speak ARCOS."""
     sources: tuple[Source, ...] = ()

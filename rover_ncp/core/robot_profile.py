@@ -22,9 +22,11 @@ class RoverProfile(StrictModel):
 
     format: Literal[1] = 1
     name: str = Field(min_length=1, max_length=64)
+    """Of this robot, for messages and files."""
     delay_v_s: float | None = _Delay
     """From a command's arrival at the base until the speed begins to change."""
     delay_omega_s: float | None = _Delay
+    """The same of the turn rate."""
     accel: float | None = Field(default=None, gt=0, description="m/s², true")
     decel: float | None = Field(
         default=None, gt=0, description="m/s², true, while braking; None: in the description's ratio to accel"
@@ -34,9 +36,11 @@ class RoverProfile(StrictModel):
     gain_v: float | None = _Factor
     """Speed over commanded speed, as odometry reports it."""
     gain_omega: float | None = _Factor
+    """The same of the turn rate."""
     odometry_distance: float | None = _Factor
-    """Ratios of odometry's report to the true motion."""
+    """Odometry's distance over the true one."""
     odometry_heading: float | None = _Factor
+    """Odometry's turn over the true one."""
     rotation_center_m: float | None = Field(default=None, ge=-0.5, le=0.5)
     """Lateral velocity over turn rate: the rover turns about a point so far behind its middle."""
     imbalance_rad_m: float | None = None
@@ -54,6 +58,7 @@ class RoverProfile(StrictModel):
     noise_m: float | None = Field(default=None, ge=0)
     """Standard deviation of reported positions, beyond their rounding."""
     noise_rad: float | None = Field(default=None, ge=0)
+    """The same of reported headings."""
     std: dict[str, Annotated[float, Field(ge=0)]] = Field(default_factory=dict)
     """Standard deviation of each value above that was fitted, by its name and in its unit."""
     measured: dict[str, Any] = Field(default_factory=dict)

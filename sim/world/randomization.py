@@ -36,28 +36,28 @@ class Randomization(StrictModel):
     """Ranges of deviations from the model; ± unless stated otherwise. The defaults change nothing."""
 
     format: Literal[1] = 1
-    name: str = Field(min_length=1)
+    name: str = Field(min_length=1, description="of these ranges, for messages and results")
     body: Body = Field(default=Body.PYMUNK, description="the simulator of the rover")
     skid_steer: SkidRanges | None = Field(default=None, description="of the body mujoco, and only there")
     start_m: float = Field(default=0.0, ge=0, description="start in x and in y, known to the rover")
-    start_rad: float = Field(default=0.0, ge=0)
+    start_rad: float = Field(default=0.0, ge=0, description="start heading, known to the rover")
     delay_v_s: tuple[float, float] | None = Field(default=None, description="least and most, not the model's")
-    delay_omega_s: tuple[float, float] | None = None
+    delay_omega_s: tuple[float, float] | None = Field(default=None, description="the same for turn commands")
     acceleration: float = Field(default=0.0, ge=0, lt=1, description="share, forward and turning")
     gain: float = Field(default=0.0, ge=0, lt=1, description="share of speed and of turn rate")
     odometry_scale: float = Field(default=0.0, ge=0, lt=1, description="share, in distance and in heading")
     noise_m: float = Field(default=0.0, ge=0, description="standard deviation of a seen x and y")
-    noise_rad: float = Field(default=0.0, ge=0)
+    noise_rad: float = Field(default=0.0, ge=0, description="the same of a seen heading")
     lost: float = Field(default=0.0, ge=0, lt=1, description="share of commands that do not arrive")
     burst: float = Field(default=1.0, ge=1, description="mean number of commands lost in a row")
     imbalance_rad_m: float = Field(default=0.0, ge=0, description="turn per way that no encoder sees")
     slip_s: float = Field(default=0.0, ge=0, description="0..: lost share of a turn per rad/s, unseen")
     speed_step_m_s: float = Field(default=0.0, ge=0, description="commands come in whole steps")
-    turn_step_rad_s: float = Field(default=0.0, ge=0)
+    turn_step_rad_s: float = Field(default=0.0, ge=0, description="the same for turn commands")
     jitter_s: float = Field(default=0.0, ge=0, le=TICK_S, description="0..: age of a seen pose")
     drift_rad_s: float = Field(default=0.0, ge=0, description="of the seen heading")
     bump_m: float = Field(default=0.0, ge=0, description="one push on the way, unseen")
-    bump_rad: float = Field(default=0.0, ge=0)
+    bump_rad: float = Field(default=0.0, ge=0, description="turn of that push")
     turn_gain: tuple[float, float] | None = Field(
         default=None, description="least and most; of the wheels' turn"
     )

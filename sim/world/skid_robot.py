@@ -12,7 +12,7 @@ from rover_ncp.core.robot_description import RobotDescription
 class Contact(StrictModel):
     """How the simulator resolves the contacts of tyres and ground."""
 
-    step_s: float = Field(default=0.0025, gt=0, le=0.005)
+    step_s: float = Field(default=0.0025, gt=0, le=0.005, description="of the simulation")
     tyre_s: float = Field(default=0.02, gt=0, description="in which a tyre springs back; less is stiffer")
     stickiness: float = Field(default=1.0, gt=0, description="more: friction is full at less slip")
 

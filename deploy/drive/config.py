@@ -26,6 +26,7 @@ STD = {
     "rotation_center_m": "rotation_center_std_m",
 }
 """Odometry's errors in the estimator's settings, and their standard deviations."""
+SLIDES = "downhill_x_m", "downhill_y_m"
 
 REJECTED_S = 0.3
 """So long may odometry be rejected: three reports of a Pioneer, after a push that only a gyro sees."""
@@ -81,11 +82,12 @@ def settings_for(rover: RoverProfile | None, described: RobotDescription | None 
     known: dict[str, float] = {
         "position_m": max(usual.position_m, rover.noise_m or 0.0),
         "heading_rad": max(usual.heading_rad, rover.noise_rad or 0.0),
-        "slip_s": rover.slip_s or 0.0,
+        "slip_s": (rover.slip_s or 0.0) / (rover.odometry_heading or 1.0),
     }
     # Taken as measured: an unmeasured robot's values are those of level ground.
     known |= {name: getattr(rover, name) or 0.0 for name in OF_THE_GROUND}
-    if slides := [std for name, std in rover.std.items() if name in {"downhill_x_m", "downhill_y_m"}]:
+    slides = [std for name, std in rover.std.items() if name in SLIDES and getattr(rover, name) is not None]
+    if slides:
         known["downhill_std_m"] = max(slides)
     for name, (value, std) in measured.items():
         if value is None:

@@ -18,7 +18,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from deploy.estimator.history import History
-from deploy.estimator.motion import DISTANCE, GAIN, OMEGA, OWN, POSE, PULL, SIZE, Array, V, true_motion
+from deploy.estimator.motion import (
+    DISTANCE,
+    GAIN,
+    OMEGA,
+    OWN,
+    POSE,
+    PULL,
+    SIZE,
+    Array,
+    V,
+    true_motion,
+    turned_without_gain,
+)
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 
@@ -110,6 +122,8 @@ class Estimator:
         else:
             angle = self._gyro.angle(t)
             outcome, waited = self._history.odometry(z, angle - self._angle, t)
+            if math.isnan(angle):  # also if this sample is refused: the next is not to be compared across
+                self._angle = angle
         if outcome is Outcome.ACCEPTED:
             self._in_a_row, self._angle = 0, angle
             for seen in waited:
@@ -147,7 +161,8 @@ class Estimator:
         rows = np.zeros((5, SIZE))
         rows[:3, POSE] = np.eye(3)
         rows[3, V], rows[3, DISTANCE] = x[DISTANCE], x[V]
-        rows[4, OMEGA], rows[4, GAIN], rows[4, V], rows[4, PULL] = x[GAIN], x[OMEGA], x[PULL], x[V]
+        turned, by_omega = turned_without_gain(float(x[OMEGA]), self._settings)
+        rows[4, OMEGA], rows[4, GAIN], rows[4, V], rows[4, PULL] = x[GAIN] * by_omega, turned, x[PULL], x[V]
         pose = Pose(*x[POSE].tolist())
         return Estimate(t, pose, Velocity(ahead, turn), rows @ P @ rows.T, float(x[GAIN]))
 

@@ -85,7 +85,7 @@ def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, 
 def true_motion(x: Array, settings: EstimatorSettings) -> tuple[float, float, float]:
     """Return the true speed ahead and to the left (m/s) and the turn rate (rad/s)."""
     v, omega = float(x[V]), float(x[OMEGA])
-    turn = float(x[GAIN]) * _turned(omega, settings)[0] + float(x[PULL]) * v
+    turn = float(x[GAIN]) * turned_without_gain(omega, settings)[0] + float(x[PULL]) * v
     return float(x[DISTANCE]) * v, float(x[CENTER]) * turn, turn
 
 
@@ -135,7 +135,7 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     by_way += x[PULL] * by_unseen
     by_way[X] += x[DISTANCE] * cos
     by_way[Y] += x[DISTANCE] * sin
-    turned, by_omega = _turned(omega, s)
+    turned, by_omega = turned_without_gain(omega, s)
     by_turn += x[GAIN] * by_omega * by_unseen
     jacobian[:, V] += dt * by_way
     jacobian[:, OMEGA] += dt * by_turn
@@ -158,10 +158,12 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     return Step(moved, jacobian, noise @ noise.T)
 
 
-def _turned(omega: float, settings: EstimatorSettings) -> tuple[float, float]:
+def turned_without_gain(omega: float, settings: EstimatorSettings) -> tuple[float, float]:
     """Return the true turn rate over the turn gain, without the pull, and its derivative by ω."""
-    slip, to_left = settings.slip_s * abs(omega), settings.turn_asymmetry * math.copysign(1.0, omega)
-    return omega * (1.0 - slip + to_left), 1.0 - 2.0 * slip + to_left
+    # Odometry's turn rate over its scale is the true one · (1 − asymmetry · its sign) + slip · the true one².
+    without_slip = 1.0 - settings.turn_asymmetry * math.copysign(1.0, omega)
+    root = math.sqrt(without_slip**2 + 4.0 * settings.slip_s * abs(omega))
+    return 2.0 * omega / (without_slip + root), 1.0 / root
 
 
 def _acceleration_noise(by_way: Array, by_turn: Array, dt: float, settings: EstimatorSettings) -> Array:

@@ -93,5 +93,6 @@ def _check_fence(odometry: OdometrySample, start: Pose, fence_m: float) -> None:
     """Raise SafetyStop when the rover would come to stand beyond the fence."""
     v = odometry.velocity.v
     stop = compose(odometry.pose, Pose(v * REACT_S + v * abs(v) / (2.0 * BRAKE_M_S2), 0.0, 0.0))
-    if not max(distance(odometry.pose, start), distance(stop, start)) <= fence_m:
+    # Each by itself: a comparison with NaN is false, and the larger of a number and NaN may be the number.
+    if not all(distance(pose, start) <= fence_m for pose in (odometry.pose, stop)):
         raise SafetyStop("geofence", f"the rover would come farther than {fence_m} m from its start")

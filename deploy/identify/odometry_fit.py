@@ -132,7 +132,7 @@ def fit_turns(log: MotionLog, stands: Sequence[Stand]) -> Fit | None:
 
     def residuals(x: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
         scale, slip, imbalance, drift, asymmetry = x
-        slipped = np.array([_slipped(times, rate / scale, slip) for times, rate in motions])
+        slipped = np.array([_slipped(times, rate / scale, slip, asymmetry) for times, rate in motions])
         unseen = imbalance * way + asymmetry * np.abs(true_turn)
         found: FloatArray = scale * (true_turn + slip * slipped - unseen) + drift * second - turn
         return found[kept]
@@ -143,7 +143,10 @@ def fit_turns(log: MotionLog, stands: Sequence[Stand]) -> Fit | None:
     covariance[beside, beside + 1] = covariance[beside + 1, beside] = -variances[1:-1]
     free = -math.inf, math.inf
     limits = [(0.0, math.inf), (0.0, SLIP_MAX_S), free, free, free]
-    return _fitted(residuals, [1.0, 0.01, 0.0, 0.0, 0.0], covariance, limits)
+    # From the best fit without slip: from elsewhere, the fit may end where slip takes all.
+    everything = np.ones(len(turn), np.bool_)
+    start = least_squares(lambda x: residuals(np.insert(x, 1, 0.0), everything), [1.0, 0.0, 0.0, 0.0]).x
+    return _fitted(residuals, np.insert(start, 1, 0.01).tolist(), covariance, limits)
 
 
 def fit_center(stands: Sequence[Stand]) -> Fit | None:
@@ -176,10 +179,10 @@ def fit_center(stands: Sequence[Stand]) -> Fit | None:
     return _fitted(lambda x, kept: (design @ x - move)[kept], [0.0] * 3, both, [limits] * 3, limits)
 
 
-def _slipped(times: FloatArray, rate: FloatArray, slip: float) -> float:
+def _slipped(times: FloatArray, rate: FloatArray, slip: float, asymmetry: float) -> float:
     """Return ∫|ω|ω dt of the true turn rate, where odometry without its scale saw ``rate``."""
-    size = np.abs(rate)
-    true = size if slip == 0.0 else (np.sqrt(1.0 + 4.0 * slip * size) - 1.0) / (2.0 * slip)
+    size, without_slip = np.abs(rate), 1.0 - asymmetry * np.sign(rate)
+    true = 2.0 * size / (without_slip + np.sqrt(without_slip**2 + 4.0 * slip * size))
     return float(np.trapezoid(np.sign(rate) * np.square(true), times))
 
 
@@ -207,7 +210,9 @@ def _fitted(
             x_scale="jac",
         )
         x = fit.x
-        if not plausible[0] < x[0] < plausible[1] or (fit.active_mask > 0).any():
+        # Slip and scale may be at their lower limit, which is 0; other values at a limit were not found.
+        at_limit = (fit.active_mask > 0) | ((fit.active_mask < 0) & (bounds[0] < 0.0))
+        if not plausible[0] < x[0] < plausible[1] or at_limit.any():
             return None
         curvature = fit.jac.T @ fit.jac
         free = int(kept.sum()) - len(x)

@@ -195,6 +195,7 @@ class MujocoRover:
     def push(self, shift: Pose) -> None:
         x, y, theta = self.pose
         self._place(Pose(x + shift.x, y + shift.y, theta + shift.theta))
+        self._turned += shift.theta
 
     def _place(self, pose: Pose) -> None:
         half = 0.5 * pose.theta

@@ -213,6 +213,10 @@ def _of_known(
     turn_gain = drawn.turning[:, 0]
     if known.odometry_heading is not None:
         odometry[:, 1] *= turn_gain  # known is the share of the true turn, not of the wheels'
+    if known.imbalance_rad_m is not None:
+        imbalance /= turn_gain
+    if known.slip_s is not None:
+        slip *= turn_gain
     shares = _share(known.accel, model.accel), _share(known.alpha, model.alpha)
     own = _share(known.decel, model.decel), _share(known.alpha_decel, model.alpha_decel)
     braking = (usual if share is None else share for share, usual in zip(own, shares, strict=True))

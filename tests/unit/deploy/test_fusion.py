@@ -10,6 +10,7 @@ from skid_rover import Camera, SkidDrive
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
 from deploy.estimator.history import History
+from deploy.estimator.motion import OMEGA, initial, true_motion, turned_without_gain
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
 from rover_ncp.core.robot_profile import RoverProfile
@@ -289,6 +290,47 @@ def test_a_gap_of_the_gyro_adds_no_turn():
             estimator.gyro(0.5 if tick == 30 else 0.01, t)
         estimator.odometry(Pose(0, 0, 0), Velocity(0, 0), t)
     assert abs(estimator.at(6.0).pose.theta) < 0.002
+
+
+@pytest.mark.parametrize("rate", [0.4, -0.4])
+def test_a_refused_sample_after_a_gap_of_the_gyro_adds_no_turn(rate):
+    estimator = Estimator(SETTINGS)
+    estimator.start(Pose(0, 0, 0), 0.0)
+    for tick in range(1, 16):
+        t = tick * DT
+        if tick not in (13, 14):
+            estimator.gyro(rate, t)
+        if tick == 15:
+            late = estimator.odometry(Pose(0, 0, rate * 1.35), Velocity(0, rate), 1.35)
+            assert late is Outcome.OUT_OF_ORDER
+        estimator.odometry(Pose(0, 0, rate * t), Velocity(0, rate), t)
+    estimate = estimator.at(1.5)
+    assert estimate.pose.theta == pytest.approx(rate * 1.5, abs=0.005)
+    assert estimate.turn_gain == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("asymmetry", [0.15, -0.15])
+@pytest.mark.parametrize("true", [0.5, -0.5, 2.0, -2.0])
+def test_the_turn_of_a_profile_is_that_which_its_encoders_would_report(asymmetry, true):
+    profile = RoverProfile(name="slope", odometry_heading=0.8, slip_s=0.3, turn_asymmetry=asymmetry)
+    settings = settings_for(profile)
+    odometry = 0.8 * (true + 0.3 * true * abs(true) - asymmetry * abs(true))
+    x = initial(settings, Pose(0, 0, 0), Pose(0, 0, 0))[0]
+    x[OMEGA] = odometry
+    assert true_motion(x, settings)[2] == pytest.approx(true)
+    turned, by_omega = turned_without_gain(odometry, settings)
+    step = 1e-6
+    change = turned_without_gain(odometry + step, settings)[0] - turned
+    assert by_omega == pytest.approx(change / step, rel=1e-4)
+
+
+def test_a_slide_that_was_removed_from_a_profile_is_unknown_again():
+    profile = RoverProfile(
+        name="moved", downhill_x_m=0.02, std={"downhill_x_m": 0.0003, "downhill_y_m": 0.0003}
+    )
+    assert settings_for(profile).downhill_std_m == 0.0003
+    removed = profile.model_copy(update={"downhill_x_m": None})
+    assert settings_for(removed).downhill_std_m == SETTINGS.downhill_std_m
 
 
 def test_poses_show_how_a_slope_moves_a_turning_rover():

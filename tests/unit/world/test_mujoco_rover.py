@@ -137,8 +137,9 @@ def test_a_push_shifts_a_driving_rover():
     body = rover()
     body.command(0.1, 0.0)
     advance(body, 3.0)
-    before = body.pose
+    before, turned = body.pose, body.turned
     body.push(Pose(0.01, -0.02, 0.03))
+    assert body.turned - turned == pytest.approx(0.03)
     after = [b - a for a, b in zip(before, body.pose, strict=True)]
     assert after == pytest.approx([0.01, -0.02, 0.03], abs=1e-6)
     assert body.velocity.v == pytest.approx(0.1, abs=0.01)

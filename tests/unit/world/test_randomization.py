@@ -113,7 +113,9 @@ def test_sensors_see_through_the_skid(sensors, sees):
 
 
 def test_known_odometry_holds_whatever_the_turn_gain():
-    known = RoverProfile(name="mine", odometry_heading=0.8, gain_omega=0.9, alpha=1.0)
+    known = RoverProfile(
+        name="mine", odometry_heading=0.8, gain_omega=0.9, alpha=1.0, imbalance_rad_m=-0.03, slip_s=0.3
+    )
     ranges = load_randomization("skid").model_copy(update={"rover": known})
     trials = draw_trials(ranges, MODEL, 1, count=5, ticks=TICKS)
     gain = trials.turning[:, 0]
@@ -121,6 +123,10 @@ def test_known_odometry_holds_whatever_the_turn_gain():
     assert trials.odometry[:, 1] / gain == pytest.approx(0.8)
     assert trials.gain[:, 1] * trials.odometry[:, 1] == pytest.approx(0.9)
     assert [trial_model(MODEL, trials, row).alpha * gain[row] for row in range(5)] == pytest.approx([1.0] * 5)
+    # The simulator has slip and imbalance of the wheels' turn, a profile of the true one.
+    wheels = 0.4 / gain
+    odometry = trials.odometry[:, 1] * (wheels + trials.slip * wheels**2 - trials.imbalance * 0.2)
+    assert odometry == pytest.approx(0.8 * (0.4 + 0.3 * 0.4**2 + 0.03 * 0.2))
 
 
 def test_a_known_deceleration_is_the_trials_own():

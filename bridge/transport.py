@@ -4,10 +4,13 @@ A line carries bytes in order, nothing more. Every failure is a NoRobot that nam
 after one, the line is closed and another is opened.
 """
 
+import fcntl
 import os
 import select
 import socket
 import struct
+import sys
+import termios
 import time
 from abc import ABC, abstractmethod
 from contextlib import suppress
@@ -24,7 +27,7 @@ DEFAULT_BAUD = 9600
 
 CONNECT_TIMEOUT_S = 5.0
 BACKLOG_S = 0.5
-"""A serial line with more than this still to send is broken: later commands would only arrive late."""
+"""A line is broken if bytes wait for longer than this in it: later commands would only arrive late."""
 BITS_PER_BYTE = 10
 """On a serial line: start bit, 8 data bits, stop bit."""
 
@@ -102,6 +105,10 @@ class TcpTransport(Transport):
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         # The control loop writes, and must not wait for room.
         self._socket.setblocking(False)
+        self._acknowledged = 0
+        """How many of the written bytes the far end has acknowledged."""
+        self._advanced_s = 0.0
+        """When a write last found that number grown, or no byte outstanding."""
 
     def set_baudrate(self, baudrate: int) -> None:
         """See Transport: this line has no rate."""
@@ -125,12 +132,29 @@ class TcpTransport(Transport):
     def write(self, data: bytes) -> None:
         """See Transport."""
         try:
-            sent = self._socket.send(data)
+            sent = 0 if self._stuck() else self._socket.send(data)
         except BlockingIOError:
             sent = 0
-        except OSError as error:
-            raise self._gone(error.strerror or error) from error
+        except (OSError, ValueError) as error:
+            raise self._gone(getattr(error, "strerror", None) or error) from error
         self._count(sent, data)
+
+    def _stuck(self) -> bool:
+        """Return whether bytes are outstanding and the far end has acknowledged none for `BACKLOG_S`.
+
+        On a slow line that works, some bytes are always outstanding, but never the same ones for long.
+        """
+        now, outstanding = time.monotonic(), self._outstanding()
+        acknowledged = self.bytes_out - outstanding
+        if not outstanding or acknowledged > self._acknowledged:
+            self._acknowledged, self._advanced_s = acknowledged, now
+        return now - self._advanced_s > BACKLOG_S
+
+    def _outstanding(self) -> int:
+        """Return how many written bytes the far end has not acknowledged; 0 where only Linux counts them."""
+        if sys.platform != "linux":
+            return 0
+        return int.from_bytes(fcntl.ioctl(self._socket, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
     def close(self) -> None:
         """See Transport."""

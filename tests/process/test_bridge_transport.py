@@ -6,12 +6,13 @@ import socket
 import time
 import tty
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 
 import pytest
 
+from bridge import transport
 from bridge.pioneer.arcos import Command, encode_command
-from bridge.transport import DEFAULT_PORT, Transport, open_transport
+from bridge.transport import BACKLOG_S, DEFAULT_PORT, Transport, open_transport
 from rover_ncp.core.errors import NoRobot, UsageError
 
 
@@ -167,6 +168,48 @@ def test_a_line_that_takes_no_more_bytes_is_no_robot_and_no_write_waits_for_it(k
     ):
         flood(line)
     assert longest_s < 0.25  # the machine's delay; a write with a timeout took 0.5 s
+
+
+def test_a_tcp_line_that_takes_nothing_while_packets_still_come_is_given_up_and_drops_what_it_holds():
+    """The far end's window is closed: what the line holds back would be old setpoints when it opens again."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)  # the system takes its minimum
+        line = open_transport(f"tcp/127.0.0.1:{server.getsockname()[1]}")
+        far, _ = server.accept()
+    with closing(line), far:
+        deadline = time.monotonic() + 10 * BACKLOG_S
+        with pytest.raises(NoRobot, match="takes no more bytes"):
+            while time.monotonic() < deadline:
+                line.write(bytes(100))
+                far.sendall(b"report")
+                assert line.read(0.1) == b"report"
+                time.sleep(0.02)
+        written = line.bytes_out
+        with pytest.raises(NoRobot, match="takes no more bytes"):  # nothing more goes out
+            line.write(bytes(100))
+        assert line.bytes_out == written
+        line.abort()
+        arrived = 0
+        with suppress(ConnectionResetError):
+            while data := far.recv(4096):
+                arrived += len(data)
+    assert arrived < written
+
+
+def test_a_slow_tcp_line_that_acknowledges_bytes_is_not_given_up(monkeypatch):
+    """Bytes are outstanding at every write, but each time others."""
+    now_s = 100.0
+    with tcp_pair() as (line, _):
+        monkeypatch.setattr(transport.time, "monotonic", lambda: now_s)
+        monkeypatch.setattr(line, "_outstanding", lambda: min(line.bytes_out, 18))
+        for _ in range(50):
+            line.write(bytes(18))
+            now_s += 0.4
+        monkeypatch.setattr(line, "_outstanding", lambda: line.bytes_out - 18 * 50)
+        line.write(bytes(18))  # all that was written before is acknowledged
+        now_s += BACKLOG_S + 0.01
+        with pytest.raises(NoRobot, match="takes no more bytes"):
+            line.write(bytes(18))
 
 
 def test_the_last_command_arrives_although_sips_lie_unread() -> None:

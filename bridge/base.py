@@ -138,7 +138,14 @@ class Failed:
     reason: str
 
 
-BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Lost | Recovered | Failed
+@dataclass(frozen=True)
+class Notice:
+    """A shortcoming of the base's reports that a user has to know."""
+
+    text: str
+
+
+BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Lost | Recovered | Failed | Notice
 
 
 class OwnTimeout(NamedTuple):

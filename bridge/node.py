@@ -19,6 +19,7 @@ from bridge.base import (
     BaseReport,
     Failed,
     Lost,
+    Notice,
     Ready,
     Recovered,
     RobotShape,
@@ -175,6 +176,8 @@ class Node:
                         self._ready()
                 case Recovered():
                     self._say("the base sends packets again")
+                case Notice(words):
+                    self._say(words)
                 case Lost(reason):
                     self._report = None
                     self._judge(BaseLost(), arrived_s)

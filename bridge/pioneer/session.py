@@ -15,7 +15,7 @@ Sources: AROS manual p. 43 (motors, watchdog); ``states.py`` for the handshake.
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from bridge.base import BaseEvent, BaseReport, Failed, Lost, Ready, Recovered, TurnRate
+from bridge.base import BaseEvent, BaseReport, Failed, Lost, Notice, Ready, Recovered, TurnRate
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command
 from bridge.pioneer.baud import Rates
 from bridge.pioneer.odometry import Odometer
@@ -27,7 +27,10 @@ from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.geometry import Velocity
 
 CONFIG_S, OPEN_S = 1.0, 2.0
-"""How long to wait for a CONFIGpac, which is optional, and for the first SIP, which is not."""
+"""How long to wait for a CONFIGpac, which is optional, and for the first SIP, which is not.
+
+A ready base without a CONFIGpac is asked for it again as often as that.
+"""
 
 GYRO_CLIENT_SIDE = 1
 """HASGYRO of a base that sends readings when asked; with 2 its headings have the gyro in them already."""
@@ -40,6 +43,11 @@ TRIES_AGAIN = 3
 
 CONNECT_S = 15.0
 """A base that answers but is not ready after this time is given up: the search of all rates takes 11 s."""
+
+NO_CONFIG = (
+    "the base has not sent its configuration (CONFIGpac): its bumpers do not stop the rover before that; "
+    "the bridge asks for it once a second"
+)
 
 _PACKET_INPUTS: dict[int, Input] = {
     Kind.SYNC0: Input.ECHO0,
@@ -81,7 +89,7 @@ class Session:
         self._out = bytearray()
         self._events: list[SessionEvent] = []
         self._reason = ""
-        self._now = self._deadline = self._opened_s = 0.0
+        self._now = self._deadline = self._opened_s = self._asked_s = 0.0
         self._began_s = 0.0
         self._tries = self._silent_tries = 0
         self._silent_limit = SILENT_TRIES
@@ -129,6 +137,8 @@ class Session:
             self._dispatch(Input.EXPIRED)
         if self.state is SessionState.READY:
             self._setpoints.tick(self._report, self._odometer.reset_pending, now)
+            if self._odometer.config is None and now - self._asked_s >= CONFIG_S:
+                self._ask_for_config()
         return self._drain()
 
     def data_to_send(self) -> bytes:
@@ -263,7 +273,7 @@ class Session:
         self._report = self._config = None
         self._opened_s = self._now
         self._send(Command.OPEN)
-        self._send(Command.CONFIG)
+        self._ask_for_config()
 
     def _do_refuse(self) -> None:
         self._send(Command.CLOSE)
@@ -278,8 +288,11 @@ class Session:
             self._settle()
 
     def _do_configure(self) -> None:
-        self._odometer.config = self._config
-        if self._report is not None:
+        first, self._odometer.config = self._odometer.config is None, self._config
+        if self.state is SessionState.READY:
+            if first:
+                self._ask_for_gyro()
+        elif self._report is not None:
             self._settle()
 
     def _do_ask_again(self) -> None:
@@ -293,7 +306,15 @@ class Session:
             self._dispatch(Input.SETTLED)
             return
         if self._config is None:
-            self._send(Command.CONFIG)
+            self._ask_for_config()
+
+    def _ask_for_config(self) -> None:
+        self._send(Command.CONFIG)
+        self._asked_s = self._now
+
+    def _ask_for_gyro(self) -> None:
+        if self._config is not None and self._config.has_gyro == GYRO_CLIENT_SIDE:
+            self._send(Command.GYRO, 1)
 
     def _settle(self) -> None:
         slow = self._rates.faster(self._config) is not None
@@ -321,9 +342,10 @@ class Session:
         self._silent_limit = TRIES_AGAIN
         name, robot_class, subtype = self._names
         self._events.append(Ready(f"{robot_class} {subtype} {name}", self._odometer.robot))
+        if self._odometer.config is None:
+            self._events.append(Notice(NO_CONFIG))
         self._setpoints.take(self._now)
-        if self._config is not None and self._config.has_gyro == GYRO_CLIENT_SIDE:
-            self._send(Command.GYRO, 1)
+        self._ask_for_gyro()
 
     def _do_publish(self) -> None:
         self._report = self._odometer.update(self._sip, self._now)

@@ -1,6 +1,7 @@
 """The rules at the top of session.py and setpoints.py, and robots that do not answer as expected."""
 
 import math
+from itertools import pairwise
 
 import pytest
 from arcos_bench import BYTES, CONFIG, ECHO0, ECHO1, NAMES, STRANGER, Bench, Sent, frame, sip
@@ -8,10 +9,10 @@ from arcos_captures import CAPTURES, Capture
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.base import BaseReport, Failed, Lost, Ready, Recovered, TurnRate
+from bridge.base import BaseReport, Failed, Lost, Notice, Ready, Recovered, TurnRate
 from bridge.pioneer.arcos import Command, encode_frame
 from bridge.pioneer.packets import ConfigPac, Flag, GyroPac, Kind
-from bridge.pioneer.session import Session
+from bridge.pioneer.session import CONFIG_S, Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.pioneer.states import PATIENCE_S, SessionState
 from rover_ncp.core.geometry import Velocity
@@ -95,6 +96,32 @@ def test_without_a_configpac_the_base_is_ready_after_a_second() -> None:
     state = bench.events[-1]
     assert isinstance(state, BaseReport)
     assert state.bumpers == (0, 0)
+
+
+def test_a_configpac_that_was_lost_is_asked_for_until_it_comes_and_then_the_bumpers_count() -> None:
+    bench = Bench()
+    bench.go_to(SessionState.CONFIGURING)
+    asked_s = []
+    while bench.now < 110:
+        bench.hear(sip(stall_right=0xFE))
+        bench.wait(0.1)
+        if Command.CONFIG in bench.commands() and bench.session.state is SessionState.READY:
+            asked_s.append(bench.now)
+    assert bench.session.state is SessionState.READY
+    assert len(asked_s) >= 7
+    assert min(after - before for before, after in pairwise(asked_s)) >= CONFIG_S - 0.01
+    (notice,) = [event.text for event in bench.events if isinstance(event, Notice)]
+    assert "bumpers do not stop the rover" in notice
+    bench.events.clear()
+    bench.hear(frame(ConfigPac(front_bumps=5, has_gyro=1).encode()) + sip(stall_right=0xFE))
+    (state,) = bench.events
+    assert isinstance(state, BaseReport)
+    assert state.bumpers == (0b11111, 0)
+    assert bench.commands() == [Command.GYRO]
+    for _ in range(20):
+        bench.hear(sip() + CONFIG)
+        bench.wait(0.1)
+        assert not {Command.CONFIG, Command.GYRO} & set(bench.commands())
 
 
 def test_open_is_repeated_until_sips_come_and_then_all_starts_over() -> None:
@@ -386,7 +413,7 @@ def test_recorded_robots_are_followed(capture: Capture) -> None:
         bench.now = start + t
         bench.hear(data)
     states = [event for event in bench.events if isinstance(event, BaseReport)]
-    assert [type(event) for event in bench.events if not isinstance(event, BaseReport)] == [Ready]
+    assert [type(event) for event in bench.events if not isinstance(event, BaseReport | Notice)] == [Ready]
     ends = {"aria_drive": 0.756, "aria_wrap": 43262 * 0.465e-3, "fault": 0.763, "player": 0.670}
     end = next((x for name, x in ends.items() if capture.name.startswith(name)), 0.0)
     assert states[-1].x == pytest.approx(end)

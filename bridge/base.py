@@ -140,7 +140,7 @@ class Failed:
 
 @dataclass(frozen=True)
 class Notice:
-    """A shortcoming of the base's reports that a user has to know."""
+    """A text for the log: what a user has to know of the base, or of what is stored of it."""
 
     text: str
 

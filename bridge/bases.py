@@ -6,6 +6,7 @@ name, which is called with REST, the robot's description and a function that put
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -143,7 +144,11 @@ def open_base(
     known = file.load(silence.unsafe)
     line = RosLine(chosen.ros2, chosen.description.topics, inbox)
     link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
-    return line, Ros2Base(line, chosen.description, known, file.store), known.note
+    return (
+        line,
+        Ros2Base(line, chosen.description, known, partial(file.store_in_background, inbox.put)),
+        known.note,
+    )
 
 
 def _load(driver: EntryPoint) -> BaseDriver:

@@ -21,6 +21,7 @@ from bridge.base import (
     Failed,
     LinkHealth,
     Lost,
+    Notice,
     OwnTimeout,
     Ready,
     Recovered,
@@ -32,7 +33,7 @@ from bridge.inbox import RobotMessage
 from bridge.ros.discovery import Announced
 from bridge.ros_base.odometry import LEAST_IN_RATE_S, RATE_S, Moved, RosOdometer
 from bridge.ros_base.scan import ScanRoom
-from bridge.ros_base.silence import Silence
+from bridge.ros_base.silence import Measurement, NotStored, Silence
 from rover_ncp.core.cdr import decode, encode
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
@@ -68,10 +69,6 @@ OWN_S = 2.0
 COAST_S, DRIVES_ALONE_S = 2.0, 0.5
 """A robot that still drives so long after the last command, for so long, is driven by another."""
 MOVING_M_S, MOVING_RAD_S = 0.05, 0.15
-MOST_SILENT_S = 5.0
-"""A base that has not halted after this time without commands has no timeout."""
-HALTED = 0.5
-"""A base has halted when its speed is below this share of what it was."""
 _BUMPERS = frozenset({BUMP, CLIFF, WHEEL_DROP})
 ZERO = Velocity(0.0, 0.0)
 _LOOP = (
@@ -130,7 +127,7 @@ def command(topics: Topics, velocity: Velocity, stamp_ns: int) -> bytes:
 class Ros2Base:
     """One robot, described by ``description``, whose ``topics`` are not None.
 
-    ``silence`` is what is known of it without commands; ``store`` keeps what is measured.
+    ``silence`` is what is known of it without commands; ``store`` keeps what is measured, and does not wait.
     """
 
     def __init__(
@@ -156,9 +153,7 @@ class Ros2Base:
         self._room = ScanRoom(description) if self._topics.scan is not None else None
         self.silence, self._store = silence, store
         self._speed = 0.0
-        self._silent_since_s: float | None = None
-        """When the measurement of the timeout began."""
-        self._silent_speed = 0.0
+        self._measurement: Measurement | None = None
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
         """See Base."""
@@ -173,6 +168,10 @@ class Ros2Base:
                     self._tokens[token] = None
             case LoopSeen(there):
                 self._loop = there
+            case NotStored(reason):
+                return [
+                    Notice(f"the measured timeout counts until this bridge ends, it was not stored: {reason}")
+                ]
         changes = self._watch(now)
         return [*changes, *events] if self._ready else changes
 
@@ -180,14 +179,22 @@ class Ros2Base:
         """See Base."""
         events = self._watch(now)
         velocity = setpoint.velocity if setpoint.motors and self._ready else ZERO
-        if self._silent_since_s is not None:
-            self._driven_s = now
-            if self._still_measures(setpoint, now):
+        if setpoint.emergency or not self._ready:
+            self._measurement = None  # whatever halts the robot now, it is not its own timeout
+        measurement = self._measurement
+        if measurement is not None:
+            measurement.update(self._speed, now)
+            if measurement.silent:
+                self._driven_s = now
                 return events
         if velocity != self._out or not self._sent or now - self._sent[-1][0] >= REFRESH_S:
             self._send(velocity, now)
         if velocity != ZERO:
             self._driven_s = now
+        if measurement is not None and now >= measurement.counts_s:
+            self._measurement = None
+            self.silence = self.silence.measured(measurement.timeout_s)
+            self._store(self.silence)
         return events
 
     def reset_odometry(self) -> None:
@@ -202,7 +209,7 @@ class Ros2Base:
     @property
     def own_timeout(self) -> OwnTimeout:
         """See Base."""
-        if self._silent_since_s is not None:
+        if self._measurement is not None:
             return OwnTimeout(TimeoutState.RUNNING, None, self.silence.refusal)
         return OwnTimeout(self.silence.state, self.silence.timeout_s, self.silence.refusal)
 
@@ -211,21 +218,8 @@ class Ros2Base:
         # With a zero already sent, it would measure how the robot obeys and not how it halts by itself.
         if not self._ready or abs(self._speed) < MOVING_M_S or self._out == ZERO:
             return "the wheels do not turn by a command"
-        self._silent_since_s, self._silent_speed = self._sent[-1][0], self._speed
+        self._measurement = Measurement(self._sent[-1][0], self._speed)
         return ""
-
-    def _still_measures(self, setpoint: Setpoint, now: float) -> bool:
-        """Return whether the measurement of the timeout goes on; store its result when it ends."""
-        assert self._silent_since_s is not None
-        silent_s = now - self._silent_since_s
-        halted = abs(self._speed) < HALTED * abs(self._silent_speed)
-        if self._ready and not setpoint.emergency and not halted and silent_s < MOST_SILENT_S:
-            return True
-        self._silent_since_s = None
-        if halted or silent_s >= MOST_SILENT_S:
-            self.silence = self.silence.measured(silent_s if halted else None)
-            self._store(self.silence)
-        return False
 
     def close(self, now: float) -> None:
         """See Base."""

@@ -5,14 +5,18 @@ A measurement holds for one robot, by its address and namespace, and one descrip
 
 import hashlib
 import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 
 from pydantic import Field
 
+from bridge.inbox import ThreadError
 from bridge.ros_base.address import RosAddress
-from bridge.ros_base.silence import Silence
+from bridge.ros_base.silence import NotStored, Silence
 from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml
+from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import write_atomic
 from rover_ncp.core.robot_description import RobotDescription
 
@@ -41,6 +45,7 @@ class SilenceFile:
         self._model = description.name
         identity = f"{self._robot}\n{description.model_dump_json()}"
         self._identity = hashlib.sha256(identity.encode()).hexdigest()[:16]
+        self._writer = ThreadPoolExecutor(1)  # one thread: the last result stays
 
     def load(self, unsafe: bool) -> Silence:
         """Return what is known of the robot."""
@@ -56,5 +61,17 @@ class SilenceFile:
         now = datetime.now(UTC).replace(microsecond=0)
         entry = _Entry(robot=self._robot, model=self._model, timeout_s=silence.timeout_s, measured=now)
         data = _Entries(robots={**entries, self._identity: entry}).model_dump(mode="json")
-        self.path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(self.path, dump_yaml(data))
+
+    def store_in_background(self, report: Callable[[object], None], silence: Silence) -> None:
+        """Store on another thread; ``report`` gets a `NotStored`, or a `ThreadError`."""
+
+        def work() -> None:
+            try:
+                self.store(silence)
+            except RoverNcpError as error:
+                report(NotStored(str(error)))
+            except Exception as error:
+                report(ThreadError(error))
+
+        self._writer.submit(work)

@@ -222,6 +222,8 @@ class Preflight:
             base = self._link.about_base()
         if base is not None and base.state is TimeoutState.MEASURED:
             return True, f"if it dies, the base halts after {base.timeout_s:.2f} s"
+        if base is not None and base.state is TimeoutState.UNKNOWN:
+            return False, "the timeout was not measured: a stop or a loss of the base ended the measurement"
         return False, "if it dies, the base does not halt: the bridge then needs --no-base-watchdog"
 
     def _gate_since(self, before: GateStatus) -> str:

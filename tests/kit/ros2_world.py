@@ -36,12 +36,13 @@ class Line:
 class World:
     """A base, a line and a clock; ``events`` is all that happened, reports apart."""
 
-    def __init__(self, description=BURGER):
+    def __init__(self, description=BURGER, store=None):
         self.line, self.now = Line(), 100.0
         self.stored = []
-        self.base = Ros2Base(self.line, description, Silence(), self.stored.append)
+        self.base = Ros2Base(self.line, description, Silence(), store or self.stored.append)
         self.events, self.reports, self.turns = [], [], []
         self.x = self.setpoint_v = 0.0
+        self.emergency = False
         self.clock_s = EPOCH_S
 
     def keep(self, events):
@@ -69,7 +70,7 @@ class World:
                 self.odom(**{"v": self.setpoint_v, **values})
             if each:
                 each()
-            setpoint = Setpoint(Velocity(self.setpoint_v, 0.0), True, False)
+            setpoint = Setpoint(Velocity(self.setpoint_v, 0.0), True, self.emergency)
             self.keep(self.base.drive(setpoint, self.now))
         return self
 

@@ -1,6 +1,7 @@
 """A LaserScan as the room before and behind a robot, in place of sonars. Pure."""
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 
@@ -15,6 +16,11 @@ MARGIN_M = 0.05
 """The way that must be clear is wider than the robot by this on each side."""
 BEAMS_APART = 1.5
 """A direction was scanned if a beam lies within this many steps of it."""
+LOOKS_RAD = math.radians(20.0)
+"""The room in a direction is known only if at least one beam within this angle, or those steps, is valid."""
+
+_Numbers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.float64]]"
+_Flags: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.bool_]]"
 
 
 class ScanRoom:
@@ -34,14 +40,19 @@ class ScanRoom:
         if not len(ranges) or not all(map(math.isfinite, limits)) or step == 0.0:
             raise FormatError("a scan without beams or without finite angles")
         angles = message.angle_min + step * np.arange(len(ranges)) + math.radians(self._mount.yaw_deg)
-        seen = np.isfinite(ranges) & (ranges >= message.range_min) & (ranges <= message.range_max)
-        x = self._mount.x_m + ranges[seen] * np.cos(angles[seen])
-        y = self._mount.y_m + ranges[seen] * np.sin(angles[seen])
+        nothing = np.isposinf(ranges)
+        ranges = np.where(np.isneginf(ranges), message.range_min, ranges)  # REP 117: something is too close
+        measured = np.isfinite(ranges) & (ranges >= message.range_min) & (ranges <= message.range_max)
+        ranges = np.where(measured, ranges, math.nan)
+        x = self._mount.x_m + ranges * np.cos(angles)
+        y = self._mount.y_m + ranges * np.sin(angles)
         front, rear, half = self._robot.front_m, self._robot.rear_m, self._robot.width_m / 2
         # Posts of the robot's own are within its outline.
-        other = (np.abs(y) <= half + MARGIN_M) & ~((x >= -rear) & (x <= front) & (np.abs(y) <= half))
-        ahead = _least(x[other & (x > 0.0)] - front) if _scanned(angles, 0.0, step) else math.nan
-        behind = _least(-x[other & (x < 0.0)] - rear) if _scanned(angles, math.pi, step) else math.nan
+        own = (x >= -rear) & (x <= front) & (np.abs(y) <= half)
+        other = (np.abs(y) <= half + MARGIN_M) & ~own
+        sees = nothing | (measured & ~own)
+        ahead = _least(x[other & (x > 0.0)] - front) if _scanned(angles, sees, 0.0, step) else math.nan
+        behind = _least(-x[other & (x < 0.0)] - rear) if _scanned(angles, sees, math.pi, step) else math.nan
         self._at_s, self._room = now, (ahead, behind)
 
     def clear(self, now: float) -> tuple[float, float]:
@@ -49,10 +60,13 @@ class ScanRoom:
         return self._room if now - self._at_s <= VALID_S else (math.nan, math.nan)
 
 
-def _least(room: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> float:
+def _least(room: _Numbers) -> float:
     return max(float(room.min()), 0.0) if len(room) else math.inf
 
 
-def _scanned(angles: "np.ndarray[tuple[int], np.dtype[np.float64]]", direction: float, step: float) -> bool:
-    apart = np.abs(np.remainder(angles - direction + math.pi, math.tau) - math.pi)
-    return bool(apart.min() <= BEAMS_APART * abs(step))
+def _scanned(angles: _Numbers, sees: _Flags, direction: float, step: float) -> bool:
+    apart, near = (
+        np.abs(np.remainder(angles - direction + math.pi, math.tau) - math.pi),
+        BEAMS_APART * abs(step),
+    )
+    return bool(apart.min() <= near and np.any(sees & (apart <= max(near, LOOKS_RAD))))

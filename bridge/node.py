@@ -34,13 +34,15 @@ from bridge.queries import Answers
 from bridge.ros import messages as ros
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.messages import read_twist, text, twist_stamped
-from rover_ncp.core.process import Clock
+from rover_ncp.core.process import Clock, suspended_s
 from rover_ncp.core.protocol import Signed, dump_json
 
 TICK_S = 0.02
 """How often the loop turns when nothing arrives."""
 APART_S = 0.01
 """Commands at a higher rate than this are not passed on one by one: a serial line could not carry them."""
+SUSPENDED_S = 0.1
+"""A suspend of the computer for longer than this ends the lease."""
 STATUS_S = 0.1
 SLOW_S = 1.0
 
@@ -76,8 +78,10 @@ class Node:
         say: Callable[[str], None],
         ready: Callable[[], None],
         clock: Clock = time,
+        suspended_s: Callable[[], float] = suspended_s,
     ) -> None:
         self._base, self._link, self._inbox, self._clock = base, link, inbox, clock
+        self._total_suspended_s, self._suspended_s = suspended_s, suspended_s()
         self._limits, self._accept_ros, self._say = limits, accept_ros, say
         self._ready = ready
         self._answers = Answers(limits, link.key, self._judge, base)
@@ -215,6 +219,7 @@ class Node:
 
     def _act(self, now: float) -> None:
         """Pass the gate's verdict to the base, which also sends its keep-alives then."""
+        self._end_lease_after_suspend(now)
         verdict = self._judge(Tick(), now)
         last, self._sent = self._sent, verdict
         self._act_now = self._commanded = False
@@ -223,6 +228,14 @@ class Node:
         self._handle(self._base.drive(setpoint, now), now)
         if verdict.velocity != last.velocity:
             self._link.publish("rover/cmd_out", twist_stamped(verdict.velocity, self._wall_ns(now)))
+
+    def _end_lease_after_suspend(self, now: float) -> None:
+        """End the lease after a suspend: the monotonic clock stood still, so old commands look fresh."""
+        slept_s = self._total_suspended_s() - self._suspended_s
+        if slept_s > SUSPENDED_S:
+            self._judge(BaseLost(), now)
+            self._log.append(f"this computer was suspended for {slept_s:.1f} s")
+        self._suspended_s += max(slept_s, 0.0)
 
     def _publish_report(self, report: BaseReport, arrived_s: float) -> None:
         assert self._robot is not None  # a base is ready before it reports

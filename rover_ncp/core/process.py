@@ -1,6 +1,8 @@
 """A process's clock, its termination signals (recorded, not obeyed), and what a ``with`` block closes."""
 
 import signal
+import sys
+import time
 from abc import ABC, abstractmethod
 from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
@@ -20,6 +22,16 @@ class Clock(Protocol):
 
     def sleep(self, seconds: float, /) -> None:
         """Wait."""
+
+
+def suspended_s() -> float:
+    """Return how long this computer has been suspended since its start, in s; 0 if the system is not Linux.
+
+    The monotonic clock stands still meanwhile. A delay between the two readings makes the result smaller.
+    """
+    if sys.platform != "linux":
+        return 0.0
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
 
 
 class ClosedAtExit(ABC):

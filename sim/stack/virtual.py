@@ -61,6 +61,7 @@ class VirtualBridge:
             say=lambda words: None,
             ready=lambda: None,
             clock=self,
+            suspended_s=self.suspended_s,
         )
 
     # The clock.
@@ -76,6 +77,10 @@ class VirtualBridge:
     def time_ns(self) -> int:
         """Return the virtual wall clock's time."""
         return WALL_NS + self.now_ns
+
+    def suspended_s(self) -> float:
+        """Return 0: the virtual computer is never suspended."""
+        return 0.0
 
     def sleep(self, seconds: float) -> None:
         """Let time pass."""

@@ -23,6 +23,7 @@ class Bridge(VirtualBridge):
     """A bridge whose wall clock can be set, with what it published and what it sent to the base."""
 
     set_ns = 0
+    slept_s = 0.0
 
     def __init__(self):
         self.stamps, self.published, self.sent = [], [], []
@@ -34,6 +35,9 @@ class Bridge(VirtualBridge):
 
     def time_ns(self):
         return super().time_ns() + self.set_ns
+
+    def suspended_s(self):
+        return self.slept_s
 
     def publish(self, name, data):
         if name == "odom":
@@ -63,6 +67,41 @@ def test_stamps_do_not_step_during_a_lease_and_are_right_again_after_it(step_ns)
     assert all(abs(stamp) < SECOND_NS / 10 for stamp in bridge.stamps)
     bridge.sleep(1.8)  # the lease lapses: no command arrives
     assert abs(bridge.stamps[-1] - step_ns) < SECOND_NS / 10
+
+
+def drive(bridge, lease, velocity):
+    """Send commands for a second."""
+    for _ in range(20):
+        data = twist_stamped(velocity, bridge.time_ns())
+        bridge.command(data, lease.sign(Signed.COMMAND, "cmd_vel", data, bridge.now_ns).pack())
+        bridge.sleep(0.05)
+
+
+def test_after_a_suspend_no_command_from_before_it_reaches_the_base():
+    """The monotonic clock stood still, so by it the last command is fresh and the lease valid."""
+    bridge, lease = Bridge(), DriverLease()
+    lease.grant(bridge.motors())
+    drive(bridge, lease, Velocity(0.2, 0.0))
+    assert bridge.sent[-1] == (Command.RVEL, 0)
+    assert bridge.sent[-2] == (Command.VEL, 200)
+    bridge.sent.clear()
+    bridge.slept_s = 3.0
+    drive(bridge, lease, Velocity(0.2, 0.0))
+    assert bridge.sent
+    assert all(value == 0 for _, value in bridge.sent)
+    lease.end()
+    lease.grant(bridge.motors())
+    drive(bridge, lease, Velocity(0.2, 0.0))
+    assert (Command.VEL, 200) in bridge.sent
+
+
+def test_what_is_no_suspend_changes_nothing():
+    """The difference of two clocks is read late once, then grows by less than counts."""
+    bridge, lease = Bridge(), DriverLease()
+    lease.grant(bridge.motors())
+    for bridge.slept_s in (-1.0, 0.0, 0.09, 0.18):
+        drive(bridge, lease, Velocity(0.2, 0.0))
+        assert bridge.sent[-2] == (Command.VEL, 200)
 
 
 @pytest.mark.parametrize("wanted", [Velocity(9.0, -9.0), Velocity(-0.1234, 0.0567), Velocity(0.0, 0.59)])

@@ -1,11 +1,14 @@
-"""Termination signals."""
+"""Termination signals, and the time of suspends."""
 
 import os
 import signal
+import sys
+import time
+from itertools import count
 
 import pytest
 
-from rover_ncp.core.process import Interrupts
+from rover_ncp.core.process import Interrupts, suspended_s
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -28,3 +31,10 @@ def test_ignored_signals_stay_ignored():
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts suspends")
+def test_delay_between_the_readings_of_two_clocks_is_no_suspend(monkeypatch):
+    late_s, slept_s = count(), {time.CLOCK_BOOTTIME: 5.0, time.CLOCK_MONOTONIC: 0.0}
+    monkeypatch.setattr(time, "clock_gettime", lambda clock: next(late_s) + slept_s[clock])
+    assert suspended_s() <= 5.0

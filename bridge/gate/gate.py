@@ -7,8 +7,9 @@ Rules of this file:
 2. The verdict's velocity is always finite and within the limits. It is sent, published and recorded.
 3. The output is zero unless all of these hold: the base reports in time, no stop is latched, no hazard is
    flagged, the motors are on, there is a lease, and its holder sent a command that is fresh, new and finite.
-4. A hazard revokes the lease: the driver must request it again. Stale commands or odometry only hold the
-   rover. So do fence and sonars: the rover may be driven away from them.
+4. A hazard revokes the lease: the driver must request it again, and plain ROS commands must pause or be
+   zero. Stale commands or odometry only hold the rover. So do fence and sonars: the rover may be driven
+   away from them.
 5. The gate limits only growth of the command, never braking.
 6. A message that is not signed with the key of the current lease changes nothing but a counter. The caller
    verifies digests and makes keys: `step` draws no random numbers.
@@ -87,6 +88,9 @@ def step(
     hazard = _hazard(state, limits)
     if hazard is not None and state.lease is not None:
         state = _end_lease(state, hazard)
+    # A publisher may wait for a bridge that starts: the time before the first report is no hazard to it.
+    if hazard is not None and (hazard is not Reason.NO_BASE or state.base_s > -math.inf):
+        state = replace(state, hazard_since_grant=True)
     held = hazard or _hold_reason(state, limits)
     if state.held is None and held not in {None, Reason.NO_LEASE}:
         state = replace(state, stops=_count(state.stops, held))
@@ -213,6 +217,7 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         lease=granted,
         leases=granted.number,
         ended=None,
+        hazard_since_grant=False,
         target=None,
         idle=Reason.SILENCE,
         minima=remember((), state.now, request.sent_ns),
@@ -267,6 +272,8 @@ def _command(
     elif accept_ros:
         admitted = _untagged(state, command, limits)
     if isinstance(admitted, Reason):
+        if state.hazard_since_grant and command.tag is None and velocity != ZERO:
+            state = replace(state, untagged_until_s=state.now + UNTAGGED_PAUSE_S)
         return replace(state, dropped=_count(state.dropped, admitted)), admitted
     state = admitted.state
     if velocity is None or not all(map(math.isfinite, velocity)):
@@ -313,7 +320,7 @@ def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Ad
     """Check a plain ROS command by its stamp, if it has one, on synchronised wall clocks.
 
     It gets its lease without a request. After a lease ended, a pause or a zero command must come first, as
-    when a user releases a stick.
+    when a user releases a stick. After a hazard, each dropped command that is not zero restarts the pause.
     """
     age = 0.0 if command.age_s is None else command.age_s
     if not abs(age) <= ROS_AGE_S:

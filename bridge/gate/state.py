@@ -174,7 +174,9 @@ class GateState:
     motors: bool = False
     motors_until_s: float = -math.inf
     untagged_until_s: float = -math.inf
-    """Untagged commands are dropped before this: after a hazard, the user releases the stick first."""
+    """Untagged commands that are not zero are dropped before this, unless they hold the lease."""
+    hazard_since_grant: bool = False
+    """Whether a hazard was active since the last lease was granted."""
     accepted: int = 0
     dropped: Mapping[Reason, int] = field(default_factory=dict)
     """Commands that the gate dropped, by reason."""

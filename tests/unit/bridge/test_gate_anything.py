@@ -89,6 +89,9 @@ def events_of(kind, what, now, sequence):
         case "good":
             yield CLEAR
             yield VelocityCommand(SLOW, CommandTag(1, sequence, stamp), signed=True)
+        case "publisher":
+            yield CLEAR
+            yield VelocityCommand(SLOW)
         case "start":
             yield Unlatch()
             yield CLEAR
@@ -127,8 +130,31 @@ def allowed_to_move(history, limits):
         and report.motors_on
         and all(math.isfinite(getattr(report, name)) for name in ("x", "y", "theta", "v", "omega"))
         and not any(ends(event, last) for _, event, _ in history[counted[-1] + 1 :])
+        and asked_again(history, counted)
         and not (latches and isinstance(latches[-1], Stop))
         and not blocked(report, command.velocity.v, limits)
+    )
+
+
+def asked_again(history, counted):
+    """Whether the first driver after a hazard asked for a lease, sent zero, or paused for 1 s before."""
+    hazards = [k for k, (_, event, _) in enumerate(history) if hazardous(event)]
+    begin = hazards[-1] if hazards else len(history)
+    first = next((k for k in counted if k > begin), None)
+    if first is None:
+        return True
+    requested = any(isinstance(event, Enable) for _, event, _ in history[begin:first])
+    counted_s, command, _ = history[first]
+    return (
+        requested
+        or command.velocity == ZERO
+        or not any(
+            isinstance(event, VelocityCommand)
+            and event.tag is None
+            and event.velocity != ZERO
+            and counted_s < t + 1.0
+            for t, event, _ in history[begin:first]
+        )
     )
 
 
@@ -139,10 +165,14 @@ def blocked(report, v, limits):
     return asked and not ranges[math.copysign(1.0, v)] >= limits.sonar_stop_m
 
 
-def ends(event, last):
+def hazardous(event):
     if isinstance(event, BaseReport):
         return event.stop_pressed or any(event.stalled) or any(event.bumpers)
-    return isinstance(event, Stop | BaseLost) or (isinstance(event, Release) and event.sequence > last)
+    return isinstance(event, Stop | BaseLost)
+
+
+def ends(event, last):
+    return hazardous(event) or (isinstance(event, Release) and event.sequence > last)
 
 
 def forged(event, state):
@@ -156,6 +186,33 @@ def forged(event, state):
 @settings(max_examples=300)
 @given(happenings=happenings, limits=all_limits, accept_ros=st.booleans())
 def test_output_is_always_finite_within_limits_and_allowed(happenings, limits, accept_ros):
+    check(happenings, limits, accept_ros)
+
+
+@settings(max_examples=100)
+@given(
+    happenings=st.lists(
+        st.tuples(
+            st.sampled_from([0.1] * 20 + [0.3, 1.1]),
+            st.one_of(
+                *[st.just(("publisher", None))] * 20,
+                st.tuples(st.just("plain"), st.tuples(st.just(ZERO), st.none())),
+                st.tuples(
+                    st.just("event"),
+                    st.sampled_from([Stop("x"), Unlatch(), BaseLost(), BaseReport(bumpers=(0, 4))]),
+                ),
+            ),
+        ),
+        min_size=20,
+        max_size=60,
+    )
+)
+def test_a_plain_publisher_moves_the_rover_only_when_allowed(happenings):
+    check(happenings, Limits(), accept_ros=True)
+
+
+def check(happenings, limits, accept_ros):
+    """Run the gate on the happenings and check each verdict against the history."""
     state, now, before = GateState(), 100.0, (100.0, ZERO)
     history = []
     prelude = [(0.0, ("report", CLEAR)), (0.0, ("enable", (None, 0)))]

@@ -9,9 +9,12 @@ from gate_bench import LIMITS, SECRET, SLOW, Gate
 from bridge.base import BaseReport
 from bridge.gate.state import (
     ZERO,
+    BaseLost,
     Enable,
     Reason,
+    Stop,
     Tick,
+    Unlatch,
     VelocityCommand,
     read_tag,
 )
@@ -263,6 +266,8 @@ def test_signature_is_valid_for_its_lease_key_kind_and_bytes_only():
 
 # Plain ROS commands
 
+CLEAR = BaseReport()
+
 
 def test_plain_commands_drive_where_they_are_accepted():
     gate = Gate(accept_ros=True)
@@ -331,6 +336,83 @@ def test_plain_commands_drive_after_a_pause():
     gate.at(0.1, BaseReport(bumpers=(1, 0)))
     gate.at(1.2, BaseReport())
     assert gate.at(1.2, VelocityCommand(SLOW)).dropped is None
+
+
+def publish(gate, begin, end, event=CLEAR, velocity=SLOW, age_s=None):
+    """Publish plain commands at 10 Hz, each after ``event``; return the last verdict."""
+    for k in range(round(begin * 10), round(end * 10)):
+        gate.at(k / 10, event)
+        verdict = gate.at(k / 10, VelocityCommand(velocity, age_s=age_s))
+    return verdict
+
+
+@pytest.mark.parametrize(
+    "hazard",
+    [
+        BaseReport(bumpers=(1, 0)),
+        BaseReport(stop_pressed=True),
+        BaseReport(stalled=(True, False)),
+        Stop("now"),
+        BaseLost(),
+    ],
+)
+@pytest.mark.parametrize("released_s", [1.1, 1.3, 4.0])
+@pytest.mark.parametrize("begin", [0.0, 1.0])  # before or during the hazard
+def test_plain_publisher_without_a_pause_does_not_drive_after_a_hazard(hazard, released_s, begin):
+    gate = Gate(accept_ros=True)
+    gate.at(0.0, CLEAR)
+    if begin < 1.0:
+        assert publish(gate, begin, 1.0).velocity == SLOW
+    publish(gate, 1.0, released_s, hazard)
+    gate.at(released_s, Unlatch())
+    verdict = publish(gate, released_s, 9.0)
+    assert (verdict.velocity, verdict.motors, verdict.dropped) == (ZERO, False, Reason.NO_LEASE)
+    gate.at(9.9, CLEAR)
+    assert gate.at(9.9, VelocityCommand(SLOW)).dropped is None
+
+
+def test_plain_publisher_that_waits_for_the_base_drives_with_its_first_report():
+    gate = Gate(accept_ros=True)
+    assert publish(gate, 0.0, 1.0, Tick()).dropped is Reason.NO_BASE
+    assert publish(gate, 1.0, 1.2).velocity != ZERO
+
+
+def test_stop_before_the_first_report_needs_a_pause_of_a_plain_publisher():
+    gate = Gate(accept_ros=True)
+    publish(gate, 0.0, 1.0, Stop("now"))
+    gate.at(1.0, Unlatch())
+    assert publish(gate, 1.0, 5.0).dropped is Reason.NO_LEASE
+
+
+@pytest.mark.parametrize(("velocity", "age_s"), [(SLOW, 1.0), (None, None), (Velocity(math.nan, 0.0), None)])
+def test_plain_command_that_is_invalid_or_stale_is_no_pause_after_a_hazard(velocity, age_s):
+    gate = Gate(accept_ros=True)
+    gate.at(0.0, BaseReport())
+    gate.at(0.0, VelocityCommand(SLOW))
+    gate.at(0.0, BaseReport(bumpers=(1, 0)))
+    publish(gate, 0.1, 3.0, velocity=velocity, age_s=age_s)
+    assert gate.at(3.0, VelocityCommand(SLOW)).dropped is Reason.NO_LEASE
+
+
+def test_tagged_commands_do_not_delay_plain_ones_after_a_hazard():
+    gate = Gate(accept_ros=True).driving()
+    gate.at(0.0, BaseReport(bumpers=(1, 0)))
+    for k in range(1, 11):
+        gate.at(0.1 * k, BaseReport())
+        assert gate.drive(0.1 * k).dropped is Reason.NO_LEASE
+    assert gate.at(1.0, VelocityCommand(SLOW)).dropped is None
+
+
+def test_plain_publisher_drives_on_after_a_gap_in_the_network():
+    gate = Gate(accept_ros=True)
+    gate.at(0.0, BaseReport(bumpers=(1, 0)))
+    gate.at(0.0, BaseReport())
+    gate.at(0.0, VelocityCommand(ZERO))
+    publish(gate, 0.1, 0.5)
+    gate.at(1.6, BaseReport())
+    assert gate.state.ended is Reason.LEASE_LAPSED
+    assert publish(gate, 1.7, 2.5).dropped is Reason.NO_LEASE
+    assert publish(gate, 2.5, 3.0).velocity == SLOW
 
 
 def test_plain_commands_get_no_lease_with_stale_odometry():

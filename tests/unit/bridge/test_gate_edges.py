@@ -151,7 +151,9 @@ def test_plain_commands_are_accepted_after_exactly_this_pause():
     gate.at(1.0, BaseReport(bumpers=(1, 0)))
     gate.at(1.9, BaseReport())
     assert gate.at(math.nextafter(2.0, 0.0), VelocityCommand(SLOW)).dropped is Reason.NO_LEASE
-    assert gate.at(2.0, VelocityCommand(SLOW)).dropped is None
+    assert gate.at(2.9, BaseReport()).held is Reason.NO_LEASE
+    assert gate.at(math.nextafter(3.0, 0.0), VelocityCommand(ZERO, age_s=1.0)).dropped is Reason.STALE
+    assert gate.at(3.0, VelocityCommand(SLOW)).dropped is None
 
 
 @pytest.mark.parametrize("motion", [{"v": 0.01}, {"v": -0.01}, {"omega": 0.01}])

@@ -275,11 +275,11 @@ def _command(
         if state.hazard_since_grant and command.tag is None and velocity != ZERO:
             state = replace(state, untagged_until_s=state.now + UNTAGGED_PAUSE_S)
         return replace(state, dropped=_count(state.dropped, admitted)), admitted
-    state = admitted.state
-    if velocity is None or not all(map(math.isfinite, velocity)):
+    state, flaw = admitted.state, _flaw(velocity)
+    if flaw is not None:
         # The driver that holds the lease is faulty: the command before this one is not carried out further.
-        flaw = Reason.UNREADABLE if velocity is None else Reason.NOT_FINITE
         return replace(state, target=None, idle=flaw, dropped=_count(state.dropped, flaw)), flaw
+    assert velocity is not None  # else it has a flaw
     limited = state.limited
     if abs(velocity.v) > limits.v_max:
         limited = _count(limited, Reason.SPEED)
@@ -319,14 +319,15 @@ def _tagged(state: GateState, tag: CommandTag, signed: bool, limits: Limits) -> 
 def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Admitted | Reason:
     """Check a plain ROS command by its stamp, if it has one, on synchronised wall clocks.
 
-    It gets its lease without a request. After a lease ended, a pause or a zero command must come first, as
-    when a user releases a stick. After a hazard, each dropped command that is not zero restarts the pause.
+    A valid one gets its lease without a request. After a lease ended, a pause or a zero command must come
+    first, as when a user releases a stick. After a hazard, each dropped command that is not zero restarts
+    the pause.
     """
     age = 0.0 if command.age_s is None else command.age_s
     if not abs(age) <= ROS_AGE_S:
         return Reason.STALE
     if state.lease is None:
-        refusal = _hazard(state, limits)
+        refusal = _hazard(state, limits) or _flaw(command.velocity)
         if refusal is None and state.now < state.untagged_until_s and command.velocity != ZERO:
             refusal = Reason.NO_LEASE
         if refusal is None:
@@ -337,6 +338,13 @@ def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Ad
     if lease is None or lease.secret is not None:
         return Reason.FOREIGN
     return _Admitted(state, lease, state.now - max(age, 0.0))
+
+
+def _flaw(velocity: Velocity | None) -> Reason | None:
+    """Return why a command is not a finite velocity, if it is none."""
+    if velocity is None:
+        return Reason.UNREADABLE
+    return None if all(map(math.isfinite, velocity)) else Reason.NOT_FINITE
 
 
 def remember(

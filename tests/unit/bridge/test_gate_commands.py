@@ -21,6 +21,13 @@ from bridge.gate.state import (
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.protocol import CommandTag, Signed
 
+INVALID = [
+    (None, Reason.UNREADABLE),
+    (Velocity(math.nan, 0.0), Reason.NOT_FINITE),
+    (Velocity(0.1, math.inf), Reason.NOT_FINITE),
+    (Velocity(-math.inf, 0.0), Reason.NOT_FINITE),
+]
+
 # Lateness
 
 
@@ -227,15 +234,7 @@ def test_the_key_is_in_no_text_about_the_gate():
         assert repr(SECRET) not in words
 
 
-@pytest.mark.parametrize(
-    ("velocity", "reason"),
-    [
-        (None, Reason.UNREADABLE),
-        (Velocity(math.nan, 0.0), Reason.NOT_FINITE),
-        (Velocity(0.1, math.inf), Reason.NOT_FINITE),
-        (Velocity(-math.inf, 0.0), Reason.NOT_FINITE),
-    ],
-)
+@pytest.mark.parametrize(("velocity", "reason"), INVALID)
 def test_invalid_command_of_the_driver_holds_the_rover_until_a_valid_one(velocity, reason):
     gate = Gate().driving()
     verdict = gate.drive(0.1, velocity)
@@ -278,6 +277,24 @@ def test_plain_commands_drive_where_they_are_accepted():
     gate.at(0.2, BaseReport())
     assert gate.at(0.25, VelocityCommand(SLOW, age_s=0.05)).velocity != ZERO
     assert gate.enable(0.3).refusal is Reason.ANOTHER_DRIVER
+
+
+@pytest.mark.parametrize(("velocity", "reason"), INVALID)
+def test_invalid_plain_command_takes_no_lease(velocity, reason):
+    gate = Gate(accept_ros=True)
+    gate.at(0.0, BaseReport())
+    verdict = gate.at(0.1, VelocityCommand(velocity))
+    assert (verdict.dropped, verdict.lease, verdict.motors) == (reason, None, False)
+    assert gate.enable(0.2).refusal is None
+
+
+@pytest.mark.parametrize(("velocity", "reason"), INVALID)
+def test_invalid_plain_command_holds_the_rover_until_a_valid_one(velocity, reason):
+    gate = Gate(accept_ros=True)
+    publish(gate, 0.0, 0.5)
+    verdict = gate.at(0.5, VelocityCommand(velocity))
+    assert (verdict.velocity, verdict.held, verdict.dropped) == (ZERO, reason, reason)
+    assert gate.at(0.6, VelocityCommand(SLOW)).velocity != ZERO
 
 
 @pytest.mark.parametrize("age_s", [0.31, -0.31, 3600.0, math.nan, math.inf])

@@ -12,7 +12,7 @@ Rules of this file:
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise, takewhile
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -33,8 +33,10 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
 HOLD = Velocity(0.004, math.radians(1.0))
-"""At the goal, commands below both are answers to the noise of the estimate: the rover then stands, as long
-as its estimate counts as parked."""
+"""A rover whose estimate counts as parked stands when its command is below both: near the end of a course,
+such commands answer the noise of the estimate."""
+COMING_TO_REST_S = 1.0
+"""It holds so long before it must stand for the verdict; until then, small commands correct its pose."""
 LEAST_TURN_GAIN = 0.5
 """No description has robots that turn less than this share of what their wheels say."""
 
@@ -81,9 +83,7 @@ class Controller:
     ) -> None:
         self._interface = RoverInterface(policy)
         self._course = course
-        at_goal = takewhile(lambda point: point.pose == course.goal, reversed(course.checkpoints))
-        self._goal_s = min(point.t for point in at_goal)
-        """From when on the rover is to stand."""
+        self._hold_s = course.horizon_s - course.parked.still_s - COMING_TO_REST_S
         self._holds = False
         self._reference = plan_reference(course) if self._interface.needs_reference else None
         self._runner: Runner = runner or PolicyRunner(policy)
@@ -141,7 +141,7 @@ class Controller:
         v, omega = self._interface.command(outputs)
         turn_gain = max(estimate.turn_gain, LEAST_TURN_GAIN)
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
-        if index * TICK_S > self._goal_s:
+        if index * TICK_S > self._hold_s:
             tiny = abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega
             self._holds = (tiny or self._holds) and self._is_parked(estimate.pose)
             command = Velocity(0.0, 0.0) if self._holds else command

@@ -178,12 +178,12 @@ class TcpTransport(Transport):
 
 
 class SerialTransport(Transport):
-    """A base on a serial port, or on anything pyserial has a URL for; 8 data bits, no parity, 1 stop bit."""
+    """A base on a serial port; 8 data bits, no parity, 1 stop bit."""
 
     def __init__(self, port: str, baudrate: int = DEFAULT_BAUD) -> None:
         super().__init__(f"serial/{port}#baudrate={baudrate}")
         try:
-            self._port = serial.serial_for_url(
+            self._port = serial.Serial(
                 port, baudrate=baudrate, timeout=0.0, write_timeout=0.0, exclusive=True
             )
         except (serial.SerialException, OSError, ValueError) as error:
@@ -214,12 +214,9 @@ class SerialTransport(Transport):
     def write(self, data: bytes) -> None:
         """See Transport."""
         try:
-            if isinstance(self._port, serial.Serial):
-                backlog_s = self._port.out_waiting * BITS_PER_BYTE / self._port.baudrate
-                # With a timeout of 0, pyserial's own write polls in a loop until there is room.
-                sent = 0 if backlog_s > BACKLOG_S else os.write(self._port.fileno(), data)
-            else:
-                sent = self._port.write(data) or 0
+            backlog_s = self._port.out_waiting * BITS_PER_BYTE / self._port.baudrate
+            # With a timeout of 0, pyserial's own write polls in a loop until there is room.
+            sent = 0 if backlog_s > BACKLOG_S else os.write(self._port.fileno(), data)
         except BlockingIOError:
             sent = 0
         except (serial.SerialException, OSError, TypeError) as error:
@@ -256,7 +253,8 @@ def open_transport(endpoint: str) -> Transport:
         host, port = split_host(address, DEFAULT_PORT)
         if host and port.isdigit() and 0 < int(port) < 65536:
             return TcpTransport(host, int(port))
-    if kind == "serial" and address:
+    # A URL of pyserial (socket://) cannot drop the bytes that it holds back.
+    if kind == "serial" and address and "://" not in address:
         name, _, value = settings.partition("=")
         if not settings:
             return SerialTransport(address)

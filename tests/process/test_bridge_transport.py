@@ -100,6 +100,11 @@ def test_refused_connection_is_no_robot_with_the_reason() -> None:
     [
         *("", "tcp", "tcp/", "tcp/host:0", "tcp/host:99999", "tcp/host:a", "tcp/host:80#x=1", "udp/host"),
         *("serial/", "serial//dev/ttyUSB0#baud=9600", "serial//dev/ttyUSB0#baudrate=fast", "/dev/ttyUSB0"),
+        *(
+            "serial/socket://127.0.0.1:8101",
+            "serial/rfc2217://127.0.0.1:8101#baudrate=9600",
+            "serial/loop://",
+        ),
     ],
 )
 def test_an_endpoint_of_another_form_is_a_usage_error(endpoint: str) -> None:
@@ -220,15 +225,3 @@ def test_the_last_command_arrives_although_sips_lie_unread() -> None:
         line.close()
         far.settimeout(2.0)
         assert far.recv(100) == encode_command(Command.CLOSE)
-
-
-def test_a_serial_line_behind_a_url_of_pyserial_carries_bytes_both_ways():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        line = open_transport(f"serial/socket://127.0.0.1:{server.getsockname()[1]}")
-        peer, _ = server.accept()
-        with peer:
-            line.write(b"command")
-            assert peer.recv(100) == b"command"
-            peer.sendall(b"report")
-            assert b"".join(iter(lambda: line.read(0.2), b"")) == b"report"
-        line.close()

@@ -122,6 +122,8 @@ def read_token(token: str) -> Announced | None:
     """Return what a token of rmw_zenoh announces of a topic; None for other tokens."""
     match token.split("/"):
         case ["@ros2_lv", _, zid, _, _, "MP" | "MS" as kind, _, namespace, node, topic, dds_type, *_]:
+            if "::" not in dds_type:
+                return None
             *folders, _, name = dds_type.split("::")
             ros_type = "/".join([*folders, name.removesuffix("_")])
             who = f"{namespace}/{node}".replace("%", "/").replace("//", "/")

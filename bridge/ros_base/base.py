@@ -223,8 +223,10 @@ class Ros2Base:
 
     def close(self, now: float) -> None:
         """See Base."""
-        self._send(ZERO, now)
-        self._line.close()
+        try:
+            self._send(ZERO, now)
+        finally:
+            self._line.close()
 
     # Messages.
 

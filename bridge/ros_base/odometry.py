@@ -23,6 +23,8 @@ CLOCK_BACK_S = 1.0
 """Stamps that go back by more than this: the robot restarted, or its clock was set."""
 JUMP_M = 0.05
 """A pose farther from the last one than the robot can drive, and this, has jumped."""
+LATEST_NS = 2**31 * 1_000_000_000 - 1
+"""The latest time that a ROS stamp can hold."""
 ALTERNATIONS = 2
 CONFLICT_S = 1.0
 
@@ -111,8 +113,13 @@ class RosOdometer:
         return max(known, 2 if any(now - found[0] < CONFLICT_S for found in full) else 1)
 
     def robot_clock_ns(self, now: float) -> int:
-        """Return the present time on the robot's clock, at most a message's way behind; 0 if unknown."""
-        return round((now - min(offset for _, offset in self._minima)) * 1e9) if self._minima else 0
+        """Return the present time on the robot's clock, at most a message's way behind; 0 if unknown.
+
+        A message of another's may have moved that clock to the end of time: the result always fits a stamp.
+        """
+        if not self._minima:
+            return 0
+        return min(round((now - min(offset for _, offset in self._minima)) * 1e9), LATEST_NS)
 
     def _new_and_fresh(self, stamp_ns: int, arrived_s: float) -> bool:
         self._age_s = 0.0

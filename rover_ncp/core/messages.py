@@ -365,6 +365,8 @@ def _header(stamp_ns: int, frame: str) -> dict[str, Any]:
 
 
 def _stamp_ns(header: Any) -> int:
+    if header.stamp.nanosec >= _SECOND_NS:
+        raise FormatError(f"a stamp of {header.stamp.nanosec} ns beyond its seconds, expected less than 10⁹")
     return int(header.stamp.sec) * _SECOND_NS + int(header.stamp.nanosec)
 
 

@@ -12,7 +12,7 @@ from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, client, wa
 
 from bridge.inbox import CommandMessage, Inbox
 from bridge.ros.discovery import Convention
-from bridge.ros.rmw import Attachment, Graph, Topic, domain_id, gid
+from bridge.ros.rmw import Attachment, Graph, Topic, domain_id, gid, read_token
 from bridge.zenoh_link import ZenohLink
 from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.key_table import KEYS, Kind, Role, spec
@@ -48,6 +48,13 @@ def test_tokens_have_the_form_that_ros_nodes_read():
         f"{STRING}/:1:,1:,:,:,,"
     )
     assert named.subscriber_token(2, chatter).split("/")[5] == "MS"
+
+
+@pytest.mark.parametrize("ros_type", ["Twist", ""])
+def test_a_token_with_a_type_of_no_package_announces_nothing(ros_type):
+    token = Graph(0, "a1b2").publisher_token(1, Topic("cmd_vel", "geometry_msgs/msg/Twist"))
+    assert read_token(token) is not None
+    assert read_token(token.replace("geometry_msgs::msg::dds_::Twist_", ros_type)) is None
 
 
 @pytest.mark.parametrize("namespace", ["bot-1", "1bot", "lab//bot", "lab/", "böt"])

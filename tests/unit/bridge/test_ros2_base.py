@@ -84,6 +84,41 @@ def test_zeros_are_sent_while_it_is_not_ready_and_at_the_end(world):
     assert world.line.closed
 
 
+def last_stamp_s(world):
+    stamp = TwistStamped.deserialize(world.line.sent[-1]).header.stamp
+    return stamp.sec + stamp.nanosec * 1e-9
+
+
+def test_the_end_of_the_clock_in_odometry_ends_nothing(ready):
+    """A stamp of 2038 is valid; a moment later, the robot's clock no longer fits a stamp."""
+    ready.hear("odom", odometry(2**31 - 1))
+    ready.run(1.5, odom=False)
+    assert last_stamp_s(ready) == pytest.approx(2**31, abs=1e-3)
+    ready.base.close(ready.now)
+    assert TwistStamped.deserialize(ready.line.sent[-1]).twist.linear.x == 0.0
+    assert ready.line.closed
+
+
+def test_a_stamp_with_more_than_a_second_of_nanoseconds_does_not_count(ready):
+    message = ros_cdr.Odometry.deserialize(odometry(2**31 - 1))
+    message.header.stamp.nanosec = 4_000_000_000
+    ready.hear("odom", message.serialize())
+    ready.run(0.2)
+    assert ready.base.health().counters["unreadable"] == 1
+    assert last_stamp_s(ready) == pytest.approx(EPOCH_S + ready.now, abs=0.06)
+    assert [type(event) for event in ready.events] == [Ready]
+
+
+def test_the_line_is_closed_even_if_it_does_not_take_the_last_zero(ready, monkeypatch):
+    def fail(payload):
+        raise OSError
+
+    monkeypatch.setattr(ready.line, "publish", fail)
+    with pytest.raises(OSError):
+        ready.base.close(ready.now)
+    assert ready.line.closed
+
+
 def test_a_command_is_sent_again_at_20_hz(ready):
     ready.setpoint_v = 0.1
     before = len(ready.line.sent)

@@ -51,6 +51,7 @@ class RosOdometer:
         """When messages that count arrived, without those of a burst."""
         self._arrivals: deque[float] = deque(maxlen=64)
         self._sources: dict[bytes, float] = {}
+        """The last two, the newest last, and when each last published."""
         self._minima: tuple[tuple[int, float], ...] = ()
         self._stamp_ns = 0
         self._seen: deque[tuple[float, Pose]] = deque(maxlen=2)
@@ -70,7 +71,10 @@ class RosOdometer:
             self.problem = f"odometry cannot be read: {error}"
             return None
         if source is not None:
+            self._sources.pop(source, None)
             self._sources[source] = arrived_s
+            if len(self._sources) > 2:
+                del self._sources[next(iter(self._sources))]
         wanted = self._topics.odom_frame, self._topics.base_frame
         frames = tuple(frame.rpartition("/")[2] for frame in (sample.frame, sample.child))
         if frames != wanted:
@@ -107,7 +111,7 @@ class RosOdometer:
         return len(recent) / 3.0
 
     def publishers(self, now: float) -> int:
-        """Return how many publishers the messages of the last second show."""
+        """Return how many publishers the messages of the last second show, 2 for any more."""
         known = sum(now - at < CONFLICT_S for at in self._sources.values())
         full = [found for found in (self._alternations, self._clock_backs) if len(found) == ALTERNATIONS]
         return max(known, 2 if any(now - found[0] < CONFLICT_S for found in full) else 1)

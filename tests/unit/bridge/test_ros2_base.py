@@ -1,6 +1,8 @@
 """The ROS 2 base driver on a virtual clock; its robot encodes and decodes with an independent library."""
 
+import gc
 import math
+import tracemalloc
 
 import pytest
 import ros_cdr
@@ -22,6 +24,7 @@ from ros_cdr import (
 from bridge.base import Failed, Lost, Ready, Recovered
 from bridge.ros.discovery import Announced
 from bridge.ros_base.base import LoopSeen, TokenSeen
+from bridge.ros_base.odometry import RosOdometer
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.messages import twist
 from rover_ncp.core.robot_description import load_description
@@ -286,6 +289,23 @@ def test_two_nodes_that_publish_odometry_are_named(ready):
 
     ready.run(0.5, odom=False, each=both)
     assert ready.last == Lost("two publishers on odom: /ekf and /wheels")
+
+
+def test_publishers_with_ever_new_identities_take_no_memory():
+    """Any peer of the robot's network may choose the 16 bytes of its identity."""
+    odometer, payload = RosOdometer(BURGER.topics, BURGER.motion), odometry(EPOCH_S)
+    held = []
+    tracemalloc.start()
+    for k in range(2000):
+        odometer.take(payload, 0.01 * k, k.to_bytes(16, "little"))
+        if k in {499, 1999}:
+            gc.collect()
+            held.append(tracemalloc.get_traced_memory()[0])
+    grown = held[1] - held[0]
+    tracemalloc.stop()
+    assert grown < 10_000
+    assert odometer.publishers(20.5) > 1
+    assert odometer.publishers(21.5) == 1
 
 
 def test_a_second_publisher_of_commands_stops_it_and_is_named(ready):

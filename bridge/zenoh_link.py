@@ -16,11 +16,12 @@ import zenoh
 from bridge.inbox import CommandMessage, Inbox, Query, ThreadError
 from bridge.ros.discovery import Convention, bridge_token, topic_token
 from bridge.ros.rmw import domain_id
-from bridge.ros.rmw_node import RmwNode, publisher, read_command
+from bridge.ros.rmw_node import RmwNode, command_bytes, publisher, read_command
 from bridge.zenoh_config import any_port, configured, reason
 from rover_ncp.core.errors import PortInUse, UsageError
-from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key, spec
+from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key
 from rover_ncp.core.process import ClosedAtExit
+from rover_ncp.core.protocol import TAG_BYTES
 
 
 class ZenohLink(ClosedAtExit):
@@ -127,8 +128,7 @@ class ZenohLink(ClosedAtExit):
         stamp = sample.timestamp
         self._inbox.put(
             CommandMessage(
-                # One byte too many, and the digest is not valid: the loop digests no megabytes.
-                sample.payload.to_bytes()[: spec("cmd_vel").max_bytes + 1],
+                command_bytes(sample),
                 _bytes(sample.attachment),
                 round(stamp.get_time().timestamp() * 1e9) if stamp is not None else None,
             )
@@ -159,7 +159,8 @@ class ZenohLink(ClosedAtExit):
 
 
 def _bytes(attachment: zenoh.ZBytes | None) -> bytes | None:
-    return None if attachment is None else attachment.to_bytes()
+    # One byte too many, and it is no tag.
+    return None if attachment is None else attachment.to_bytes()[: TAG_BYTES + 1]
 
 
 def _open(settings: zenoh.Config, endpoints: list[str]) -> zenoh.Session:

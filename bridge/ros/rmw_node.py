@@ -11,7 +11,7 @@ import zenoh.ext
 from bridge.inbox import CommandMessage
 from bridge.ros.rmw import Attachment, Graph, Topic, gid
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.key_table import KeySpec, key
+from rover_ncp.core.key_table import KeySpec, key, spec
 from rover_ncp.core.messages import TWIST, TWIST_STAMPED
 
 HEARTBEAT_S = 0.5
@@ -88,6 +88,14 @@ class _Publisher:
         self._publisher.put(data, attachment=Attachment(self._sequence, time.time_ns(), self._gid).pack())
 
 
+def command_bytes(sample: zenoh.Sample) -> bytes:
+    """Return the payload of a command; of one that is too long, one byte too many, which makes it invalid.
+
+    The loop so digests no megabytes, and its queue holds none.
+    """
+    return sample.payload.to_bytes()[: spec("cmd_vel").max_bytes + 1]
+
+
 def read_command(sample: zenoh.Sample) -> CommandMessage:
     """Return a ROS node's command: without a tag, sent at the time in its attachment.
 
@@ -97,5 +105,5 @@ def read_command(sample: zenoh.Sample) -> CommandMessage:
     with contextlib.suppress(FormatError):
         if attachment is not None:
             stamp_ns = Attachment.unpack(attachment.to_bytes()).stamp_ns
-            return CommandMessage(sample.payload.to_bytes(), None, stamp_ns)
+            return CommandMessage(command_bytes(sample), None, stamp_ns)
     return CommandMessage(b"")

@@ -27,6 +27,7 @@ KEY_BYTES = 32
 """Length of a lease's key."""
 
 _TAG = struct.Struct("<QQq16s")
+TAG_BYTES = _TAG.size
 _SIGNED = struct.Struct("<BBHQQq")
 _PERSON = b"rover-ncp lease"
 _JSON_MAX_BYTES = 4096

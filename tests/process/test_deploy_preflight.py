@@ -11,6 +11,7 @@ from json_fields import undescribed
 
 from deploy.preflight.preflight import STANDING, Battery, Preflight
 from rover_ncp import cli
+from rover_ncp.core.protocol import BaseReply
 
 
 @pytest.fixture
@@ -63,6 +64,20 @@ def test_rare_odometry_is_listened_to_once_more(reports, ok):
     found, words = Preflight(None, measurements, monitor, Battery())._check_odometry()
     assert found is ok
     assert words == f"{reports[-1] / 2:.1f} reports a second (at least 8)"
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [("unknown", "the timeout was not measured: a stop"), ("none", "if it dies, the base does not halt")],
+)
+def test_a_measurement_that_a_stop_ended_is_not_called_a_missing_timeout(monkeypatch, state, words):
+    replies = (BaseReply(model="husky-a200", state=state) for state in ("unknown", "running", state))
+    link = SimpleNamespace(about_base=lambda measure=False: next(replies), request_motors=lambda name: None)
+    monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
+    monitor, measurements = SimpleNamespace(until=lambda condition, timeout_s: False), SimpleNamespace()
+    found, detail = Preflight(link, measurements, monitor, Battery())._check_own_timeout()
+    assert found is False
+    assert detail.startswith(words)
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def run_bridge(
             "limited": status.limited,  #: commands, by reason
             "stops": status.stops,  #: by reason
             "reconnects": max(node.reconnects, 0),  #: to the base
-            "flooded": inbox.flooded,  #: messages dropped because the queue was full
+            "flooded": inbox.flooded,  #: messages dropped because too many of their key or topic waited
         },
         f"{status.accepted} commands passed, {sum(status.dropped.values())} dropped, "
         f"{sum(status.stops.values())} stops; {line.bytes_out} bytes to the base, {line.bytes_in} from it",

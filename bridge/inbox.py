@@ -5,12 +5,12 @@ Threads only add arrivals, each with its time, and never decide anything.
 
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
 MAX_MESSAGES = 2048
-"""Beyond this number, messages of peers are dropped: 0.1 s of a flood of 20,000 a second."""
+"""Beyond this number, messages of one origin are dropped: 0.1 s of a flood of 20,000 a second."""
 
 
 @dataclass(frozen=True)
@@ -62,18 +62,20 @@ class Inbox:
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._arrivals: deque[tuple[float, object]] = deque()
+        self._waiting = Counter[tuple[type, str]]()
+        """Number of messages in the queue, by origin."""
         self.flooded = 0
-        """Messages dropped because the queue was full."""
+        """Messages dropped because too many of their origin waited."""
 
     def put(self, arrival: object) -> None:
-        """Add an arrival. A full queue drops messages of peers and topics, never bytes or errors."""
+        """Add an arrival. A flood of one origin drops no other messages, bytes or errors."""
+        origin = _origin(arrival)
         with self._changed:
-            if (
-                isinstance(arrival, CommandMessage | Query | RobotMessage)
-                and len(self._arrivals) >= MAX_MESSAGES
-            ):
-                self.flooded += 1
-                return
+            if origin is not None:
+                if self._waiting[origin] >= MAX_MESSAGES:
+                    self.flooded += 1
+                    return
+                self._waiting[origin] += 1
             self._arrivals.append((time.monotonic(), arrival))
             self._changed.notify()
 
@@ -84,4 +86,18 @@ class Inbox:
                 self._changed.wait(timeout_s)
             taken = list(self._arrivals)
             self._arrivals.clear()
+            self._waiting.clear()
             return taken
+
+
+def _origin(arrival: object) -> tuple[type, str] | None:
+    """Return the key or topic that a message came from; None for bytes and errors."""
+    match arrival:
+        case CommandMessage():
+            return CommandMessage, ""
+        case Query(name):
+            return Query, name
+        case RobotMessage(topic):
+            return RobotMessage, topic
+        case _:
+            return None

@@ -8,7 +8,7 @@ import pytest
 
 from bridge import base_connection as line_module
 from bridge.base_connection import BaseConnection, Broken, Opened, Received
-from bridge.inbox import MAX_MESSAGES, CommandMessage, Inbox, ThreadError
+from bridge.inbox import MAX_MESSAGES, CommandMessage, Inbox, Query, RobotMessage, ThreadError
 from bridge.transport import TcpTransport
 from rover_ncp.core.errors import NoRobot, UsageError
 
@@ -184,6 +184,24 @@ def test_a_flood_of_commands_does_not_fill_the_memory_nor_push_out_bytes():
     arrivals = [arrival for _, arrival in inbox.take(0.0)]
     assert arrivals == [command] * MAX_MESSAGES + [Received(b"sip")]
     assert inbox.flooded == 100
+
+
+def test_flood_of_one_origin_drops_no_messages_of_others():
+    def query(name):
+        return Query(name, b"", None, print, print)
+
+    floods = [CommandMessage(b""), query("rover/motors"), RobotMessage("scan", b"", 0.0)]
+    others = [query("rover/stop"), RobotMessage("stop", b"", 0.0), RobotMessage("odom", b"", 0.0)]
+    inbox = Inbox()
+    for flood in floods * (MAX_MESSAGES + 1):
+        inbox.put(flood)
+    for other in others:
+        inbox.put(other)
+    arrivals = [arrival for _, arrival in inbox.take(0.0)]
+    assert arrivals == floods * MAX_MESSAGES + others
+    assert inbox.flooded == len(floods)
+    inbox.put(floods[0])
+    assert [arrival for _, arrival in inbox.take(0.0)] == floods[:1]
 
 
 def test_inbox_waits_no_longer_than_its_timeout():

@@ -104,12 +104,19 @@ def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> C
 
 
 def gate_limits(file: Path | None, description: RobotDescription | None) -> Limits:
-    """Return the gate's limits, from a file or the defaults; a robot with ROS 2 bounds them by its own.
+    """Return the gate's limits, from a file or the defaults; a robot bounds them by its own.
+
+    A Pioneer has the deceleration that the bridge sets in it, and takes the speeds as they are given.
 
     Raises FileError or ConfigError, and UsageError for a limit in the file that the robot does not reach.
     """
     given = Limits() if file is None else load_yaml(file, Limits)
     if description is None or description.arcos is not None:
+        if given.brake > MotionLimits.decel:
+            raise UsageError(
+                f"{file}: brake is {given.brake:g}; "
+                f"expected at most {MotionLimits.decel:g}, the deceleration that the bridge sets in a Pioneer"
+            )
         return given
     motion, chosen = description.motion, dict[str, float]()
     own = {"v_max": motion.v_max, "omega_max": motion.omega_max, "brake": motion.decel}

@@ -6,6 +6,7 @@ import yaml
 from bridge.base import shape_of
 from bridge.bases import choose_base, gate_limits
 from bridge.pioneer.robots import NAMES
+from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros.urdf import urdf
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.core.files import resolve, shipped_names
@@ -124,6 +125,18 @@ def test_the_gates_limits_are_those_of_the_robot(tmp_path):
     with pytest.raises(UsageError, match=r"v_max is 0.25, but turtlebot3-burger has 0.22"):
         gate_limits(file, burger)
     assert gate_limits(file, load_description("p3at-sh")).v_max == 0.25
+
+
+@pytest.mark.parametrize("model", [None, "p3at-sh"])
+def test_brake_is_at_most_what_the_bridge_sets_in_a_pioneer(tmp_path, model):
+    description = model and load_description(model)
+    file = tmp_path / "limits.yaml"
+    file.write_text(f"brake: {MotionLimits().decel}\n")
+    assert gate_limits(file, description).brake == MotionLimits().decel
+    file.write_text("brake: 0.32\n")
+    with pytest.raises(UsageError, match=r"limits.yaml: brake is 0.32; expected at most 0.31"):
+        gate_limits(file, description)
+    assert gate_limits(None, description).brake < MotionLimits().decel
 
 
 def test_a_pioneer_of_ones_own_is_simulated_and_driven_from_its_file(tmp_path):

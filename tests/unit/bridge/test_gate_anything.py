@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bridge.base import BaseReport
@@ -25,6 +25,8 @@ from rover_ncp.core.protocol import CommandTag
 
 SECRET = bytes(range(32))
 SLOW = Velocity(0.1, -0.1)
+ROUNDING_S = 1e-9
+"""At exactly a time-out, sums of floating-point times may lie on either side of it."""
 
 speeds = st.floats(-0.7, 0.7) | st.sampled_from([0.0, -0.0, 0.3, -0.3, 1e308, math.nan, math.inf, -math.inf])
 velocities = st.builds(Velocity, speeds, speeds) | st.none()
@@ -120,13 +122,13 @@ def allowed_to_move(history, limits):
         for k, (_, event, verdict) in enumerate(history)
         if isinstance(event, VelocityCommand) and verdict.dropped is None
     ]
-    if not counted or now - reported_s > limits.odometry_s:
+    if not counted or now - reported_s > limits.odometry_s + ROUNDING_S:
         return False
     commanded_s, command, _ = history[counted[-1]]
     last = -1 if command.tag is None else command.tag.sequence
     latches = [event for _, event, _ in history if isinstance(event, Stop | Unlatch)]
     return (
-        now - commanded_s <= limits.silence_s
+        now - commanded_s <= limits.silence_s + ROUNDING_S
         and report.motors_on
         and all(math.isfinite(getattr(report, name)) for name in ("x", "y", "theta", "v", "omega"))
         and not any(ends(event, last) for _, event, _ in history[counted[-1] + 1 :])
@@ -185,6 +187,11 @@ def forged(event, state):
 
 @settings(max_examples=300)
 @given(happenings=happenings, limits=all_limits, accept_ros=st.booleans())
+@example(
+    [(0.02, ("good", None))] * 3 + [(61.0, ("start", None)), *[(w, ("good", None)) for w in (0.02, 0.3)]],
+    Limits(),
+    False,
+)
 def test_output_is_always_finite_within_limits_and_allowed(happenings, limits, accept_ros):
     check(happenings, limits, accept_ros)
 

@@ -9,7 +9,6 @@ from json_fields import assert_on_page
 
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
-from deploy.identify import excitation
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
 from deploy.identify.excitation import FENCE_M, excite, steps
 from deploy.identify.fit import identify
@@ -340,7 +339,9 @@ def test_identify_says_what_is_wrong_in_one_line(tmp_path, capsys):
 @pytest.mark.long
 def test_a_live_robot_is_identified_and_its_recording_says_the_same(tmp_path, capsys, monkeypatch):
     # Half of the drive. A command that a busy machine loses spoils one of its steps, and three must be left.
-    monkeypatch.setattr(excitation, "steps", lambda robot: [*steps()[:9], *steps()[15:23]])
+    half = [*steps()[:9], *steps()[15:23]]
+    for module in ("run", "excitation"):
+        monkeypatch.setattr(f"deploy.identify.{module}.steps", lambda robot=None: half)
     with LiveRun(tmp_path / "log", mock=["--randomize", "full", "--seed", "4711", "--trial", "3"]) as live:
         code = run(
             [

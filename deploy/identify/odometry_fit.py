@@ -30,6 +30,7 @@ PLAUSIBLE = 0.5, 2.0
 """Plausible scales of odometry; external poses that give others belong to another object."""
 SLIP_MAX_S = 3.0
 CENTER_MAX_M = 0.5
+ASYMMETRY_MAX = 0.5
 EXACT_M = 1e-4
 """External poses are no more exact than this, even if they do not scatter."""
 SPOT_M, LEAST_TURN_RAD = 0.03, 0.1
@@ -142,11 +143,13 @@ def fit_turns(log: MotionLog, stands: Sequence[Stand]) -> Fit | None:
     beside = np.arange(len(turn) - 1)
     covariance[beside, beside + 1] = covariance[beside + 1, beside] = -variances[1:-1]
     free = -math.inf, math.inf
-    limits = [(0.0, math.inf), (0.0, SLIP_MAX_S), free, free, free]
-    # From the best fit without slip: from elsewhere, the fit may end where slip takes all.
-    everything = np.ones(len(turn), np.bool_)
-    start = least_squares(lambda x: residuals(np.insert(x, 1, 0.0), everything), [1.0, 0.0, 0.0, 0.0]).x
-    return _fitted(residuals, np.insert(start, 1, 0.01).tolist(), covariance, limits)
+    limits = [(0.0, math.inf), (0.0, SLIP_MAX_S), free, free, (-ASYMMETRY_MAX, ASYMMETRY_MAX)]
+    # From the fit without slip, which is linear: from elsewhere, the fit may end where slip takes all.
+    design = np.column_stack([true_turn, -way, second, -np.abs(true_turn)])
+    scale, pull, drift, to_left = np.linalg.lstsq(design, turn, rcond=None)[0].tolist()
+    if scale <= 0.0 or abs(to_left) >= ASYMMETRY_MAX * scale:
+        return None
+    return _fitted(residuals, [scale, 0.01, pull / scale, drift, to_left / scale], covariance, limits)
 
 
 def fit_center(stands: Sequence[Stand]) -> Fit | None:

@@ -4,6 +4,7 @@ Each process is the command that a user would type. Leaving the ``with`` block e
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Self, TypeVar
 
@@ -100,5 +101,6 @@ class LiveRun(ClosedAtExit):
 
     def close(self) -> None:
         """End all processes, the last started first: a driver releases its lease while the bridge runs."""
-        for process in reversed(self.processes):
-            process.stop()
+        with uninterrupted(), ExitStack() as ending:
+            for process in self.processes:
+                ending.callback(process.stop)

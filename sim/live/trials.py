@@ -16,7 +16,7 @@ from sim.evaluate.commands import EvalOptions
 from sim.evaluate.evaluate import cause
 from sim.live.live_run import LiveRun
 from sim.live.peers import StartPosePublisher
-from sim.live.processes import ProcessError
+from sim.live.processes import ProcessError, uninterrupted
 from sim.live.truth import during, judge_truth, recorded_truth
 from sim.stack.trials import Driven, Stack
 
@@ -40,9 +40,11 @@ def drive_live(
     for first in range(0, count, at_once):
         with ExitStack() as running:
             wave = [
-                running.enter_context(_LiveTrial(stack, options, number))
-                for number in range(first, min(first + at_once, count))
+                _LiveTrial(stack, options, number) for number in range(first, min(first + at_once, count))
             ]
+            for trial in wave:
+                running.push(trial)  # before it starts anything: an interruption at any time ends it
+                trial.start()
             for trial in wave:
                 trial.start_driver()
             for trial in wave:
@@ -78,7 +80,8 @@ class _LiveTrial(LiveRun):
     def start_driver(self) -> None:
         """Publish the rover's start pose, and start the driver."""
         start = self._stack.drawn(self._number).rover.pose
-        self._localiser.enter_context(StartPosePublisher(self.robot, start))
+        with uninterrupted():
+            self._localiser.enter_context(StartPosePublisher(self.robot, start))
         self._driver = self.deploy(
             *("--policy", self._policy, "--course", self._course_file),
             *("--profile", str(self._out / "driver.yaml"), "--pose", "required"),
@@ -113,5 +116,6 @@ class _LiveTrial(LiveRun):
 
     def close(self) -> None:
         """End the localisation and all processes."""
-        self._localiser.close()
-        super().close()
+        with uninterrupted(), ExitStack() as ending:
+            ending.callback(super().close)
+            ending.callback(self._localiser.close)

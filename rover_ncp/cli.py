@@ -23,6 +23,7 @@ from typer.main import get_command
 
 from rover_ncp.core.console import BLOCKED_S, Output, Writer, install, keep, printable
 from rover_ncp.core.errors import FileError, MissingExtra, RoverNcpError
+from rover_ncp.core.process import interrupt
 
 GROUP = "rover_ncp.commands"
 INTERRUPTED = 130
@@ -194,7 +195,9 @@ def main() -> None:
     # each other: on a busy machine planning a course took fifty times as long with two.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # SIGTERM ends a command as Ctrl-C does: it also ends its children and closes its files.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, interrupt)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # ignored in a shell's background
+        signal.signal(signal.SIGINT, interrupt)
     stdout, stderr = install()
     try:
         code = run(sys.argv[1:])

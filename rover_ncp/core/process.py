@@ -7,6 +7,8 @@ from abc import ABC, abstractmethod
 from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
 
+_AGAIN_S = 0.01
+
 
 class Clock(Protocol):
     """Python's ``time`` module, or a virtual clock that has its methods."""
@@ -48,6 +50,17 @@ class ClosedAtExit(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt; as long as LLVM runs, later, for it drops what its callbacks raise."""
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").startswith("llvmlite."):
+            signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
 
 
 class Interrupts:

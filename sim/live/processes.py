@@ -54,6 +54,20 @@ def wait_for(find: Callable[[], Found | None], timeout_s: float = 8.0, what: str
     return found
 
 
+@functools.cache
+def compile_driver() -> None:
+    """Compile the driver's kernels if they are not on disk yet, before anything waits for a driver.
+
+    After an installation that takes 8 s of CPU time, and on a busy machine longer than any timeout here.
+    """
+    from deploy.drive.controller import Controller
+    from deploy.estimator.settings import EstimatorSettings
+    from rover_ncp.circuit.policy_file import load_policy
+    from rover_ncp.course.course import load_course
+
+    Controller(load_policy("parking"), load_course("parking"), EstimatorSettings())
+
+
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """Defer termination signals, so that a started process is registered before the run ends."""
@@ -67,22 +81,6 @@ def uninterrupted() -> Iterator[None]:
     finally:
         for number in interrupts.received:
             signal.raise_signal(number)
-
-
-@functools.cache
-def compile_driver() -> None:
-    """Compile the driver's kernels if they are not on disk yet, before anything waits for a driver.
-
-    After an installation that takes 8 s of CPU time, and on a busy machine longer than any timeout here.
-    """
-    # LLVM loads kernels through callbacks into Python, and drops an exception that Ctrl-C raises in one.
-    with uninterrupted():
-        from deploy.drive.controller import Controller
-        from deploy.estimator.settings import EstimatorSettings
-        from rover_ncp.circuit.policy_file import load_policy
-        from rover_ncp.course.course import load_course
-
-        Controller(load_policy("parking"), load_course("parking"), EstimatorSettings())
 
 
 class GrowingFile:

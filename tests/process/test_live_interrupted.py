@@ -6,11 +6,10 @@ import signal
 import psutil
 import pytest
 
-from deploy.drive import controller
 from rover_ncp.cli import run
 from sim.live import trials
 from sim.live.peers import StartPosePublisher
-from sim.live.processes import Process, compile_driver
+from sim.live.processes import Process
 
 ARGUMENTS = ["eval", "course", "--live", "1", "--randomize", "none", "--json"]
 
@@ -58,18 +57,3 @@ def test_second_interruption_does_not_keep_processes_from_being_ended(tmp_path, 
     monkeypatch.setattr(Process, "stop", interrupted_stop)
     monkeypatch.setattr(trials, "StartPosePublisher", Interrupted)
     assert_interrupted(tmp_path, capsys)
-
-
-def test_interruption_waits_until_the_kernels_are_loaded(monkeypatch):
-    # LLVM drops an exception that is raised in its callbacks: once in 160 trials the interruption was lost.
-    loaded = []
-
-    def load(*arguments):
-        signal.raise_signal(signal.SIGINT)
-        loaded.append(arguments)
-
-    monkeypatch.setattr(controller, "Controller", load)
-    compile_driver.cache_clear()
-    with pytest.raises(KeyboardInterrupt):
-        compile_driver()
-    assert len(loaded) == 1

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from itertools import count
@@ -31,6 +32,29 @@ def test_ignored_signals_stay_ignored():
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+DROPPED = """
+import ctypes, signal, time
+from rover_ncp.core.process import interrupt
+
+signal.signal(signal.SIGINT, interrupt)
+library = {"__name__": "llvmlite.binding", "signal": signal}
+exec("def load(): signal.raise_signal(signal.SIGINT)", library)
+try:
+    ctypes.CFUNCTYPE(None)(library["load"])()  # ctypes drops what a callback raises
+    loaded = True
+    time.sleep(20)
+except KeyboardInterrupt:
+    print("interrupted", loaded)
+"""
+
+
+def test_interruption_in_a_callback_of_llvm_comes_after_it():
+    done = subprocess.run(
+        [sys.executable, "-c", DROPPED], check=True, capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout == "interrupted True\n"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts suspends")

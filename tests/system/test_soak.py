@@ -71,7 +71,7 @@ def test_ended_process_ends_its_children(tmp_path, number, command):
     child.send_signal(number)
     out, _ = child.communicate(timeout=60)
     assert (child.returncode, json.loads(out)["kind"]) == (130, "Interrupted")
-    # With its state: one that ended, but that nobody has waited for, would count as running.
+    # With its state: one that ended, but is not waited for yet, would count as running.
     assert [(process.pid, process.status()) for process in started if process.is_running()] == []
 
 

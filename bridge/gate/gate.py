@@ -90,7 +90,7 @@ def step(
         state = _end_lease(state, hazard)
     # A publisher may wait for a bridge that starts: the time before the first report is no hazard to it.
     if hazard is not None and (hazard is not Reason.NO_BASE or state.base_s > -math.inf):
-        state = replace(state, hazard_since_grant=True)
+        state = replace(state, hazard_since_untagged=True)
     held = hazard or _hold_reason(state, limits)
     if state.held is None and held not in {None, Reason.NO_LEASE}:
         state = replace(state, stops=_count(state.stops, held))
@@ -217,7 +217,7 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         lease=granted,
         leases=granted.number,
         ended=None,
-        hazard_since_grant=False,
+        hazard_since_untagged=state.hazard_since_untagged and granted.secret is not None,
         target=None,
         idle=Reason.SILENCE,
         minima=remember((), state.now, request.sent_ns),
@@ -272,7 +272,8 @@ def _command(
     elif accept_ros:
         admitted = _untagged(state, command, limits)
     if isinstance(admitted, Reason):
-        if state.hazard_since_grant and command.tag is None and velocity != ZERO:
+        waits = state.hazard_since_untagged and state.lease is None
+        if waits and command.tag is None and velocity != ZERO:
             state = replace(state, untagged_until_s=state.now + UNTAGGED_PAUSE_S)
         return replace(state, dropped=_count(state.dropped, admitted)), admitted
     state, flaw = admitted.state, _flaw(velocity)

@@ -175,8 +175,8 @@ class GateState:
     motors_until_s: float = -math.inf
     untagged_until_s: float = -math.inf
     """Untagged commands that are not zero are dropped before this, unless they hold the lease."""
-    hazard_since_grant: bool = False
-    """Whether a hazard was active since the last lease was granted."""
+    hazard_since_untagged: bool = False
+    """Whether a hazard was active since untagged commands last got a lease."""
     accepted: int = 0
     dropped: Mapping[Reason, int] = field(default_factory=dict)
     """Commands that the gate dropped, by reason."""

@@ -388,6 +388,30 @@ def test_plain_publisher_without_a_pause_does_not_drive_after_a_hazard(hazard, r
     assert gate.at(9.9, VelocityCommand(SLOW)).dropped is None
 
 
+def test_plain_publisher_without_a_pause_does_not_drive_after_the_driver_that_freed_the_rover():
+    gate = Gate(accept_ros=True)
+    publish(gate, 0.0, 1.0)
+    publish(gate, 1.0, 1.5, BaseReport(bumpers=(1, 0)))
+    publish(gate, 1.5, 2.0)
+    assert gate.enable(2.0).refusal is None
+    assert publish(gate, 2.0, 2.5).dropped is Reason.FOREIGN
+    gate.release(2.5)
+    verdict = publish(gate, 2.5, 9.0)
+    assert (verdict.velocity, verdict.motors, verdict.dropped) == (ZERO, False, Reason.NO_LEASE)
+    gate.at(9.9, CLEAR)
+    assert gate.at(9.9, VelocityCommand(SLOW)).dropped is None
+
+
+def test_plain_publisher_drives_after_a_driver_without_a_hazard():
+    gate = Gate(accept_ros=True)
+    publish(gate, 0.0, 1.0)
+    gate.at(2.1, CLEAR)
+    assert gate.enable(2.1).refusal is None
+    publish(gate, 2.1, 2.5)
+    gate.release(2.5)
+    assert publish(gate, 2.5, 4.0).velocity == SLOW
+
+
 def test_plain_publisher_that_waits_for_the_base_drives_with_its_first_report():
     gate = Gate(accept_ros=True)
     assert publish(gate, 0.0, 1.0, Tick()).dropped is Reason.NO_BASE

@@ -91,12 +91,19 @@ class BaseConnection:
         self._try(lambda line: line.set_baudrate(baudrate))
 
     def close(self) -> None:
-        """End the thread, then all lines, once what was written has gone out."""
+        """End the thread, then all lines, once what was written has gone out.
+
+        A line that did not take the last zeros must not deliver the setpoints before them later.
+        """
+        failed = self._broken is not None
         self._closing.set()
         self._dropped.set()
         self._thread.join(2 * READ_S)
         for transport in self._all:  # also a line that the loop did not use yet
-            transport.close()
+            if failed:
+                transport.abort()
+            else:
+                transport.close()
 
     def _try(self, action: Callable[[Transport], None]) -> None:
         if self._current is not None:

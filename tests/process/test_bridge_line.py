@@ -2,11 +2,13 @@
 
 import socket
 import time
+from contextlib import suppress
 from itertools import pairwise
 
 import pytest
 
 from bridge import base_connection as line_module
+from bridge import transport
 from bridge.base_connection import BaseConnection, Broken, Opened, Received
 from bridge.inbox import MAX_MESSAGES, CommandMessage, Inbox, Query, RobotMessage, ThreadError
 from bridge.transport import TcpTransport
@@ -173,6 +175,30 @@ def test_a_line_that_cannot_be_opened_says_so_at_once(server):
         BaseConnection(f"tcp/127.0.0.1:{port}", Inbox())
     with pytest.raises(UsageError, match="expected tcp/HOST"):
         BaseConnection("carrier pigeon", Inbox())
+
+
+def test_line_that_does_not_take_the_last_zeros_delivers_no_setpoints_after_its_end(
+    server, open_line, monkeypatch
+):
+    monkeypatch.setattr(transport, "BACKLOG_S", 0.05)
+    server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    line, inbox = open_line()
+    peer, _ = server.accept()
+    with peer:
+        peer.settimeout(2.0)
+        next_of(inbox, Opened)
+        line.use()
+        while line._broken is None:
+            line.write(b"setpoint" * 500)
+            time.sleep(0.01)
+        sent = line.bytes_out
+        line.write(b"zero")
+        line.close()
+        received = 0
+        with suppress(ConnectionResetError):
+            while data := peer.recv(1 << 16):
+                received += len(data)
+    assert received < sent
 
 
 def test_a_flood_of_commands_does_not_fill_the_memory_nor_push_out_bytes():

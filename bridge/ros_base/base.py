@@ -75,6 +75,7 @@ _LOOP = (
     "the robot's Zenoh network is connected to the drivers': commands could reach the robot past the bridge; "
     "connect the ROS bridge or rmw_zenohd to one of the two"
 )
+_MEASURING = "rover-ncp check measures when the robot halts without commands; ask again in 7 s"
 _DRIVEN = "the robot drives although the bridge sends zeros: another node or a person drives it"
 
 
@@ -210,7 +211,7 @@ class Ros2Base:
     def own_timeout(self) -> OwnTimeout:
         """See Base."""
         if self._measurement is not None:
-            return OwnTimeout(TimeoutState.RUNNING, None, self.silence.refusal)
+            return OwnTimeout(TimeoutState.RUNNING, None, self.silence.refusal or _MEASURING)
         return OwnTimeout(self.silence.state, self.silence.timeout_s, self.silence.refusal)
 
     def measure_timeout(self, now: float) -> str:

@@ -56,6 +56,15 @@ def test_the_robots_own_timeout_is_measured_while_nothing_is_sent(ready):
     assert last_v(ready) == 0.0
 
 
+def test_no_driver_drives_a_checked_robot_while_it_is_measured_again(ready):
+    ready.base.silence = Silence().measured(0.6)
+    assert ready.base.own_timeout.refusal == ""
+    begin(ready)
+    assert ready.base.own_timeout.refusal != ""  # the base would send it neither commands nor zeros
+    halts(ready, 0.6)
+    assert ready.base.own_timeout.refusal == ""
+
+
 def test_a_robot_that_does_not_halt_gets_zeros_after_5_s_and_a_refusal(ready):
     known = halts(ready, 100.0)
     assert (known.state, known.timeout_s) == ("none", None)

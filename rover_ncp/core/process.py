@@ -8,6 +8,8 @@ from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
 
 _AGAIN_S = 0.01
+_DROPPING = ("llvmlite.", "pymunk._callbacks")
+"""Modules whose callbacks from C drop what is raised in them."""
 
 
 class Clock(Protocol):
@@ -53,9 +55,9 @@ class ClosedAtExit(ABC):
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt; as long as LLVM runs, later, for it drops what its callbacks raise."""
+    """Raise KeyboardInterrupt; as long as LLVM or a callback of Chipmunk's runs, later: they drop it."""
     while frame is not None:
-        if frame.f_globals.get("__name__", "").startswith("llvmlite."):
+        if frame.f_globals.get("__name__", "").startswith(_DROPPING):
             signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
             return

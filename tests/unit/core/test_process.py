@@ -57,6 +57,31 @@ def test_interruption_in_a_callback_of_llvm_comes_after_it():
     assert done.stdout == "interrupted True\n"
 
 
+DROPPED_BY_CHIPMUNK = """
+import signal, time
+import pymunk
+from rover_ncp.core.process import interrupt
+
+signal.signal(signal.SIGINT, interrupt)
+space = pymunk.Space()
+body = pymunk.Body(1.0, 1.0)
+space.add(body, pymunk.Circle(body, 1.0), pymunk.Circle(space.static_body, 1.0))
+space.step(0.1)
+try:
+    body.each_arbiter(lambda _: signal.raise_signal(signal.SIGINT))
+    time.sleep(20)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_interruption_in_a_callback_of_chipmunk_comes_after_it():
+    done = subprocess.run(
+        [sys.executable, "-c", DROPPED_BY_CHIPMUNK], check=True, capture_output=True, text=True, timeout=60
+    )
+    assert (done.stdout, done.stderr) == ("interrupted\n", "")
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts suspends")
 def test_delay_between_the_readings_of_two_clocks_is_no_suspend(monkeypatch):
     late_s, slept_s = count(), {time.CLOCK_BOOTTIME: 5.0, time.CLOCK_MONOTONIC: 0.0}

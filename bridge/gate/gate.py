@@ -175,8 +175,8 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
     if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
         elapsed = state.now - state.base_s
         repeats = state.repeats + 1
-        frozen_m = state.frozen_m + min(abs(before.v), abs(base.v)) * elapsed
-        frozen_rad = state.frozen_rad + min(abs(before.omega), abs(base.omega)) * elapsed
+        frozen_m = state.frozen_m + _moving(before.v, base.v) * elapsed
+        frozen_rad = state.frozen_rad + _moving(before.omega, base.omega) * elapsed
     if 0.0 < base.battery_v < limits.battery_min_v:
         low_since_s = state.now if state.low_since_s is None else state.low_since_s
     return replace(
@@ -188,6 +188,12 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
         frozen_m=frozen_m,
         frozen_rad=frozen_rad,
     )
+
+
+def _moving(before: float, now: float) -> float:
+    """Return the smaller of two speeds; 0 if it is no more than the noise of a robot that stands."""
+    slower = min(abs(before), abs(now))
+    return slower if slower >= STANDING else 0.0
 
 
 def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateState, Reason | None]:

@@ -52,6 +52,16 @@ def test_odometry_is_frozen_from_exactly_this_distance_on(motion, frozen):
     assert (gate.at(2.0, BaseReport(x=1.0, **motion)).held is Reason.FROZEN) is frozen
 
 
+@pytest.mark.parametrize(("speed", "frozen"), [(0.009, False), (0.01, True)])
+@pytest.mark.parametrize("name", ["v", "omega"])
+def test_noisy_speed_of_a_robot_that_stands_is_no_frozen_odometry(name, speed, frozen):
+    # Wheels give the pose and an IMU the speed: the pose would not change before the robot may drive.
+    gate = Gate()
+    for k in range(100):
+        gate.at(0.1 * k, BaseReport(x=1.0, **{name: speed}))
+    assert (gate.enable(10.0).refusal is Reason.FROZEN) is frozen
+
+
 @pytest.mark.parametrize("motion", [{"v": 0.3}, {"omega": 0.6}])
 def test_noisy_odometry_may_repeat_a_pose_once(motion):
     gate = Gate().driving()

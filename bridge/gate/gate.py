@@ -145,7 +145,7 @@ def _hold_reason(state: GateState, limits: Limits) -> Reason | None:
 
 def _frozen(state: GateState) -> bool:
     """Whether odometry is frozen: the base reports the same pose while it reports a speed."""
-    moved = state.frozen_m >= FROZEN_M or state.frozen_rad >= FROZEN_RAD
+    moved = abs(state.frozen_m) >= FROZEN_M or abs(state.frozen_rad) >= FROZEN_RAD
     return moved and state.repeats >= FROZEN_REPORTS
 
 
@@ -191,9 +191,9 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
 
 
 def _moving(before: float, now: float) -> float:
-    """Return the smaller of two speeds; 0 if it is no more than the noise of a robot that stands."""
-    slower = min(abs(before), abs(now))
-    return slower if slower >= STANDING else 0.0
+    """Return the slower of two speeds; 0 unless both are of one direction and more than the noise at rest."""
+    slower = min(before, now, key=abs)
+    return slower if before * now > 0.0 and abs(slower) >= STANDING else 0.0
 
 
 def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateState, Reason | None]:

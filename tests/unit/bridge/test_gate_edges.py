@@ -62,6 +62,15 @@ def test_noisy_speed_of_a_robot_that_stands_is_no_frozen_odometry(name, speed, f
     assert (gate.enable(10.0).refusal is Reason.FROZEN) is frozen
 
 
+@pytest.mark.parametrize("name", ["v", "omega"])
+def test_speed_that_changes_its_sign_is_no_frozen_odometry(name):
+    # Motors that hold a robot on a slope flicker by a tick of its encoders.
+    gate = Gate()
+    for k in range(100):
+        gate.at(0.1 * k, BaseReport(x=1.0, **{name: 0.014 if k % 4 < 2 else -0.014}))
+    assert gate.enable(10.0).refusal is None
+
+
 @pytest.mark.parametrize("motion", [{"v": 0.3}, {"omega": 0.6}])
 def test_noisy_odometry_may_repeat_a_pose_once(motion):
     gate = Gate().driving()

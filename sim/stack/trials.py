@@ -248,6 +248,8 @@ def drive_all(
             raise WorkerDied("a process that drove trials ended unexpectedly") from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.kill()  # else it drives its trial to the end, and those that wait
             raise
     return [found[number] for number in range(count)]
 

@@ -2,7 +2,10 @@
 
 import json
 import math
+import multiprocessing
 import pickle
+import signal
+import time
 
 import numpy as np
 import pytest
@@ -85,6 +88,22 @@ def test_a_trial_is_the_same_whatever_the_number_of_processes():
     assert drive_all(stack("harsh"), 4, 2) == alone
     assert stack("harsh").drive(3) == alone[3]
     assert len({trial.pose for trial in alone}) == 4
+
+
+@pytest.mark.long
+def test_interrupted_trials_end_their_processes_at_once():
+    processes = []
+
+    def interrupt():
+        processes.extend(multiprocessing.active_children())
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        drive_all(stack("harsh"), 20, 2, interrupt)
+    while any(process.exitcode is None for process in processes):
+        time.sleep(0.01)
+    # Not at the end of their trials.
+    assert [process.exitcode for process in processes] == [-signal.SIGKILL] * 2
 
 
 def test_without_errors_the_stack_ends_where_the_simulator_does():

@@ -25,6 +25,8 @@ LOADED_TYRE = 0.004
 DOWNHILL_M, GAIN_WALK = 0.25, 1.5
 """The slide downhill and the change of turn gain on a slope, over its tangent divided by friction, for the
 families' centres of mass and directions: rms by Coulomb friction (`sim.studies.rigid_body`)."""
+SKID_M, CABLE_M = 0.1, 0.03
+"""The random part of that slide, in the same way, and the unseen way over a cable: fitted to other seeds."""
 
 
 def settings_of(ranges: Randomization, known: RoverProfile, *, measured: bool) -> EstimatorSettings:
@@ -48,8 +50,13 @@ def settings_of(ranges: Randomization, known: RoverProfile, *, measured: bool) -
 def _of_ground(ranges: SkidRanges) -> dict[str, float]:
     least, most = ranges.slope_rad
     slope = math.sqrt((least * least + least * most + most * most) / 3.0 / math.prod(ranges.friction))
-    walk = math.hypot(EstimatorSettings().turn_gain_walk, GAIN_WALK * slope)
-    return {"downhill_std_m": DOWNHILL_M * slope, "turn_gain_walk": walk}
+    usual = EstimatorSettings()
+    return {
+        "downhill_std_m": DOWNHILL_M * slope,
+        "turn_gain_walk": math.hypot(usual.turn_gain_walk, GAIN_WALK * slope),
+        "skid_m": math.hypot(usual.skid_m, SKID_M * slope),
+        "wander_m": math.hypot(usual.wander_m, CABLE_M * math.sqrt(ranges.cables)),
+    }
 
 
 def _of_plane(ranges: Randomization) -> dict[str, float]:

@@ -303,6 +303,11 @@ def test_a_robot_that_was_identified_on_its_slope_drives_there_by_its_encoders()
     assert known.drive(18).belief.error_m < 0.08
 
 
+def test_correct_poses_are_believed_where_cables_move_the_rover():
+    rough = stack(load_randomization("rough", Body.MUJOCO), seed=777003, course="parking", camera=Camera())
+    assert rough.drive(9).parked
+
+
 def test_noise_of_the_estimate_does_not_move_a_rover_at_its_goal():
     # Answers of 1 to 2 mm/s and half a degree a second moved these robots by more than parking allows.
     full = stack(load_randomization("full"), seed=61201, course="parking")

@@ -5,35 +5,125 @@ the worst k count. Two things cost less than in the paper and change no decision
 as if those before them had failed (``sim/learn/search/random_search.py``). Rollouts stop where even the best
 possible rest would leave a candidate below its incumbent.
 
-A run takes minutes to hours, so it saves its state every few seconds; a run that continues from there gives
+The published code has a search for each task. On parking, which has no chance, it is that of
+``sim/learn/search/published.py``; the others also estimate the incumbent anew. Cart-pole has no published
+code and gets the pendulum's. A new estimate counts as an iteration here, at most one in 52.
+
+A run takes seconds to hours, so it saves its state every few seconds; a run that continues from there gives
 the same bits.
 """
 
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
-from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.circuit import ParameterKind
+from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.networks import Net
-from sim.learn.search.base import Vector, draw_seeds, dump_state
+from sim.learn.search.base import Strategy, Vector, draw_seeds, dump_state
+from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, Caps, KindRule, Published
 from sim.learn.search.strategies import start_search
 from sim.paper.evaluator import Evaluator
 from sim.paper.random_search import Budget, Found
 from sim.paper.tasks import Benchmark
 
+_CAR_WEIGHTS, _CAR_WEIGHTS_AGAIN = 16, 12
+"""Largest cap of a car's weights, and the one that follows it."""
+_CAR_RULES: Mapping[ParameterKind, KindRule] = {
+    **RULES,
+    ParameterKind.WEIGHT: KindRule(6, _CAR_WEIGHTS, 0.01, 0.8),
+    ParameterKind.SIGMA: KindRule(5, 12, 0.01, 0.08),
+    ParameterKind.LEAK_POTENTIAL: KindRule(4, 8, 0.1, 3.0),
+    ParameterKind.LEAK: KindRule(4, 8, 0.05, 0.8),
+    ParameterKind.CAPACITANCE: KindRule(4, 7, 0.01, 0.3),
+}
+_LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
 # Streams of random numbers.
 _SEARCH, _ROLLOUTS = range(2)
 _LEAST_AHEAD, _MOST_AHEAD = 3, 48
 _SAVE_EVERY_S = 10.0
 _STOPS = (1, 3, 9)
 """Rollouts after which candidates may be rejected."""
+
+
+class EstimateCaps(Caps):
+    """Caps that grow when the incumbent was estimated anew, after 51 failures in a row."""
+
+    most_failures: ClassVar[int] = FAILURES_TO_WIDEN
+
+    def after_failure(self) -> Self:
+        """Count a failure."""
+        return type(self)(self.least, self.most, self.caps, self.failures + 1)
+
+
+class CarCaps(EstimateCaps):
+    """Caps of the mountain car's search, where that of the weights falls back when it is at its most."""
+
+    def widened(self) -> Self:
+        """Grow every cap by one; count failures anew."""
+        caps = super().widened().caps
+        back = [cap == _CAR_WEIGHTS for cap in self.caps]
+        return replace(
+            self,
+            caps=tuple(_CAR_WEIGHTS_AGAIN if b else cap for cap, b in zip(caps, back, strict=True)),
+            failures=0,
+        )
+
+
+class PublishedOnBenchmarks(Published):
+    """The published search of pendulum and half-cheetah.
+
+    The layers of a half-cheetah's circuit are drawn at random, and every entry of them changes each time.
+    """
+
+    caps: ClassVar[type[Caps]] = EstimateCaps
+
+    def __init__(self, layout: ParameterLayout, start: Vector, generator: np.random.Generator) -> None:
+        kinds = [block.kind for block in layout.blocks]
+        # A network's parameters are layers too, and nothing else.
+        layered = ParameterKind.WEIGHT in kinds and ParameterKind.INPUT_LAYER in kinds
+        parts = [layout.block(kind).slice for kind in _LAYERS] if layered else []
+        self._layered = np.concatenate([np.arange(part.start, part.stop) for part in parts] or [[]]).astype(
+            int
+        )
+        start = start.copy()
+        start[self._layered] = generator.standard_normal(len(self._layered))
+        super().__init__(layout, np.clip(start, layout.lower, layout.upper), generator)
+
+    def propose(self, adaptation: Caps, generator: np.random.Generator) -> Vector:
+        """Draw the changes, and then those of the layers."""
+        vector = super().propose(adaptation, generator)
+        vector[self._layered] = self.incumbent[self._layered] + generator.standard_normal(len(self._layered))
+        return self.clip(vector)
+
+    def wants_estimate(self, adaptation: Caps) -> bool:
+        """Estimate after 51 failures."""
+        return adaptation.failures == FAILURES_TO_WIDEN
+
+    def after_estimate(self, adaptation: Caps) -> Caps:
+        """Widen the caps."""
+        return adaptation.widened()
+
+
+class PublishedOnMountainCar(PublishedOnBenchmarks):
+    """The published search of mountain car, with larger changes and more of them."""
+
+    rules: ClassVar[Mapping[ParameterKind, KindRule]] = _CAR_RULES
+    caps: ClassVar[type[Caps]] = CarCaps
+
+
+_OWN_SEARCHES: Mapping[str, type[Strategy]] = {
+    "published-benchmarks": PublishedOnBenchmarks,
+    "published-mountain-car": PublishedOnMountainCar,
+}
 
 
 class Estimator(Protocol):
@@ -90,7 +180,12 @@ def search_as_published(
     """
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_SEARCH,))))
     first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
-    search = start_search(budget.strategy, agent.layout(), first, generator)
+    own = _OWN_SEARCHES.get(budget.strategy)
+    search: Strategy = (
+        start_search(budget.strategy, agent.layout(), first, generator)
+        if own is None
+        else own.begin(agent.layout(), first, generator)
+    )
     curve: list[tuple[int, float]] = []
     ahead = _LEAST_AHEAD
     if saved := partial.load():

@@ -51,7 +51,7 @@ def budget_for(task: Task, name: BudgetName) -> Budget:
     default = Budget(settings.rollouts, settings.worst, _UNLIMITED, task.steps, starts, patience=15_000)
     if name in FAITHFUL:
         worst = settings.rollouts if name is BudgetName.PUBLISHED_MEAN else settings.worst
-        strategy = "algorithm1" if name is BudgetName.ALGORITHM1 else "published"
+        strategy = "algorithm1" if name is BudgetName.ALGORITHM1 else task.published_search
         limits = (settings.iterations, _UNLIMITED, 1, _UNLIMITED)
         return Budget(settings.rollouts, worst, *limits, strategy)
     if name is BudgetName.QUICK:

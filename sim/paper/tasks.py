@@ -70,6 +70,8 @@ class Task:
     """Origin of ``success``; the paper states no threshold."""
     published_ranges: tuple[tuple[str, str], ...] = ()
     """Signals whose range in the paper is another, and that range."""
+    published_search: str = "published"
+    """The search of its published code."""
     circuit: Callable[[], Circuit] = tap_withdrawal_circuit
     """The untuned tap-withdrawal circuit with the task's motor neurons."""
 
@@ -78,6 +80,7 @@ class Task:
 class Benchmark(Task):
     """One of Gymnasium's tasks, run in lanes."""
 
+    published_search: str = "published-benchmarks"
     plant: int
     start: Callable[[np.random.Generator], FloatArray]
     """Draws the first state as the environment's reset does."""
@@ -210,6 +213,7 @@ _ALL = (
         threshold_from="Gymnasium",
         # The published circuit solves the task with 1.0 alone.
         published_ranges=(("position", "±0.02 (Table S6), ±0.3 (last published code)"),),
+        published_search="published-mountain-car",
         plant=MOUNTAIN_CAR,
         start=_car_start,
         most=100.0,

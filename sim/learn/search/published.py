@@ -8,7 +8,7 @@ the scale of the noise never adapts. Constants: the published parking search.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -53,6 +53,7 @@ class Caps:
     most: tuple[int, ...]
     caps: tuple[int, ...]
     failures: int = 0
+    most_failures: ClassVar[int] = FAILURES_TO_WIDEN - 1
 
     def after_success(self) -> Self:
         """Shrink every cap by one, not below its least; count failures anew."""
@@ -64,6 +65,10 @@ class Caps:
         if self.failures + 1 < FAILURES_TO_WIDEN:
             # Not by ``replace``, which takes several times as long; every candidate comes here twice.
             return type(self)(self.least, self.most, self.caps, self.failures + 1)
+        return self.widened()
+
+    def widened(self) -> Self:
+        """Grow every cap by one, not above its most; count failures anew."""
         caps = tuple(min(cap + 1, most) for cap, most in zip(self.caps, self.most, strict=True))
         return replace(self, caps=caps, failures=0)
 
@@ -71,7 +76,7 @@ class Caps:
         """Return the caps of saved fields; their range is that of this search."""
         caps, failures = tuple(int(cap) for cap in fields["caps"]), int(fields["failures"])
         limits = zip(self.least, caps, self.most, strict=True)
-        if not all(least <= cap <= most for least, cap, most in limits) or failures >= FAILURES_TO_WIDEN:
+        if not all(least <= cap <= most for least, cap, most in limits) or failures > self.most_failures:
             raise ValueError(f"caps {caps} after {failures} failures cannot be")
         return replace(self, caps=caps, failures=failures)
 
@@ -79,9 +84,12 @@ class Caps:
 class Published(RandomSearch[Caps]):
     """The published variant of the random search."""
 
+    rules: ClassVar[Mapping[ParameterKind, KindRule]] = RULES
+    caps: ClassVar[type[Caps]] = Caps
+
     def __init__(self, layout: ParameterLayout, start: Vector, generator: np.random.Generator) -> None:
         super().__init__(layout, start, generator)
-        rules = [RULES[block.kind] for block in layout.blocks]
+        rules = [self.rules[block.kind] for block in layout.blocks]
         self._starts = np.array([block.slice.start for block in layout.blocks])
         self._stops = np.array([block.slice.stop for block in layout.blocks])
         self._low = np.array([rule.low for rule in rules])
@@ -89,9 +97,9 @@ class Published(RandomSearch[Caps]):
 
     def first_adaptation(self, layout: ParameterLayout) -> Caps:
         """Return the least caps."""
-        rules = [RULES[block.kind] for block in layout.blocks]
+        rules = [self.rules[block.kind] for block in layout.blocks]
         least = tuple(rule.least for rule in rules)
-        return Caps(least, tuple(rule.most for rule in rules), least)
+        return self.caps(least, tuple(rule.most for rule in rules), least)
 
     def propose(self, adaptation: Caps, generator: np.random.Generator) -> Vector:
         """Draw the numbers of changes, the deviations, the entries and the noise, in this order."""

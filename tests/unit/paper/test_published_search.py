@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.core.errors import FileError
 from sim.paper import BudgetName, published_search
 from sim.paper.agents import build_agent
@@ -87,3 +88,55 @@ def test_an_interrupted_search_goes_on_with_the_same_bits(tmp_path, monkeypatch)
     path.write_text("{")
     with pytest.raises(FileError, match="damaged"):
         Partial(path, vars(limits)).load()
+
+
+def first_step(name, returns):
+    """Return the search of a task after so many returns, and the vectors that it asked for."""
+    task = TASKS[name]
+    policy = task.policy(task.circuit())
+    own = published_search._OWN_SEARCHES[task.published_search]
+    search = own.begin(policy.layout(), policy.parameters(), np.random.default_rng(0))
+    asked = []
+    for value in returns:
+        asked.append(search.ask()[0])
+        search.tell([value])
+    return search, asked
+
+
+@pytest.mark.parametrize("name", ["pendulum", "mountain-car"])
+def test_a_lucky_incumbent_is_estimated_anew_after_51_failures(name):
+    search, asked = first_step(name, [9.0, *[1.0] * 51, 4.0])
+    assert asked[-1].tolist() == asked[0].tolist()
+    assert not any(np.array_equal(vector, asked[0]) for vector in asked[1:-1])
+    assert (search.value, search.adaptation.failures) == (4.0, 0)
+    narrow, least = search.adaptation.caps, search.adaptation.least
+    assert [wide - cap for wide, cap in zip(narrow, least, strict=True)] == [1] * len(least)
+    search.tell([5.0] * len(search.ask()))
+    assert search.adaptation.caps == least
+
+
+def test_the_cars_cap_of_weights_falls_back_from_its_most():
+    search, _ = first_step("mountain-car", [9.0, *([1.0] * 51 + [9.0]) * 11])
+    by_kind = dict(
+        zip(
+            [b.kind for b in TASKS["mountain-car"].policy(TASKS["mountain-car"].circuit()).layout().blocks],
+            search.adaptation.caps,
+            strict=True,
+        )
+    )
+    assert by_kind == {
+        ParameterKind.WEIGHT: 12,  # 6, 7, ... 16, 12
+        ParameterKind.SIGMA: 12,
+        ParameterKind.LEAK_POTENTIAL: 8,
+        ParameterKind.LEAK: 8,
+        ParameterKind.CAPACITANCE: 7,
+    }
+
+
+def test_every_entry_of_a_half_cheetahs_layers_changes():
+    _, (first, second) = first_step("half-cheetah", [1.0, 1.0])
+    layout = TASKS["half-cheetah"].policy(TASKS["half-cheetah"].circuit()).layout()
+    for kind in (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER):
+        part = layout.block(kind).slice
+        assert np.all(first[part] != 0.0)
+        assert np.mean(first[part] != second[part]) > 0.9  # some stay at a bound

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from rover_ncp.circuit.compiled import allocate_lanes, make_program, resting_potentials
-from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
 from rover_ncp.circuit.solver import tick_lanes
+from rover_ncp.circuit.tap_withdrawal import parking_circuit, random_circuit
 from rover_ncp.course.course import TICK_S
 from rover_ncp.kernels.jit import kernel
 from sim.learn.agents import AgentState, Plan, Team, split
@@ -44,6 +45,9 @@ _WARM_ITERATIONS = 100
 _TICKS = 40
 _LANE_TICKS = 65_536
 _NS = 1e9
+
+_SIZES = tuple((neurons, synapses) for neurons in (24, 48, 96, 192) for synapses in (60, 120, 240, 480))
+_SIZE_TICKS = 400
 
 _COMPILE_SCRIPT = """
 import time
@@ -109,7 +113,7 @@ def _parts(task: Task) -> dict[str, Any]:
     fleets = [Fleet([default_rover()] * lanes) for lanes in LANES]  # kept: their arrays hold but addresses
     for lanes, fleet in zip(LANES, fleets, strict=True):
         commands = np.full((2, len(fleet.bodies)), 0.1)
-        calls[f"circuit {lanes}"] = partial(_tick_circuits, *_circuits(task, lanes), _ticks(lanes))
+        calls[f"circuit {lanes}"] = partial(_tick_circuits, *_circuits(task.policy, lanes), _ticks(lanes))
         calls[f"physics {lanes}"] = partial(_tick_rovers, fleet.arrays, commands, _ticks(lanes))
     cpu_s = _cpu_s(calls)
     by_lanes = [
@@ -132,6 +136,31 @@ def _parts(task: Task) -> dict[str, Any]:
             name: {"scalar": cpu_s[name] * _NS / (_TICKS * SUBSTEPS), "lane": lane[f"{name}_ns"]}
             for name in ("circuit", "physics")
         },
+    }
+
+
+def bench_circuit() -> dict[str, Any]:
+    """Measure what a substep of a random circuit costs, by its numbers of neurons and synapses."""
+    calls: dict[str, Callable[[], object]] = {}
+    for neurons, synapses in _SIZES:
+        own = parking_circuit().neurons
+        names = (*own, *(f"N{number}" for number in range(neurons - len(own))))
+        circuits = _circuits(parking_policy(random_circuit(0, names, synapses)), STREAM_LANES)
+        calls[f"{neurons} {synapses}"] = partial(_tick_circuits, *circuits, _SIZE_TICKS)
+    per_s = _NS / (STREAM_LANES * _SIZE_TICKS * SUBSTEPS)
+    costs = np.array([cpu_s * per_s for cpu_s in _cpu_s(calls).values()])
+    sizes = np.column_stack([np.ones(len(_SIZES)), _SIZES])
+    fit = np.linalg.lstsq(sizes, costs, rcond=None)[0]
+    off = float(np.abs(sizes @ fit / costs - 1.0).max())
+    return {
+        "sizes": [  #: of the circuits, as wide as in training
+            {"neurons": neurons, "synapses": synapses, "substep_ns": cost}  #: CPU time of a substep and lane
+            for (neurons, synapses), cost in zip(_SIZES, costs.tolist(), strict=True)
+        ],
+        "fixed_ns": float(fit[0]),  #: part of a substep that no size changes, of a linear fit
+        "neuron_ns": float(fit[1]),  #: part of each neuron
+        "synapse_ns": float(fit[2]),  #: part of each synapse
+        "most_off": off,  #: largest deviation of the fit, as a share of the cost
     }
 
 
@@ -225,11 +254,11 @@ def _ticks(lanes: int) -> int:
     return _LANE_TICKS // lanes
 
 
-def _circuits(task: Task, lanes: int) -> tuple[Any, ...]:
-    program = make_program(task.policy)
-    parameters = allocate_lanes(program, task.policy, lanes)
-    potentials = resting_potentials(task.policy, lanes)
-    observations = np.full((len(task.policy.sensing.inputs), lanes), 0.3)
+def _circuits(policy: Policy, lanes: int) -> tuple[Any, ...]:
+    program = make_program(policy)
+    parameters = allocate_lanes(program, policy, lanes)
+    potentials = resting_potentials(policy, lanes)
+    observations = np.full((len(policy.sensing.inputs), lanes), 0.3)
     return program, parameters, potentials, observations, np.zeros((2, lanes))
 
 

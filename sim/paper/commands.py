@@ -91,6 +91,15 @@ def paper(
             help="curves, lesions, disturbances: the picture.", show_default="runs/paper/ and the name, .png"
         ),
     ] = None,
+    stop: Annotated[
+        str | None,
+        typer.Option(
+            metavar="REASON",
+            help="Store the selected runs of the paper's own searches that have not ended as they are, as "
+            "stopped for this reason; with --again they go on.",
+            show_default=False,
+        ),
+    ] = None,
     again: Annotated[bool, typer.Option("--again", help="Repeat runs that exist already.")] = False,
     processes: Annotated[
         int | None,
@@ -121,6 +130,7 @@ def paper(
         rover-ncp paper run --task cart-pole --circuit mine.bnn
         rover-ncp paper run --cluster tcp://192.168.1.5:8786
         rover-ncp paper run --budget published --task parking
+        rover-ncp paper run --budget published --task half-cheetah --stop "a run takes hours"
         rover-ncp paper networks --json
     """
     from sim.paper.results import ResultStore
@@ -136,9 +146,15 @@ def paper(
         raise UsageError("--cluster goes with neither --processes nor --circuit, a file of this machine")
     names = select(task, agent, seed, circuit, budget)
     left = [name for name in names if again or store.find(name) is None]
+    if stop is not None:
+        left = [name for name in names if store.unfinished(name).is_file()]
+        if not left or cluster is not None:
+            raise UsageError(f"--stop: {runs} has no such run that has begun and not ended")
     made = []
     if left:
-        made = _make(output, store, left, circuit=circuit, processes=processes, cluster=cluster)
+        made = _make(
+            output, store, left, circuit=circuit, processes=processes, cluster=cluster, stopped=stop or ""
+        )
     output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
     return 0
 
@@ -151,6 +167,7 @@ def _make(
     circuit: Path | None,
     processes: int | None,
     cluster: str | None,
+    stopped: str,
 ) -> list[dict[str, Any]]:
     """Make runs with a progress bar; return a summary of each."""
     from rich.console import Console
@@ -183,7 +200,8 @@ def _make(
     require_writable(names[0].path(store.own))
     count = processes or available_processes()
     with progress:
-        make_runs(names, store, circuit, processes=count, cluster=cluster, on_result=on_result)
+        limits = {"processes": count, "cluster": cluster, "stopped": stopped}
+        make_runs(names, store, circuit, **limits, on_result=on_result)
     return made
 
 

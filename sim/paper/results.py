@@ -17,6 +17,8 @@ from sim.learn.search.base import Vector
 from sim.paper import BudgetName
 
 SHIPPED = Path(__file__).parent / "results"
+STOPPED = "stopped: "
+"""Begins the ``ended`` of a run that was given up, before the reason."""
 
 
 class RunName(StrictModel):
@@ -71,7 +73,7 @@ class Result(StrictModel):
     steps: int
     """Environment steps of all episodes together."""
     ended: str
-    """By enough, plateau, steps or evaluations."""
+    """By enough, plateau, steps or evaluations, or ``STOPPED`` and why."""
     curve: tuple[tuple[int, float], ...]
     """(steps, estimate of the incumbent), thinned; (iterations, estimate) with the paper's own searches."""
     episodes: int
@@ -118,10 +120,14 @@ class ResultStore:
         write_atomic(result.name.path(self.own), json.dumps(result.model_dump(), allow_nan=False) + "\n")
 
     def results(self, task: str, agent: str, budget: BudgetName = BudgetName.DEFAULT) -> list[Result]:
-        """Return all results of a task, an agent and a budget, by seed. Raises FileError."""
+        """Return the results of a task, an agent and a budget that were not stopped, by seed.
+
+        Raises FileError.
+        """
         paths: dict[str, Path] = {}
         for folder in (self.shipped, self.own):
             if folder is not None:
-                found = (_column(folder, budget) / task).glob(f"{agent}-*.json")
-                paths |= {path.name: path for path in found}
-        return [load_result(paths[name]) for name in sorted(paths)]
+                files = (_column(folder, budget) / task).glob(f"{agent}-*.json")
+                paths |= {path.name: path for path in files}
+        found = [load_result(paths[name]) for name in sorted(paths)]
+        return [result for result in found if not result.ended.startswith(STOPPED)]

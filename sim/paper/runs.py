@@ -65,15 +65,18 @@ def budget_for(task: Task, name: BudgetName) -> Budget:
     return default
 
 
-def train_run(name: RunName, circuit: Path | None = None, unfinished: Path | None = None) -> Result:
+def train_run(
+    name: RunName, circuit: Path | None = None, unfinished: Path | None = None, stopped: str = ""
+) -> Result:
     """Make one run. The same name gives the same parameters and returns, to the last bit.
 
-    ``unfinished`` is the file in which the paper's own searches keep their state, to continue there.
+    ``unfinished`` is the file in which the paper's own searches keep their state, to continue there;
+    ``stopped`` is a reason not to.
     Raises UsageError, FileError or ConfigError for a run that cannot be.
     """
     task, budget = find_task(name.task), name.budget
     limits = budget_for(task, budget)
-    partial = Partial(unfinished if budget in FAITHFUL else None, vars(limits))
+    partial = Partial(unfinished if budget in FAITHFUL else None, vars(limits), stopped)
     if name.agent in GRADIENTS and circuit is None:
         found, agent, steps, settings = _train_by_gradients(task, name)
         libraries = ["stable-baselines3", "torch"]
@@ -212,12 +215,14 @@ def make_runs(
     *,
     processes: int,
     cluster: str | None = None,
+    stopped: str = "",
     on_result: Callable[[Result], None],
 ) -> None:
     """Make runs, as many at once as there are processes, or on a Dask cluster; save each as it ends.
 
     Interrupted, it gives up the unfinished runs, except those of the paper's own searches, which go on from
-    their last state when they are asked for again. Raises UsageError, FileError or ConfigError for a run that
+    their last state when they are asked for again. With ``stopped``, a reason, unfinished runs become results
+    as they are; they can still go on. Raises UsageError, FileError or ConfigError for a run that
     cannot be before the first one begins, and WorkerDied.
     """
     _require(names, circuit)
@@ -225,7 +230,8 @@ def make_runs(
     def keep(run: Future[Result]) -> None:
         result = run.result()
         store.save(result)
-        store.unfinished(result.name).unlink(missing_ok=True)
+        if not stopped:
+            store.unfinished(result.name).unlink(missing_ok=True)
         on_result(result)
 
     if cluster is not None:
@@ -238,7 +244,8 @@ def make_runs(
     with ProcessPoolExecutor(min(processes, len(names)), context) as pool:
         try:
             with starting_processes():  # the pool starts them as work is handed in
-                runs = [pool.submit(train_run, name, circuit, store.unfinished(name)) for name in names]
+                places = [(name, circuit, store.unfinished(name)) for name in names]
+                runs = [pool.submit(train_run, *place, stopped) for place in places]
             for run in as_completed(runs):
                 keep(run)
         except BaseException as error:

@@ -9,7 +9,7 @@ from rover_ncp.core.errors import UsageError
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import AGENTS, GRADIENTS
 from sim.paper.published_search import read_partial
-from sim.paper.results import Result, ResultStore, RunName, load_result
+from sim.paper.results import STOPPED, Result, ResultStore, RunName, load_result
 from sim.paper.tasks import TASKS, Benchmark, find_task
 
 _GRADIENT_TASKS = ("pendulum", "roboschool", "mountain-car")
@@ -66,33 +66,51 @@ def _faithful(budget: BudgetName) -> Iterator[Group]:
 
 
 def coverage(store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> list[dict[str, Any]]:
-    """Return each group of a budget: how many of its runs exist, how they ended, and the commits of them.
+    """Return each group of a budget: how many of its runs came to an end, how, and the commits of them.
 
-    A run that has not ended is listed with its iterations and the estimate of its incumbent.
+    A run that has not ended, or was stopped, is listed with its iterations and the estimate of its incumbent.
     """
     rows = []
     for group in grid(budget):
         paths = [store.find(name) for name in group.names()]
-        results = [load_result(path) for path in paths if path is not None]
+        found = [load_result(path) for path in paths if path is not None]
+        results = [result for result in found if not result.ended.startswith(STOPPED)]
         commits = Counter(result.made_with.get("commit", "unknown") for result in results)
         rows.append(
             {
                 "task": group.task,
                 "agent": group.agent,
-                "made": len(results),  #: how many runs exist
+                "made": len(results),  #: how many runs came to an end
                 "runs": group.runs,  #: how many are wanted
                 "commits": dict(commits),  #: by commit: how many runs
                 #: by how a run ended: how many runs
                 "ended": dict(Counter(result.ended for result in results)),
                 "cpu_s": sum(result.cpu_s for result in results),  #: of all together
+                "stopped": [  #: runs of the paper's own searches that were given up
+                    stopped_state(result) for result in found if result.ended.startswith(STOPPED)
+                ],
                 "unfinished": [  #: runs of the paper's own searches that have not ended
                     {"seed": name.seed, **read_partial(store.unfinished(name))}
                     for name in group.names()
-                    if store.unfinished(name).is_file()
+                    if store.unfinished(name).is_file() and store.find(name) is None
                 ],
             }
         )
     return rows
+
+
+def stopped_state(result: Result) -> dict[str, Any]:
+    """Return how far a run was when it was stopped, and why that was."""
+    iterations, of = result.evaluations - 1, result.settings["evaluations"]
+    return {
+        "seed": result.name.seed,
+        "iterations": iterations,  #: that were made
+        "of": of,  #: of how many
+        "estimate": result.curve[-1][1],  #: of the incumbent
+        "why": result.ended.removeprefix(STOPPED),  #: it was stopped
+        "cpu_s": result.cpu_s,  #: until then
+        "hours_to_run": result.cpu_s / max(iterations, 1) * of / 3600.0,  #: of a whole run, on one core
+    }
 
 
 def select(

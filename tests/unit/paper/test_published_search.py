@@ -12,7 +12,10 @@ from sim.paper import BudgetName, published_search
 from sim.paper.agents import build_agent
 from sim.paper.parking import ParkingEvaluator
 from sim.paper.published_search import BenchmarkEstimator, Partial, read_partial, search_as_published
-from sim.paper.runs import budget_for
+from sim.paper.results import ResultStore, RunName
+from sim.paper.runs import agrees, budget_for, replay, train_run
+from sim.paper.selection import coverage
+from sim.paper.tables import coverage_text
 from sim.paper.tasks import TASKS
 
 ALONE = Partial(None, {})
@@ -61,10 +64,8 @@ def test_a_candidate_whose_worst_rollouts_would_win_gets_the_papers_estimate():
     assert estimator.steps < 3 * steps
 
 
-def test_an_interrupted_search_goes_on_with_the_same_bits(tmp_path, monkeypatch):
-    limits = budget("cart-pole", 300, rollouts=3, worst=2)
-    whole = search("cart-pole", limits)
-    path = tmp_path / "circuit-00.partial"
+def interrupt(limits, path, monkeypatch):
+    """Interrupt a search of the cart-pole after nine states."""
     monkeypatch.setattr(published_search, "_SAVE_EVERY_S", 0.0)
     partial = Partial(path, vars(limits))
     saves = iter(range(9))
@@ -78,6 +79,30 @@ def test_an_interrupted_search_goes_on_with_the_same_bits(tmp_path, monkeypatch)
     monkeypatch.setattr(partial, "save", interrupted)
     with pytest.raises(KeyboardInterrupt):
         search("cart-pole", limits, partial=partial)
+
+
+def test_a_stopped_run_keeps_its_state_and_its_reason_and_counts_as_none(tmp_path, monkeypatch):
+    store = ResultStore(tmp_path, None)
+    name = RunName(task="cart-pole", agent="circuit", seed=1, budget=BudgetName.PUBLISHED)
+    interrupt(budget("cart-pole", 50_000), store.unfinished(name), monkeypatch)
+    before = read_partial(store.unfinished(name))
+    result = train_run(name, None, store.unfinished(name), "too long")
+    assert agrees(result, replay(result))
+    store.save(result)
+    assert store.results("cart-pole", "circuit", BudgetName.PUBLISHED) == []
+    groups = coverage(store, BudgetName.PUBLISHED)
+    [group] = [row for row in groups if (row["task"], row["agent"]) == ("cart-pole", "circuit")]
+    [stopped] = group["stopped"]
+    assert (group["made"], group["unfinished"], stopped["why"]) == (0, [], "too long")
+    assert all(stopped[key] == before[key] for key in ("iterations", "of", "estimate"))
+    assert f"stopped at {stopped['iterations']} of 50,000 iterations" in coverage_text(groups)
+
+
+def test_an_interrupted_search_goes_on_with_the_same_bits(tmp_path, monkeypatch):
+    limits = budget("cart-pole", 300, rollouts=3, worst=2)
+    whole = search("cart-pole", limits)
+    path = tmp_path / "circuit-00.partial"
+    interrupt(limits, path, monkeypatch)
     continued = Partial(path, vars(limits))
     found = search("cart-pole", limits, partial=continued)
     assert (found.curve, found.vector.tolist()) == (whole.curve, whole.vector.tolist())

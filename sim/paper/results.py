@@ -119,15 +119,14 @@ class ResultStore:
         """Write a result into the user's folder. Raises FileError."""
         write_atomic(result.name.path(self.own), json.dumps(result.model_dump(), allow_nan=False) + "\n")
 
-    def results(self, task: str, agent: str, budget: BudgetName = BudgetName.DEFAULT) -> list[Result]:
-        """Return the results of a task, an agent and a budget that were not stopped, by seed.
-
-        Raises FileError.
-        """
+    def results(
+        self, task: str, agent: str, budget: BudgetName = BudgetName.DEFAULT, *, stopped: bool = False
+    ) -> list[Result]:
+        """Return the runs that came to their end, or were stopped, by seed. Raises FileError."""
         paths: dict[str, Path] = {}
         for folder in (self.shipped, self.own):
             if folder is not None:
                 files = (_column(folder, budget) / task).glob(f"{agent}-*.json")
                 paths |= {path.name: path for path in files}
         found = [load_result(paths[name]) for name in sorted(paths)]
-        return [result for result in found if not result.ended.startswith(STOPPED)]
+        return [result for result in found if result.ended.startswith(STOPPED) is stopped]

@@ -47,6 +47,7 @@ class Published(NamedTuple):
 
 PUBLISHED_RUNS = 10
 _MOTORS_MV = "-70 .. -20 (text), -60 .. -20 (code)"
+_SENSORS_MV = "the same (text), not clamped (code)"
 _PENDULUM = {
     "lstm": Published(629.0, 453.1, 0.4),
     "mlp": Published(1177.5, 31.8, 1.0),
@@ -242,6 +243,8 @@ def parameters() -> list[dict[str, Any]]:
             {
                 "task": task.name,
                 "horizon": task.horizon,  #: in ticks
+                "published_horizon": task.published_horizon or task.horizon,  #: the paper's
+                "published_search": task.published_search,  #: the published code's
                 **task.settings._asdict(),
                 "success": task.success,  #: least mean return, without bonus
                 "threshold_from": task.threshold_from,  #: who set it
@@ -266,11 +269,15 @@ def parameters_text(rows: Sequence[dict[str, Any]]) -> str:
     mappings: list[tuple[str, ...]] = [("task", "signal", "neurons", "range", "the paper's")]
     for row in rows:
         threshold = f"{row['success']:g} ({row['threshold_from']})"
-        settings.append((*(str(row[key]) for key in keys), threshold))
+        cells = {key: str(row[key]) for key in keys}
+        if row["published_horizon"] != row["horizon"]:
+            cells["horizon"] += f" ({row['published_horizon']} in Table S4)"
+        settings.append((*cells.values(), threshold))
         for name, sides in (row["sensors"] | row["motors"]).items():
             ends = _span(sorted({*sides.values(), *([0.0] if len(sides) == 1 else [])}))
             paper = row["published_ranges"].get(name, "the same")
             mappings.append((row["task"], name, ", ".join(sides), ends, paper))
+    mappings.append(("all", "potential, mV", "sensory neurons", "-70 .. -20, clamped", _SENSORS_MV))
     mappings.append(("all", "potential, mV", "motor neurons", _span(rows[0]["motor_range_mV"]), _MOTORS_MV))
     return f"{markdown(settings)}\n\n{markdown(mappings)}"
 

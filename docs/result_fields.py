@@ -23,13 +23,14 @@ RESULTS = {
     "eval --task, a benchmark of the paper": "sim.paper.score_file:score_circuit",
     "eval --task, an environment": "sim.evaluate.commands:_play_environment",
     "bench train": "sim.benchmarks.train:_parts :bench_train share=:_shares",
+    "bench circuit": "sim.benchmarks.train:bench_circuit",
     "bench search": "sim.benchmarks.search:bench_search strategies.NAME=:_summary",
     "bench deploy": "sim.benchmarks.deploy:bench_deploy rates=:_measure rates=:latencies "
     "rates.odometry_to_command_ms=:quantiles rates.bare_half_round_trip_ms=:quantiles "
     "rates.tick_jitter_ms=:quantiles",
     "paper run": "sim.paper.commands:paper made=sim.paper.results:RunName made=sim.paper.commands:_make",
     "paper status": "groups=sim.paper.selection:coverage "
-    "groups.unfinished=sim.paper.published_search:read_partial",
+    "groups.stopped=:stopped_state groups.unfinished=sim.paper.published_search:read_partial",
     "paper replay": "sim.paper.commands:_replay differ=sim.paper.results:RunName",
     "paper random-circuits, policy-gradients, networks": "sim.paper.tables:table_fields cells=:Row "
     "cells=:Row.fields cells.published=:Published",
@@ -158,6 +159,7 @@ COMMON = {
     "checkpoint": "counted from 1",
     "claim": "what the paper says",
     "claims": "one row each",
+    "claims.source": "section, table or figure of the paper",
     "claims.command": "that makes the figure",
     "claims.verdict": "whether it was found to be so",
     "claims.figure": "what was measured",

@@ -154,7 +154,11 @@ def bench_circuit() -> dict[str, Any]:
     off = float(np.abs(sizes @ fit / costs - 1.0).max())
     return {
         "sizes": [  #: of the circuits, as wide as in training
-            {"neurons": neurons, "synapses": synapses, "substep_ns": cost}  #: CPU time of a substep and lane
+            {
+                "neurons": neurons,
+                "synapses": synapses,
+                "substep_ns": cost,  #: CPU time of a substep and lane
+            }
             for (neurons, synapses), cost in zip(_SIZES, costs.tolist(), strict=True)
         ],
         "fixed_ns": float(fit[0]),  #: part of a substep that no size changes, of a linear fit

@@ -246,10 +246,12 @@ def _show(
         signs = interpretation.parking_contributions(store)
         output.result(signs, interpretation.contributions_text(signs))
     else:
-        _draw(what, output, store, out or Path(f"runs/paper/{what}.png"), tasks)
+        _draw(what, output, store, out or Path(f"runs/paper/{what}.png"), tasks, budget)
 
 
-def _draw(what: What, output: Output, store: Any, out: Path, tasks: list[str] | None) -> None:
+def _draw(  # noqa: PLR0917  # those of the command
+    what: What, output: Output, store: Any, out: Path, tasks: list[str] | None, budget: BudgetName
+) -> None:
     """Write a picture of the stored runs, and print what it shows."""
     from rover_ncp.core.files import require_writable, write_atomic
     from sim.paper import curves, disturbance, lesions
@@ -260,7 +262,7 @@ def _draw(what: What, output: Output, store: Any, out: Path, tasks: list[str] | 
     fields: dict[str, Any] = {"picture": str(out)}
     text = str(out)
     if what is What.CURVES:
-        picture = curves.curves_png(store)
+        picture = curves.curves_png(store, budget)
     elif what is What.LESIONS:
         fields["lesions"] = rows = lesions.lesion_study(store, names)
         picture, text = lesions.lesions_png(rows), lesions.lesions_text(rows)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from sim.learn.curve import png_of
+from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import AGENTS
 from sim.paper.results import Result, ResultStore
 from sim.paper.tasks import TASKS, Task
@@ -20,11 +21,11 @@ _KINDS = ("mean and deviation", "median and middle half")
 _TASKS_IN_ROW = 2
 
 
-def curves_png(store: ResultStore) -> bytes:
-    """Return the learning curves of all runs as PNG. Raises FileError."""
+def curves_png(store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> bytes:
+    """Return the learning curves of all runs of a budget as PNG. Raises FileError."""
     from matplotlib.figure import Figure
 
-    found = {(task, agent): _results(store, task, agent) for task in TASKS for agent in AGENTS}
+    found = {(task, agent): _results(store, task, agent, budget) for task in TASKS for agent in AGENTS}
     tasks = [task for name, task in TASKS.items() if any(found[name, agent] for agent in AGENTS)]
     columns = len(_KINDS) * min(max(len(tasks), 1), _TASKS_IN_ROW)
     rows = max(-(-len(tasks) // _TASKS_IN_ROW), 1)
@@ -41,7 +42,7 @@ def curves_png(store: ResultStore) -> bytes:
         pair[1].sharey(pair[0])
     for axes in panels[len(_KINDS) * len(tasks) :]:
         axes.set_visible(False)
-    figure.supxlabel("steps of the environment", fontsize=9)
+    figure.supxlabel("iterations" if budget in FAITHFUL else "steps of the environment", fontsize=9)
     figure.supylabel("estimated return of the best so far", fontsize=9)
     return png_of(figure)
 
@@ -62,14 +63,15 @@ def _finish(axes: Any, task: Task, kind: str) -> None:
     axes.legend(fontsize=7, loc="upper left" if task.success < 0 else "lower right")
 
 
-def _results(store: ResultStore, task: str, agent: str) -> list[Result]:
+def _results(store: ResultStore, task: str, agent: str, budget: BudgetName) -> list[Result]:
     """Return all runs that were searched for; one of PPO or A2C has no curve."""
-    return [result for result in store.results(task, agent) if result.curve]
+    return [result for result in store.results(task, agent, budget) if result.curve]
 
 
 def _draw(axes: Any, results: Sequence[Result], agent: str, kind: str) -> None:
     first = min(result.curve[0][0] for result in results)
-    last = max(result.steps for result in results)
+    faithful = results[0].name.budget in FAITHFUL
+    last = max(result.evaluations - 1 if faithful else result.steps for result in results)
     steps = np.geomspace(max(first, 1), last, _POINTS)
     rows = []
     for result in results:

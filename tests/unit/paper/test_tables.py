@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rover_ncp.cli import run
-from sim.paper import BudgetName
+from sim.paper import BudgetName, curves
 from sim.paper.curves import curves_png
 from sim.paper.results import Packed, Result, ResultStore, RunName
 from sim.paper.runs import agrees, train_run
@@ -104,6 +104,24 @@ def test_parameters_are_the_papers():
 
 def test_curves_are_a_picture(store):
     assert curves_png(store).startswith(b"\x89PNG")
+    assert curves_png(store, BudgetName.PUBLISHED).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("kind", "middles"), zip(curves._KINDS, [(49.5, 98.0), (49.5, 98.0)], strict=True))
+def test_a_curve_holds_all_runs_also_one_that_its_start_solved(kind, middles):
+    lines = []
+
+    class Axes:
+        def fill_between(self, *_, **__): ...
+
+        def plot(self, steps, middle, label, **_):
+            lines.append((middle, label))
+
+    runs = [result("cart-pole", "circuit", 0, 97.0), result("cart-pole", "circuit", 1, 99.0)]
+    runs[1] = runs[1].model_copy(update={"curve": ((10, 99.0),)})
+    curves._draw(Axes(), runs, "circuit", kind)
+    [(middle, label)] = lines
+    assert (middle[0], middle[-1], label) == (*middles, "circuit (2)")
 
 
 @pytest.mark.parametrize("what", ["status", *TABLES, "parameters"])

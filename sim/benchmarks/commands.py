@@ -59,7 +59,8 @@ def bench(
     a bare round trip of the same bytes, the ticks' jitter and the share of a core. It also measures the
     circuit's part of that time, and whether the whole driver can run 500 times a second.
 
-    circuit measures the CPU time of a substep of circuits of 24 to 192 neurons and 60 to 480 synapses.
+    circuit measures the CPU time of a tick, ten substeps, of circuits of 24 to 192 neurons and 60 to 480
+    synapses.
 
         rover-ncp bench train --json
         rover-ncp bench deploy --seconds 10
@@ -79,10 +80,10 @@ def bench(
         from sim.benchmarks.train import bench_circuit
 
         fields = bench_circuit()
-        parts = "{fixed_ns:.1f} ns, {neuron_ns:.2f} ns a neuron and {synapse_ns:.2f} ns a synapse".format(
+        parts = "{fixed_us:.1f} µs, {neuron_us:.3f} µs a neuron and {synapse_us:.3f} µs a synapse".format(
             **fields
         )
-        output.result(fields, f"a substep takes {parts}; at most {fields['most_off']:.0%} off")
+        output.result(fields, f"a tick takes {parts}; at most {fields['most_off']:.0%} off")
         return
     if what is What.TRAIN:
         from sim.benchmarks.train import bench_train

@@ -47,7 +47,6 @@ _LANE_TICKS = 65_536
 _NS = 1e9
 
 _SIZES = tuple((neurons, synapses) for neurons in (24, 48, 96, 192) for synapses in (60, 120, 240, 480))
-_SIZE_TICKS = 400
 
 _COMPILE_SCRIPT = """
 import time
@@ -107,13 +106,13 @@ def _parts(task: Task) -> dict[str, Any]:
     calls: dict[str, Callable[[], object]] = {
         "episodes": lambda: engine.returns(vectors),
         "plain": lambda: [rollout(policy, task.course) for policy in alone],
-        "circuit": lambda: [runner.tick([0.3, 0.3, 0.3, 1.0]) for _ in range(_TICKS)],
+        "circuit": partial(_tick_alone, runner),
         "physics": lambda: _substep(rover, _TICKS * SUBSTEPS),
     }
     fleets = [Fleet([default_rover()] * lanes) for lanes in LANES]  # kept: their arrays hold but addresses
     for lanes, fleet in zip(LANES, fleets, strict=True):
         commands = np.full((2, len(fleet.bodies)), 0.1)
-        calls[f"circuit {lanes}"] = partial(_tick_circuits, *_circuits(task.policy, lanes), _ticks(lanes))
+        calls[f"circuit {lanes}"] = partial(_tick_circuits, *_circuits(task, lanes), _ticks(lanes))
         calls[f"physics {lanes}"] = partial(_tick_rovers, fleet.arrays, commands, _ticks(lanes))
     cpu_s = _cpu_s(calls)
     by_lanes = [
@@ -140,32 +139,35 @@ def _parts(task: Task) -> dict[str, Any]:
 
 
 def bench_circuit() -> dict[str, Any]:
-    """Measure what a substep of a random circuit costs, by its numbers of neurons and synapses."""
+    """Measure what a tick of a random circuit costs, by its numbers of neurons and synapses."""
     calls: dict[str, Callable[[], object]] = {}
+    own = parking_circuit().neurons
     for neurons, synapses in _SIZES:
-        own = parking_circuit().neurons
         names = (*own, *(f"N{number}" for number in range(neurons - len(own))))
-        circuits = _circuits(parking_policy(random_circuit(0, names, synapses)), STREAM_LANES)
-        calls[f"{neurons} {synapses}"] = partial(_tick_circuits, *circuits, _SIZE_TICKS)
-    per_s = _NS / (STREAM_LANES * _SIZE_TICKS * SUBSTEPS)
-    costs = np.array([cpu_s * per_s for cpu_s in _cpu_s(calls).values()])
-    sizes = np.column_stack([np.ones(len(_SIZES)), _SIZES])
-    fit = np.linalg.lstsq(sizes, costs, rcond=None)[0]
-    off = float(np.abs(sizes @ fit / costs - 1.0).max())
+        runner = PolicyRunner(parking_policy(random_circuit(0, names, synapses)))
+        calls[f"{neurons} {synapses}"] = partial(_tick_alone, runner)
+    costs = np.array(list(_cpu_s(calls).values())) * 1e6 / _TICKS
+    columns = np.column_stack([np.ones(len(_SIZES)), _SIZES])
+    fit = np.linalg.lstsq(columns, costs, rcond=None)[0]
     return {
-        "sizes": [  #: of the circuits, as wide as in training
+        "sizes": [  #: of the circuits, called from Python
             {
                 "neurons": neurons,
                 "synapses": synapses,
-                "substep_ns": cost,  #: CPU time of a substep and lane
+                "tick_us": cost,  #: CPU time of ten substeps
             }
             for (neurons, synapses), cost in zip(_SIZES, costs.tolist(), strict=True)
         ],
-        "fixed_ns": float(fit[0]),  #: part of a substep that no size changes, of a linear fit
-        "neuron_ns": float(fit[1]),  #: part of each neuron
-        "synapse_ns": float(fit[2]),  #: part of each synapse
-        "most_off": off,  #: largest deviation of the fit, as a share of the cost
+        "fixed_us": float(fit[0]),  #: part of a tick that no size changes, of a linear fit
+        "neuron_us": float(fit[1]),  #: part of each neuron
+        "synapse_us": float(fit[2]),  #: part of each synapse
+        "most_off": float(np.abs(columns @ fit / costs - 1.0).max()),  #: of the fit, as a share of the cost
     }
+
+
+def _tick_alone(runner: PolicyRunner) -> None:
+    for _ in range(_TICKS):
+        runner.tick([0.3, 0.3, 0.3, 1.0])
 
 
 def _candidates(policy: Policy, count: int) -> np.ndarray:
@@ -258,11 +260,11 @@ def _ticks(lanes: int) -> int:
     return _LANE_TICKS // lanes
 
 
-def _circuits(policy: Policy, lanes: int) -> tuple[Any, ...]:
-    program = make_program(policy)
-    parameters = allocate_lanes(program, policy, lanes)
-    potentials = resting_potentials(policy, lanes)
-    observations = np.full((len(policy.sensing.inputs), lanes), 0.3)
+def _circuits(task: Task, lanes: int) -> tuple[Any, ...]:
+    program = make_program(task.policy)
+    parameters = allocate_lanes(program, task.policy, lanes)
+    potentials = resting_potentials(task.policy, lanes)
+    observations = np.full((len(task.policy.sensing.inputs), lanes), 0.3)
     return program, parameters, potentials, observations, np.zeros((2, lanes))
 
 

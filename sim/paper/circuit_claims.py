@@ -14,7 +14,13 @@ from rover_ncp.circuit.tap_withdrawal import random_circuit
 from sim.learn.rollout import Rollout
 from sim.paper.agents import build_agent
 from sim.paper.claims import Claim, Finding, share_finding
-from sim.paper.interpretation import drives, parking_contributions, parking_time_constants
+from sim.paper.interpretation import (
+    BENCHMARK_TIME_CONSTANTS_S,
+    benchmark_time_constants,
+    drives,
+    parking_contributions,
+    parking_time_constants,
+)
 from sim.paper.results import ResultStore
 from sim.paper.tasks import TASKS
 
@@ -145,6 +151,20 @@ def _dynamics(store: ResultStore) -> Iterator[Claim]:
         "rover-ncp paper time-constants",
         "nothing in the return asks for slow neurons" if len(same) < len(rows) else "",
     )
+    for task, published in BENCHMARK_TIME_CONSTANTS_S.items():
+        if not store.results(task, "circuit"):
+            continue
+        ours = benchmark_time_constants(store, task)
+        same = [neuron for neuron in published if _overlap(ours[neuron], published[neuron])]
+        yield Claim(
+            f"time-constants-{task}",
+            f"{TASKS[task].title}: time constants of the run, neuron by neuron",
+            "Table S7",
+            share_finding(len(same), len(published)),
+            f"{len(same)} of {len(published)} ranges of the best circuit meet the paper's"
+            + (f" ({', '.join(same)})" if same else ""),
+            f"rover-ncp explain --task {task}",
+        )
     changing = [row["neuron"] for row in rows if row["best"][1] > 1.01 * row["best"][0]]
     yield Claim(
         "varying-time-constants",

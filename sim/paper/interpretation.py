@@ -14,9 +14,45 @@ from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import load_course
 from sim.learn.rollout import Rollout, rollout
 from sim.paper.agents import build_agent
+from sim.paper.play import BenchmarkEpisodes
 from sim.paper.results import ResultStore
 from sim.paper.tables import markdown
-from sim.paper.tasks import find_task
+from sim.paper.tasks import Benchmark, find_task
+
+BENCHMARK_TIME_CONSTANTS_S: dict[str, dict[str, tuple[float, float]]] = {
+    "pendulum": {
+        "DVA": (9.7e-4, 2.5e-3),
+        "PVC": (0.043, 0.71),
+        "AVD": (0.037, 0.11),
+        "AVB": (4.6e-3, 4.6e-3),
+        "AVA": (2.4e-4, 3.9e-4),
+        "FWD": (3.7e-4, 2.4e-3),
+        "REV": (8.7e-3, 8.7e-3),
+    },
+    "mountain-car": {
+        "DVA": (0.5, 6.49),
+        "PVC": (0.11, 0.3),
+        "AVD": (1.32e-4, 4.75e-4),
+        "AVB": (0.05, 4.62),
+        "AVA": (0.014, 0.087),
+        "FWD": (0.069, 2.95),
+        "REV": (0.47, 0.47),
+    },
+}
+"""Smallest and largest over the paper's other runs (Table S7)."""
+
+
+def benchmark_time_constants(store: ResultStore, name: str) -> dict[str, tuple[float, float]]:
+    """Return the time constants in s of the best circuit of a benchmark, over one episode, by neuron."""
+    task = find_task(name)
+    assert isinstance(task, Benchmark)
+    best = max(store.results(name, "circuit"), key=lambda result: result.mean)
+    untrained = build_agent(task, "circuit", best.name.seed)
+    assert isinstance(untrained, Policy)
+    policy = untrained.with_parameters(best.parameters.array())
+    potentials = BenchmarkEpisodes(task, policy).play(0).potentials
+    ranges = time_constant_ranges(policy.circuit, potentials, policy.sensing.neurons)
+    return {each.neuron: (each.lowest_s, each.highest_s) for each in ranges}
 
 
 def drives(store: ResultStore) -> list[tuple[Policy, Rollout]]:

@@ -1,15 +1,17 @@
 """The checklist of the paper's claims."""
 
 import json
+import shlex
 from pathlib import Path
 
 import pytest
 
 from rover_ncp.cli import run
 from sim.paper import BudgetName
-from sim.paper.claims import Finding, all_claims, claims_text, share_finding
+from sim.paper.claims import Finding, _estimate_claims, all_claims, claims_text, share_finding
 from sim.paper.comparison import compare_agents
-from sim.paper.results import ResultStore
+from sim.paper.results import ResultStore, RunName
+from sim.paper.selection import select
 from sim.paper.tables import TABLES, table
 
 
@@ -26,6 +28,28 @@ def test_every_claim_has_a_verdict_a_figure_and_a_command(claims):
         assert claim.command.startswith("rover-ncp ")
         if claim.verdict is Finding.NOT_TESTED:
             assert claim.why, claim.name
+            assert claim.figure[0].isdigit(), claim.name  # how many runs, drives or videos there are
+
+
+def test_a_command_that_makes_runs_has_some_to_make(claims):
+    arguments = [shlex.split(claim.command)[3:] for claim in claims if " paper run " in claim.command]
+    assert arguments
+    for each in arguments:
+        options = dict(zip(each[::2], each[1::2], strict=True))
+        assert select([options["--task"]], None, None, None, BudgetName(options.get("--budget", "default")))
+
+
+def test_few_runs_are_no_verdict_but_show_what_was_stopped(tmp_path):
+    store = ResultStore(tmp_path, None)
+    [run] = ResultStore(Path("nowhere")).results("parking", "circuit", BudgetName.PUBLISHED)[:1]
+    name = RunName(task="half-cheetah", agent="circuit", seed=0, budget=BudgetName.PUBLISHED)
+    of = {"settings": {"evaluations": 20_000}, "evaluations": 101, "cpu_s": 36.0}
+    store.save(run.model_copy(update={"name": name, "ended": "stopped: too long", **of}))
+    found = {claim.name: claim for claim in _estimate_claims(store)}
+    claim = found["published-half-cheetah"]
+    assert (claim.verdict, claim.why) == (Finding.NOT_TESTED, "a run takes 2.0 hours of a core")
+    assert "0 runs came to their end; seed 0 stopped at 100 of 20,000 iterations" in claim.figure
+    assert found["published-mountain-car"].figure == "0 runs came to their end"
 
 
 def test_every_table_of_the_paper_and_every_supplement_table_is_in_the_list(claims):

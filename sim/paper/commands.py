@@ -200,8 +200,9 @@ def _make(
     require_writable(names[0].path(store.own))
     count = processes or available_processes()
     with progress:
-        limits = {"processes": count, "cluster": cluster, "stopped": stopped}
-        make_runs(names, store, circuit, **limits, on_result=on_result)
+        make_runs(
+            names, store, circuit, processes=count, cluster=cluster, stopped=stopped, on_result=on_result
+        )
     return made
 
 

@@ -91,10 +91,10 @@ class PublishedOnBenchmarks(Published):
         kinds = [block.kind for block in layout.blocks]
         # A network's parameters are layers too, and nothing else.
         layered = ParameterKind.WEIGHT in kinds and ParameterKind.INPUT_LAYER in kinds
-        parts = [layout.block(kind).slice for kind in _LAYERS] if layered else []
-        self._layered = np.concatenate([np.arange(part.start, part.stop) for part in parts] or [[]]).astype(
-            int
-        )
+        changed = np.zeros(layout.size, np.bool_)
+        for kind in _LAYERS if layered else ():
+            changed[layout.block(kind).slice] = True
+        self._layered = np.flatnonzero(changed)
         start = start.copy()
         start[self._layered] = generator.standard_normal(len(self._layered))
         super().__init__(layout, np.clip(start, layout.lower, layout.upper), generator)

@@ -22,7 +22,7 @@ from types import CodeType, ModuleType
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import njit, typeof
 from numba.core import types
 from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic
@@ -49,6 +49,15 @@ def inlined_kernel(function: Callable[..., Any]) -> Any:
     can take longer than the work.
     """
     return _compiled(function, {"error_model": "numpy", "forceinline": True})
+
+
+def bound(kernel: Any, *arguments: Any) -> Callable[[], Any]:
+    """Return a call of a kernel with these arguments.
+
+    At every other call numba looks up the types of all arguments, which for large tuples of arrays takes
+    longer than to hand them over.
+    """
+    return functools.partial(kernel.compile(tuple(map(typeof, arguments))), *arguments)
 
 
 @in_kernels

@@ -33,7 +33,8 @@ ROUND_ITERATIONS = 100
 _MOST_AHEAD = 4 * ROUND_ITERATIONS
 """Iterations that an agent may be ahead of the slowest in its team; an agent that waits leaves lanes idle."""
 _PORTION_S = 0.5
-"""Time for which a worker advances agents: lanes run empty at its end, and a display waits for it."""
+"""CPU time for which a worker advances agents: lanes run empty at its end, and a display waits for it. Not
+wall time, in which a busy machine may do too little to be worth handing the agents over."""
 _SEARCH_STREAM = 0
 """Second element of an agent's spawn key."""
 
@@ -130,7 +131,7 @@ class Team:
     def advance(
         self, agents: Sequence[AgentState], targets: Sequence[Sequence[int]], seconds: float = math.inf
     ) -> list[Progress]:
-        """Advance agents for some time, or until each has reached its last target.
+        """Advance agents for some CPU time, or until each has reached its last target.
 
         ``targets`` are, for each agent, rising numbers of iterations.
         """
@@ -138,7 +139,7 @@ class Team:
         if len(runners) not in self._streams:
             self._streams[len(runners)] = self._evaluator.stream(len(runners))
         stream = self._streams[len(runners)]
-        ends, in_time = time.monotonic() + seconds, True
+        ends, in_time = time.thread_time() + seconds, True
         while True:
             furthest = min(runner.search.iterations for runner in runners) + _MOST_AHEAD
             for index, runner in enumerate(runners):
@@ -149,7 +150,7 @@ class Team:
                 return [Progress(runner.at_targets, runner.state()) for runner in runners]
             for index, returns, misses in answers:
                 runners[index].tell(returns, misses)
-            in_time = time.monotonic() < ends
+            in_time = time.thread_time() < ends
 
 
 class _Runner:

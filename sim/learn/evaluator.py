@@ -9,7 +9,6 @@ therefore be truncated without any effect on a comparison with that threshold.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.course.course import TICK_S, Course, due_checkpoints
 from rover_ncp.course.reference import SIGNALS, Reference, plan_reference
+from rover_ncp.kernels.jit import bound
 from sim.learn.commander import Commander, rover_commander
 from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, Waiting, enqueue, episode_kernel
 from sim.world.described import default_rover
@@ -163,8 +163,12 @@ class Evaluator:
 
     def stream(self, agents: int) -> "Stream":
         """Return a stream of the first trial on the first course for so many agents."""
-        size, lanes = self._commander.size, self._build_team(STREAM_LANES, 0)
-        return Stream(agents, size, self._tasks.checkpoints.shape[1], partial(self._run_queue, lanes))
+        size, team = self._commander.size, self._build_team(STREAM_LANES, 0)
+
+        def bind(queue: Queue) -> Callable[[], None]:
+            return bound(self._kernel, *self._arguments(team, queue))
+
+        return Stream(agents, size, self._tasks.checkpoints.shape[1], bind)
 
     def _drive(
         self, vectors: ArrayLike, thresholds: ArrayLike | None = None
@@ -201,14 +205,15 @@ class Evaluator:
             width = _width(count, may_truncate=bool((stop > -np.inf).any()))
             if (width, ground) not in self._teams:
                 self._teams[width, ground] = self._build_team(width, ground)
-            self._run_queue(self._teams[width, ground], queue)
+            self._kernel(*self._arguments(self._teams[width, ground], queue))
             results[:, chosen] = queue.results.reshape(len(rows), len(chosen), RESULTS)
             misses[:, chosen] = queue.misses.reshape(len(rows), len(chosen), *misses.shape[2:])
         return tasks, results, misses
 
-    def _run_queue(self, team: _Team, queue: Queue) -> None:
+    def _arguments(self, team: _Team, queue: Queue) -> tuple[Any, ...]:
+        """Return those of the kernel."""
         arrays, lanes, fleet = team
-        self._kernel(arrays, self._signal_at, self._tasks, self._trials, lanes, fleet.arrays, queue)
+        return arrays, self._signal_at, self._tasks, self._trials, lanes, fleet.arrays, queue
 
     def _build_team(self, width: int, ground: int) -> _Team:
         lanes = Lanes(
@@ -250,12 +255,13 @@ class Stream:
     returns are those of ``Evaluator.run``.
     """
 
-    def __init__(self, agents: int, size: int, checkpoints: int, run_queue: Callable[[Queue], None]) -> None:
+    def __init__(
+        self, agents: int, size: int, checkpoints: int, bind: Callable[[Queue], Callable[[], None]]
+    ) -> None:
         self.room = max(_LEAST_ROOM, -(-_ROOM // agents))
         """The most candidates that an agent may submit at once."""
         self.enough = -(-_IN_FLIGHT // agents)
         """The number of candidates of each agent that keeps all lanes busy."""
-        self._run_queue = run_queue
         episodes = agents * self.room
         zeros = np.zeros(episodes, np.int64)
         self._queue = Queue(
@@ -268,6 +274,8 @@ class Stream:
             misses=np.zeros((episodes, checkpoints, 3)),
             waiting=Waiting(zeros.copy(), np.zeros(2, np.int64), np.zeros(agents, np.int64)),
         )
+        self._bind = bind  # it keeps the rovers, of which the arguments have no more than addresses
+        self._run_queue = bind(self._queue)
         self._submitted = [0] * agents
 
     def submit(self, agent: int, vectors: FloatArray, thresholds: FloatArray) -> None:
@@ -280,7 +288,7 @@ class Stream:
 
     def collect(self) -> list[Answer]:
         """Return the answers to one agent or more; none if no candidates wait."""
-        self._run_queue(self._queue)
+        self._run_queue()
         answers = []
         for agent, left in enumerate(self._queue.waiting.left.tolist()):
             count = self._submitted[agent]

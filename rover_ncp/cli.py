@@ -14,8 +14,7 @@ import traceback
 from importlib.metadata import distribution, entry_points
 from pathlib import Path
 from typing import Annotated, Any
-from urllib.parse import urlparse
-from urllib.request import url2pathname
+from urllib.parse import unquote, urlparse
 
 import typer
 from typer.core import TyperGroup
@@ -148,11 +147,7 @@ def _remedy(extras: list[str]) -> str:
     """Return the command that installs extras, from where this rover-ncp was installed (PEP 610)."""
     record = distribution("rover-ncp").read_text("direct_url.json")
     origin = json.loads(record) if record else {}
-    place = (
-        Path(url2pathname(urlparse(origin["url"]).path))
-        if origin.get("url", "").startswith("file:")
-        else None
-    )
+    place = Path(unquote(urlparse(origin["url"]).path)) if origin.get("url", "").startswith("file:") else None
     if place is not None and not place.exists():
         return f"install rover-ncp again with the extras {', '.join(extras)} ({place} is gone)"
     editable = "--editable " if origin.get("dir_info", {}).get("editable") else ""

@@ -12,6 +12,7 @@ from arcos_captures import CAPTURES
 
 from bridge.pioneer.arcos import Decoder
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Kind, Sip
+from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.core.robot_description import load_description
 from sim.pioneer.firmware import ClientState, Firmware
 from sim.pioneer.server import Server
@@ -52,7 +53,7 @@ class AmriSim(Firmware):
         super()._emit(packet)
 
 
-class AmriSimServer:
+class AmriSimServer(ClosedAtExit):
     """One on TCP, turned by a thread until ``close``."""
 
     def __init__(self):
@@ -73,9 +74,3 @@ class AmriSimServer:
         self._stop.set()
         self._thread.join()
         self.server.close()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()

@@ -1,15 +1,14 @@
-"""A mock Pioneer and a bridge as real processes, and a scripted driver. Run as a program, it drives."""
+"""A mock Pioneer and a bridge as real processes, and a scripted driver."""
 
-import json
-import sys
 import time
 
-import zenoh
+from zenoh_session import open_session
 
 from deploy.drive.lease import DriverLease
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.key_table import key
 from rover_ncp.core.messages import read_odometry, read_text, read_twist, twist_stamped
+from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.core.protocol import (
     GateStatus,
     MotorsReply,
@@ -31,20 +30,16 @@ MACHINE_S = 0.1
 
 def client(locator):
     """Open a Zenoh session as a driver would."""
-    settings = zenoh.Config()
-    for path, value in {
-        "mode": "client",
-        "connect/endpoints": [locator],
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/link/tx/lease": 1000,
-        "connect/timeout_ms": 2000,
-    }.items():
-        settings.insert_json5(path, json.dumps(value))
-    return zenoh.open(settings)
+    settings = {"transport/link/tx/lease": 1000, "connect/timeout_ms": 2000}
+    return open_session("client", {"connect/endpoints": [locator], **settings})
 
 
-class Driver:
+def zenoh_address(bridge):
+    """Wait until the process of a bridge is ready; return where drivers find it."""
+    return dict(part.split("=", 1) for part in bridge.wait_for_line("ready ").split())["zenoh"]
+
+
+class Driver(ClosedAtExit):
     """A session with the bridge; ``send`` sends one command, ``drive`` sends them for a while."""
 
     def __init__(self, locator, namespace=""):
@@ -122,12 +117,6 @@ class Driver:
     def close(self):
         self.session.close()
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
-
 
 class Rig(LiveRun):
     """Mock and bridge; times of the rover's true motion are of the wall clock."""
@@ -149,17 +138,3 @@ class Rig(LiveRun):
 def braking_s(v):
     """Time in s from the stop command to standstill at speed ``v``: the base's own delay, then braking."""
     return DELAY_S + abs(v) / BRAKING_M_S2
-
-
-def drive_for_ever(locator):
-    with Driver(locator) as driver:
-        driver.start()
-        while True:
-            sent_ns = driver.send()
-            sys.stdout.write(f"{sent_ns}\n")
-            sys.stdout.flush()
-            time.sleep(PERIOD_S)
-
-
-if __name__ == "__main__":
-    drive_for_ever(sys.argv[1])

@@ -2,11 +2,10 @@
 
 import functools
 import json
-import socket
 import threading
 import time
 
-import zenoh
+from zenoh_session import open_session
 
 from deploy import app as node
 from deploy.app import run
@@ -27,6 +26,7 @@ from rover_ncp.core.protocol import (
     dump_json,
     parse_json,
 )
+from sim.pioneer.ros2_server import free_port
 
 ODOM_AT_START = Pose(3.0, -2.0, 3.1)  # nowhere near the origin, and turning left crosses π
 SIP_S = 0.1
@@ -34,32 +34,13 @@ STILL = Velocity(0.0, 0.0)
 LEASE = 5
 
 
-def free_port():
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
-
-
-def router(endpoint):
-    config = zenoh.Config()
-    settings = {
-        "mode": "router",
-        "listen/endpoints": [endpoint],
-        "scouting/multicast/enabled": False,
-        "scouting/delay": 0,
-    }
-    for path, value in settings.items():
-        config.insert_json5(path, json.dumps(value))
-    return zenoh.open(config)
-
-
 class Bridge:
     """Looks like a bridge to a driver; its rover obeys at once. ``odom`` may be replaced by a faulty one."""
 
     def __init__(self, namespace=""):
         self.namespace = namespace
-        self.robot = f"tcp/127.0.0.1:{free_port()}"
-        self.session = router(self.robot)
+        self.robot = f"tcp/127.0.0.1:{free_port('127.0.0.1')}"
+        self.session = open_session("router", {"listen/endpoints": [self.robot], "scouting/delay": 0})
         self.pose, self.velocity = ODOM_AT_START, STILL
         self.odom = odometry
         self.gate = GateStatus()
@@ -173,18 +154,19 @@ def short_course(folder):
 
 def driver(bridge, folder, capsys, monkeypatch):
     """Return what drives once with shorter waits, and returns exit code and result."""
-    monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, still_s=0.15))
     policy, course = untuned_policy(folder), short_course(folder)
 
-    def drive(robot=bridge.robot, namespace=bridge.namespace, zenoh_config=None, **changes):
+    def drive(namespace=bridge.namespace, as_json=True, waits=(), **changes):
+        waits = {"still_s": 0.15, **dict(waits)}
+        monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, **waits))
         options = {
             "policy": str(policy),
             "course": str(course),
             "record": folder / "run.mcap",
             "overwrite": True,
         }
-        address = BridgeAddress(robot, namespace, zenoh_config)
-        code = run(address, Output(as_json=True), **options | changes)
-        return code, json.loads(capsys.readouterr().out)
+        code = run(BridgeAddress(bridge.robot, namespace), Output(as_json), **options | changes)
+        said = capsys.readouterr().out
+        return code, json.loads(said) if as_json else said
 
     return drive

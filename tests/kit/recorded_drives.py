@@ -26,7 +26,7 @@ def drive_messages(policy, course, truth=True):
     told = []
 
     def put(topic, data, ns):
-        ros_type = spec(topic).type if topic in _OURS else _FOREIGN[topic]
+        ros_type = "geometry_msgs/msg/PoseStamped" if topic == "truth/pose" else spec(topic).type
         told.append(Recorded(topic, ros_type, data, ns, ns))
 
     def odom(pose, v, omega, ns):
@@ -63,19 +63,6 @@ def drive_messages(policy, course, truth=True):
     status("parked" if run.verdict.parked else "ended", len(run.commands), ns + TICK_NS)
     told.sort(key=lambda message: message.log_ns)
     return told, run
-
-
-_OURS = {
-    "odom",
-    "rover/estimate",
-    "rover/neurons",
-    "cmd_vel",
-    "rover/cmd_out",
-    "rover/status",
-    "rover/gate",
-    "battery_state",
-}
-_FOREIGN = {"truth/pose": "geometry_msgs/msg/PoseStamped"}
 
 
 def write_drive(path: Path, policy="parking", course="parking", truth=True, more=()):

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 from bridge.pioneer.arcos import Command, Packet
 from bridge.pioneer.baud import RATES
+from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.core.robot_description import load_description
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of
@@ -33,7 +34,7 @@ class Listening(Firmware):
         super()._take(packet)
 
 
-class SerialBase:
+class SerialBase(ClosedAtExit):
     """``port`` is what a client opens; ``rate`` is the base's in FLASH. A thread turns it until ``close``.
 
     With ``strict``, what goes through at another rate than the base's arrives as garbage.
@@ -69,12 +70,6 @@ class SerialBase:
         self._thread.join()
         os.close(self._far)
         os.close(self._near)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
 
     def _run(self):
         while not self._stop.is_set():

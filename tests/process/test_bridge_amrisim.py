@@ -3,11 +3,9 @@
 import time
 
 import pytest
-from amrisim import RECORDED, AmriSimServer
-from bridge_bench import MACHINE_S, Driver, braking_s, wait_for
+from amrisim import AmriSimServer
+from bridge_bench import MACHINE_S, Driver, braking_s, wait_for, zenoh_address
 
-from bridge.pioneer.arcos import encode_frame
-from bridge.pioneer.packets import Kind
 from sim.live.processes import Process
 
 STOP_S = 0.5
@@ -21,18 +19,9 @@ def amrisim():
 
 @pytest.fixture
 def driver(amrisim, tmp_path):
-    bridge = Process("bridge", ["--base", amrisim.base, "--listen", "tcp/127.0.0.1:0"], tmp_path)
-    try:
-        ready = dict(part.split("=", 1) for part in bridge.wait_for_line("ready ").split())
-        with Driver(ready["zenoh"]) as driver:
-            yield driver
-    finally:
-        bridge.stop()
-
-
-def test_the_recorded_configpac_is_the_short_one_that_shows_signed_lengths():
-    frame = encode_frame(Kind.CONFIG, RECORDED[Kind.CONFIG].payload)
-    assert frame[2] == 124
+    arguments = ["--base", amrisim.base, "--listen", "tcp/127.0.0.1:0"]
+    with Process("bridge", arguments, tmp_path) as bridge, Driver(zenoh_address(bridge)) as driver:
+        yield driver
 
 
 def test_a_base_whose_motors_are_on_from_the_start_is_driven_and_stopped(amrisim, driver):

@@ -1,16 +1,11 @@
 """Lines to the base that fall silent but stay open, with bridge, relay and mock as real processes."""
 
 import signal
-import socket
-import threading
 import time
-from itertools import cycle
 
 import pytest
 from bridge_bench import Driver, Rig, wait_for
 
-from bridge.pioneer.arcos import encode_frame
-from rover_ncp import cli
 from sim.faults.proxy import Proxy
 
 RECOVERY_S = 5.0
@@ -62,37 +57,3 @@ def test_a_base_that_stops_for_a_while_is_there_again_soon_after(tmp_path, stopp
         assert time.monotonic() - back_s < RECOVERY_S
         assert len(reopenings(rig)) == 1 or stopped_s == 2.0  # after 2.3 s
         driver.start()
-
-
-@pytest.mark.parametrize(
-    ("stream", "period_s"),
-    [
-        (encode_frame(0), 0.5),  # each byte of the right answer, too slowly
-        (encode_frame(0xFF), 0.02),  # a base that is always being reset
-    ],
-    ids=["slow", "resetting"],
-)
-@pytest.mark.long
-def test_a_base_that_answers_without_end_but_never_connects_is_exit_3(capsys, stream, period_s):
-    with socket.create_server(("127.0.0.1", 0)) as server:
-
-        def drip():
-            peer, _ = server.accept()
-            with peer:
-                for byte in cycle(stream):
-                    try:
-                        peer.sendall(bytes([byte]))
-                    except OSError:
-                        return
-                    time.sleep(period_s)
-
-        thread = threading.Thread(target=drip, daemon=True)
-        thread.start()
-        address = f"tcp/127.0.0.1:{server.getsockname()[1]}"
-        began_s = time.monotonic()
-        code = cli.run(["bridge", "--base", address, "--listen", "tcp/127.0.0.1:0"])
-        assert time.monotonic() - began_s < 20.0
-        thread.join(5.0)
-    assert code == 3
-    expected = f"rover-ncp: {address}: the base answers, but no handshake was completed within 15 s\n"
-    assert capsys.readouterr().err == expected

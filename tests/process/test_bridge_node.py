@@ -1,14 +1,8 @@
 """Bridge and mock as real processes, with either base: the lease, and every cause of a stop."""
 
 import math
-import os
-import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
 
-import bridge_bench
 import pytest
 from bridge_bench import MACHINE_S, Driver, Rig, braking_s, wait_for
 
@@ -111,21 +105,6 @@ def test_silence_stops_the_rover(rig, driver):
     wait_for(lambda: driver.gate.stops.get("silence", 0) > stops)
     # The lease lapses and the motors go off without a request.
     wait_for(lambda: driver.gate.lease == 0 and driver.gate.ended == "lease-lapsed")
-
-
-def test_a_killed_driver_stops_the_rover(rig, driver):
-    with subprocess.Popen(
-        [sys.executable, bridge_bench.__file__, rig.locator],
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(Path.cwd())},
-    ) as child:
-        lines = [child.stdout.readline() for _ in range(5)]
-        child.send_signal(signal.SIGKILL)
-        lines += child.stdout.readlines()
-    sent_ns = int([line for line in lines if line.endswith("\n")][-1])
-    assert rig.speed_at(sent_ns) > 0.1
-    assert rig.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
 
 
 def test_commands_that_arrive_late_do_not_drive(rig, driver):

@@ -4,8 +4,6 @@ import json
 import signal
 import socket
 import struct
-import subprocess
-import sys
 import threading
 import time
 
@@ -156,77 +154,9 @@ def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):
     assert line == f"--listen {listen}: another process listens there already"
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "expected"),
-    [
-        ("--listen", "garbage", "--listen garbage: expected PROTOCOL/HOST:PORT, like tcp/127.0.0.1:7447"),
-        ("--listen", "tcp/127.0.0.1", "--listen tcp/127.0.0.1: cannot listen there: invalid socket address"),
-        ("--listen", "tcp/192.0.2.1:0", "any client that reaches it could drive the rover"),
-        ("--namespace", "a*", "namespace 'a*'"),
-        ("--model", "hal", "hal: no such file, and none of the shipped robots"),
-        ("--ros", "corba", "Invalid value for '--ros'"),
-        ("--base", "ftp/x", "base ftp/x: expected tcp/HOST"),
-        ("--limits", "no.yaml", "no.yaml: cannot be read"),
-        ("--zenoh-config", "no.json5", "no.json5: no such file"),
-    ],
-)
-def test_a_wrong_option_is_exit_2_and_one_line(fails, free_endpoint, option, value, expected):
-    code, line = fails(free_endpoint, option, value)
-    assert code == 2
-    assert expected in line
-
-
-@pytest.mark.parametrize(
-    ("content", "expected"),
-    [
-        ("v_max: 3.0", "$.v_max: input should be less than or equal to 1.2, got 3.0"),
-        ("silence_s: 2.0", "$.silence_s"),
-        ("v_max: .nan", "$.v_max"),
-        ("speed: 1", "$.speed: unknown key"),
-        ("fence: {x_min: 1, x_max: 0, y_min: 0, y_max: 1}", "x_min < x_max"),
-    ],
-)
-def test_limits_that_would_undo_the_safety_are_refused(fails, free_endpoint, tmp_path, content, expected):
-    limits = tmp_path / "limits.yaml"
-    limits.write_text(content + "\n")
-    code, line = fails(free_endpoint, "--limits", str(limits))
-    assert code == 2
-    assert line.startswith(f"{limits}: ")
-    assert expected in line
-
-
-def test_a_zenoh_configuration_says_where_to_listen_and_garbage_is_refused(
-    fails, free_endpoint, tmp_path, capsys
-):
+def test_a_zenoh_configuration_says_where_to_listen(free_endpoint, tmp_path, capsys):
     config = tmp_path / "zenoh.json5"
     config.write_text('{ listen: { endpoints: ["tcp/192.0.2.1:9"] } }')
     arguments = ["bridge", "--base", free_endpoint, "--zenoh-config", str(config)]
     assert cli.run([*arguments, "--insecure"]) == 2
     assert "--listen tcp/192.0.2.1:9: cannot listen there" in capsys.readouterr().err
-    config.write_text('{ lissten: { endpoints: ["tcp/192.0.2.1:9"] } }')
-    code, line = fails(free_endpoint, "--zenoh-config", str(config))
-    assert code == 2
-    assert line.startswith(f"{config}: not a Zenoh configuration: ")
-
-
-def test_bridge_imports_no_heavy_library():
-    heavy = "numba pymunk filterpy matplotlib gymnasium scipy llvmlite rover_ncp.circuit sim deploy"
-    program = f"""
-import sys
-import bridge.node
-print([name for name in {heavy.split()!r} if name in sys.modules])
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout == "[]\n"
-
-
-def test_the_bridge_imports_quickly(benchmark):
-    program = (
-        "import time; began = time.perf_counter(); import bridge.node; print(time.perf_counter() - began)"
-    )
-
-    def seconds():
-        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-        return float(done.stdout)
-
-    benchmark.pedantic(seconds, rounds=5, warmup_rounds=1)  # to stay under 0.5 s on an idle machine

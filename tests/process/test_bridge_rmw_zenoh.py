@@ -1,6 +1,5 @@
 """rmw_zenoh's form: tokens, keys, attachments by hand; ROS nodes made of plain Zenoh on a real bridge."""
 
-import json
 import struct
 import time
 from contextlib import contextmanager
@@ -9,6 +8,7 @@ import pytest
 import zenoh
 import zenoh.ext
 from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, client, wait_for
+from zenoh_session import open_session
 
 from bridge.inbox import CommandMessage, Inbox
 from bridge.ros.discovery import Convention
@@ -17,6 +17,7 @@ from bridge.zenoh_link import ZenohLink
 from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.key_table import KEYS, Kind, Role, spec
 from rover_ncp.core.messages import Transform, decode, transforms
+from rover_ncp.core.process import ClosedAtExit
 
 # Type hashes as ROS 2 Jazzy's own packages carry them.
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
@@ -95,7 +96,7 @@ def test_invalid_domain_is_rejected(value):
         domain_id({"ROS_DOMAIN_ID": value})
 
 
-class Link5:
+class Link5(ClosedAtExit):
     """A link in domain 5, without a robot, and a client of it."""
 
     def __init__(self, *conventions):
@@ -107,10 +108,7 @@ class Link5:
     def tokens(self, pattern):
         return [str(reply.ok.key_expr) for reply in self.session.liveliness().get(pattern, timeout=2.0)]
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
+    def close(self):
         self.session.close()
         self.link.close()
 
@@ -210,22 +208,18 @@ def test_ros_nodes_find_each_other_through_the_bridge(domain_5):
 
 def ros_node(locator):
     """A session with the settings that rmw_zenoh gives its nodes: peers that look for a router."""
-    settings = zenoh.Config()
-    for path, value in {
-        "mode": "peer",
+    settings = {
         "connect/endpoints": [locator],
         "listen/endpoints": ["tcp/127.0.0.1:0"],
-        "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
         "scouting/gossip/target": {"router": ["router", "peer"], "peer": ["router"]},
         "scouting/gossip/autoconnect": {"router": [], "peer": ["router", "peer"]},
         "timestamping/enabled": True,
-    }.items():
-        settings.insert_json5(path, json.dumps(value))
-    return zenoh.open(settings)
+    }
+    return open_session("peer", settings)
 
 
-class RosDriver:
+class RosDriver(ClosedAtExit):
     """A ROS node that publishes Twist on cmd_vel and listens to odom."""
 
     def __init__(self, locator):
@@ -248,10 +242,7 @@ class RosDriver:
         """The speed of the last odometry message, at its place in the bytes."""
         return struct.unpack_from("<d", self.odom[-1].payload.to_bytes(), 388)[0] if self.odom else 0.0
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
+    def close(self):
         self.session.close()
 
 

@@ -3,19 +3,19 @@
 The robot is the mock. Publishers beside it encode with an independent library.
 """
 
-import json
 import re
 import struct
 import threading
 import time
 
 import pytest
-import zenoh
-from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, wait_for
+from bridge_bench import Driver, Rig, wait_for, zenoh_address
 from paths import DATA
 from ros_cdr import TwistStamped, odometry
+from zenoh_session import open_session
 
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.process import ClosedAtExit
 from sim.live.live_run import RMW_ZENOH, ROS2DDS
 from sim.live.processes import Process
 from sim.pioneer.ros2_server import free_port
@@ -23,7 +23,6 @@ from sim.pioneer.ros2_server import free_port
 # Published in each message package of ROS 2 Jazzy (REP-2011).
 ODOMETRY_HASH = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
 STAMPED_HASH = "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64"
-STOP_S = 0.5
 DECEL_M_S2, DELAY_S = 2.5, 0.08
 """The description of the Burger."""
 
@@ -34,66 +33,35 @@ def robot(folder, form, model="turtlebot3-burger", **more):
     return Rig(folder, mock=mock, bridge=["--model", model, "--no-base-watchdog"], base_form=form, **more)
 
 
-@pytest.fixture(scope="module", params=[ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])
-def rig(request, tmp_path_factory):
-    with robot(tmp_path_factory.mktemp("rig"), request.param) as rig:
-        yield rig
+FORMS = pytest.mark.parametrize("form", [ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])
 
 
-@pytest.fixture
-def driver(rig):
-    with Driver(rig.locator) as driver:
-        yield driver
-        driver.stop()
-        rig.stood_after(time.time_ns(), 0.1)
-        driver.motors(enable=False)
-        driver.stop(release=True)
+@FORMS
+def test_the_robot_is_driven_within_its_own_speed_and_odometry_begins_at_zero(form, tmp_path):
+    with robot(tmp_path, form) as rig, Driver(rig.locator) as driver:
+        wait_for(lambda: driver.odom is not None)
+        assert max(map(abs, driver.odom.pose)) < 0.01
+        driver.start(v=0.2)
+        driver.drive(0.5, v=5.0)
+        assert (driver.out, driver.gate.held) == (Velocity(0.22, 0.0), "")  # the e-manual's maximum
+        assert driver.gate.limited["speed"] > 0
+        assert driver.odom.velocity.v == pytest.approx(0.22, abs=0.02)
+        wait_for(lambda: {"imu", "battery_state"} <= set(driver.seen))
 
 
-def test_the_driver_drives_and_odometry_begins_at_zero(rig, driver):
-    wait_for(lambda: driver.odom is not None)
-    assert max(map(abs, driver.odom.pose)) < 0.01
-    driver.start(v=0.15)
-    driver.drive(0.5, v=0.15)
-    assert driver.gate.held == ""
-    assert driver.out == Velocity(0.15, 0.0)
-    assert driver.odom.velocity.v == pytest.approx(0.15, abs=0.02)
-    wait_for(lambda: {"imu", "battery_state"} <= set(driver.seen))
-
-
-def test_silence_stops_the_robot(rig, driver):
-    sent_ns = driver.start(v=0.15).drive(0.3, v=0.15)
-    assert rig.speed_at(sent_ns) > 0.1
-    assert rig.stood_after(sent_ns) < STOP_S + DELAY_S + 0.15 / DECEL_M_S2 + MACHINE_S
-
-
-def test_the_gate_keeps_the_robot_within_its_own_speed(rig, driver):
-    driver.start(v=0.2)
-    for _ in range(10):
-        driver.send(v=5.0)
-        time.sleep(PERIOD_S)
-    assert driver.out == Velocity(0.22, 0.0)  # the e-manual's maximum, below the gate's default of 0.3 m/s
-    assert driver.gate.limited["speed"] > 0
-
-
-class RobotNetwork:
+class RobotNetwork(ClosedAtExit):
     """The Zenoh network of a robot that this process is: odometry by pycdr2, and all commands that arrive."""
 
     def __init__(self, form, *connect):
         self.form, self.commands, self.tokens = form, [], {}
         self.port = free_port("127.0.0.1")
-        settings = zenoh.Config()
-        for path, value in {
-            "mode": "router",
+        settings = {
             "listen/endpoints": [f"tcp/127.0.0.1:{self.port}"],
             "connect/endpoints": list(connect),
-            "scouting/multicast/enabled": False,
-            "scouting/gossip/enabled": False,
             "scouting/delay": 0,
             "connect/retry": {"period_init_ms": 50, "period_max_ms": 50},
-        }.items():
-            settings.insert_json5(path, json.dumps(value))
-        self.session = zenoh.open(settings)
+        }
+        self.session = open_session("router", settings)
         rmw = form == RMW_ZENOH
         # As rmw_zenoh's design has them: domain, topic, type and the hash of the type's definition.
         self.odom_key = f"0/odom/nav_msgs::msg::dds_::Odometry_/{ODOMETRY_HASH}" if rmw else "odom"
@@ -129,12 +97,6 @@ class RobotNetwork:
         self._thread.join()
         self.session.close()
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
-
 
 def bridge_to(network, folder, *more):
     arguments = ["--base", network.base, "--model", "turtlebot3-burger", "--no-base-watchdog"]
@@ -142,11 +104,10 @@ def bridge_to(network, folder, *more):
     return Process("bridge", arguments, folder)
 
 
-@pytest.mark.parametrize("form", [ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])
+@FORMS
 def test_what_goes_over_the_wire_is_in_the_published_form(form, tmp_path):
     with RobotNetwork(form) as network, bridge_to(network, tmp_path) as process:
-        locator = dict(part.split("=", 1) for part in process.wait_for_line("ready ").split())["zenoh"]
-        with Driver(locator) as driver:
+        with Driver(zenoh_address(process)) as driver:
             wait_for(lambda: driver.motors().granted)
             driver.drive(0.5, v=0.1)
         driven = [TwistStamped.deserialize(sample.payload.to_bytes()) for sample in network.commands]
@@ -174,10 +135,9 @@ def test_what_goes_over_the_wire_is_in_the_published_form(form, tmp_path):
 
 def test_a_second_publisher_of_commands_is_named_and_ends_the_drive(tmp_path):
     with RobotNetwork(RMW_ZENOH) as network, bridge_to(network, tmp_path) as process:
-        locator = dict(part.split("=", 1) for part in process.wait_for_line("ready ").split())["zenoh"]
         topic = f"%cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/{STAMPED_HASH}/::,10:,:,:,,"
         token = network.session.liveliness().declare_token(f"@ros2_lv/0/joy/0/1/MP/%/%/joystick/{topic}")
-        with Driver(locator) as driver:
+        with Driver(zenoh_address(process)) as driver:
             wait_for(lambda: driver.motors().granted)
             driver.drive(0.3, v=0.1)
             attachment = struct.pack("<qqB16s", 1, time.time_ns(), 16, b"j" * 16)
@@ -254,10 +214,7 @@ def test_a_wall_in_its_scan_stops_the_robot_and_the_way_back_is_free(tmp_path):
         Driver(rig.locator) as driver,
     ):
         driver.start(v=0.2)
-        deadline = time.monotonic() + 20.0
-        while driver.gate.held != "sonar":
-            assert time.monotonic() < deadline
-            driver.drive(0.1, v=0.2)
+        wait_for(lambda: driver.drive(0.1, v=0.2) and driver.gate.held == "sonar", 20.0)
         rig.stood_after(time.time_ns())
         # The wall begins at 1 m, the outline 0.041 m before the centre; a scan is 0.2 s old at most.
         left_m = 1.0 - 0.041 - rig.truth.read()[-1].pose.x
@@ -267,7 +224,7 @@ def test_a_wall_in_its_scan_stops_the_robot_and_the_way_back_is_free(tmp_path):
         driver.motors(enable=False)
 
 
-@pytest.mark.parametrize("form", [ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])
+@FORMS
 @pytest.mark.long
 def test_a_robot_and_its_router_that_restart_are_used_again(form, tmp_path):
     with robot(tmp_path / "run", form) as rig, Driver(rig.locator) as driver:

@@ -4,11 +4,11 @@ import base64
 import json
 import re
 import time
-from pathlib import Path
 
 import pytest
 import zenoh
 from bridge_bench import wait_for
+from zenoh_session import open_session
 
 from deploy.drive.lease import DriverLease
 from deploy.zenoh_client import client_config
@@ -17,6 +17,7 @@ from rover_ncp.core.credentials import access_control
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.key_table import KEYS, Kind, Role
 from rover_ncp.core.messages import read_text, twist_stamped
+from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.core.protocol import GateStatus, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
 from sim.live.processes import Process, compile_driver
 
@@ -25,14 +26,14 @@ SELDOM = {"sonar", "imu"}
 """Only where something is near, and from a base with a gyro."""
 
 
-def read(path: Path):
+def read(path):
     return json.loads(re.sub(r"^//.*\n", "", path.read_text()))
 
 
-class User:
+class User(ClosedAtExit):
     """A session as ``role``, or with a configuration of one's own; ``heard`` is the newest of each key."""
 
-    def __init__(self, rig, config: Path):
+    def __init__(self, rig, config):
         self.session = zenoh.open(client_config(rig.locator, config)[0])
         self.heard = {}
         self._held = [
@@ -68,10 +69,7 @@ class User:
     def tokens(self, name):
         return len(list(self.session.liveliness().get(name, timeout=1.0)))
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
+    def close(self):
         self.session.close()
 
 
@@ -195,16 +193,8 @@ def test_drivers_certificate_is_not_valid_for_listening(keys, tmp_path):
     tls = read(keys / "driver.json5")["transport"]["link"]["tls"]
     for name in ("certificate", "private_key"):
         tls[f"listen_{name}_base64"] = tls[f"connect_{name}_base64"]
-    config = zenoh.Config()
-    for path, value in {
-        "mode": "router",
-        "listen/endpoints": ["tls/127.0.0.1:0"],
-        "transport/link/tls": tls,
-        "adminspace/enabled": True,
-        "scouting/multicast/enabled": False,
-    }.items():
-        config.insert_json5(path, json.dumps(value))
-    with zenoh.open(config) as impostor:
+    listen = {"listen/endpoints": ["tls/127.0.0.1:0"], "transport/link/tls": tls, "adminspace/enabled": True}
+    with open_session("router", listen) as impostor:
         (reply,) = impostor.get(f"@/{impostor.info.zid()}/router", timeout=1.0)
         locator = json.loads(reply.ok.payload.to_string())["locators"][0]
         with pytest.raises(zenoh.ZError):
@@ -253,12 +243,8 @@ def test_files_that_hold_secrets_are_their_owners_alone_and_never_replaced(keys,
     assert cli.run(["keys", "--out", str(keys)]) == 2
     assert "holds keys already" in capsys.readouterr().err
     assert (keys / "driver.json5").read_bytes() == before
-    names = b64(read(keys / "bridge.json5")["transport"]["link"]["tls"]["listen_certificate_base64"])
-    assert names.startswith(b"-----BEGIN CERTIFICATE")
-
-
-def b64(text):
-    return base64.b64decode(text)
+    tls = read(keys / "bridge.json5")["transport"]["link"]["tls"]
+    assert base64.b64decode(tls["listen_certificate_base64"]).startswith(b"-----BEGIN CERTIFICATE")
 
 
 def test_each_right_follows_from_the_table_of_keys():

@@ -5,9 +5,10 @@ import math
 import signal
 import subprocess
 import sys
+from contextlib import ExitStack
 
 import pytest
-from bridge_bench import Driver, wait_for
+from bridge_bench import Driver, wait_for, zenoh_address
 from paths import ROOT
 from serial_base import SerialBase
 
@@ -18,7 +19,7 @@ from sim.pioneer.firmware import ClientState
 
 
 @pytest.mark.long
-def test_soar_connects_drives_and_disconnects() -> None:
+def test_soar_connects_drives_and_disconnects():
     with SerialBase() as base:
         peer = ROOT / "tests/kit/soar_peer.py"
         done = subprocess.run(
@@ -46,26 +47,21 @@ def test_soar_connects_drives_and_disconnects() -> None:
 @pytest.fixture
 def bridge_on(tmp_path):
     """Start a bridge as a process on a serial base."""
-    running = []
+    with ExitStack() as running:
 
-    def start(base: SerialBase, baudrate: int) -> tuple[Process, str]:
-        endpoint = f"serial/{base.port}#baudrate={baudrate}"
-        process = Process("bridge", ["--base", endpoint, "--listen", "tcp/127.0.0.1:0"], tmp_path)
-        running.append(process)
-        ready = dict(part.split("=", 1) for part in process.wait_for_line("ready ").split())
-        assert ready["base"] == endpoint
-        return process, ready["zenoh"]
+        def start(base):
+            arguments = ["--base", f"serial/{base.port}#baudrate=9600", "--listen", "tcp/127.0.0.1:0"]
+            process = running.enter_context(Process("bridge", arguments, tmp_path))
+            return process, zenoh_address(process)
 
-    yield start
-    for process in running:
-        process.stop()
+        yield start
 
 
 @pytest.mark.long
-def test_a_bridge_on_a_serial_line_asks_for_a_faster_rate_and_drives(bridge_on) -> None:
+def test_a_bridge_on_a_serial_line_asks_for_a_faster_rate_and_drives(bridge_on):
     with SerialBase(strict=True) as base:
         assert base.firmware.baudrate == 9600
-        process, zenoh = bridge_on(base, 9600)
+        process, zenoh = bridge_on(base)
         assert (base.firmware.baudrate, base.client_rate) == (38400, 38400)
         with Driver(zenoh) as driver:
             driver.start().drive(0.3)
@@ -74,23 +70,23 @@ def test_a_bridge_on_a_serial_line_asks_for_a_faster_rate_and_drives(bridge_on) 
         process.send_signal(signal.SIGKILL)
         process.wait(5.0)
         assert (base.firmware.client, base.firmware.baudrate) == (ClientState.OPEN, 38400)
-        process, zenoh = bridge_on(base, 9600)
+        process, zenoh = bridge_on(base)
         process.stop()
         assert (base.firmware.client, base.firmware.baudrate) == (ClientState.WAITING, 9600)
     assert base.rates == [9600, 38400, 9600, 38400]
 
 
-def test_wrong_baud_rate_is_corrected(bridge_on) -> None:
+def test_wrong_baud_rate_is_corrected(bridge_on):
     with SerialBase(strict=True, rate=19200) as base:
-        bridge_on(base, 9600)[0].stop()
+        bridge_on(base)[0].stop()
     assert base.rates == [19200, 38400]
     assert len(base.heard(Command.HOSTBAUD)) == 1
 
 
 @pytest.mark.long
-def test_a_silent_serial_line_is_opened_again_and_the_base_found_at_its_rate(bridge_on, tmp_path) -> None:
+def test_a_silent_serial_line_is_opened_again_and_the_base_found_at_its_rate(bridge_on, tmp_path):
     with SerialBase(strict=True) as base:
-        _, zenoh = bridge_on(base, 9600)
+        _, zenoh = bridge_on(base)
         with Driver(zenoh) as driver:
             driver.start()
             for fault in ("mute@0-10", "deaf@0-10"):

@@ -26,15 +26,16 @@ for command in json.loads(sys.argv[1]):
 """
 
 
+def python(arguments, **how):
+    """Run Python in a process of its own."""
+    return subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, timeout=100, check=True, **how
+    )
+
+
 def help_of(commands):
     """Ask for help on command lines, in one process; return (exit code, help, loaded modules) of each."""
-    done = subprocess.run(
-        [sys.executable, "-c", HELP, json.dumps(commands)],
-        capture_output=True,
-        text=True,
-        timeout=100,
-        check=True,
-    )
+    done = python(["-c", HELP, json.dumps(commands)])
     assert done.stderr == ""
     return [json.loads(line) for line in done.stdout.splitlines()]
 
@@ -58,15 +59,7 @@ def test_a_command_imports_no_other_commands_module(name):
 
 def rover_ncp(*arguments, **environment):
     """Run the command as a user does; return its output."""
-    done = subprocess.run(
-        [sys.executable, "-m", "rover_ncp", *arguments],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=100,
-        check=True,
-    )
-    return done.stdout
+    return python(["-m", "rover_ncp", *arguments], env={**os.environ, **environment}).stdout
 
 
 def test_the_version_is_that_of_the_distribution():
@@ -111,22 +104,6 @@ def test_a_missing_extra_is_installed_from_where_rover_ncp_came_from(record, exp
         assert cli._remedy(["train"]).startswith("install rover-ncp again with the extras train")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["fly"], "No such command 'fly'"),
-        (["evla"], "Did you mean 'eval'"),
-        (["train", "--agens", "3"], "--agens"),
-        (["train", "--agents", "x"], "'--agents'"),
-    ],
-)
-def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, expected, capsys):
-    assert cli.run(arguments) == 2
-    err = capsys.readouterr().err
-    assert expected in err
-    assert err.count("\n") == 1
-
-
 @pytest.fixture
 def run_command(monkeypatch):
     """Run a command line where a function is the only command, called ``it``."""
@@ -154,7 +131,7 @@ def run_command(monkeypatch):
     ],
 )
 def test_errors_become_one_line_an_exit_code_and_one_json_object(raised, code, capsys, run_command):
-    def fail(json: bool = False) -> None:
+    def fail(json=False):
         raise raised
 
     assert run_command(fail, "--json") == code
@@ -168,7 +145,7 @@ def test_errors_become_one_line_an_exit_code_and_one_json_object(raised, code, c
 
 
 def test_a_bug_is_a_traceback_not_a_user_error(run_command):
-    def fail() -> None:
+    def fail():
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
@@ -177,7 +154,7 @@ def test_a_bug_is_a_traceback_not_a_user_error(run_command):
 
 @pytest.mark.parametrize(("returned", "code"), [(1, 1), (None, 0)])
 def test_a_commands_return_value_is_the_exit_code(returned, code, run_command):
-    def give() -> int | None:
+    def give():
         return returned
 
     assert run_command(give) == code
@@ -233,15 +210,7 @@ for line in lines:
 def without(missing, lines, folder):
     """Run command lines, one after the other, where these libraries cannot be found; return what they say."""
     asked = json.dumps([sorted(missing), lines])
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, asked],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=100,
-        stdin=subprocess.DEVNULL,
-        check=True,
-    )
+    done = python(["-c", WITHOUT, asked], cwd=folder, stdin=subprocess.DEVNULL)
     return [part.split("\n", 1) for part in done.stderr.split("$ ")[1:]]
 
 

@@ -99,6 +99,36 @@ TABLE = [
     ("course new far.csv --out new.yaml", "$.poses[1].x: input should be less than or equal to 1000"),
     ("course new slow.csv --out new.yaml", "$.horizon_s: input should be less than or equal to 3600"),
     ("course check /dev/zero", "/dev/zero: is a device or pipe, expected a file"),
+    ("train --course blocked.yaml", "an obstacle stands where the rover starts"),
+    # other files
+    ("train --out done", "is not empty"),
+    ("train --out /proc/nowhere", "/proc/nowhere: cannot be used as a folder"),
+    ("recover empty.mcap", "the file is empty"),
+    ("recover file", "not an MCAP recording"),
+    ("replay file", "not an MCAP recording"),
+    (f"bridge {BASE} --zenoh-config zenoh.json5", "zenoh.json5: not a Zenoh configuration: "),
+    (f"deploy {ROBOT} --zenoh-config zenoh.json5", "zenoh.json5: not a Zenoh configuration: "),
+    (f"bridge {BASE} --limits fast.yaml", "$.v_max: input should be less than or equal to 1.2, got 3.0"),
+    (f"bridge {BASE} --limits nan.yaml", "$.v_max"),
+    (f"bridge {BASE} --limits unknown.yaml", "$.speed: unknown key"),
+    # names
+    ("fly", "No such command 'fly'"),
+    ("evla", "Did you mean 'eval'"),
+    ("train --agens 3", "--agens"),
+    ("train --course prking", "prking: no such file, and none of the shipped courses ("),
+    ("train --circuit tap_withdrawal", "RGT"),
+    ("train --search genetic", "published"),
+    ("paper run --task cart", "no task 'cart'"),
+    (f"deploy {ROBOT} --policy unheard-of", "unheard-of: no such file, and none of the shipped"),
+    (f"bridge {BASE} --model hal", "hal: no such file, and none of the shipped robots"),
+    (f"bridge {BASE} --ros corba", "Invalid value for '--ros'"),
+    # options that do not go together
+    ("train --resume", "--resume needs --out"),
+    ("train --cluster tcp://127.0.0.1:9 --processes 2", "do not go together"),
+    ("paper run --cluster tcp://127.0.0.1:9 --processes 2", "--cluster goes with neither --processes"),
+    ("identify", "expected either --robot"),
+    (f"identify drive.mcap {ROBOT}", "expected either --robot"),
+    (f"check {ROBOT}", "put the robot on blocks"),
     # values
     (f"eval course --trials {HUGE}", "--trials"),
     (f"eval course --live {HUGE}", "--live"),
@@ -110,6 +140,19 @@ TABLE = [
     ("eval course --randomize ''", "an empty name"),
     ("train --randomize ''", "an empty name"),
     ("mock --randomize ''", "an empty name"),
+    ("train --agents x", "'--agents'"),
+    ("train --agents 0", "--agents"),
+    ("train --seed -1", "--seed"),
+    ("train --processes 0", "--processes"),
+    (f"deploy {ROBOT} --duration nan", "'--duration'"),
+    (f"deploy {ROBOT} --duration inf", "--duration inf: expected seconds"),
+    (f"deploy {ROBOT} --namespace 'a b'", "namespace 'a b'"),
+    (f"bridge {BASE} --namespace 'a*'", "namespace 'a*'"),
+    ("deploy --robot 192.168.1.20", "--robot 192.168.1.20: expected PROTOCOL/HOST[:PORT]"),
+    ("bridge --base ftp/x", "base ftp/x: expected tcp/HOST"),
+    (f"bridge {BASE} --listen garbage", "expected PROTOCOL/HOST:PORT, like tcp/127.0.0.1:7447"),
+    (f"bridge {BASE} --listen tcp/127.0.0.1", "tcp/127.0.0.1: cannot listen there: invalid socket address"),
+    (f"bridge {BASE} --listen tcp/192.0.2.1:0", "any client that reaches it could drive the rover"),
     ("deploy --robot tcp/127.0.0.1:99999", "expected a port from 1 to 65535"),
     ("deploy --robot tcp/127.0.0.1:0", "expected a port from 1 to 65535"),
     ("watch --robot tcp/127.0.0.1:99999 --port 0", "expected a port from 1 to 65535"),
@@ -138,6 +181,13 @@ def folder(tmp_path_factory):
     (folder / "poses.csv").write_text("x,y,theta\n0,0,0\n1,0,0\n")
     (folder / "far.csv").write_text("x,y,theta\n0,0,0\n1e300,0,0\n")
     (folder / "slow.csv").write_text("x,y,theta\n0,0,0\n900,0,0\n")
+    (folder / "blocked.yaml").write_text(
+        SHORT.read_text() + "obstacles: [{x: 0.2, y: 0, length: 0.1, width: 0.1}]\n"
+    )
+    (folder / "empty.mcap").touch()
+    (folder / "zenoh.json5").write_text('{ mode: "client", no_such_key: 1 }')
+    for name, limits in {"fast": "v_max: 3.0", "nan": "v_max: .nan", "unknown": "speed: 1"}.items():
+        (folder / f"{name}.yaml").write_text(limits)
     return folder
 
 
@@ -155,6 +205,17 @@ def test_a_mistake_is_one_line_and_exit_code_2_before_any_work(command, words, f
     assert printed.err.count("\n") == 1
     assert words in printed.err
     assert printed.out == ""
+    assert files(folder) == before
+
+
+@pytest.mark.parametrize(
+    "command", ["check --on-blocks", "deploy", "identify --out new.yaml", "watch --port 0"]
+)
+def test_no_bridge_is_one_line_and_exit_code_3(command, folder, monkeypatch, capfd):
+    monkeypatch.chdir(folder)
+    before = files(folder)
+    assert run(shlex.split(f"{command} {ROBOT}")) == 3
+    assert "nothing answers at tcp/127.0.0.1:1" in capfd.readouterr().err
     assert files(folder) == before
 
 
@@ -180,6 +241,12 @@ def test_a_working_directory_that_is_gone_is_one_line(command, tmp_path):
     done = in_process(shlex.split(command), cwd=gone, preexec_fn=gone.rmdir)  # a system call alone
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert "No such file" in done.stderr or "no such file" in done.stderr
+
+
+def test_teleop_without_a_terminal_is_one_line():
+    done = in_process(["teleop", *ROBOT.split()], stdin=subprocess.DEVNULL)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "expected a terminal as standard input" in done.stderr
 
 
 @pytest.mark.parametrize("command", ["course check {}", "identify {}", "keys --out {}"])

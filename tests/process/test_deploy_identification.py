@@ -110,14 +110,6 @@ def test_fit_finds_delay_gain_and_acceleration(delay, gain, acceleration):
     assert found.accel == pytest.approx(acceleration, rel=0.05)
 
 
-@pytest.mark.parametrize("deceleration", [0.35, 0.7])
-def test_deceleration_of_its_own_is_not_taken_for_a_gain(deceleration):
-    found = identify(made(0.12, 1.0, 0.5, deceleration, rounded=True), "otter")
-    assert abs(found.gain_v - 1.0) < 3.0 * found.std["gain_v"] < 0.01
-    assert found.accel == pytest.approx(0.5, abs=3.0 * found.std["accel"])
-    assert found.decel == pytest.approx(deceleration, abs=3.0 * found.std["decel"])
-
-
 def followed(sent_s, sent, delay, accel, decel):
     """Return the record of a base that moves as the simulators do: both axes alike, odometry at 10 Hz."""
     at, speed = 0.001 * np.arange(round(1000 * (sent_s[-1] + 3.0))), [0.0]
@@ -323,17 +315,6 @@ def test_steps_are_what_the_base_takes_as_it_is():
         assert velocity.v * 1000 == pytest.approx(round(velocity.v * 1000))
         assert math.degrees(velocity.omega) == pytest.approx(round(math.degrees(velocity.omega)))
         assert seconds > 0
-
-
-def test_identify_says_what_is_wrong_in_one_line(tmp_path, capsys):
-    assert run(["identify"]) == 2
-    assert "expected either --robot" in capsys.readouterr().err
-    assert run(["identify", str(tmp_path / "none.mcap"), "--robot", "tcp/127.0.0.1"]) == 2
-    capsys.readouterr()
-    assert run(["identify", str(tmp_path / "none.mcap")]) == 2
-    assert "none.mcap" in capsys.readouterr().err
-    assert run(["identify", "--robot", "tcp/127.0.0.1:1", "--out", str(tmp_path / "p.yaml")]) == 3
-    assert not (tmp_path / "p.yaml").exists()
 
 
 @pytest.mark.long

@@ -130,9 +130,3 @@ def test_a_limit_that_slows_the_robot_is_named(tmp_path, check):
         code, said, _ = check(rig.locator)
     assert (code, said["findings"][-1]["name"]) == (1, "forward")
     assert said["findings"][-1]["detail"].endswith("the gate limited commands: speed")
-
-
-def test_without_blocks_nothing_turns(capsys):
-    assert cli.run(["check", "--robot", "tcp/127.0.0.1:1"]) == 2
-    assert "put the robot on blocks" in capsys.readouterr().err
-    assert cli.run(["check", "--robot", "tcp/127.0.0.1:1", "--on-blocks"]) == 3

@@ -1,17 +1,12 @@
 """The driver's measurements beside odometry: external poses and a gyro, over real Zenoh."""
 
 import dataclasses
-import functools
 
 import pytest
-from deploy_bench import ODOM_AT_START, STILL, short_course, untuned_policy
+from deploy_bench import ODOM_AT_START, STILL
 
-from deploy import app as node
-from deploy.drive.config import DriveConfig
 from deploy.drive_records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
-from deploy.zenoh_client import BridgeAddress
-from rover_ncp.core.console import Output
 from rover_ncp.core.errors import NoPose
 from rover_ncp.core.geometry import Pose, compose, distance, inverse
 from rover_ncp.core.key_table import key
@@ -69,11 +64,9 @@ def test_a_gyros_readings_count_are_recorded_and_recomputed(bridge, drive, tmp_p
     assert difference.quantity.startswith("the gyro reading of stamp")
 
 
-def test_without_external_poses_the_start_is_the_origin_or_an_error(bridge, drive, tmp_path, monkeypatch):
-    shorter = functools.partial(DriveConfig, still_s=0.15, pose_wait_s=0.5)
-    monkeypatch.setattr(node, "DriveConfig", shorter)
+def test_without_external_poses_the_start_is_the_origin_or_an_error(bridge, drive, tmp_path):
     with pytest.raises(NoPose, match="no external pose of the rover arrived on 'pose'") as caught:
-        drive(pose="required")
+        drive(pose="required", waits={"pose_wait_s": 0.5})
     assert caught.value.exit_code == 3
     assert bridge.requests == []
     bridge.odom = localised(bridge, Pose(9.0, 9.0, 1.0))
@@ -82,21 +75,17 @@ def test_without_external_poses_the_start_is_the_origin_or_an_error(bridge, driv
     assert distance(first, Pose(0, 0, 0)) < 1e-6
 
 
-def test_poses_that_come_only_after_the_start_are_not_used_and_that_is_said(
-    bridge, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, still_s=0.15))
+def test_poses_that_come_only_after_the_start_are_not_used_and_that_is_said(bridge, drive):
     there = localised(bridge, Pose(9.0, 9.0, 1.0))
 
     def odom(*sample):
         return there(*sample) if bridge.commands else odometry(*sample)
 
     bridge.odom = odom
-    address = BridgeAddress(bridge.robot)
-    files = {"policy": str(untuned_policy(tmp_path)), "course": str(short_course(tmp_path))}
-    assert node.run(address, Output(as_json=False), **files, duration_s=0.6) == 1
-    said = " ".join(capsys.readouterr().out.split())
-    assert "external poses came, but none while the rover stood at the start: none was used" in said
+    code, said = drive(as_json=False, duration_s=0.6)
+    assert code == 1
+    words = " ".join(said.split())
+    assert "external poses came, but none while the rover stood at the start: none was used" in words
 
 
 def test_poses_in_another_frame_and_garbled_ones_count_for_nothing(bridge, drive, tmp_path):

@@ -193,13 +193,6 @@ def test_screen_that_takes_no_output_delays_neither_key_nor_end(rig, sit_down):
     assert person.settings == person.before
 
 
-def test_a_killed_driver_is_a_silent_one(rig, sit_down):
-    person = sit_down()
-    last_ns = person.hold("i", 1.0)
-    person.process.kill()
-    assert rig.stood_after(last_ns) < 0.5 + braking_s(V_M_S) + MACHINE_S
-
-
 def test_keys_that_piled_up_while_it_slept_move_nothing(rig, sit_down):
     person = sit_down()
     person.hold("i", 1.0)
@@ -224,17 +217,3 @@ def test_a_bridge_that_dies_ends_it_with_a_name(sit_down, rig):
     assert code == 4
     assert result["stopped_by"] == "bridge-lost"
     assert person.settings == person.before
-
-
-def test_without_a_terminal_it_does_not_begin(capsys):
-    done = subprocess.run(
-        [sys.executable, "-m", "rover_ncp", "teleop", "--robot", "tcp/127.0.0.1:1"],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert "expected a terminal as standard input" in done.stderr
-    assert done.stderr.count("\n") == 1

@@ -46,15 +46,6 @@ def test_a_lost_answer_locks_all_drivers_out_until_the_lease_lapses(rig, driver)
     assert (again.lease, again.key != first.key) == (first.lease + 1, True)
 
 
-def test_a_renewal_is_granted_without_the_key_and_only_once(rig, driver):
-    first = wait_for(lambda: (reply := driver.motors()).granted and reply)
-    payload = dump_json(MotorsRequest(enable=True, name="test", sent_ns=time.monotonic_ns()))
-    tag = driver.lease.sign(Signed.MOTORS, "rover/motors", payload, time.monotonic_ns()).pack()
-    renewed, repeated = (json.loads(driver.ask("rover/motors", payload, tag)) for _ in range(2))
-    assert (renewed["granted"], renewed["lease"], renewed["key"]) == (True, first.lease, "")
-    assert (repeated["granted"], repeated["reason"]) == (False, "repeated")
-
-
 def test_a_signature_is_for_one_kind_and_one_key_expression(rig, driver):
     wait_for(lambda: driver.motors().granted)
     release = dump_json(MotorsRequest(enable=False))

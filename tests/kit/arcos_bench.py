@@ -1,5 +1,7 @@
 """A session with a simulated peer, which records the bytes sent and the events."""
 
+from typing import Self
+
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import ConfigPac, Sip, encode_names
 from bridge.pioneer.robots import ROBOTS
@@ -45,8 +47,9 @@ class Bench:
         self.events: list[SessionEvent] = []
         self._decoder = Decoder()
 
-    def connect(self) -> None:
+    def connect(self) -> Self:
         self.session.connect(self.now, self.baudrate)
+        return self
 
     def hear(self, data: bytes) -> None:
         self.events += self.session.receive(data, self.now)
@@ -62,7 +65,7 @@ class Bench:
     def commands(self) -> list[Command]:
         return [command for command, _ in self.sent()]
 
-    def go_to(self, state: SessionState) -> None:
+    def go_to(self, state: SessionState) -> Self:
         """Come into a state the way a robot would bring us there."""
         way: list[tuple[SessionState, bytes | float]] = [
             (SessionState.LISTENING, PATIENCE_S[SessionState.LISTENING]),
@@ -91,6 +94,7 @@ class Bench:
         assert self.session.state is state
         self.sent()
         self.events.clear()
+        return self
 
     def apply(self, what: Input) -> None:
         if what is Input.CONNECT:

@@ -103,16 +103,22 @@ def test_delayed_loop_gains_no_acceleration():
     assert gate.drive(0.3, Velocity(0.3, 0.0)).velocity.v == pytest.approx(0.1)
 
 
-FENCE = LIMITS.model_copy(update={"fence": Fence(x_min=-1.0, x_max=2.0, y_min=-1.0, y_max=1.0), "brake": 0.5})
+FENCE = LIMITS.model_copy(
+    update={"fence": Fence(x_min=-1.0, x_max=2.0, y_min=-1.0, y_max=1.0), "brake": 0.25}
+)
 
 
 @pytest.mark.parametrize(
     ("base", "velocity", "passes"),
     [
         (BaseReport(x=0.0), Velocity(0.1, 0.0), True),
-        # 0.1 m/s reaches 0.03 m while it reacts and 0.01 m while it brakes.
-        (BaseReport(x=1.95), Velocity(0.1, 0.0), True),
-        (BaseReport(x=1.965), Velocity(0.1, 0.0), False),
+        # 0.1 m/s reaches 0.03 m while it reacts and 0.02 m while it brakes; half of it at a slant.
+        (BaseReport(x=1.949), Velocity(0.1, 0.0), True),
+        (BaseReport(x=1.951), Velocity(0.1, 0.0), False),
+        (BaseReport(x=1.974, theta=math.pi / 3), Velocity(0.1, 0.0), True),
+        (BaseReport(x=1.976, theta=math.pi / 3), Velocity(0.1, 0.0), False),
+        (BaseReport(y=0.974, theta=math.pi / 6), Velocity(0.1, 0.0), True),
+        (BaseReport(y=0.976, theta=math.pi / 6), Velocity(0.1, 0.0), False),
         (BaseReport(x=1.965), Velocity(-0.1, 0.0), True),
         (BaseReport(x=1.965), Velocity(0.0, 0.3), True),
         (BaseReport(x=1.965, theta=math.pi), Velocity(0.1, 0.0), True),

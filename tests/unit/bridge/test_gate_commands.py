@@ -116,17 +116,6 @@ def test_renewal_resets_the_clock_offset():
     assert gate.drive(0.4).dropped is None
 
 
-@pytest.mark.parametrize(("after_s", "dropped"), [(59.0, Reason.STALE), (62.0, None)])
-def test_smallest_delay_is_kept_for_a_minute(after_s, dropped):
-    begun = 1000.0
-    gate = Gate().driving(begun)
-    for k in range(1, round(after_s * 4)):
-        gate.at(begun + 0.25 * k, BaseReport())
-        assert gate.drive(begun + 0.25 * k, age=0.15).dropped is None
-    gate.at(begun + after_s, BaseReport())
-    assert gate.drive(begun + after_s, age=0.3).dropped is dropped
-
-
 def test_smallest_delay_may_come_at_any_time():
     gate = Gate().driving()
     for k in range(1, 120):
@@ -344,15 +333,6 @@ def test_plain_commands_need_a_zero_after_a_hazard():
     assert gate.at(0.25, VelocityCommand(SLOW)).dropped is Reason.NO_LEASE
     assert gate.at(0.3, VelocityCommand(ZERO)).dropped is None  # the stick is back in the middle
     assert gate.at(0.4, VelocityCommand(SLOW)).velocity != ZERO
-
-
-def test_plain_commands_drive_after_a_pause():
-    gate = Gate(accept_ros=True)
-    gate.at(0.0, BaseReport())
-    gate.at(0.0, VelocityCommand(SLOW))
-    gate.at(0.1, BaseReport(bumpers=(1, 0)))
-    gate.at(1.2, BaseReport())
-    assert gate.at(1.2, VelocityCommand(SLOW)).dropped is None
 
 
 def publish(gate, begin, end, event=CLEAR, velocity=SLOW, age_s=None):

@@ -6,9 +6,8 @@ import pytest
 from gate_bench import LIMITS, SLOW, Gate
 
 from bridge.base import BaseReport
-from bridge.gate.limits import Fence, Limits
+from bridge.gate.limits import Limits
 from bridge.gate.state import ZERO, BaseLost, Reason, Tick, VelocityCommand
-from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.protocol import CommandTag
 
 # A pose that stands still
@@ -205,29 +204,6 @@ def test_reconnected_base_has_time_to_recover_its_voltage():
     gate.at(1.6, BaseReport(battery_v=10.0))
     assert gate.at(3.0, BaseReport(battery_v=10.0)).held is Reason.NO_LEASE
     assert gate.at(3.6, BaseReport(battery_v=10.0)).held is Reason.LOW_BATTERY
-
-
-FENCE = LIMITS.model_copy(
-    update={"fence": Fence(x_min=-1.0, x_max=2.0, y_min=-1.0, y_max=1.0), "brake": 0.25}
-)
-
-
-@pytest.mark.parametrize(
-    ("base", "passes"),
-    [
-        # 0.1 m/s reaches 0.03 m while it reacts and 0.02 m while it brakes; half of it at a slant.
-        (BaseReport(x=1.949), True),
-        (BaseReport(x=1.951), False),
-        (BaseReport(x=1.974, theta=math.pi / 3), True),
-        (BaseReport(x=1.976, theta=math.pi / 3), False),
-        (BaseReport(y=0.974, theta=math.pi / 6), True),
-        (BaseReport(y=0.976, theta=math.pi / 6), False),
-    ],
-)
-def test_fence_limits_the_point_of_standstill(base, passes):
-    gate = Gate(FENCE).driving()
-    gate.at(0.1, base)
-    assert gate.drive(0.1, Velocity(0.1, 0.0)).held is (None if passes else Reason.GEOFENCE)
 
 
 @pytest.mark.parametrize(("after_s", "dropped"), [(60.5, Reason.STALE), (61.5, None)])

@@ -12,7 +12,7 @@ from bridge.pioneer.setpoints import Quantiser
 from rover_ncp.core.geometry import Velocity
 
 
-def turn_error(omega: float, v: float, period_s: float, jitter: float) -> float:
+def turn_error(omega, v, period_s, jitter):
     """Return the largest error of the mean turn rate over any second, in rad/s."""
     draw, quantiser = random.Random(1), Quantiser()
     now, turned, sent = 0.0, [(0.0, 0.0)], 0.0
@@ -23,7 +23,7 @@ def turn_error(omega: float, v: float, period_s: float, jitter: float) -> float:
         now += step
         turned.append((now, sent))
 
-    def angle(t: float) -> float:
+    def angle(t):
         for (t0, a0), (t1, a1) in pairwise(turned):
             if t0 <= t <= t1:
                 return a0 + (a1 - a0) * (t - t0) / (t1 - t0)
@@ -34,14 +34,12 @@ def turn_error(omega: float, v: float, period_s: float, jitter: float) -> float:
 
 @pytest.mark.parametrize("v", [0.0, 0.1])
 @pytest.mark.parametrize(("period_s", "jitter"), [(0.01, 0.0), (0.02, 0.2), (0.05, 0.2), (0.1, 0.0)])
-def test_mean_turn_rate_over_a_second_is_within_two_thousandths(
-    period_s: float, jitter: float, v: float
-) -> None:
+def test_mean_turn_rate_over_a_second_is_within_two_thousandths(period_s, jitter, v):
     rates = [k * 0.0113 for k in range(-16, 17)] + [0.0021, -0.0025, 0.59, 0.6]
     assert max(turn_error(omega, v, period_s, jitter) for omega in rates) <= 0.002
 
 
-def test_standing_rover_gets_nothing_but_zero() -> None:
+def test_standing_rover_gets_nothing_but_zero():
     quantiser = Quantiser()
     for k in range(40):
         quantiser.step(Velocity(0.1, 0.05), k * 0.05)
@@ -49,7 +47,7 @@ def test_standing_rover_gets_nothing_but_zero() -> None:
         assert quantiser.step(Velocity(0.0015, -0.0015), k * 0.05) == (0, 0)
 
 
-def test_remainder_is_dropped_when_the_rover_stands() -> None:
+def test_remainder_is_dropped_when_the_rover_stands():
     quantiser = Quantiser()
     assert quantiser.step(Velocity(0.0, 0.0085), 0.0) == (0, 0)
     quantiser.step(Velocity(0.0, 0.0085), 0.9)
@@ -58,7 +56,7 @@ def test_remainder_is_dropped_when_the_rover_stands() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-5, 5), st.floats(0, 3)), min_size=1))
-def test_each_setpoint_is_next_to_the_gates_value(commands: list[tuple[float, float, float]]) -> None:
+def test_each_setpoint_is_next_to_the_gates_value(commands):
     """Invariant: nothing but quantisation changes the gate's value: not a clamp, not a carried remainder."""
     quantiser, now = Quantiser(), 0.0
     for v, omega, pause in commands:
@@ -73,7 +71,7 @@ def test_each_setpoint_is_next_to_the_gates_value(commands: list[tuple[float, fl
 
 
 @given(st.floats(-0.3, 0.3), st.floats(-0.6, 0.6))
-def test_first_setpoint_is_the_nearest(v: float, omega: float) -> None:
+def test_first_setpoint_is_the_nearest(v, omega):
     mm_s, deg_s = Quantiser().step(Velocity(v, omega), 5.0)
     if abs(v) >= 0.002 or abs(omega) >= 0.002:
         assert abs(mm_s - v * 1000) <= 0.5

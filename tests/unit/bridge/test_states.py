@@ -72,9 +72,8 @@ PAIRS = [
 @pytest.mark.parametrize(
     ("letter", "what", "outcome"), PAIRS, ids=lambda v: v.name if isinstance(v, Input) else v
 )
-def test_every_state_with_every_input(letter: str, what: Input, outcome: str) -> None:
-    bench = Bench()
-    bench.go_to(LETTERS[letter])
+def test_every_state_with_every_input(letter, what, outcome):
+    bench = Bench().go_to(LETTERS[letter])
     bench.apply(what)
     after = LETTERS[letter] if outcome == "=" else LETTERS[outcome]
     assert bench.session.state is after
@@ -82,7 +81,7 @@ def test_every_state_with_every_input(letter: str, what: Input, outcome: str) ->
     assert [type(event) for event in bench.events] == EVENTS.get((letter, what), [])
 
 
-def test_every_action_of_the_table_exists_and_every_pair_was_tried() -> None:
+def test_every_action_of_the_table_exists_and_every_pair_was_tried():
     actions = {action for row in TABLE.values() for _, action in row.values()}
     assert all(hasattr(Session, f"_do_{action}") for action in actions)
     assert set(TABLE) == set(SessionState) == set(PATIENCE_S)

@@ -1,4 +1,4 @@
-"""Recordings made without a network: the real controller and publisher on a made-up robot's odometry."""
+"""Recordings of drives on a virtual clock, replayed."""
 
 import json
 import zlib
@@ -9,105 +9,71 @@ import pytest
 from json_fields import assert_on_page
 
 from deploy.drive.config import CONFIG_FILE, POLICY_FILE, DriveConfig, attachments
+from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
-from deploy.drive.measurements import SampleRef
 from deploy.drive.publisher import Publisher
-from deploy.drive_records import StartRecord, TickRecord, numbers
+from deploy.drive_records import TICKS_TOPIC
 from deploy.replay import replay
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml, save_policy
 from rover_ncp.cli import run as shell
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.geometry import Pose, Velocity, compose
-from rover_ncp.core.messages import (
-    neurons,
-    odometry,
-    read_neurons,
-    read_odometry,
-    read_text,
-    text,
-    twist_stamped,
-)
+from rover_ncp.core.geometry import Pose
+from rover_ncp.core.key_table import spec
+from rover_ncp.core.messages import neurons, read_neurons, read_text, text, twist_stamped
 from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording, rewrite
 from rover_ncp.course.course import load_course
+from sim.pioneer.firmware import Firmware
+from sim.stack.virtual import VirtualBridge, VirtualLink
+from sim.world.described import default_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
 
 MS = 1_000_000
-T0 = 1_700_000_000_000_000_000
 TICKS = 60
 COURSE = load_course("parking").model_copy(update={"start_signal_s": 0.5})
 
 
-class Wire:
-    """Stands in for the link: what would go over the wire goes into the recording."""
+class RecordedLink(VirtualLink):
+    """Records what the driver sends, too; of 17 samples of odometry it loses one."""
 
-    def __init__(self, record):
-        self._record, self._sequence = record, 0
+    count = 0
 
     def publish(self, name, data, wall_ns):
-        types = {"rover/estimate": "geometry_msgs/msg/PoseWithCovarianceStamped"}
-        ros_type = types.get(name, "std_msgs/msg/Float64MultiArray")
-        self._record(Recorded(name, ros_type, data, wall_ns, wall_ns))
+        self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
 
-    def command(self, velocity, wall_ns):
+    def command(self, velocity):
+        wall_ns, sequence = self._bridge.time_ns(), super().command(velocity)
         data = twist_stamped(velocity, wall_ns)
-        self._record(
-            Recorded("cmd_vel", "geometry_msgs/msg/TwistStamped", data, wall_ns, wall_ns, self._sequence)
-        )
-        self._sequence += 1
-        return self._sequence - 1
+        self._record(Recorded("cmd_vel", spec("cmd_vel").type, data, wall_ns, wall_ns, sequence))
+        return sequence
+
+    def _receive(self, name, data):
+        self.count += name == "odom"
+        if name != "odom" or self.count % 17:
+            super()._receive(name, data)
 
 
 def record_drive(path, policy):
-    config = DriveConfig(robot="tcp/r:7447", namespace="", policy="p", course="c", dry_run=False, ticks=TICKS)
+    config = DriveConfig(
+        robot="virtual", namespace="", policy="p", course="c", dry_run=False, pose="none", ticks=TICKS
+    )
     files = attachments(policy, COURSE, config)
-    controller = Controller(policy, COURSE, config.estimator)
-    rng = np.random.default_rng(1)
-    pose, velocity = Pose(2.0, 1.0, -3.0), Velocity(0.0, 0.0)
+    bridge = VirtualBridge(Firmware("p3at-sh", PymunkRover(default_rover(), Ground(()))))
     with RecordingWriter(path) as writer:
+
+        def record(message):
+            writer.write(message)
+            if message.topic == TICKS_TOPIC:
+                writer.flush()
+
         for name, content in files.items():
             writer.attach(name, content)
-        wire = Wire(writer.write)
-        publisher = Publisher(wire, writer.write, policy.circuit.neurons)
-
-        def sip(at_ns):
-            data = odometry(pose, velocity, at_ns)
-            writer.write(Recorded("odom", "nav_msgs/msg/Odometry", data, at_ns + MS, at_ns))
-            return SampleRef.of(at_ns, data, at_ns - T0 + MS), read_odometry(data)
-
-        first, sample = sip(T0)
-        controller.start(sample.pose, 0.0)
-        crcs = {name: zlib.crc32(content) for name, content in files.items()}
-        start = StartRecord(sample=first, pose=(0, 0, 0), attachments=crcs)
-        publisher.start(start, sample.pose)
-        for index in range(TICKS + 1):
-            at_ns = T0 + (index + 1) * 100 * MS + int(rng.integers(0, 2 * MS))
-            pose = compose(pose, Pose(0.1 * velocity.v, 0.0, 0.1 * velocity.omega))
-            lost = index % 17 == 5
-            refs = []
-            if not lost:
-                ref, sample = sip(at_ns)
-                refs.append(ref)
-                controller.take(sample, first.seconds_to(ref.measured_ns))
-            now_ns = at_ns - T0 + (50 if lost else 2) * MS
-            wall_ns = T0 + now_ns
-            t, last = first.seconds_to(now_ns), index == TICKS
-            tick = None if last else controller.tick(index, t)
-            estimate = tick.estimate if tick else controller.look(index, t)
-            sequence = None if last else wire.command(tick.command, wall_ns)
-            velocity = tick.command if tick else velocity
-            record = TickRecord(
-                index=index,
-                now_ns=now_ns,
-                wall_ns=wall_ns,
-                samples=tuple(refs),
-                predicted=lost,
-                estimate=numbers(estimate),
-                command=tick.command if tick else None,
-                sequence=sequence,
-            )
-            publisher.tick(record, estimate, tick)
-            if index % 5 == 0:
-                writer.flush()
+        link = RecordedLink(bridge, Pose(0.0, 0.0, 0.0), record)
+        publisher = Publisher(link, record, policy.circuit.neurons, bridge)
+        controller = Controller(policy, COURSE, config.estimator)
+        drive = Drive(link, controller, publisher, config, lambda: False, clock=bridge)
+        drive.wait()
+        drive.run({name: zlib.crc32(content) for name, content in files.items()})
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +205,8 @@ def other_estimate(data):
     ],
 )
 def test_what_was_changed_in_a_recording_is_found(recorded, tmp_path, topic, change, quantity):
-    difference = rewritten(recorded, tmp_path, topic, 20, change)
+    # Odometry came before the start, too.
+    difference = rewritten(recorded, tmp_path, topic, -38 if topic == "odom" else 20, change)
     assert difference.quantity.startswith(quantity)
     assert 18 <= difference.tick <= 22
     assert str(difference).startswith(f"tick {difference.tick}: {quantity}")

@@ -137,7 +137,7 @@ class Controller:
         """Run tick ``index`` of the course at time ``t``, which is not before the last odometry."""
         estimate = self.look(index, t)
         start = self._course.start_signal(index * TICK_S)
-        outputs = self._runner.tick(self._observation(estimate.pose, index, start))
+        outputs = self._runner.tick(self._observation(self._steered(estimate), index, start))
         v, omega = self._interface.command(outputs)
         turn_gain = max(estimate.turn_gain, LEAST_TURN_GAIN)
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
@@ -146,6 +146,18 @@ class Controller:
             self._holds = (tiny or self._holds) and self._is_parked(estimate.pose)
             command = Velocity(0.0, 0.0) if self._holds else command
         return Tick(index, index * TICK_S, estimate, command, self._runner.potentials)
+
+    def _steered(self, estimate: Estimate) -> Pose:
+        """Return the pose that the circuit steers: of the centre of rotation, which does not slide in turns.
+
+        It is shifted by as much as the centre is off the middle at the goal, so that the middle ends there.
+        """
+        (x, y, theta), goal, behind = estimate.pose, self._course.goal.theta, estimate.rotation_center_m
+        return Pose(
+            x + behind * (math.cos(goal) - math.cos(theta)),
+            y + behind * (math.sin(goal) - math.sin(theta)),
+            theta,
+        )
 
     def _is_parked(self, pose: Pose) -> bool:
         rule, goal = self._course.parked, self._course.goal

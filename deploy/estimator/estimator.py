@@ -19,6 +19,7 @@ import numpy as np
 
 from deploy.estimator.history import History
 from deploy.estimator.motion import (
+    CENTER,
     DISTANCE,
     GAIN,
     OMEGA,
@@ -48,6 +49,8 @@ class Estimate:
     covariance: Array
     turn_gain: float
     """True turn over odometry's."""
+    rotation_center_m: float
+    """How far the centre of rotation lies behind the middle."""
 
 
 class _Gyro:
@@ -164,7 +167,7 @@ class Estimator:
         turned, by_omega = turned_without_gain(float(x[OMEGA]), self._settings)
         rows[4, OMEGA], rows[4, GAIN], rows[4, V], rows[4, PULL] = x[GAIN] * by_omega, turned, x[PULL], x[V]
         pose = Pose(*x[POSE].tolist())
-        return Estimate(t, pose, Velocity(ahead, turn), rows @ P @ rows.T, float(x[GAIN]))
+        return Estimate(t, pose, Velocity(ahead, turn), rows @ P @ rows.T, float(x[GAIN]), float(x[CENTER]))
 
     def forecast(
         self, path: Sequence[Pose], motion: Sequence[Velocity], period_s: float, gyro: bool

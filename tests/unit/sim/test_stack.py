@@ -303,6 +303,14 @@ def test_a_robot_that_was_identified_on_its_slope_drives_there_by_its_encoders()
     assert known.drive(18).belief.error_m < 0.08
 
 
+@pytest.mark.long
+def test_a_known_centre_of_rotation_does_not_move_the_goal():
+    # It lies off the middle, so that these robots slide in their last turn, when they cannot correct it.
+    slope = load_randomization("slope", Body.MUJOCO)
+    known = stack(slope, seed=88003, course="parking", identify=Place.HERE)
+    assert [known.drive(number).parked for number in (8, 16)] == [True, True]
+
+
 def test_correct_poses_are_believed_where_cables_move_the_rover():
     rough = stack(load_randomization("rough", Body.MUJOCO), seed=777003, course="parking", camera=Camera())
     assert rough.drive(9).parked

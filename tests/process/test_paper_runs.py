@@ -109,12 +109,16 @@ def test_command_makes_runs_once_and_replays_them(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("task", "iterations", "rollouts", "worst"),
-    [("pendulum", 25_000, 20, 10), ("mountain-car", 50_000, 20, 20), ("parking", 20_000, 1, 1)],
+    ("task", "iterations", "rollouts", "worst", "search"),
+    [
+        ("pendulum", 25_000, 20, 10, "published-benchmarks"),
+        ("mountain-car", 50_000, 20, 20, "published-mountain-car"),
+        ("parking", 20_000, 1, 1, "published"),
+    ],
 )
-def test_the_published_budget_is_the_papers(task, iterations, rollouts, worst):
+def test_the_published_budget_is_the_papers(task, iterations, rollouts, worst, search):
     budget = budget_for(TASKS[task], BudgetName.PUBLISHED)
-    assert (budget.evaluations, budget.starts, budget.strategy) == (iterations, 1, "published")
+    assert (budget.evaluations, budget.starts, budget.strategy) == (iterations, 1, search)
     assert (budget.rollouts, budget.worst) == (rollouts, worst)
     assert budget_for(TASKS[task], BudgetName.PUBLISHED_MEAN).worst == rollouts
     assert budget_for(TASKS[task], BudgetName.ALGORITHM1).strategy == "algorithm1"

@@ -1,7 +1,4 @@
-"""A peer that tries to take over a running drive with what it can subscribe to; it knows no key.
-
-It reads tags by their length, so that it attacks either version of the protocol.
-"""
+"""A peer that tries to take over a running drive with what it can subscribe to; it knows no key."""
 
 import json
 import os
@@ -63,15 +60,9 @@ class Attacker:
     def close(self):
         self.session.close()
 
-    # Tags. Both forms hold a public name of the holder, a sequence number and a stamp; one holds a digest.
-
     def _tag(self, *, ahead=0, late_s=0.0, digest=None):
         """The newest tag heard, with other numbers."""
-        data = self.commands[-1][1]
-        if len(data) == 32:
-            who, sequence, stamp_ns = struct.unpack("<16sQq", data)
-            return struct.pack("<16sQq", who, sequence + ahead, stamp_ns + round(late_s * 1e9))
-        lease, sequence, stamp_ns, copied = struct.unpack("<QQq16s", data)
+        lease, sequence, stamp_ns, copied = struct.unpack("<QQq16s", self.commands[-1][1])
         return struct.pack(
             "<QQq16s", lease, sequence + ahead, stamp_ns + round(late_s * 1e9), digest or copied
         )
@@ -85,12 +76,7 @@ class Attacker:
                 self.answers.append(json.loads(reply.ok.payload.to_string()))
 
     def _json(self, enable):
-        """A request in the form of the version that is in use, with the holder's public id."""
-        request = {"enable": enable, "name": "attacker", "sent_ns": time.monotonic_ns()}
-        if "driver" in self.gates[-1]:
-            request["driver"] = self.gates[-1]["driver"]
-        else:
-            request["version"] = 2
+        request = {"version": 2, "enable": enable, "name": "attacker", "sent_ns": time.monotonic_ns()}
         return json.dumps(request).encode()
 
     # The attempts.

@@ -4,20 +4,13 @@ import json
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
+
+from sim.live.processes import wait_for
 
 # Without git on the path no record names a commit. A commit could be made while the tests run.
 ENVIRONMENT = {**os.environ, "PATH": ""}
 FREE_PORT = "tcp://127.0.0.1:0"
-
-
-def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {timeout_s} s for {what}"
-        time.sleep(0.02)
 
 
 def start(*arguments: str) -> subprocess.Popen[bytes]:
@@ -31,18 +24,8 @@ def start(*arguments: str) -> subprocess.Popen[bytes]:
 
 
 def start_worker(scheduler: Path) -> subprocess.Popen[bytes]:
-    return start(
-        "-m",
-        "distributed.cli.dask_worker",
-        "--scheduler-file",
-        str(scheduler),
-        "--nthreads",
-        "1",
-        "--no-nanny",
-        "--no-dashboard",
-        "--host",
-        "127.0.0.1",
-    )
+    options = "--nthreads 1 --no-nanny --no-dashboard --host 127.0.0.1"
+    return start("-m", "distributed.cli.dask_worker", "--scheduler-file", str(scheduler), *options.split())
 
 
 class Cluster:
@@ -50,19 +33,9 @@ class Cluster:
 
     def __init__(self, folder: Path) -> None:
         self.file = folder / "scheduler.json"
-        self.processes = [
-            start(
-                "-m",
-                "distributed.cli.dask_scheduler",
-                "--host",
-                FREE_PORT,
-                "--no-dashboard",
-                "--scheduler-file",
-                str(self.file),
-                "--no-show",
-            )
-        ]
-        wait_for(self._written, "the scheduler")
+        options = f"-m distributed.cli.dask_scheduler --host {FREE_PORT} --no-dashboard --no-show"
+        self.processes = [start(*options.split(), "--scheduler-file", str(self.file))]
+        wait_for(self._written, 60.0, "the scheduler")
         self.address = json.loads(self.file.read_text())["address"]
 
     def _written(self) -> bool:

@@ -185,8 +185,8 @@ def test_blocked_output_keeps_no_process_from_its_work_nor_from_its_end(tmp_path
 
     try:
         base = start(PIPE, "listening on ", "mock", "--listen", "127.0.0.1:0")
-        said = start(TERMINAL, "ready ", "bridge", "--base", f"tcp/{base}", "--listen", "tcp/127.0.0.1:0")
-        robot = ["--robot", dict(part.split("=", 1) for part in said.split())["zenoh"]]
+        at = ["--base", f"tcp/{base}", "--listen", "tcp/127.0.0.1:0"]
+        robot = ["--robot", start(TERMINAL, "ready zenoh=", "bridge", *at).split()[0]]
         start(GONE, "watching at ", "watch", *robot, "--port", "0")
         record = tmp_path / "run.mcap"
         start(TERMINAL, "", "deploy", *robot, "--course", SHORT, "--duration", "1", "--record", str(record))

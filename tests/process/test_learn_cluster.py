@@ -2,41 +2,33 @@
 
 import json
 import signal
-import subprocess
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from dask_cluster import Cluster, start, wait_for
+from dask_cluster import Cluster, start
+from folders import content
 from paths import DATA
 
 from rover_ncp.cli import run
+from sim.live.processes import wait_for
+
+pytestmark = pytest.mark.usefixtures("no_git")
 
 COURSE = DATA / "short_course.yaml"
 TRAIN = ["train", "--course", str(COURSE), "--agents", "4", "--seed", "3"]
 
 
-@pytest.fixture(autouse=True)
-def _no_git(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", "")
-
-
-def start_train(*arguments: str) -> subprocess.Popen[bytes]:
+def start_train(*arguments):
     return start("-c", "from rover_ncp.cli import main; main()", *arguments)
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+def cluster(tmp_path_factory):
     found = Cluster(tmp_path_factory.mktemp("cluster"))
     yield found
     found.stop()
 
 
-def content(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-
-
-def progress(folder: Path) -> int:
+def progress(folder):
     """Return how many iterations the first agent has saved."""
     try:
         return int(json.loads((folder / "agents" / "00.json").read_text())["search"]["evaluations"])
@@ -44,15 +36,7 @@ def progress(folder: Path) -> int:
         return 0
 
 
-def test_a_cluster_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = ["--out", str(tmp_path / "out")]
-    assert run([*TRAIN, *out, "--cluster", "tcp://127.0.0.1:9", "--processes", "2"]) == 2
-    assert "do not go together" in capsys.readouterr().err
-
-
-def test_without_scheduler_or_workers_it_says_so(
-    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_scheduler_or_workers_it_says_so(cluster, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sim.learn.cluster.CONNECT_S", 0.5)
     for number, (address, message) in enumerate(
         (
@@ -66,9 +50,7 @@ def test_without_scheduler_or_workers_it_says_so(
 
 
 @pytest.mark.long
-def test_a_cluster_gives_the_bytes_of_one_machine_though_a_worker_is_killed(
-    cluster: Cluster, tmp_path: Path
-) -> None:
+def test_a_cluster_gives_the_bytes_of_one_machine_though_a_worker_is_killed(cluster, tmp_path):
     here, there = tmp_path / "here", tmp_path / "there"
     iterations = ["--iterations", "1000"]
     # First here, so that the workers find all kernels compiled.
@@ -77,7 +59,7 @@ def test_a_cluster_gives_the_bytes_of_one_machine_though_a_worker_is_killed(
         victim = cluster.add_worker()
     training = start_train(*TRAIN, *iterations, "--out", str(there), "--cluster", cluster.address)
     try:
-        wait_for(lambda: progress(there) > 0, "the first rounds")
+        wait_for(lambda: progress(there) > 0, 60.0, "the first rounds")
         victim.send_signal(signal.SIGKILL)
         killed_at = progress(there)
         assert training.wait(timeout=60) == 0

@@ -5,9 +5,9 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from folders import content
 
 from rover_ncp.cli import run as shell
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
@@ -15,17 +15,13 @@ from sim.learn import robust_run
 from sim.learn.record import RobustSettings
 from sim.learn.robust_run import train_robust
 
+pytestmark = pytest.mark.usefixtures("no_git")
+
 SETTINGS = RobustSettings(randomize="mild", seed=5, iterations=4, rollouts=4, worst=4, random_courses=1)
 
 
-@pytest.fixture(autouse=True)
-def _no_git(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hide git: a commit during the tests would change the record."""
-    monkeypatch.setenv("PATH", "")
-
-
 @pytest.fixture(scope="module")
-def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def reference(tmp_path_factory):
     """A run without interruption."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PATH", "")
@@ -34,16 +30,12 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def content(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-
-
-def test_a_run_leaves_these_files(reference: Path) -> None:
+def test_a_run_leaves_these_files(reference):
     assert sorted(content(reference)) == ["curve.csv", "policy.yaml", "search.json", "settings.yaml"]
 
 
 @pytest.mark.long
-def test_processes_change_nothing(reference: Path, tmp_path: Path) -> None:
+def test_processes_change_nothing(reference, tmp_path):
     train_robust(SETTINGS, tmp_path / "two", processes=2)
     assert content(tmp_path / "two") == content(reference)
 
@@ -53,13 +45,11 @@ class _Died(BaseException):
 
 
 @pytest.mark.parametrize("writes", range(8))
-def test_dying_before_any_write_changes_nothing(
-    reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int
-) -> None:
+def test_dying_before_any_write_changes_nothing(reference, tmp_path, monkeypatch, writes):
     monkeypatch.setattr(robust_run, "_CHECKPOINT_SHARE", float("inf"))  # a checkpoint each generation
     left, write = writes, robust_run.write_atomic
 
-    def dying_write(path: Path, data: bytes | str) -> None:
+    def dying_write(path, data):
         nonlocal left
         if left == 0:
             raise _Died
@@ -75,10 +65,10 @@ def test_dying_before_any_write_changes_nothing(
 
 
 @pytest.mark.parametrize("after", [1, 3])
-def test_an_interrupt_loses_nothing_that_was_done(reference: Path, tmp_path: Path, after: int) -> None:
+def test_an_interrupt_loses_nothing_that_was_done(reference, tmp_path, after):
     seen = []
 
-    def interrupt(last: robust_run.Generation) -> None:
+    def interrupt(last):
         seen.append(last.number)
         if last.number == after:
             raise KeyboardInterrupt
@@ -93,7 +83,7 @@ def test_an_interrupt_loses_nothing_that_was_done(reference: Path, tmp_path: Pat
     assert content(tmp_path) == content(reference)
 
 
-def test_what_cannot_be_resumed_says_why(reference: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_resumed_says_why(reference, tmp_path):
     with pytest.raises(UsageError, match="holds a training run"):
         train_robust(SETTINGS, reference, processes=1)
     other = SETTINGS.model_copy(update={"rollouts": 5})
@@ -106,9 +96,7 @@ def test_what_cannot_be_resumed_says_why(reference: Path, tmp_path: Path) -> Non
             train_robust(SETTINGS.model_copy(update={"iterations": 1}), tmp_path, resume=True, processes=1)
 
 
-def test_resuming_needs_no_option_again(
-    reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_resuming_needs_no_option_again(reference, tmp_path, monkeypatch, capsys):
     before = content(reference)
     assert shell(["train", "--out", str(reference), "--resume", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["generations"] == 4
@@ -116,7 +104,7 @@ def test_resuming_needs_no_option_again(
 
 
 @pytest.mark.long
-def test_ctrl_c_with_processes_leaves_a_run_that_goes_on(tmp_path: Path) -> None:
+def test_ctrl_c_with_processes_leaves_a_run_that_goes_on(tmp_path):
     options = ["--randomize", "mild", "--iterations", "100000", "--rollouts", "4", "--random-courses", "1"]
     command = [sys.executable, "-m", "rover_ncp", "train", *options, "--processes", "2", "--out", "run"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:

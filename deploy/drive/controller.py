@@ -37,6 +37,8 @@ HOLD = Velocity(0.004, math.radians(1.0))
 such commands answer the noise of the estimate."""
 COMING_TO_REST_S = 1.0
 """It holds so long before it must stand for the verdict; until then, small commands correct its pose."""
+TURNED_SHARE = 0.9
+"""A heading further off than this share of what counts as parked is too near that limit to rest with."""
 LEAST_TURN_GAIN = 0.5
 """No description has robots that turn less than this share of what their wheels say."""
 
@@ -84,8 +86,9 @@ class Controller:
         self._interface = RoverInterface(policy)
         self._course = course
         self._hold_s = course.horizon_s - course.parked.still_s - COMING_TO_REST_S
-        self._holds = False
+        self._holds = self._rests_turned = False
         self._reference = plan_reference(course) if self._interface.needs_reference else None
+        self._last_moving = self._reference.last_moving if self._reference else course.ticks
         self._runner: Runner = runner or PolicyRunner(policy)
         self._runner.tick([0.0] * len(policy.sensing.inputs))  # compiles now, before the rover waits for it
         self.estimator = Estimator(settings)
@@ -141,8 +144,11 @@ class Controller:
         v, omega = self._interface.command(outputs)
         turn_gain = max(estimate.turn_gain, LEAST_TURN_GAIN)
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
+        tiny = abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega
+        if index > self._last_moving:
+            turned = self._turned(estimate.pose) > TURNED_SHARE * self._course.parked.heading_rad
+            self._rests_turned = (tiny or self._rests_turned) and turned
         if index * TICK_S > self._hold_s:
-            tiny = abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega
             self._holds = (tiny or self._holds) and self._is_parked(estimate.pose)
             command = Velocity(0.0, 0.0) if self._holds else command
         return Tick(index, index * TICK_S, estimate, command, self._runner.potentials)
@@ -151,18 +157,23 @@ class Controller:
         """Return the pose that the circuit steers: of the centre of rotation, which does not slide in turns.
 
         It is shifted by as much as the centre is off the middle at the goal, so that the middle ends there.
+        A rover that rests turned away from the goal is not shown its error to the side: no turn on the spot
+        mends that, and a circuit rests where the two errors make up for each other.
         """
-        (x, y, theta), goal, behind = estimate.pose, self._course.goal.theta, estimate.rotation_center_m
-        return Pose(
-            x + behind * (math.cos(goal) - math.cos(theta)),
-            y + behind * (math.sin(goal) - math.sin(theta)),
-            theta,
-        )
+        (x, y, theta), goal, behind = estimate.pose, self._course.goal, estimate.rotation_center_m
+        cos, sin = math.cos(goal.theta), math.sin(goal.theta)
+        x, y = x + behind * (cos - math.cos(theta)), y + behind * (sin - math.sin(theta))
+        if self._rests_turned:
+            left = (y - goal.y) * cos - (x - goal.x) * sin
+            x, y = x + left * sin, y - left * cos
+        return Pose(x, y, theta)
 
     def _is_parked(self, pose: Pose) -> bool:
         rule, goal = self._course.parked, self._course.goal
-        turned = abs(wrap_angle(pose.theta - goal.theta))
-        return distance(pose, goal) <= rule.position_m and turned <= rule.heading_rad
+        return distance(pose, goal) <= rule.position_m and self._turned(pose) <= rule.heading_rad
+
+    def _turned(self, pose: Pose) -> float:
+        return abs(wrap_angle(pose.theta - self._course.goal.theta))
 
     def look(self, index: int, t: float) -> Estimate:
         """Note the estimate at time ``t`` for the verdict, without a tick of the circuit."""

@@ -16,17 +16,23 @@ from rover_ncp.core.config import validated
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.course.course import Course
-from sim.evaluate.laws import LAWS, law_commander
 from sim.learn.commander import Commander, CommanderRunner, rover_commander
 from sim.learn.evaluator import Evaluator
-from sim.learn.networks import CELLS, NetKind, net_for, network_commander
+from sim.learn.laws import LAWS, law_commander
+from sim.learn.networks import CELLS, LIQUID_CELLS, NetKind, net_for, network_commander
 from sim.world.randomization import Trials
 from sim.world.rover import RoverModel
 
 FloatArray = NDArray[np.float64]
 
 CIRCUIT = "circuit"
-NETWORKS = {"mlp": (NetKind.MLP, CELLS), "lstm": (NetKind.LSTM, CELLS), "lstm-small": (NetKind.LSTM, 3)}
+NETWORKS = {
+    "mlp": (NetKind.MLP, CELLS),
+    "lstm": (NetKind.LSTM, CELLS),
+    "lstm-small": (NetKind.LSTM, 3),
+    "cfc": (NetKind.CFC, LIQUID_CELLS),
+    "ltc": (NetKind.LTC, LIQUID_CELLS),
+}
 """Kind and number of cells: as many as the circuit has neurons, or about as many numbers as it has."""
 
 

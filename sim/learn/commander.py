@@ -1,6 +1,6 @@
 """Controllers that drive the lanes of an episode kernel: their arrays and their two kernels.
 
-A commander is a circuit (here), a network (``networks.py``) or a classical law (``sim/evaluate/laws.py``).
+A commander is a circuit (here), a network (``networks.py``) or a classical law (``laws.py``).
 """
 
 from collections.abc import Callable, Sequence

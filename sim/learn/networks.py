@@ -1,4 +1,4 @@
-"""Small neural networks in place of a circuit: a multilayer perceptron and an LSTM, many of them in lanes.
+"""Small neural networks in place of a circuit, many of them in lanes.
 
 They have the inputs and outputs of a policy's circuit. An input is the sensor's value as a part of its
 range, clamped to it; where the policy has an input layer, the raw input over its
@@ -6,6 +6,8 @@ range. An output reaches from the motors' minimum to their maximum and stays the
 
 mlp     tanh cells on the inputs, outputs linear in the cells
 lstm    Hochreiter and Schmidhuber (1997) with forget gates (Gers et al., 2000), outputs linear in the cells
+cfc, ltc
+        three cells of the library ncps (``liquid.py``)
 
     net = net_for(policy, NetKind.MLP)
     lanes = allocate_net_lanes(net, 16)
@@ -15,6 +17,7 @@ lstm    Hochreiter and Schmidhuber (1997) with forget gates (Gers et al., 2000),
 
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,26 +28,36 @@ from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy
 from rover_ncp.circuit.solver import exp2
 from rover_ncp.kernels.jit import inlined_kernel, kernel
 from sim.learn.commander import Commander
+from sim.learn.liquid import BACKBONE, Part, cfc_parts, ltc_parts, tick_cfc, tick_ltc
 
 FloatArray = NDArray[np.float64]
 
 CELLS = 11
 """As many cells as the tap-withdrawal circuit has neurons (paper, section VI)."""
+LIQUID_CELLS = 3
 _TWO_LOG2_E = 2.8853900817779268
 _SATURATED = 30.0
 """Beyond it tanh is 1 to the last bit."""
 
 
 class NetKind(StrEnum):
-    """The networks the paper compares with."""
+    """The networks the paper compares with, and its successors."""
 
     MLP = "mlp"
     LSTM = "lstm"
+    CFC = "cfc"
+    LTC = "ltc"
+
+
+_PARTS = {NetKind.CFC: cfc_parts, NetKind.LTC: ltc_parts}
+_LIQUID = {NetKind.CFC: 1, NetKind.LTC: 2}
 
 
 class NetProgram(NamedTuple):
     """The structure that all lanes share."""
 
+    liquid: int
+    """0, or a number of ``_LIQUID``."""
     gates: int
     """Sums that a cell makes of its inputs: 1 in a perceptron; 4 in an LSTM: input, forget, cell, output."""
     cells: int
@@ -67,7 +80,7 @@ class NetLanes(NamedTuple):
     """(cells, L) each: what the cells give; what an LSTM's remember."""
     sums: FloatArray
     inputs: FloatArray
-    """(gates * cells, L) and (inputs, L): work."""
+    """(gates * cells + BACKBONE, L) and (inputs, L): work."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +89,7 @@ class Net:
 
     Its parameters (P,): for each gate and cell the weights of all inputs, in an LSTM those of all cells, and
     a bias; then for each output the weights of all cells and a bias. Bounds are those of a policy's layers.
+    Those of a CfC or an LTC are its ``parts``.
     """
 
     kind: NetKind
@@ -89,7 +103,12 @@ class Net:
     @property
     def gates(self) -> int:
         """Sums that a cell makes of its inputs."""
-        return 4 if self.kind is NetKind.LSTM else 1
+        return 1 if self.kind is NetKind.MLP else 4
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The library's tensors of a CfC or an LTC, in the order of the vector."""
+        return _PARTS[self.kind](len(self.scale), self.cells, len(self.high))
 
     @property
     def columns(self) -> int:
@@ -98,6 +117,13 @@ class Net:
 
     def layout(self) -> ParameterLayout:
         """Return where the cells' weights and the outputs' stand in the parameter vector."""
+        if self.kind in _PARTS:
+            ends = np.cumsum([0, *(sum(tensor.size for tensor in part.tensors) for part in self.parts)])
+            blocks = (
+                ParameterBlock(part.kind, slice(int(a), int(b)), part.lower, part.upper)
+                for part, (a, b) in zip(self.parts, pairwise(ends), strict=True)
+            )
+            return ParameterLayout(tuple(blocks))
         first = self.gates * self.cells * self.columns
         last = first + len(self.high) * (self.cells + 1)
         kinds = ((ParameterKind.INPUT_LAYER, 0, first), (ParameterKind.OUTPUT_LAYER, first, last))
@@ -106,7 +132,13 @@ class Net:
         )
 
     def start(self, generator: np.random.Generator) -> FloatArray:
-        """Draw the parameters (P,) of an untrained network: uniform within 1 / sqrt(inputs of the sum)."""
+        """Draw the parameters (P,) of an untrained network: uniform within 1 / sqrt(inputs of the sum).
+
+        A CfC or an LTC is drawn as the library does.
+        """
+        if self.kind in _PARTS:
+            tensors = (tensor for part in self.parts for tensor in part.tensors)
+            return np.concatenate([tensor.start(generator) for tensor in tensors])
         layout = self.layout()
         vector = generator.uniform(-1.0, 1.0, layout.size)
         cells, outputs = layout.blocks
@@ -117,11 +149,18 @@ class Net:
     def program(self) -> NetProgram:
         """Return what the kernels take."""
         columns = (self.center, self.scale, self.most, self.low, self.high)
-        return NetProgram(self.gates, self.cells, *(np.array(column, np.float64) for column in columns))
+        liquid = _LIQUID.get(self.kind, 0)
+        return NetProgram(
+            liquid, self.gates, self.cells, *(np.array(column, np.float64) for column in columns)
+        )
 
 
-def net_for(policy: Policy, kind: NetKind, cells: int = CELLS) -> Net:
-    """Return a network that sees and does what a policy's circuit does."""
+def net_for(policy: Policy, kind: NetKind, cells: int | None = None) -> Net:
+    """Return a network that sees and does what a policy's circuit does.
+
+    By default with as many cells as the circuit has neurons; a CfC or an LTC, about as many numbers.
+    """
+    cells = cells or (LIQUID_CELLS if kind in _PARTS else CELLS)
     sensing, motors = policy.sensing, policy.motors
     if policy.input_layer is None:
         centers = [channel.origin or 0.0 for channel in sensing.channels]
@@ -141,7 +180,7 @@ def net_for(policy: Policy, kind: NetKind, cells: int = CELLS) -> Net:
 
 def allocate_net_lanes(net: Net, count: int) -> NetLanes:
     """Return ``count`` lanes of zeros, to be set by ``fill_net_lane``."""
-    shapes = (net.layout().size, net.cells, net.cells, net.gates * net.cells, len(net.scale))
+    shapes = (net.layout().size, net.cells, net.cells, net.gates * net.cells + BACKBONE, len(net.scale))
     return NetLanes(*(np.zeros((rows, count)) for rows in shapes))
 
 
@@ -169,12 +208,30 @@ def tick_net_lanes(
     """Run L lanes once: ``observations`` (inputs, L) in the sensing's units, ``commands`` (outputs, L)."""
     weight, hidden, inputs, sums = lanes.weight, lanes.hidden, lanes.inputs, lanes.sums
     given, count = observations.shape
-    recurrent = program.cells if program.gates > 1 else 0
     for i in range(given):
         center, scale, most = program.center[i], program.scale[i], program.most[i]
         for lane in range(count):
             part = (observations[i, lane] - center) / scale
             inputs[i, lane] = min(max(part, -most), most)
+    if program.liquid == 1:
+        tick_cfc(weight, inputs, hidden, sums, commands[: len(program.high)])
+    elif program.liquid == 2:
+        tick_ltc(weight, inputs, hidden, sums, commands[: len(program.high)])
+    else:
+        tick_sums(program, lanes, commands)
+    for output in range(len(program.high)):
+        low, high = program.low[output], program.high[output]
+        for lane in range(count):
+            z = min(max(commands[output, lane], -1.0), 1.0)
+            commands[output, lane] = high * z if z > 0.0 else -low * z
+
+
+@kernel
+def tick_sums(program: NetProgram, lanes: NetLanes, commands: FloatArray) -> None:
+    """Run L perceptrons or LSTMs once, from their inputs to outputs (outputs, L) without limits."""
+    weight, hidden, inputs, sums = lanes.weight, lanes.hidden, lanes.inputs, lanes.sums
+    given, count = inputs.shape
+    recurrent = program.cells if program.gates > 1 else 0
     at = 0
     for row in range(program.gates * program.cells):
         bias = at + given + recurrent
@@ -189,13 +246,12 @@ def tick_net_lanes(
         at = bias + 1
     update_cells(program, lanes, count)
     for output in range(len(program.high)):
-        low, high, bias = program.low[output], program.high[output], at + program.cells
+        bias = at + program.cells
         for lane in range(count):
             z = weight[bias, lane]
             for cell in range(program.cells):
                 z += weight[at + cell, lane] * hidden[cell, lane]
-            z = min(max(z, -1.0), 1.0)
-            commands[output, lane] = high * z if z > 0.0 else -low * z
+            commands[output, lane] = z
         at = bias + 1
 
 

@@ -19,6 +19,7 @@ from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course, Verdict, due_checkpoints, reward
 from rover_ncp.course.reference import Reference, plan_reference
+from sim.learn.commander import CommanderRunner
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.randomization import (
@@ -100,10 +101,11 @@ def rollout(
     trials: Trials | None = None,
     row: int = 0,
     reference: Reference | None = None,
+    runner: PolicyRunner | CommanderRunner | None = None,
 ) -> Rollout:
     """Drive a course to its horizon, as the model is or in trial ``row``.
 
-    Raises ConfigError when the policy cannot drive.
+    Another ``runner`` than the policy's has its signals. Raises ConfigError when the policy cannot drive.
     """
     interface = RoverInterface(policy)
     model = model or default_rover()
@@ -113,7 +115,7 @@ def rollout(
         reference = plan_reference(course)
     start, odometry = Pose(*trials.start[row].tolist()), _Odometry(trials, row)
     rover = PymunkRover(trial_model(model, trials, row), Ground(course.obstacles), start)
-    runner = PolicyRunner(policy)
+    runner = runner or PolicyRunner(policy)
 
     def observation(tick: int, signal: float) -> list[float]:
         return interface.observe(odometry.seen(tick), signal, reference.tick(tick) if reference else None)

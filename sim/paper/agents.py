@@ -3,7 +3,10 @@
 circuit    the tap-withdrawal circuit, untuned
 random     a random wiring of its size, another one for each seed
 mlp, lstm  networks of eleven cells, with the circuit's inputs and outputs
+cfc, ltc   networks of the library ncps with about as many numbers as the circuit
 ppo, a2c   a network trained by gradients (``gradients.py``)
+AGENT-cloned
+           circuit, CfC or LTC by gradient through its solver, then by evolution (``cloning.py``)
 
 Any other name is that of a circuit file.
 """
@@ -24,7 +27,14 @@ from sim.learn.search.random_search import shake
 from sim.paper.tasks import Task
 
 GRADIENTS = ("ppo", "a2c")
-AGENTS = ("circuit", "random", "mlp", "lstm", *GRADIENTS)
+"""Agents of which only an actor is kept."""
+PAPERS = ("circuit", "random", "mlp", "lstm")
+LIQUID = ("cfc", "ltc")
+_CLONED = "-cloned"
+CLONED = tuple(f"{agent}{_CLONED}" for agent in ("circuit", *LIQUID))
+WITH_TORCH = (*GRADIENTS, *CLONED)
+"""Agents that only torch can train."""
+AGENTS = (*PAPERS, *LIQUID, *WITH_TORCH)
 _MOST_SHAKES = 6
 
 
@@ -35,12 +45,12 @@ def build_agent(task: Task, agent: str, seed: int, circuit: Path | None = None) 
     """
     if circuit is not None:
         return task.policy(load_circuit(circuit))
-    own = task.circuit()
+    own, agent = task.circuit(), agent.removesuffix(_CLONED)
     if agent == "circuit":
         return task.policy(own)
     if agent == "random":
         return task.policy(random_circuit(seed, own.neurons, own.synapse_count))
-    if agent in (NetKind.MLP, NetKind.LSTM):
+    if agent in set(NetKind):
         return net_for(task.policy(own), NetKind(agent))
     raise UsageError(f"no agent {agent!r} to search for; there are {', '.join(AGENTS)}, or --circuit FILE")
 

@@ -75,7 +75,7 @@ def search_randomly(
 
     ``judge``, which may be the evaluator, confirms a return that is enough.
     """
-    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_SEARCH,))))
+    generator = search_generator(seed)
     starts = untuned(agent, generator, budget.starts)
     search = Reestimating(agent.layout(), best_starts(evaluator, starts, seed)[0], generator)
     enough = evaluator.task.enough
@@ -105,6 +105,11 @@ def search_randomly(
             ended = "plateau"
             break
     return Found(search.incumbent, search.evaluations, tuple(curve), ended)
+
+
+def search_generator(seed: int) -> np.random.Generator:
+    """Return the generator of a search, which first draws its untuned starts."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_SEARCH,))))
 
 
 def estimate(evaluator: Evaluator, vectors: Vector, seeds: Seeds, to_beat: Vector, budget: Budget) -> Vector:

@@ -23,7 +23,7 @@ from sim.learn.record import made_with
 from sim.learn.search.base import Vector, draw_seeds
 from sim.learn.workers import WorkerDied, starting_processes
 from sim.paper import FAITHFUL, BudgetName
-from sim.paper.agents import GRADIENTS, build_agent
+from sim.paper.agents import CLONED, GRADIENTS, WITH_TORCH, build_agent
 from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
 from sim.paper.evaluator import Evaluator
 from sim.paper.parking import ParkingEvaluator, search_parking
@@ -80,6 +80,9 @@ def train_run(
     if name.agent in GRADIENTS and circuit is None:
         found, agent, steps, settings = _train_by_gradients(task, name)
         libraries = ["stable-baselines3", "torch"]
+    elif name.agent in CLONED and circuit is None:
+        found, agent, steps, settings = _clone(task, name)
+        libraries = ["ncps", "torch"]
     else:
         agent = build_agent(task, name.agent, name.seed, circuit)
         found, steps, settings = _search(task, agent, name.seed, limits, partial)
@@ -151,6 +154,16 @@ def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, None, int, di
     training = training_of(task, name.agent)
     settings = {"cells": CELLS, "environments": training.environments, **training.options}
     return Found(actor.vector(), 0, (), "steps"), None, steps, settings
+
+
+def _clone(task: Task, name: RunName, limits: Budget) -> tuple[Found, Policy | Net, int, dict[str, Any]]:
+    from sim.paper.cloning import clone  # an extra that other agents do without
+
+    if name.budget in FAITHFUL:
+        raise UsageError(f"the paper states no budget for {name.agent}")
+    agent = build_agent(task, name.agent, name.seed)
+    found, steps, settings = clone(task, agent, name.seed, quick=name.budget is BudgetName.QUICK)
+    return found, agent, steps, settings
 
 
 def _thinned(curve: tuple[tuple[int, float], ...], points: int) -> tuple[tuple[int, float], ...]:
@@ -263,7 +276,7 @@ def _require(names: Sequence[RunName], circuit: Path | None) -> None:
         task = find_task(task_name)
         if circuit is not None or agent not in GRADIENTS:
             build_agent(task, agent, 0, circuit)
-        else:
-            importlib.import_module("stable_baselines3")
+        if circuit is None and agent in WITH_TORCH:
+            importlib.import_module("stable_baselines3" if agent in GRADIENTS else "torch")
         if isinstance(task, Benchmark) and task.model:
             importlib.import_module("mujoco")

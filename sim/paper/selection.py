@@ -7,13 +7,15 @@ from typing import Any, NamedTuple
 
 from rover_ncp.core.errors import UsageError
 from sim.paper import FAITHFUL, BudgetName
-from sim.paper.agents import AGENTS, GRADIENTS
+from sim.paper.agents import AGENTS, CLONED, GRADIENTS, LIQUID, PAPERS, WITH_TORCH
 from sim.paper.published_search import read_partial
 from sim.paper.results import STOPPED, Result, ResultStore, RunName, load_result
 from sim.paper.tasks import TASKS, Benchmark, find_task
 
 _GRADIENT_TASKS = ("pendulum", "roboschool", "mountain-car")
 """The tasks of the paper's table of reinforcement learning."""
+_LIQUID_TASKS = ("mountain-car", "parking")
+"""The tasks on which what has come since is compared."""
 _OWN_RUNS = 5
 """Runs of a circuit of the user's own."""
 
@@ -51,6 +53,8 @@ def _own(budget: BudgetName) -> Iterator[Group]:
         yield Group(task, "lstm", 5, budget)
         if task in _GRADIENT_TASKS:
             yield from (Group(task, agent, 5, budget) for agent in GRADIENTS)
+        if task in _LIQUID_TASKS:
+            yield from (Group(task, agent, 10, budget) for agent in (*LIQUID, *CLONED))
 
 
 def _faithful(budget: BudgetName) -> Iterator[Group]:
@@ -62,7 +66,7 @@ def _faithful(budget: BudgetName) -> Iterator[Group]:
         if not isinstance(task, Benchmark):
             yield Group(name, "circuit", 36 if name == "parking" else 12, budget)
             continue
-        yield from (Group(name, agent, 10, budget) for agent in AGENTS if agent not in GRADIENTS)
+        yield from (Group(name, agent, 10, budget) for agent in PAPERS)
 
 
 def coverage(store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> list[dict[str, Any]]:
@@ -122,7 +126,7 @@ def select(
 ) -> list[RunName]:
     """Return the selected runs of a budget, circuits first: of the grid, or of any seeds given.
 
-    Without ``agents``, PPO and A2C are left out. Raises UsageError for an unknown task or agent, and where
+    Without ``agents``, those that need torch are left out. Raises UsageError for an unknown task or agent, and where
     nothing is left.
     """
     for task in tasks or ():
@@ -134,7 +138,7 @@ def select(
     for agent in agents or ():
         if agent not in AGENTS:
             raise UsageError(f"no agent {agent!r}; there are {', '.join(AGENTS)}")
-    wanted = agents or [agent for agent in AGENTS if agent not in GRADIENTS]
+    wanted = agents or [agent for agent in AGENTS if agent not in WITH_TORCH]
     names = [
         name
         for agent in AGENTS

@@ -13,7 +13,7 @@ from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout
 from sim.learn.search.base import Vector
 
-_FACTORS = (ParameterKind.LEAK, ParameterKind.CAPACITANCE)
+FACTORS = (ParameterKind.LEAK, ParameterKind.CAPACITANCE)
 """The kinds that go by their logarithm."""
 
 BoolArray = NDArray[np.bool_]
@@ -46,7 +46,7 @@ class UnitBox:
         """Return the box of a layout's parameters."""
         logarithmic = np.zeros(layout.size, np.bool_)
         for block in layout.blocks:
-            logarithmic[block.slice] = block.kind in _FACTORS
+            logarithmic[block.slice] = block.kind in FACTORS
         return cls(layout.lower, layout.upper, defaults, logarithmic, inert)
 
     @property

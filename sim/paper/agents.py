@@ -31,7 +31,8 @@ GRADIENTS = ("ppo", "a2c")
 PAPERS = ("circuit", "random", "mlp", "lstm")
 LIQUID = ("cfc", "ltc")
 _CLONED = "-cloned"
-CLONED = tuple(f"{agent}{_CLONED}" for agent in ("circuit", *LIQUID))
+UNCLONED = ("circuit", *LIQUID)
+CLONED = tuple(f"{agent}{_CLONED}" for agent in UNCLONED)
 WITH_TORCH = (*GRADIENTS, *CLONED)
 """Agents that only torch can train."""
 AGENTS = (*PAPERS, *LIQUID, *WITH_TORCH)

@@ -57,12 +57,14 @@ class Claim:
 def all_claims(store: ResultStore) -> list[Claim]:
     """Return all claims. Raises FileError, and UsageError without a trained parking circuit."""
     from sim.paper.circuit_claims import circuit_claims  # drives the parking circuits
+    from sim.paper.successors import successor_claims
 
     return [
         *_search_claims(store),
         *_cell_claims(store),
         *_two_values(store),
         *(claim for other in OTHERS for claim in _comparison_claims(other, compare_agents(store, other))),
+        *successor_claims(store),
         *circuit_claims(store),
         *_ELSEWHERE,
     ]
@@ -143,19 +145,21 @@ def _ours(row: Row) -> str:
 
 
 _COMPARED = {
-    "random": ("random-circuits", "the tap-withdrawal circuit is better than random circuits of its size"),
-    "mlp": ("networks", "the circuit is on par with an MLP or better"),
-    "lstm": ("networks", "the circuit is on par with an LSTM or better"),
-    "ppo": ("policy-gradients", "the circuit with random search is on par with PPO"),
-    "a2c": ("policy-gradients", "the circuit with random search is on par with A2C"),
+    "random": ("Table II", "the tap-withdrawal circuit is better than random circuits of its size"),
+    "mlp": ("Table IV", "the circuit is on par with an MLP or better"),
+    "lstm": ("Table IV", "the circuit is on par with an LSTM or better"),
+    "cfc": ("since the paper", "the circuit is on par with a CfC of about as many numbers or better"),
+    "ltc": ("since the paper", "the circuit is on par with an LTC of about as many numbers or better"),
+    "ppo": ("Table III", "the circuit with random search is on par with PPO"),
+    "a2c": ("Table III", "the circuit with random search is on par with A2C"),
 }
 
 
 def _comparison_claims(other: str, found: Sequence[Comparison]) -> Iterator[Claim]:
     """Yield the claim on each task: better than random wirings, not worse than anything else."""
-    which, words = _COMPARED[other]
+    number, words = _COMPARED[other]
     for row in found:
-        verdict, why, number = Finding.NOT_REPRODUCED, "", TABLES[which].number
+        verdict, why = Finding.NOT_REPRODUCED, ""
         if row.better:
             verdict = Finding.REPRODUCED
         elif other != "random" and not row.worse:
@@ -189,8 +193,7 @@ def _search_claims(store: ResultStore) -> Iterator[Claim]:
         command = f"rover-ncp paper run --budget {budget} --task parking"
         source = "Algorithm 1" if budget is BudgetName.ALGORITHM1 else "published code"
         if len(runs) < _ENOUGH_RUNS:
-            claim = Claim(f"{budget}-parking", words, source)
-            yield _too_few(store, "parking", budget, claim)
+            yield _too_few(store, "parking", budget, Claim(f"{budget}-parking", words, source))
             continue
         passed = [result.mean >= TASKS["parking"].success for result in runs]
         low, high = binomtest(sum(passed), len(runs)).proportion_ci(method="wilson")

@@ -6,12 +6,11 @@ by backpropagation through windows of them. The best agent of all rounds goes on
 the return alone. Every step of an environment counts, those of the law and of the returns too.
 
 mountain-car    a = 12 v: it pushes the way the car moves, so that its energy grows
-parking         Kanayama's law, within the paper's limits, on the nominal course and on disturbed ones
+parking         Kanayama's law within the paper's limits, on the course and from disturbed starts
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -35,229 +34,206 @@ from sim.paper.parking import ParkingEvaluator
 from sim.paper.plants.lanes import reset_plant
 from sim.paper.random_search import Found, confirmed, search_generator
 from sim.paper.tasks import Benchmark, Task
-from sim.paper.unrolled import student_of
+from sim.paper.unrolled import Student, student_of
 from sim.world.described import default_rover
-from sim.world.randomization import draw_trials, load_randomization
+from sim.world.randomization import Randomization, draw_trials
 
 CLONING: dict[str, Any] = {
     "rounds": 8,
-    "passes": 10,
+    "passes": 12,
     "window": 40,
     "episodes": 8,
-    "learning_rate": 0.01,
+    "learning_rate": 0.02,
+    "slopes": (1.0, 0.05),
     "spread": 0.03,
     "population": 16,
-    "generations": 250,
+    "generations": 200,
 }
 """Settings, which a run records: rounds of episodes; passes over all episodes after each of them; ticks of a
-window; episodes of a round; Adam's; and those of CMA-ES."""
-_QUICK = {"rounds": 2, "passes": 2, "generations": 5}
-_GAIN = 12.0
-_TICKS = 400
-"""Longest episode of mountain car that is learned from."""
-_RETURN_EPISODES, _ROLLOUTS = 20, 4
-"""Episodes of mountain car behind the return of a round, and behind that of a candidate."""
+window; episodes of a round; Adam's; slopes of a motor neuron beyond its ends, where most starts are, in the
+first half of the rounds and in the second; and those of CMA-ES."""
+_QUICK = {"rounds": 2, "passes": 2, "generations": 8}
+_JUDGED_EVERY = 4
+"""Generations after which the mean of the distribution is judged."""
 # Streams of random numbers; others are those of ``random_search.py`` and ``cma_search.py``.
 _EPISODES, _RETURNS, _EVOLUTION = range(20, 23)
 
 
-class Episodes(NamedTuple):
-    """E episodes of at most T ticks, of which ``counts`` (E, T) are learned from."""
-
-    seen: Vector
-    """(E, T, inputs)."""
-    asked: Vector
-    """(E, T, outputs) of the law."""
-    counts: Vector
-    steps: int
-
-
-class Lesson(NamedTuple):
-    """What a task gives to a training."""
-
-    start: Vector
-    """(P,) the search's own."""
-    collect: Callable[[int, Vector | None], Episodes]
-    """Drive the episodes of a round by parameters (P,), or by the law."""
-    judge: Callable[[int, Vector], float]
-    """Return of parameters (P,), as a round shows it; minus infinity is added where it does not park."""
-    values: Callable[[int, Vector], Vector]
-    """What the evolution climbs: (k,) of the candidates (k, P) of a generation."""
-    evaluator: Any
-    """It counts the steps."""
-
-
-def clone(task: Task, agent: Policy | Net, seed: int, *, quick: bool) -> tuple[Any, ...]:
+def clone(task: Task, agent: Policy | Net, seed: int, *, quick: bool) -> tuple[Found, int, dict[str, Any]]:
     """Train an agent; return what was found, the steps, and the settings to record."""
     torch.set_num_threads(1)
     settings = CLONING | (_QUICK if quick else {})
-    lesson = (_car_lesson if isinstance(task, Benchmark) else _parking_lesson)(task, agent, seed)
-    scale = _scale(task)
+    lesson = CarLesson(task, agent, seed) if isinstance(task, Benchmark) else ParkingLesson(task, agent, seed)
     student = student_of(agent, lesson.start)
     optimizer = torch.optim.Adam(student.parameters, lr=settings["learning_rate"])
-    best, value = lesson.start, lesson.judge(0, lesson.start)
-    curve = [(lesson.evaluator.steps, value)]
-    data: list[Episodes] = []
-    for number in range(settings["rounds"]):
-        data.append(lesson.collect(number, student.vector() if number else None))
-        lesson.evaluator.steps += data[-1].steps
-        descend(student, optimizer, joined(data), scale, settings)
-        vector = student.vector()
-        found = lesson.judge(number + 1, vector)
-        if found > value:
+    best, value = lesson.start, lesson.judge(lesson.start)
+    curve, data, rounds, generations = [(lesson.steps, value)], [], 0, 0
+
+    def judge(vector: Vector) -> None:
+        nonlocal best, value
+        if (found := lesson.judge(vector)) > value:
             best, value = vector, found
-            curve.append((lesson.evaluator.steps, value))
-    settings |= {"law_steps": data[0].steps, "cloned_steps": lesson.evaluator.steps, "cloned": value}
+            curve.append((lesson.steps, value))
+
+    while rounds < settings["rounds"] and value < task.enough:
+        data.append(lesson.collect(rounds, student.vector() if rounds else None))
+        slope = settings["slopes"][2 * rounds // settings["rounds"]]
+        arrays = [torch.from_numpy(np.concatenate(parts)) for parts in zip(*data, strict=True)]
+        for _ in range(settings["passes"]):
+            descend(student, optimizer, arrays, settings["window"], slope)
+        judge(student.vector())
+        rounds += 1
+    settings |= {"cloned_steps": lesson.steps, "cloned": value}
     search = Search(
         agent, best, int(draw_seeds(seed, (_EVOLUTION,), 1)[0]), settings=settings, separable=False
     )
-    ended = "steps"
-    for number in range(settings["generations"]):
-        if value >= task.enough:
-            ended = "enough"
-            break
-        vectors = search.ask()
-        values = lesson.values(number, vectors)
-        search.tell(values)
-        candidate = vectors[int(values.argmax())]
-        if values.max() > value and (found := lesson.judge(-1 - number, candidate)) > value:
-            best, value = candidate, found
-            curve.append((lesson.evaluator.steps, value))
-    evaluations = settings["rounds"] + settings["generations"] * settings["population"]
-    return Found(best, evaluations, tuple(curve), ended), lesson.evaluator.steps, settings
+    while generations < settings["generations"] and value < task.enough:
+        search.tell(lesson.returns(search.ask(), generations))
+        generations += 1
+        if generations % _JUDGED_EVERY == 0:
+            judge(search.mean)
+    evaluations = rounds + generations * settings["population"]
+    ended = "enough" if value >= task.enough else "evaluations"
+    return Found(best, evaluations, tuple(curve), ended), lesson.steps, settings
 
 
-def descend(student: Any, optimizer: Any, data: Episodes, scale: Vector, settings: dict[str, Any]) -> None:
-    """Pass over all episodes, one step of Adam for each window of them."""
-    seen, asked, counts = map(torch.from_numpy, (data.seen, data.asked / scale, data.counts))
-    for _ in range(settings["passes"]):
-        state = None
-        for first in range(0, seen.shape[1], settings["window"]):
-            part = slice(first, first + settings["window"])
-            z, state = student.outputs(seen[:, part], state)
-            weight = counts[:, part, None]
-            loss = (weight * (z - asked[:, part]) ** 2).sum() / weight.sum().clamp(min=1.0)
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            student.vector()
-            state = state.detach()
+def descend(student: Student, optimizer: Any, data: Any, window: int, slope: float) -> None:
+    """Pass over episodes once, with a step of Adam for each window of them.
+
+    ``data`` holds observations (E, T, inputs), the law's outputs (E, T, outputs) and weights (E, T, 1).
+    """
+    state = None
+    for parts in zip(*(array.split(window, dim=1) for array in data), strict=True):
+        seen, asked, weight = parts
+        z, state = student.outputs(seen, state, slope)
+        optimizer.zero_grad()
+        ((weight * (z - asked) ** 2).sum() / weight.sum().clamp(min=1.0)).backward()
+        optimizer.step()
+        student.vector()
+        state = state.detach()
 
 
-def joined(data: list[Episodes]) -> Episodes:
-    """Return all episodes as one, the shorter ones filled up with ticks that do not count."""
-    ticks = max(part.seen.shape[1] for part in data)
+class CarLesson:
+    """Mountain car: episodes, and returns, of an agent."""
 
-    def filled(values: Vector) -> Vector:
-        missing = ticks - values.shape[1]
-        return np.pad(values, [(0, 0), (0, missing), *[(0, 0)] * (values.ndim - 2)])
+    _GAIN, _TICKS = 12.0, 400
+    _JUDGED, _ROLLOUTS = 20, 4
 
-    columns = zip(*(part[:3] for part in data), strict=True)
-    arrays = (np.concatenate([filled(values) for values in column]) for column in columns)
-    return Episodes(*arrays, sum(part.steps for part in data))
+    def __init__(self, task: Benchmark, agent: Policy | Net, seed: int) -> None:
+        self._task, self._seed, self._judgements = task, seed, 0
+        self._commander, self._shape = commander_for(agent)
+        self._evaluator = Evaluator(task, agent)
+        self.start = untuned(agent, search_generator(seed), 1)[0]
 
+    @property
+    def steps(self) -> int:
+        """Of the environment so far."""
+        return self._evaluator.steps
 
-def _scale(task: Task) -> Vector:
-    """Return the largest size of each output (outputs,)."""
-    net = net_for(task.policy(task.circuit()), NetKind.MLP)
-    return np.maximum(np.array(net.high), -np.array(net.low))
-
-
-def _car_lesson(task: Benchmark, agent: Policy | Net, seed: int) -> Lesson:
-    evaluator = Evaluator(task, agent)
-    commander, (inputs, outputs) = commander_for(agent)
-
-    def collect(number: int, vector: Vector | None) -> Episodes:
+    def collect(self, number: int, vector: Vector | None) -> tuple[Vector, Vector, Vector]:
+        """Return the data of a round, driven by parameters (P,) or by the law."""
         count = CLONING["episodes"]
-        plants, pool = make_plants(task, count)
-        arrays = commander.allocate(count)
-        for lane, start in enumerate(first_states(task, draw_seeds(seed, (_EPISODES, number), count))):
-            if vector is not None:
-                commander.start_lane(arrays, lane, vector)
+        plants, pool = make_plants(self._task, count)
+        arrays = self._commander.allocate(count)
+        seeds = draw_seeds(self._seed, (_EPISODES, number), count)
+        for lane, start in enumerate(first_states(self._task, seeds)):
             reset_plant(plants, lane, start)
+            if vector is not None:
+                self._commander.start_lane(arrays, lane, vector)
         running, totals = np.ones(count, np.bool_), np.zeros(count)
-        seen, commands = np.zeros((inputs, count)), np.zeros((outputs, count))
-        rows, counts = [], []
-        while running.any() and len(rows) < _TICKS:
-            observe_lanes(plants, seen)
-            rows.append(seen.T.copy())
-            counts.append(running.astype(np.float64))
-            if vector is None:
-                commands[:] = np.clip(_GAIN * seen[1:], -1.0, 1.0)
-            else:
-                commander.tick_lanes(arrays, seen, commands)
+        now, commands = (np.zeros((rows, count)) for rows in self._shape)
+        seen, weight = np.zeros((count, self._TICKS, len(now))), np.zeros((count, self._TICKS, 1))
+        for tick in range(self._TICKS):
+            observe_lanes(plants, now)
+            seen[:, tick], weight[:, tick, 0] = now.T, running
+            commands[:] = np.clip(self._GAIN * now[1:], -1.0, 1.0)
+            if vector is not None:
+                self._commander.tick_lanes(arrays, now, commands)
             step_lanes(plants, commands, running, totals)
-        del pool
-        shown, ran = np.array(rows).transpose(1, 0, 2), np.array(counts).T
-        return Episodes(shown, np.clip(_GAIN * shown[:, :, 1:], -1.0, 1.0), ran, int(ran.sum()))
+        del pool  # kept alive until here: it owns MuJoCo's memory
+        self._evaluator.steps += int(weight.sum())
+        return seen, np.clip(self._GAIN * seen[:, :, 1:], -1.0, 1.0), weight
 
-    def judge(number: int, vector: Vector) -> float:
-        seeds = draw_seeds(seed, (_RETURNS, number % 2**32), _RETURN_EPISODES)
-        value = float(evaluator.returns(vector[None], seeds).mean())
-        return value if value < task.enough else confirmed(evaluator, vector, seed, number % 2**32)
+    def judge(self, vector: Vector) -> float:
+        """Return a return of parameters (P,), confirmed if it is enough."""
+        self._judgements += 1
+        seeds = draw_seeds(self._seed, (_RETURNS, self._judgements), self._JUDGED)
+        value = float(self._evaluator.returns(vector[None], seeds).mean())
+        return (
+            value
+            if value < self._task.enough
+            else confirmed(self._evaluator, vector, self._seed, self._judgements)
+        )
 
-    def values(number: int, vectors: Vector) -> Vector:
-        seeds = draw_seeds(seed, (_EVOLUTION, number), _ROLLOUTS)
-        means: Vector = evaluator.returns(vectors, seeds).mean(axis=1)
+    def returns(self, vectors: Vector, generation: int) -> Vector:
+        """Return what the evolution climbs, (k,) of candidates (k, P)."""
+        seeds = draw_seeds(self._seed, (_EVOLUTION, generation), self._ROLLOUTS)
+        means: Vector = self._evaluator.returns(vectors, seeds).mean(axis=1)
         return means
 
-    return Lesson(untuned(agent, search_generator(seed), 1)[0], collect, judge, values, evaluator)
 
+class ParkingLesson:
+    """The parking course: episodes, and returns, of an agent."""
 
-def _parking_lesson(task: Task, agent: Policy | Net, seed: int) -> Lesson:
-    evaluator, course = ParkingEvaluator(task, agent), load_course("parking")
-    reference, model, law = plan_reference(course), default_rover(), LAWS["kanayama"]
-    untuned = task.policy(task.circuit())
-    limits = _scale(task)
-    following = course_policy(tap_withdrawal_circuit())
-    following = replace(following, motors=following.motors.model_copy(update={"limits": tuple(limits)}))
-    own, theirs = RoverInterface(untuned), RoverInterface(following)
-    teacher = CommanderRunner(law_commander(law, following), np.array(law.tuned))
-    commander, _ = commander_for(agent)
+    _LAW, _GAINS = LAWS["kanayama"], np.array([0.5, 8.0, 4.0, 0.0, 0.0])
+    """Softer than the tuned gains, whose commands saturate."""
+    _STARTS = Randomization(name="starts", start_m=0.03, start_rad=0.06)
 
-    def collect(number: int, vector: Vector | None) -> Episodes:
-        trials = draw_trials(
-            load_randomization("mild"),
-            model,
-            seed,
-            count=CLONING["episodes"],
-            ticks=course.ticks,
-            first=number * CLONING["episodes"],
+    def __init__(self, task: Task, agent: Policy | Net, seed: int) -> None:
+        self._task, self._seed, self._course = task, seed, load_course("parking")
+        self._evaluator, self._policy = ParkingEvaluator(task, agent), task.policy(task.circuit())
+        self._limits = np.array(net_for(self._policy, NetKind.MLP).high)
+        following = course_policy(tap_withdrawal_circuit())
+        motors = following.motors.model_copy(update={"limits": tuple(self._limits)})
+        self._following, self._reference = replace(following, motors=motors), plan_reference(self._course)
+        self._commander, _ = commander_for(agent)
+        drawn = search_generator(seed)
+        self.start = agent.parameters() if isinstance(agent, Policy) else agent.start(drawn)
+
+    @property
+    def steps(self) -> int:
+        """Of the environment so far."""
+        return self._evaluator.steps
+
+    def collect(self, number: int, vector: Vector | None) -> tuple[Vector, Vector, Vector]:
+        """Return the data of a round, driven by parameters (P,) or by the law."""
+        course, model, count = self._course, default_rover(), CLONING["episodes"]
+        options = {"count": count, "ticks": course.ticks, "first": number * count}
+        trials = draw_trials(self._STARTS, model, self._seed, **options)
+        runner, policy = (
+            CommanderRunner(self._commander, vector) if vector is not None else None,
+            self._policy,
         )
-        runner = teacher if vector is None else CommanderRunner(commander, vector)
+        if runner is None:
+            policy = self._following
+            runner = CommanderRunner(law_commander(self._LAW, policy), self._GAINS)
+        own, theirs = RoverInterface(self._policy), RoverInterface(self._following)
         seen, asked = [], []
-        for row in range(-1, CLONING["episodes"] - 1):
+        for row in range(count):
             runner.reset()
-            given: dict[str, Any] = {} if row < 0 else {"trials": trials, "row": row}
-            driven = rollout(following if vector is None else untuned, course, model, runner=runner, **given)
-            poses = [Pose(*pose) for pose in driven.seen]
+            disturbed: dict[str, Any] = {"trials": trials, "row": row} if row else {}
+            poses = [
+                Pose(*pose)
+                for pose in rollout(policy, course, model, runner=runner, **disturbed).seen.tolist()
+            ]
             signals = [course.start_signal(TICK_S * tick) for tick in range(course.ticks)]
-            ticks = zip(poses, signals, strict=True)
             # The first tick is the circuit's warm-up.
-            seen.append([own.observe(poses[0], 0.0, None), *(own.observe(*tick, None) for tick in ticks)])
-            asked.append(
-                [
-                    law_command(
-                        law.number,
-                        np.array(law.tuned),
-                        np.array(theirs.observe(pose, 0.0, reference.tick(k))),
-                    )
-                    for k, pose in enumerate(poses)
-                ]
-            )
-        wanted = np.clip(np.array(asked), [0.0, -limits[1]], limits)
-        wanted = np.concatenate([wanted[:, :1], wanted], axis=1)
-        counts = np.ones(wanted.shape[:2])
-        counts[:, 0] = 0.0
-        return Episodes(np.array(seen), wanted, counts, len(asked) * course.ticks)
+            ticks = zip([poses[0], *poses], [0.0, *signals], strict=True)
+            seen.append([own.observe(pose, signal, None) for pose, signal in ticks])
+            shown = (theirs.observe(pose, 0.0, self._reference.tick(k)) for k, pose in enumerate(poses))
+            commands = [law_command(self._LAW.number, self._GAINS, np.array(signals)) for signals in shown]
+            asked.append([commands[0], *commands])
+        self._evaluator.steps += count * course.ticks
+        weight = np.ones((count, course.ticks + 1, 1))
+        weight[:, 0] = 0.0
+        return np.array(seen), np.clip(np.array(asked) / self._limits, [0.0, -1.0], 1.0), weight
 
-    def judge(number: int, vector: Vector) -> float:
-        evaluator.steps += course.ticks
-        total, parked = evaluator.outcome(vector)
-        return total if parked else min(total, task.success - 1.0)
+    def judge(self, vector: Vector) -> float:
+        """Return the return of parameters (P,), less 1 if they do not park."""
+        self._evaluator.steps += self._course.ticks
+        total, parked = self._evaluator.outcome(vector)
+        return total if parked else total - 1.0
 
-    def values(number: int, vectors: Vector) -> Vector:
-        return evaluator.traces(vectors)[1]
-
-    start = agent.parameters() if isinstance(agent, Policy) else agent.start(search_generator(seed))
-    return Lesson(start, collect, judge, values, evaluator)
+    def returns(self, vectors: Vector, generation: int) -> Vector:
+        """Return what the evolution climbs, (k,) of candidates (k, P)."""
+        return self._evaluator.traces(vectors)[1]

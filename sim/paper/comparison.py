@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.core.errors import UsageError
-from sim.paper.agents import AGENTS
+from sim.paper.agents import AGENTS, CLONED
 from sim.paper.results import ResultStore
 from sim.paper.tables import LEVEL, markdown, mean_text
 from sim.paper.tasks import TASKS
 
-OTHERS = AGENTS[1:]
+OTHERS = tuple(agent for agent in AGENTS[1:] if agent not in CLONED)
 _RESAMPLES = 9999
 _SEED = 20
 """A table is the same each time."""

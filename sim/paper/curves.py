@@ -7,7 +7,7 @@ import numpy as np
 
 from sim.learn.curve import png_of
 from sim.paper import FAITHFUL, BudgetName
-from sim.paper.agents import AGENTS
+from sim.paper.agents import GRADIENTS, PAPERS
 from sim.paper.results import Result, ResultStore
 from sim.paper.tasks import TASKS, Task
 
@@ -16,7 +16,8 @@ _WIDE = 100.0
 """Span of an axis that needs no labels between the powers of ten."""
 _PARKING_RETURNS = (-6.0, 0.3)
 """Returns shown for parking; agents with a lower one do not drive to the goal."""
-_COLORS = dict(zip(AGENTS, ("tab:blue", "tab:orange", "tab:green", "tab:red", "0.4", "0.7"), strict=True))
+_AGENTS = (*PAPERS, *GRADIENTS)
+_COLORS = dict(zip(_AGENTS, ("tab:blue", "tab:orange", "tab:green", "tab:red", "0.4", "0.7"), strict=True))
 _KINDS = ("mean and deviation", "median and middle half")
 _TASKS_IN_ROW = 2
 
@@ -25,8 +26,8 @@ def curves_png(store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> b
     """Return the learning curves of all runs of a budget as PNG. Raises FileError."""
     from matplotlib.figure import Figure
 
-    found = {(task, agent): _results(store, task, agent, budget) for task in TASKS for agent in AGENTS}
-    tasks = [task for name, task in TASKS.items() if any(found[name, agent] for agent in AGENTS)]
+    found = {(task, agent): _results(store, task, agent, budget) for task in TASKS for agent in _AGENTS}
+    tasks = [task for name, task in TASKS.items() if any(found[name, agent] for agent in _AGENTS)]
     columns = len(_KINDS) * min(max(len(tasks), 1), _TASKS_IN_ROW)
     rows = max(-(-len(tasks) // _TASKS_IN_ROW), 1)
     figure = Figure(figsize=(3.4 * columns, 2.6 * rows), dpi=100, layout="constrained")
@@ -35,7 +36,7 @@ def curves_png(store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> b
     for number, task in enumerate(tasks):
         pair = panels[len(_KINDS) * number : len(_KINDS) * (number + 1)]
         for axes, kind in zip(pair, _KINDS, strict=True):
-            for agent in AGENTS:
+            for agent in _AGENTS:
                 if results := found[task.name, agent]:
                     _draw(axes, results, agent, kind)
             _finish(axes, task, kind)

@@ -156,7 +156,7 @@ def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, None, int, di
     return Found(actor.vector(), 0, (), "steps"), None, steps, settings
 
 
-def _clone(task: Task, name: RunName, limits: Budget) -> tuple[Found, Policy | Net, int, dict[str, Any]]:
+def _clone(task: Task, name: RunName) -> tuple[Found, Policy | Net, int, dict[str, Any]]:
     from sim.paper.cloning import clone  # an extra that other agents do without
 
     if name.budget in FAITHFUL:

@@ -14,7 +14,7 @@ from sim.paper.tasks import TASKS, Benchmark, find_task
 
 _GRADIENT_TASKS = ("pendulum", "roboschool", "mountain-car")
 """The tasks of the paper's table of reinforcement learning."""
-_LIQUID_TASKS = ("mountain-car", "parking")
+LIQUID_TASKS = ("mountain-car", "parking")
 """The tasks on which what has come since is compared."""
 _OWN_RUNS = 5
 """Runs of a circuit of the user's own."""
@@ -53,8 +53,8 @@ def _own(budget: BudgetName) -> Iterator[Group]:
         yield Group(task, "lstm", 5, budget)
         if task in _GRADIENT_TASKS:
             yield from (Group(task, agent, 5, budget) for agent in GRADIENTS)
-        if task in _LIQUID_TASKS:
-            yield from (Group(task, agent, 10, budget) for agent in (*LIQUID, *CLONED))
+        if task in LIQUID_TASKS:
+            yield from (Group(task, agent, 5, budget) for agent in (*LIQUID, *CLONED))
 
 
 def _faithful(budget: BudgetName) -> Iterator[Group]:
@@ -126,8 +126,8 @@ def select(
 ) -> list[RunName]:
     """Return the selected runs of a budget, circuits first: of the grid, or of any seeds given.
 
-    Without ``agents``, those that need torch are left out. Raises UsageError for an unknown task or agent, and where
-    nothing is left.
+    Without ``agents``, those that need torch are left out. Raises UsageError for an unknown task or agent,
+    and where nothing is left.
     """
     for task in tasks or ():
         find_task(task)

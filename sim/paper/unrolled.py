@@ -2,13 +2,13 @@
 own modules, the circuit's solver is written out.
 
     student = student_of(agent, vector)
-    z, state = student.outputs(seen, state)    # (B, T, inputs) to (B, T, outputs)
+    z, state = student.outputs(seen, state, 0.05)    # (B, T, inputs) to (B, T, outputs)
     loss(z).backward()
     ...
     student.vector()                           # (P,), within its bounds
 
-Outputs are parts of their ranges, without the ends that stop a gradient: those of a network go on, those of
-a motor neuron go on with a small slope. Numbers are float64, as in the kernels.
+Outputs are parts of their ranges, without the ends that stop a gradient: those of a network go on; those of a
+motor neuron go on with the slope given, where the solver's is 0. Numbers are float64, as in the kernels.
 """
 
 from collections.abc import Callable
@@ -27,16 +27,14 @@ from sim.learn.networks import Net, NetKind
 from sim.learn.search.base import Vector
 from sim.learn.search.unit_box import FACTORS, UnitBox
 
-_BEYOND = 0.05
-"""Slope of a motor neuron's output beyond its range; the solver's is 0."""
-
 
 class Student(NamedTuple):
     """An agent that a gradient trains."""
 
     parameters: list[Any]
-    outputs: Callable[[Any, Any], tuple[Any, Any]]
-    """Observations (B, T, inputs) and the state, None at first, to outputs (B, T, outputs) and the state."""
+    outputs: Callable[[Any, Any, float], tuple[Any, Any]]
+    """Observations (B, T, inputs), the state, None at first, and a slope to outputs (B, T, outputs) and the
+    state."""
     vector: Callable[[], Vector]
     """Move the parameters into their bounds; return them (P,)."""
 
@@ -64,7 +62,7 @@ def _network(net: Net, vector: Vector) -> Student:
     center, scale, most = (torch.from_numpy(np.array(each)) for each in (net.center, net.scale, net.most))
     lower, upper = net.layout().lower, net.layout().upper
 
-    def outputs(seen: Any, state: Any) -> tuple[Any, Any]:
+    def outputs(seen: Any, state: Any, slope: float) -> tuple[Any, Any]:
         if state is None:
             state = torch.zeros(len(seen), net.cells, dtype=torch.float64)
         part = torch.minimum(torch.maximum((seen - center) / scale, -most), most)
@@ -105,7 +103,7 @@ def _circuit(policy: Policy, vector: Vector) -> Student:
         read[row, channel] = end / np.abs(motors.end[motors.channel == channel]).max()
     span = policy.motors.high_mV - policy.motors.low_mV
 
-    def outputs(seen: Any, state: Any) -> tuple[Any, Any]:
+    def outputs(seen: Any, state: Any, slope: float) -> tuple[Any, Any]:
         vector = values()
         part = {block.kind: vector[block.slice] for block in layout.blocks}
         sigma = torch.zeros(circuit.synapse_count, dtype=torch.float64)
@@ -126,7 +124,7 @@ def _circuit(policy: Policy, vector: Vector) -> Student:
                 state = (current / (rate + leak + gate @ into)).index_copy(1, sensory, driven[:, tick])
             fraction = (state[:, motors.neuron] - policy.motors.low_mV) / span
             inside = fraction.clamp(0.0, 1.0)
-            shown.append((inside + _BEYOND * (fraction - inside)) @ read)
+            shown.append((inside + slope * (fraction - inside)) @ read)
         return torch.stack(shown, dim=1), state
 
     def bounded() -> Vector:

@@ -1,0 +1,67 @@
+"""What has come since the paper: gradients through the solver beside the search: circuit, CfC and LTC."""
+
+from collections.abc import Iterator, Sequence
+from statistics import median
+
+import numpy as np
+
+from sim.paper.agents import CLONED, UNCLONED
+from sim.paper.claims import Claim, Finding
+from sim.paper.comparison import measure
+from sim.paper.results import Result, ResultStore
+from sim.paper.selection import LIQUID_TASKS
+from sim.paper.tables import LEVEL, mean_text
+from sim.paper.tasks import TASKS
+
+_SOURCE = "since the paper"
+
+
+def steps_to_success(result: Result) -> int:
+    """Return the steps after which a run's estimate passes its task's threshold, or all of its steps."""
+    enough = TASKS[result.name.task].success
+    return next((steps for steps, value in result.curve if value >= enough), result.steps)
+
+
+def successor_claims(store: ResultStore) -> Iterator[Claim]:
+    """Yield, for each agent and task, whether the gradient is faster than the search, and how both end."""
+    for task in LIQUID_TASKS:
+        for agent, cloned in zip(UNCLONED, CLONED, strict=True):
+            runs = store.results(task, agent), store.results(task, cloned)
+            claim = f"{TASKS[task].title}, {agent}: the gradient succeeds after fewer steps than the search"
+            command = f"rover-ncp paper run --task {task} --agent {cloned}"
+            name = f"gradient-{agent}-{task}"
+            if min(map(len, runs)) < 2:
+                figure, why = f"{len(runs[1])} runs came to their end", "the command makes the runs"
+                yield Claim(name, claim, _SOURCE, Finding.NOT_TESTED, figure, command, why)
+                continue
+            figure, faster = _beside(*runs)
+            verdict = Finding.REPRODUCED if faster else Finding.NOT_REPRODUCED
+            yield Claim(name, claim, _SOURCE, verdict, figure, command)
+    for agent in UNCLONED[1:]:
+        yield Claim(
+            f"robust-{agent}",
+            f"Parking on random robots and courses: the circuit is on par with {agent} or better",
+            _SOURCE,
+            Finding.NOT_TESTED,
+            "0 trainings on random robots",
+            f"rover-ncp eval {agent}.json --randomize full --trials 1000 --seed 31415",
+            f"python -m sim.studies.compare {agent} --rollouts 104 makes the file, in hours of a core",
+        )
+
+
+def _beside(searched: Sequence[Result], cloned: Sequence[Result]) -> tuple[str, bool]:
+    """Return the figures of runs by search and by gradient, and whether the gradient is faster."""
+    steps = [np.array([steps_to_success(run) for run in runs], np.float64) for runs in (cloned, searched)]
+    ends = [np.array([run.mean for run in runs]) for runs in (cloned, searched)]
+    speed, end = measure(*steps), measure(*ends)
+    sizes = len(cloned), len(searched)
+    alone, after = (median(run.settings[key] for run in cloned) for key in ("cloned", "cloned_steps"))
+    means = " against ".join(mean_text(float(values.mean())) for values in ends)
+    parts = (
+        f"steps to success {median(steps[0]):,.0f} against {median(steps[1]):,.0f} (medians)",
+        f"permutation test, n = {sizes[0]} and {sizes[1]}, p = {speed.p:.2g}",
+        f"the clones alone reach {mean_text(alone)} after {after:,.0f} steps (medians)",
+        f"{sum(run.success for run in cloned)} and {sum(run.success for run in searched)} runs succeed",
+        f"ends: {means}, {end.sentence(*sizes)}",
+    )
+    return "; ".join(parts), bool(speed.p < LEVEL and speed.difference < 0.0)

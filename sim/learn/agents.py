@@ -141,8 +141,11 @@ class Team:
         stream = self._streams[len(runners)]
         ends, in_time = time.thread_time() + seconds, True
         while True:
-            furthest = min(runner.search.iterations for runner in runners) + _MOST_AHEAD
-            for index, runner in enumerate(runners):
+            # The slowest first: while it waits for lanes, the others come to wait for it.
+            slowest_first = sorted(range(len(runners)), key=lambda index: runners[index].search.iterations)
+            furthest = runners[slowest_first[0]].search.iterations + _MOST_AHEAD
+            for index in slowest_first:
+                runner = runners[index]
                 if in_time and runner.targets and not runner.waits and runner.search.iterations <= furthest:
                     runner.submit(stream, index)
             answers = stream.collect()

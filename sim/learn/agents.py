@@ -141,7 +141,7 @@ class Team:
         stream = self._streams[len(runners)]
         ends, in_time = time.thread_time() + seconds, True
         while True:
-            # The slowest first: while it waits for lanes, the others come to wait for it.
+            # The slowest first: agents far ahead wait for it, and leave lanes idle.
             slowest_first = sorted(range(len(runners)), key=lambda index: runners[index].search.iterations)
             furthest = runners[slowest_first[0]].search.iterations + _MOST_AHEAD
             for index in slowest_first:

@@ -67,13 +67,13 @@ def clone(task: Task, agent: Policy | Net, seed: int, *, quick: bool) -> tuple[F
     student = student_of(agent, lesson.start)
     optimizer = torch.optim.Adam(student.parameters, lr=settings["learning_rate"])
     best, value = lesson.start, lesson.judge(lesson.start)
-    curve, data, rounds, generations = [(lesson.steps, value)], [], 0, 0
+    curve, data, rounds, generations = [(lesson.evaluator.steps, value)], [], 0, 0
 
     def judge(vector: Vector) -> None:
         nonlocal best, value
         if (found := lesson.judge(vector)) > value:
             best, value = vector, found
-            curve.append((lesson.steps, value))
+            curve.append((lesson.evaluator.steps, value))
 
     while rounds < settings["rounds"] and value < task.enough:
         data.append(lesson.collect(rounds, student.vector() if rounds else None))
@@ -83,7 +83,7 @@ def clone(task: Task, agent: Policy | Net, seed: int, *, quick: bool) -> tuple[F
             descend(student, optimizer, arrays, settings["window"], slope)
         judge(student.vector())
         rounds += 1
-    settings |= {"cloned_steps": lesson.steps, "cloned": value}
+    settings |= {"cloned_steps": lesson.evaluator.steps, "cloned": value}
     search = Search(
         agent, best, int(draw_seeds(seed, (_EVOLUTION,), 1)[0]), settings=settings, separable=False
     )
@@ -94,7 +94,7 @@ def clone(task: Task, agent: Policy | Net, seed: int, *, quick: bool) -> tuple[F
             judge(search.mean)
     evaluations = rounds + generations * settings["population"]
     ended = "enough" if value >= task.enough else "evaluations"
-    return Found(best, evaluations, tuple(curve), ended), lesson.steps, settings
+    return Found(best, evaluations, tuple(curve), ended), lesson.evaluator.steps, settings
 
 
 def descend(student: Student, optimizer: Any, data: Any, window: int, slope: float) -> None:
@@ -122,13 +122,8 @@ class CarLesson:
     def __init__(self, task: Benchmark, agent: Policy | Net, seed: int) -> None:
         self._task, self._seed, self._judgements = task, seed, 0
         self._commander, self._shape = commander_for(agent)
-        self._evaluator = Evaluator(task, agent)
+        self.evaluator = Evaluator(task, agent)
         self.start = untuned(agent, search_generator(seed), 1)[0]
-
-    @property
-    def steps(self) -> int:
-        """Of the environment so far."""
-        return self._evaluator.steps
 
     def collect(self, number: int, vector: Vector | None) -> tuple[Vector, Vector, Vector]:
         """Return the data of a round, driven by parameters (P,) or by the law."""
@@ -151,24 +146,22 @@ class CarLesson:
                 self._commander.tick_lanes(arrays, now, commands)
             step_lanes(plants, commands, running, totals)
         del pool  # kept alive until here: it owns MuJoCo's memory
-        self._evaluator.steps += int(weight.sum())
+        self.evaluator.steps += int(weight.sum())
         return seen, np.clip(self._GAIN * seen[:, :, 1:], -1.0, 1.0), weight
 
     def judge(self, vector: Vector) -> float:
         """Return a return of parameters (P,), confirmed if it is enough."""
         self._judgements += 1
         seeds = draw_seeds(self._seed, (_RETURNS, self._judgements), self._JUDGED)
-        value = float(self._evaluator.returns(vector[None], seeds).mean())
-        return (
-            value
-            if value < self._task.enough
-            else confirmed(self._evaluator, vector, self._seed, self._judgements)
-        )
+        value = float(self.evaluator.returns(vector[None], seeds).mean())
+        if value < self._task.enough:
+            return value
+        return confirmed(self.evaluator, vector, self._seed, self._judgements)
 
     def returns(self, vectors: Vector, generation: int) -> Vector:
         """Return what the evolution climbs, (k,) of candidates (k, P)."""
         seeds = draw_seeds(self._seed, (_EVOLUTION, generation), self._ROLLOUTS)
-        means: Vector = self._evaluator.returns(vectors, seeds).mean(axis=1)
+        means: Vector = self.evaluator.returns(vectors, seeds).mean(axis=1)
         return means
 
 
@@ -181,7 +174,7 @@ class ParkingLesson:
 
     def __init__(self, task: Task, agent: Policy | Net, seed: int) -> None:
         self._task, self._seed, self._course = task, seed, load_course("parking")
-        self._evaluator, self._policy = ParkingEvaluator(task, agent), task.policy(task.circuit())
+        self.evaluator, self._policy = ParkingEvaluator(task, agent), task.policy(task.circuit())
         self._limits = np.array(net_for(self._policy, NetKind.MLP).high)
         following = course_policy(tap_withdrawal_circuit())
         motors = following.motors.model_copy(update={"limits": tuple(self._limits)})
@@ -190,32 +183,23 @@ class ParkingLesson:
         drawn = search_generator(seed)
         self.start = agent.parameters() if isinstance(agent, Policy) else agent.start(drawn)
 
-    @property
-    def steps(self) -> int:
-        """Of the environment so far."""
-        return self._evaluator.steps
-
     def collect(self, number: int, vector: Vector | None) -> tuple[Vector, Vector, Vector]:
         """Return the data of a round, driven by parameters (P,) or by the law."""
         course, model, count = self._course, default_rover(), CLONING["episodes"]
         options = {"count": count, "ticks": course.ticks, "first": number * count}
         trials = draw_trials(self._STARTS, model, self._seed, **options)
-        runner, policy = (
-            CommanderRunner(self._commander, vector) if vector is not None else None,
-            self._policy,
-        )
-        if runner is None:
-            policy = self._following
-            runner = CommanderRunner(law_commander(self._LAW, policy), self._GAINS)
+        if vector is None:
+            policy, commander = self._following, law_commander(self._LAW, self._following)
+        else:
+            policy, commander = self._policy, self._commander
+        runner = CommanderRunner(commander, self._GAINS if vector is None else vector)
         own, theirs = RoverInterface(self._policy), RoverInterface(self._following)
         seen, asked = [], []
         for row in range(count):
             runner.reset()
             disturbed: dict[str, Any] = {"trials": trials, "row": row} if row else {}
-            poses = [
-                Pose(*pose)
-                for pose in rollout(policy, course, model, runner=runner, **disturbed).seen.tolist()
-            ]
+            driven = rollout(policy, course, model, runner=runner, **disturbed)
+            poses = [Pose(*pose) for pose in driven.seen.tolist()]
             signals = [course.start_signal(TICK_S * tick) for tick in range(course.ticks)]
             # The first tick is the circuit's warm-up.
             ticks = zip([poses[0], *poses], [0.0, *signals], strict=True)
@@ -223,17 +207,17 @@ class ParkingLesson:
             shown = (theirs.observe(pose, 0.0, self._reference.tick(k)) for k, pose in enumerate(poses))
             commands = [law_command(self._LAW.number, self._GAINS, np.array(signals)) for signals in shown]
             asked.append([commands[0], *commands])
-        self._evaluator.steps += count * course.ticks
+        self.evaluator.steps += count * course.ticks
         weight = np.ones((count, course.ticks + 1, 1))
         weight[:, 0] = 0.0
         return np.array(seen), np.clip(np.array(asked) / self._limits, [0.0, -1.0], 1.0), weight
 
     def judge(self, vector: Vector) -> float:
         """Return the return of parameters (P,), less 1 if they do not park."""
-        self._evaluator.steps += self._course.ticks
-        total, parked = self._evaluator.outcome(vector)
+        self.evaluator.steps += self._course.ticks
+        total, parked = self.evaluator.outcome(vector)
         return total if parked else total - 1.0
 
     def returns(self, vectors: Vector, generation: int) -> Vector:
         """Return what the evolution climbs, (k,) of candidates (k, P)."""
-        return self._evaluator.traces(vectors)[1]
+        return self.evaluator.traces(vectors)[1]

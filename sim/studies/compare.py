@@ -7,7 +7,9 @@ prints one JSON object: what the search found, and how that does on trials that 
 circuit         the tap-withdrawal circuit with course-relative sensing, from its hand-set start
 kanayama, pure-pursuit, smooth
                 a classical law (``laws.py``), from gains set by hand
-mlp, lstm       networks of as many cells, or (lstm-small) of about as many numbers
+mlp, lstm       networks of as many cells
+lstm-small, cfc, ltc
+                networks of about as many numbers
 random-N        the circuit number N of random wiring, of as many neurons and synapses
 absolute        the paper's sensing with ranges in which a rover that starts elsewhere still moves; it knows
                 one course, so it is trained on that alone, from the policy that parks undisturbed

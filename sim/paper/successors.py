@@ -14,6 +14,8 @@ from sim.paper.tables import LEVEL, mean_text
 from sim.paper.tasks import TASKS
 
 _SOURCE = "since the paper"
+_ENOUGH_RUNS = 4
+"""With fewer of each, no permutation test finds anything."""
 
 
 def steps_to_success(result: Result) -> int:
@@ -30,8 +32,9 @@ def successor_claims(store: ResultStore) -> Iterator[Claim]:
             claim = f"{TASKS[task].title}, {agent}: the gradient succeeds after fewer steps than the search"
             command = f"rover-ncp paper run --task {task} --agent {cloned}"
             name = f"gradient-{agent}-{task}"
-            if min(map(len, runs)) < 2:
-                figure, why = f"{len(runs[1])} runs came to their end", "the command makes the runs"
+            if min(map(len, runs)) < _ENOUGH_RUNS:
+                figure = f"{len(runs[1])} runs by gradient and {len(runs[0])} by search came to their end"
+                why = f"{_ENOUGH_RUNS} of each are needed, and the command makes those by gradient"
                 yield Claim(name, claim, _SOURCE, Finding.NOT_TESTED, figure, command, why)
                 continue
             figure, faster = _beside(*runs)

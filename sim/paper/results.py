@@ -126,7 +126,7 @@ class ResultStore:
         paths: dict[str, Path] = {}
         for folder in (self.shipped, self.own):
             if folder is not None:
-                files = (_column(folder, budget) / task).glob(f"{agent}-*.json")
+                files = (_column(folder, budget) / task).glob(f"{agent}-[0-9]*.json")
                 paths |= {path.name: path for path in files}
         found = [load_result(paths[name]) for name in sorted(paths)]
         return [result for result in found if result.ended.startswith(STOPPED) is stopped]

@@ -52,6 +52,14 @@ def test_few_runs_are_no_verdict_but_show_what_was_stopped(tmp_path):
     assert found["published-mountain-car"].figure == "0 runs came to their end"
 
 
+def test_runs_of_an_agent_are_not_those_of_a_longer_name(tmp_path):
+    store = ResultStore(tmp_path, None)
+    run = ResultStore(Path("nowhere")).results("mountain-car", "cfc")[0]
+    for agent in ("cfc", "cfc-cloned"):
+        store.save(run.model_copy(update={"name": run.name.model_copy(update={"agent": agent})}))
+    assert [len(store.results("mountain-car", agent)) for agent in ("cfc", "cfc-cloned")] == [1, 1]
+
+
 def test_every_table_of_the_paper_and_every_supplement_table_is_in_the_list(claims):
     sources = " ".join(claim.source for claim in claims)
     for number in ("Table I", "Table II", "Table III", "Table IV", *(f"S{n}" for n in range(1, 8))):

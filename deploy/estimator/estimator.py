@@ -12,6 +12,7 @@ One extended Kalman filter: `motion` is its model, `history` applies the measure
 
 import copy
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -37,6 +38,10 @@ from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 
 GYRO_GAP_S = 0.25
 """After a longer gap, a gyro gives no turn for the time of the gap."""
+LATE, EARLY = 1.5, 0.5
+"""Odometry may be late after a gap of more than so many usual ones, and the next with it after less than so
+many."""
+USUAL_GAPS = 9
 
 
 @dataclass(frozen=True)
@@ -80,13 +85,38 @@ class _Gyro:
         return self._rad + self._rate * (t - self._t)
 
 
+class _Due:
+    """When odometry was due that came after a gap.
+
+    A bridge or a network that stops for a moment passes on several samples at once, stamped with the moment
+    of their arrival.
+    """
+
+    def __init__(self) -> None:
+        self._gaps: deque[float] = deque(maxlen=USUAL_GAPS)
+        self._t = self._due = math.nan
+
+    def of(self, t: float) -> float:
+        """Return the latest moment at which the sample of stamp ``t`` was due if none was lost.
+
+        This is ``t`` unless the sample came after a gap, or right behind one that did.
+        """
+        gap, late = t - self._t, self._due < self._t
+        usual = sorted(self._gaps)[USUAL_GAPS // 2] if len(self._gaps) == USUAL_GAPS else math.inf
+        if not math.isnan(gap):
+            self._gaps.append(gap)
+        waited = gap > LATE * usual or (late and 0.0 <= gap < EARLY * usual)
+        self._t, self._due = t, min(t, self._due + usual) if waited else t
+        return self._due
+
+
 class Estimator:
     """The filter with its faults. Times are seconds on one clock, any zero."""
 
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
         self._settings = settings or EstimatorSettings()
         self._started: History | None = None
-        self._gyro = _Gyro()
+        self._gyro, self._due = _Gyro(), _Due()
         self._angle = math.nan
         """The gyro's at the newest odometry."""
         self.rejected = 0
@@ -123,6 +153,9 @@ class Estimator:
         if not (np.isfinite(z).all() and math.isfinite(t)):
             outcome = Outcome.NOT_FINITE
         else:
+            due = self._due.of(t)
+            if due < t and self._history.misfit(z, due) < self._history.misfit(z, t):
+                t = due
             angle = self._gyro.angle(t)
             outcome, waited = self._history.odometry(z, angle - self._angle, t)
             if math.isnan(angle):  # also if this sample is refused: the next is not to be compared across
@@ -178,6 +211,7 @@ class Estimator:
         has one, and without external poses; changes nothing.
         """
         ahead = copy.deepcopy(self)
+        ahead._due = _Due()
         x, _ = self._history.at(self._history.t)
         own_path = compose(Pose(*x[OWN].tolist()), inverse(path[0]))
         t = self._history.t

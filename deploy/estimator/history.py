@@ -122,14 +122,9 @@ class History:
         """Apply odometry; return its outcome and those of the poses that waited for it."""
         if t < self.t:
             return Outcome.OUT_OF_ORDER, []
-        self._apply_again(len(self._entries))
-        stood = self._stands(z)
-        self._predict(self._entries[-1], t, stood)
-        ekf = self._ekf
-        covariance = ekf.P[REPORTED, REPORTED] + self._noise
-        if not _nis(_residual(z, ekf.x[REPORTED]), covariance) <= self._settings.gate:
+        if not self._predicted(z, t)[0] <= self._settings.gate:
             return Outcome.OUTLIER, []
-        self._entries.append(self._updated(t, stood, Odometry(z, turned, t - self.t)))
+        self._entries.append(self._updated(t, self._stands(z), Odometry(z, turned, t - self.t)))
         self._last = t, z
         self._fresh += 1
         due = bisect_right(self._waiting, t, key=lambda waiting: waiting[0])
@@ -142,6 +137,20 @@ class History:
         del self._entries[:keep]
         self._fresh -= keep
         return Outcome.ACCEPTED, outcomes
+
+    def misfit(self, z: Array, t: float) -> float:
+        """Return −2 log likelihood, but for a constant, of odometry measured at ``t``."""
+        if t < self.t:
+            return math.inf
+        nis, covariance = self._predicted(z, t)
+        return nis + float(np.linalg.slogdet(covariance)[1])
+
+    def _predicted(self, z: Array, t: float) -> tuple[float, Array]:
+        """Predict the filter to ``t``; return the NIS of odometry there, and its covariance (5, 5)."""
+        self._apply_again(len(self._entries))
+        self._predict(self._entries[-1], t, self._stands(z))
+        covariance = self._ekf.P[REPORTED, REPORTED] + self._noise
+        return _nis(_residual(z, self._ekf.x[REPORTED]), covariance), covariance
 
     def pose(self, z: Array, noise: Array, t: float) -> Outcome:
         """Apply an external pose of stamp ``t`` at its moment, unless it is rejected."""

@@ -71,6 +71,30 @@ def test_prediction_bridges_a_missing_sample():
     assert max(errors) < 0.006  # holding the old pose would be off by 16 mm
 
 
+@pytest.mark.parametrize("lasts_s", [0.13, 0.23, 0.38])
+def test_odometry_that_waited_behind_a_pause_fits_in_spite_of_its_stamps(lasts_s):
+    """A bridge that does not run stamps what has come meanwhile with the moment of its reading."""
+    rows, refused = manoeuvre(23.0), 0
+    for begin in np.arange(3.0, 20.0, 0.53):
+        estimator, arrived = started(), -1.0
+        for t, pose, velocity in rows[: round(10 * begin) + 10]:
+            arrived = max(begin + lasts_s if begin <= t < begin + lasts_s else t, arrived + 0.0004)
+            estimator.odometry(*reported(pose, velocity), arrived)
+            if t > begin + lasts_s + 0.25:
+                assert distance(estimator.at(arrived).pose, pose) < 0.0025
+        assert not estimator.fault
+        refused += estimator.rejected
+    assert refused <= 5  # of more than 33 reports that came late
+
+
+def test_lost_odometry_is_not_taken_for_late():
+    estimator, random = started(), np.random.default_rng(1)
+    for t, pose, velocity in manoeuvre(60.0):
+        if random.random() > 0.3:
+            assert estimator.odometry(*reported(pose, velocity), t) is Outcome.ACCEPTED
+            assert distance(estimator.at(t).pose, pose) < 0.0025
+
+
 def test_reading_the_estimate_changes_nothing_and_its_covariance_stays_positive():
     one, other = started(), started()
     for number, (t, pose, velocity) in enumerate(manoeuvre(60.0)):

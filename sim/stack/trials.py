@@ -107,7 +107,8 @@ class Stack:
     def _settings(self, known: RoverProfile, *, measured: bool) -> EstimatorSettings:
         if self.robot is not None:
             return settings_for(known, self.robot)
-        return settings_of(self.ranges, known, measured=measured)
+        alone = not self.gyro and self.camera is None
+        return settings_of(self.ranges, known, measured=measured, alone=alone)
 
     @cached_property
     def _controllers(self) -> dict[int, Controller]:

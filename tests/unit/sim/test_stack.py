@@ -282,6 +282,19 @@ def test_a_gyro_and_a_camera_see_what_the_encoders_of_a_skidding_robot_do_not():
     assert max(errors["gyro"], errors["camera"]) < 0.7 * errors["encoders"]
 
 
+def test_only_encoders_alone_start_from_the_turn_gain_of_their_family():
+    alone = stack("varied", body=Body.MUJOCO)
+    assert 1.0 < alone.settings.turn_gain < 1.4  # robots of the family turn more than their encoders say
+    assert alone.settings.wander_m > stack("varied", body=Body.MUJOCO, gyro=True).settings.wander_m
+    for sensors in ({"gyro": True}, {"camera": Camera()}):
+        assert stack("varied", body=Body.MUJOCO, **sensors).settings.turn_gain == 1.0
+    measured = Randomization.model_validate(
+        alone.ranges.model_dump() | {"rover": RoverProfile(name="measured", odometry_heading=0.8)}
+    )
+    assert stack(measured, body=Body.MUJOCO).settings.turn_gain == pytest.approx(1.25)
+    assert stack("harsh").settings.slip_s > stack("full").settings.slip_s == 0.0
+
+
 def test_a_robot_that_was_identified_under_a_camera_drives_by_its_encoders():
     good = Camera(hz=10.0, noise_m=0.005)
     unknown = stack(SKIDDING, seed=7, course="parking").drive(1)

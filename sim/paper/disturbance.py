@@ -29,7 +29,14 @@ LEVELS = {
     "delay": (0, 1, 2, 3, 5, 8),
     "loss": (0.0, 0.1, 0.2, 0.4, 0.6, 0.8),
 }
-_AGENTS = ("circuit", "mlp", "lstm")
+_AGENTS = {
+    "circuit": "tab:blue",
+    "mlp": "tab:green",
+    "lstm": "tab:red",
+    "cfc": "tab:purple",
+    "ltc": "tab:brown",
+}
+"""Agents and their colors."""
 _EPISODES, _CHEETAH_EPISODES = 10, 2
 _SEED = 32
 
@@ -140,10 +147,9 @@ def disturbances_png(rows: Sequence[dict[str, Any]]) -> bytes:
     tasks = list(dict.fromkeys(row["task"] for row in rows))
     figure = Figure(figsize=(9.0, 1.9 * len(tasks)), dpi=80, layout="constrained")
     grid: Any = figure.subplots(len(tasks), len(LEVELS), squeeze=False, sharey="row")
-    colors = dict(zip(_AGENTS, ("tab:blue", "tab:green", "tab:red"), strict=True))
     for panels, task in zip(grid, tasks, strict=True):
         for axes, kind in zip(panels, LEVELS, strict=True):
-            for agent, color in colors.items():
+            for agent, color in _AGENTS.items():
                 own = [row for row in rows if (row["task"], row["agent"], row["kind"]) == (task, agent, kind)]
                 if not own:
                     continue

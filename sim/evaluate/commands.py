@@ -9,7 +9,7 @@ import typer
 
 from rover_ncp.core.console import MOST_SEED, Json, Output, command
 from rover_ncp.core.errors import UsageError
-from sim.world.bodies import PRESET_WORDS, PRESETS, Body, BodyOption
+from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
 
 
 class Place(StrEnum):
@@ -68,7 +68,7 @@ class EvalOptions:
             show_default="p3at-sh, as in the training",
         ),
     ] = None
-    body: BodyOption = Body.PYMUNK
+    body: Annotated[Body, typer.Option(help=BODY_WORDS)] = Body.PYMUNK
     random_courses: Annotated[
         int | None,
         typer.Option(

@@ -8,7 +8,7 @@ import typer
 from bridge.ros.discovery import Convention
 from rover_ncp.core.console import MOST_SEED, Json, Overwrite
 from rover_ncp.core.files import USUAL_ROBOT
-from sim.world.bodies import PRESET_WORDS, PRESETS, Body, BodyOption
+from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
 
 
 def mock(
@@ -44,7 +44,7 @@ def mock(
             "standard input, one a line; their seconds count from when the line is read."
         ),
     ] = None,
-    body: BodyOption = Body.PYMUNK,
+    body: Annotated[Body, typer.Option(help=BODY_WORDS)] = Body.PYMUNK,
     randomize: Annotated[
         str | None,
         typer.Option(

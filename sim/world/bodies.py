@@ -1,9 +1,6 @@
 """The simulators of a rover, and the shipped randomizations of each. Light: command lines read it."""
 
 from enum import StrEnum
-from typing import Annotated
-
-import typer
 
 
 class Body(StrEnum):
@@ -21,8 +18,6 @@ PRESETS = {
 }
 """The first changes nothing."""
 
-BodyOption = Annotated[
-    Body, typer.Option(help="Simulator of the rover: pymunk, or mujoco, which needs the extra mujoco.")
-]
+BODY_WORDS = "Simulator of the rover: pymunk, or mujoco, which needs the extra mujoco."
 PRESET_WORDS = "; ".join(f"{body}: {', '.join(names)}" for body, names in PRESETS.items())
-"""For the help of an option."""
+"""For the help of an option, as BODY_WORDS."""

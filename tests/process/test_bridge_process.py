@@ -44,7 +44,7 @@ def free_endpoint():
 
 def test_ctrl_c_stops_the_rover_and_says_what_went_over_the_line(tmp_path):
     with Rig(tmp_path) as rig, Driver(rig.locator) as driver:
-        sent_ns = driver.start().drive(0.2)
+        driver.start().drive(0.2)
         # A command that is still on its way when the bridge stops is not counted.
         wait_for(lambda: driver.gate.accepted == driver.sent)
         interrupted_ns = time.time_ns()

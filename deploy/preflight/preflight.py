@@ -232,13 +232,14 @@ class Preflight:
         words = []
         if reason := gate.held or gate.ended:
             words.append(f"the gate stopped the robot: {reason}")
-        for verb, old, new in (
-            ("dropped", before.dropped, gate.dropped),
-            ("limited", before.limited, gate.limited),
+        for what, old, new in (
+            ("stopped the robot for a moment", before.stops, gate.stops),
+            ("dropped commands", before.dropped, gate.dropped),
+            ("limited commands", before.limited, gate.limited),
         ):
-            grown = [name for name, count in new.items() if count > old.get(name, 0)]
+            grown = [name for name, count in new.items() if count > old.get(name, 0) and name != reason]
             if grown:
-                words.append(f"the gate {verb} commands: {', '.join(grown)}")
+                words.append(f"the gate {what}: {', '.join(grown)}")
         return "; ".join(words) or "the gate passed all commands on, look at the base's motors and encoders"
 
     def _move(self, velocity: Velocity) -> tuple[OdometrySample, OdometrySample, float]:

@@ -21,7 +21,8 @@ from rover_ncp.core.files import read_text
 class StrictModel(BaseModel):
     """Base of all configuration models: frozen, finite, no unknown keys."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    # A process loads many models and reads few of them: each is built when it is first used.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)

@@ -24,11 +24,12 @@ from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, random_circuit
 from rover_ncp.course.course import TICK_S
 from rover_ncp.kernels.jit import kernel
-from sim.learn.agents import AgentState, Plan, Team, split
+from sim.learn.agents import AgentState, Plan, split
 from sim.learn.evaluator import STREAM_LANES, Answer, Evaluator, Stream
 from sim.learn.record import Task, TrainSettings, resolve_task
 from sim.learn.rollout import rollout
 from sim.learn.search.strategies import SearchName
+from sim.learn.team import Team
 from sim.learn.train import training_plan
 from sim.learn.workers import LocalProcesses, MadeOnce, available_processes
 from sim.world.described import default_rover
@@ -50,8 +51,9 @@ _SIZES = tuple((neurons, synapses) for neurons in (24, 48, 96, 192) for synapses
 
 _COMPILE_SCRIPT = """
 import time
-from sim.learn.agents import AgentState, Team
+from sim.learn.agents import AgentState
 from sim.learn.record import TrainSettings, resolve_task
+from sim.learn.team import Team
 from sim.learn.train import training_plan
 settings = TrainSettings()
 team = Team(training_plan(settings, resolve_task(settings)))

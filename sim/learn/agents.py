@@ -8,30 +8,29 @@ see all agents at the same iteration. The agents do not wait for each other in b
 """
 
 import math
-import time
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from statistics import median
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.evaluator import Evaluator, Stream
-from sim.learn.search.base import SearchState, Strategy, Vector
+from rover_ncp.circuit.policy import Policy
+from sim.learn.search.base import SearchState, Strategy
 from sim.learn.search.strategies import start_search
 from sim.learn.workers import MadeOnce, Result, Workers
 
+if TYPE_CHECKING:
+    from sim.learn.evaluator import Evaluator
+
 ROUND_ITERATIONS = 100
 """Short enough for a live display."""
-_MOST_AHEAD = 4 * ROUND_ITERATIONS
-"""Iterations that an agent may be ahead of the slowest in its team; an agent that waits leaves lanes idle."""
 _PORTION_S = 0.5
 """CPU time for which a worker advances agents: lanes run empty at its end, and a display waits for it. Not
 wall time, in which a busy machine may do too little to be worth handing the agents over."""
@@ -45,11 +44,16 @@ class Plan:
 
     root_seed: int
     strategy: str
-    layout: ParameterLayout
-    defaults: Vector
-    build_evaluator: Callable[[], Evaluator]
-    inert: NDArray[np.bool_] | None = None
-    """(P,) which parameters have no effect, where that is known."""
+    start: Policy
+    """Its parameters are the defaults of the search."""
+    build_evaluator: "Callable[[], Evaluator]"
+
+    @cached_property
+    def inert(self) -> NDArray[np.bool_]:
+        """(P,) which parameters have no effect."""
+        from rover_ncp.circuit.compiled import inert_parameters  # kernels: only for workers
+
+        return inert_parameters(self.start)
 
 
 @dataclass(frozen=True)
@@ -120,98 +124,19 @@ class Progress(NamedTuple):
     last: AgentState
 
 
-class Team:
-    """Advances agents side by side in the lanes of one evaluator."""
-
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
-        self._evaluator = plan.build_evaluator()
-        self._streams: dict[int, Stream] = {}
-
-    def advance(
-        self, agents: Sequence[AgentState], targets: Sequence[Sequence[int]], seconds: float = math.inf
-    ) -> list[Progress]:
-        """Advance agents for some CPU time, or until each has reached its last target.
-
-        ``targets`` are, for each agent, rising numbers of iterations.
-        """
-        runners = [_Runner(self._plan, *each) for each in zip(agents, targets, strict=True)]
-        if len(runners) not in self._streams:
-            self._streams[len(runners)] = self._evaluator.stream(len(runners))
-        stream = self._streams[len(runners)]
-        ends, in_time = time.thread_time() + seconds, True
-        while True:
-            # The slowest first: agents far ahead wait for it, and leave lanes idle.
-            slowest_first = sorted(range(len(runners)), key=lambda index: runners[index].search.iterations)
-            furthest = runners[slowest_first[0]].search.iterations + _MOST_AHEAD
-            for index in slowest_first:
-                runner = runners[index]
-                if in_time and runner.targets and not runner.waits and runner.search.iterations <= furthest:
-                    runner.submit(stream, index)
-            answers = stream.collect()
-            if not answers:
-                return [Progress(runner.at_targets, runner.state()) for runner in runners]
-            for index, returns, misses in answers:
-                runners[index].tell(returns, misses)
-            in_time = time.thread_time() < ends
-
-
-class _Runner:
-    """An agent on its way to its targets."""
-
-    def __init__(self, plan: Plan, agent: AgentState, targets: Sequence[int]) -> None:
-        self.search = revive(plan, agent)
-        self.targets = deque(targets)
-        self.at_targets: list[AgentState] = []
-        self.waits = False
-        """For an answer."""
-        self._agent = agent
-        self._improvements = list(agent.improvements)
-        self._note_targets()
-
-    def state(self) -> AgentState:
-        if self.search.value is None:
-            return self._agent
-        return AgentState(self._agent.number, self.search.state(), tuple(self._improvements))
-
-    def submit(self, stream: Stream, index: int) -> None:
-        """Let new candidates be evaluated, up to the next target."""
-        search = self.search
-        left = 1 if search.value is None else self.targets[0] - search.iterations
-        room = stream.enough if search.speculates else stream.room
-        vectors = search.ask(min(left, search.most_ahead, room))
-        stream.submit(index, vectors, search.to_beat)
-        self.waits = True
-
-    def tell(self, returns: Vector, misses: Vector | None) -> None:
-        """Pass returns to the search, and note where its incumbent's return changed."""
-        search, value, first = self.search, self.search.value, self.search.evaluations
-        for number in range(search.tell(returns, misses)):
-            if value is None or returns[number] > value:
-                value = float(returns[number])
-                self._improvements.append((first + number, value))
-        if search.value is not None and search.value != value:  # a new estimate of the incumbent is lower
-            self._improvements.append((search.iterations, search.value))
-        self.waits = False
-        self._note_targets()
-
-    def _note_targets(self) -> None:
-        while self.targets and self.search.value is not None and self.search.iterations >= self.targets[0]:
-            self.targets.popleft()
-            self.at_targets.append(self.state())
-
-
 def revive(plan: Plan, agent: AgentState) -> Strategy:
     """Return the agent's search as it stood. Raises ValueError, KeyError or TypeError for a damaged state."""
     seed = np.random.SeedSequence(plan.root_seed, spawn_key=(agent.number, _SEARCH_STREAM))
     generator = np.random.Generator(np.random.PCG64(seed))
-    search = start_search(plan.strategy, plan.layout, plan.defaults, generator, plan.inert)
+    search = start_search(plan.strategy, plan.start.layout(), plan.start.parameters(), generator, plan.inert)
     if agent.search is not None:
         search.restore(agent.search)
     return search
 
 
 def _team(plan: Plan) -> Callable[..., list[Progress]]:
+    from sim.learn.team import Team  # the engine, which a process that only hands out work never loads
+
     return Team(plan).advance
 
 

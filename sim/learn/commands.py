@@ -208,7 +208,7 @@ def train(
     if any(value is not None for value in robust.values()):
         raise UsageError("--rollouts, --worst, --random-courses and --profile need --randomize")
     plain = TrainSettings(**((saved.model_dump() if saved else {}) | given))
-    learned = resolve_task(plain)  # before a folder is made, so that a typo leaves none behind
+    resolve_task(plain)  # before a folder is made, so that a typo leaves none behind
     folder = out or new_run_path()
     try:
         with TrainProgress(plain.iterations) as progress:
@@ -224,14 +224,11 @@ def train(
         output.say(f"Go on with: rover-ncp train --out {folder} --resume")
         raise
 
-    from sim.learn.rollout import rollout
-
-    verdict = rollout(result.policy, learned.course, plain.rover).verdict
     fields = {
         "returns": result.agents.returns,  #: by agent
         "best_return": result.agents.best.value,  #: of all agents
         "median_return": result.agents.median_return,  #: of all agents
-        **vars(verdict),
+        **vars(result.verdict),
         "wall_s": result.wall_s,  #: how long it took
         "iterations_per_s": result.iterations_per_s,  #: of all agents together, without start-up
         "seed": plain.seed,
@@ -240,7 +237,7 @@ def train(
         "out": str(folder),  #: the folder
         "policy": str(result.policy_path),  #: the best agent's file
     }
-    how = "parks" if verdict.parked else f"does not park: {verdict.reason}"
+    how = "parks" if result.verdict.parked else f"does not park: {result.verdict.reason}"
     output.result(
         fields,
         f"best of {plain.agents} agents: return {result.agents.best.value:.4f}, {how} "

@@ -4,17 +4,20 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import RoverNcpError
+from rover_ncp.course.course import Course, Verdict
 from sim.learn.agents import Plan, Snapshot, run_rounds
 from sim.learn.cluster import DaskCluster
-from sim.learn.evaluator import Evaluator
 from sim.learn.record import Task, TrainSettings
 from sim.learn.run_folder import RunFolder, open_run
 from sim.learn.workers import Inline, LocalProcesses, available_processes
+from sim.world.rover import RoverModel
+
+if TYPE_CHECKING:
+    from sim.learn.evaluator import Evaluator
 
 # Checkpoints take at most this share of the time, so a short run saves often and a slow disk seldom.
 _CHECKPOINT_SHARE = 0.02
@@ -26,6 +29,8 @@ class TrainResult(NamedTuple):
     policy: Policy
     """The best agent's, as in ``policy_path``."""
     policy_path: Path
+    verdict: Verdict
+    """Of that policy on the course that it was trained on."""
     agents: Snapshot
     wall_s: float
     iterations_per_s: float | None
@@ -37,11 +42,21 @@ def training_plan(settings: TrainSettings, task: Task) -> Plan:
     return Plan(
         root_seed=settings.seed,
         strategy=settings.search,
-        layout=task.policy.layout(),
-        defaults=task.policy.parameters(),
-        build_evaluator=partial(Evaluator, task.policy, task.course, settings.rover),
-        inert=inert_parameters(task.policy),
+        start=task.policy,
+        build_evaluator=partial(_build_evaluator, task, settings.rover),
     )
+
+
+def _build_evaluator(task: Task, model: RoverModel) -> "Evaluator":
+    from sim.learn.evaluator import Evaluator  # here and below: kernels, only for workers
+
+    return Evaluator(task.policy, task.course, model)
+
+
+def _judge(policy: Policy, course: Course, model: RoverModel) -> Verdict:
+    from sim.learn.rollout import rollout
+
+    return rollout(policy, course, model).verdict
 
 
 def train(
@@ -68,19 +83,23 @@ def train(
     with open_run(out, settings, resume) as folder:
         plan = training_plan(settings, folder.task)
         rounds = _Rounds(folder, folder.load_agents(plan), on_progress, stop_when)
-        if not rounds.snapshot.arrived(settings.iterations):
-            count = min(processes or available_processes(), settings.agents)
-            try:
-                with find_workers(count, cluster) as workers:
-                    run_rounds(workers, plan, rounds.snapshot, settings.iterations, rounds.after_round)
-            except (KeyboardInterrupt, RoverNcpError):
-                if rounds.snapshot.arrived(0):
-                    folder.save_progress(rounds.snapshot)
-                raise
+        count = min(processes or available_processes(), settings.agents)
+        if rounds.snapshot.arrived(settings.iterations):
+            count, cluster = 1, None
+        try:
+            with find_workers(count, cluster) as workers:
+                run_rounds(workers, plan, rounds.snapshot, settings.iterations, rounds.after_round)
+                policy = folder.policy(rounds.snapshot.best, rounds.snapshot)
+                verdict = workers.submit(_judge, policy, folder.task.course, settings.rover).result()
+        except (KeyboardInterrupt, RoverNcpError):
+            if rounds.snapshot.arrived(0):
+                folder.save_progress(rounds.snapshot)
+            raise
         folder.finish(rounds.snapshot)
         return TrainResult(
-            policy=folder.policy(rounds.snapshot.best, rounds.snapshot),
+            policy=policy,
             policy_path=folder.policy_path,
+            verdict=verdict,
             agents=rounds.snapshot,
             wall_s=time.monotonic() - began,
             iterations_per_s=rounds.iterations_per_s,

@@ -137,7 +137,7 @@ def _train(options: ParkOptions, course: Course, output: Output) -> tuple[dict[s
         "iterations": result.agents.iterations,  #: of each agent
         "iterations_per_s": result.iterations_per_s,  #: of all agents together
     }
-    return fields, str(result.policy_path), rollout(result.policy, course).verdict.reason
+    return fields, str(result.policy_path), result.verdict.reason
 
 
 def _summary(training: dict[str, Any]) -> str:

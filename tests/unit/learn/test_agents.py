@@ -17,10 +17,11 @@ from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import load_course
 from sim.learn import agents as agents_module
-from sim.learn.agents import AgentState, Plan, Snapshot, Team, run_rounds
-from sim.learn.evaluator import Answer, Evaluator
+from sim.learn.agents import AgentState, Plan, Snapshot, run_rounds
+from sim.learn.evaluator import Answer, Evaluator, Stream
 from sim.learn.record import Task, TrainSettings
 from sim.learn.search.base import dump_state
+from sim.learn.team import Team
 from sim.learn.train import training_plan
 from sim.learn.workers import Inline, LocalProcesses, WorkerDied
 
@@ -62,7 +63,7 @@ class ToyStream:
 
 
 def toy_plan(strategy="published", order=0):
-    return Plan(3, strategy, LAYOUT, POLICY.parameters(), partial(ToyEvaluator, order))
+    return Plan(3, strategy, POLICY, partial(ToyEvaluator, order))
 
 
 def parking_plan(strategy="gauss-newton"):
@@ -121,13 +122,13 @@ def test_agents_that_share_lanes_decide_as_alone(strategy, iterations):
 def test_truncated_episodes_change_no_decision(monkeypatch):
     plan, thresholds = parking_plan("published"), []
     truncated = advance(plan, begin(3), 150)
-    submit = agents_module.Stream.submit
+    submit = Stream.submit
 
     def to_the_end(stream, agent, vectors, to_beat):
         thresholds.extend(to_beat)
         submit(stream, agent, vectors, np.full(len(vectors), -np.inf))
 
-    monkeypatch.setattr(agents_module.Stream, "submit", to_the_end)
+    monkeypatch.setattr(Stream, "submit", to_the_end)
     assert as_data(advance(plan, begin(3), 150)) == as_data(truncated)
     assert np.isneginf(thresholds[:3]).all()
     assert np.isfinite(thresholds[3:]).all()

@@ -14,10 +14,11 @@ from typer.testing import CliRunner
 from sim.benchmarks import train as bench_train
 from sim.benchmarks.commands import bench
 from sim.benchmarks.search import MARKS, PASSED
-from sim.learn.agents import AgentState, Team
+from sim.learn.agents import AgentState
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.search import descent
 from sim.learn.search.strategies import SearchName
+from sim.learn.team import Team
 from sim.learn.train import training_plan
 
 ITERATIONS = 60

@@ -36,8 +36,8 @@ _TRUNCATED_PER_LANE = 6
 
 STREAM_LANES = 8
 """One vector; with more, lanes stand idle while agents wait for their last episode."""
-_IN_FLIGHT = 12
-"""Some wait, so that a free lane need not."""
+_IN_FLIGHT = 24
+"""Most wait, so that a free lane need not: an agent of a small team waits for the last of its candidates."""
 _LEAST_ROOM, _ROOM = 8, 64
 
 

@@ -11,6 +11,8 @@ from collections import deque
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.protocol import CommandTag, GateStatus, MotorsReply, Signed
 
+NOT_ACCEPTED = "not-accepted"
+"""Name of the rule."""
 ACCEPTED_S = 0.4
 """A driver stops when the gate has not accepted a command for so long after it was sent. It checks at least
 every 0.1 s, and so stops within 0.5 s."""
@@ -62,7 +64,7 @@ class DriverLease:
         growth = {reason: count - self._dropped.get(reason, 0) for reason, count in gate.dropped.items()}
         reasons = ", ".join(f"{reason} {count}" for reason, count in growth.items() if count > 0)
         raise SafetyStop(
-            "not-accepted",
+            NOT_ACCEPTED,
             f"the gate accepted no command of this driver for {age_s:.2f} s (at most {ACCEPTED_S} s); "
             + (f"dropped since then: {reasons}" if reasons else "it reports no dropped command"),
         )

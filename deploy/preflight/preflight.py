@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from deploy.drive.lease import ACCEPTED_S, NOT_ACCEPTED
 from deploy.drive.link import Link
 from deploy.drive.measurements import NS, Measurement, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
@@ -40,6 +41,8 @@ STOP_S = 0.5
 BRAKING_S, REPORT_S = 0.15 + V_M_S / 0.3, 0.1
 MEASURE_TRIES = 3
 """A request that comes late finds that the gate has stopped the wheels already."""
+MOVES = 2
+"""Once more if the gate seemed to accept no command, for the reason of `LISTENS`."""
 MEASURING_S, POLL_S = 8.0, 0.2
 """The bridge sends the base nothing for 5 s at most."""
 SCALE = 0.15
@@ -244,6 +247,17 @@ class Preflight:
 
     def _move(self, velocity: Velocity) -> tuple[OdometrySample, OdometrySample, float]:
         """Command a velocity for a while; return first and last report, and the distance by its speed."""
+        for _ in range(MOVES - 1):
+            try:
+                return self._command(velocity)
+            except SafetyStop as stop:
+                if stop.rule != NOT_ACCEPTED:
+                    raise
+            self._link.request_motors(CHECK)
+            self._until(lambda: False, ACCEPTED_S)  # for the gate's status to come in
+        return self._command(velocity)
+
+    def _command(self, velocity: Velocity) -> tuple[OdometrySample, OdometrySample, float]:
         before = newest = self._newest
         by_speed, due = 0.0, time.monotonic()
         end = due + MOVE_S

@@ -2,7 +2,11 @@
 
 from types import SimpleNamespace
 
+import pytest
+
+from deploy.drive.lease import NOT_ACCEPTED
 from deploy.preflight.preflight import Preflight
+from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.protocol import GateStatus
 
 
@@ -20,3 +24,26 @@ def test_a_stop_of_the_gate_that_is_over_is_named():
 def test_a_stop_that_holds_is_named_once():
     held = GateStatus(stops={"odometry": 2}, dropped={"stale": 3, "odometry": 4}, held="odometry")
     assert said(held) == "the gate stopped the robot: odometry"
+
+
+@pytest.mark.parametrize(
+    ("stops", "tries"), [([NOT_ACCEPTED], 2), ([NOT_ACCEPTED, NOT_ACCEPTED], 2), (["bumper"], 1)]
+)
+def test_a_move_is_tried_once_more_when_the_gate_seemed_to_accept_nothing(monkeypatch, stops, tries):
+    left, tried, requested = list(stops), [], []
+
+    def command(self, velocity):
+        tried.append(velocity)
+        if left:
+            raise SafetyStop(left.pop(0), "")
+        return "moved"
+
+    monkeypatch.setattr(Preflight, "_command", command)
+    monkeypatch.setattr(Preflight, "_until", lambda self, condition, timeout_s: False)
+    preflight = Preflight(SimpleNamespace(request_motors=requested.append), None, None, None)
+    if len(stops) == tries or stops == ["bumper"]:
+        with pytest.raises(SafetyStop, match=stops[-1]):
+            preflight._move((0.1, 0.0))
+    else:
+        assert preflight._move((0.1, 0.0)) == "moved"
+    assert (len(tried), len(requested)) == (tries, tries - 1)

@@ -148,9 +148,8 @@ def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
 def _drive_config(text: str, where: str) -> DriveConfig:
     settings = read_yaml(text, where)
     if isinstance(settings, dict) and settings.get("format") == 1:
-        version = settings.get("version", "an earlier version")
         raise FileError(
-            f"{where}: recorded with rover-ncp {version}, whose estimator was another; "
-            f"only that version can recompute the drive"
+            f"{where}: has format 1, from before the estimator changed; "
+            f"only the rover-ncp that recorded it can recompute the drive"
         )
     return parse_yaml(text, DriveConfig, where)

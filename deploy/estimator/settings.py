@@ -23,7 +23,7 @@ class EstimatorSettings(StrictModel):
     distance_gain: float = Field(default=1.0, gt=0, description="true distance over odometry's")
     distance_gain_std: float = Field(default=0.025, gt=0, description="±3 %, and slip on slopes")
     turn_gain: float = Field(default=1.0, gt=0, description="true turn over odometry's")
-    turn_gain_std: float = Field(default=0.2, gt=0, description="weight off the middle: up to 1.35")
+    turn_gain_std: float = Field(default=0.2, gt=0, description="weight off the middle: up to 1.5")
     slip_s: float = Field(default=0.0, ge=0, description="slipped share of a turn, per rad/s of odometry")
     turn_asymmetry: float = Field(
         default=0.0, gt=-1, lt=1, description="unseen turn to the left per turned angle"

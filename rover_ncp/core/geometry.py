@@ -5,7 +5,7 @@ the angle from A's x-axis to B's in radians, counter-clockwise positive, wrapped
 
     course  the course's own frame; its checkpoints are poses of the base in it
     odom    where the base's counters were zero; drifts against the course
-    base    the rover's centre of rotation, x forward, y to the left (REP-103)
+    base    the rover's middle, midway between its wheels, x forward, y to the left (REP-103)
 
 Poses chain as their letters do: ``compose(pose_AB, pose_BC)`` is ``pose_AC``.
 """

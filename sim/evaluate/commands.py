@@ -37,7 +37,7 @@ class EvalOptions:
     policy: Annotated[
         str,
         typer.Argument(
-            help="Policy to score: a name, a YAML file, or a circuit in the published .bnn format."
+            help="Policy to score: a name, a YAML file, or a circuit in the published .bnn format; or a law."
         ),
     ]
     course: Annotated[
@@ -196,7 +196,7 @@ def evaluate(options: EvalOptions) -> int:
 
         rover-ncp eval course --live 4 --randomize full --course parking --course bay
 
-    Without --stack, kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws.
+    kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws.
 
     --task plays episodes (--trials, 100) of one of the paper's other benchmarks with a circuit, YAML or .bnn
     (see 'paper'), or of a Gymnasium environment with a policy (see 'train').
@@ -214,6 +214,8 @@ def evaluate(options: EvalOptions) -> int:
         raise UsageError("--body mujoco needs --stack or --live: plain simulation is pymunk's")
     if options.sensors is not None and not options.stack:
         raise UsageError("--sensors needs --stack")
+    if options.live and (options.identify or options.sensors in {Sensors.CAMERA, Sensors.BOTH}):
+        raise UsageError("--live goes with neither a camera nor --identify")
     if options.live and options.model is not None:
         raise UsageError("--live drives a Pioneer 3-AT: for another robot use park --model")
     if options.identify is not None and (options.profile is not None or not options.stack):

@@ -44,6 +44,7 @@ def run_trials(options: EvalOptions) -> int:
             identify=options.identify,
             identify_camera=camera,
             robot=robot,
+            knows_family=not options.live,
         )
         run = _live if options.live else _through_stack
         found, more = run(output, stack, options, trials)

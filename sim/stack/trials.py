@@ -78,6 +78,8 @@ class Stack:
     identify_camera: Camera = field(default_factory=Camera)
     robot: RobotDescription | None = None
     """The model of robot; None is a Pioneer 3-AT that its driver knows nothing of."""
+    knows_family: bool = True
+    """Whether the driver knows the spread of its family's errors, as `deploy` does not."""
 
     @cached_property
     def description(self) -> RobotDescription:
@@ -105,7 +107,7 @@ class Stack:
         return self._settings(self.known, measured=self.ranges.rover is not None)
 
     def _settings(self, known: RoverProfile, *, measured: bool) -> EstimatorSettings:
-        if self.robot is not None:
+        if self.robot is not None or not self.knows_family:
             return settings_for(known, self.robot)
         alone = not self.gyro and self.camera is None
         return settings_of(self.ranges, known, measured=measured, alone=alone)

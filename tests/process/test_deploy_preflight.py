@@ -41,8 +41,8 @@ def test_a_robot_that_is_well(tmp_path, check):
     ]
     # What it calls standing may still creep, for as long as braking from that takes.
     assert stopped <= STANDING / BRAKING_M_S2
-    # The rehearsal, and no other rule. Once more for each pause of this machine, which the check allows for.
-    assert gate["stops"].keys() == {"silence"}
+    # The rehearsal. A busy machine adds others of the rules on lateness, which the check allows for.
+    assert {"silence"} <= gate["stops"].keys() <= {"silence", "odometry"}
 
 
 def test_a_driver_is_warned_of_another_model(tmp_path, capsys):

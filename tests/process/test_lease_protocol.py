@@ -12,8 +12,8 @@ from deploy.drive.zenoh_link import ZenohLink
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import twist_stamped
-from rover_ncp.core.protocol import CommandTag, MotorsRequest, Signed, dump_json
+from rover_ncp.core.messages import text, twist_stamped
+from rover_ncp.core.protocol import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json
 
 OLD_REQUEST = {"enable": True, "driver": "ab" * 16, "name": "old", "sent_ns": 1}
 BOTH = (
@@ -117,4 +117,51 @@ def test_a_peer_that_relays_the_request_does_not_get_to_share_the_key(rig):
         assert link.lease.number == 0
         held.undeclare()
         wait_for(lambda: other.gate.lease == 0)
+    peer.close()
+
+
+def test_a_false_grant_with_a_key_of_its_own_drives_nothing(rig):
+    """A peer answers beside the bridge: the driver refuses, and the bridge what such a key signs."""
+    peer = client(rig.locator)
+    grant = MotorsReply(granted=True, lease=99, key="5a" * 32, lease_s=5.0)
+    with Driver(rig.locator) as other, ZenohLink(BridgeAddress(rig.locator), lambda _: None) as link:
+        wait_for(lambda: other.odom is not None)
+        answering = peer.declare_queryable(
+            "rover/motors", lambda query: query.reply("rover/motors", dump_json(grant)), complete=True
+        )
+        time.sleep(0.3)
+        with pytest.raises(NoBridge, match="expected one: a peer beside the bridge answers"):
+            link.request_motors("test")
+        assert link.lease.number == 0
+        answering.undeclare()
+        wait_for(lambda: other.gate.lease == 0)
+        other.lease.grant(grant)
+        refused = other.gate.dropped.get("no-lease", 0)
+        other.drive(0.5)
+        wait_for(lambda: other.gate.dropped.get("no-lease", 0) >= refused + 3)
+        assert (other.gate.lease, other.out) == (0, Velocity(0.0, 0.0))
+        assert abs(other.odom.velocity.v) < 0.01
+        other.lease.end()
+    peer.close()
+
+
+@pytest.mark.parametrize("number", ["the driver's", "another"])
+def test_a_false_gate_status_ends_no_check_of_the_key(rig, driver, number):
+    """It may hide what the gate drops, or say that the lease is another's; it gives nobody the lease."""
+    wait_for(lambda: driver.motors().granted)
+    held = driver.lease.number
+    status = driver.gate.model_copy(
+        update={"lease": held if number == "the driver's" else held + 1, "sequence": 10**6}
+    )
+    peer = client(rig.locator)
+    accepted = driver.gate.accepted
+    for _ in range(5):
+        peer.put("rover/gate", text(dump_json(status).decode()))
+        payload = twist_stamped(Velocity(-0.25, 0.5), time.time_ns())
+        tag = CommandTag(held, 10**6 + 1, time.monotonic_ns()).sign(b"", Signed.COMMAND, "cmd_vel", payload)
+        peer.put("cmd_vel", payload, attachment=tag.pack())
+        time.sleep(0.05)
+    wait_for(lambda: driver.gate.lease == held and driver.gate.sequence < 10**6)
+    assert driver.gate.accepted == accepted
+    assert driver.out is None or driver.out == Velocity(0.0, 0.0)
     peer.close()

@@ -286,6 +286,9 @@ def test_only_encoders_alone_start_from_the_turn_gain_of_their_family():
     alone = stack("varied", body=Body.MUJOCO)
     assert 1.0 < alone.settings.turn_gain < 1.4  # robots of the family turn more than their encoders say
     assert alone.settings.wander_m > stack("varied", body=Body.MUJOCO, gyro=True).settings.wander_m
+    centred = stack("nominal", body=Body.MUJOCO, course="parking")
+    assert centred.settings.turn_gain == 1.0
+    assert centred.drive(0).error_m < 0.03
     for sensors in ({"gyro": True}, {"camera": Camera()}):
         assert stack("varied", body=Body.MUJOCO, **sensors).settings.turn_gain == 1.0
     measured = Randomization.model_validate(
@@ -361,6 +364,8 @@ def test_the_command_line_drives_another_body(capsys):
         (["course", "--trials", "2", "--sensors", "gyro"], "--sensors needs --stack"),
         (["course", "--trials", "2", "--identify", "here"], "--identify needs --stack"),
         (["kanayama", "--trials", "2", "--live", "1"], "--live needs a policy"),
+        (["course", "--live", "1", "--stack", "--sensors", "both"], "neither a camera nor --identify"),
+        (["course", "--live", "1", "--stack", "--identify", "here"], "neither a camera nor --identify"),
         (["course", "--processes", "2"], "--processes needs --stack or --live"),
         (["course", "--trials", "2", "--live", "3"], "there are only 2 trials"),
     ],

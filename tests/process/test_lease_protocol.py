@@ -147,7 +147,7 @@ def test_a_false_grant_with_a_key_of_its_own_drives_nothing(rig):
 
 @pytest.mark.parametrize("number", ["the driver's", "another"])
 def test_a_false_gate_status_ends_no_check_of_the_key(rig, driver, number):
-    """It may hide what the gate drops, or say that the lease is another's; it gives nobody the lease."""
+    """It may hide what the gate drops, or say that the lease is another's; it gives no peer the lease."""
     wait_for(lambda: driver.motors().granted)
     held = driver.lease.number
     status = driver.gate.model_copy(

@@ -35,7 +35,8 @@ RESULTS = {
     "paper random-circuits, policy-gradients, networks": "sim.paper.tables:table_fields cells=:Row "
     "cells=:Row.fields cells.published=:Published",
     "paper claims": "claims=sim.paper.claims:Claim",
-    "paper comparisons": "comparisons=sim.paper.comparison:Comparison.fields comparisons=:Effect",
+    "paper comparisons": "comparisons=sim.paper.comparison:Comparison.fields "
+    "comparisons=sim.paper.significance:Effect",
     "paper parameters": "tasks=sim.paper.tables:parameters tasks=sim.paper.tasks:Settings",
     "paper time-constants": "sim.paper.interpretation:parking_time_constants",
     "paper contributions": "sim.paper.interpretation:parking_contributions",

@@ -10,38 +10,15 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rover_ncp.core.errors import UsageError
 from sim.paper.agents import AGENTS, CLONED
 from sim.paper.results import ResultStore
-from sim.paper.tables import LEVEL, markdown, mean_text
+from sim.paper.significance import LEVEL, Effect, holm, interval_text, mean_text, measure
+from sim.paper.tables import markdown
 from sim.paper.tasks import TASKS
 
 OTHERS = tuple(agent for agent in AGENTS[1:] if agent not in CLONED)
-_RESAMPLES = 9999
-_SEED = 20
-"""A table is the same each time."""
-
-
-class Effect(NamedTuple):
-    """A test of two sets of runs, and how far they lie apart."""
-
-    difference: float
-    """Of the means."""
-    interval: tuple[float, float]
-    """Of the difference, 95 %."""
-    probability: float
-    """That a run of the first set has the higher return."""
-    p: float
-
-    def sentence(self, runs: int, other_runs: int) -> str:
-        """Return test, n, p and effect size in a line."""
-        low, high = map(mean_text, self.interval)
-        return (
-            f"difference {mean_text(self.difference)} ({low} .. {high}), P(above) {self.probability:.2f}; "
-            f"permutation test, n = {runs} and {other_runs}, p = {self.p:.2g}"
-        )
 
 
 class Comparison(NamedTuple):
@@ -75,14 +52,14 @@ class Comparison(NamedTuple):
 
     def texts(self) -> tuple[str, ...]:
         """Return the comparison's cells as Markdown."""
-        fields, (low, high) = self.fields(), map(mean_text, self.effect.interval)
+        fields = self.fields()
         return (
             TASKS[self.task].title,
             self.other,
             f"{self.runs[0]}, {self.runs[1]}",
             f"{mean_text(self.means[0])}, {mean_text(self.means[1])}",
             f"{self.successes[0]}, {self.successes[1]}",
-            f"{mean_text(self.effect.difference)} ({low} .. {high})",
+            f"{mean_text(self.effect.difference)} ({interval_text(self.effect.interval)})",
             f"{self.effect.probability:.2f}",
             f"{self.effect.p:.2g}",
             f"{self.p_holm:.2g}",
@@ -122,32 +99,6 @@ def compare_agents(store: ResultStore, other: str) -> list[Comparison]:
         )
         for (task, (ours, theirs)), effect, p_holm in zip(returns.items(), effects, corrected, strict=True)
     ]
-
-
-def measure(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> Effect:
-    """Compare two sets of returns, (n,) and (m,)."""
-    from scipy.stats import bootstrap, mannwhitneyu, permutation_test
-
-    if np.ptp(np.concatenate([ours, theirs])) == 0.0:
-        return Effect(0.0, (0.0, 0.0), 0.5, 1.0)
-    rng = np.random.default_rng(_SEED)
-    test = permutation_test((ours, theirs), _difference, n_resamples=_RESAMPLES, rng=rng)
-    ends = bootstrap((ours, theirs), _difference, n_resamples=_RESAMPLES, rng=rng).confidence_interval
-    above = float(mannwhitneyu(ours, theirs).statistic) / (len(ours) * len(theirs))
-    return Effect(float(test.statistic), (float(ends.low), float(ends.high)), above, float(test.pvalue))
-
-
-def _difference(a: NDArray[np.float64], b: NDArray[np.float64], axis: int = -1) -> Any:
-    return a.mean(axis=axis) - b.mean(axis=axis)
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p values corrected for their number (Holm 1979)."""
-    order = np.argsort(p_values)
-    scaled = np.array(p_values)[order] * np.arange(len(order), 0, -1)
-    corrected = np.empty(len(order))
-    corrected[order] = np.minimum(np.maximum.accumulate(scaled), 1.0)
-    return [float(p) for p in corrected]
 
 
 def comparisons_text(found: Sequence[Comparison]) -> str:

@@ -7,10 +7,9 @@ import numpy as np
 
 from sim.paper.agents import CLONED, UNCLONED
 from sim.paper.claims import Claim, Finding
-from sim.paper.comparison import measure
 from sim.paper.results import Result, ResultStore
 from sim.paper.selection import LIQUID_TASKS
-from sim.paper.tables import LEVEL, mean_text
+from sim.paper.significance import LEVEL, mean_text, measure
 from sim.paper.tasks import TASKS
 
 _SOURCE = "since the paper"

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import mannwhitneyu
 
 from rover_ncp.cli import run
-from sim.paper.comparison import holm, measure
+from sim.paper.significance import fisher, holm, measure
 
 
 def test_holms_correction_is_that_of_the_textbook():
@@ -39,6 +39,16 @@ def test_p_values_of_equal_distributions_are_uniform():
     rng = np.random.default_rng(0)
     low = sum(measure(rng.normal(size=8), rng.normal(size=8)).p < 0.2 for _ in range(60))
     assert 3 <= low <= 22  # 12 expected
+
+
+def test_the_interval_of_a_difference_of_rates_is_newcombes():
+    # Newcombe (1998), method 10, example (a): 56 of 70 and 48 of 80.
+    found = fisher(56, 70, 48, 80)
+    assert found.difference == pytest.approx(0.2)
+    assert found.interval == pytest.approx((0.0524, 0.3339), abs=5e-5)
+    assert found.sentence().startswith(
+        "difference 0.200 (0.052 .. 0.334); Fisher's test, n = 70 and 80, p = "
+    )
 
 
 def test_an_agent_that_is_not_compared_is_one_line(capsys):

@@ -206,12 +206,17 @@ _COMPARED = {
 }
 
 
+_LIMIT = "both agents reach the limit at which a search ends, so that their returns are not compared"
+
+
 def _comparison_claims(other: str, found: Sequence[Comparison]) -> Iterator[Claim]:
     """Yield the claim on each task: better than random wirings, not worse than anything else."""
     number, words = _COMPARED[other]
     for row in found:
         verdict, why = Finding.NOT_REPRODUCED, ""
-        if row.better:
+        if row.at_limit and (row.better or other != "random"):
+            verdict, why = Finding.DIFFERENCE, f"{_LIMIT}; steps to success: {row.verdict}"
+        elif row.better:
             verdict = Finding.REPRODUCED
         elif other != "random" and not row.worse:
             verdict, why = Finding.DIFFERENCE, NO_GAP

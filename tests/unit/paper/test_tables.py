@@ -69,12 +69,13 @@ def test_the_verdict_is_welchs_test():
 
 
 def test_the_verdict_rests_on_p_corrected_for_the_values_of_a_table(store):
-    # Each p alone is 0.03 to 0.04; the smallest of two is doubled.
+    # Each p alone is 0.03 to 0.04; with two values the smaller p is doubled.
     for seed, mean in enumerate((95.0, 96.5, 98.0)):
         store.save(result("mountain-car", "mlp", seed, mean))
     alone = {row.agent: row for row in table("networks", store) if row.task == "mountain-car"}
     assert alone["circuit"].verdict is Verdict.BETTER
-    rows = corrected([replace(alone["circuit"], mean=96.6, std=0.5), replace(alone["mlp"], mean=97.6)])
+    means = {"circuit": 96.67, "mlp": 97.35}
+    rows = corrected(replace(alone[agent], mean=mean, std=0.1) for agent, mean in means.items())
     assert [row.welch.p < 0.05 <= row.p_holm for row in rows] == [True, True]
     assert {row.verdict for row in rows} == {Verdict.EQUAL}
 

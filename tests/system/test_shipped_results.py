@@ -6,6 +6,7 @@ import pytest
 
 from sim.explain.explain import explain
 from sim.explain.files import markdown
+from sim.paper import FAITHFUL, BudgetName
 from sim.paper.results import ResultStore
 from sim.paper.runs import agrees, replay
 from sim.paper.tasks import TASKS
@@ -31,7 +32,10 @@ def test_the_default_policy_is_the_one_that_is_explained():
     assert text == markdown(explain("course")), again
 
 
-def test_shipped_runs_replay():
-    for task in TASKS:
-        stored = ResultStore(Path("nowhere")).results(task, "circuit")[0]
-        assert agrees(stored, replay(stored)), stored.name
+@pytest.mark.parametrize("budget", (BudgetName.DEFAULT, *FAITHFUL))
+def test_a_shipped_run_of_each_task_replays(budget):
+    store = ResultStore(Path("nowhere"))
+    stored = [run for task in TASKS for run in store.results(task, "circuit", budget)[:1]]
+    assert stored
+    for run in stored:
+        assert agrees(run, replay(run)), run.name

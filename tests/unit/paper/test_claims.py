@@ -39,7 +39,7 @@ def test_a_command_that_makes_runs_has_some_to_make(claims):
     assert arguments
     for each in arguments:
         options = dict(zip(each[::2], each[1::2], strict=True))
-        assert select([options["--task"]], None, None, None, BudgetName(options.get("--budget", "default")))
+        assert select([options["--task"]], None, None, None, [BudgetName(options.get("--budget", "default"))])
 
 
 def test_few_runs_are_no_verdict_but_show_what_was_stopped(tmp_path):

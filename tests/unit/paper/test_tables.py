@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from rover_ncp.cli import run
-from sim.paper import BudgetName, curves
+from sim.paper import BudgetName, curves, runs
 from sim.paper.curves import curves_png
-from sim.paper.results import Packed, Result, ResultStore, RunName
+from sim.paper.results import SHIPPED, Packed, Result, ResultStore, RunName
 from sim.paper.runs import agrees, train_run
 from sim.paper.selection import coverage, grid
 from sim.paper.significance import Summary, welch
@@ -139,9 +139,9 @@ def test_a_curve_holds_all_runs_also_one_that_its_start_solved(kind):
         def plot(self, steps, middle, label, **_):
             lines.append((middle, label))
 
-    runs = [result("cart-pole", "circuit", 0, 97.0), result("cart-pole", "circuit", 1, 99.0)]
-    runs[1] = runs[1].model_copy(update={"curve": ((10, 99.0),)})
-    curves._draw(Axes(), runs, "circuit", kind)
+    drawn = [result("cart-pole", "circuit", 0, 97.0), result("cart-pole", "circuit", 1, 99.0)]
+    drawn[1] = drawn[1].model_copy(update={"curve": ((10, 99.0),)})
+    curves._draw(Axes(), drawn, "circuit", kind)
     [(middle, label)] = lines
     assert (middle[0], middle[-1], label) == (49.5, 98.0, "circuit (2)")
 
@@ -165,6 +165,14 @@ def test_trained_parking_circuits_are_interpreted(tmp_path, capsys):
         assert found["runs"] >= 1
         assert len(found[key]) == 8
         assert all(row["published"] for row in found[key])
+
+
+def test_a_replay_without_options_scores_all_shipped_runs(tmp_path, monkeypatch, capsys):
+    scored = ("episodes", "mean", "std", "plain_mean", "success")
+    monkeypatch.setattr(runs, "replay", lambda stored, _: {name: getattr(stored, name) for name in scored})
+    shipped = len(list(SHIPPED.rglob("*.json")))
+    assert run(["paper", "replay", "--runs", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"replayed": shipped, "exact": shipped, "differ": []}
 
 
 def test_a_replay_may_differ_by_a_billionth_but_not_in_its_verdict():

@@ -6,10 +6,8 @@ import pytest
 
 from sim.explain.explain import explain
 from sim.explain.files import markdown
-from sim.paper import FAITHFUL, BudgetName
-from sim.paper.results import ResultStore
+from sim.paper.results import SHIPPED, load_result
 from sim.paper.runs import agrees, replay
-from sim.paper.tasks import TASKS
 from sim.studies.compare import compare
 
 
@@ -32,10 +30,9 @@ def test_the_default_policy_is_the_one_that_is_explained():
     assert text == markdown(explain("course")), again
 
 
-@pytest.mark.parametrize("budget", (BudgetName.DEFAULT, *FAITHFUL))
-def test_a_shipped_run_of_each_task_replays(budget):
-    store = ResultStore(Path("nowhere"))
-    stored = [run for task in TASKS for run in store.results(task, "circuit", budget)[:1]]
-    assert stored
-    for run in stored:
-        assert agrees(run, replay(run)), run.name
+@pytest.mark.parametrize(
+    "path", sorted(SHIPPED.rglob("circuit-00.json")), ids=lambda path: str(path.parent.relative_to(SHIPPED))
+)
+def test_a_shipped_run_of_each_budget_and_task_replays(path):
+    stored = load_result(path)
+    assert agrees(stored, replay(stored))

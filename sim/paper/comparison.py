@@ -62,8 +62,10 @@ class Comparison(NamedTuple):
 
     def fields(self) -> dict[str, Any]:
         """Return the comparison as ``--json`` prints it."""
-        own = self._asdict()
-        del own["effect"]
+        own = {
+            name: getattr(self, name)
+            for name in ("task", "other", "runs", "means", "successes", "at_limit", "p_holm")
+        }
         return own | self.effect._asdict() | {"test": "permutation", "verdict": self.verdict}
 
     def texts(self) -> tuple[str, ...]:

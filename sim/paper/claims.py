@@ -142,6 +142,9 @@ def _two_values(store: ResultStore) -> Iterator[Claim]:
             figure=f"{len(succeeded)} of {len(runs)} runs succeed",
             command="rover-ncp paper random-circuits" + _option(budget),
         )
+        if len(runs) < _ENOUGH_RUNS:
+            yield _too_few(store, task, budget, claim)
+            continue
         if len(succeeded) in (0, 1, len(runs)):
             why = f"no two values arise where all runs succeed or fail; {unexplained}"
             yield replace(claim, verdict=Finding.NOT_REPRODUCED, why=why)

@@ -35,7 +35,8 @@ RESULTS = {
     "paper random-circuits, policy-gradients, networks": "sim.paper.tables:table_fields cells=:Row "
     "cells=:Row.fields cells.published=:Published",
     "paper claims": "claims=sim.paper.claims:Claim",
-    "paper comparisons": "comparisons=sim.paper.comparison:Comparison.fields comparisons=:Effect",
+    "paper comparisons": "comparisons=sim.paper.comparison:Comparison.fields "
+    "comparisons=sim.paper.significance:Effect",
     "paper parameters": "tasks=sim.paper.tables:parameters tasks=sim.paper.tasks:Settings",
     "paper time-constants": "sim.paper.interpretation:parking_time_constants",
     "paper contributions": "sim.paper.interpretation:parking_contributions",
@@ -93,7 +94,7 @@ COMMON = {
     "mean": "mean return, with the bonus where the task has one",
     "plain_mean": "mean return without bonus",
     "published": "the paper's",
-    "p_holm": "p corrected for the number of tasks",
+    "p_holm": "p corrected by Holm",
     "source": "the neuron that acts",
     "destination": "the neuron that it acts on",
     "sign": "of the contribution, by Definition 1 of the paper",
@@ -101,6 +102,7 @@ COMMON = {
     "agents": "how many searches ran",
     "apart_m": "between the ends of the live drive and the one on the virtual clock",
     "apart_rad": "between their headings",
+    "at_limit": "whether all runs of both ended at the return that is enough, so that steps are compared",
     "best.negative": "steps against it, of the best circuit",
     "best.positive": "steps for it, of the best circuit",
     "budget": "how long a run may take: quick, default or published",

@@ -8,15 +8,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from statistics import median
+from typing import Any
 
 import numpy as np
 
 from sim.paper import BudgetName
 from sim.paper.agents import GRADIENTS
-from sim.paper.comparison import OTHERS, Comparison, compare_agents, measure
+from sim.paper.comparison import OTHERS, Comparison, compare_agents
 from sim.paper.results import Result, ResultStore
 from sim.paper.selection import stopped_state
-from sim.paper.tables import LEVEL, TABLES, Row, Verdict, mean_text, stopped_text, table
+from sim.paper.significance import LEVEL, NO_GAP, Summary, fisher, mean_text, measure, welch
+from sim.paper.tables import TABLES, Row, Verdict, corrected, published_value, stopped_text, table
 from sim.paper.tasks import TASKS
 
 FAST = 5000
@@ -71,77 +73,129 @@ def all_claims(store: ResultStore) -> list[Claim]:
 
 
 def _cell_claims(store: ResultStore) -> Iterator[Claim]:
-    """Yield each value of Tables II to IV, which is reproduced where ours is equal within noise.
+    """Yield each value of Tables II to IV; the verdict is on the difference of ours.
 
-    The paper's own search has the last word where at least three runs of it exist.
+    The paper's own search has the last word where at least three runs of it exist. Holm's correction is for
+    the values of a table; a value that stands in two tables gets the larger p of the two.
     """
-    for which, named in TABLES.items():
-        own = {(row.task, row.agent): row for row in table(which, store, BudgetName.PUBLISHED)}
-        for default in table(which, store):
-            faithful = own.get((default.task, default.agent))
-            with_theirs = faithful is not None and faithful.runs >= _ENOUGH_RUNS
-            row = faithful if with_theirs and faithful is not None else default
-            if row.published is None:
-                continue
-            verdict, why = _cell_verdict(row, with_theirs or row.agent in GRADIENTS)
-            yield Claim(
-                name=f"{which}-{row.task}-{row.agent}",
-                claim=f"{TASKS[row.task].title}, {row.agent}: {_published(row)}",
-                source=named.number,
-                verdict=verdict,
-                figure=_ours(row),
-                command=f"rover-ncp paper {which}" + (" --budget published" if with_theirs else ""),
-                why=why,
-            )
+    cells = [(which, *cell) for which in TABLES for cell in _cells(which, store)]
+    p_holm: dict[Any, float] = {}
+    for _, row, _ in cells:
+        p_holm[_value(row)] = max(p_holm.get(_value(row), 0.0), row.p_holm or 0.0)
+    for which, cell, budget in cells:
+        row = replace(cell, p_holm=p_holm[_value(cell)])
+        if row.published is None:
+            continue
+        same_search = budget is BudgetName.PUBLISHED or row.agent in GRADIENTS
+        verdict, why = _cell_verdict(row, same_search)
+        yield Claim(
+            name=f"{which}-{row.task}-{row.agent}",
+            claim=f"{TASKS[row.task].title}, {row.agent}: {row.published.text()}",
+            source=TABLES[which].number,
+            verdict=verdict,
+            figure=_ours(row),
+            command=f"rover-ncp paper {which}{_option(budget)}",
+            why=why,
+        )
+
+
+def _value(row: Row) -> tuple[Any, ...]:
+    return row.task, row.agent, row.published
+
+
+def _cells(which: str, store: ResultStore) -> list[tuple[Row, BudgetName]]:
+    """Return the rows of a table and their budgets: the paper's own where enough runs of it exist."""
+    own = {(row.task, row.agent): row for row in table(which, store, BudgetName.PUBLISHED)}
+    cells = [
+        (faithful, BudgetName.PUBLISHED)
+        if (faithful := own.get((row.task, row.agent))) and faithful.runs >= _ENOUGH_RUNS
+        else (row, BudgetName.DEFAULT)
+        for row in table(which, store)
+    ]
+    rows = corrected(row for row, _ in cells)
+    return [(row, budget) for row, (_, budget) in zip(rows, cells, strict=True)]
+
+
+_UNEXPLAINED = {
+    "pendulum": "failures lower a mean, but 90 % of the runs at 1168.5 and the others at 0 give 1051.7, so "
+    "that 866.4 remains unexplained",
+    "half-cheetah": "failures cannot raise 2587.4 to 2891.4, so that both values remain unexplained",
+}
+"""What failed attempts leave open in the two values of a task."""
 
 
 def _two_values(store: ResultStore) -> Iterator[Claim]:
-    """Yield the experiments of which Tables II and IV give two values, with and without failures."""
-    for task in _PAPER_TASKS:
-        rows = [
-            next(row for row in table(which, store) if (row.task, row.agent) == (task, "circuit"))
-            for which in ("random-circuits", "networks")
-        ]
-        if rows[0].published == rows[1].published or rows[0].success_rate is None:
-            continue
-        failed = rows[0].success_rate < 1.0
-        yield Claim(
+    """Yield the experiments of which Tables II and IV give two values, with and without failures.
+
+    All runs are compared with Table II, and those that succeeded with Table IV.
+    """
+    for task, unexplained in _UNEXPLAINED.items():
+        published = [published_value(which, task, "circuit") for which in ("random-circuits", "networks")]
+        runs, budget = _faithful_runs(store, task)
+        succeeded = [result for result in runs if result.success]
+        of_all, alone = (value for value in published if value is not None)
+        claim = Claim(
             name=f"two-values-{task}",
-            claim=f"{TASKS[task].title}: {' and '.join(map(_published, rows))} are of one experiment, "
+            claim=f"{TASKS[task].title}: {of_all.text()} and {alone.text()} are of one experiment, "
             "with and without failed attempts",
             source="Tables II and IV",
-            verdict=Finding.DIFFERENCE if failed else Finding.NOT_REPRODUCED,
-            figure=_ours(rows[0]),
-            command="rover-ncp paper random-circuits",
-            why=""
-            if failed
-            else "none of the attempts of our default search failed, so that there is one value",
+            figure=f"{len(succeeded)} of {len(runs)} runs succeed",
+            command="rover-ncp paper random-circuits" + _option(budget),
         )
+        if len(runs) < _ENOUGH_RUNS:
+            yield _too_few(store, task, budget, claim)
+            continue
+        if len(succeeded) in (0, 1, len(runs)):
+            why = f"no two values arise where all runs succeed or fail; {unexplained}"
+            yield replace(claim, verdict=Finding.NOT_REPRODUCED, why=why)
+            continue
+        assert alone.success_rate is not None
+        # Without failures, the paper's value is of the runs that succeeded.
+        theirs = of_all, alone._replace(runs=round(alone.success_rate * alone.runs))
+        tests, figures = [], []
+        for words, results, value in zip(
+            ("all", "the successes alone"), (runs, succeeded), theirs, strict=True
+        ):
+            returns = [result.mean for result in results]
+            ours = Summary(float(np.mean(returns)), float(np.std(returns, ddof=1)), len(returns))
+            tests.append(welch(ours, value.summary()))
+            figures.append(f"{words} {mean_text(ours.mean, ours.std)}, {tests[-1].sentence()}")
+        apart = any(test.p < LEVEL for test in tests)
+        yield replace(
+            claim,
+            verdict=Finding.NOT_REPRODUCED if apart else Finding.DIFFERENCE,
+            figure="; ".join([claim.figure, *figures]),
+            why=f"{'ours are others' if apart else NO_GAP}; {unexplained}",
+        )
+
+
+def _faithful_runs(store: ResultStore, task: str) -> tuple[list[Result], BudgetName]:
+    """Return the circuit's runs by the paper's own search where at least three exist, or those by ours."""
+    runs = store.results(task, "circuit", BudgetName.PUBLISHED)
+    if len(runs) >= _ENOUGH_RUNS:
+        return runs, BudgetName.PUBLISHED
+    return store.results(task, "circuit"), BudgetName.DEFAULT
+
+
+def _option(budget: BudgetName) -> str:
+    return "" if budget is BudgetName.DEFAULT else f" --budget {budget}"
 
 
 def _cell_verdict(row: Row, same_search: bool) -> tuple[Finding, str]:
     """Return the verdict on one of the paper's values, and its reason."""
     if row.verdict is None:
         return Finding.NOT_TESTED, "fewer than two runs"
-    search = "" if same_search else ", with our search"
+    search = "" if same_search else "with our search, "
     if row.verdict is not Verdict.EQUAL:
-        return Finding.NOT_REPRODUCED, f"ours is {row.verdict}{search}"
-    return (Finding.REPRODUCED, "") if same_search else (Finding.DIFFERENCE, f"equal within noise{search}")
-
-
-def _published(row: Row) -> str:
-    assert row.published is not None
-    rate = row.published.success_rate
-    return mean_text(row.published.mean, row.published.std) + ("" if rate is None else f" ({rate:.0%})")
+        return Finding.NOT_REPRODUCED, f"{search}ours is {row.verdict}"
+    return Finding.DIFFERENCE, f"{search}{NO_GAP}"
 
 
 def _ours(row: Row) -> str:
-    if row.mean is None or row.p is None:
+    if row.welch is None:
         return f"{row.runs} runs"
-    return (
-        f"{mean_text(row.mean, row.std)} ({row.success_rate:.0%}); Welch's test, n = {row.runs} and 10, "
-        f"p = {row.p:.2g}"
-    )
+    values = f"{mean_text(row.mean, row.std)} ({row.success_rate:.0%})"
+    return f"{values}; {row.welch.sentence()}, by Holm {row.p_holm:.2g}"
 
 
 _COMPARED = {
@@ -155,15 +209,20 @@ _COMPARED = {
 }
 
 
+_LIMIT = "both agents reach the limit at which a search ends, so that their returns are not compared"
+
+
 def _comparison_claims(other: str, found: Sequence[Comparison]) -> Iterator[Claim]:
     """Yield the claim on each task: better than random wirings, not worse than anything else."""
     number, words = _COMPARED[other]
     for row in found:
         verdict, why = Finding.NOT_REPRODUCED, ""
-        if row.better:
+        if row.at_limit and (row.better or other != "random"):
+            verdict, why = Finding.DIFFERENCE, f"{_LIMIT}; steps to success: {row.verdict}"
+        elif row.better:
             verdict = Finding.REPRODUCED
         elif other != "random" and not row.worse:
-            verdict, why = Finding.DIFFERENCE, "no gap is found, which does not prove that there is none"
+            verdict, why = Finding.DIFFERENCE, NO_GAP
         yield Claim(
             name=f"{other}-{row.task}",
             claim=f"{TASKS[row.task].title}: {words}",
@@ -182,7 +241,7 @@ def value_after(result: Result, iterations: int) -> float:
 
 def _search_claims(store: ResultStore) -> Iterator[Claim]:
     """Yield what the paper says of its search, from runs of the faithful columns alone."""
-    from scipy.stats import binomtest, fisher_exact
+    from scipy.stats import binomtest
 
     names = {
         BudgetName.PUBLISHED: "the search of the published code trains the circuit to park",
@@ -203,13 +262,13 @@ def _search_claims(store: ResultStore) -> Iterator[Claim]:
             f"{median(values):.3f}, best {max(values):.3f}"
         )
         hits, of = _PUBLISHED_CODE
-        p = float(fisher_exact([[sum(passed), len(runs) - sum(passed)], [hits, of - hits]]).pvalue)
+        rates = fisher(sum(passed), len(runs), hits, of)
         yield Claim(
             f"{budget}-parking",
             words,
             source,
             share_finding(sum(passed), len(runs)),
-            f"{figure}; the published code itself {hits} of {of}, Fisher's test p = {p:.2g}",
+            f"{figure}; the published code itself {hits} of {of}, rate {rates.sentence()}",
             command,
             "most runs end in a local optimum" if not all(passed) else "",
         )
@@ -246,7 +305,7 @@ def _too_few(store: ResultStore, task: str, budget: BudgetName, claim: Claim) ->
 
 def _estimate_claims(store: ResultStore) -> Iterator[Claim]:
     """Yield what rests on the faithful columns of the other tasks."""
-    from scipy.stats import binomtest, fisher_exact
+    from scipy.stats import binomtest
 
     for task in (*_PAPER_TASKS, "cart-pole"):
         runs = store.results(task, "circuit", BudgetName.PUBLISHED)
@@ -263,15 +322,12 @@ def _estimate_claims(store: ResultStore) -> Iterator[Claim]:
         verdict, why = share_finding(hits, len(runs)), ""
         figure = f"{hits} of {len(runs)} succeed (Wilson {low:.0%} to {high:.0%})"
         if theirs is not None:
-            p = float(fisher_exact([[hits, len(runs) - hits], [theirs, _AGENTS - theirs]]).pvalue)
-            figure += f"; Fisher's test against the paper's, p = {p:.2g}"
-            verdict = Finding.REPRODUCED
-            if p < LEVEL:
-                higher = hits * _AGENTS > theirs * len(runs)
-                verdict, why = (
-                    Finding.NOT_REPRODUCED,
-                    f"the rate is {'higher' if higher else 'lower'} here",
-                )
+            rates = fisher(hits, len(runs), theirs, _AGENTS)
+            figure += f"; against the paper's {theirs} of {_AGENTS}, rate {rates.sentence()}"
+            verdict, why = Finding.DIFFERENCE, NO_GAP
+            if rates.p < LEVEL:
+                higher = "higher" if rates.difference > 0.0 else "lower"
+                verdict, why = Finding.NOT_REPRODUCED, f"the rate is {higher} here"
         command = f"rover-ncp paper run --budget published --task {task}"
         yield Claim(name, words, source, verdict, figure, command, why)
     yield from _objective_claims(store)

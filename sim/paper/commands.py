@@ -76,12 +76,13 @@ def paper(
         typer.Option(help="A wiring of your own, YAML or .bnn, as one more agent.", show_default=False),
     ] = None,
     budget: Annotated[
-        BudgetName,
+        BudgetName | None,
         typer.Option(
             help="quick: seconds a run. default: minutes. published: the paper's iterations, and the search "
-            "of its code. published-mean: with the mean of all rollouts. algorithm1: the search as printed."
+            "of its code. published-mean: with the mean of all rollouts. algorithm1: the search as printed.",
+            show_default="default; of replay all",
         ),
-    ] = BudgetName.DEFAULT,
+    ] = None,
     runs: Annotated[Path, typer.Option(help="Folder of your runs; they precede the shipped ones.")] = Path(
         "runs/paper"
     ),
@@ -133,18 +134,22 @@ def paper(
         rover-ncp paper run --budget published --task half-cheetah --stop "a run takes hours"
         rover-ncp paper networks --json
     """
+    from sim.paper.agents import AGENTS
     from sim.paper.results import ResultStore
     from sim.paper.selection import select
 
     output, store = Output(json), ResultStore(runs)
     if what is What.REPLAY:
-        return _replay(output, store, select(task, agent, seed, circuit, budget), circuit)
+        agents = agent if agent or circuit else AGENTS  # no stored run needs torch to be scored
+        names = select(task, agents, seed, circuit, [budget] if budget else BudgetName)
+        return _replay(output, store, names, circuit)
+    budget = budget or BudgetName.DEFAULT
     if what is not What.RUN:
         _show(what, output, store, out=out, budget=budget, tasks=task, agents=agent)
         return 0
     if cluster is not None and (processes is not None or circuit is not None):
         raise UsageError("--cluster goes with neither --processes nor --circuit, a file of this machine")
-    names = select(task, agent, seed, circuit, budget)
+    names = select(task, agent, seed, circuit, [budget])
     left = [name for name in names if again or store.find(name) is None]
     if stop is not None:
         left = [name for name in names if store.unfinished(name).is_file()]

@@ -4,44 +4,30 @@ Returns are far from normal (a run balances or falls), so the test is a permutat
 means. Holm's procedure corrects for the number of tasks. Effect sizes: the difference of means with its
 bootstrap interval, and the probability that a run of the circuit is better than one of the other agent, ties
 counted by half.
+
+A search ends at a return that is confirmed as enough. Where all runs of both agents end so, the difference of
+returns only says where they stopped, and the steps to success are compared.
 """
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rover_ncp.core.errors import UsageError
 from sim.paper.agents import AGENTS, CLONED
-from sim.paper.results import ResultStore
-from sim.paper.tables import LEVEL, markdown, mean_text
+from sim.paper.results import Result, ResultStore
+from sim.paper.significance import LEVEL, Effect, holm, interval_text, mean_text, measure
+from sim.paper.tables import markdown
 from sim.paper.tasks import TASKS
 
 OTHERS = tuple(agent for agent in AGENTS[1:] if agent not in CLONED)
-_RESAMPLES = 9999
-_SEED = 20
-"""A table is the same each time."""
 
 
-class Effect(NamedTuple):
-    """A test of two sets of runs, and how far they lie apart."""
-
-    difference: float
-    """Of the means."""
-    interval: tuple[float, float]
-    """Of the difference, 95 %."""
-    probability: float
-    """That a run of the first set has the higher return."""
-    p: float
-
-    def sentence(self, runs: int, other_runs: int) -> str:
-        """Return test, n, p and effect size in a line."""
-        low, high = map(mean_text, self.interval)
-        return (
-            f"difference {mean_text(self.difference)} ({low} .. {high}), P(above) {self.probability:.2f}; "
-            f"permutation test, n = {runs} and {other_runs}, p = {self.p:.2g}"
-        )
+def steps_to_success(result: Result) -> int:
+    """Return the steps after which a run's estimate passes its task's threshold, or all of its steps."""
+    enough = TASKS[result.name.task].success
+    return next((steps for steps, value in result.curve if value >= enough), result.steps)
 
 
 class Comparison(NamedTuple):
@@ -52,47 +38,57 @@ class Comparison(NamedTuple):
     runs: tuple[int, int]
     means: tuple[float, float]
     successes: tuple[int, int]
+    at_limit: bool
+    """Whether all runs of both ended at the return that is enough."""
     effect: Effect
+    """Of returns, or of steps to success where all runs of both ended at the return that is enough."""
     p_holm: float
 
     @property
     def better(self) -> bool:
-        """Whether the circuit is better beyond chance, corrected for all tasks."""
-        return self.p_holm < LEVEL and self.effect.difference > 0.0
+        """Whether the circuit has the higher returns, or fewer steps, beyond chance, corrected for tasks."""
+        return self.p_holm < LEVEL and (self.effect.difference < 0.0) == self.at_limit
 
     @property
     def worse(self) -> bool:
-        """Whether the circuit is worse beyond chance, corrected for all tasks."""
-        return self.p_holm < LEVEL and self.effect.difference < 0.0
+        """Whether the circuit has the lower returns, or more steps, beyond chance, corrected for tasks."""
+        return self.p_holm < LEVEL and not self.better
+
+    @property
+    def verdict(self) -> str:
+        """The difference of the circuit in words."""
+        better, worse = ("fewer steps", "more steps") if self.at_limit else ("better", "worse")
+        return better if self.better else worse if self.worse else "no difference found"
 
     def fields(self) -> dict[str, Any]:
         """Return the comparison as ``--json`` prints it."""
-        verdict = "better" if self.better else "worse" if self.worse else "no difference found"
         own = {
-            name: getattr(self, name) for name in ("task", "other", "runs", "means", "successes", "p_holm")
+            name: getattr(self, name)
+            for name in ("task", "other", "runs", "means", "successes", "at_limit", "p_holm")
         }
-        return own | self.effect._asdict() | {"test": "permutation", "verdict": verdict}
+        return own | self.effect._asdict() | {"test": "permutation", "verdict": self.verdict}
 
     def texts(self) -> tuple[str, ...]:
         """Return the comparison's cells as Markdown."""
-        fields, (low, high) = self.fields(), map(mean_text, self.effect.interval)
         return (
             TASKS[self.task].title,
             self.other,
             f"{self.runs[0]}, {self.runs[1]}",
             f"{mean_text(self.means[0])}, {mean_text(self.means[1])}",
             f"{self.successes[0]}, {self.successes[1]}",
-            f"{mean_text(self.effect.difference)} ({low} .. {high})",
+            "steps" if self.at_limit else "return",
+            f"{mean_text(self.effect.difference)} ({interval_text(self.effect.interval)})",
             f"{self.effect.probability:.2f}",
             f"{self.effect.p:.2g}",
             f"{self.p_holm:.2g}",
-            fields["verdict"],
+            self.verdict,
         )
 
     def sentence(self) -> str:
         """Return means, test, n, p and effect size in a line."""
         means = " against ".join(map(mean_text, self.means))
-        return f"{means}: {self.effect.sentence(*self.runs)}, by Holm {self.p_holm:.2g}"
+        of = "; steps to success," if self.at_limit else ":"
+        return f"{means}{of} {self.effect.sentence(*self.runs)}, by Holm {self.p_holm:.2g}"
 
 
 def compare_agents(store: ResultStore, other: str) -> list[Comparison]:
@@ -104,53 +100,34 @@ def compare_agents(store: ResultStore, other: str) -> list[Comparison]:
         raise UsageError(f"the circuit is compared with {', '.join(OTHERS)}, not with {other!r}")
     pairs = {task: (store.results(task, "circuit"), store.results(task, other)) for task in TASKS}
     pairs = {task: pair for task, pair in pairs.items() if min(map(len, pair)) > 1}
-    returns = {
-        task: [np.array([result.mean for result in results]) for results in pair]
-        for task, pair in pairs.items()
+    limits = {
+        task: all(run.ended == "enough" for runs in pair for run in runs) for task, pair in pairs.items()
     }
-    effects = [measure(*arrays) for arrays in returns.values()]
+    effects = []
+    for task, pair in pairs.items():
+        of = steps_to_success if limits[task] else _mean
+        effects.append(measure(*(np.array([of(run) for run in runs], np.float64) for runs in pair)))
     corrected = holm([effect.p for effect in effects])
     return [
         Comparison(
             task=task,
             other=other,
             runs=(len(ours), len(theirs)),
-            means=(float(ours.mean()), float(theirs.mean())),
-            successes=(sum(r.success for r in pairs[task][0]), sum(r.success for r in pairs[task][1])),
+            means=(float(np.mean([run.mean for run in ours])), float(np.mean([run.mean for run in theirs]))),
+            successes=(sum(run.success for run in ours), sum(run.success for run in theirs)),
+            at_limit=limits[task],
             effect=effect,
             p_holm=p_holm,
         )
-        for (task, (ours, theirs)), effect, p_holm in zip(returns.items(), effects, corrected, strict=True)
+        for (task, (ours, theirs)), effect, p_holm in zip(pairs.items(), effects, corrected, strict=True)
     ]
 
 
-def measure(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> Effect:
-    """Compare two sets of returns, (n,) and (m,)."""
-    from scipy.stats import bootstrap, mannwhitneyu, permutation_test
-
-    if np.ptp(np.concatenate([ours, theirs])) == 0.0:
-        return Effect(0.0, (0.0, 0.0), 0.5, 1.0)
-    rng = np.random.default_rng(_SEED)
-    test = permutation_test((ours, theirs), _difference, n_resamples=_RESAMPLES, rng=rng)
-    ends = bootstrap((ours, theirs), _difference, n_resamples=_RESAMPLES, rng=rng).confidence_interval
-    above = float(mannwhitneyu(ours, theirs).statistic) / (len(ours) * len(theirs))
-    return Effect(float(test.statistic), (float(ends.low), float(ends.high)), above, float(test.pvalue))
-
-
-def _difference(a: NDArray[np.float64], b: NDArray[np.float64], axis: int = -1) -> Any:
-    return a.mean(axis=axis) - b.mean(axis=axis)
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p values corrected for their number (Holm 1979)."""
-    order = np.argsort(p_values)
-    scaled = np.array(p_values)[order] * np.arange(len(order), 0, -1)
-    corrected = np.empty(len(order))
-    corrected[order] = np.minimum(np.maximum.accumulate(scaled), 1.0)
-    return [float(p) for p in corrected]
+def _mean(run: Result) -> float:
+    return run.mean
 
 
 def comparisons_text(found: Sequence[Comparison]) -> str:
     """Return comparisons as Markdown."""
-    head = ("task", "circuit and", "runs", "means", "successes", "difference (95 %)")
+    head = ("task", "circuit and", "runs", "means", "successes", "compared", "difference (95 %)")
     return markdown([(*head, "P(above)", "p", "p, Holm", "circuit"), *(row.texts() for row in found)])

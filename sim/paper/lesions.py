@@ -17,7 +17,8 @@ from sim.learn.search.base import Vector, draw_seeds
 from sim.paper.evaluator import Evaluator
 from sim.paper.parking import ParkingEvaluator
 from sim.paper.results import ResultStore
-from sim.paper.tables import markdown, mean_text
+from sim.paper.significance import mean_text
+from sim.paper.tables import markdown
 from sim.paper.tasks import TASKS, Benchmark, Task
 
 _EPISODES, _CHEETAH_EPISODES = 10, 3

@@ -1,7 +1,7 @@
 """The grid of runs behind the paper's tables, and the runs that a command line selects."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -122,9 +122,9 @@ def select(
     agents: Sequence[str] | None,
     seeds: Sequence[int] | None,
     circuit: Path | None,
-    budget: BudgetName = BudgetName.DEFAULT,
+    budgets: Iterable[BudgetName] = (BudgetName.DEFAULT,),
 ) -> list[RunName]:
-    """Return the selected runs of a budget, circuits first: of the grid, or of any seeds given.
+    """Return the selected runs of budgets, circuits first: of the grid, or of any seeds given.
 
     Without ``agents``, those that need torch are left out. Raises UsageError for an unknown task or agent,
     and where nothing is left.
@@ -134,15 +134,17 @@ def select(
     if circuit is not None:
         if agents or not tasks:
             raise UsageError("--circuit FILE is an agent by itself; it wants a --task")
-        return [name for task in tasks for name in Group(task, circuit.stem, _OWN_RUNS, budget).names(seeds)]
+        groups = [Group(task, circuit.stem, _OWN_RUNS, budget) for budget in budgets for task in tasks]
+        return [name for group in groups for name in group.names(seeds)]
     for agent in agents or ():
         if agent not in AGENTS:
             raise UsageError(f"no agent {agent!r}; there are {', '.join(AGENTS)}")
     wanted = agents or [agent for agent in AGENTS if agent not in WITH_TORCH]
+    groups = [group for budget in budgets for group in grid(budget)]
     names = [
         name
         for agent in AGENTS
-        for group in grid(budget)
+        for group in groups
         if group.agent == agent and agent in wanted and (not tasks or group.task in tasks)
         for name in group.names(seeds)
     ]

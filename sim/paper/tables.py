@@ -1,12 +1,12 @@
 """The paper's tables, from the runs that exist, as records and as Markdown.
 
 Beside each row of ours stands the paper's, and a verdict: better or worse if Welch's t-test, on mean,
-standard deviation and number of runs of both, finds a difference at the 5 % level, otherwise equal within
-noise.
+standard deviation and number of runs of both, finds a difference at the 5 % level after Holm's correction for
+the number of values.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, NamedTuple
 
@@ -17,9 +17,8 @@ from sim.paper.agents import GRADIENTS
 from sim.paper.results import Result, ResultStore
 from sim.paper.runs import budget_for
 from sim.paper.selection import Group, grid
+from sim.paper.significance import LEVEL, Difference, Summary, holm, interval_text, mean_text, welch
 from sim.paper.tasks import TASKS
-
-LEVEL = 0.05
 
 
 class Table(NamedTuple):
@@ -43,9 +42,19 @@ class Published(NamedTuple):
     mean: float
     std: float
     success_rate: float | None = None
+    runs: int = 10
+    """Our assumption. All success rates of the tables are shares of ten runs except half-cheetah's."""
+
+    def text(self) -> str:
+        """Return mean, deviation and rate in a line."""
+        rate = "" if self.success_rate is None else f" ({self.success_rate:.1%})".replace(".0%", "%")
+        return mean_text(self.mean, self.std) + rate
+
+    def summary(self) -> Summary:
+        """Return what a test compares."""
+        return Summary(self.mean, self.std, self.runs)
 
 
-PUBLISHED_RUNS = 10
 _MOTORS_MV = "-70 .. -20 (text), -60 .. -20 (code)"
 _SENSORS_MV = "the same (text), not clamped (code)"
 _PENDULUM = {
@@ -71,13 +80,13 @@ PUBLISHED = {
     "half-cheetah": {
         "lstm": Published(1588.9, 353.8, 0.1),
         "mlp": Published(1271.8, 634.4, 0.0),
-        "circuit": Published(2587.4, 846.8, 0.727),
+        "circuit": Published(2587.4, 846.8, 0.727, 11),  # 8 of 11
         "random": Published(1743.0, 642.3, 0.5),
     },
 }
-_TABLE_II = {"pendulum": Published(866.4, 418.0), "half-cheetah": Published(2891.4, 1016.0)}
+_TABLE_II = {"pendulum": Published(866.4, 418.0), "half-cheetah": Published(2891.4, 1016.0, runs=11)}
 _TABLE_II["roboschool"] = _TABLE_II["pendulum"]
-"""The circuit's values where Table II differs from Table IV: failed attempts are included."""
+"""The circuit's values where Table II differs from Table IV; as the paper says, with failed attempts."""
 SPARSITY = {"lstm": 0.0, "mlp": 0.0, "circuit": 0.77, "random": 0.77}
 """Share of the possible connections that an agent does without."""
 
@@ -86,7 +95,7 @@ class Verdict(StrEnum):
     """Our runs against the paper's."""
 
     BETTER = "better"
-    EQUAL = "equal within noise"
+    EQUAL = "no difference found"
     WORSE = "worse"
 
 
@@ -106,13 +115,34 @@ class Row:
     cpu_s: float | None
     """Mean of a run."""
     published: Published | None
-    verdict: Verdict | None
-    p: float | None
+    p_holm: float | None = None
+
+    @property
+    def welch(self) -> Difference | None:
+        """Ours against the paper's, where there are two runs at least."""
+        if self.mean is None or self.std is None or self.published is None:
+            return None
+        return welch(Summary(self.mean, self.std, self.runs), self.published.summary())
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether ours are better or worse than the paper's beyond chance."""
+        found = self.welch
+        if found is None or self.p_holm is None:
+            return None
+        if self.p_holm >= LEVEL:
+            return Verdict.EQUAL
+        return Verdict.BETTER if found.difference > 0.0 else Verdict.WORSE
 
     def fields(self) -> dict[str, Any]:
         """Return the row as ``--json`` prints it."""
+        found = self.welch
         return vars(self) | {
-            "published": self.published._asdict() | {"runs": PUBLISHED_RUNS} if self.published else None,
+            "published": self.published._asdict() if self.published else None,
+            "verdict": self.verdict,
+            "difference": found and found.difference,  #: of ours and the paper's
+            "interval": found and found.interval,  #: of the difference, 95 %
+            "p": found and found.p,
             #: share of the possible connections that the agent does without
             "sparsity": SPARSITY.get(self.agent),
             "test": "Welch",  #: behind verdict and p
@@ -120,16 +150,18 @@ class Row:
 
     def texts(self) -> tuple[str, ...]:
         """Return the row's cells as Markdown."""
-        paper = self.published
-        rate = "" if paper is None or paper.success_rate is None else f" ({paper.success_rate:.0%})"
+        found = self.welch
         return (
             TASKS[self.task].title,
             self.agent,
             f"{self.runs} of {self.wanted}",
             mean_text(self.mean, self.std),
             "" if self.success_rate is None else f"{self.success_rate:.0%}",
-            "" if paper is None else f"{paper.mean:.1f} ± {paper.std:.1f}{rate}",
-            "" if self.verdict is None else f"{self.verdict} (p = {self.p:.2g})",
+            "" if self.published is None else self.published.text(),
+            "" if found is None else f"{mean_text(found.difference)} ({interval_text(found.interval)})",
+            "" if found is None else f"{found.p:.2g}",
+            "" if self.p_holm is None else f"{self.p_holm:.2g}",
+            "" if self.verdict is None else str(self.verdict),
             "" if self.cpu_s is None else f"{self.cpu_s:.0f} s",
         )
 
@@ -137,50 +169,41 @@ class Row:
 def table(which: str, store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> list[Row]:
     """Return a table's rows by task, including those without a run. Raises FileError."""
     order = TABLES[which].agents
-    groups = grid(budget)
-    tasks = {group.task for group in groups if group.agent == order[-1]}
-    groups = tuple(group for group in groups if group.agent in order and group.task in tasks)
-    by_task = sorted(groups, key=lambda group: (list(TASKS).index(group.task), order.index(group.agent)))
-    return [make_row(group, group.results(store), published_value(which, group)) for group in by_task]
+    # Only the default grid has an agent of each column on all of a table's tasks.
+    tasks = [group.task for group in grid() if group.agent == order[-1]]
+    groups = [group for group in grid(budget) if group.agent in order and group.task in tasks]
+    groups.sort(key=lambda group: (tasks.index(group.task), order.index(group.agent)))
+    return corrected(
+        make_row(group, group.results(store), published_value(which, group.task, group.agent))
+        for group in groups
+    )
 
 
-def published_value(which: str, group: Group) -> Published | None:
-    """Return what one of the paper's tables says of a group, if it does."""
-    if which == "random-circuits" and group.agent == "circuit" and group.task in _TABLE_II:
-        return _TABLE_II[group.task]
-    return PUBLISHED.get(group.task, {}).get(group.agent)
+def corrected(rows: Iterable[Row]) -> list[Row]:
+    """Return the rows of a table with p corrected by Holm."""
+    rows = list(rows)
+    p_holm = iter(holm([row.welch.p for row in rows if row.welch]))
+    return [replace(row, p_holm=next(p_holm)) if row.welch else row for row in rows]
+
+
+def published_value(which: str, task: str, agent: str) -> Published | None:
+    """Return what one of the paper's tables says of an agent on a task, if it does."""
+    if which == "random-circuits" and agent == "circuit" and task in _TABLE_II:
+        return _TABLE_II[task]
+    return PUBLISHED.get(task, {}).get(agent)
 
 
 def make_row(group: Group, results: Sequence[Result], paper: Published | None) -> Row:
     """Return a row of a table."""
-    judged = p = None
     mean = std = plain = success = cpu_s = None
     if results:
         mean, plain, success, cpu_s = (
             float(np.mean([getattr(result, field) for result in results]))
             for field in ("mean", "plain_mean", "success", "cpu_s")
         )
-    if len(results) > 1 and mean is not None:
+    if len(results) > 1:
         std = float(np.std([result.mean for result in results], ddof=1))
-        if paper is not None:
-            judged, p = compare(mean, std, len(results), paper)
-    return Row(
-        group.task, group.agent, len(results), group.runs, mean, std, plain, success, cpu_s, paper, judged, p
-    )
-
-
-def compare(mean: float, std: float, runs: int, published: Published) -> tuple[Verdict, float]:
-    """Return the verdict on our runs, and the probability of such a difference by chance."""
-    from scipy.stats import ttest_ind_from_stats
-
-    if std == 0.0 and published.std == 0.0:
-        p = 1.0 if mean == published.mean else 0.0
-    else:
-        theirs = (published.mean, published.std, PUBLISHED_RUNS)
-        p = float(ttest_ind_from_stats(mean, std, runs, *theirs, equal_var=False).pvalue)
-    if p >= LEVEL:
-        return Verdict.EQUAL, p
-    return (Verdict.BETTER if mean > published.mean else Verdict.WORSE), p
+    return Row(group.task, group.agent, len(results), group.runs, mean, std, plain, success, cpu_s, paper)
 
 
 def table_fields(which: str, rows: Sequence[Row]) -> dict[str, Any]:
@@ -190,9 +213,10 @@ def table_fields(which: str, rows: Sequence[Row]) -> dict[str, Any]:
 
 def table_text(which: str, rows: Sequence[Row]) -> str:
     """Return a table as Markdown."""
-    head = ("task", "agent", "runs", "ours", "success", "paper", "verdict", "core time")
+    head = ("task", "agent", "runs", "ours", "success", "paper")
+    tests = ("difference (95 %)", "p", "p, Holm", "ours is", "core time")
     named = TABLES[which]
-    return f"{named.number}: {named.title}\n\n" + markdown([head, *(row.texts() for row in rows)])
+    return f"{named.number}: {named.title}\n\n" + markdown([(*head, *tests), *(row.texts() for row in rows)])
 
 
 def coverage_text(groups: Sequence[dict[str, Any]]) -> str:
@@ -294,12 +318,3 @@ def markdown(rows: Sequence[tuple[str, ...]]) -> str:
         for row in rows
     ]
     return "\n".join([lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]])
-
-
-def mean_text(mean: float | None, std: float | None = None) -> str:
-    """Return a mean, and its deviation, with the digits of its size."""
-    if mean is None:
-        return ""
-    digits = 1 if abs(mean) >= 10 else 3
-    spread = "" if std is None else f" ± {std:.{digits}f}"
-    return f"{mean:.{digits}f}{spread}"

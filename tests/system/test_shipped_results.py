@@ -6,9 +6,8 @@ import pytest
 
 from sim.explain.explain import explain
 from sim.explain.files import markdown
-from sim.paper.results import ResultStore
+from sim.paper.results import SHIPPED, load_result
 from sim.paper.runs import agrees, replay
-from sim.paper.tasks import TASKS
 from sim.studies.compare import compare
 
 
@@ -31,7 +30,9 @@ def test_the_default_policy_is_the_one_that_is_explained():
     assert text == markdown(explain("course")), again
 
 
-def test_shipped_runs_replay():
-    for task in TASKS:
-        stored = ResultStore(Path("nowhere")).results(task, "circuit")[0]
-        assert agrees(stored, replay(stored)), stored.name
+@pytest.mark.parametrize(
+    "path", sorted(SHIPPED.rglob("circuit-00.json")), ids=lambda path: str(path.parent.relative_to(SHIPPED))
+)
+def test_a_shipped_run_of_each_budget_and_task_replays(path):
+    stored = load_result(path)
+    assert agrees(stored, replay(stored))

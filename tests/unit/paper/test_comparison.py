@@ -1,11 +1,15 @@
 """Run against run: the test, its correction and the effect size."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
 from rover_ncp.cli import run
-from sim.paper.comparison import holm, measure
+from sim.paper.comparison import compare_agents
+from sim.paper.results import ResultStore
+from sim.paper.significance import fisher, holm, measure
 
 
 def test_holms_correction_is_that_of_the_textbook():
@@ -39,6 +43,33 @@ def test_p_values_of_equal_distributions_are_uniform():
     rng = np.random.default_rng(0)
     low = sum(measure(rng.normal(size=8), rng.normal(size=8)).p < 0.2 for _ in range(60))
     assert 3 <= low <= 22  # 12 expected
+
+
+def test_the_interval_of_a_difference_of_rates_is_newcombes():
+    # Newcombe (1998), method 10, example (a): 56 of 70 and 48 of 80.
+    found = fisher(56, 70, 48, 80)
+    assert found.difference == pytest.approx(0.2)
+    assert found.interval == pytest.approx((0.0524, 0.3339), abs=5e-5)
+    assert found.sentence().startswith(
+        "difference 0.200 (0.052 .. 0.334); Fisher's test, n = 70 and 80, p = "
+    )
+
+
+def test_steps_are_compared_where_all_runs_reach_the_limit(tmp_path):
+    stored, store = ResultStore(Path("nowhere")), ResultStore(tmp_path, None)
+    runs = {agent: stored.results("mountain-car", agent)[:4] for agent in ("circuit", "lstm")}
+    for each in (*runs["circuit"], *runs["lstm"]):
+        store.save(each)
+    [found] = compare_agents(store, "lstm")
+    assert (found.at_limit, found.verdict) == (True, "more steps")
+    for each in runs["circuit"]:
+        store.save(each.model_copy(update={"curve": ((1000 + each.name.seed, 95.0),)}))
+    [found] = compare_agents(store, "lstm")
+    assert (found.at_limit, found.verdict, found.better) == (True, "fewer steps", True)
+    store.save(runs["lstm"][0].model_copy(update={"ended": "steps"}))
+    [found] = compare_agents(store, "lstm")
+    assert (found.at_limit, found.verdict) == (False, "worse")
+    assert found.effect.difference == pytest.approx(found.means[0] - found.means[1])
 
 
 def test_an_agent_that_is_not_compared_is_one_line(capsys):

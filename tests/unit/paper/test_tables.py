@@ -1,25 +1,27 @@
 """The paper's tables, from stored runs."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rover_ncp.cli import run
-from sim.paper import BudgetName, curves
+from sim.paper import BudgetName, curves, runs
 from sim.paper.curves import curves_png
-from sim.paper.results import Packed, Result, ResultStore, RunName
+from sim.paper.results import SHIPPED, Packed, Result, ResultStore, RunName
 from sim.paper.runs import agrees, train_run
 from sim.paper.selection import coverage, grid
-from sim.paper.tables import TABLES, Published, Verdict, compare, parameters, table
+from sim.paper.significance import Summary, welch
+from sim.paper.tables import TABLES, Published, Verdict, corrected, parameters, table
 from sim.paper.tasks import TASKS
 
 
-def result(task, agent, seed, mean, success=True):
+def result(task, agent, seed, mean, success=True, budget=BudgetName.DEFAULT):
     return Result(
-        name=RunName(task=task, agent=agent, seed=seed),
+        name=RunName(task=task, agent=agent, seed=seed, budget=budget),
         command="",
-        budget="default",
+        budget=budget,
         settings={},
         made_with={},
         wall_s=2.0,
@@ -58,12 +60,24 @@ def test_a_row_holds_mean_spread_success_and_the_papers(store):
 
 def test_the_verdict_is_welchs_test():
     # From the textbook: t = (20.6 - 22.1) / sqrt(3.0 / 10 + 6.5 / 10), 15.9 degrees of freedom.
-    verdict, p = compare(20.6, 3.0**0.5, 10, Published(22.1, 6.5**0.5))
-    assert verdict is Verdict.EQUAL
-    assert p == pytest.approx(0.143, abs=0.002)
-    assert compare(20.0, 1.0, 10, Published(22.1, 1.0))[0] is Verdict.WORSE
-    assert compare(1200.0, 0.0, 10, Published(1168.5, 21.7))[0] is Verdict.BETTER
-    assert compare(1.0, 0.0, 10, Published(1.0, 0.0))[0] is Verdict.EQUAL
+    found = welch(Summary(20.6, 3.0**0.5, 10), Summary(22.1, 6.5**0.5, 10))
+    assert found.p == pytest.approx(0.143, abs=0.002)
+    # 2.121 is the quantile of 15.9 degrees of freedom.
+    assert found.interval == pytest.approx((-1.5 - 2.121 * 0.95**0.5, -1.5 + 2.121 * 0.95**0.5), abs=0.002)
+    assert welch(Summary(1.0, 0.0, 10), Summary(1.0, 0.0, 10)).p == 1.0
+    assert welch(Summary(1.1, 0.0, 10), Summary(1.0, 0.0, 10)).p == 0.0
+
+
+def test_the_verdict_rests_on_p_corrected_for_the_values_of_a_table(store):
+    # Each p alone is 0.03 to 0.04; with two values the smaller p is doubled.
+    for seed, mean in enumerate((95.0, 96.5, 98.0)):
+        store.save(result("mountain-car", "mlp", seed, mean))
+    alone = {row.agent: row for row in table("networks", store) if row.task == "mountain-car"}
+    assert alone["circuit"].verdict is Verdict.BETTER
+    means = {"circuit": 96.67, "mlp": 97.35}
+    rows = corrected(replace(alone[agent], mean=mean, std=0.1) for agent, mean in means.items())
+    assert [row.welch.p < 0.05 <= row.p_holm for row in rows] == [True, True]
+    assert {row.verdict for row in rows} == {Verdict.EQUAL}
 
 
 def test_coverage_counts_the_grids_runs_only(store):
@@ -82,6 +96,14 @@ def test_two_of_the_papers_tables_differ_on_the_same_experiment(store):
     assert (
         found["policy-gradients"]["pendulum"] == found["networks"]["pendulum"] == Published(1168.5, 21.7, 0.9)
     )
+
+
+@pytest.mark.parametrize("which", TABLES)
+def test_a_table_of_the_papers_own_search_holds_its_circuits(which, store):
+    store.save(result("mountain-car", "circuit", 0, 92.0, budget=BudgetName.PUBLISHED))
+    found = {(row.task, row.agent): row.mean for row in table(which, store, BudgetName.PUBLISHED)}
+    assert found["mountain-car", "circuit"] == 92.0
+    assert ("cart-pole", "circuit") in found or which == "policy-gradients"
 
 
 @pytest.mark.parametrize(
@@ -117,9 +139,9 @@ def test_a_curve_holds_all_runs_also_one_that_its_start_solved(kind):
         def plot(self, steps, middle, label, **_):
             lines.append((middle, label))
 
-    runs = [result("cart-pole", "circuit", 0, 97.0), result("cart-pole", "circuit", 1, 99.0)]
-    runs[1] = runs[1].model_copy(update={"curve": ((10, 99.0),)})
-    curves._draw(Axes(), runs, "circuit", kind)
+    drawn = [result("cart-pole", "circuit", 0, 97.0), result("cart-pole", "circuit", 1, 99.0)]
+    drawn[1] = drawn[1].model_copy(update={"curve": ((10, 99.0),)})
+    curves._draw(Axes(), drawn, "circuit", kind)
     [(middle, label)] = lines
     assert (middle[0], middle[-1], label) == (49.5, 98.0, "circuit (2)")
 
@@ -143,6 +165,14 @@ def test_trained_parking_circuits_are_interpreted(tmp_path, capsys):
         assert found["runs"] >= 1
         assert len(found[key]) == 8
         assert all(row["published"] for row in found[key])
+
+
+def test_a_replay_without_options_scores_all_shipped_runs(tmp_path, monkeypatch, capsys):
+    scored = ("episodes", "mean", "std", "plain_mean", "success")
+    monkeypatch.setattr(runs, "replay", lambda stored, _: {name: getattr(stored, name) for name in scored})
+    shipped = len(list(SHIPPED.rglob("*.json")))
+    assert run(["paper", "replay", "--runs", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"replayed": shipped, "exact": shipped, "differ": []}
 
 
 def test_a_replay_may_differ_by_a_billionth_but_not_in_its_verdict():

@@ -59,10 +59,12 @@ def _beside(searched: Sequence[Result], cloned: Sequence[Result]) -> tuple[str, 
     alone, after = (median(run.settings[key] for run in cloned) for key in ("cloned", "cloned_steps"))
     means = " against ".join(mean_text(float(values.mean())) for values in ends)
     parts = (
-        f"steps to success {median(steps[0]):,.0f} against {median(steps[1]):,.0f} (medians), "
+        f"steps to success or the end {median(steps[0]):,.0f} against {median(steps[1]):,.0f} (medians), "
         f"{speed.sentence(*sizes)}",
         f"the clones alone reach {mean_text(alone)} after {after:,.0f} steps (medians)",
         f"{sum(run.success for run in cloned)} and {sum(run.success for run in searched)} runs succeed",
         f"ends: {means}, {end.sentence(*sizes)}",
     )
-    return "; ".join(parts), bool(speed.p < LEVEL and speed.difference < 0.0)
+    # The steps of a run that failed are those to its end, which are fewer where its budget is smaller.
+    succeeded = all(run.success for run in cloned)
+    return "; ".join(parts), bool(succeeded and speed.p < LEVEL and speed.difference < 0.0)

@@ -143,6 +143,12 @@ def test_a_gradient_is_not_faster_alone_where_the_search_has_other_starts(claims
     assert "best of 3,000 starts" in claim.why
 
 
+def test_a_gradient_whose_runs_fail_is_not_faster(claims):
+    [claim] = [claim for claim in claims if claim.name == "gradient-ltc-parking"]
+    assert "0 and 5 runs succeed" in claim.figure
+    assert claim.verdict is Finding.NOT_REPRODUCED
+
+
 def test_a_claim_of_all_runs_needs_all_of_them():
     assert [share_finding(hits, 4) for hits in (4, 3, 2, 0)] == [
         Finding.REPRODUCED,

@@ -9,11 +9,12 @@ import pytest
 
 from rover_ncp.cli import run
 from sim.paper import BudgetName
-from sim.paper.claims import Finding, _estimate_claims, _two_values, all_claims, claims_text, share_finding
+from sim.paper.claims import Finding, _estimate_claims, all_claims, claims_text, share_finding
 from sim.paper.comparison import compare_agents
 from sim.paper.results import ResultStore, RunName
 from sim.paper.selection import select
 from sim.paper.tables import TABLES, table
+from sim.paper.value_claims import two_values
 
 STORE = ResultStore(Path("nowhere"))
 
@@ -84,7 +85,7 @@ def test_a_published_value_has_one_verdict(claims):
 
 
 def test_the_two_values_of_a_task_are_those_of_all_runs_and_of_the_successes(tmp_path):
-    found = {claim.name: claim for claim in _two_values(STORE)}
+    found = {claim.name: claim for claim in two_values(STORE)}
     pendulum, cheetah = found["two-values-pendulum"], found["two-values-half-cheetah"]
     assert pendulum.verdict is Finding.DIFFERENCE
     assert "9 of 10 runs succeed" in pendulum.figure
@@ -96,7 +97,7 @@ def test_the_two_values_of_a_task_are_those_of_all_runs_and_of_the_successes(tmp
     for stored in STORE.results("pendulum", "circuit", BudgetName.PUBLISHED):
         seed = stored.name.seed
         store.save(stored.model_copy(update={"mean": 200.0 + seed, "success": seed > 3}))
-    pendulum, cheetah = _two_values(store)
+    pendulum, cheetah = two_values(store)
     assert pendulum.verdict is Finding.NOT_REPRODUCED  # 204 to 209 are not the paper's 1168.5
     assert cheetah.verdict is Finding.NOT_TESTED
 

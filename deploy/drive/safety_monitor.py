@@ -109,7 +109,8 @@ class SafetyMonitor:
         now_ns, newest = self._clock.monotonic_ns(), self._measurements.newest
         self._note_pause(now_ns)
         age_s, limit_s = (now_ns - newest.ref.measured_ns) / NS, self._timeouts.odometry_age_s
-        if age_s > limit_s:
+        # Also of a driver that was paused and finds fresh odometry: it drove by what was there before.
+        if max(age_s, self._pause_s) > limit_s:
             busy = f"; this computer was busy: the driver itself did not run for {self._pause_s:.2f} s"
             raise SafetyStop(
                 "odometry-age",

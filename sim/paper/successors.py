@@ -1,21 +1,29 @@
 """What has come since the paper: gradients through the solver beside the search: circuit, CfC and LTC."""
 
+import json
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 
+from rover_ncp.core.files import read_text
 from sim.paper.agents import CLONED, UNCLONED
 from sim.paper.claims import Claim, Finding
 from sim.paper.comparison import steps_to_success
 from sim.paper.results import Result, ResultStore
 from sim.paper.selection import LIQUID_TASKS
-from sim.paper.significance import LEVEL, mean_text, measure
+from sim.paper.significance import LEVEL, NO_GAP, fisher, mean_text, measure
 from sim.paper.tasks import TASKS
 
 _SOURCE = "since the paper"
 _ENOUGH_RUNS = 4
 """With fewer of each, no permutation test finds anything."""
+_RANGES = {"harsh": "robots of `harsh`", "unseen": "robots of `full` on courses of no training"}
+_TRIALS = 1000
+_ROBUST = Path(__file__).parent / "random_robots"
+"""What the study of random robots prints, an agent each."""
 
 
 def successor_claims(store: ResultStore) -> Iterator[Claim]:
@@ -38,16 +46,40 @@ def successor_claims(store: ResultStore) -> Iterator[Claim]:
                 verdict = Finding.DIFFERENCE
                 why = f"the search begins at the best of {starts:,} starts, the gradient at the first of them"
             yield Claim(name, claim, _SOURCE, verdict, figure, command, why)
-    for agent in UNCLONED[1:]:
+    yield from _robust_claims()
+
+
+def _robust_claims() -> Iterator[Claim]:
+    """Yield how often each agent parks random robots, beside the circuit from the same search and trials."""
+    circuit, *others = UNCLONED
+    for agent in others:
+        tests = []
+        for ranges, words in _RANGES.items():
+            hits, theirs = (
+                round(_robust(name)[ranges]["success_rate"] * _TRIALS) for name in (circuit, agent)
+            )
+            tests.append((words, hits, theirs, fisher(hits, _TRIALS, theirs, _TRIALS)))
+        worse = any(test.p < LEVEL / len(tests) and test.difference < 0.0 for *_, test in tests)
         yield Claim(
             f"robust-{agent}",
             f"Parking on random robots and courses: the circuit is on par with {agent} or better",
             _SOURCE,
-            Finding.NOT_TESTED,
-            "0 trainings on random robots",
-            f"rover-ncp eval {agent}.json --randomize full --trials 1000 --seed 31415",
-            f"python -m sim.studies.compare {agent} --rollouts 104 makes the file (an LSTM: 1,112 core s)",
+            Finding.NOT_REPRODUCED if worse else Finding.DIFFERENCE,
+            "; ".join(
+                f"{words}: {hits} against {theirs} of {_TRIALS:,}, {test.sentence()}"
+                for words, hits, theirs, test in tests
+            ),
+            f"rover-ncp eval sim/paper/random_robots/{agent}.json "
+            f"--randomize harsh --trials {_TRIALS} --seed 31415",
+            f"one training of each; {LEVEL:g} by Bonferroni for {len(tests)} tests"
+            + ("" if worse else f"; {NO_GAP}"),
         )
+
+
+def _robust(agent: str) -> dict[str, Any]:
+    """Return what the study of random robots printed for an agent."""
+    found: dict[str, Any] = json.loads(read_text(_ROBUST / f"{agent}.json"))
+    return found
 
 
 def _beside(searched: Sequence[Result], cloned: Sequence[Result]) -> tuple[str, bool]:

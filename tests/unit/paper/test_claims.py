@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rover_ncp.cli import run
-from sim.paper import BudgetName
+from sim.paper import BudgetName, successors
 from sim.paper.claims import Finding, _estimate_claims, all_claims, claims_text, share_finding
 from sim.paper.comparison import compare_agents
 from sim.paper.results import ResultStore, RunName
@@ -148,6 +148,19 @@ def test_a_gradient_whose_runs_fail_is_not_faster(claims):
     [claim] = [claim for claim in claims if claim.name == "gradient-ltc-parking"]
     assert "0 and 5 runs succeed" in claim.figure
     assert claim.verdict is Finding.NOT_REPRODUCED
+
+
+def test_a_lower_rate_on_random_robots_is_no_reproduction(monkeypatch):
+    rates = {"circuit": 0.95, "cfc": 0.99, "ltc": 0.951}
+
+    def robust(agent):
+        return {ranges: {"success_rate": rates[agent]} for ranges in ("harsh", "unseen")}
+
+    monkeypatch.setattr(successors, "_robust", robust)
+    cfc, ltc = successors._robust_claims()
+    assert cfc.verdict is Finding.NOT_REPRODUCED
+    assert "950 against 990 of 1,000" in cfc.figure
+    assert (ltc.verdict, "does not prove" in ltc.why) == (Finding.DIFFERENCE, True)
 
 
 def test_a_claim_of_all_runs_needs_all_of_them():

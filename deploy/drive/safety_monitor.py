@@ -108,13 +108,14 @@ class SafetyMonitor:
         assert self._measurements.newest is not None  # `wait` was called
         now_ns, newest = self._clock.monotonic_ns(), self._measurements.newest
         self._note_pause(now_ns)
-        age_s, limit_s = (now_ns - newest.ref.measured_ns) / NS, self._timeouts.odometry_age_s
-        # Also of a driver that was paused and finds fresh odometry: it drove by what was there before.
-        if max(age_s, self._pause_s) > limit_s:
+        limit_s = self._timeouts.odometry_age_s
+        # A driver that was paused and finds fresh odometry drove by what was there before.
+        age_s = max((now_ns - newest.ref.measured_ns) / NS, self._pause_s)
+        if age_s > limit_s:
             busy = f"; this computer was busy: the driver itself did not run for {self._pause_s:.2f} s"
             raise SafetyStop(
                 "odometry-age",
-                f"the newest odometry is {age_s:.2f} s old (at most {limit_s} s)"
+                f"the newest odometry that it drove by is {age_s:.2f} s old (at most {limit_s} s)"
                 + (busy if self._pause_s > PAUSE_S else ""),
             )
         if self._granted_ns is not None:

@@ -41,8 +41,6 @@ STOP_S = 0.5
 BRAKING_S, REPORT_S = 0.15 + V_M_S / 0.3, 0.1
 MEASURE_TRIES = 3
 """A request that comes late finds that the gate has stopped the wheels already."""
-MOVES = 2
-"""Once more if the gate seemed to accept no command, for the reason of `LISTENS`."""
 MEASURING_S, POLL_S = 8.0, 0.2
 """The bridge sends the base nothing for 5 s at most."""
 SCALE = 0.15
@@ -247,14 +245,14 @@ class Preflight:
 
     def _move(self, velocity: Velocity) -> tuple[OdometrySample, OdometrySample, float]:
         """Command a velocity for a while; return first and last report, and the distance by its speed."""
-        for _ in range(MOVES - 1):
-            try:
-                return self._command(velocity)
-            except SafetyStop as stop:
-                if stop.rule != NOT_ACCEPTED:
-                    raise
-            self._link.request_motors(CHECK)
-            self._until(lambda: False, ACCEPTED_S)  # for the gate's status to come in
+        try:
+            return self._command(velocity)
+        except SafetyStop as stop:
+            if stop.rule != NOT_ACCEPTED:
+                raise
+        # Once more, for the reason of `LISTENS`, when the gate's status has come in.
+        self._link.request_motors(CHECK)
+        self._until(lambda: False, ACCEPTED_S)
         return self._command(velocity)
 
     def _command(self, velocity: Velocity) -> tuple[OdometrySample, OdometrySample, float]:

@@ -51,13 +51,12 @@ def successor_claims(store: ResultStore) -> Iterator[Claim]:
 
 def _robust_claims() -> Iterator[Claim]:
     """Yield how often each agent parks random robots, beside the circuit from the same search and trials."""
-    circuit, *others = UNCLONED
-    for agent in others:
+    others = {agent: _robust(agent) for agent in UNCLONED}
+    circuit = others.pop(UNCLONED[0])
+    for agent, found in others.items():
         tests = []
         for ranges, words in _RANGES.items():
-            hits, theirs = (
-                round(_robust(name)[ranges]["success_rate"] * _TRIALS) for name in (circuit, agent)
-            )
+            hits, theirs = (round(each[ranges]["success_rate"] * _TRIALS) for each in (circuit, found))
             tests.append((words, hits, theirs, fisher(hits, _TRIALS, theirs, _TRIALS)))
         worse = any(test.p < LEVEL / len(tests) and test.difference < 0.0 for *_, test in tests)
         yield Claim(

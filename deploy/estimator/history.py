@@ -6,7 +6,10 @@ Rules of this file:
    history, and later measurements are applied again. One that is newer than odometry waits.
 2. A measurement is accepted or rejected once, when it is first evaluated: by its normalised innovation
    squared (NIS).
-3. The rover stands between two odometry samples that report no motion at all and the same place. Its pose
+3. The first pose in a row that is refused while the rover moves may mean that something pushed it, such as a
+   cable that it drove over: the covariance then grows by such a push. The estimate stays; the next pose can
+   correct it, if it is near enough. A rover that was carried away is still found out.
+4. The rover stands between two odometry samples that report no motion at all and the same place. Its pose
    then stays the same, and noise does not move the estimate.
 """
 
@@ -68,6 +71,12 @@ class Seen(NamedTuple):
     late_s: float
 
 
+class Push(NamedTuple):
+    """A push that no sensor of the base sees, by its covariance (3, 3) in x, y, θ."""
+
+    noise: Array
+
+
 @dataclass(frozen=True, eq=False)
 class _Entry:
     """A measurement at ``t`` s, and the state after it."""
@@ -75,7 +84,7 @@ class _Entry:
     t: float
     stood: bool
     """Whether the rover stood since the entry before."""
-    measured: Odometry | Seen
+    measured: Odometry | Seen | Push
     x: Array
     P: Array
 
@@ -110,6 +119,9 @@ class History:
         self._waiting: list[tuple[float, Seen]] = []
         self._last = t, z
         """Time and numbers of the newest odometry."""
+        self._push = Push(np.diag(np.square([s.push_m, s.push_m, s.push_rad])))
+        self._refused = False
+        """Whether the last external pose was."""
         self.nis: dict[bool, tuple[int, float]] = {True: (0, 0.0), False: (0, 0.0)}
         """Number and sum of the NIS of external poses, while the rover stood and while it moved."""
 
@@ -190,13 +202,15 @@ class History:
         self._predict(self._entries[place - 1], t, stood)
         innovation, H = self._innovation(seen)
         nis = _nis(innovation, H @ self._ekf.P @ H.T + seen.noise)
-        if not nis <= self._settings.pose_gate:
-            return Outcome.OUTLIER
-        count, total = self.nis[stood]
-        self.nis[stood] = count + 1, total + nis
-        self._entries.insert(place, self._updated(t, stood, seen))
-        self._fresh = place + 1
-        return Outcome.ACCEPTED
+        accepted = nis <= self._settings.pose_gate
+        if accepted:
+            count, total = self.nis[stood]
+            self.nis[stood] = count + 1, total + nis
+        if accepted or not (stood or self._refused):
+            self._entries.insert(place, self._updated(t, stood, seen if accepted else self._push))
+            self._fresh = place + 1
+        self._refused = not accepted
+        return Outcome.ACCEPTED if accepted else Outcome.OUTLIER
 
     def _apply_again(self, count: int) -> None:
         """Bring the first ``count`` entries up to date."""
@@ -217,12 +231,14 @@ class History:
             ekf.moved, ekf.F, ekf.Q = moving(before.x, dt, self._settings, new_turn=new_turn)
         ekf.predict()
 
-    def _updated(self, t: float, stood: bool, measured: Odometry | Seen) -> _Entry:
+    def _updated(self, t: float, stood: bool, measured: Odometry | Seen | Push) -> _Entry:
         """Apply a measurement to the filter, which is at its time; return its entry."""
         ekf = self._ekf
         if isinstance(measured, Seen):
             innovation, H = self._innovation(measured)
             self._correct(innovation, H, measured.noise)
+        elif isinstance(measured, Push):
+            ekf.P[POSE, POSE] += measured.noise
         else:
             for rows in _BLOCKS:
                 part = slice(rows.start - OWN.start, rows.stop - OWN.start)

@@ -23,7 +23,7 @@ class EstimatorSettings(StrictModel):
     distance_gain: float = Field(default=1.0, gt=0, description="true distance over odometry's")
     distance_gain_std: float = Field(default=0.025, gt=0, description="±3 %, and slip on slopes")
     turn_gain: float = Field(default=1.0, gt=0, description="true turn over odometry's")
-    turn_gain_std: float = Field(default=0.2, gt=0, description="weight off the middle: up to 1.5")
+    turn_gain_std: float = Field(default=0.25, gt=0, description="weight off the middle: up to 1.5")
     slip_s: float = Field(default=0.0, ge=0, description="slipped share of a turn, per rad/s of odometry")
     turn_asymmetry: float = Field(
         default=0.0, gt=-1, lt=1, description="unseen turn to the left per turned angle"
@@ -54,6 +54,8 @@ class EstimatorSettings(StrictModel):
     pose_delay_std_s: float = Field(default=0.05, gt=0)
     pose_gate: float = Field(default=21.11, gt=0, description="largest NIS: 1 in 10,000 with 3 degrees")
     poses_rejected_in_a_row: int = Field(default=5, ge=1, description="so many are a fault")
+    push_m: float = Field(default=0.02, gt=0, description="unseen, by what the rover drives over: x and y")
+    push_rad: float = Field(default=0.04, gt=0, description="the same; allowed for after a refused pose")
     history_s: float = Field(default=1.0, gt=0, description="how late an external pose may come")
 
 

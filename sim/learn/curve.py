@@ -41,8 +41,8 @@ def curve_png(agents: Sequence[AgentState], last: int, title: str) -> bytes:
     losses = -np.array([[agent.value_at(i) for i in iterations] for agent in agents])
     losses = np.maximum(losses, _LEAST_LOSS)
     best = int(np.argmin(losses[:, -1]))
-    figure = Figure(figsize=(8, 5), dpi=120, layout="constrained")
-    axes = figure.add_subplot()
+    figure = Figure(figsize=(8, 5), dpi=120)
+    axes = figure.add_axes((0.1, 0.11, 0.88, 0.81))
     for row, loss in enumerate(losses):
         label = f"{len(losses)} agents" if row == 0 else None
         axes.step(iterations, loss, where="post", color="0.72", linewidth=1, label=label)

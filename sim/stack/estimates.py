@@ -87,6 +87,12 @@ def _of_plane(ranges: Randomization) -> dict[str, float]:
         "distance_gain_std": scale,
         "turn_gain_std": math.hypot(scale, slip),
         "imbalance_std_rad_m": ranges.imbalance_rad_m / math.sqrt(3.0),
+        "drift_std_rad_s": ranges.drift_rad_s / math.sqrt(3.0),
+        # Their errors stay the same during a drive.
+        "turn_gain_walk": 0.0,
+        "rotation_center_walk_m": 0.0,
+        "skid_m": 0.0,
+        "skid_rad": 0.0,
         "rotation_center_std_m": ranges.rotation_center_m / math.sqrt(3.0),
         "downhill_std_m": 0.0,
         # The push comes once, in about a metre of driving.

@@ -310,7 +310,8 @@ class GaussNewton:
     def _probes(self, descent: Descent, parameters: Sequence[int]) -> Vector:
         """Return the descent's point with one parameter moved, up or down, within the box: (n, D)."""
         point = descent.at.point
-        probes = np.array([point] * len(parameters))
+        probes = np.empty((len(parameters), len(point)))
+        probes[:] = point
         draws = self._generator.random(len(parameters)).tolist()
         for probe, parameter, draw in zip(probes, parameters, draws, strict=True):
             here = float(point[parameter])
@@ -328,6 +329,7 @@ class GaussNewton:
             "incumbent": self.incumbent.tolist(),
             "generator": self._generator.bit_generator.state,
             **_PROGRESS.dump_python(self._progress),
+            "phase": self._progress.phase.value,  # a process that only keeps states need not load this module
         }
 
     def restore(self, state: SearchState) -> None:

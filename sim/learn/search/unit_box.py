@@ -62,11 +62,15 @@ class UnitBox:
 
     def vectors(self, points: Vector) -> Vector:
         """Return the parameter vectors (n, P) of points (n, D)."""
-        values = self._first + points * self._span
+        values: Vector = self._first + points * self._span
         np.exp(values, out=values, where=self._logarithmic)
+        np.maximum(values, self._lower, out=values)
+        np.minimum(values, self._upper, out=values)
+        if self.size == len(self.defaults):
+            return values
         vectors = np.empty((len(points), len(self.defaults)))
         vectors[:] = self.defaults
-        vectors[:, self.free] = np.minimum(np.maximum(values, self._lower), self._upper)
+        vectors[:, self.free] = values
         return vectors
 
     def _scaled(self, values: Vector) -> Vector:

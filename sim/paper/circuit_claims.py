@@ -41,7 +41,7 @@ _LITERAL = 0.5
 def circuit_claims(store: ResultStore) -> Iterator[Claim]:
     """Yield all claims about circuits. Raises FileError, and UsageError without a trained parking circuit."""
     found = drives(store)
-    yield from _structure()
+    yield from _structure(store)
     yield from _bounds(found)
     yield from _dynamics(store)
     yield from _signs(store, found)
@@ -49,7 +49,7 @@ def circuit_claims(store: ResultStore) -> Iterator[Claim]:
     yield from _settings()
 
 
-def _structure() -> Iterator[Claim]:
+def _structure(store: ResultStore) -> Iterator[Claim]:
     command = "rover-ncp paper parameters"
     circuit, parking = TASKS["pendulum"].circuit(), TASKS["parking"].circuit()
     sizes = [(each.size, each.synapse_count) for each in (circuit, parking)]
@@ -86,13 +86,17 @@ def _structure() -> Iterator[Claim]:
             command,
             "" if least == "circuit" else "an MLP of eleven cells has fewer than the circuit",
         )
-    sizes_of_random = {random_circuit(seed, circuit.neurons, 28).synapse_count for seed in range(10)}
+    wirings = [
+        random_circuit(run.name.seed, circuit.neurons, circuit.synapse_count)
+        for run in store.results("pendulum", "random")
+    ]
+    counts_of_random = sorted({wiring.synapse_count for wiring in wirings})
     yield Claim(
         "random-size",
         "random circuits have the size and the sparsity of the circuit",
         "Table II",
         Finding.DIFFERENCE,
-        f"{', '.join(map(str, sorted(sizes_of_random)))} synapses in ten wirings",
+        f"{', '.join(map(str, counts_of_random))} synapses in {len(wirings)} wirings",
         "rover-ncp paper random-circuits",
         "the published generator drops duplicates, which leaves 23 to 28 synapses; ours keeps exactly 28",
     )

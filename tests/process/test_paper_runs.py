@@ -78,7 +78,7 @@ def test_a_store_prefers_the_users_run_to_the_shipped_one(car, tmp_path):
 
 def test_a_command_line_selects_runs(tmp_path):
     assert select(["cart-pole"], ["mlp"], [3], None) == [RunName(task="cart-pole", agent="mlp", seed=3)]
-    assert len(select(["cart-pole"], None, None, None)) == 10 + 10 + 5 + 5
+    assert len(select(["cart-pole"], None, None, None)) == 10 + 20 + 5 + 5
     own = select(["cart-pole"], None, [1], tmp_path / "mine.yaml")
     assert own == [RunName(task="cart-pole", agent="mine", seed=1)]
     for wrong in (

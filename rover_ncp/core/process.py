@@ -8,8 +8,9 @@ from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
 
 _AGAIN_S = 0.01
-_DROPPING = ("llvmlite.", "pymunk._callbacks")
-"""Modules whose callbacks from C drop what is raised in them."""
+_DROPPING = ("llvmlite.", "pymunk._callbacks", "enum")
+"""Modules of which C calls functions and drops what is raised in them. numpy drops it in those of an
+enumeration: before it compares an array with a member, it looks for attributes of the class."""
 
 
 class Clock(Protocol):
@@ -55,7 +56,7 @@ class ClosedAtExit(ABC):
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt; as long as LLVM or a callback of Chipmunk's runs, later: they drop it."""
+    """Raise KeyboardInterrupt; as long as one of the modules runs that drop it, later."""
     while frame is not None:
         if frame.f_globals.get("__name__", "").startswith(_DROPPING):
             signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))

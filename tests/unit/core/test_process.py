@@ -82,6 +82,37 @@ def test_interruption_in_a_callback_of_chipmunk_comes_after_it():
     assert (done.stdout, done.stderr) == ("interrupted\n", "")
 
 
+DROPPED_BY_NUMPY = """
+import signal, sys, time
+import numpy as np
+from rover_ncp.circuit.circuit import SynapseKind
+from rover_ncp.core.process import interrupt
+
+def on_call(frame, event, argument):
+    if event == "call" and frame.f_globals["__name__"] == "enum":
+        sys.setprofile(None)
+        print("in enum")
+        signal.raise_signal(signal.SIGINT)
+
+signal.signal(signal.SIGINT, interrupt)
+kinds = np.arange(3)
+try:
+    sys.setprofile(on_call)
+    kinds != SynapseKind.GAP
+    time.sleep(20)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+@pytest.mark.skipif(sys.version_info >= (3, 12), reason="numpy finds attributes of an enumeration in C there")
+def test_interruption_while_numpy_looks_at_an_enumeration_comes_after_it():
+    done = subprocess.run(
+        [sys.executable, "-c", DROPPED_BY_NUMPY], check=True, capture_output=True, text=True, timeout=60
+    )
+    assert (done.stdout, done.stderr) == ("in enum\ninterrupted\n", "")
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts suspends")
 def test_delay_between_the_readings_of_two_clocks_is_no_suspend(monkeypatch):
     late_s, slept_s = count(), {time.CLOCK_BOOTTIME: 5.0, time.CLOCK_MONOTONIC: 0.0}

@@ -6,9 +6,9 @@ Rules of this file:
    history, and later measurements are applied again. One that is newer than odometry waits.
 2. A measurement is accepted or rejected once, when it is first evaluated: by its normalised innovation
    squared (NIS).
-3. The first pose in a row that is refused while the rover moves may mean that something pushed it, such as a
-   cable that it drove over: the covariance then grows by such a push. The estimate stays; the next pose can
-   correct it, if it is near enough. A rover that was carried away is still found out.
+3. A pose that is refused while the rover moves may mean that something pushed it, such as a cable that it
+   drove over. If a push explains the pose, the covariance grows by one, once until a pose is accepted. The
+   estimate stays, and the next pose can correct it. A rover that was carried away was moved by more.
 4. The rover stands between two odometry samples that report no motion at all and the same place. Its pose
    then stays the same, and noise does not move the estimate.
 """
@@ -120,8 +120,8 @@ class History:
         self._last = t, z
         """Time and numbers of the newest odometry."""
         self._push = Push(np.diag(np.square([s.push_m, s.push_m, s.push_rad])))
-        self._refused = False
-        """Whether the last external pose was."""
+        self._pushed = False
+        """Whether the covariance has a push since the last accepted pose."""
         self.nis: dict[bool, tuple[int, float]] = {True: (0, 0.0), False: (0, 0.0)}
         """Number and sum of the NIS of external poses, while the rover stood and while it moved."""
 
@@ -201,15 +201,18 @@ class History:
         stood = self._entries[min(place, len(self._entries) - 1)].stood
         self._predict(self._entries[place - 1], t, stood)
         innovation, H = self._innovation(seen)
-        nis = _nis(innovation, H @ self._ekf.P @ H.T + seen.noise)
+        covariance = H @ self._ekf.P @ H.T + seen.noise
+        nis = _nis(innovation, covariance)
         accepted = nis <= self._settings.pose_gate
         if accepted:
             count, total = self.nis[stood]
             self.nis[stood] = count + 1, total + nis
-        if accepted or not (stood or self._refused):
+        may_be_a_push = _nis(innovation, covariance + self._push.noise) <= self._settings.pose_gate
+        push = may_be_a_push and not (accepted or stood or self._pushed)
+        if accepted or push:
             self._entries.insert(place, self._updated(t, stood, seen if accepted else self._push))
             self._fresh = place + 1
-        self._refused = not accepted
+        self._pushed = push or (self._pushed and not accepted)
         return Outcome.ACCEPTED if accepted else Outcome.OUTLIER
 
     def _apply_again(self, count: int) -> None:

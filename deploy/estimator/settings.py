@@ -55,7 +55,7 @@ class EstimatorSettings(StrictModel):
     pose_gate: float = Field(default=21.11, gt=0, description="largest NIS: 1 in 10,000 with 3 degrees")
     poses_rejected_in_a_row: int = Field(default=5, ge=1, description="so many are a fault")
     push_m: float = Field(default=0.02, gt=0, description="unseen, by what the rover drives over: x and y")
-    push_rad: float = Field(default=0.04, gt=0, description="the same; allowed for after a refused pose")
+    push_rad: float = Field(default=0.03, gt=0, description="the same; allowed for after a refused pose")
     history_s: float = Field(default=1.0, gt=0, description="how late an external pose may come")
 
 

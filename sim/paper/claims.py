@@ -12,7 +12,7 @@ from statistics import median
 import numpy as np
 
 from sim.paper import BudgetName
-from sim.paper.comparison import OTHERS, Comparison, compare_agents
+from sim.paper.comparison import OTHERS, compare_agents
 from sim.paper.results import Result, ResultStore
 from sim.paper.selection import stopped_state
 from sim.paper.significance import LEVEL, NO_GAP, fisher, mean_text, measure
@@ -63,7 +63,8 @@ def all_claims(store: ResultStore) -> list[Claim]:
     return [
         *_search_claims(store),
         *value_claims(store),
-        *(claim for other in OTHERS for claim in _comparison_claims(other, compare_agents(store, other))),
+        *(claim for other in OTHERS for claim in _comparison_claims(store, other, BudgetName.DEFAULT)),
+        *(claim for other in _FAITHFUL for claim in _comparison_claims(store, other, BudgetName.PUBLISHED)),
         *successor_claims(store),
         *circuit_claims(store),
         *_ELSEWHERE,
@@ -79,15 +80,21 @@ _COMPARED = {
     "ppo": ("Table III", "the circuit with random search is on par with PPO"),
     "a2c": ("Table III", "the circuit with random search is on par with A2C"),
 }
+_FAITHFUL = ("random", "mlp", "lstm")
+"""Those that the paper trains by its own search."""
 
 
 _LIMIT = "both agents reach the limit at which a search ends, so that their returns are not compared"
 
 
-def _comparison_claims(other: str, found: Sequence[Comparison]) -> Iterator[Claim]:
+def _comparison_claims(store: ResultStore, other: str, budget: BudgetName) -> Iterator[Claim]:
     """Yield the claim on each task: better than random wirings, not worse than anything else."""
     number, words = _COMPARED[other]
-    for row in found:
+    command, prefix = f"rover-ncp paper comparisons --agent {other}", ""
+    if budget is not BudgetName.DEFAULT:
+        command, prefix = f"{command} --budget {budget}", f"{budget}-"
+        words = f"by the paper's own search, {words}"
+    for row in compare_agents(store, other, budget):
         verdict, why = Finding.NOT_REPRODUCED, ""
         if row.at_limit and (row.better or other != "random"):
             verdict, why = Finding.DIFFERENCE, f"{_LIMIT}; steps to success: {row.verdict}"
@@ -96,12 +103,12 @@ def _comparison_claims(other: str, found: Sequence[Comparison]) -> Iterator[Clai
         elif other != "random" and not row.worse:
             verdict, why = Finding.DIFFERENCE, NO_GAP
         yield Claim(
-            name=f"{other}-{row.task}",
+            name=f"{prefix}{other}-{row.task}",
             claim=f"{TASKS[row.task].title}: {words}",
             source=number if row.task in _PAPER_TASKS else f"{number}, on a task of ours",
             verdict=verdict,
             figure=row.sentence(),
-            command=f"rover-ncp paper comparisons --agent {other}",
+            command=command,
             why=why,
         )
 

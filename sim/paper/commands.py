@@ -237,7 +237,7 @@ def _show(
     elif what is What.COMPARISONS:
         from sim.paper.comparison import OTHERS, compare_agents, comparisons_text
 
-        compared = [row for other in agents or OTHERS for row in compare_agents(store, other)]
+        compared = [row for other in agents or OTHERS for row in compare_agents(store, other, budget)]
         output.result({"comparisons": [row.fields() for row in compared]}, comparisons_text(compared))
     elif what in tables.TABLES:
         rows = tables.table(what, store, budget)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rover_ncp.core.errors import UsageError
+from sim.paper import BudgetName
 from sim.paper.agents import AGENTS, CLONED
 from sim.paper.results import Result, ResultStore
 from sim.paper.significance import LEVEL, Effect, holm, interval_text, mean_text, measure
@@ -91,14 +92,18 @@ class Comparison(NamedTuple):
         return f"{means}{of} {self.effect.sentence(*self.runs)}, by Holm {self.p_holm:.2g}"
 
 
-def compare_agents(store: ResultStore, other: str) -> list[Comparison]:
-    """Compare the circuit on all tasks of which at least two runs of each agent exist.
+def compare_agents(
+    store: ResultStore, other: str, budget: BudgetName = BudgetName.DEFAULT
+) -> list[Comparison]:
+    """Compare the circuit on all tasks of which at least two runs of each agent with a budget exist.
 
     Raises FileError, and UsageError for an unknown agent.
     """
     if other not in OTHERS:
         raise UsageError(f"the circuit is compared with {', '.join(OTHERS)}, not with {other!r}")
-    pairs = {task: (store.results(task, "circuit"), store.results(task, other)) for task in TASKS}
+    pairs = {
+        task: (store.results(task, "circuit", budget), store.results(task, other, budget)) for task in TASKS
+    }
     pairs = {task: pair for task, pair in pairs.items() if min(map(len, pair)) > 1}
     limits = {
         task: all(run.ended == "enough" for runs in pair for run in runs) for task, pair in pairs.items()

@@ -17,7 +17,8 @@ PAGE = paper_tables.PAGE.read_text()
 BLOCKS = paper_tables.blocks(PAGE, "command")
 TABLES = {
     *("random-circuits", "policy-gradients", "networks", "networks --budget published", "comparisons"),
-    *("claims", "parameters", "status", *(f"status --budget {budget}" for budget in FAITHFUL)),
+    *("comparisons --budget published", "claims", "parameters", "status"),
+    *(f"status --budget {budget}" for budget in FAITHFUL),
 }
 COMPARATIVE = re.compile(
     r"\b(better|worse|higher|lower|faster|slower|fewer|\w+er than|(?:more|less)(?: \w+)? than|"

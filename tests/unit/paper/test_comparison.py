@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import mannwhitneyu
 
 from rover_ncp.cli import run
+from sim.paper import BudgetName
 from sim.paper.comparison import compare_agents
 from sim.paper.results import ResultStore
 from sim.paper.significance import fisher, holm, measure
@@ -70,6 +71,18 @@ def test_steps_are_compared_where_all_runs_reach_the_limit(tmp_path):
     [found] = compare_agents(store, "lstm")
     assert (found.at_limit, found.verdict) == (False, "worse")
     assert found.effect.difference == pytest.approx(found.means[0] - found.means[1])
+
+
+def test_runs_of_different_budgets_are_not_mixed(tmp_path):
+    stored, store = ResultStore(Path("nowhere")), ResultStore(tmp_path, None)
+    for agent in ("circuit", "random"):
+        for each in stored.results("pendulum", agent, BudgetName.PUBLISHED)[:3]:
+            store.save(each)
+    for each in stored.results("pendulum", "random")[:2]:
+        store.save(each)
+    assert compare_agents(store, "random") == []
+    [found] = compare_agents(store, "random", BudgetName.PUBLISHED)
+    assert (found.task, found.runs) == ("pendulum", (3, 3))
 
 
 def test_an_agent_that_is_not_compared_is_one_line(capsys):

@@ -207,8 +207,9 @@ class History:
         if accepted:
             count, total = self.nis[stood]
             self.nis[stood] = count + 1, total + nis
-        may_be_a_push = _nis(innovation, covariance + self._push.noise) <= self._settings.pose_gate
-        push = may_be_a_push and not (accepted or stood or self._pushed)
+        push = not (accepted or stood or self._pushed) and (
+            _nis(innovation, covariance + self._push.noise) <= self._settings.pose_gate
+        )
         if accepted or push:
             self._entries.insert(place, self._updated(t, stood, seen if accepted else self._push))
             self._fresh = place + 1

@@ -8,9 +8,9 @@ from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
 
 _AGAIN_S = 0.01
-_DROPPING = ("llvmlite.", "pymunk._callbacks", "enum")
-"""Modules of which C calls functions and drops what is raised in them. numpy drops it in those of an
-enumeration: before it compares an array with a member, it looks for attributes of the class."""
+_DROPPING = ("llvmlite.", "pymunk._callbacks.", "enum.")
+"""Modules, a dot after each name, of which C calls functions and drops what is raised in them. numpy drops it
+in those of an enumeration: it looks for attributes of the class before it compares an array with a member."""
 
 
 class Clock(Protocol):
@@ -58,7 +58,7 @@ class ClosedAtExit(ABC):
 def interrupt(number: int, frame: FrameType | None) -> None:
     """Raise KeyboardInterrupt; as long as one of the modules runs that drop it, later."""
     while frame is not None:
-        if frame.f_globals.get("__name__", "").startswith(_DROPPING):
+        if f"{frame.f_globals.get('__name__')}.".startswith(_DROPPING):
             signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
             return

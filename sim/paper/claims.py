@@ -63,8 +63,8 @@ def all_claims(store: ResultStore) -> list[Claim]:
     return [
         *_search_claims(store),
         *value_claims(store),
-        *(claim for other in OTHERS for claim in _comparison_claims(store, other, BudgetName.DEFAULT)),
-        *(claim for other in _FAITHFUL for claim in _comparison_claims(store, other, BudgetName.PUBLISHED)),
+        *_comparison_claims(store, BudgetName.DEFAULT),
+        *_comparison_claims(store, BudgetName.PUBLISHED),
         *successor_claims(store),
         *circuit_claims(store),
         *_ELSEWHERE,
@@ -80,21 +80,23 @@ _COMPARED = {
     "ppo": ("Table III", "the circuit with random search is on par with PPO"),
     "a2c": ("Table III", "the circuit with random search is on par with A2C"),
 }
-_FAITHFUL = ("random", "mlp", "lstm")
-"""Those that the paper trains by its own search."""
 
 
 _LIMIT = "both agents reach the limit at which a search ends, so that their returns are not compared"
 
 
-def _comparison_claims(store: ResultStore, other: str, budget: BudgetName) -> Iterator[Claim]:
-    """Yield the claim on each task: better than random wirings, not worse than anything else."""
-    number, words = _COMPARED[other]
-    command, prefix = f"rover-ncp paper comparisons --agent {other}", ""
-    if budget is not BudgetName.DEFAULT:
-        command, prefix = f"{command} --budget {budget}", f"{budget}-"
-        words = f"by the paper's own search, {words}"
-    for row in compare_agents(store, other, budget):
+def budget_option(budget: BudgetName) -> str:
+    """Return how a command names a budget, after a space, or nothing for the default one."""
+    return "" if budget is BudgetName.DEFAULT else f" --budget {budget}"
+
+
+def _comparison_claims(store: ResultStore, budget: BudgetName) -> Iterator[Claim]:
+    """Yield the claim on each agent and task: better than random wirings, not worse than anything else."""
+    own = budget is BudgetName.DEFAULT
+    prefix, by = ("", "") if own else (f"{budget}-", "by the paper's own search, ")
+    for row in (row for other in OTHERS for row in compare_agents(store, other, budget)):
+        other = row.other
+        number, words = _COMPARED[other]
         verdict, why = Finding.NOT_REPRODUCED, ""
         if row.at_limit and (row.better or other != "random"):
             verdict, why = Finding.DIFFERENCE, f"{_LIMIT}; steps to success: {row.verdict}"
@@ -104,11 +106,11 @@ def _comparison_claims(store: ResultStore, other: str, budget: BudgetName) -> It
             verdict, why = Finding.DIFFERENCE, NO_GAP
         yield Claim(
             name=f"{prefix}{other}-{row.task}",
-            claim=f"{TASKS[row.task].title}: {words}",
+            claim=f"{TASKS[row.task].title}: {by}{words}",
             source=number if row.task in _PAPER_TASKS else f"{number}, on a task of ours",
             verdict=verdict,
             figure=row.sentence(),
-            command=command,
+            command=f"rover-ncp paper comparisons --agent {other}{budget_option(budget)}",
             why=why,
         )
 

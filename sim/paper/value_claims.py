@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.paper import BudgetName
 from sim.paper.agents import GRADIENTS
-from sim.paper.claims import ENOUGH_RUNS, Claim, Finding, too_few
+from sim.paper.claims import ENOUGH_RUNS, Claim, Finding, budget_option, too_few
 from sim.paper.results import Result, ResultStore
 from sim.paper.significance import LEVEL, NO_GAP, Summary, mean_text, welch
 from sim.paper.tables import TABLES, Row, Verdict, corrected, published_value, table
@@ -50,7 +50,7 @@ def _cell_claims(store: ResultStore) -> Iterator[Claim]:
             source=TABLES[which].number,
             verdict=verdict,
             figure=_ours(row),
-            command=f"rover-ncp paper {which}{_option(budget)}",
+            command=f"rover-ncp paper {which}{budget_option(budget)}",
             why=why,
         )
 
@@ -88,7 +88,7 @@ def two_values(store: ResultStore) -> Iterator[Claim]:
             "with and without failed attempts",
             source="Tables II and IV",
             figure=f"{len(succeeded)} of {len(runs)} runs succeed",
-            command="rover-ncp paper random-circuits" + _option(budget),
+            command="rover-ncp paper random-circuits" + budget_option(budget),
         )
         if len(runs) < ENOUGH_RUNS:
             yield too_few(store, task, budget, claim)
@@ -123,10 +123,6 @@ def _faithful_runs(store: ResultStore, task: str) -> tuple[list[Result], BudgetN
     if len(runs) >= ENOUGH_RUNS:
         return runs, BudgetName.PUBLISHED
     return store.results(task, "circuit"), BudgetName.DEFAULT
-
-
-def _option(budget: BudgetName) -> str:
-    return "" if budget is BudgetName.DEFAULT else f" --budget {budget}"
 
 
 def _cell_verdict(row: Row, same_search: bool) -> tuple[Finding, str]:

@@ -34,6 +34,13 @@ def test_ignored_signals_stay_ignored():
         signal.signal(signal.SIGHUP, before)
 
 
+def python(script):
+    """Run a script to its end in a process of its own. Raises CalledProcessError."""
+    return subprocess.run(
+        [sys.executable, "-c", script], check=True, capture_output=True, text=True, timeout=60
+    )
+
+
 DROPPED = """
 import ctypes, signal, time
 from rover_ncp.core.process import interrupt
@@ -51,9 +58,7 @@ except KeyboardInterrupt:
 
 
 def test_interruption_in_a_callback_of_llvm_comes_after_it():
-    done = subprocess.run(
-        [sys.executable, "-c", DROPPED], check=True, capture_output=True, text=True, timeout=60
-    )
+    done = python(DROPPED)
     assert done.stdout == "interrupted True\n"
 
 
@@ -76,9 +81,7 @@ except KeyboardInterrupt:
 
 
 def test_interruption_in_a_callback_of_chipmunk_comes_after_it():
-    done = subprocess.run(
-        [sys.executable, "-c", DROPPED_BY_CHIPMUNK], check=True, capture_output=True, text=True, timeout=60
-    )
+    done = python(DROPPED_BY_CHIPMUNK)
     assert (done.stdout, done.stderr) == ("interrupted\n", "")
 
 
@@ -107,10 +110,27 @@ except KeyboardInterrupt:
 
 @pytest.mark.skipif(sys.version_info >= (3, 12), reason="numpy finds attributes of an enumeration in C there")
 def test_interruption_while_numpy_looks_at_an_enumeration_comes_after_it():
-    done = subprocess.run(
-        [sys.executable, "-c", DROPPED_BY_NUMPY], check=True, capture_output=True, text=True, timeout=60
-    )
+    done = python(DROPPED_BY_NUMPY)
     assert (done.stdout, done.stderr) == ("in enum\ninterrupted\n", "")
+
+
+IN_A_NAMESAKE = """
+import signal
+from rover_ncp.core.process import interrupt
+
+signal.signal(signal.SIGINT, interrupt)
+module = {"__name__": "enums", "signal": signal}
+exec("def work(): signal.raise_signal(signal.SIGINT)", module)
+try:
+    module["work"]()
+    print("worked")
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_interruption_in_a_module_of_a_similar_name_comes_at_once():
+    assert python(IN_A_NAMESAKE).stdout == "interrupted\n"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts suspends")

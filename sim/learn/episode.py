@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.reference import seen_from
 from rover_ncp.kernels.jit import borrowed, inlined_kernel, kernel
-from sim.world.fleet import FleetArrays, advance, place, push, read_pose, read_poses, send, wrapped
+from sim.world.fleet import (
+    FleetArrays,
+    advance,
+    place,
+    push,
+    read_pose,
+    read_poses,
+    send,
+    set_delay,
+    wrapped,
+)
 from sim.world.randomization import (
     Trials,
     apply_base_errors,
@@ -28,6 +38,8 @@ from sim.world.rover import SUBSTEP_S
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+RowArray = NDArray[np.uint64]
+"""Of indices that are never negative: for those that may be, a kernel counts from the end at each use."""
 
 IDLE = -1
 WARMING_UP = -1
@@ -74,12 +86,17 @@ class Lanes(NamedTuple):
     """(3, L) each: the pose by odometry, heading not wrapped, now and a tick ago."""
     episode: IntArray
     """(L,) or IDLE."""
+    task: RowArray
+    trial: RowArray
+    """(L,) of its episode."""
     tick: IntArray
     """(L,) or WARMING_UP."""
     total: FloatArray
     """(L,) running return."""
     tail: FloatArray
     """(L, W + 1, 3) ring of the last poses."""
+    latest: RowArray
+    """(L,) where the last of them is."""
     tracking: FloatArray
     """(2, L) running sums."""
     signals: FloatArray
@@ -165,7 +182,7 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
                 return
             before[:] = episodes
             tick_lanes(arrays, lanes.observations, lanes.commands)
-            pass_commands(trials, lanes, queue)
+            pass_commands(trials, lanes)
             send(fleet, lanes.driven)
             advance(fleet)
             read_poses(fleet, lanes.poses)
@@ -219,6 +236,7 @@ def start_episode(
     """Begin an episode: the trial's rover at its start, no start signal."""
     episode = lanes.episode[lane]
     task, trial = queue.task[episode], queue.trial[episode]
+    lanes.task[lane], lanes.trial[lane] = task, trial
     lanes.tick[lane] = WARMING_UP
     lanes.total[lane] = 0.0
     lanes.held[:, lane] = 0.0
@@ -230,8 +248,8 @@ def start_episode(
         gain = trials.turning[trial, 0] if axis == 1 else 1.0
         fleet.rise[axis, lane] = (tasks.limits[2 * axis] * faster) * SUBSTEP_S * gain
         fleet.fall[axis, lane] = (tasks.limits[2 * axis + 1] * slower) * SUBSTEP_S * gain
-        fleet.delay[axis, lane] = trials.delay[trial, axis]
         fleet.turning[axis, lane] = trials.turning[trial, axis]
+    set_delay(fleet, lane, trials.delay[trial, 0], trials.delay[trial, 1])
     put_at_start(trials, lanes, fleet, trial, lane)
     observe(signal_at, tasks, trials, lanes, task, trial, lane, 0, 0.0)
 
@@ -243,6 +261,7 @@ def put_at_start(trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, l
     place(fleet, lane, start[0], start[1], start[2])
     lanes.poses[:, lane] = start
     lanes.tail[lane, 0] = start
+    lanes.latest[lane] = 0
 
 
 @inlined_kernel
@@ -277,15 +296,15 @@ def observe(
 
 
 @inlined_kernel
-def pass_commands(trials: Trials, lanes: Lanes, queue: Queue) -> None:
+def pass_commands(trials: Trials, lanes: Lanes) -> None:
     """Bring the commands to the bases, but for those lost; rovers stay whose circuit warms up or is idle."""
-    commands, held, episode, tick = lanes.commands, lanes.held, lanes.episode, lanes.tick
+    commands, held, episode, tick, rows = lanes.commands, lanes.held, lanes.episode, lanes.tick, lanes.trial
     for lane in range(len(episode)):
         if episode[lane] == IDLE or tick[lane] == WARMING_UP:
             lanes.driven[0, lane] = lanes.driven[1, lane] = 0.0
             continue
-        trial = queue.trial[episode[lane]]
-        if not trials.lost[trial, tick[lane]]:
+        trial = rows[lane]
+        if not trials.lost[trial, np.uint64(tick[lane])]:
             held[0, lane] = _quantise(commands[0, lane], trials.step[0])
             held[1, lane] = _quantise(commands[1, lane], trials.step[1])
         lanes.driven[0, lane], lanes.driven[1, lane] = _apply_base_errors(
@@ -301,23 +320,23 @@ def finish_tick(
 ) -> int:
     """Judge what a tick led to, and observe; return how many episodes ended."""
     # Local names: numba counts references whenever an array is taken out of a tuple.
-    episodes, ticks, total, poses, tail = lanes.episode, lanes.tick, lanes.total, lanes.poses, lanes.tail
+    episodes, ticks, total, poses, misses = lanes.episode, lanes.tick, lanes.total, lanes.poses, queue.misses
     due, checkpoints, reference = tasks.due, tasks.checkpoints, tasks.reference
-    odometry, misses, sees_pose = lanes.odometry, queue.misses, trials.exact or trials.sensors[1]
     ended = 0
     for lane in range(len(episodes)):
         episode = episodes[lane]
         if episode == IDLE:
             continue
-        task, trial, now = queue.task[episode], queue.trial[episode], ticks[lane]
-        ticks[lane] = now + 1
-        if now == WARMING_UP:
+        task, trial, before = lanes.task[lane], lanes.trial[lane], ticks[lane]
+        ticks[lane] = before + 1
+        if before == WARMING_UP:
             # The rover stood still, but for what the last contact of its last episode left to correct.
             put_at_start(trials, lanes, fleet, trial, lane)
             observe(signal_at, tasks, trials, lanes, task, trial, lane, 0, tasks.signal[task, 0])
             continue
+        now, next_tick = np.uint64(before), np.uint64(before + 1)
         if due[task, now] >= 0:
-            target = due[task, now]
+            target = np.uint64(due[task, now])
             dx = poses[0, lane] - checkpoints[task, target, 0]
             dy = poses[1, lane] - checkpoints[task, target, 1]
             dtheta = wrapped(poses[2, lane] - checkpoints[task, target, 2])
@@ -326,30 +345,43 @@ def finish_tick(
             misses[episode, target, 1] = dy
             misses[episode, target, 2] = dtheta
         if tasks.has_reference:
-            where = reference[task, now + 1]
+            where = reference[task, next_tick]
             dx, dy = poses[0, lane] - where[0], poses[1, lane] - where[1]
             dtheta = wrapped(poses[2, lane] - where[2])
             lanes.tracking[0, lane] += dx * dx + dy * dy
             lanes.tracking[1, lane] += dtheta * dtheta
-        length = tail.shape[1]
-        if not trials.exact:
-            lanes.earlier[:, lane] = odometry[:, lane]
-        if not sees_pose:
-            reckon(trials, lanes, trial, lane, tail[lane, now % length])
-        if now + 1 == trials.bump[trial, 0] and not trials.exact:
-            bump(trials, lanes, fleet, trial, lane)
-        place = (now + 1) % length
-        for axis in range(3):
-            if sees_pose:
-                odometry[axis, lane] = poses[axis, lane]
-            tail[lane, place, axis] = poses[axis, lane]
-        if now + 1 == tasks.ticks[task] or total[lane] < queue.stop_below[episode]:
+        keep_pose(trials, lanes, fleet, trial, lane, next_tick)
+        if before + 1 == tasks.ticks[task] or total[lane] < queue.stop_below[episode]:
             conclude(tasks, lanes, fleet, task, lane, queue.results[episode])
             episodes[lane] = IDLE
             ended += 1
         else:
-            observe(signal_at, tasks, trials, lanes, task, trial, lane, now + 1, tasks.signal[task, now + 1])
+            signal = tasks.signal[task, next_tick]
+            observe(signal_at, tasks, trials, lanes, task, trial, lane, next_tick, signal)
     return ended
+
+
+@inlined_kernel
+def keep_pose(
+    trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, lane: int, ticks_done: int
+) -> None:
+    """Move odometry by a tick, push the rover if that is due, and keep its pose."""
+    poses, odometry, tail, latest = lanes.poses, lanes.odometry, lanes.tail, lanes.latest
+    sees_pose = trials.exact or trials.sensors[1]
+    if not trials.exact:
+        lanes.earlier[:, lane] = odometry[:, lane]
+    if not sees_pose:
+        reckon(trials, lanes, trial, lane, tail[lane, latest[lane]])
+    if not trials.exact and ticks_done == trials.bump[trial, 0]:
+        bump(trials, lanes, fleet, trial, lane)
+    row = latest[lane] + np.uint64(1)
+    if row == tail.shape[1]:
+        row = np.uint64(0)
+    latest[lane] = row
+    for axis in range(3):
+        if sees_pose:
+            odometry[axis, lane] = poses[axis, lane]
+        tail[lane, row, axis] = poses[axis, lane]
 
 
 @inlined_kernel

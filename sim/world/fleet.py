@@ -67,17 +67,16 @@ class FleetArrays(NamedTuple):
     """(2, L) limits of v and omega, of the wheels."""
     turning: FloatArray
     """(2, L) turn gain, and the sideways speed over the turn rate in m."""
-    delay: IntArray
-    """(2, L) substeps that still run with the old v and omega."""
-    sent: FloatArray
-    """(ticks kept, 2, L) ring of commands, the latest at row ``clock``."""
+    waits: IntArray
+    late: FloatArray
+    """(2, L) delay of v and omega: whole ticks, and the substeps beyond; see ``set_delay``."""
+    due: FloatArray
+    """(ticks kept, 2, L) ring of targets: what falls due in this tick at row ``clock``, later ones behind."""
     clock: IntArray
     """(1,)."""
     old: FloatArray
-    new: FloatArray
-    late: FloatArray
-    """(2, L) work: the targets before and after the substep of this tick at which a command falls due, and
-    that substep."""
+    target: FloatArray
+    """(2, L) work: the targets until others fall due in this tick, and those that were sent."""
     touched: IntArray
     """(L,) 1 if a rover touched anything since it was placed."""
 
@@ -99,8 +98,7 @@ class Fleet:
             for ground in self.grounds:
                 ground.space.iterations = 1  # there will be no contact to solve
                 ground.space.collision_bias = 0.0
-        delay = np.array([(m.delay_v_substeps, m.delay_omega_substeps) for m in models]).T.copy()
-        ticks_kept = int(delay.max()) // SUBSTEPS + 2
+        delay = np.array([(m.delay_v_substeps, m.delay_omega_substeps) for m in models])
         bodies = np.array([chipmunk.body_address(body) for body in self.bodies])
         self.arrays = FleetArrays(
             layout=chipmunk.find_layout(),
@@ -116,16 +114,18 @@ class Fleet:
             grip=np.array([[m.friction * GRAVITY_M_S2 * SUBSTEP_S for m in models]]),
             top=np.array([(m.v_max, m.omega_max) for m in models]).T.copy(),
             turning=np.array([(m.turn_gain, m.rotation_center_m) for m in models]).T.copy(),
-            delay=delay,
-            sent=np.zeros((ticks_kept, 2, lanes)),
+            waits=np.zeros((2, lanes), np.int64),
+            late=np.zeros((2, lanes)),
+            due=np.zeros((int(delay.max()) // SUBSTEPS + 1, 2, lanes)),
             clock=np.zeros(1, np.int64),
             old=np.zeros((2, lanes)),
-            new=np.zeros((2, lanes)),
-            late=np.zeros((2, lanes)),
+            target=np.zeros((2, lanes)),
             touched=np.zeros(lanes, np.int64),
         )
         for limit in (self.arrays.rise, self.arrays.fall):
             limit[1] *= self.arrays.turning[0]
+        for lane, (delay_v, delay_omega) in enumerate(delay.tolist()):
+            set_delay(self.arrays, lane, delay_v, delay_omega)
 
     def place(self, lane: int, pose: Pose) -> None:
         """Put a rover somewhere, standing still, its commands forgotten."""
@@ -166,32 +166,46 @@ def place(fleet: FleetArrays, lane: int, x: float, y: float, theta: float) -> No
     chipmunk.store(body + layout.angular_velocity, 0.0)
     if has_shape:
         chipmunk.call_with_thing(layout.add_shape, space, fleet.shapes[lane])
-    fleet.sent[:, :, lane] = 0.0
+    fleet.due[:, :, lane] = 0.0
+    fleet.old[:, lane] = 0.0
     fleet.touched[lane] = 0
+
+
+@kernel
+def set_delay(fleet: FleetArrays, lane: int, delay_v: int, delay_omega: int) -> None:
+    """Set after how many substeps commands fall due: at most those of the slowest model of the fleet."""
+    for axis, substeps in enumerate((delay_v, delay_omega)):
+        fleet.waits[axis, lane] = substeps // SUBSTEPS
+        fleet.late[axis, lane] = substeps % SUBSTEPS
 
 
 @inlined_kernel
 def send(fleet: FleetArrays, commands: FloatArray) -> None:
     """Command all rovers, (2, L): forward speed in m/s and rate of turn in rad/s; begins a tick."""
-    fleet.clock[0] = (fleet.clock[0] + 1) % len(fleet.sent)
-    now, top = fleet.sent[fleet.clock[0]], fleet.top
+    top, due, waits, old, targets = fleet.top, fleet.due, fleet.waits, fleet.old, fleet.target
+    old[:] = due[fleet.clock[0]]
+    clock = (fleet.clock[0] + 1) % len(due)
+    fleet.clock[0] = clock
     for axis in range(2):
         for start in range(0, len(fleet.bodies), WIDTH):
             limit = load_lanes(top, axis, start)
             command = smaller(larger(load_lanes(commands, axis, start), -1.0 * limit), limit)
             if axis == 1:
                 command = load_lanes(fleet.turning, 0, start) * command
-            store_lanes(now, axis, start, command)
+            store_lanes(targets, axis, start, command)
+        for lane in range(len(fleet.bodies)):
+            row = clock + waits[axis, lane]
+            due[row if row < len(due) else row - len(due), axis, lane] = targets[axis, lane]
 
 
 @inlined_kernel
 def advance(fleet: FleetArrays) -> None:
     """Advance all rovers by the ten substeps of a tick."""
-    find_targets(fleet)
     # Local names: numba counts references whenever an array is taken out of a tuple.
     layout, bodies, eights, spaces = fleet.layout, fleet.bodies, fleet.eights, fleet.spaces
-    old, new, late, rise, fall, grip = fleet.old, fleet.new, fleet.late, fleet.rise, fleet.fall, fleet.grip
-    turning, shapes, touched, sharing = fleet.turning, fleet.shapes, fleet.touched, fleet.sharing
+    old, new, late, rise, fall = fleet.old, fleet.due[fleet.clock[0]], fleet.late, fleet.rise, fleet.fall
+    grip, turning, shapes, touched = fleet.grip, fleet.turning, fleet.shapes, fleet.touched
+    sharing = fleet.sharing
     # Whole vectors and whole spaces: few enough rovers to stay in a core's first cache over a tick.
     together = max(sharing, WIDTH)
     for first in range(0, len(bodies), together):
@@ -221,20 +235,6 @@ def advance(fleet: FleetArrays) -> None:
             for lane in range(first, min(end, len(shapes))):
                 if chipmunk.load_word(bodies[lane] + layout.contacts) != 0:
                     touched[lane] = 1
-
-
-@inlined_kernel
-def find_targets(fleet: FleetArrays) -> None:
-    """Find which commands fall due in this tick, and when."""
-    sent, delay, late, old, new = fleet.sent, fleet.delay, fleet.late, fleet.old, fleet.new
-    clock, ticks_kept = fleet.clock[0], len(sent)
-    for axis in range(2):
-        for lane in range(len(fleet.bodies)):
-            ticks = delay[axis, lane] // SUBSTEPS
-            due = clock - ticks if clock >= ticks else clock - ticks + ticks_kept
-            new[axis, lane] = sent[due, axis, lane]
-            old[axis, lane] = sent[due - 1 if due > 0 else ticks_kept - 1, axis, lane]
-            late[axis, lane] = delay[axis, lane] - ticks * SUBSTEPS
 
 
 _own_axes = kernel(own_axes)

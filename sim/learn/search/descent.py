@@ -14,6 +14,7 @@ This module evaluates nothing; ``gauss_newton`` does.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from pydantic import PlainSerializer, PlainValidator
 from rover_ncp.kernels.jit import kernel
 from sim.learn.search.base import Vector
 from sim.learn.search.constants import CONSTANTS
-from sim.learn.search.least_squares import correct_slopes, damped_steps
+from sim.learn.search.least_squares import correct_slopes, damped_steps, measure_slopes
 
 # The exponential of less underflows, and all weights would be 0.
 _LEAST_EXPONENT = -690.0
@@ -35,6 +36,11 @@ def _array(value: Any) -> Vector:
 
 Array = Annotated[Vector, PlainValidator(_array), PlainSerializer(np.ndarray.copy)]
 """An array; a state holds a copy of it."""
+
+
+@cache
+def _ones(size: int) -> Vector:
+    return np.ones(size)
 
 
 @dataclass
@@ -127,18 +133,16 @@ class Descent:
         return float(survival(outcome.misses, CONSTANTS.lifetime)) if self.survives else outcome.value
 
     def targets(self) -> Vector:
-        """Return where the steps of a batch lead, (n, D)."""
+        """Return where the n steps of a batch lead, and the point that they start from: (n + 1, D)."""
         misses = self.at.misses
-        weights = survival_weights(misses, CONSTANTS.lifetime) if self.survives else np.ones(misses.size)
+        weights = survival_weights(misses, CONSTANTS.lifetime) if self.survives else _ones(misses.size)
         dampings = np.array([self.damping * factor for factor in self.step_dampings])
         targets: Vector = damped_steps(self.slopes, misses.ravel(), weights, self.at.point, dampings)
         return targets
 
     def measure(self, probe: Outcome) -> None:
         """Take the slopes of the one parameter in which a probe differs."""
-        moved = probe.point - self.at.point
-        parameter = np.abs(moved).argmax()
-        self.slopes[parameter] = (probe.misses - self.at.misses).ravel() / moved[parameter]
+        measure_slopes(self.slopes, self.at.point, self.at.misses, probe.point, probe.misses)
 
     def take(self, steps: Sequence[Outcome]) -> bool:
         """Move to the best step if it is higher; return whether the descent continues."""
@@ -159,8 +163,8 @@ class Descent:
 
     def _learn(self, step: Outcome) -> None:
         known = known_checkpoints(step.misses, self.to_beat)
-        change = (step.misses[:known] - self.at.misses[:known]).ravel()
-        correct_slopes(self.slopes, step.point - self.at.point, change)
+        at = self.at
+        correct_slopes(self.slopes, at.point, at.misses, step.point, step.misses[:known])
 
     def _continues(self) -> bool:
         """Return whether recent steps gained enough; a climb of the survival may become one of the return."""

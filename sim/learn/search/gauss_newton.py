@@ -144,13 +144,15 @@ class GaussNewton:
     @property
     def to_beat(self) -> Vector:
         """(n,) what steps and racing candidates must exceed; minus infinity for what is wanted whole."""
-        now = self._progress
-        to_beat = np.full(len(now.batch), -math.inf)
+        now, least = self._progress, -math.inf
         if now.race is not None:
-            to_beat[:] = now.race.best.value
+            least = now.race.best.value
         elif now.phase is _Phase.STEPS and now.descent is not None:
-            to_beat[:-1] = now.descent.to_beat
-        return to_beat[len(now.values) :][: self._asked]
+            least = now.descent.to_beat
+        to_beat = np.full(self._asked, least)
+        if now.phase is _Phase.STEPS and len(now.values) + self._asked == len(now.batch):
+            to_beat[-1] = -math.inf  # the probe
+        return to_beat
 
     def ask(self, count: int = 1) -> Vector:
         """Return the next candidates (n, P), 1 <= n <= count, at most what is left of the batch."""
@@ -169,7 +171,7 @@ class GaussNewton:
         if not len(values) == len(misses) == self._asked:
             raise ValueError(f"{self._asked} candidates wait for their returns, got {len(values)}")
         numbers = np.asarray(values, np.float64).tolist()
-        if any(map(math.isnan, numbers)):
+        if math.isnan(sum(numbers)):
             raise ValueError("a return is not a number")
         now = self._progress
         highest = max(numbers)
@@ -178,7 +180,7 @@ class GaussNewton:
             now.best = now.batch[len(now.values) + numbers.index(highest)]
         now.values += numbers
         # A copy, because an evaluator may use its array again.
-        now.misses += list(np.array(misses).reshape(len(numbers), -1, 3))
+        now.misses.extend(misses.reshape(len(numbers), -1, 3).copy())
         now.evaluations += len(numbers)
         asked, self._asked = self._asked, 0
         if len(now.values) == len(now.batch):
@@ -299,25 +301,20 @@ class GaussNewton:
 
     def _measure_slopes(self, descent: Descent) -> None:
         self._progress.phase = _Phase.SLOPES
-        self._progress.batch = self._probes(descent, range(self._box.size))
+        self._progress.batch = np.tile(descent.at.point, (self._box.size, 1))
+        for parameter, probe in enumerate(self._progress.batch):
+            self._move(probe, parameter)
 
     def _step(self, descent: Descent) -> None:
-        targets = descent.targets()
-        parameter = self.evaluations // (len(targets) + 1) % self._box.size
-        self._progress.phase = _Phase.STEPS
-        self._progress.batch = np.concatenate([targets, self._probes(descent, [parameter])])
+        batch = descent.targets()
+        self._move(batch[-1], self.evaluations // len(batch) % self._box.size)
+        self._progress.phase, self._progress.batch = _Phase.STEPS, batch
 
-    def _probes(self, descent: Descent, parameters: Sequence[int]) -> Vector:
-        """Return the descent's point with one parameter moved, up or down, within the box: (n, D)."""
-        point = descent.at.point
-        probes = np.empty((len(parameters), len(point)))
-        probes[:] = point
-        draws = self._generator.random(len(parameters)).tolist()
-        for probe, parameter, draw in zip(probes, parameters, draws, strict=True):
-            here = float(point[parameter])
-            there = here + (CONSTANTS.probe if draw < 0.5 else -CONSTANTS.probe)
-            probe[parameter] = there if 0.0 <= there <= 1.0 else 2.0 * here - there
-        return probes
+    def _move(self, probe: Vector, parameter: int) -> None:
+        """Move one parameter of a point (D,), up or down, within the box."""
+        here = float(probe[parameter])
+        there = here + (CONSTANTS.probe if self._generator.random() < 0.5 else -CONSTANTS.probe)
+        probe[parameter] = there if 0.0 <= there <= 1.0 else 2.0 * here - there
 
     # -- its state --
 

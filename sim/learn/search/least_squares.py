@@ -17,10 +17,10 @@ _LEAST_SHARE = 1e-12
 def damped_steps(
     slopes: Vector, residuals: Vector, weights: Vector, point: Vector, dampings: Vector
 ) -> Vector:
-    """Return where damped Gauss-Newton steps from ``point`` (D,) lead: (n, D), in the unit box.
+    """Return where n damped Gauss-Newton steps from ``point`` (D,) lead, and the point: (n + 1, D).
 
     A step d minimises |W (r + J d)|² + damping |d|² (Levenberg 1944, Marquardt 1963), W being diagonal with
-    ``weights`` (R,). Parameters that would leave the box are held first, the others are clipped.
+    ``weights`` (R,). Parameters that would leave the unit box are held first, the others are clipped.
 
     With S the weighted slopes, d = -S (SᵀS + damping)⁻¹ W r. These are R equations, often fewer than D.
     """
@@ -43,15 +43,16 @@ def _weighted(slopes: Vector, residuals: Vector, weights: Vector, point: Vector)
 
 @kernel
 def _solved(rows: Vector, right: Vector, products: Vector, point: Vector, dampings: Vector) -> Vector:
-    """Return where the steps lead; ``products`` (R, R) is SᵀS."""
+    """Return where the steps lead, and the point; ``products`` (R, R) is SᵀS and is overwritten."""
     # With less damping than that, rounding could make the matrix negative.
-    least = _LEAST_SHARE * np.diag(products).max()
-    targets = np.empty((len(dampings), len(point)))
+    diagonal = np.diag(products).copy()
+    least = _LEAST_SHARE * diagonal.max()
+    targets = np.empty((len(dampings) + 1, len(point)))
+    targets[-1] = point
     for n in range(len(dampings)):
-        matrix = products.copy()
         for i in range(len(right)):
-            matrix[i, i] += max(dampings[n], least)
-        lower = np.linalg.cholesky(matrix)
+            products[i, i] = diagonal[i] + max(dampings[n], least)
+        lower = np.linalg.cholesky(products.T)  # the same matrix, in the order in which LAPACK wants it
         upper = np.ascontiguousarray(lower.T)
         solution = right.copy()
         # Column by column: such loops are vectorised, those over rows are sums, whose order must not change.
@@ -63,24 +64,37 @@ def _solved(rows: Vector, right: Vector, products: Vector, point: Vector, dampin
             solution[i] /= lower[i, i]
             for j in range(i):
                 solution[j] -= solution[i] * lower[i, j]
-        targets[n] = point - rows @ solution
-    clipped: Vector = np.minimum(np.maximum(targets, 0.0), 1.0)
-    return clipped
+        step = rows @ solution
+        for d in range(len(point)):
+            targets[n, d] = min(max(point[d] - step[d], 0.0), 1.0)
+    return targets
 
 
 @kernel
-def correct_slopes(slopes: Vector, step: Vector, change: Vector) -> None:
-    """Correct the slopes by the least that makes a step (D,) explain how residuals changed (Broyden 1965).
+def measure_slopes(slopes: Vector, point: Vector, misses: Vector, there: Vector, found: Vector) -> None:
+    """Set the slopes of the one parameter in which ``there`` (D,) differs from ``point`` (D,).
 
-    ``change`` (r,) is that of the first r residuals, r <= R; the slopes of the others stay.
+    ``misses`` and ``found`` hold the R residuals at these points.
     """
+    parameter = np.abs(there - point).argmax()
+    slopes[parameter] = (found - misses).ravel() / (there[parameter] - point[parameter])
+
+
+@kernel
+def correct_slopes(slopes: Vector, point: Vector, misses: Vector, there: Vector, found: Vector) -> None:
+    """Correct the slopes by the least that makes a step explain how residuals changed (Broyden 1965).
+
+    The step leads from ``point`` to ``there``, (D,) each; ``misses`` hold the R residuals at the one and
+    ``found`` the first r of those at the other. The slopes of the others stay.
+    """
+    step = there - point
     length = np.dot(step, step)
     if length == 0.0:
         return
-    unexplained = change.copy()
+    unexplained = (found - misses[: len(found)]).ravel()
     for d in range(len(step)):
-        for i in range(len(change)):
+        for i in range(len(unexplained)):
             unexplained[i] -= step[d] * slopes[d, i]
     for d in range(len(step)):
-        for i in range(len(change)):
+        for i in range(len(unexplained)):
             slopes[d, i] += step[d] / length * unexplained[i]

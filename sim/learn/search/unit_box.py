@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout
+from rover_ncp.kernels.jit import kernel
 from sim.learn.search.base import Vector
 
 FACTORS = (ParameterKind.LEAK, ParameterKind.CAPACITANCE)
@@ -37,7 +38,7 @@ class UnitBox:
         self.defaults = np.array(defaults, np.float64)
         self.free = np.flatnonzero(~inert) if inert is not None else np.arange(len(self.defaults))
         self._lower, self._upper = lower[self.free], upper[self.free]
-        self._logarithmic = logarithmic[self.free]
+        self._logarithmic = _runs(logarithmic[self.free])
         self._first = self._scaled(self._lower)
         self._span = self._scaled(self._upper) - self._first
 
@@ -62,19 +63,37 @@ class UnitBox:
 
     def vectors(self, points: Vector) -> Vector:
         """Return the parameter vectors (n, P) of points (n, D)."""
-        values: Vector = self._first + points * self._span
-        np.exp(values, out=values, where=self._logarithmic)
-        np.maximum(values, self._lower, out=values)
-        np.minimum(values, self._upper, out=values)
-        if self.size == len(self.defaults):
-            return values
-        vectors = np.empty((len(points), len(self.defaults)))
-        vectors[:] = self.defaults
-        vectors[:, self.free] = values
+        values: Vector = points * self._span
+        values += self._first
+        for run in self._logarithmic:
+            np.exp(values[:, run], out=values[:, run])
+        vectors: Vector = _placed(values, self._lower, self._upper, self.free, self.defaults)
         return vectors
 
     def _scaled(self, values: Vector) -> Vector:
-        return np.log(values, out=values.copy(), where=self._logarithmic)
+        scaled = values.copy()
+        for run in self._logarithmic:
+            np.log(scaled[run], out=scaled[run])
+        return scaled
+
+
+@kernel
+def _placed(
+    values: Vector, lower: Vector, upper: Vector, free: NDArray[np.int64], defaults: Vector
+) -> Vector:
+    """Return the defaults (n, P) with values (n, D), within bounds, in the free places (D,)."""
+    placed = np.empty((len(values), len(defaults)))
+    for row in range(len(values)):
+        placed[row] = defaults
+        for d in range(len(free)):
+            placed[row, free[d]] = min(max(values[row, d], lower[d]), upper[d])
+    return placed
+
+
+def _runs(marked: BoolArray) -> list[slice]:
+    """Return where runs of marked entries are: to work on slices is quicker than on a mask."""
+    edges = np.flatnonzero(np.diff(marked, prepend=False, append=False)).tolist()
+    return [slice(start, end) for start, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def reflected(points: Vector) -> Vector:

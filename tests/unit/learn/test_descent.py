@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from sim.learn.search.constants import CONSTANTS
 from sim.learn.search.descent import Descent, Outcome, known_checkpoints, survival, survival_weights
-from sim.learn.search.least_squares import correct_slopes, damped_steps
+from sim.learn.search.least_squares import correct_slopes, damped_steps, measure_slopes
 
 
 def descent_at(value: float, gain: float, steps: int) -> Descent:
@@ -95,7 +95,8 @@ def test_steps_solve_the_damped_normal_equations(
     point = np.where(rng.random(parameters) < 0.3, np.round(rng.random(parameters)), rng.random(parameters))
     weights = np.where(rng.random(residuals) < 0.5, 1.0, rng.random(residuals))
     dampings = np.array([damping, 10 * damping])
-    targets = damped_steps(slopes, misses, weights, point, dampings)
+    *targets, start = damped_steps(slopes, misses, weights, point, dampings)
+    assert start.tolist() == point.tolist()
     slopes, misses = slopes * weights, misses * weights
     gradient = slopes @ misses
     held = ((point == 0) & (gradient > 0)) | ((point == 1) & (gradient < 0))
@@ -113,17 +114,31 @@ def test_singular_system_almost_without_damping_still_gives_a_step() -> None:
 
 def test_correction_explains_the_step_and_changes_nothing_across_it() -> None:
     rng = np.random.default_rng(0)
-    slopes, step, change = rng.normal(size=(7, 12)), rng.normal(size=7), rng.normal(size=6)
+    slopes, misses, found = rng.normal(size=(7, 12)), rng.normal(size=(4, 3)), rng.normal(size=(2, 3))
+    point, step = rng.normal(size=7), rng.normal(size=7)
     before = slopes.copy()
-    correct_slopes(slopes, step, change)  # of a truncated step the first residuals are known
-    assert step @ slopes[:, :6] == pytest.approx(change)
+    correct_slopes(
+        slopes, point, misses, point + step, found
+    )  # of a truncated step the first misses are known
+    assert step @ slopes[:, :6] == pytest.approx((found - misses[:2]).ravel())
     assert slopes[:, 6:].tolist() == before[:, 6:].tolist()
     across = rng.normal(size=7)
     across -= step * (across @ step) / (step @ step)
     assert across @ slopes == pytest.approx(across @ before)
     once = slopes.copy()
-    correct_slopes(slopes, np.zeros(7), change)
+    correct_slopes(slopes, point, misses, point, found)
     assert slopes.tolist() == once.tolist()
+
+
+def test_probe_measures_the_slopes_of_the_parameter_that_it_moved() -> None:
+    rng = np.random.default_rng(1)
+    slopes, misses, found = rng.normal(size=(5, 6)), rng.normal(size=(2, 3)), rng.normal(size=(2, 3))
+    before, point = slopes.copy(), rng.normal(size=5)
+    there = point.copy()
+    there[3] -= 0.25
+    measure_slopes(slopes, point, misses, there, found)
+    assert slopes[3] == pytest.approx(-4.0 * (found - misses).ravel())
+    assert np.delete(slopes, 3, axis=0).tolist() == np.delete(before, 3, axis=0).tolist()
 
 
 def test_survival_counts_checkpoints_and_its_weights_are_its_slopes() -> None:

@@ -171,7 +171,8 @@ def read_motors(program: Program, lanes: LaneParameters, block: int, commands: F
     entries, potentials, channels = lanes.output_layer, lanes.potential, lanes.channel
     outputs, columns = program.output_layer_at.shape
     limits = program.output_limit
-    channels[:] = 0.0
+    for channel in range(channels.shape[1]):
+        store(channels, 0, channel, everywhere(0.0))
     for q in range(len(neurons)):
         fraction = (load(potentials, 0, neurons[q]) - low) * scale
         pulled = ends[q] * smaller(larger(fraction, 0.0), 1.0)

@@ -180,7 +180,8 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
                     running += 1
             if running == 0:
                 return
-            before[:] = episodes
+            for lane in range(len(episodes)):
+                before[lane] = episodes[lane]
             tick_lanes(arrays, lanes.observations, lanes.commands)
             pass_commands(trials, lanes)
             send(fleet, lanes.driven)
@@ -239,11 +240,10 @@ def start_episode(
     lanes.task[lane], lanes.trial[lane] = task, trial
     lanes.tick[lane] = WARMING_UP
     lanes.total[lane] = 0.0
-    lanes.held[:, lane] = 0.0
-    lanes.tracking[:, lane] = 0.0
-    lanes.odometry[:, lane] = trials.start[trial]
-    lanes.earlier[:, lane] = trials.start[trial]
+    for axis in range(3):
+        lanes.odometry[axis, lane] = lanes.earlier[axis, lane] = trials.start[trial, axis]
     for axis in range(2):
+        lanes.held[axis, lane] = lanes.tracking[axis, lane] = 0.0
         faster, slower = trials.acceleration[trial, axis], trials.acceleration[trial, axis + 2]
         gain = trials.turning[trial, 0] if axis == 1 else 1.0
         fleet.rise[axis, lane] = (tasks.limits[2 * axis] * faster) * SUBSTEP_S * gain
@@ -259,8 +259,9 @@ def put_at_start(trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, l
     """Place the rover where its trial starts."""
     start = trials.start[trial]
     place(fleet, lane, start[0], start[1], start[2])
-    lanes.poses[:, lane] = start
-    lanes.tail[lane, 0] = start
+    # Number by number: to assign slices, numba makes code for all shapes, and this is part of a large kernel.
+    for axis in range(3):
+        lanes.poses[axis, lane] = lanes.tail[lane, 0, axis] = start[axis]
     lanes.latest[lane] = 0
 
 
@@ -369,7 +370,8 @@ def keep_pose(
     poses, odometry, tail, latest = lanes.poses, lanes.odometry, lanes.tail, lanes.latest
     sees_pose = trials.exact or trials.sensors[1]
     if not trials.exact:
-        lanes.earlier[:, lane] = odometry[:, lane]
+        for axis in range(3):
+            lanes.earlier[axis, lane] = odometry[axis, lane]
     if not sees_pose:
         reckon(trials, lanes, trial, lane, tail[lane, latest[lane]])
     if not trials.exact and ticks_done == trials.bump[trial, 0]:

@@ -166,8 +166,10 @@ def place(fleet: FleetArrays, lane: int, x: float, y: float, theta: float) -> No
     chipmunk.store(body + layout.angular_velocity, 0.0)
     if has_shape:
         chipmunk.call_with_thing(layout.add_shape, space, fleet.shapes[lane])
-    fleet.due[:, :, lane] = 0.0
-    fleet.old[:, lane] = 0.0
+    for axis in range(2):
+        fleet.old[axis, lane] = 0.0
+        for row in range(len(fleet.due)):
+            fleet.due[row, axis, lane] = 0.0
     fleet.touched[lane] = 0
 
 
@@ -183,16 +185,18 @@ def set_delay(fleet: FleetArrays, lane: int, delay_v: int, delay_omega: int) -> 
 def send(fleet: FleetArrays, commands: FloatArray) -> None:
     """Command all rovers, (2, L): forward speed in m/s and rate of turn in rad/s; begins a tick."""
     top, due, waits, old, targets = fleet.top, fleet.due, fleet.waits, fleet.old, fleet.target
-    old[:] = due[fleet.clock[0]]
+    fallen_due = due[fleet.clock[0]]
     clock = (fleet.clock[0] + 1) % len(due)
     fleet.clock[0] = clock
     for axis in range(2):
         for start in range(0, len(fleet.bodies), WIDTH):
+            store_lanes(old, axis, start, load_lanes(fallen_due, axis, start))
             limit = load_lanes(top, axis, start)
             command = smaller(larger(load_lanes(commands, axis, start), -1.0 * limit), limit)
             if axis == 1:
                 command = load_lanes(fleet.turning, 0, start) * command
             store_lanes(targets, axis, start, command)
+        # The longest delay ends in the row of the tick before, whose targets are in ``old`` by now.
         for lane in range(len(fleet.bodies)):
             row = clock + waits[axis, lane]
             due[row if row < len(due) else row - len(due), axis, lane] = targets[axis, lane]

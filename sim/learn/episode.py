@@ -39,7 +39,7 @@ from sim.world.rover import SUBSTEP_S
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 RowArray = NDArray[np.uint64]
-"""Of indices that are never negative: for those that may be, a kernel counts from the end at each use."""
+"""Of indices that are never negative. Where they may be, each use checks whether to count from the end."""
 
 IDLE = -1
 WARMING_UP = -1
@@ -259,7 +259,6 @@ def put_at_start(trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, l
     """Place the rover where its trial starts."""
     start = trials.start[trial]
     place(fleet, lane, start[0], start[1], start[2])
-    # Number by number: to assign slices, numba makes code for all shapes, and this is part of a large kernel.
     for axis in range(3):
         lanes.poses[axis, lane] = lanes.tail[lane, 0, axis] = start[axis]
     lanes.latest[lane] = 0
@@ -412,11 +411,11 @@ def conclude(
 ) -> None:
     """Write what an episode ends in (``RESULTS``); of one that is stopped early only the return counts."""
     tail, goal, ticks = lanes.tail, tasks.goal[task], lanes.tick[lane]
-    length = tail.shape[1]
-    end = tail[lane, ticks % length]
+    length, latest = tail.shape[1], int(lanes.latest[lane])
+    end = tail[lane, latest]
     moved, turned = 0.0, 0.0
     for back in range(min(tasks.still[task], ticks) + 1):
-        pose = tail[lane, (ticks - back) % length]
+        pose = tail[lane, (latest - back) % length]
         moved = max(moved, np.hypot(pose[0] - end[0], pose[1] - end[1]))
         turned = max(turned, abs(wrapped(pose[2] - end[2])))
     results[0] = lanes.total[lane]

@@ -14,7 +14,6 @@ This module evaluates nothing; ``gauss_newton`` does.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -36,11 +35,6 @@ def _array(value: Any) -> Vector:
 
 Array = Annotated[Vector, PlainValidator(_array), PlainSerializer(np.ndarray.copy)]
 """An array; a state holds a copy of it."""
-
-
-@cache
-def _ones(size: int) -> Vector:
-    return np.ones(size)
 
 
 @dataclass
@@ -135,7 +129,7 @@ class Descent:
     def targets(self) -> Vector:
         """Return where the n steps of a batch lead, and the point that they start from: (n + 1, D)."""
         misses = self.at.misses
-        weights = survival_weights(misses, CONSTANTS.lifetime) if self.survives else _ones(misses.size)
+        weights = survival_weights(misses, CONSTANTS.lifetime) if self.survives else np.ones(misses.size)
         dampings = np.array([self.damping * factor for factor in self.step_dampings])
         targets: Vector = damped_steps(self.slopes, misses.ravel(), weights, self.at.point, dampings)
         return targets

@@ -117,9 +117,8 @@ def test_correction_explains_the_step_and_changes_nothing_across_it() -> None:
     slopes, misses, found = rng.normal(size=(7, 12)), rng.normal(size=(4, 3)), rng.normal(size=(2, 3))
     point, step = rng.normal(size=7), rng.normal(size=7)
     before = slopes.copy()
-    correct_slopes(
-        slopes, point, misses, point + step, found
-    )  # of a truncated step the first misses are known
+    # Of a truncated step the first misses are known.
+    correct_slopes(slopes, point, misses, point + step, found)
     assert step @ slopes[:, :6] == pytest.approx((found - misses[:2]).ravel())
     assert slopes[:, 6:].tolist() == before[:, 6:].tolist()
     across = rng.normal(size=7)

@@ -22,8 +22,9 @@ from types import CodeType, ModuleType
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
 from numba import njit, typeof
-from numba.core import types
+from numba.core import cgutils, types
 from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic
 
@@ -87,6 +88,32 @@ def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
             lent = _without_owner(context, builder, part, builder.extract_value(value, i))
             value = builder.insert_value(value, lent, i)
     return value
+
+
+@in_kernels
+def call_fortran(_context: Any, routine: Any, arguments: Any) -> Any:
+    """Within a kernel: call a Fortran subroutine, given its address and a tuple of arguments.
+
+    These are integers, which also stand for characters, doubles and arrays. Fortran takes a matrix for its
+    transpose. Only arrays can be written to.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        pointer = ir.IntType(8).as_pointer()
+        addresses = []
+        for i, kind in enumerate(signature.args[1]):
+            value = builder.extract_value(values[1], i)
+            if isinstance(kind, types.Array):
+                address = context.make_array(kind)(context, builder, value).data
+            else:
+                number = builder.trunc(value, ir.IntType(32)) if isinstance(kind, types.Integer) else value
+                address = cgutils.alloca_once_value(builder, number)  # type: ignore[no-untyped-call]
+            addresses.append(builder.bitcast(address, pointer))
+        called = ir.FunctionType(ir.VoidType(), [pointer] * len(addresses)).as_pointer()
+        builder.call(builder.inttoptr(values[0], called), addresses)
+        return context.get_dummy_value()
+
+    return types.void(types.int64, arguments), generate
 
 
 def _compiled(function: Callable[..., Any], options: dict[str, Any]) -> Any:

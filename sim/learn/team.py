@@ -35,11 +35,11 @@ class Team:
         ends, in_time = time.thread_time() + seconds, True
         while True:
             # The slowest first: agents far ahead wait for it, and leave lanes idle.
-            slowest_first = sorted(range(len(runners)), key=lambda index: runners[index].search.iterations)
-            furthest = runners[slowest_first[0]].search.iterations + _MOST_AHEAD
-            for index in slowest_first:
+            iterations = [runner.search.iterations for runner in runners]
+            furthest = min(iterations) + _MOST_AHEAD
+            for index in sorted(range(len(runners)), key=iterations.__getitem__):
                 runner = runners[index]
-                if in_time and runner.targets and not runner.waits and runner.search.iterations <= furthest:
+                if in_time and runner.targets and not runner.waits and iterations[index] <= furthest:
                     runner.submit(stream, index)
             answers = stream.collect()
             if not answers:

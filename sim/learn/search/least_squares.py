@@ -1,14 +1,17 @@
 """Nonlinear least squares: damped Gauss-Newton steps and Broyden's correction of the slopes.
 
-Mostly compiled, with LAPACK's Cholesky factorisation: between two calls the evaluator displaces all code and
-data from the processor's caches, after which numpy's many small operations take two to four times as long.
+Compiled, with scipy's BLAS and LAPACK: between two calls the evaluator displaces all code and data from the
+processor's caches, after which numpy's many small operations take two to four times as long.
 
 Shapes: R residuals of D parameters; ``slopes`` (D, R) are the derivatives, a row for each parameter.
 """
 
-import numpy as np
+from typing import NamedTuple
 
-from rover_ncp.kernels.jit import kernel
+import numpy as np
+from numba.extending import get_cython_function_address
+
+from rover_ncp.kernels.jit import call_fortran, kernel
 from sim.learn.search.base import Vector
 
 _LEAST_SHARE = 1e-12
@@ -24,9 +27,59 @@ def damped_steps(
 
     With S the weighted slopes, d = -S (SᵀS + damping)⁻¹ W r. These are R equations, often fewer than D.
     """
+    targets: Vector = _damped_steps(_ROUTINES, slopes, residuals, weights, point, dampings)
+    return targets
+
+
+class _Routines(NamedTuple):
+    """Addresses of routines of scipy's BLAS and LAPACK, for kernels.
+
+    numba by itself multiplies matrices without use of symmetry, and copies a matrix before it factorises it.
+    """
+
+    syrk: int
+    potrf: int
+
+
+_ROUTINES = _Routines(
+    syrk=get_cython_function_address("scipy.linalg.cython_blas", "dsyrk"),
+    potrf=get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf"),
+)
+# Fortran's matrices are the transposes of ours: our upper triangle is its lower one.
+_OUR_LOWER, _OUR_UPPER, _AS_IT_IS = ord("U"), ord("L"), ord("N")
+
+
+@kernel
+def _damped_steps(  # noqa: PLR0917  # those of damped_steps, and the routines
+    routines: _Routines, slopes: Vector, residuals: Vector, weights: Vector, point: Vector, dampings: Vector
+) -> Vector:
     rows, right = _weighted(slopes, residuals, weights, point)
-    # By numpy: it computes half of a product with the transpose (BLAS's syrk), numba in a kernel all of it.
-    targets: Vector = _solved(rows, right, rows.T @ rows, point, dampings)
+    size, count = rows.shape
+    products, lower, failed = np.empty((count, count)), np.empty((count, count)), np.zeros(1, np.int32)
+    # The upper triangle, as numpy has it computed: of the lower one the last bits may be others.
+    call_fortran(routines.syrk, (_OUR_UPPER, _AS_IT_IS, count, size, 1.0, rows, count, 0.0, products, count))
+    largest = 0.0
+    for i in range(count):
+        if not np.isfinite(products[i, i]):  # LAPACK would not always object
+            raise np.linalg.LinAlgError("the slopes are not finite")
+        largest = max(largest, products[i, i])
+        for j in range(i):
+            products[i, j] = products[j, i]
+    # With less damping than that, rounding could make the matrix negative.
+    least = _LEAST_SHARE * largest
+    targets = np.empty((len(dampings) + 1, size))
+    targets[-1] = point
+    for n in range(len(dampings)):
+        for i in range(count):
+            for j in range(i):
+                lower[i, j] = products[i, j]
+            lower[i, i] = products[i, i] + max(dampings[n], least)
+        call_fortran(routines.potrf, (_OUR_LOWER, count, lower, count, failed))
+        if failed[0] != 0:
+            raise np.linalg.LinAlgError("the damped matrix is not positive definite")
+        step = rows @ _solution(lower, right)
+        for d in range(size):
+            targets[n, d] = min(max(point[d] - step[d], 0.0), 1.0)
     return targets
 
 
@@ -42,32 +95,18 @@ def _weighted(slopes: Vector, residuals: Vector, weights: Vector, point: Vector)
 
 
 @kernel
-def _solved(rows: Vector, right: Vector, products: Vector, point: Vector, dampings: Vector) -> Vector:
-    """Return where the steps lead, and the point; ``products`` (R, R) is SᵀS and is overwritten."""
-    # With less damping than that, rounding could make the matrix negative.
-    diagonal = np.diag(products).copy()
-    least = _LEAST_SHARE * diagonal.max()
-    targets = np.empty((len(dampings) + 1, len(point)))
-    targets[-1] = point
-    for n in range(len(dampings)):
-        for i in range(len(right)):
-            products[i, i] = diagonal[i] + max(dampings[n], least)
-        lower = np.linalg.cholesky(products.T)  # the same matrix, in the order in which LAPACK wants it
-        upper = np.ascontiguousarray(lower.T)
-        solution = right.copy()
-        # Column by column: such loops are vectorised, those over rows are sums, whose order must not change.
-        for i in range(len(right)):
-            solution[i] /= lower[i, i]
-            for j in range(i + 1, len(right)):
-                solution[j] -= solution[i] * upper[i, j]
-        for i in range(len(right) - 1, -1, -1):
-            solution[i] /= lower[i, i]
-            for j in range(i):
-                solution[j] -= solution[i] * lower[i, j]
-        step = rows @ solution
-        for d in range(len(point)):
-            targets[n, d] = min(max(point[d] - step[d], 0.0), 1.0)
-    return targets
+def _solution(lower: Vector, right: Vector) -> Vector:
+    """Return the solution (R,) of L Lᵀ x = ``right``, L (R, R) being the lower triangle of ``lower``."""
+    solution = right.copy()
+    for i in range(len(right)):
+        for j in range(i):
+            solution[i] -= lower[i, j] * solution[j]
+        solution[i] /= lower[i, i]
+    for i in range(len(right) - 1, -1, -1):
+        solution[i] /= lower[i, i]
+        for j in range(i):
+            solution[j] -= solution[i] * lower[i, j]
+    return solution
 
 
 @kernel

@@ -112,6 +112,13 @@ def test_singular_system_almost_without_damping_still_gives_a_step() -> None:
     assert np.isfinite(targets).all()
 
 
+def test_slope_that_is_not_a_number_is_an_error() -> None:
+    slopes, ones = np.ones((5, 6)), np.ones(6)
+    slopes[3, 2] = np.nan
+    with pytest.raises(np.linalg.LinAlgError, match="not finite"):
+        damped_steps(slopes, ones, ones, np.full(5, 0.5), np.array([1.0]))
+
+
 def test_correction_explains_the_step_and_changes_nothing_across_it() -> None:
     rng = np.random.default_rng(0)
     slopes, misses, found = rng.normal(size=(7, 12)), rng.normal(size=(4, 3)), rng.normal(size=(2, 3))

@@ -21,7 +21,7 @@ from rover_ncp.circuit.motors import MotorMap
 from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.circuit.sensing import SensorMap
 from rover_ncp.kernels.jit import kernel
-from rover_ncp.kernels.vectors import WIDTH, aligned_zeros
+from rover_ncp.kernels.vectors import WIDTH, RowArray, aligned_zeros
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -44,9 +44,9 @@ class Chemical(NamedTuple):
     source: IntArray
     weight_at: IntArray
     sigma_at: IntArray
-    first: IntArray
+    first: RowArray
     """(d + 1,) where a slot's synapses begin; the next slot's entry is where they end."""
-    first_inhibitory: IntArray
+    first_inhibitory: RowArray
     """(d,) where its inhibitory ones begin."""
 
 
@@ -55,7 +55,7 @@ class Gaps(NamedTuple):
 
     source: IntArray
     weight_at: IntArray
-    first: IntArray
+    first: RowArray
     """(d + 1,) where a slot's junctions begin."""
 
 
@@ -110,6 +110,8 @@ class LaneParameters(NamedTuple):
     total: FloatArray
     stepped: FloatArray
     """(1, d, WIDTH) each: what is constant over a tick, and the next potentials."""
+    divisor: FloatArray
+    """(1, active synapses, WIDTH) what their weights are divided by."""
     channel: FloatArray
     """(1, sensory or motor channels, WIDTH)."""
 
@@ -196,6 +198,7 @@ def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParamete
         current=rows(slots, 1),
         total=rows(slots, 1),
         stepped=rows(slots, 1),
+        divisor=rows(len(program.active.source), 1),
         channel=rows(len(policy.motors.channels), 1),
     )
     vector = policy.parameters()
@@ -289,7 +292,7 @@ def _chemical(
         weight_at=synapses,
         sigma_at=sigma_at[synapses],
         first=first,
-        first_inhibitory=first[:-1] + np.array(excitatory, np.int64),
+        first_inhibitory=first[:-1] + np.array(excitatory, np.uint64),
     )
 
 
@@ -303,10 +306,10 @@ def _gaps(circuit: Circuit, stepped: IntArray, chosen: NDArray[np.bool_]) -> Gap
     )
 
 
-def _first(circuit: Circuit, stepped: IntArray, synapses: IntArray) -> IntArray:
+def _first(circuit: Circuit, stepped: IntArray, synapses: IntArray) -> RowArray:
     """Return where each slot's synapses begin, and as the last entry where all end."""
     begin = np.searchsorted(circuit.destination[synapses], stepped)
-    return np.append(begin, len(synapses)).astype(np.int64)
+    return np.append(begin, len(synapses)).astype(np.uint64)
 
 
 def _layer_at(policy: Policy, layout: ParameterLayout, kind: ParameterKind) -> IntArray:

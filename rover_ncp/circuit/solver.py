@@ -39,6 +39,9 @@ _C9, _C10, _C11 = 1.0178057087733941e-07, 7.074194297288521e-09, 4.4558179083360
 # Adding it rounds a number below 2**51 to an integer, which then stands in the sum's lowest bits.
 _ROUNDER = 1.5 * 2.0**52
 
+NONE, ONE = np.uint64(0), np.uint64(1)
+"""Of the type of rows: numba makes a float of their sum with a plain integer."""
+
 
 @kernel
 def exp2(z: float) -> float:
@@ -56,10 +59,10 @@ def exp2(z: float) -> float:
 
 
 @kernel
-def conductance(weight: float, slope: float, potential: float) -> float:
-    """Return w g(V) = w / (1 + exp(-sigma (V - mu))) of a chemical synapse, S."""
-    opened: float = weight / (1.0 + exp2(slope * (potential - MIDPOINT_MV)))
-    return opened
+def divisor(slope: float, potential: float) -> float:
+    """Return 1 + exp(-sigma (V - mu)): a chemical synapse conducts its weight divided by this."""
+    found: float = 1.0 + exp2(slope * (potential - MIDPOINT_MV))
+    return found
 
 
 @inlined_kernel
@@ -123,7 +126,7 @@ def sum_settled_synapses(program: Program, lanes: LaneParameters, block: int) ->
     for d in range(len(program.stepped.neuron)):
         current, total = load(leak_current, block, d), load(leak_conductance, block, d)
         for s in range(first[d], first[d + 1]):
-            gate = conductance(load(weight, block, s), load(slope, block, s), load(potential, 0, source[s]))
+            gate = load(weight, block, s) / divisor(load(slope, block, s), load(potential, 0, source[s]))
             total = total + gate
             if s >= first_inhibitory[d]:
                 current = current + INHIBITORY_MV * gate
@@ -142,24 +145,27 @@ def run_substeps(program: Program, lanes: LaneParameters, block: int) -> None:
     first_gap, gap_source = gaps.first, gaps.source
     weight, slope, gap, rate = lanes.active_weight, lanes.active_slope, lanes.active_gap, lanes.rate
     potential, currents, totals, stepped = lanes.potential, lanes.current, lanes.total, lanes.stepped
+    divisors, slots = lanes.divisor, np.uint64(len(neurons))
     for _ in range(program.substeps):
-        for d in range(len(neurons)):
+        known = NONE
+        for d in range(slots):
+            # Those of the next neuron too: a processor divides for this one while it computes them.
+            needed = first[min(d + ONE + ONE, slots)]
+            for s in range(known, needed):
+                store(divisors, 0, s, divisor(load(slope, block, s), load(potential, 0, source[s])))
+            known = needed
             current = load(currents, 0, d) + load(rate, block, d) * load(potential, 0, neurons[d])
             total = load(totals, 0, d)
             for s in range(first[d], first_inhibitory[d]):
-                total = total + conductance(
-                    load(weight, block, s), load(slope, block, s), load(potential, 0, source[s])
-                )
-            for s in range(first_inhibitory[d], first[d + 1]):
-                gate = conductance(
-                    load(weight, block, s), load(slope, block, s), load(potential, 0, source[s])
-                )
+                total = total + load(weight, block, s) / load(divisors, 0, s)
+            for s in range(first_inhibitory[d], first[d + ONE]):
+                gate = load(weight, block, s) / load(divisors, 0, s)
                 total = total + gate
                 current = current + INHIBITORY_MV * gate
-            for s in range(first_gap[d], first_gap[d + 1]):
+            for s in range(first_gap[d], first_gap[d + ONE]):
                 current = current + load(gap, block, s) * load(potential, 0, gap_source[s])
             store(stepped, 0, d, current / total)
-        for d in range(len(neurons)):
+        for d in range(slots):
             store(potential, 0, neurons[d], load(stepped, 0, d))
 
 

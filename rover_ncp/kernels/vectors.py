@@ -26,6 +26,10 @@ WIDTH = 8
 """Lanes in a vector."""
 
 
+RowArray = NDArray[np.uint64]
+"""Of indices that are never negative. Where they may be, each use checks whether to count from the end."""
+
+
 def aligned_zeros(*shape: int) -> NDArray[np.float64]:
     """Return zeros that begin where a cache line may: vectors across two of them take longer to load."""
     size = math.prod(shape)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.reference import seen_from
 from rover_ncp.kernels.jit import borrowed, inlined_kernel, kernel
+from rover_ncp.kernels.vectors import RowArray
 from sim.world.fleet import (
     FleetArrays,
     advance,
@@ -38,8 +39,6 @@ from sim.world.rover import SUBSTEP_S
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-RowArray = NDArray[np.uint64]
-"""Of indices that are never negative. Where they may be, each use checks whether to count from the end."""
 
 IDLE = -1
 WARMING_UP = -1
@@ -205,14 +204,17 @@ def enqueue(
     vectors: FloatArray,
     stop_below: FloatArray,
     misses: FloatArray,
-    waiting: Waiting,
+    episodes: IntArray,
+    ring: IntArray,
+    left: IntArray,
     group: int,
     added: FloatArray,
     thresholds: FloatArray,
 ) -> None:
-    """Let the episodes of new candidates (n, P) wait, of a group of which none waits or runs."""
-    # Not the whole queue: to hand it over takes longer than to fill it.
-    episodes, ring, left = waiting
+    """Let the episodes of new candidates (n, P) wait, of a group of which none waits or runs.
+
+    The first six are of a queue: to hand it over as a whole takes longer than to fill it.
+    """
     first = group * (len(episodes) // len(left))
     for i in range(len(added)):
         episode = first + i

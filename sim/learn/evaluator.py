@@ -286,7 +286,7 @@ class Stream:
         count, queue = len(vectors), self._queue
         if self._submitted[agent] or not 0 < count <= self.room:
             raise ValueError(f"agent {agent} cannot submit {count} candidates now")
-        enqueue(queue.vectors, queue.stop_below, queue.misses, queue.waiting, agent, vectors, thresholds)
+        enqueue(queue.vectors, queue.stop_below, queue.misses, *queue.waiting, agent, vectors, thresholds)
         self._submitted[agent] = count
 
     def collect(self) -> list[Answer]:

@@ -33,19 +33,23 @@ class Team:
             self._streams[len(runners)] = self._evaluator.stream(len(runners))
         stream = self._streams[len(runners)]
         ends, in_time = time.thread_time() + seconds, True
+        iterations = [runner.search.iterations for runner in runners]
+        idle = set(range(len(runners)))
         while True:
-            # The slowest first: agents far ahead wait for it, and leave lanes idle.
-            iterations = [runner.search.iterations for runner in runners]
             furthest = min(iterations) + _MOST_AHEAD
-            for index in sorted(range(len(runners)), key=iterations.__getitem__):
+            # The slowest first: agents far ahead wait for it, and leave lanes idle.
+            for index in sorted(idle, key=iterations.__getitem__):
                 runner = runners[index]
-                if in_time and runner.targets and not runner.waits and iterations[index] <= furthest:
+                if in_time and runner.targets and iterations[index] <= furthest:
                     runner.submit(stream, index)
+                    idle.remove(index)
             answers = stream.collect()
             if not answers:
                 return [Progress(runner.at_targets, runner.state()) for runner in runners]
             for index, returns, misses in answers:
                 runners[index].tell(returns, misses)
+                iterations[index] = runners[index].search.iterations
+                idle.add(index)
             in_time = time.thread_time() < ends
 
 
@@ -56,8 +60,6 @@ class _Runner:
         self.search = revive(plan, agent)
         self.targets = deque(targets)
         self.at_targets: list[AgentState] = []
-        self.waits = False
-        """For an answer."""
         self._agent = agent
         self._improvements = list(agent.improvements)
         self._note_targets()
@@ -74,7 +76,6 @@ class _Runner:
         room = stream.enough if search.speculates else stream.room
         vectors = search.ask(min(left, search.most_ahead, room))
         stream.submit(index, vectors, search.to_beat)
-        self.waits = True
 
     def tell(self, returns: Vector, misses: Vector | None) -> None:
         """Pass returns to the search, and note where its incumbent's return changed."""
@@ -85,7 +86,6 @@ class _Runner:
                 self._improvements.append((first + number, value))
         if search.value is not None and search.value != value:  # a new estimate of the incumbent is lower
             self._improvements.append((search.iterations, search.value))
-        self.waits = False
         self._note_targets()
 
     def _note_targets(self) -> None:

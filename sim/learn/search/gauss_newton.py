@@ -149,10 +149,10 @@ class GaussNewton:
             least = now.race.best.value
         elif now.phase is _Phase.STEPS and now.descent is not None:
             least = now.descent.to_beat
-        to_beat = np.full(self._asked, least)
+        to_beat = [least] * self._asked
         if now.phase is _Phase.STEPS and len(now.values) + self._asked == len(now.batch):
             to_beat[-1] = -math.inf  # the probe
-        return to_beat
+        return np.array(to_beat)
 
     def ask(self, count: int = 1) -> Vector:
         """Return the next candidates (n, P), 1 <= n <= count, at most what is left of the batch."""

@@ -6,8 +6,6 @@ processor's caches, after which numpy's many small operations take two to four t
 Shapes: R residuals of D parameters; ``slopes`` (D, R) are the derivatives, a row for each parameter.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numba.extending import get_cython_function_address
 
@@ -27,37 +25,33 @@ def damped_steps(
 
     With S the weighted slopes, d = -S (SᵀS + damping)⁻¹ W r. These are R equations, often fewer than D.
     """
-    targets: Vector = _damped_steps(_ROUTINES, slopes, residuals, weights, point, dampings)
+    targets: Vector = _damped_steps(_SYRK, _POTRF, slopes, residuals, weights, point, dampings)
     return targets
 
 
-class _Routines(NamedTuple):
-    """Addresses of routines of scipy's BLAS and LAPACK, for kernels.
-
-    numba by itself multiplies matrices without use of symmetry, and copies a matrix before it factorises it.
-    """
-
-    syrk: int
-    potrf: int
-
-
-_ROUTINES = _Routines(
-    syrk=get_cython_function_address("scipy.linalg.cython_blas", "dsyrk"),
-    potrf=get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf"),
-)
+# Addresses of routines of scipy's BLAS and LAPACK, for kernels. numba by itself multiplies matrices without
+# use of symmetry, and copies a matrix before it factorises it.
+_SYRK = get_cython_function_address("scipy.linalg.cython_blas", "dsyrk")
+_POTRF = get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf")
 # Fortran's matrices are the transposes of ours: our upper triangle is its lower one.
 _OUR_LOWER, _OUR_UPPER, _AS_IT_IS = ord("U"), ord("L"), ord("N")
 
 
 @kernel
-def _damped_steps(  # noqa: PLR0917  # those of damped_steps, and the routines
-    routines: _Routines, slopes: Vector, residuals: Vector, weights: Vector, point: Vector, dampings: Vector
+def _damped_steps(  # noqa: PLR0917  # those of damped_steps, and the routines' addresses, which change
+    syrk: int,
+    potrf: int,
+    slopes: Vector,
+    residuals: Vector,
+    weights: Vector,
+    point: Vector,
+    dampings: Vector,
 ) -> Vector:
     rows, right = _weighted(slopes, residuals, weights, point)
     size, count = rows.shape
     products, lower, failed = np.empty((count, count)), np.empty((count, count)), np.zeros(1, np.int32)
     # The upper triangle, as numpy has it computed: of the lower one the last bits may be others.
-    call_fortran(routines.syrk, (_OUR_UPPER, _AS_IT_IS, count, size, 1.0, rows, count, 0.0, products, count))
+    call_fortran(syrk, (_OUR_UPPER, _AS_IT_IS, count, size, 1.0, rows, count, 0.0, products, count))
     largest = 0.0
     for i in range(count):
         if not np.isfinite(products[i, i]):  # LAPACK would not always object
@@ -74,7 +68,7 @@ def _damped_steps(  # noqa: PLR0917  # those of damped_steps, and the routines
             for j in range(i):
                 lower[i, j] = products[i, j]
             lower[i, i] = products[i, i] + max(dampings[n], least)
-        call_fortran(routines.potrf, (_OUR_LOWER, count, lower, count, failed))
+        call_fortran(potrf, (_OUR_LOWER, count, lower, count, failed))
         if failed[0] != 0:
             raise np.linalg.LinAlgError("the damped matrix is not positive definite")
         step = rows @ _solution(lower, right)

@@ -39,7 +39,7 @@ _C9, _C10, _C11 = 1.0178057087733941e-07, 7.074194297288521e-09, 4.4558179083360
 # Adding it rounds a number below 2**51 to an integer, which then stands in the sum's lowest bits.
 _ROUNDER = 1.5 * 2.0**52
 
-NONE, ONE = np.uint64(0), np.uint64(1)
+_ZERO, _ONE = np.uint64(0), np.uint64(1)
 """Of the type of rows: numba makes a float of their sum with a plain integer."""
 
 
@@ -147,10 +147,10 @@ def run_substeps(program: Program, lanes: LaneParameters, block: int) -> None:
     potential, currents, totals, stepped = lanes.potential, lanes.current, lanes.total, lanes.stepped
     divisors, slots = lanes.divisor, np.uint64(len(neurons))
     for _ in range(program.substeps):
-        known = NONE
+        known = _ZERO
         for d in range(slots):
             # Those of the next neuron too: a processor divides for this one while it computes them.
-            needed = first[min(d + ONE + ONE, slots)]
+            needed = first[min(d + _ONE + _ONE, slots)]
             for s in range(known, needed):
                 store(divisors, 0, s, divisor(load(slope, block, s), load(potential, 0, source[s])))
             known = needed
@@ -158,11 +158,11 @@ def run_substeps(program: Program, lanes: LaneParameters, block: int) -> None:
             total = load(totals, 0, d)
             for s in range(first[d], first_inhibitory[d]):
                 total = total + load(weight, block, s) / load(divisors, 0, s)
-            for s in range(first_inhibitory[d], first[d + ONE]):
+            for s in range(first_inhibitory[d], first[d + _ONE]):
                 gate = load(weight, block, s) / load(divisors, 0, s)
                 total = total + gate
                 current = current + INHIBITORY_MV * gate
-            for s in range(first_gap[d], first_gap[d + ONE]):
+            for s in range(first_gap[d], first_gap[d + _ONE]):
                 current = current + load(gap, block, s) * load(potential, 0, gap_source[s])
             store(stepped, 0, d, current / total)
         for d in range(slots):

@@ -92,7 +92,8 @@ class RealTimeLoop:
     ) -> None:
         self.touched = False
         """Whether the rover ever touched anything."""
-        self.selector = selectors.DefaultSelector()
+        # Not epoll, which takes no files: fault lines may come from one, or from /dev/null.
+        self.selector = selectors.PollSelector()
         """Calls the data of each key when there is something to read."""
         self._truth, self._say = truth, say
         self._lateness = Lateness()

@@ -169,3 +169,12 @@ def test_running_mock_takes_faults_from_its_input_and_answers_when_they_began(mo
     assert log[2].endswith(" mute")
     code, report, _ = process.stop()
     assert (code, report["connections"]) == (0, 0)
+
+
+def test_mock_serves_where_no_fault_can_come_from_its_input(mock):
+    process, endpoint = mock("--fault", "-")  # its input is /dev/null
+    client = Client(open_transport(endpoint))
+    client.turn_until(lambda: client.session.state is SessionState.READY)
+    client.leave()
+    code, report, _ = process.stop()
+    assert (code, report["connections"]) == (0, 1)

@@ -88,7 +88,7 @@ def bench(
     if what is What.TRAIN:
         from sim.benchmarks.train import bench_train
 
-        fields = bench_train(iterations or 500, output.say)
+        fields = bench_train(iterations or 2_500, output.say)
         output.result(fields, f"peak memory {fields['peak_memory_mb']:.0f} MB")
         return
 

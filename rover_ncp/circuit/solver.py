@@ -149,7 +149,7 @@ def run_substeps(program: Program, lanes: LaneParameters, block: int) -> None:
     for _ in range(program.substeps):
         known = _ZERO
         for d in range(slots):
-            # Those of the next neuron too: a processor divides for this one while it computes them.
+            # The next neuron's divisors, too: the processor computes them beside the divisions of this one.
             needed = first[min(d + _ONE + _ONE, slots)]
             for s in range(known, needed):
                 store(divisors, 0, s, divisor(load(slope, block, s), load(potential, 0, source[s])))

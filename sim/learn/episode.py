@@ -356,8 +356,6 @@ def finish_tick(
         if before + 1 == tasks.ticks[task] or total[lane] < queue.stop_below[episode]:
             conclude(tasks, lanes, fleet, task, lane, queue.results[episode])
             episodes[lane] = IDLE
-            # Its body is stepped with the others until the next episode: the sine of 0 takes least time.
-            place(fleet, lane, poses[0, lane], poses[1, lane], 0.0)
             ended += 1
         else:
             signal = tasks.signal[task, next_tick]

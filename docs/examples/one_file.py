@@ -7,10 +7,10 @@ and let a random search find the parameters that park the rover.
 
 This file needs numpy, pymunk, matplotlib and pyyaml, and imports nothing of rover-ncp:
 
-    python one_file.py --iterations 2000   # train a circuit and draw its drive (minutes)
-    python one_file.py --policy ../../rover_ncp/data/policies/parking.yaml   # draw the drive of a trained circuit
+    python one_file.py --iterations 2000     # train a circuit and draw its drive (minutes)
+    python one_file.py --policy POLICY.yaml   # draw the drive of a trained parking circuit
 
-rover-ncp does the same some two hundred times faster, with a better search, and drives real robots with it.
+rover-ncp does the same about a hundred times faster, with a better search, and drives real robots with it.
 Units: s, m, rad, mV; conductances in S, capacitances in F, sigma in 1/mV.
 """
 

@@ -88,7 +88,7 @@ def run(
     controller = Controller(the_policy, the_course, config.estimator, rover)
     files = attachments(the_policy, the_course, config)
     recorder = Recorder(record, overwrite=overwrite)
-    _prepare_for_real_time()
+    prepare_for_real_time()
     with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:
         publisher = Publisher(link, recorder.put, the_policy.circuit.neurons)
         drive = Drive(
@@ -122,7 +122,7 @@ def run(
     return int(fields["exit_code"])
 
 
-def _prepare_for_real_time() -> None:
+def prepare_for_real_time() -> None:
     """Do slow first-time work before the ticks start."""
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     # Writers and readers of message types are made on first use, 10 ms each and 200 ms for the first.

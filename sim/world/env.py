@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.course.course import TICK_S, Course, due_checkpoints, load_course, reward
+from rover_ncp.course.spaces import ACTIONS, observation_space
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.rover import SUBSTEPS, RoverModel
@@ -19,8 +20,6 @@ from sim.world.rover import SUBSTEPS, RoverModel
 ENV_ID = "rover_ncp/RoverParking-v0"
 
 FloatArray = NDArray[np.float64]
-
-FARTHEST_M = 1000.0
 
 
 class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
@@ -58,10 +57,8 @@ class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
     def __init__(self, course: str | Course = "parking", model: RoverModel | None = None) -> None:
         self.course = course if isinstance(course, Course) else load_course(course)
         self.model = model or default_rover()
-        high = np.array([FARTHEST_M, FARTHEST_M, np.pi, 1.0])
-        self.observation_space = gymnasium.spaces.Box(np.array([*-high[:3], 0.0]), high, dtype=np.float64)
-        high = np.array([0.16, 0.18])  # the paper's motors
-        self.action_space = gymnasium.spaces.Box(-high, high, dtype=np.float64)
+        self.observation_space = observation_space()
+        self.action_space = ACTIONS
         require_free_start(self.model, self.course)
         self._due = due_checkpoints(self.course)
         self._start()
@@ -81,8 +78,7 @@ class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     def step(self, action: FloatArray) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         """Command (v, omega) and advance by a control tick."""
-        low, high = self.action_space.low, self.action_space.high  # type: ignore[attr-defined]
-        v, omega = np.clip(np.asarray(action, np.float64), low, high)
+        v, omega = np.clip(np.asarray(action, np.float64), ACTIONS.low, ACTIONS.high)
         self.rover.command(float(v), float(omega))
         for _ in range(SUBSTEPS):
             self.rover.substep()

@@ -1,0 +1,260 @@
+"""A robot behind a bridge as a Gymnasium environment, ``rover_ncp/Rover-v0``: any policy drives it.
+
+Importing this module registers it; the part of the id before the colon makes Gymnasium import it:
+
+    env = gymnasium.make("deploy.env:rover_ncp/Rover-v0", robot="tcp/192.168.1.20")
+
+Observation, action, reward and step are those of ``sim.world.env:rover_ncp/RoverParking-v0``. The drive is
+that of ``rover-ncp deploy``: lease, gate, estimator and safety checks, in a thread of its own. Rules:
+
+1. The drive keeps the time. `step` gives it one action and returns with the next tick, 0.1 s later.
+2. An action that does not come within ``ACTION_S`` ends the drive (rule ``action-late``).
+3. `close`, an exception in `step`, Ctrl-C there and the end of the program stop the rover. A program that is
+   killed sends no more commands, and the gate stops the rover.
+"""
+
+import atexit
+import queue
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from deploy.app import prepare_for_real_time
+from deploy.drive.config import DriveConfig, PoseUse, settings_for
+from deploy.drive.control_loop import Drive
+from deploy.drive.controller import Controller
+from deploy.drive.publisher import Publisher
+from deploy.drive.zenoh_link import ZenohLink
+from deploy.zenoh_client import BridgeAddress
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.circuit.rover_interface import RoverInterface
+from rover_ncp.core.errors import RoverNcpError, SafetyStop
+from rover_ncp.core.geometry import Pose
+from rover_ncp.core.recording import Recorded
+from rover_ncp.core.robot_description import load_description
+from rover_ncp.core.robot_profile import load_profile
+from rover_ncp.course.course import TICK_S, Course, due_checkpoints, load_course, reward
+from rover_ncp.course.fit import slowed
+from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.spaces import ACTIONS, observation_space
+
+ENV_ID = "rover_ncp/Rover-v0"
+ACTION_S = 0.25
+"""The longest time for an action. The gate holds the rover 0.3 s after the last command."""
+POSE_SIGNALS = ("x", "y", "theta")
+
+FloatArray = NDArray[np.float64]
+
+
+class _Observed(NamedTuple):
+    """What the drive hands over in a tick."""
+
+    tick: int
+    values: tuple[float, ...]
+    """The signals of the environment, then ``POSE_SIGNALS``."""
+
+
+class _Handover:
+    """The drive's `Runner`: hands each observation to the environment and waits for its action."""
+
+    def __init__(self) -> None:
+        self.drive: Drive | None = None
+        self.observed: queue.Queue[_Observed | None] = queue.Queue()
+        """None says that the drive is over."""
+        self.actions: queue.Queue[tuple[float, float]] = queue.Queue()
+        self._started = self._warm = False
+
+    @property
+    def potentials(self) -> FloatArray:
+        """None: (0,)."""
+        return np.empty(0)
+
+    def reset(self) -> None:
+        """Begin a drive, whose first tick is a warm-up."""
+        self._started, self._warm = True, False
+
+    def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:
+        """Return the environment's action. Raises SafetyStop if none comes in time."""
+        if not self._warm:  # the warm-up, and a tick before it that would compile a circuit
+            self._warm = self._started
+            return 0.0, 0.0
+        assert self.drive is not None  # ticks belong to a drive
+        self.observed.put(_Observed(self.drive.keeper.index, tuple(observation)))
+        try:
+            return self.actions.get(timeout=ACTION_S)
+        except queue.Empty:
+            words = f"the environment's user gave no action within {ACTION_S:g} s of the observation"
+            raise SafetyStop("action-late", words) from None
+
+
+class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
+    """Drive a real rover through the checkpoints of a course, each at its time.
+
+    ``signals`` names what is observed (docs/python.md lists the signals); by default the estimated pose in
+    the course's frame and the start signal. ``robot``, ``namespace``, ``zenoh_config``, ``model``,
+    ``profile`` and ``pose`` are the options of ``rover-ncp deploy``.
+
+    `reset` connects, waits until the rover stands still, takes its place there as the course's start and
+    requests the motors. It raises what ``rover-ncp deploy`` would report: RoverNcpError with its exit code.
+
+    *Terminated*: the course's horizon is reached. *Truncated*: a safety rule stopped the rover; ``info`` has
+    its name as ``stopped_by``. At every end ``info`` holds ``parked`` (by the estimate) and ``reason``.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium declares it so
+
+    def __init__(
+        self,
+        robot: str,
+        course: str | Path | Course = "parking",
+        *,
+        signals: Sequence[str] = (),
+        namespace: str = "",
+        zenoh_config: str | Path | None = None,
+        model: str | Path | None = None,
+        profile: str | Path | None = None,
+        pose: PoseUse = "auto",
+    ) -> None:
+        parking = load_policy("parking")
+        self.signals = tuple(signals) or parking.sensing.inputs
+        inputs = (*self.signals, *POSE_SIGNALS)
+        sensing = parking.sensing.model_copy(update={"inputs": inputs})
+        # It names the signals; its circuit does not run.
+        self._policy = replace(
+            parking, sensing=sensing, input_layer=np.zeros((len(sensing.channels), len(inputs)))
+        )
+        self._interface = RoverInterface(self._policy)
+        self._address = BridgeAddress(robot, namespace, Path(zenoh_config) if zenoh_config else None)
+        self._robot = load_description(str(model)) if model else None
+        self._profile = load_profile(Path(profile)) if profile else None
+        self.course = course if isinstance(course, Course) else load_course(course)
+        if self._robot is not None:
+            self.course, _ = slowed(self.course, self._robot)
+        self._reference = plan_reference(self.course) if self._interface.needs_reference else None
+        self._pose, self._due = pose, due_checkpoints(self.course)
+        self.observation_space = observation_space(self.signals)
+        self.action_space = ACTIONS
+        self._error: RoverNcpError | None = None
+        self._thread: threading.Thread | None = None
+        atexit.register(self.close)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[FloatArray, dict[str, Any]]:
+        """Begin a drive where the rover stands. A running drive ends first."""
+        super().reset(seed=seed, options=options)
+        self.close()
+        self._closing, self._error = threading.Event(), None
+        self._handover, self._tick = _Handover(), 0
+        self._thread = threading.Thread(target=self._run, name="rover drive", daemon=True)
+        self._thread.start()
+        observed = self._next()
+        if observed is None:
+            self.close()
+            raise self._error or RoverNcpError("the drive ended before its first tick")
+        self._tick = observed.tick
+        return self._without_pose(observed.values), {"time_s": TICK_S * observed.tick}
+
+    def step(self, action: ArrayLike) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
+        """Command (v, omega) in m/s and rad/s, and return what is observed a tick later."""
+        if self._thread is None:
+            raise gymnasium.error.ResetNeeded("the drive is over: call reset() first")
+        v, omega = np.clip(np.asarray(action, np.float64), ACTIONS.low, ACTIONS.high).tolist()
+        self._handover.actions.put((v, omega))
+        observed = self._next()
+        if observed is None:
+            return self._ended()
+        gain = self._reward(self._tick, observed.tick, Pose(*observed.values[-len(POSE_SIGNALS) :]))
+        self._tick = observed.tick
+        return self._without_pose(observed.values), gain, False, False, {"time_s": TICK_S * self._tick}
+
+    def close(self) -> None:
+        """Stop the rover, release the lease and disconnect; return when that is done."""
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            self._closing.set()
+            self._handover.actions.put((0.0, 0.0))  # a tick may wait for it
+            thread.join()
+
+    def _run(self) -> None:
+        """Drive once, in the drive's thread."""
+        try:
+            self._drive()
+        except (RoverNcpError, KeyboardInterrupt) as error:
+            self._error = error if isinstance(error, RoverNcpError) else None
+        finally:
+            self._handover.observed.put(None)
+
+    def _drive(self) -> None:
+        config = DriveConfig(
+            robot=self._address.robot,
+            namespace=self._address.namespace,
+            policy="gymnasium",
+            course=self.course.name,
+            dry_run=False,
+            ticks=self.course.ticks,
+            pose=self._pose,
+            estimator=settings_for(self._profile, self._robot),
+            rover=self._profile,
+            described=self._robot,
+        )
+        controller = Controller(
+            self._policy, self.course, config.estimator, self._profile, runner=self._handover
+        )
+        prepare_for_real_time()
+        with ZenohLink(self._address, _not_recorded) as link:
+            publisher = Publisher(link, _not_recorded, ())
+            drive = Drive(link, controller, publisher, config, self._closing.is_set)
+            self._handover.drive = drive
+            drive.wait()
+            drive.run({})
+            if drive.stop is not None:
+                self._error = drive.stop
+
+    def _next(self) -> _Observed | None:
+        """Wait for the next tick; None when the drive is over. An exception here stops the rover."""
+        try:
+            return self._handover.observed.get()
+        except BaseException:
+            self.close()
+            raise
+
+    def _ended(self) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
+        drive = self._handover.drive
+        self.close()
+        if drive is None or drive.estimate is None:
+            raise self._error or RoverNcpError("the drive ended before its first tick")
+        stop, pose, ticks = drive.stop, drive.estimate.pose, self.course.ticks
+        signal = self.course.start_signal(TICK_S * drive.keeper.index)
+        reference = self._reference.tick(drive.keeper.index) if self._reference else None
+        values = self._interface.observe(pose, signal, reference)
+        gain = 0.0 if stop else self._reward(self._tick, ticks, pose)
+        info = {
+            "time_s": TICK_S * drive.keeper.index,
+            "parked": bool(drive.verdict and drive.verdict.parked),
+            "reason": drive.reason,
+            "stopped_by": stop.rule if stop else None,
+        }
+        return self._without_pose(values), gain, stop is None, stop is not None, info
+
+    def _reward(self, begin: int, end: int, pose: Pose) -> float:
+        """Return the reward for the checkpoints due in the ticks from ``begin`` to before ``end``."""
+        due = [number for number in self._due[begin:end].tolist() if number >= 0]
+        return sum(reward(pose, self.course.checkpoints[number].pose) for number in due)
+
+    @staticmethod
+    def _without_pose(values: Sequence[float]) -> FloatArray:
+        return np.array(values[: -len(POSE_SIGNALS)], np.float64)
+
+
+def _not_recorded(_message: Recorded) -> None:
+    """Drop a message: the environment records nothing."""
+
+
+gymnasium.register(id=ENV_ID, entry_point="deploy.env:RoverEnv")

@@ -19,6 +19,8 @@ FAULTS: dict[str, tuple[float, float, float] | None] = {
     "noise": (0.1, 0.0, 1.0),  # this share of packets, both ways, has bytes before it that belong to none
     "freeze-odometry": None,  # SIPs keep coming, odometry stands
     "jump-odometry": (0.5, -100.0, 100.0),  # x is off by this many metres
+    "gyro": (2.0, -1000.0, 1000.0),  # the gyro reads so many rad/s more
+    "clock": (-1.0, -1e6, 1e6),  # the clock of a ROS 2 robot is set forward by so many seconds
     "bumper": None,  # a front bumper is pressed
     "stall": None,  # the wheels are blocked and the motors stall
     "stop-button": None,

@@ -214,6 +214,7 @@ class Firmware:
         panel.battery_dv = self._battery_test_dv or (BATTERY_DV if low is None else round(low * 10))
         reporter.odometry_frozen = self._fault("freeze-odometry") is not None
         reporter.odometry_jump_m = self._fault("jump-odometry") or 0.0
+        self._gyro.error_rad_s = self._fault("gyro") or 0.0
         was_reset, self._was_reset = self._was_reset, self._fault("reset") is not None
         if self._was_reset and not was_reset:
             self._restart()

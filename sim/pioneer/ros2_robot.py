@@ -140,7 +140,7 @@ class Ros2Robot:
         return self._faults.value(name, self._moved_s)
 
     def _stamp_ns(self) -> int:
-        return round((self.now + self._epoch_s) * 1e9)
+        return round((self.now + self._epoch_s + (self._fault("clock") or 0.0)) * 1e9)
 
     def _substep(self) -> None:
         reset = self._fault("reset") is not None
@@ -219,7 +219,8 @@ class Ros2Robot:
         turned, seconds = self.drive.rover.turned, self.now - self._turned_s
         rate = (turned - self._turned) / seconds if seconds > 0 else 0.0
         self._turned, self._turned_s = turned, self.now
-        return rate + self._random.gauss(0.0, self.description.gyro.noise_rad_s)
+        error = self._fault("gyro") or 0.0
+        return rate + error + self._random.gauss(0.0, self.description.gyro.noise_rad_s)
 
     def _pose(self) -> Pose:
         """Return the pose that it reports: the encoders', with the errors of trial and faults."""

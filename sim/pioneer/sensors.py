@@ -92,12 +92,14 @@ class Gyro:
         self._rover, self._random = rover, random.Random(seed)
         self._angle, self._at = rover.turned, 0.0
         self.on = False
+        self.error_rad_s = 0.0
+        """How much more it reads, by a fault."""
 
     def packet(self, now: float) -> Packet:
         """Return the readings since the last packet."""
         angle, seconds = self._rover.turned, now - self._at
         rate = (angle - self._angle) / seconds if seconds > 0 else 0.0
         self._angle, self._at = angle, now
-        mean = GYRO_REST + OFFSET - rate / GYRO_RAD_S
+        mean = GYRO_REST + OFFSET - (rate + self.error_rad_s) / GYRO_RAD_S
         readings = (round(mean + self._random.gauss(0.0, NOISE)) for _ in range(READINGS))
         return GyroPac(tuple((min(max(reading, 0), _MOST), ROOM_C) for reading in readings)).encode()

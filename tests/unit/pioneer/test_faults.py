@@ -1,5 +1,6 @@
 """Faults of the mock: how they are written, when they begin, what a client sees of them."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -8,9 +9,15 @@ from pioneer_bench import Pioneer
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import Flag
 from rover_ncp.core.errors import UsageError
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.messages import read_imu, read_odometry, twist
+from rover_ncp.core.robot_description import load_description
 from sim.pioneer.client_commands import MockCommand
 from sim.pioneer.faults import FAULTS, Fault, Faults, parse_fault
 from sim.pioneer.firmware import ClientState
+from sim.pioneer.ros2_robot import Ros2Robot
+from sim.world.described import described_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
 
 
 @pytest.mark.parametrize(
@@ -185,3 +192,28 @@ def test_a_base_can_be_reset_again() -> None:
     pioneer.firmware.inject(parse_fault("reset@1-1.1"))
     pioneer.run(2.0)
     assert len(pioneer.of_kind(0xFF)) == 2
+
+
+def ros2_reports(*faults: str) -> list[tuple[str, bytes]]:
+    """Return what a ROS 2 robot sends in 4 s; faults count from its first command."""
+    description = load_description("turtlebot4")
+    rover = PymunkRover(described_rover(description), Ground())
+    robot = Ros2Robot(description, rover, Faults([parse_fault(text) for text in faults]), 0.0)
+    for period in range(1, 41):
+        robot.command(twist(Velocity(0.1, 0.0)), period / 10)
+    return robot.messages()
+
+
+def test_clock_fault_shifts_the_stamps_of_a_ros2_robot() -> None:
+    stamps = [
+        read_odometry(data).stamp_ns / 1e9 for name, data in ros2_reports("clock=-0.6@2") if name == "odom"
+    ]
+    steps = np.diff(stamps)
+    assert np.sum(steps < 0) == 1
+    assert min(steps) == pytest.approx(-0.6 + np.median(steps), abs=0.02)
+
+
+def test_gyro_fault_adds_to_what_the_gyro_reads() -> None:
+    rates = [read_imu(data).rate for name, data in ros2_reports("gyro=2@2-2.1") if name == "imu"]
+    assert 1 <= sum(rate > 1.9 for rate in rates) < 0.2 * len(rates)
+    assert sum(abs(rate) < 0.1 for rate in rates) > 0.8 * len(rates)

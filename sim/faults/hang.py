@@ -1,4 +1,4 @@
-"""A rover-ncp command that hangs, or whose wall clock steps back, on a signal; the command has no hook for it.
+"""A rover-ncp command that hangs or whose wall clock steps back on a signal, with no hook in the command.
 
 Run as ``python -m sim.faults.hang COMMAND ...``. On SIGUSR1 its main thread sleeps for `HANG_S` in C without
 releasing the interpreter's lock, as a faulty library would. No other thread of the process runs, and its
@@ -22,15 +22,15 @@ _clock_behind_ns = 0
 _true_time_ns = time.time_ns
 
 
-def _applied(fault: str) -> None:
-    words = f"applied t_ns={time.monotonic_ns()} late_ns=0 {fault}\n"
-    os.write(sys.stderr.fileno(), words.encode())
+def _applied(fault: str) -> bytes:
+    return f"applied t_ns={time.monotonic_ns()} late_ns=0 {fault}\n".encode()
 
 
 def _hang(*_: object) -> None:
     # PyDLL keeps the interpreter's lock during the call; sleep is cut short by other signals.
     libc = ctypes.PyDLL(None)
-    _applied("hang")
+    words = _applied("hang")
+    libc.write(sys.stderr.fileno(), words, len(words))
     left = HANG_S
     while left:
         left = libc.sleep(left)
@@ -39,7 +39,7 @@ def _hang(*_: object) -> None:
 def _step_clock(number: int, _: object) -> None:
     global _clock_behind_ns  # noqa: PLW0603  # a clock is global
     _clock_behind_ns += round(CLOCK_STEPS_S[number] * 1e9)
-    _applied("clock")
+    os.write(sys.stderr.fileno(), _applied("clock"))
 
 
 def _time_ns() -> int:

@@ -30,7 +30,7 @@ RESULTS = {
     "rates.tick_jitter_ms=:quantiles",
     "paper run": "sim.paper.commands:paper made=sim.paper.results:RunName made=sim.paper.commands:_make",
     "paper status": "groups=sim.paper.selection:coverage "
-    "groups.stopped=:stopped_state groups.unfinished=sim.paper.published_search:read_partial",
+    "groups.unfinished=sim.paper.published_search:read_partial",
     "paper replay": "sim.paper.commands:_replay differ=sim.paper.results:RunName",
     "paper random-circuits, policy-gradients, networks": "sim.paper.tables:table_fields cells=:Row "
     "cells=:Row.fields cells.published=:Published",
@@ -40,8 +40,7 @@ RESULTS = {
     "paper parameters": "tasks=sim.paper.tables:parameters tasks=sim.paper.tasks:Settings",
     "paper time-constants": "sim.paper.interpretation:parking_time_constants",
     "paper contributions": "sim.paper.interpretation:parking_contributions",
-    "paper curves, lesions, disturbances": "sim.paper.commands:_draw lesions=sim.paper.lesions:lesion_study "
-    "disturbances=sim.paper.disturbance:disturbance_study",
+    "paper curves, lesions": "sim.paper.commands:_draw lesions=sim.paper.lesions:lesion_study",
     "soak": "sim.faults.soak_report:fields rounds=:_round_fields processes.NAME=sim.faults.losses:Leaks",
     "mock": "sim.pioneer.run:run_mock :_of_firmware",
     "bridge": "bridge.app:run_bridge",
@@ -174,7 +173,6 @@ COMMON = {
     "contributions.best": "the contribution in the best circuit",
     "difference": "the first one",
     "difference.tick": "null if it belongs to none",
-    "disturbances": "a task, an agent, a kind and a level each",
     "estimate": "of the driver, against the truth",
     "fastest.cpu_share": "of a core",
     "fastest.rate_hz": "samples of odometry",

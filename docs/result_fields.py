@@ -22,9 +22,6 @@ RESULTS = {
     "apart_m=sim.evaluate.evaluate:Spread apart_rad=:Spread",
     "eval --task, a benchmark of the paper": "sim.paper.score_file:score_circuit",
     "eval --task, an environment": "sim.evaluate.commands:_play_environment",
-    "bench train": "sim.benchmarks.train:_parts :bench_train share=:_shares",
-    "bench circuit": "sim.benchmarks.train:bench_circuit",
-    "bench search": "sim.benchmarks.search:bench_search strategies.NAME=:_summary",
     "bench deploy": "sim.benchmarks.deploy:bench_deploy rates=:_measure rates=:latencies "
     "rates.odometry_to_command_ms=:quantiles rates.bare_half_round_trip_ms=:quantiles "
     "rates.tick_jitter_ms=:quantiles",

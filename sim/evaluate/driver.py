@@ -80,14 +80,14 @@ class Driver:
 
 
 class _Found(BaseModel):
-    """What this module reads of the result of ``sim.studies.compare``."""
+    """What this module reads of the result of ``benchmarks/compare.py``."""
 
     agent: str
     found: tuple[float, ...]
 
 
 def load_driver(name: str) -> Driver:
-    """Load a law by name, a result of ``sim.studies.compare`` (.json), or a policy by name or file.
+    """Load a law by name, a result of ``benchmarks/compare.py`` (.json), or a policy by name or file.
 
     Raises ConfigError or FileError.
     """

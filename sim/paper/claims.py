@@ -259,7 +259,7 @@ _ELSEWHERE = (
         Finding.REPRODUCED,
         "9.9 µs of a tick, 0.060 µs a neuron and 0.027 µs a synapse; 16 circuits of 24 to 192 neurons and 60 "
         "to 480 synapses are at most 8 % off",
-        "rover-ncp bench circuit",
+        "python -m benchmarks.circuit",
     ),
     Claim(
         "published-circuit-mountain-car",

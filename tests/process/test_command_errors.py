@@ -69,7 +69,6 @@ WRITERS = [
     "report drive.mcap --out {}",
     "recover drive.mcap --out {}",
     "keys --out {}",
-    "bench search --csv {}",
     "paper curves --out {}",
     "paper run --task parking --agent circuit --seed 0 --again --budget quick --runs {}",
     "soak --out {}",
@@ -136,7 +135,7 @@ TABLE = [
     (f"train --iterations {HUGE}", "--iterations"),
     (f"train --seed {HUGE}", "--seed"),
     (f"mock --trial {HUGE}", "--trial"),
-    (f"bench train --iterations {HUGE}", "--iterations"),
+    (f"bench deploy --seconds {HUGE}", "--seconds"),
     ("eval course --randomize ''", "an empty name"),
     ("train --randomize ''", "an empty name"),
     ("mock --randomize ''", "an empty name"),
@@ -263,7 +262,6 @@ def test_a_folder_that_may_not_be_searched_is_one_line(command, tmp_path):
     [
         "report {} --out {}",
         "identify {} --out {}",
-        "bench search --iterations 1 --agents 1 --csv {}",
     ],
 )
 def test_a_result_never_replaces_a_recording(command, tmp_path, capfd):

@@ -1,9 +1,16 @@
-"""How fast the training engine is, and where its time goes: ``rover-ncp bench train``.
+"""How fast the training engine is, and where its time goes.
+
+    python -m benchmarks.train [--iterations 2500]
+
+prints one JSON object: episodes and iterations per second on one core and on all, against the plain
+environment of a single rover, what a substep costs alone and as a lane, and where the time goes.
 
 Speeds are counted in CPU time, so that what else the machine does shows as little as it can; where processes
 share the work, a round lasts as long as the slowest of them. The engine's worth is a ratio within the run.
 """
 
+import argparse
+import json
 import os
 import resource
 import statistics
@@ -19,9 +26,8 @@ from typing import Any
 import numpy as np
 
 from rover_ncp.circuit.compiled import allocate_lanes, make_program, resting_potentials
-from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
+from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.circuit.solver import tick_lanes
-from rover_ncp.circuit.tap_withdrawal import parking_circuit, random_circuit
 from rover_ncp.course.course import TICK_S
 from rover_ncp.kernels.jit import kernel
 from sim.learn.agents import AgentState, Plan, split
@@ -43,11 +49,9 @@ _REPEATS = 5
 _EPISODES = 72
 _AGENTS = 12
 _WARM_ITERATIONS = 100
-_TICKS = 40
+TICKS = 40
 _LANE_TICKS = 65_536
 _NS = 1e9
-
-_SIZES = tuple((neurons, synapses) for neurons in (24, 48, 96, 192) for synapses in (60, 120, 240, 480))
 
 _COMPILE_SCRIPT = """
 import time
@@ -108,15 +112,15 @@ def _parts(task: Task) -> dict[str, Any]:
     calls: dict[str, Callable[[], object]] = {
         "episodes": lambda: engine.returns(vectors),
         "plain": lambda: [rollout(policy, task.course) for policy in alone],
-        "circuit": partial(_tick_alone, runner),
-        "physics": lambda: _substep(rover, _TICKS * SUBSTEPS),
+        "circuit": partial(tick_alone, runner),
+        "physics": lambda: _substep(rover, TICKS * SUBSTEPS),
     }
     fleets = [Fleet([default_rover()] * lanes) for lanes in LANES]  # kept: their arrays hold but addresses
     for lanes, fleet in zip(LANES, fleets, strict=True):
         commands = np.full((2, len(fleet.bodies)), 0.1)
         calls[f"circuit {lanes}"] = partial(_tick_circuits, *_circuits(task, lanes), _ticks(lanes))
         calls[f"physics {lanes}"] = partial(_tick_rovers, fleet.arrays, commands, _ticks(lanes))
-    cpu_s = _cpu_s(calls)
+    cpu_s = median_cpu_s(calls)
     by_lanes = [
         {"lanes": lanes}
         | {
@@ -134,41 +138,15 @@ def _parts(task: Task) -> dict[str, Any]:
         "ratio_to_plain": in_lanes / plain,  #: of the two
         "cost_by_lanes": by_lanes,  #: for 1 to 4096 lanes
         "substep_ns": {  #: alone and called from Python (scalar), and as wide as in training (lane)
-            name: {"scalar": cpu_s[name] * _NS / (_TICKS * SUBSTEPS), "lane": lane[f"{name}_ns"]}
+            name: {"scalar": cpu_s[name] * _NS / (TICKS * SUBSTEPS), "lane": lane[f"{name}_ns"]}
             for name in ("circuit", "physics")
         },
     }
 
 
-def bench_circuit() -> dict[str, Any]:
-    """Measure what a tick of a random circuit costs, by its numbers of neurons and synapses."""
-    calls: dict[str, Callable[[], object]] = {}
-    own = parking_circuit().neurons
-    for neurons, synapses in _SIZES:
-        names = (*own, *(f"N{number}" for number in range(neurons - len(own))))
-        runner = PolicyRunner(parking_policy(random_circuit(0, names, synapses)))
-        calls[f"{neurons} {synapses}"] = partial(_tick_alone, runner)
-    costs = np.array(list(_cpu_s(calls).values())) * 1e6 / _TICKS
-    columns = np.column_stack([np.ones(len(_SIZES)), _SIZES])
-    fit = np.linalg.lstsq(columns, costs, rcond=None)[0]
-    return {
-        "sizes": [  #: of the circuits, called from Python
-            {
-                "neurons": neurons,
-                "synapses": synapses,
-                "tick_us": cost,  #: CPU time of ten substeps
-            }
-            for (neurons, synapses), cost in zip(_SIZES, costs.tolist(), strict=True)
-        ],
-        "fixed_us": float(fit[0]),  #: part of a tick that no size changes, of a linear fit
-        "neuron_us": float(fit[1]),  #: part of each neuron
-        "synapse_us": float(fit[2]),  #: part of each synapse
-        "most_off": float(np.abs(columns @ fit / costs - 1.0).max()),  #: of the fit, as a share of the cost
-    }
-
-
-def _tick_alone(runner: PolicyRunner) -> None:
-    for _ in range(_TICKS):
+def tick_alone(runner: PolicyRunner) -> None:
+    """Run a circuit for some ticks."""
+    for _ in range(TICKS):
         runner.tick([0.3, 0.3, 0.3, 1.0])
 
 
@@ -179,7 +157,7 @@ def _candidates(policy: Policy, count: int) -> np.ndarray:
     return np.clip(vectors, layout.lower, layout.upper)
 
 
-def _cpu_s(calls: dict[str, Callable[[], object]]) -> dict[str, float]:
+def median_cpu_s(calls: dict[str, Callable[[], object]]) -> dict[str, float]:
     """Return the median CPU time of each call after a warm-up call; calls alternate, as load varies."""
     times: dict[str, list[float]] = {name: [] for name in calls}
     for repeat in range(_REPEATS + 1):
@@ -207,7 +185,7 @@ class _TimedEvaluator(Evaluator):
             self.cpu_s += time.process_time() - began
             return answers
 
-        stream.collect = timed  # type: ignore[method-assign]
+        stream.collect = timed
         return stream
 
 
@@ -271,13 +249,13 @@ def _circuits(task: Task, lanes: int) -> tuple[Any, ...]:
 
 
 @kernel
-def _tick_circuits(program, parameters, potentials, observations, commands, ticks):  # type: ignore[no-untyped-def]  # noqa: PLR0917  # numba's own types
+def _tick_circuits(program, parameters, potentials, observations, commands, ticks):  # noqa: PLR0917  # numba's own types
     for _ in range(ticks):
         tick_lanes(program, parameters, potentials, observations, commands)
 
 
 @kernel
-def _tick_rovers(fleet, commands, ticks):  # type: ignore[no-untyped-def]  # numba's own types
+def _tick_rovers(fleet, commands, ticks):  # numba's own types
     for _ in range(ticks):
         send(fleet, commands)
         advance(fleet)
@@ -318,3 +296,15 @@ def _compile_times() -> tuple[float, float]:
             for _ in range(2)
         ]
     return float(times[0]), float(times[1])
+
+
+def main() -> None:
+    """Measure from the command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.train")
+    parser.add_argument("--iterations", type=int, default=2500, help="of each agent")
+    given = parser.parse_args()
+    print(json.dumps(bench_train(given.iterations, lambda line: print(line, file=sys.stderr)), indent=2))
+
+
+if __name__ == "__main__":
+    main()

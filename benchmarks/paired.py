@@ -1,6 +1,6 @@
 """Two drivers on the same trials: does one park where the other does not more often than by chance?
 
-    python -m sim.studies.paired FIRST SECOND --randomize harsh --trials 1000 --seed 1 [--unseen COURSES]
+    python -m benchmarks.paired FIRST SECOND --randomize harsh --trials 1000 --seed 1 [--unseen COURSES]
 
 prints one JSON object. Drivers are those of ``rover-ncp eval``. --unseen drives on so many courses outside
 the training set instead of the paper's. With --body or --sensors, as ``eval`` has them, the trials are driven

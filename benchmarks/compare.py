@@ -1,6 +1,6 @@
 """Other controllers in the circuit's place: the same trials, search and budget, another body of numbers.
 
-    python -m sim.studies.compare AGENT [--seed 1] [--generations 2600] [--rollouts 144] [--trained-on harsh]
+    python -m benchmarks.compare AGENT [--seed 1] [--generations 2600] [--rollouts 144] [--trained-on harsh]
 
 prints one JSON object: what the search found, and how that does on trials that it did not see. Agents:
 
@@ -136,7 +136,7 @@ def compare(name: str, *, seed: int, generations: int, rollouts: int, trained_on
 
 def main() -> None:
     """Compare from the command line."""
-    parser = argparse.ArgumentParser(prog="python -m sim.studies.compare")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.compare")
     parser.add_argument("agent")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--generations", type=int, default=2600)

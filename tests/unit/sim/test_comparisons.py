@@ -1,22 +1,13 @@
 """Comparisons of controllers: each is searched and judged as the circuit is, on the same trials."""
 
-import math
-
 import numpy as np
 import pytest
 
-from rover_ncp.core.geometry import Pose
+from benchmarks.compare import find_agent
+from benchmarks.paired import Paired, paired, parked
 from rover_ncp.course.course import load_course
 from sim.evaluate.driver import load_driver
 from sim.evaluate.evaluate import evaluate
-from sim.stack.camera import Camera
-from sim.studies.carried import WITHIN_S, CarriedStack
-from sim.studies.compare import find_agent
-from sim.studies.known_center import of_centre
-from sim.studies.paired import Paired, paired, parked
-from sim.world.bodies import Body
-from sim.world.described import default_rover
-from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import load_randomization
 
 
@@ -60,23 +51,3 @@ def test_the_trials_are_those_of_an_evaluation(driver):
     course, ranges = load_course("parking"), load_randomization("harsh")
     found = parked(driver, [course], ranges, trials=100, seed=9)
     assert found.mean() == evaluate(load_driver(driver), [course], ranges, trials=100, seed=9).success_rate
-
-
-@pytest.mark.parametrize("center_m", [-0.06, 0.04])
-def test_a_centre_of_rotation_drives_as_the_middle_of_a_rover_without_skid(center_m):
-    sliding = PymunkRover(default_rover(rotation_center_m=center_m), Ground(), Pose(0.1, -0.2, 0.3))
-    straight = PymunkRover(default_rover(), Ground(), of_centre(sliding.pose, center_m))
-    for tick in range(200):
-        for rover in (sliding, straight):
-            rover.command(0.1, 0.18 * math.sin(0.03 * tick))
-            for _ in range(10):
-                rover.substep()
-    assert of_centre(sliding.pose, center_m) == pytest.approx(straight.pose, abs=1e-4)
-    assert math.dist(sliding.pose[:2], straight.pose[:2]) > 0.01
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_a_rover_that_is_carried_or_turned_is_stopped(turned):
-    course, ranges = load_course("parking"), load_randomization("varied", Body.MUJOCO)
-    stack = CarriedStack(load_driver("course"), (course,), ranges, 1, camera=Camera(), turned=turned)
-    assert stack.stopped_s(0) <= WITHIN_S

@@ -37,7 +37,6 @@ check: lint types contracts test tutorials test-system
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python tests/tools/prose.py
 
 types: $(STAMP)
 	$(BIN)/mypy

@@ -61,6 +61,13 @@ reference: $(STAMP)
 safety: $(STAMP)
 	$(BIN)/python tests/tools/safety_table.py
 
+# Every fault of the safety matrix at random moments, in processes that keep running; the table in runs/soak.
+SOAK_MINUTES ?= 20
+soak: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m faults --minutes $(SOAK_MINUTES)
+
+.PHONY: soak
+
 # A run of seconds for every task of the paper: the circuit and a network, each checked by a replay.
 paper-quick: $(STAMP)
 	$(BIN)/rover-ncp paper run --budget quick --again --agent circuit --agent mlp --seed 0 --runs runs/paper-quick

@@ -38,7 +38,6 @@ RESULTS = {
     "paper time-constants": "sim.paper.interpretation:parking_time_constants",
     "paper contributions": "sim.paper.interpretation:parking_contributions",
     "paper curves, lesions": "sim.paper.commands:_draw lesions=sim.paper.lesions:lesion_study",
-    "soak": "sim.faults.soak_report:fields rounds=:_round_fields processes.NAME=sim.faults.losses:Leaks",
     "mock": "sim.pioneer.run:run_mock :_of_firmware",
     "bridge": "bridge.app:run_bridge",
     "export": "rover_ncp.export.commands:export",

@@ -71,7 +71,6 @@ WRITERS = [
     "keys --out {}",
     "paper curves --out {}",
     "paper run --task parking --agent circuit --seed 0 --again --budget quick --runs {}",
-    "soak --out {}",
 ]
 TABLE = [
     *((command.format(LONG), "File name too long") for command in READERS),
@@ -86,7 +85,6 @@ TABLE = [
     ("park --policy parking --out done", "done/run.mcap: exists already"),
     ("park --out done", "done/run.mcap: exists already"),
     ("park --out trained", "trained/train: exists already"),
-    ("soak --out soaked", "soaked/drives/001-bumper.mcap: exists already"),
     ("train --resume --out done", "done: holds no training run to resume"),
     # YAML and courses
     ("course check deep.yaml", "more than 100 lists or mappings in each other"),
@@ -167,7 +165,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("errors")
     (folder / "file").write_text("x")
     write_drive(folder / "drive.mcap", course=SHORT)
-    for made in ("done/run.mcap", "trained/train/settings.yaml", "soaked/drives/001-bumper.mcap"):
+    for made in ("done/run.mcap", "trained/train/settings.yaml"):
         (folder / made).parent.mkdir(parents=True)
         (folder / made).write_text("x")
     (folder / "deep.yaml").write_text("a: " + "[" * 100_000 + "]" * 100_000)

@@ -1,6 +1,6 @@
 """The safety matrix: every fault, how it is injected into a running `Rig`, and how soon the rover must stand.
 
-The one table behind ``docs/safety.md``, the tests of the matrix and ``rover-ncp soak``. A row that is missing
+The one table behind ``docs/safety.md``, the tests of the matrix and ``make soak``. A row that is missing
 in one of them fails a test.
 
 A fault acts on a moving rover that a circuit or a scripted driver drives. It needs no help from the processes
@@ -13,12 +13,13 @@ from collections.abc import Callable
 from signal import SIGCONT, SIGKILL, SIGSTOP, SIGUSR1
 from typing import Any, NamedTuple
 
+from faults.hang import HANG_S
+from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
+from faults.rig import SPEED_M_S, Scene, Unsafe
+from faults.scripted_driver import NAME
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.messages import odometry, text, twist_stamped
-from sim.faults.hang import HANG_S
-from sim.faults.rig import SPEED_M_S, Scene, Unsafe
-from sim.faults.scripted_driver import NAME
-from sim.live.processes import GONE, PIPE, TERMINAL, Process, wait_for
+from sim.live.processes import Process, wait_for
 
 STOP_S, WATCHDOG_S = 0.5, 2.0
 """The first safety requirement, and the base's own watchdog."""
@@ -33,7 +34,7 @@ FLOOD_S, FLOOD_PER_S = 1.5, 10_000
 NAN_S, NAN_PERIOD_S = 1.0, 0.01
 
 CIRCUIT, SCRIPTED = "circuit", NAME
-"""The drivers, as the ``driver`` field of a soak's JSON names them."""
+"""The drivers."""
 
 
 Act = Callable[[Scene], int | None]
@@ -254,7 +255,7 @@ def _with_outlet_blocked(act: Act) -> Act:
     """Return a fault that begins when the bridge's output has just been blocked: the bridge cannot log it."""
 
     def act_blocked(scene: Scene) -> int | None:
-        assert scene.rig.bridge.outlet is not None  # the row names an outlet
+        assert isinstance(scene.rig.bridge, OutletProcess)  # the row names an outlet
         scene.rig.bridge.outlet.block()
         return act(scene)
 

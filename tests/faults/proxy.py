@@ -1,6 +1,6 @@
 """Link faults: a TCP proxy that holds, throttles or cuts the bytes that pass through it.
 
-The proxy is a process of its own (``python -m sim.faults.proxy proxy HOST:PORT``), which `Proxy` starts. It
+The proxy is a process of its own (``python proxy.py proxy HOST:PORT``), which `Proxy` starts. It
 reads one command per line from its standard input, and ends with that input:
 
 hold            hold the bytes to the server until ``release``, and then deliver them
@@ -38,7 +38,7 @@ class Proxy(Process):
     """A proxy to ``target``, a HOST:PORT; clients connect to ``address``. `tell` injects a fault."""
 
     def __init__(self, target: str, folder: Path, name: str) -> None:
-        super().__init__(name, [target], folder, "sim.faults.proxy", reads_lines=True)
+        super().__init__(name, [target], folder, __file__, reads_lines=True)
 
     @cached_property
     def address(self) -> str:

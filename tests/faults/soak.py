@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 import zenoh
 
+from faults.losses import Completeness, Usage, check_recording, usage
+from faults.measure import Measured, measure
+from faults.rig import Rig
+from faults.table import CIRCUIT, MATRIX, Row
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import write_atomic
 from rover_ncp.course.course import load_course
-from sim.faults.losses import Completeness, Usage, check_recording, usage
-from sim.faults.measure import Measured, measure
-from sim.faults.rig import Rig
-from sim.faults.table import CIRCUIT, MATRIX, Row
 from sim.live.processes import compile_driver, wait_for
 
 LAST = "bridge-killed"

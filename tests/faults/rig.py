@@ -1,16 +1,18 @@
 """Mock, bridge, proxied links and drivers as real processes, and the rover's true motion.
 
 The mock reads the base's faults from its standard input. A wrapper around the command causes hangs
-(`sim.faults.hang`), and proxies cause the faults of both links. No process under test has a hook for them.
+(`hang.py`), and proxies cause the faults of both links. No process under test has a hook for them.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from faults import hang
+from faults.outlet import OutletProcess
+from faults.proxy import Proxy
+from faults.scripted_driver import ScriptedDriver
 from rover_ncp.core.errors import RoverNcpError
-from sim.faults.proxy import Proxy
-from sim.faults.scripted_driver import ScriptedDriver
 from sim.live.live_run import PIONEER, LiveRun
 from sim.live.processes import Process, wait_for
 
@@ -31,10 +33,11 @@ class Rig(LiveRun):
     """A live run with two proxies and scripted drivers.
 
     ``robot`` is the bridge's address; ``through_proxy`` is its address by way of the proxy ``link``. The
-    bridge reaches the base through the proxy ``line``. ``course`` is the course of circuits.
+    bridge reaches the base through the proxy ``line``. ``course`` is the course of circuits. ``outlet`` is
+    the kind of `Outlet` that takes the bridge's output.
     """
 
-    module = "sim.faults.hang"
+    module = hang.__file__
 
     def __init__(
         self,
@@ -46,8 +49,8 @@ class Rig(LiveRun):
         outlet: str = "",
         base_form: str = PIONEER,
     ) -> None:
-        super().__init__(folder, mock=mock, bridge=bridge, outlet=outlet, base_form=base_form)
-        self.course = course
+        super().__init__(folder, mock=mock, bridge=bridge, base_form=base_form)
+        self.course, self._outlet = course, outlet
         self._scripted: list[ScriptedDriver] = []
 
     def start(self) -> None:
@@ -64,6 +67,12 @@ class Rig(LiveRun):
         base = super().start_mock()
         self.line = self.start_process(lambda: Proxy(base, self.folder, "line"))
         return self.line.address
+
+    def bridge_process(self, arguments: Sequence[str]) -> Process:
+        """Return the bridge's process, with an outlet if the rig has one."""
+        if self._outlet:
+            return OutletProcess(self._outlet, "bridge", arguments, self.folder, self.module)
+        return super().bridge_process(arguments)
 
     def drive_course(self, *options: str, robot: str = "") -> Process:
         """Start a driver with a circuit on the rig's course."""

@@ -1,6 +1,6 @@
 """A rover-ncp command that hangs on a signal, with no hook in the command itself.
 
-Run as ``python -m sim.faults.hang COMMAND ...``. On SIGUSR1 its main thread sleeps for `HANG_S` in C without
+Run as ``python hang.py COMMAND ...``. On SIGUSR1 its main thread sleeps for `HANG_S` in C without
 releasing the interpreter's lock, as a faulty library would. No other thread of the process runs, and its
 sockets stay open. Other processes can detect the hang only by its silence.
 

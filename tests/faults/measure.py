@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.faults.rig import CREEP_M_S, Rig, Scene, Unsafe
-from sim.faults.scripted_driver import ScriptedDriver
-from sim.faults.table import CIRCUIT, Row, braking_s
+from faults.rig import CREEP_M_S, Rig, Scene, Unsafe
+from faults.scripted_driver import ScriptedDriver
+from faults.table import CIRCUIT, Row, braking_s
 from sim.live.processes import TimedOut, wait_for
 from sim.live.truth import SAMPLE_S
 

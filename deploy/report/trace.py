@@ -89,8 +89,6 @@ class Currents:
     """(T, m) mA; positive raises the destination's potential."""
     pull: FloatArray
     """(T, m) mV."""
-    target: FloatArray
-    """(T, n) mV, the potential that each neuron approaches."""
 
 
 def synapse_currents(circuit: Circuit, potentials: FloatArray) -> Currents:
@@ -107,5 +105,4 @@ def synapse_currents(circuit: Circuit, potentials: FloatArray) -> Currents:
     return Currents(
         current=conductance * (reversal - potentials[:, to]),
         pull=target[:, to] - without,
-        target=target,
     )

@@ -39,7 +39,7 @@ def with_names(policy, inputs, outputs):
 def test_simulator_lanes_driver_and_controller_agree_to_the_last_bit(name):
     policy, course = api.load_policy(name), api.load_course(SHORT)
     run = sim_api.rollout(policy, course)
-    assert len(np.unique(run.commands[:, 1])) > 10
+    assert np.ptp(run.commands, axis=0).all()
     [[total]] = Evaluator(policy, course).outcomes(policy.parameters()).total
     assert total == run.total
     driver = api.CourseDriver(policy, course)

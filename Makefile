@@ -6,7 +6,6 @@ STAMP := $(VENV)/.installed
 BROWSER_STAMP := $(VENV)/.browser
 DOCS_STAMP := $(VENV)/.docs
 GRADIENTS_STAMP := $(VENV)/.gradients
-LIQUID_STAMP := $(VENV)/.liquid
 
 .PHONY: park test test-system test-browser docs reference tutorials check lint types contracts safety clean paper paper-quick paper-docs paper-gradients
 
@@ -38,7 +37,6 @@ check: lint types contracts test tutorials test-system
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python tests/tools/prose.py
 
 types: $(STAMP)
 	$(BIN)/mypy
@@ -63,6 +61,13 @@ reference: $(STAMP)
 safety: $(STAMP)
 	$(BIN)/python tests/tools/safety_table.py
 
+# Every fault of the safety matrix at random moments, in processes that keep running; the table in runs/soak.
+SOAK_MINUTES ?= 20
+soak: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m faults --minutes $(SOAK_MINUTES)
+
+.PHONY: soak
+
 # A run of seconds for every task of the paper: the circuit and a network, each checked by a replay.
 paper-quick: $(STAMP)
 	$(BIN)/rover-ncp paper run --budget quick --again --agent circuit --agent mlp --seed 0 --runs runs/paper-quick
@@ -81,15 +86,11 @@ paper-gradients: $(GRADIENTS_STAMP)
 	$(BIN)/python docs/examples/ppo_parking.py
 	$(BIN)/rover-ncp paper run --agent ppo --agent a2c
 
-# CfC, LTC, and gradients through solvers: installs torch.
-paper-liquid: $(LIQUID_STAMP)
-	$(BIN)/rover-ncp paper run --agent cfc --agent ltc --agent circuit-cloned --agent cfc-cloned --agent ltc-cloned
-
-# The tests that need torch; elsewhere they are skipped.
-test-torch: $(LIQUID_STAMP)
+# CfC and LTC against the library ncps, whose cells need torch; elsewhere the tests are skipped.
+test-torch: $(GRADIENTS_STAMP)
 	$(BIN)/pytest tests/unit/learn/test_liquid.py
 
-.PHONY: paper-liquid test-torch
+.PHONY: test-torch
 
 # The gate's own tests must run every line and branch of it.
 coverage-gate: $(STAMP)
@@ -125,10 +126,6 @@ $(DOCS_STAMP): $(STAMP)
 
 $(GRADIENTS_STAMP): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,paper]'
-	touch $@
-
-$(LIQUID_STAMP): $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,liquid]'
 	touch $@
 
 clean:

@@ -38,7 +38,7 @@ def bridge(
     ] = None,
     zenoh_config: Annotated[
         Path | None,
-        typer.Option(help="Zenoh configuration for TLS, users and access control; see 'rover-ncp keys'."),
+        typer.Option(help="Zenoh configuration for certificates and access control; see 'rover-ncp keys'."),
     ] = None,
     base_zenoh_config: Annotated[
         Path | None,

@@ -28,7 +28,6 @@ _SETTINGS: dict[str, Any] = {
     # answers. Then Zenoh ends the session with that peer.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 20_000,
 }
-_USERS = "transport/auth/usrpwd/dictionary_file"
 _MTLS = "transport/link/tls/enable_mtls"
 _LOCAL_PROTOCOLS = frozenset({"unixsock-stream", "unixpipe"})
 _ENCRYPTED_PROTOCOLS = frozenset({"tls", "quic"})
@@ -48,10 +47,6 @@ def configured(listen: str | None, file: Path | None, insecure: bool) -> tuple[z
         settings.insert_json5("listen/endpoints", json.dumps(endpoints))
     except zenoh.ZError as error:
         raise UsageError(f"--listen {endpoints[0]}: expected PROTOCOL/HOST:PORT, like {LISTEN}") from error
-    users = json.loads(settings.get_json(_USERS))
-    if users is not None and file is not None:
-        # Beside the file that names it, wherever the bridge was started from.
-        settings.insert_json5(_USERS, json.dumps(str(file.parent.absolute() / users)))
     if not insecure:
         _require_authentication(settings, endpoints)
     if any_port(endpoints):
@@ -103,10 +98,8 @@ def _require_authentication(settings: zenoh.Config, endpoints: list[str]) -> Non
     open_ += [
         where for where in _of_router(json.loads(settings.get_json("connect/endpoints"))) if not _local(where)
     ]
-    if not open_ or json.loads(settings.get_json(_USERS)) is not None:
-        return
     mutual = json.loads(settings.get_json(_MTLS)) is True
-    if mutual and all(where.partition("/")[0] in _ENCRYPTED_PROTOCOLS for where in open_):
+    if not open_ or (mutual and all(where.partition("/")[0] in _ENCRYPTED_PROTOCOLS for where in open_)):
         return
     raise UsageError(
         f"{open_[0]}: any client that reaches it could drive the rover; make keys with 'rover-ncp keys' and "

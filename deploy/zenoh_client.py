@@ -111,7 +111,7 @@ def matches(declared: Any) -> bool:
 def client_config(robot: str, file: Path | None) -> tuple[zenoh.Config, str]:
     """Return the session's configuration and the bridge's locator.
 
-    ``file`` may hold what a network needs (TLS, user and password). It does not change how the client
+    ``file`` may hold what a network needs (certificates). It does not change how the client
     connects, nor how soon the bridge notices its silence. Raises UsageError and FileError.
     """
     endpoint = _locator(robot)
@@ -149,6 +149,6 @@ def _refused(endpoint: str) -> UnreachableError:
             f"nothing answers at {endpoint}: is 'rover-ncp bridge' running there, listening on that address?"
         )
     return NotAuthorised(
-        f"not authorised: the process at {endpoint} accepts no session from us; it may want a certificate, "
-        "user and password (--zenoh-config, see 'rover-ncp keys'), or is no bridge, or hangs"
+        f"not authorised: the process at {endpoint} accepts no session from us; it may want a certificate "
+        "(--zenoh-config, see 'rover-ncp keys'), or is no bridge, or hangs"
     )

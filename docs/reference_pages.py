@@ -114,11 +114,11 @@ def files_page() -> str:
             parts_of = [part for field in each.model_fields.values() for part in models_in(field.annotation)]
             seen += [part for part in dict.fromkeys(parts_of) if part not in seen]
         if name == "policy":
-            parts.append(_signals_and_motions())
+            parts.append(_signals())
     return "\n\n".join(parts) + "\n"
 
 
-def _signals_and_motions() -> str:
+def _signals() -> str:
     """Return the section of what a policy may name, from the docstring of ``course/reference.py``."""
     text = inspect.getdoc(reference) or ""
     rows = re.findall(r"^    (\S.*?) {2,}(\S.*(?:\n {20,}\S.*)*)$", text, re.MULTILINE)
@@ -130,11 +130,11 @@ def _signals_and_motions() -> str:
         table.append(f"| {quoted} | {_cell(meaning)} |")
     return "\n\n".join(
         [
-            "### Signals and motions",
+            "### Signals",
             "`sensing.inputs` of a policy that drives a rover name these signals:",
             "\n".join(table),
-            "`motors.outputs` are `v` in m/s, forward, and `omega` in rad/s, to the left. Python can declare "
-            "more of both: [Your own circuit](../tutorials/own_circuit.md#sensors-and-motors-of-your-own). "
+            "`motors.outputs` are `v` in m/s, forward, and `omega` in rad/s, to the left. "
+            "[Python](../python.md#a-signal-of-your-own) says where a new signal goes. "
             "The inputs and outputs of a policy for a Gymnasium environment have names of your choice.",
         ]
     )

@@ -22,15 +22,12 @@ RESULTS = {
     "apart_m=sim.evaluate.evaluate:Spread apart_rad=:Spread",
     "eval --task, a benchmark of the paper": "sim.paper.score_file:score_circuit",
     "eval --task, an environment": "sim.evaluate.commands:_play_environment",
-    "bench train": "sim.benchmarks.train:_parts :bench_train share=:_shares",
-    "bench circuit": "sim.benchmarks.train:bench_circuit",
-    "bench search": "sim.benchmarks.search:bench_search strategies.NAME=:_summary",
     "bench deploy": "sim.benchmarks.deploy:bench_deploy rates=:_measure rates=:latencies "
     "rates.odometry_to_command_ms=:quantiles rates.bare_half_round_trip_ms=:quantiles "
     "rates.tick_jitter_ms=:quantiles",
     "paper run": "sim.paper.commands:paper made=sim.paper.results:RunName made=sim.paper.commands:_make",
     "paper status": "groups=sim.paper.selection:coverage "
-    "groups.stopped=:stopped_state groups.unfinished=sim.paper.published_search:read_partial",
+    "groups.unfinished=sim.paper.published_search:read_partial",
     "paper replay": "sim.paper.commands:_replay differ=sim.paper.results:RunName",
     "paper random-circuits, policy-gradients, networks": "sim.paper.tables:table_fields cells=:Row "
     "cells=:Row.fields cells.published=:Published",
@@ -40,9 +37,7 @@ RESULTS = {
     "paper parameters": "tasks=sim.paper.tables:parameters tasks=sim.paper.tasks:Settings",
     "paper time-constants": "sim.paper.interpretation:parking_time_constants",
     "paper contributions": "sim.paper.interpretation:parking_contributions",
-    "paper curves, lesions, disturbances": "sim.paper.commands:_draw lesions=sim.paper.lesions:lesion_study "
-    "disturbances=sim.paper.disturbance:disturbance_study",
-    "soak": "sim.faults.soak_report:fields rounds=:_round_fields processes.NAME=sim.faults.losses:Leaks",
+    "paper curves, lesions": "sim.paper.commands:_draw lesions=sim.paper.lesions:lesion_study",
     "mock": "sim.pioneer.run:run_mock :_of_firmware",
     "bridge": "bridge.app:run_bridge",
     "export": "rover_ncp.export.commands:export",
@@ -174,7 +169,6 @@ COMMON = {
     "contributions.best": "the contribution in the best circuit",
     "difference": "the first one",
     "difference.tick": "null if it belongs to none",
-    "disturbances": "a task, an agent, a kind and a level each",
     "estimate": "of the driver, against the truth",
     "fastest.cpu_share": "of a core",
     "fastest.rate_hz": "samples of odometry",

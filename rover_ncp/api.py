@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy, save_policy
-from rover_ncp.circuit.rover_interface import RoverInterface, motion, signal
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import TICK_S, Course, load_course
@@ -33,10 +33,8 @@ __all__ = [
     "Velocity",
     "load_course",
     "load_policy",
-    "motion",
     "read_arrays",
     "save_policy",
-    "signal",
 ]
 
 
@@ -82,7 +80,7 @@ class CourseDriver:
         start = self.course.start_signal(self.index * TICK_S)
         command = self.runner.tick(self._observation(Pose(x, y, theta), start))
         self.index += 1
-        return self._interface.command(command)
+        return Velocity(*command)
 
     def _observation(self, pose: Pose, start: float) -> list[float]:
         reference = self._reference.tick(self.index) if self._reference else None

@@ -63,7 +63,6 @@ _NEEDS = {
     "course": {"drive"},
     "export": {"drive"},
     "watch": {"drive", "report"},
-    "soak": {"train"},
     "paper": {"train"},
     "keys": {"keys"},
 }

@@ -1,1 +1,1 @@
-"""The simulator: world, training, the mock Pioneer and studies. It wraps the real code."""
+"""The simulator: world, training and the mock Pioneer. It wraps the real code."""

@@ -140,8 +140,7 @@ class Controller:
         """Run tick ``index`` of the course at time ``t``, which is not before the last odometry."""
         estimate = self.look(index, t)
         start = self._course.start_signal(index * TICK_S)
-        outputs = self._runner.tick(self._observation(self._steered(estimate), index, start))
-        v, omega = self._interface.command(outputs)
+        v, omega = self._runner.tick(self._observation(self._steered(estimate), index, start))
         turn_gain = max(estimate.turn_gain, LEAST_TURN_GAIN)
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
         tiny = abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega

@@ -10,16 +10,13 @@ V_i minus its value with that one synapse cut.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import REVERSAL_MV, Circuit, SynapseKind
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.rover_interface import declared_motion
 from rover_ncp.circuit.solver_reference import conductances
-from rover_ncp.core.geometry import Velocity
 
 FloatArray = NDArray[np.float64]
 
@@ -47,8 +44,7 @@ class Trace:
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the columns of ``commands``."""
-        drives = declared_motion(self.policy) is not None
-        return Velocity._fields if drives else self.policy.motors.outputs
+        return self.policy.motors.outputs
 
     def of(self, neuron: str) -> FloatArray:
         """Return a neuron's potential over the run, (T,) in mV."""
@@ -61,24 +57,8 @@ def motor_shares(policy: Policy, potentials: FloatArray) -> list[tuple[str, Floa
 
     A contribution is (T, 2) of v and omega for a policy that drives a rover, and (T, outputs) for others. A
     neuron that drives several channels is listed once for each. The sum may exceed an output's limit, which
-    only `motor_outputs` applies. Where a declared motion makes the command of the outputs, a contribution is
-    the difference that the neuron makes to it.
+    only `motor_outputs` applies.
     """
-    shares = _output_shares(policy, potentials)
-    motion = declared_motion(policy)
-    if motion is None:
-        return shares
-    whole = np.sum([share for _, share in shares], axis=0)
-    command = _moved(motion, whole)
-    return [(neuron, command - _moved(motion, whole - share)) for neuron, share in shares]
-
-
-def _moved(motion: Any, outputs: FloatArray) -> FloatArray:
-    """Return v and omega (T, 2) of outputs (T, outputs)."""
-    return np.array([motion(*row) for row in outputs.tolist()])
-
-
-def _output_shares(policy: Policy, potentials: FloatArray) -> list[tuple[str, FloatArray]]:
     motors, circuit = policy.motors, policy.circuit
     layer = np.eye(len(motors.channels)) if policy.output_layer is None else policy.output_layer
     if motors.limits is not None:
@@ -94,12 +74,11 @@ def _output_shares(policy: Policy, potentials: FloatArray) -> list[tuple[str, Fl
 
 def motor_outputs(policy: Policy, potentials: FloatArray) -> FloatArray:
     """Return the commands (T, 2), or the outputs of a policy for another task, at potentials (T, n) in mV."""
-    outputs: FloatArray = np.sum([share for _, share in _output_shares(policy, potentials)], axis=0)
+    outputs: FloatArray = np.sum([share for _, share in motor_shares(policy, potentials)], axis=0)
     limits = policy.motors.limits
     if limits is not None:
         outputs = np.clip(outputs, -np.array(limits), np.array(limits))
-    motion = declared_motion(policy)
-    return outputs if motion is None else _moved(motion, outputs)
+    return outputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +89,6 @@ class Currents:
     """(T, m) mA; positive raises the destination's potential."""
     pull: FloatArray
     """(T, m) mV."""
-    target: FloatArray
-    """(T, n) mV, the potential that each neuron approaches."""
 
 
 def synapse_currents(circuit: Circuit, potentials: FloatArray) -> Currents:
@@ -128,5 +105,4 @@ def synapse_currents(circuit: Circuit, potentials: FloatArray) -> Currents:
     return Currents(
         current=conductance * (reversal - potentials[:, to]),
         pull=target[:, to] - without,
-        target=target,
     )

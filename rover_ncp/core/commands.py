@@ -20,13 +20,13 @@ def keys(
     namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
     json: Json = False,
 ) -> None:
-    """Make a certificate authority, and certificates and passwords for a bridge and its peers.
+    """Make a certificate authority, and certificates for a bridge and its peers.
 
-    Writes one Zenoh configuration for each end, which holds all that end needs: bridge.json5 (with users.txt
-    beside it) for 'rover-ncp bridge --zenoh-config', driver.json5 for 'rover-ncp deploy --zenoh-config',
+    Writes one Zenoh configuration for each end, which holds all that end needs: bridge.json5
+    for 'rover-ncp bridge --zenoh-config', driver.json5 for 'rover-ncp deploy --zenoh-config',
     viewer.json5 for users who may watch but not drive, localiser.json5 for a localisation system that may
     only publish the rover's pose. With them both ends prove their identity, all traffic is encrypted, and
-    each user has only the rights that the table of keys grants. ca-key.pem signs certificates: keep it off
+    each role has only the rights that the table of keys grants. ca-key.pem signs certificates: keep it off
     the robot.
     """
     from rover_ncp.core.credentials import make_credentials

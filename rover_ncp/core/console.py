@@ -26,7 +26,6 @@ from rich.console import Console
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]
-Model = Annotated[str, typer.Option(help="The robot's description: a shipped name or a YAML file.")]
 MOST_SEED = 2**63 - 1
 """Of a seed, or of the number of a trial."""
 

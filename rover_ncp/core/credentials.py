@@ -1,7 +1,6 @@
-"""A lab's own certificate authority, and for each role a certificate, a password and a Zenoh configuration.
+"""A lab's own certificate authority, and for each role a certificate and a Zenoh configuration.
 
-Every configuration is one file that holds all its end needs, to be copied to where it is used; only the
-bridge has a second beside it, with the users' passwords, for Zenoh reads those from a file.
+Every configuration is one file that holds all its end needs, to be copied to where it is used.
 
 The rights of each role are made from the table of keys. Zenoh matches rules by inclusion only, so nothing but
 a deny by default with exact keys holds: with an allow by default, a message on ``rover/*`` would slip past a
@@ -13,7 +12,6 @@ import base64
 import datetime
 import ipaddress
 import json
-import secrets
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -25,8 +23,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key
 
 PEERS = (Role.DRIVER, Role.VIEWER, Role.LOCALISER)
-"""Roles that get a user of the bridge."""
-USERS_FILE = "users.txt"
+"""Roles that get a certificate to connect with."""
 
 # (flow seen from the bridge's router, kinds of Zenoh messages) for a peer that sends, and one that receives.
 # A peer detects a listener only where the listener's declaration may leave the router. That is how a
@@ -58,7 +55,6 @@ def make_credentials(hosts: Sequence[str], namespace: str = "") -> Mapping[str, 
     """
     control = access_control(PEERS, namespace)
     authority, authority_key = _authority()
-    passwords = {role: secrets.token_urlsafe(24) for role in (Role.BRIDGE, *PEERS)}
 
     def end(role: Role, listens: bool) -> dict[str, Any]:
         """Return the ``transport`` of one end."""
@@ -74,20 +70,17 @@ def make_credentials(hosts: Sequence[str], namespace: str = "") -> Mapping[str, 
         }
         if listens:
             tls["close_link_on_expiration"] = True
-        return {
-            "link": {"protocols": ["tls"], "tls": tls},
-            "auth": {"usrpwd": {"user": role.value, "password": passwords[role]}},
-        }
+        return {"link": {"protocols": ["tls"], "tls": tls}}
 
-    transport = end(Role.BRIDGE, listens=True)
-    transport["auth"]["usrpwd"]["dictionary_file"] = USERS_FILE
-    bridge = {"listen": {"endpoints": [_LISTEN]}, "transport": transport, "access_control": control}
-    users = "".join(f"{role.value}:{passwords[role]}\n" for role in PEERS)
+    bridge = {
+        "listen": {"endpoints": [_LISTEN]},
+        "transport": end(Role.BRIDGE, listens=True),
+        "access_control": control,
+    }
     return {
         "ca.pem": _pem(authority),
         "ca-key.pem": _private(authority_key),
-        "bridge.json5": _json5(bridge, "rover-ncp bridge --zenoh-config, beside users.txt"),
-        USERS_FILE: users,
+        "bridge.json5": _json5(bridge, "rover-ncp bridge --zenoh-config"),
         **{
             f"{role.value}.json5": _json5({"transport": end(role, listens=False)}, f"a {role.value}")
             for role in PEERS
@@ -181,7 +174,7 @@ def _json5(content: Mapping[str, Any], whose: str) -> str:
 
 
 def access_control(roles: tuple[Role, ...], namespace: str = "") -> dict[str, Any]:
-    """Return Zenoh's ``access_control``: each role, named as user and in its certificate, gets its rows.
+    """Return Zenoh's ``access_control``: each role, named in its certificate, gets its rows.
 
     Raises UsageError for a namespace that is no key.
     """
@@ -195,9 +188,7 @@ def access_control(roles: tuple[Role, ...], namespace: str = "") -> dict[str, An
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [
-            {"id": role.value, "cert_common_names": [role.value], "usernames": [role.value]} for role in roles
-        ],
+        "subjects": [{"id": role.value, "cert_common_names": [role.value]} for role in roles],
         "policies": policies,
     }
 

@@ -11,12 +11,11 @@ from pydantic import BaseModel
 
 from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
-from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.config import validated
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.course.course import Course
-from sim.learn.commander import Commander, CommanderRunner, rover_commander
+from sim.learn.commander import Commander, CommanderRunner, circuit_commander
 from sim.learn.evaluator import Evaluator
 from sim.learn.laws import LAWS, law_commander
 from sim.learn.networks import CELLS, LIQUID_CELLS, NetKind, net_for, network_commander
@@ -68,7 +67,7 @@ class Driver:
             return law_commander(LAWS[self.agent], self.policy)
         if self.agent in NETWORKS:
             return network_commander(net_for(self.policy, *NETWORKS[self.agent]))
-        return rover_commander(self.policy, RoverInterface(self.policy))
+        return circuit_commander(self.policy)
 
     def evaluator(self, courses: Sequence[Course], model: RoverModel, trials: Trials) -> Evaluator:
         """Return an evaluator for vectors like this driver's."""
@@ -80,14 +79,14 @@ class Driver:
 
 
 class _Found(BaseModel):
-    """What this module reads of the result of ``sim.studies.compare``."""
+    """What this module reads of the result of ``benchmarks/compare.py``."""
 
     agent: str
     found: tuple[float, ...]
 
 
 def load_driver(name: str) -> Driver:
-    """Load a law by name, a result of ``sim.studies.compare`` (.json), or a policy by name or file.
+    """Load a law by name, a result of ``benchmarks/compare.py`` (.json), or a policy by name or file.
 
     Raises ConfigError or FileError.
     """

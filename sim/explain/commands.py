@@ -94,13 +94,11 @@ def explain(
 
 
 def report(
-    source: Annotated[
-        Path, typer.Argument(help="A recording (.mcap) of a drive, or the folder of a training run.")
-    ],
+    source: Annotated[Path, typer.Argument(help="A recording (.mcap) of a drive.")],
     *,
     out: Annotated[
         Path | None,
-        typer.Option(help="The page to write.", show_default="RUN.html, or report.html in the folder"),
+        typer.Option(help="The page to write.", show_default="RUN.html"),
     ] = None,
     animation: Annotated[
         Path | None,
@@ -108,14 +106,13 @@ def report(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Write a page about a drive, or a training: one HTML file, to be opened from disk.
+    """Write a page about a drive: one HTML file, to be opened from disk.
 
-    For a drive, the page shows the path, every neuron and synapse, the driver's commands and the gate's
-    setpoints over one time slider, with a sentence for each phase of the manoeuvre. For a training, it shows
-    the learning curves, the parameters against their bounds, and the drives of its policies. The page holds
-    all its data and loads nothing from the network.
+    The page shows the path, every neuron and synapse, the driver's commands and the gate's setpoints over one
+    time slider, with a sentence for each phase of the manoeuvre. It holds all its data and loads nothing from
+    the network.
     """
-    from sim.explain.training import write_animation, write_page
+    from sim.explain.files import write_animation, write_page
 
     output = Output(json)
     if animation is not None:
@@ -123,10 +120,9 @@ def report(
     page = write_page(source, out)
     output.result(
         {
-            "page": str(page.path),  #: its file
-            "kind": page.kind,  #: drive or training
-            "bytes": page.size,  #: its size
+            "page": str(page),  #: its file
+            "bytes": page.stat().st_size,  #: its size
             "animation": None if animation is None else str(animation),  #: its file
         },
-        f"report: {page.path}",
+        f"report: {page}",
     )

@@ -4,11 +4,9 @@ A commander is a circuit (here), a network (``networks.py``) or a classical law 
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.np.unsafe import ndarray
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import RESTING_MV
@@ -21,15 +19,10 @@ from rover_ncp.circuit.compiled import (
     resting_potentials,
 )
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.rover_interface import Input, RoverInterface
 from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.kernels.jit import inlined_kernel
 
 FloatArray = NDArray[np.float64]
-
-
-# numba's stub has no arguments for it.
-to_fixed_tuple: Any = ndarray.to_fixed_tuple
 
 
 class Commander(NamedTuple):
@@ -77,98 +70,6 @@ def start_circuit(lanes: CircuitLanes, lane: int, vector: FloatArray) -> None:
 def tick_circuits(lanes: CircuitLanes, observations: FloatArray, commands: FloatArray) -> None:
     """Run all lanes for one control tick."""
     tick_lanes(lanes.program, lanes.parameters, lanes.potentials, observations, commands)
-
-
-class RoverLanes(NamedTuple):
-    """The arrays of L circuits that sense or drive by functions declared in Python."""
-
-    circuit: CircuitLanes
-    inputs: FloatArray
-    outputs: FloatArray
-    """(inputs, L), (outputs, L)."""
-
-
-def rover_commander(policy: Policy, interface: RoverInterface) -> Commander:
-    """Return the commander of a policy's circuits on a rover.
-
-    Unless all is built in, its observations are all signals in the order of ``SIGNALS``.
-    """
-    plain = circuit_commander(policy)
-    if interface.built_in:
-        return plain
-    inputs, outputs = len(policy.sensing.inputs), len(policy.motors.outputs)
-
-    def allocate(count: int) -> RoverLanes:
-        return RoverLanes(plain.allocate(count), np.zeros((inputs, count)), np.zeros((outputs, count)))
-
-    return Commander(plain.size, allocate, *_rover_kernels(interface.inputs, interface.motion, outputs))
-
-
-@cache
-def _rover_kernels(inputs: tuple[Input, ...], motion: Any, outputs: int) -> tuple[Any, Any]:
-    """Return the two kernels of a commander that computes each input, and v and omega of the outputs."""
-    sense = _nothing
-    for row, one in enumerate(inputs):
-        sense = _and_then(sense, _sensed(row, one))
-    drive = _driven(motion or _same, outputs)
-
-    @inlined_kernel
-    def start(lanes: RoverLanes, lane: int, vector: FloatArray) -> None:
-        start_circuit(lanes.circuit, lane, vector)
-
-    @inlined_kernel
-    def tick(lanes: RoverLanes, observations: FloatArray, commands: FloatArray) -> None:
-        for lane in range(observations.shape[1]):
-            sense(observations[:, lane], lanes.inputs[:, lane])
-        tick_circuits(lanes.circuit, lanes.inputs, lanes.outputs)
-        for lane in range(observations.shape[1]):
-            commands[0, lane], commands[1, lane] = drive(lanes.outputs[:, lane])
-
-    return start, tick
-
-
-@inlined_kernel
-def _nothing(seen: FloatArray, sensed: FloatArray) -> None:
-    pass
-
-
-@inlined_kernel
-def _same(v: float, omega: float) -> tuple[float, float]:
-    return v, omega
-
-
-def _and_then(first: Any, second: Any) -> Any:
-    @inlined_kernel
-    def both(seen: FloatArray, sensed: FloatArray) -> None:
-        first(seen, sensed)
-        second(seen, sensed)
-
-    return both
-
-
-def _sensed(row: int, one: Input) -> Any:
-    places, count = np.array(one.places), len(one.places)
-    compute = one.compute or _itself
-
-    @inlined_kernel
-    def fill(seen: FloatArray, sensed: FloatArray) -> None:
-        sensed[row] = compute(*to_fixed_tuple(seen[places], count))
-
-    return fill
-
-
-@inlined_kernel
-def _itself(value: float) -> float:
-    return value
-
-
-def _driven(motion: Any, outputs: int) -> Any:
-    @inlined_kernel
-    def drive(given: FloatArray) -> tuple[float, float]:
-        v, omega = motion(*to_fixed_tuple(given, outputs))
-        return v, omega
-
-    return drive
 
 
 class CommanderRunner:

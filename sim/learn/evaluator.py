@@ -19,7 +19,7 @@ from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.course.course import TICK_S, Course, due_checkpoints
 from rover_ncp.course.reference import SIGNALS, Reference, plan_reference
 from rover_ncp.kernels.jit import bound
-from sim.learn.commander import Commander, rover_commander
+from sim.learn.commander import Commander, circuit_commander
 from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, Waiting, enqueue, episode_kernel
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet
@@ -99,11 +99,9 @@ class Evaluator:
         self._ground = np.array([self._grounds.index(each.obstacles) for each in courses])
         if references is None and interface.needs_reference:
             references = [plan_reference(each) for each in courses]
-        self._commander = commander or rover_commander(policy, interface)
+        self._commander = commander or circuit_commander(policy)
         self._kernel = episode_kernel(self._commander.start_lane, self._commander.tick_lanes)
-        # A commander computes what is declared in Python from all signals.
-        shown = [one.places[0] for one in interface.inputs] if interface.built_in else range(len(SIGNALS))
-        self._signal_at = np.array(shown)
+        self._signal_at = np.array(interface.places)
         self._tasks = _tasks(courses, references, self.model)
         self._teams: dict[tuple[int, int], _Team] = {}
         self._delays = (0.0, 0.0)

@@ -127,7 +127,7 @@ def rollout(
     touched, total = False, 0.0
     for tick, checkpoint in enumerate(due_checkpoints(course)):
         seen.append(odometry.seen(tick))
-        v, omega = interface.command(runner.tick(observation(tick, course.start_signal(TICK_S * tick))))
+        v, omega = runner.tick(observation(tick, course.start_signal(TICK_S * tick)))
         if not trials.lost[row, tick]:
             held = quantise(v, float(trials.step[0])), quantise(omega, float(trials.step[1]))
         rover.command(*apply_base_errors(*held, base))

@@ -1,12 +1,11 @@
 """A training run on disk. Every file is written whole or not at all, so a run may be killed at any moment.
 
-settings.yaml      the record, written first
-policy.yaml        the best agent's policy
-curve.csv          each agent's best return so far, see ``curve.py``
-curve.png          the same as a picture, at the end
-agents/NN.json     an agent between two iterations: all that resuming needs
-agents/NN.yaml     its policy, at the end
-milestones/N.yaml  the best policy after N iterations, for N = 0, 100, 200, 500, 1000, 2000 and so on
+settings.yaml   the record, written first
+policy.yaml     the best agent's policy
+curve.csv       each agent's best return so far, see ``curve.py``
+curve.png       the same as a picture, at the end
+agents/NN.json  an agent between two iterations: all that resuming needs
+agents/NN.yaml  its policy, at the end
 """
 
 import fcntl
@@ -51,12 +50,6 @@ _TEMPORARY = (
 )
 
 
-def is_milestone(iterations: int) -> bool:
-    """Whether a run keeps the best policy of this moment: after 0, 100, 200, 500, 1000 ... iterations."""
-    digits = str(iterations)
-    return iterations == 0 or (iterations >= 100 and digits[0] in "125" and not digits[1:].strip("0"))
-
-
 def new_run_path() -> Path:
     """Make and return a folder for a run that was given none: ``runs/train-1``, ``runs/train-2``, ..."""
     number = 1
@@ -98,7 +91,6 @@ class RunFolder:
         self.path = path
         self.policy_path = path / "policy.yaml"
         self._agents = path / "agents"
-        self._milestones = path / "milestones"
         self._record = record
         self.task = task
 
@@ -110,20 +102,8 @@ class RunFolder:
             agents.append(load_agent(path, number, plan) if path.is_file() else AgentState(number))
         return Snapshot(tuple(agents))
 
-    def save_milestone(self, snapshot: Snapshot) -> None:
-        """Write the best policy if all agents stand at a milestone. Raises FileError.
-
-        Where one is ahead, saved by an earlier process, that process had written this milestone before.
-        """
-        together = {agent.iterations for agent in snapshot.agents} == {snapshot.iterations}
-        if together and snapshot.arrived(0) and is_milestone(snapshot.iterations):
-            path = self._milestones / f"{snapshot.iterations:06}.yaml"
-            save_policy(path, self.policy(snapshot.best, snapshot))
-
     def save_progress(self, snapshot: Snapshot) -> None:
         """Write the agents, the best policy and the table of the curves. Raises FileError."""
-        # First, and always: a run that resumes from these agents does not reach this iteration again.
-        self.save_milestone(snapshot)
         for agent in snapshot.agents:
             save_agent(self._agents / f"{agent.number:02}.json", agent)
         save_policy(self.policy_path, self.policy(snapshot.best, snapshot))
@@ -210,7 +190,7 @@ def _is_leftover(name: str) -> bool:
 
 
 def _sweep(path: Path) -> None:
-    for folder in (path, path / "agents", path / "milestones"):
+    for folder in (path, path / "agents"):
         for file in folder.glob(".*"):
             if _is_leftover(file.name):
                 file.unlink(missing_ok=True)

@@ -135,7 +135,6 @@ class _Rounds:
         """Display, save, and return whether to stop."""
         now = time.monotonic()
         self.snapshot = snapshot
-        self._folder.save_milestone(snapshot)
         if self._clock is None:
             # The first round holds the start of the processes and the compilation.
             self._clock = (now, snapshot.total_iterations)

@@ -21,9 +21,8 @@ Started = TypeVar("Started", bound=Process)
 class LiveRun(ClosedAtExit):
     """Mock and bridge, ready one after the other, and drivers; logs and the mock's truth go to ``folder``.
 
-    ``mock`` and ``bridge`` are more arguments for these commands. ``outlet`` is the kind of `Outlet` that
-    takes the bridge's output. ``base_form`` makes the bridge's ``--base`` of the mock's HOST:PORT. ``robot``
-    is the bridge's Zenoh address.
+    ``mock`` and ``bridge`` are more arguments for these commands. ``base_form`` makes the bridge's ``--base``
+    of the mock's HOST:PORT. ``robot`` is the bridge's Zenoh address.
     """
 
     module = "rover_ncp"
@@ -35,13 +34,12 @@ class LiveRun(ClosedAtExit):
         *,
         mock: Sequence[str] = (),
         bridge: Sequence[str] = (),
-        outlet: str = "",
         base_form: str = PIONEER,
     ) -> None:
         self.folder, self.robot = folder, ""
         self.processes: list[Process] = []
         self._deploys = 0
-        self._mock_arguments, self._bridge_arguments, self._outlet = mock, bridge, outlet
+        self._mock_arguments, self._bridge_arguments = mock, bridge
         self._base_form = base_form
 
     def __enter__(self) -> Self:
@@ -71,11 +69,13 @@ class LiveRun(ClosedAtExit):
         """Start the bridge; the next one listens on the same address again."""
         listen = self.robot or "tcp/127.0.0.1:0"
         arguments = ["--base", self._base_form.format(self.base), "--listen", listen, *self._bridge_arguments]
-        self.bridge = self.start_process(
-            lambda: Process("bridge", arguments, self.folder, self.module, outlet=self._outlet)
-        )
+        self.bridge = self.start_process(lambda: self.bridge_process(arguments))
         ready = dict(part.split("=", 1) for part in self.bridge.wait_for_line("ready ").split())
         self.robot = ready["zenoh"]
+
+    def bridge_process(self, arguments: Sequence[str]) -> Process:
+        """Return the bridge's process."""
+        return Process("bridge", arguments, self.folder, self.module)
 
     def deploy(self, *arguments: str, robot: str = "") -> Process:
         """Start a driver; ``robot`` replaces the bridge's address."""

@@ -2,9 +2,6 @@
 
 import functools
 import json
-import os
-import pty
-import select
 import signal
 import subprocess
 import sys
@@ -24,8 +21,6 @@ STOP_TIMEOUT_S = 5.0
 APPLIED = "applied "
 """Begins the line in which a child reports that it applied a line of its input."""
 APPLIED_TIMEOUT_S = 5.0
-
-TERMINAL, PIPE, GONE = ("terminal", "pipe", "gone")
 
 Found = TypeVar("Found")
 
@@ -99,56 +94,6 @@ class GrowingFile:
         return data[:whole].decode(errors="replace").splitlines()
 
 
-class Outlet:
-    """The reading end of a process's output: a terminal or a pipe whose reader can stop or go away.
-
-    A process writes to ``fd``. Its output is copied to ``log`` until `block`.
-    """
-
-    _XOFF = b"\x13"  # Ctrl-S
-    _READ_BYTES, _POLL_S = 4096, 0.05
-
-    def __init__(self, kind: str, log: Path) -> None:
-        self._kind, self._log = kind, log
-        self._reader, self.fd = pty.openpty() if kind == TERMINAL else os.pipe()
-        self._blocked = threading.Event()
-        self._thread = threading.Thread(target=self._copy, name="outlet", daemon=True)
-        self._thread.start()
-
-    def block(self) -> None:
-        """Stop the terminal, fill the pipe, or close the reader's end; the second time, do nothing."""
-        if self._blocked.is_set():
-            return
-        self._blocked.set()
-        self._thread.join()
-        if self._kind == TERMINAL:
-            os.write(self._reader, self._XOFF)
-        elif self._kind == GONE:
-            os.close(self._reader)
-        else:
-            # Opened anew: the process's own descriptor must stay one that blocks.
-            fd = os.open(f"/proc/self/fd/{self.fd}", os.O_WRONLY | os.O_NONBLOCK)
-            with suppress(BlockingIOError):
-                while True:
-                    os.write(fd, bytes(self._READ_BYTES))
-            os.close(fd)
-
-    def close(self) -> None:
-        """Close both ends."""
-        reader_closed = self._kind == GONE and self._blocked.is_set()
-        self._blocked.set()
-        self._thread.join()
-        os.close(self.fd)
-        if not reader_closed:
-            os.close(self._reader)
-
-    def _copy(self) -> None:
-        with self._log.open("ab", buffering=0) as log:
-            while not self._blocked.is_set():
-                if select.select([self._reader], [], [], self._POLL_S)[0]:
-                    log.write(os.read(self._reader, self._READ_BYTES))
-
-
 class Finished(NamedTuple):
     """How a process ended: exit code, its one JSON object (empty if none), its last line for people."""
 
@@ -168,8 +113,9 @@ class Applied(NamedTuple):
 class Process:
     """A ``rover-ncp`` command as a child process. Its output goes to files, so that no pipe can fill up.
 
-    ``module`` is the module that Python runs, for example a wrapper around the command; ``reads_lines`` opens
-    its standard input for `tell`; ``outlet`` is the kind of `Outlet` that takes its output.
+    ``module`` is the module, or the script by its path, that Python runs, for example a wrapper around the
+    command; ``reads_lines`` opens its standard input for `tell`; ``output`` is a file descriptor that takes
+    its output.
     """
 
     def __init__(
@@ -180,19 +126,19 @@ class Process:
         module: str = "rover_ncp",
         *,
         reads_lines: bool = False,
-        outlet: str = "",
+        output: int | None = None,
     ) -> None:
         self.command = command
         self._result, log = log_dir / f"{command}.json", log_dir / f"{command}.log"
         self._log, self._lines = GrowingFile(log), list[str]()
-        self.outlet = Outlet(outlet, log) if outlet else None
+        run = [module] if module.endswith(".py") else ["-m", module]
         with self._result.open("wb") as out, log.open("wb") as err:
             self._child = subprocess.Popen(
                 # -P: the user's folder may hold a sim/ or a numba.py of its own.
-                [sys.executable, "-P", "-m", module, command, *arguments, "--json"],
+                [sys.executable, "-P", *run, command, *arguments, "--json"],
                 stdin=subprocess.PIPE if reads_lines else subprocess.DEVNULL,
-                stdout=self.outlet.fd if self.outlet else out,
-                stderr=self.outlet.fd if self.outlet else err,
+                stdout=out if output is None else output,
+                stderr=err if output is None else output,
                 # A terminal's Ctrl-C must reach the parent alone: it ends the driver first, then the others.
                 start_new_session=True,
             )
@@ -259,9 +205,6 @@ class Process:
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()
-        if self.outlet is not None:
-            self.outlet.close()
-            self.outlet = None
         return self._finished()
 
     def __enter__(self) -> Self:

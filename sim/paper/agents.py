@@ -5,8 +5,6 @@ random     a random wiring of its size, another one for each seed
 mlp, lstm  networks of eleven cells, with the circuit's inputs and outputs
 cfc, ltc   networks of the library ncps with about as many numbers as the circuit
 ppo, a2c   a network trained by gradients (``gradients.py``)
-AGENT-cloned
-           circuit, CfC or LTC by gradient through its solver, then by evolution (``cloning.py``)
 
 Any other name is that of a circuit file.
 """
@@ -27,15 +25,10 @@ from sim.learn.search.random_search import shake
 from sim.paper.tasks import Task
 
 GRADIENTS = ("ppo", "a2c")
-"""Agents of which only an actor is kept."""
+"""Agents of which only an actor is kept; only torch can train them."""
 PAPERS = ("circuit", "random", "mlp", "lstm")
 LIQUID = ("cfc", "ltc")
-_CLONED = "-cloned"
-UNCLONED = ("circuit", *LIQUID)
-CLONED = tuple(f"{agent}{_CLONED}" for agent in UNCLONED)
-WITH_TORCH = (*GRADIENTS, *CLONED)
-"""Agents that only torch can train."""
-AGENTS = (*PAPERS, *LIQUID, *WITH_TORCH)
+AGENTS = (*PAPERS, *LIQUID, *GRADIENTS)
 _MOST_SHAKES = 6
 
 
@@ -46,7 +39,7 @@ def build_agent(task: Task, agent: str, seed: int, circuit: Path | None = None) 
     """
     if circuit is not None:
         return task.policy(load_circuit(circuit))
-    own, agent = task.circuit(), agent.removesuffix(_CLONED)
+    own = task.circuit()
     if agent == "circuit":
         return task.policy(own)
     if agent == "random":

@@ -14,9 +14,7 @@ import numpy as np
 from sim.paper import BudgetName
 from sim.paper.comparison import OTHERS, compare_agents
 from sim.paper.results import Result, ResultStore
-from sim.paper.selection import stopped_state
 from sim.paper.significance import LEVEL, NO_GAP, fisher, mean_text, measure
-from sim.paper.tables import stopped_text
 from sim.paper.tasks import TASKS
 
 FAST = 5000
@@ -65,7 +63,7 @@ def all_claims(store: ResultStore) -> list[Claim]:
         *value_claims(store),
         *_comparison_claims(store, BudgetName.DEFAULT),
         *_comparison_claims(store, BudgetName.PUBLISHED),
-        *successor_claims(store),
+        *successor_claims(),
         *circuit_claims(store),
         *_ELSEWHERE,
     ]
@@ -173,13 +171,9 @@ def share_finding(hits: int, of: int) -> Finding:
 
 
 def too_few(store: ResultStore, task: str, budget: BudgetName, claim: Claim) -> Claim:
-    """Return a claim that too few runs came to their end for, with the state of those that were stopped."""
+    """Return a claim that too few runs came to their end for."""
     figure = f"{len(store.results(task, 'circuit', budget))} runs came to their end"
     why = "the command makes the runs"
-    for result in store.results(task, "circuit", budget, stopped=True):
-        run = stopped_state(result)
-        figure += f"; seed {run['seed']} {stopped_text(run)}"
-        why = f"a run takes {run['hours_to_run']:.1f} hours of a core"
     command = f"rover-ncp paper run --budget {budget} --task {task}"
     return replace(claim, verdict=Finding.NOT_TESTED, figure=figure, command=command, why=why)
 
@@ -265,7 +259,7 @@ _ELSEWHERE = (
         Finding.REPRODUCED,
         "9.9 µs of a tick, 0.060 µs a neuron and 0.027 µs a synapse; 16 circuits of 24 to 192 neurons and 60 "
         "to 480 synapses are at most 8 % off",
-        "rover-ncp bench circuit",
+        "python -m benchmarks.circuit",
     ),
     Claim(
         "published-circuit-mountain-car",

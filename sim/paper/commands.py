@@ -27,38 +27,18 @@ class What(StrEnum):
     CONTRIBUTIONS = "contributions"
     CURVES = "curves"
     LESIONS = "lesions"
-    DISTURBANCES = "disturbances"
-
-
-_OLD_NAMES = {
-    "table1": What.RANDOM_CIRCUITS,
-    "table2": What.POLICY_GRADIENTS,
-    "table3": What.NETWORKS,
-}
-
-
-def _what(name: str) -> What:
-    """Return an action by its name. Raises UsageError, which names the present one of an old name."""
-    if name in _OLD_NAMES:
-        new = _OLD_NAMES[name]
-        raise UsageError(f"{name} is {new} now, because the paper's numbers are others; use paper {new}")
-    if name not in set(What):
-        raise UsageError(f"paper has no {name!r}; there are {', '.join(What)}")
-    return What(name)
 
 
 def paper(
     what: Annotated[
         What,
         typer.Argument(
-            parser=_what,
-            metavar="|".join(What),
             help="run: make runs. status: list existing runs and their commits. replay: score stored "
             "parameters again. random-circuits: Table II. policy-gradients: Table III. networks: Table IV. "
             "comparisons: the circuit against other agents, run by run. claims: what the paper says, and "
             "whether it holds here. parameters: of the experiments. time-constants and contributions: of the "
             "parking circuits. curves: a picture of the learning. lesions: the circuits without each neuron "
-            "and synapse. disturbances: agents under noise, delay and lost inputs.",
+            "and synapse.",
         ),
     ],
     *,
@@ -88,18 +68,7 @@ def paper(
     ),
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="curves, lesions, disturbances: the picture.", show_default="runs/paper/ and the name, .png"
-        ),
-    ] = None,
-    stop: Annotated[
-        str | None,
-        typer.Option(
-            metavar="REASON",
-            help="Store the selected runs of the paper's own searches that have not ended as they are, as "
-            "stopped for this reason; with --again they go on.",
-            show_default=False,
-        ),
+        typer.Option(help="curves, lesions: the picture.", show_default="runs/paper/ and the name, .png"),
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Repeat runs that exist already.")] = False,
     processes: Annotated[
@@ -131,7 +100,6 @@ def paper(
         rover-ncp paper run --task cart-pole --circuit mine.bnn
         rover-ncp paper run --cluster tcp://192.168.1.5:8786
         rover-ncp paper run --budget published --task parking
-        rover-ncp paper run --budget published --task half-cheetah --stop "a run takes hours"
         rover-ncp paper networks --json
     """
     from sim.paper.agents import AGENTS
@@ -151,15 +119,9 @@ def paper(
         raise UsageError("--cluster goes with neither --processes nor --circuit, a file of this machine")
     names = select(task, agent, seed, circuit, [budget])
     left = [name for name in names if again or store.find(name) is None]
-    if stop is not None:
-        left = [name for name in names if store.unfinished(name).is_file()]
-        if not left or cluster is not None:
-            raise UsageError(f"--stop: {runs} has no such run that has begun and not ended")
     made = []
     if left:
-        made = _make(
-            output, store, left, circuit=circuit, processes=processes, cluster=cluster, stopped=stop or ""
-        )
+        made = _make(output, store, left, circuit=circuit, processes=processes, cluster=cluster)
     output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
     return 0
 
@@ -172,7 +134,6 @@ def _make(
     circuit: Path | None,
     processes: int | None,
     cluster: str | None,
-    stopped: str,
 ) -> list[dict[str, Any]]:
     """Make runs with a progress bar; return a summary of each."""
     from rich.console import Console
@@ -205,9 +166,7 @@ def _make(
     require_writable(names[0].path(store.own))
     count = processes or available_processes()
     with progress:
-        make_runs(
-            names, store, circuit, processes=count, cluster=cluster, stopped=stopped, on_result=on_result
-        )
+        make_runs(names, store, circuit, processes=count, cluster=cluster, on_result=on_result)
     return made
 
 
@@ -260,7 +219,7 @@ def _draw(  # noqa: PLR0917  # those of the command
 ) -> None:
     """Write a picture of the stored runs, and print what it shows."""
     from rover_ncp.core.files import require_writable, write_atomic
-    from sim.paper import curves, disturbance, lesions
+    from sim.paper import curves, lesions
     from sim.paper.tasks import TASKS, find_task
 
     require_writable(out)
@@ -269,12 +228,9 @@ def _draw(  # noqa: PLR0917  # those of the command
     text = str(out)
     if what is What.CURVES:
         picture = curves.curves_png(store, budget)
-    elif what is What.LESIONS:
+    else:
         fields["lesions"] = rows = lesions.lesion_study(store, names)
         picture, text = lesions.lesions_png(rows), lesions.lesions_text(rows)
-    else:
-        fields["disturbances"] = rows = disturbance.disturbance_study(store, names)
-        picture, text = disturbance.disturbances_png(rows), disturbance.disturbances_text(rows)
     write_atomic(out, picture)
     output.result(fields, text)
 

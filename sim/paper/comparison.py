@@ -16,13 +16,13 @@ import numpy as np
 
 from rover_ncp.core.errors import UsageError
 from sim.paper import BudgetName
-from sim.paper.agents import AGENTS, CLONED
+from sim.paper.agents import AGENTS
 from sim.paper.results import Result, ResultStore
 from sim.paper.significance import LEVEL, Effect, holm, interval_text, mean_text, measure
 from sim.paper.tables import markdown
 from sim.paper.tasks import TASKS
 
-OTHERS = tuple(agent for agent in AGENTS[1:] if agent not in CLONED)
+OTHERS = AGENTS[1:]
 
 
 def steps_to_success(result: Result) -> int:

@@ -33,7 +33,6 @@ from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, Caps, KindRule,
 from sim.learn.search.strategies import start_search
 from sim.paper.evaluator import Evaluator
 from sim.paper.random_search import Budget, Found
-from sim.paper.results import STOPPED
 from sim.paper.tasks import Benchmark
 
 _CAR_WEIGHTS, _CAR_WEIGHTS_AGAIN = 16, 12
@@ -142,9 +141,7 @@ class Estimator(Protocol):
 class Partial:
     """The file of a run that has not ended, or none; it holds all that a continued run depends on."""
 
-    def __init__(self, path: Path | None, settings: dict[str, Any], stopped: str = "") -> None:
-        self.stopped = stopped
-        """Why the run ends where it is, if it does."""
+    def __init__(self, path: Path | None, settings: dict[str, Any]) -> None:
         self._path, self._settings = path, json.loads(json.dumps(settings))
         self._began, self._worked, self._saved = time.monotonic(), time.process_time(), time.monotonic()
         self._before = (0.0, 0.0)
@@ -199,7 +196,7 @@ def search_as_published(
     def state() -> dict[str, Any]:
         return {"search": search.state(), "curve": curve, "ahead": ahead, "steps": evaluator.steps}
 
-    while search.iterations < budget.evaluations and not partial.stopped:
+    while search.iterations < budget.evaluations:
         number, before = search.evaluations, search.value
         vectors = search.ask(min(ahead, budget.evaluations - search.iterations))
         search.tell(evaluator.estimate(vectors, number, search.to_beat))
@@ -208,8 +205,7 @@ def search_as_published(
             curve.append((search.iterations, search.value))
         ahead = min(2 * ahead, _MOST_AHEAD) if search.value == before else _LEAST_AHEAD
         partial.save(state)
-    ended = f"{STOPPED}{partial.stopped}" if partial.stopped else "evaluations"
-    return Found(search.incumbent, search.evaluations, tuple(curve), ended)
+    return Found(search.incumbent, search.evaluations, tuple(curve), "evaluations")
 
 
 def read_partial(path: Path) -> dict[str, Any]:

@@ -17,8 +17,6 @@ from sim.learn.search.base import Vector
 from sim.paper import BudgetName
 
 SHIPPED = Path(__file__).parent / "results"
-STOPPED = "stopped: "
-"""Begins the ``ended`` of a run that was given up, before the reason."""
 
 
 class RunName(StrictModel):
@@ -73,7 +71,7 @@ class Result(StrictModel):
     steps: int
     """Environment steps of all episodes together."""
     ended: str
-    """By enough, plateau, steps or evaluations, or ``STOPPED`` and why."""
+    """By enough, plateau, steps or evaluations."""
     curve: tuple[tuple[int, float], ...]
     """(steps, estimate of the incumbent), thinned; (iterations, estimate) with the paper's own searches."""
     episodes: int
@@ -119,14 +117,11 @@ class ResultStore:
         """Write a result into the user's folder. Raises FileError."""
         write_atomic(result.name.path(self.own), json.dumps(result.model_dump(), allow_nan=False) + "\n")
 
-    def results(
-        self, task: str, agent: str, budget: BudgetName = BudgetName.DEFAULT, *, stopped: bool = False
-    ) -> list[Result]:
-        """Return the runs that came to their end, or were stopped, by seed. Raises FileError."""
+    def results(self, task: str, agent: str, budget: BudgetName = BudgetName.DEFAULT) -> list[Result]:
+        """Return the runs that came to their end, by seed. Raises FileError."""
         paths: dict[str, Path] = {}
         for folder in (self.shipped, self.own):
             if folder is not None:
                 files = (_column(folder, budget) / task).glob(f"{agent}-[0-9]*.json")
                 paths |= {path.name: path for path in files}
-        found = [load_result(paths[name]) for name in sorted(paths)]
-        return [result for result in found if result.ended.startswith(STOPPED) is stopped]
+        return [load_result(paths[name]) for name in sorted(paths)]

@@ -23,7 +23,7 @@ from sim.learn.record import made_with
 from sim.learn.search.base import Vector, draw_seeds
 from sim.learn.workers import WorkerDied, starting_processes
 from sim.paper import FAITHFUL, BudgetName
-from sim.paper.agents import CLONED, GRADIENTS, WITH_TORCH, build_agent
+from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
 from sim.paper.evaluator import Evaluator
 from sim.paper.parking import ParkingEvaluator, search_parking
@@ -65,24 +65,18 @@ def budget_for(task: Task, name: BudgetName) -> Budget:
     return default
 
 
-def train_run(
-    name: RunName, circuit: Path | None = None, unfinished: Path | None = None, stopped: str = ""
-) -> Result:
+def train_run(name: RunName, circuit: Path | None = None, unfinished: Path | None = None) -> Result:
     """Make one run. The same name gives the same parameters and returns, to the last bit.
 
-    ``unfinished`` is the file in which the paper's own searches keep their state, to continue there;
-    ``stopped`` is a reason not to.
+    ``unfinished`` is the file in which the paper's own searches keep their state, to continue there.
     Raises UsageError, FileError or ConfigError for a run that cannot be.
     """
     task, budget = find_task(name.task), name.budget
     limits = budget_for(task, budget)
-    partial = Partial(unfinished if budget in FAITHFUL else None, vars(limits), stopped)
+    partial = Partial(unfinished if budget in FAITHFUL else None, vars(limits))
     if name.agent in GRADIENTS and circuit is None:
         found, agent, steps, settings = _train_by_gradients(task, name)
         libraries = ["stable-baselines3", "torch"]
-    elif name.agent in CLONED and circuit is None:
-        found, agent, steps, settings = _clone(task, name)
-        libraries = ["ncps", "torch"]
     else:
         agent = build_agent(task, name.agent, name.seed, circuit)
         found, steps, settings = _search(task, agent, name.seed, limits, partial)
@@ -156,16 +150,6 @@ def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, None, int, di
     return Found(actor.vector(), 0, (), "steps"), None, steps, settings
 
 
-def _clone(task: Task, name: RunName) -> tuple[Found, Policy | Net, int, dict[str, Any]]:
-    from sim.paper.cloning import clone  # an extra that other agents do without
-
-    if name.budget in FAITHFUL:
-        raise UsageError(f"the paper states no budget for {name.agent}")
-    agent = build_agent(task, name.agent, name.seed)
-    found, steps, settings = clone(task, agent, name.seed, quick=name.budget is BudgetName.QUICK)
-    return found, agent, steps, settings
-
-
 def _thinned(curve: tuple[tuple[int, float], ...], points: int) -> tuple[tuple[int, float], ...]:
     """Return some points of a curve at most, its ends among them."""
     chosen = np.linspace(0, len(curve) - 1, min(len(curve), points)).round().astype(int)
@@ -228,14 +212,12 @@ def make_runs(
     *,
     processes: int,
     cluster: str | None = None,
-    stopped: str = "",
     on_result: Callable[[Result], None],
 ) -> None:
     """Make runs, as many at once as there are processes, or on a Dask cluster; save each as it ends.
 
     Interrupted, it gives up the unfinished runs, except those of the paper's own searches, which go on from
-    their last state when they are asked for again. With ``stopped``, a reason, unfinished runs become results
-    as they are; they can still go on. Raises UsageError, FileError or ConfigError for a run that
+    their last state when they are asked for again. Raises UsageError, FileError or ConfigError for a run that
     cannot be before the first one begins, and WorkerDied.
     """
     _require(names, circuit)
@@ -243,8 +225,7 @@ def make_runs(
     def keep(run: Future[Result]) -> None:
         result = run.result()
         store.save(result)
-        if not stopped:
-            store.unfinished(result.name).unlink(missing_ok=True)
+        store.unfinished(result.name).unlink(missing_ok=True)
         on_result(result)
 
     if cluster is not None:
@@ -258,7 +239,7 @@ def make_runs(
         try:
             with starting_processes():  # the pool starts them as work is handed in
                 places = [(name, circuit, store.unfinished(name)) for name in names]
-                runs = [pool.submit(train_run, *place, stopped) for place in places]
+                runs = [pool.submit(train_run, *place) for place in places]
             for run in as_completed(runs):
                 keep(run)
         except BaseException as error:
@@ -276,7 +257,7 @@ def _require(names: Sequence[RunName], circuit: Path | None) -> None:
         task = find_task(task_name)
         if circuit is not None or agent not in GRADIENTS:
             build_agent(task, agent, 0, circuit)
-        if circuit is None and agent in WITH_TORCH:
-            importlib.import_module("stable_baselines3" if agent in GRADIENTS else "torch")
+        elif circuit is None:
+            importlib.import_module("stable_baselines3")
         if isinstance(task, Benchmark) and task.model:
             importlib.import_module("mujoco")

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 from rover_ncp.core.errors import UsageError
 from sim.paper import FAITHFUL, BudgetName
-from sim.paper.agents import AGENTS, CLONED, GRADIENTS, LIQUID, PAPERS, WITH_TORCH
+from sim.paper.agents import AGENTS, GRADIENTS, LIQUID, PAPERS
 from sim.paper.published_search import read_partial
-from sim.paper.results import STOPPED, Result, ResultStore, RunName, load_result
+from sim.paper.results import Result, ResultStore, RunName, load_result
 from sim.paper.tasks import TASKS, Benchmark, find_task
 
 _GRADIENT_TASKS = ("pendulum", "roboschool", "mountain-car")
@@ -54,14 +54,14 @@ def _own(budget: BudgetName) -> Iterator[Group]:
         if task in _GRADIENT_TASKS:
             yield from (Group(task, agent, 5, budget) for agent in GRADIENTS)
         if task in LIQUID_TASKS:
-            yield from (Group(task, agent, 5, budget) for agent in (*LIQUID, *CLONED))
+            yield from (Group(task, agent, 5, budget) for agent in LIQUID)
 
 
 def _faithful(budget: BudgetName) -> Iterator[Group]:
-    """Yield the paper's ten runs of each row; its pendulum has the bonus, and only circuits park."""
+    """Yield the paper's ten runs of each row; only circuits park."""
     for name, task in TASKS.items():
         both_estimates_agree = task.settings.worst == task.settings.rollouts
-        if name.endswith("-plain") or (budget is BudgetName.PUBLISHED_MEAN and both_estimates_agree):
+        if budget is BudgetName.PUBLISHED_MEAN and both_estimates_agree:
             continue
         if not isinstance(task, Benchmark):
             yield Group(name, "circuit", 36 if name == "parking" else 12, budget)
@@ -72,13 +72,12 @@ def _faithful(budget: BudgetName) -> Iterator[Group]:
 def coverage(store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> list[dict[str, Any]]:
     """Return each group of a budget: how many of its runs came to an end, how, and the commits of them.
 
-    A run that has not ended, or was stopped, is listed with its iterations and the estimate of its incumbent.
+    A run that has not ended is listed with its iterations and the estimate of its incumbent.
     """
     rows = []
     for group in grid(budget):
         paths = [store.find(name) for name in group.names()]
-        found = [load_result(path) for path in paths if path is not None]
-        results = [result for result in found if not result.ended.startswith(STOPPED)]
+        results = [load_result(path) for path in paths if path is not None]
         commits = Counter(result.made_with.get("commit", "unknown") for result in results)
         rows.append(
             {
@@ -90,9 +89,6 @@ def coverage(store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> lis
                 #: by how a run ended: how many runs
                 "ended": dict(Counter(result.ended for result in results)),
                 "cpu_s": sum(result.cpu_s for result in results),  #: of all together
-                "stopped": [  #: runs of the paper's own searches that were given up
-                    stopped_state(result) for result in found if result.ended.startswith(STOPPED)
-                ],
                 "unfinished": [  #: runs of the paper's own searches that have not ended
                     {"seed": name.seed, **read_partial(store.unfinished(name))}
                     for name in group.names()
@@ -101,20 +97,6 @@ def coverage(store: ResultStore, budget: BudgetName = BudgetName.DEFAULT) -> lis
             }
         )
     return rows
-
-
-def stopped_state(result: Result) -> dict[str, Any]:
-    """Return how far a run was when it was stopped, and why that was."""
-    iterations, of = result.evaluations - 1, result.settings["evaluations"]
-    return {
-        "seed": result.name.seed,
-        "iterations": iterations,  #: that were made
-        "of": of,  #: of how many
-        "estimate": result.curve[-1][1],  #: of the incumbent
-        "why": result.ended.removeprefix(STOPPED),  #: it was stopped
-        "cpu_s": result.cpu_s,  #: until then
-        "hours_to_run": result.cpu_s / max(iterations, 1) * of / 3600.0,  #: of a whole run, on one core
-    }
 
 
 def select(
@@ -139,7 +121,7 @@ def select(
     for agent in agents or ():
         if agent not in AGENTS:
             raise UsageError(f"no agent {agent!r}; there are {', '.join(AGENTS)}")
-    wanted = agents or [agent for agent in AGENTS if agent not in WITH_TORCH]
+    wanted = agents or [agent for agent in AGENTS if agent not in GRADIENTS]
     groups = [group for budget in budgets for group in grid(budget)]
     names = [
         name

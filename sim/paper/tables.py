@@ -225,9 +225,7 @@ def coverage_text(groups: Sequence[dict[str, Any]]) -> str:
     for group in groups:
         took = [group["cpu_s"] / group["made"]] if group["made"] else []
         took += [3600.0 * run["hours_to_run"] for run in group["unfinished"]]
-        took += [3600.0 * run["hours_to_run"] for run in group["stopped"]]
         part = [f"seed {run['seed']} at {run['iterations']} of {run['of']}" for run in group["unfinished"]]
-        part += [f"seed {run['seed']} {stopped_text(run)}" for run in group["stopped"]]
         rows.append(
             (
                 group["task"],
@@ -239,14 +237,6 @@ def coverage_text(groups: Sequence[dict[str, Any]]) -> str:
             )
         )
     return markdown(rows)
-
-
-def stopped_text(run: dict[str, Any]) -> str:
-    """Return the state of a run that was stopped."""
-    return (
-        f"stopped at {run['iterations']:,} of {run['of']:,} iterations, estimate "
-        f"{mean_text(run['estimate'])}: {run['why']}"
-    )
 
 
 def _short(commit: str) -> str:

@@ -21,10 +21,10 @@ TYPICAL_RAD_S = 0.12
 EXACT = 1e-4
 """Standard deviation of an error that a family of robots does not have."""
 LOADED_TYRE = 0.004
-"""A tyre under its load rolls on so much less than its radius (`sim.studies.rigid_body`)."""
+"""A tyre under its load rolls on so much less than its radius (`tests/kit/rigid_body.py`)."""
 DOWNHILL_M, GAIN_WALK = 0.25, 1.5
 """The slide downhill and the change of turn gain on a slope, over its tangent divided by friction, for the
-families' centres of mass and directions: rms by Coulomb friction (`sim.studies.rigid_body`)."""
+families' centres of mass and directions: rms by Coulomb friction (`tests/kit/rigid_body.py`)."""
 SKID_M, CABLE_M = 0.1, 0.026
 """The random part of that slide, in the same way, and the unseen way over a cable: fitted to other seeds."""
 OFF_CENTRE_M = 0.06

@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import Obstacle
 from rover_ncp.kernels.jit import inlined_kernel, kernel
 from rover_ncp.kernels.vectors import (
@@ -126,23 +125,6 @@ class Fleet:
             limit[1] *= self.arrays.turning[0]
         for lane, (delay_v, delay_omega) in enumerate(delay.tolist()):
             set_delay(self.arrays, lane, delay_v, delay_omega)
-
-    def place(self, lane: int, pose: Pose) -> None:
-        """Put a rover somewhere, standing still, its commands forgotten."""
-        place(self.arrays, lane, *pose)
-
-    def tick(self, commands: FloatArray) -> FloatArray:
-        """Send commands (2, L), advance by 0.1 s and return the poses (3, L), headings wrapped."""
-        poses = np.empty((3, len(self.bodies)))
-        send(self.arrays, np.ascontiguousarray(commands))
-        advance(self.arrays)
-        read_poses(self.arrays, poses)
-        return poses
-
-    @property
-    def touched(self) -> NDArray[np.bool_]:
-        """(L,) which rovers touched anything since they were placed."""
-        return self.arrays.touched.astype(bool)
 
 
 @kernel

@@ -5,8 +5,7 @@ import time
 
 import pytest
 from bridge_bench import Driver, Rig, wait_for
-
-from sim.faults.proxy import Proxy
+from faults.proxy import Proxy
 
 RECOVERY_S = 5.0
 """The base is there again at the latest so long after it answers again."""

@@ -147,18 +147,10 @@ def test_no_client_can_publish_or_answer_for_the_bridge(secured, keys):
 
 
 def spoil_certificate(transport, stranger):
-    """Certificates of another lab, with the right password."""
+    """Certificates of another lab."""
     other = read(stranger / "driver.json5")["transport"]
     transport["link"] = other["link"]
     transport["link"]["tls"]["root_ca_certificate_base64"] = transport["ca"]
-
-
-def spoil_password(transport, stranger):
-    transport["auth"]["usrpwd"]["password"] += "x"
-
-
-def spoil_user(transport, stranger):
-    transport["auth"]["usrpwd"] = {"user": None, "password": None}
 
 
 def spoil_key(transport, stranger):
@@ -166,7 +158,7 @@ def spoil_key(transport, stranger):
         transport["link"]["tls"].pop(name)
 
 
-@pytest.mark.parametrize("spoil", [spoil_certificate, spoil_password, spoil_user, spoil_key])
+@pytest.mark.parametrize("spoil", [spoil_certificate, spoil_key])
 def test_a_stranger_cannot_connect(secured, keys, tmp_path, spoil):
     stranger = tmp_path / "stranger"
     assert cli.run(["keys", "--out", str(stranger)]) == 0
@@ -177,16 +169,6 @@ def test_a_stranger_cannot_connect(secured, keys, tmp_path, spoil):
     (tmp_path / "zenoh.json5").write_text(json.dumps({"transport": transport}))
     with pytest.raises(zenoh.ZError), User(secured, tmp_path / "zenoh.json5"):
         pass
-
-
-def test_a_certificate_goes_with_its_own_user_only(secured, keys, tmp_path):
-    viewer, driver = (read(keys / f"{role}.json5")["transport"] for role in ("viewer", "driver"))
-    viewer["auth"] = driver["auth"]
-    (tmp_path / "zenoh.json5").write_text(json.dumps({"transport": viewer}))
-    with User(secured, tmp_path / "zenoh.json5") as mixed:
-        assert mixed.enable() == []
-        assert not mixed.may_drive
-        assert mixed.heard == {}
 
 
 def test_drivers_certificate_is_not_valid_for_listening(keys, tmp_path):
@@ -219,7 +201,7 @@ LAN = ["tcp/0.0.0.0:0", "tcp/[::]:0", "tls/0.0.0.0:0"]
 
 
 @pytest.mark.parametrize("listen", LAN)
-def test_listening_beyond_this_machine_needs_users(listen, capsys, tmp_path):
+def test_listening_beyond_this_machine_needs_certificates(listen, capsys, tmp_path):
     arguments = ["bridge", "--base", "tcp/127.0.0.1:1", "--listen", listen]
     assert cli.run(arguments) == 2
     assert f"{listen}: any client that reaches it could drive the rover" in capsys.readouterr().err

@@ -69,10 +69,8 @@ WRITERS = [
     "report drive.mcap --out {}",
     "recover drive.mcap --out {}",
     "keys --out {}",
-    "bench search --csv {}",
     "paper curves --out {}",
     "paper run --task parking --agent circuit --seed 0 --again --budget quick --runs {}",
-    "soak --out {}",
 ]
 TABLE = [
     *((command.format(LONG), "File name too long") for command in READERS),
@@ -87,7 +85,6 @@ TABLE = [
     ("park --policy parking --out done", "done/run.mcap: exists already"),
     ("park --out done", "done/run.mcap: exists already"),
     ("park --out trained", "trained/train: exists already"),
-    ("soak --out soaked", "soaked/drives/001-bumper.mcap: exists already"),
     ("train --resume --out done", "done: holds no training run to resume"),
     # YAML and courses
     ("course check deep.yaml", "more than 100 lists or mappings in each other"),
@@ -136,7 +133,7 @@ TABLE = [
     (f"train --iterations {HUGE}", "--iterations"),
     (f"train --seed {HUGE}", "--seed"),
     (f"mock --trial {HUGE}", "--trial"),
-    (f"bench train --iterations {HUGE}", "--iterations"),
+    (f"bench deploy --seconds {HUGE}", "--seconds"),
     ("eval course --randomize ''", "an empty name"),
     ("train --randomize ''", "an empty name"),
     ("mock --randomize ''", "an empty name"),
@@ -168,7 +165,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("errors")
     (folder / "file").write_text("x")
     write_drive(folder / "drive.mcap", course=SHORT)
-    for made in ("done/run.mcap", "trained/train/settings.yaml", "soaked/drives/001-bumper.mcap"):
+    for made in ("done/run.mcap", "trained/train/settings.yaml"):
         (folder / made).parent.mkdir(parents=True)
         (folder / made).write_text("x")
     (folder / "deep.yaml").write_text("a: " + "[" * 100_000 + "]" * 100_000)
@@ -263,7 +260,6 @@ def test_a_folder_that_may_not_be_searched_is_one_line(command, tmp_path):
     [
         "report {} --out {}",
         "identify {} --out {}",
-        "bench search --iterations 1 --agents 1 --csv {}",
     ],
 )
 def test_a_result_never_replaces_a_recording(command, tmp_path, capfd):

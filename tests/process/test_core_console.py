@@ -8,11 +8,11 @@ import threading
 import time
 
 import pytest
+from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
 
 from deploy.drive_records import TICKS_TOPIC
 from rover_ncp.core.console import ROOM_BYTES, Writer, printable
 from rover_ncp.core.recording import read_recording
-from sim.live.processes import GONE, PIPE, TERMINAL, Process
 
 COMMAND = [sys.executable, "-m", "rover_ncp"]
 SHORT = "tests/data/short_course.yaml"
@@ -172,7 +172,7 @@ def test_blocked_output_keeps_no_process_from_its_work_nor_from_its_end(tmp_path
     processes = {}
 
     def start(outlet, ready, command, *arguments):
-        process = processes[command] = Process(command, arguments, tmp_path, outlet=outlet)
+        process = processes[command] = OutletProcess(outlet, command, arguments, tmp_path)
         said = process.wait_for_line(ready) if ready else ""
         process.outlet.block()
         return said

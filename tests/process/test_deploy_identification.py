@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from identified import driven, errors, identified, robot, truth
 from json_fields import assert_on_page
 
 from deploy.drive.measurements import Measurements
@@ -24,7 +25,6 @@ from sim.live.live_run import LiveRun
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.virtual import VirtualBridge, VirtualLink
-from sim.studies.identify import driven, errors, identified, robot, truth
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground
 from sim.world.randomization import load_randomization

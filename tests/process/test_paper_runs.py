@@ -49,7 +49,7 @@ def test_the_same_run_gives_the_same_bits_and_replays(car):
         ("cart-pole", "random", 30.0),  # an untuned agent falls after some 20 steps
         ("cart-pole", "lstm", 30.0),
         ("roboschool", "circuit", 30.0),
-        ("roboschool-plain", "mlp", 1000.0),  # on MuJoCo's pole too
+        ("roboschool", "mlp", 1000.0),  # on MuJoCo's pole too
     ],
 )
 def test_a_quick_run_learns_and_replays(task, agent, least):

@@ -1,7 +1,5 @@
 """The report in a real browser; `make test-browser` installs what this needs, `make test` leaves it out."""
 
-from itertools import pairwise
-
 import pytest
 from browser import Watched, chromium
 from recorded_drives import BEGAN_NS, TICK_NS, write_drive
@@ -9,9 +7,7 @@ from recorded_drives import BEGAN_NS, TICK_NS, write_drive
 from rover_ncp.core import messages
 from rover_ncp.core.protocol import DriverStatus, dump_json
 from rover_ncp.core.recording import Recorded
-from sim.explain.training import write_page
-from sim.learn.record import TrainSettings
-from sim.learn.train import train
+from sim.explain.files import write_page
 
 pytestmark = pytest.mark.browser
 
@@ -34,7 +30,7 @@ def browser():
 def drive(tmp_path_factory):
     folder = tmp_path_factory.mktemp("drive")
     write_drive(folder / "run.mcap")
-    return write_page(folder / "run.mcap").path
+    return write_page(folder / "run.mcap")
 
 
 @pytest.fixture
@@ -167,38 +163,9 @@ def test_words_of_a_peer_stay_words(browser, tmp_path):
         Recorded("rover/status", "std_msgs/msg/String", messages.text(dump_json(status).decode()), ns, ns)
     ]
     write_drive(tmp_path / "run.mcap", more=more)
-    watched = Watched(browser, write_page(tmp_path / "run.mcap").path.as_uri())
+    watched = Watched(browser, write_page(tmp_path / "run.mcap").as_uri())
     assert EVIL in watched.page.text_content("#events")
     assert "hacked" not in watched.page.title()
     assert watched.page.locator("#events img").count() == 0
     assert watched.complaints == []
     watched.page.close()
-
-
-@pytest.fixture(scope="module")
-def training(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("train") / "run"
-    settings = TrainSettings(course="tests/data/short_course.yaml", seed=1, agents=3, iterations=250)
-    train(settings, folder, processes=1)
-    return write_page(folder).path
-
-
-@pytest.mark.parametrize("size", [(1280, 900), (400, 850)], ids=["desk", "phone"])
-def test_a_training_is_shown(browser, training, size):
-    watched = Watched(browser, training.as_uri(), *size, shown="#histograms .js-plotly-plot")
-    page = watched.page
-    last = page.evaluate("document.getElementById('drives').data.at(-2).x")
-    page.focus("#milestone")
-    page.keyboard.press("ArrowLeft")
-    watched.until("document.getElementById('milestone-words').textContent.startsWith('200 iterations')")
-    assert page.evaluate("document.getElementById('drives').data.at(-2).x") != last
-    page.check("#all-agents")
-    watched.until("document.getElementById('drives-legend').textContent.includes('of all agents')")
-    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
-    boxes = [box.bounding_box() for box in page.locator("#histograms > div").all()]
-    for one, other in pairwise(boxes):
-        assert one["x"] + one["width"] <= other["x"] + 1 or one["y"] + one["height"] <= other["y"] + 1
-    watched.photograph(f"training_{size[0]}")
-    assert watched.complaints == []
-    assert watched.foreign_requests(training.as_uri()) == []
-    page.close()

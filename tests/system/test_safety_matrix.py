@@ -2,7 +2,7 @@
 
 The bounds are the requirement itself: 0.5 s plus braking, and the base's watchdog (2 s) plus braking where
 the bridge is dead or hung, or cut off from its base. What the machine adds to bridge and driver has to fit
-in; what it adds to the mock and the line to it is the measurement's (`sim.faults.measure`).
+in; what it adds to the mock and the line to it is the measurement's (`faults.measure`).
 """
 
 import functools
@@ -16,11 +16,11 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from faults.measure import in_time, measure
+from faults.rig import SPEED_M_S, Rig
+from faults.table import MATRIX, ROWS, SCRIPTED, braking_s
 from paths import DATA, ROOT
 
-from sim.faults.measure import in_time, measure
-from sim.faults.rig import SPEED_M_S, Rig
-from sim.faults.table import MATRIX, ROWS, SCRIPTED, braking_s
 from sim.live.processes import wait_for
 
 pytestmark = [pytest.mark.timed, pytest.mark.xdist_group("matrix")]

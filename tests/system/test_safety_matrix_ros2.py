@@ -10,12 +10,12 @@ import os
 from pathlib import Path
 
 import pytest
+from faults.measure import MOST_LATE_S, measure
+from faults.rig import Rig
+from faults.table import LOW_BATTERY_S, MATRIX, ROWS, STOP_S
 from paths import DATA, ROOT
 
 from rover_ncp.core.robot_description import load_description
-from sim.faults.measure import MOST_LATE_S, measure
-from sim.faults.rig import Rig
-from sim.faults.table import LOW_BATTERY_S, MATRIX, ROWS, STOP_S
 from sim.live.live_run import RMW_ZENOH, ROS2DDS
 from sim.live.truth import SAMPLE_S
 from sim.pioneer.ros2_robot import BATTERY_S

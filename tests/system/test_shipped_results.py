@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.compare import compare
 from sim.explain.explain import explain
 from sim.explain.files import markdown
 from sim.paper.results import SHIPPED, load_result
 from sim.paper.runs import agrees, replay
-from sim.studies.compare import compare
 
 
 @pytest.mark.parametrize("agent", ["mlp", "kanayama"])

@@ -10,7 +10,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-from sim.paper.disturbance import disturbances_text
 from sim.paper.lesions import lesions_text
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -20,7 +19,7 @@ BLOCK = re.compile(
     r"(?P<table>.*?)(<!-- end -->)",
     re.DOTALL,
 )
-STUDIES = {"lesions": lesions_text, "disturbances": disturbances_text}
+STUDIES = {"lesions": lesions_text}
 
 
 def stored(study):

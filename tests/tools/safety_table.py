@@ -7,7 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from sim.faults.table import MATRIX
+from faults.table import MATRIX
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "safety.md"

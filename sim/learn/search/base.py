@@ -34,8 +34,6 @@ def dump_state(state: SearchState) -> str:
 class Strategy(Protocol):
     """A search that maximises a return."""
 
-    needs_misses: ClassVar[bool]
-    """Whether ``tell`` also needs the misses that a return is made of."""
     most_ahead: ClassVar[int]
     """How many candidates to ask for at once, at most."""
     speculates: ClassVar[bool]

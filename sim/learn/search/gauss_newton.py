@@ -99,7 +99,6 @@ _PROGRESS = TypeAdapter(_Progress)
 class GaussNewton:
     """A search that maximises a return made of misses: minus the sum of their squares."""
 
-    needs_misses: ClassVar[bool] = True
     most_ahead: ClassVar[int] = 1000  # a batch is less
     speculates: ClassVar[bool] = False
 

@@ -74,7 +74,6 @@ class _Draw(Generic[AdaptationT]):
 class RandomSearch(ABC, Generic[AdaptationT]):
     """A search that maximises a return from one incumbent; the start (P,) is the first."""
 
-    needs_misses: ClassVar[bool] = False
     # A lane or two for each agent, and one candidate that waits: more would be drawn and discarded.
     most_ahead: ClassVar[int] = 3
     speculates: ClassVar[bool] = True

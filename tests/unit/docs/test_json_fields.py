@@ -49,7 +49,7 @@ SEQUENCES = [
     *({f"paper {what}": [f"paper {what}"]} for what in ("parameters", "time-constants", "contributions")),
 ]
 """Commands with the headings of their fields."""
-UNSEEN = ("model", "profile", "groups.unfinished.", "groups.stopped.")
+UNSEEN = ("model", "profile", "groups.unfinished.")
 UNSEEN += tuple(f"phases.{name}." for name in ("behind", "rival", "pulls", "change"))
 """Fields that are printed only with an option or an event that these commands lack."""
 

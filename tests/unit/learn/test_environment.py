@@ -1,7 +1,6 @@
 """Circuits on Gymnasium environments: the episodes are the environment's own, and misfits are named."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -13,7 +12,6 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError
 from sim import api
-from sim.explain.training import write_page
 from sim.learn.environment import MOST_STEPS, EnvironmentEvaluator
 from sim.learn.search.base import draw_seeds
 
@@ -142,8 +140,6 @@ def test_training_is_the_same_after_an_interruption_and_for_any_number_of_proces
     for name in ("policy.yaml", "curve.csv", "search.json", "settings.yaml"):
         assert (folder / "parts" / name).read_bytes() == (folder / "whole" / name).read_bytes(), name
     assert load_policy(whole.path).sensing.inputs == ("far", "heading")
-    with pytest.raises(UsageError, match=rf"explain whole/policy\.yaml --task {TASK}"):
-        write_page(Path("whole"))
 
 
 def test_a_circuit_without_sensing_is_refused(folder):

@@ -21,7 +21,6 @@ from sim.learn.agents import AgentState, Snapshot
 from sim.learn.curve import curve_csv, curve_iterations, curve_png
 from sim.learn.evaluator import Evaluator
 from sim.learn.record import TrainSettings, resolve_task
-from sim.learn.run_folder import is_milestone
 from sim.learn.train import TrainResult, train, training_plan
 
 COURSE = DATA / "short_course.yaml"
@@ -54,26 +53,8 @@ def content(folder: Path) -> dict[str, bytes]:
 
 def test_a_run_leaves_these_files(reference: Path) -> None:
     names = ["agents/00.json", "agents/00.yaml", "agents/01.json", "agents/01.yaml"]
-    milestones = ["milestones/000000.yaml", "milestones/000100.yaml"]
-    others = ["curve.csv", "curve.png", *milestones, "policy.yaml", "settings.yaml"]
+    others = ["curve.csv", "curve.png", "policy.yaml", "settings.yaml"]
     assert sorted(content(reference)) == [*names, *others]
-
-
-def test_a_milestone_is_the_best_policy_of_its_moment(reference: Path) -> None:
-    rows = {
-        int(row["iteration"]): row
-        for row in csv.DictReader((reference / "curve.csv").read_text().splitlines())
-    }
-    for iteration in (0, 100):
-        policy = load_policy(reference / "milestones" / f"{iteration:06}.yaml")
-        best = max(float(value) for name, value in rows[iteration].items() if name != "iteration")
-        assert policy.provenance["return"] == best
-        assert policy.provenance["settings"]["iterations"] == iteration
-
-
-def test_milestones_stand_at_round_numbers() -> None:
-    found = [n for n in range(30_001) if is_milestone(n)]
-    assert found == [0, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000]
 
 
 def test_the_policy_scores_what_its_provenance_says_to_the_last_bit(reference: Path) -> None:
@@ -167,16 +148,13 @@ def test_dying_before_any_single_write_changes_nothing(
             (out / ".policy.yaml.x1y2z3").write_text("half a pol")
             if (out / "agents").is_dir():
                 (out / "agents" / ".00.json.abc").write_text("{")
-            if (out / "milestones").is_dir():
-                (out / "milestones" / ".000100.yaml.abc").write_text("half a pol")
             left = 1_000_000
             run(out, resume=(out / "settings.yaml").exists())
             assert content(out) == expected
         else:
             break
-    # The record, three rounds and the end of two agents, policy and curve; two policies and the picture;
-    # two milestones, written when they are reached and again with what is saved there.
-    assert deaths == 1 + 4 * 4 + 3 + 2 * 2
+    # The record, three rounds and the end of two agents, policy and curve; two policies and the picture.
+    assert deaths == 1 + 4 * 4 + 3
 
 
 def test_an_interrupted_run_saves_its_last_round(

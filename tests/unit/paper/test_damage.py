@@ -1,17 +1,12 @@
-"""Lesions and disturbances of trained agents."""
+"""Lesions of trained circuits."""
 
 import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.cli import run
-from sim.learn.search.base import draw_seeds
-from sim.paper.agents import build_agent
-from sim.paper.disturbance import disturbed_returns
-from sim.paper.evaluator import Evaluator
 from sim.paper.lesions import INTACT, lesion_study, lesioned
 from sim.paper.results import ResultStore
 from sim.paper.tasks import TASKS
@@ -19,14 +14,11 @@ from sim.paper.tasks import TASKS
 SHIPPED = ResultStore(Path("nowhere"))
 
 
-def trained(task, agent="circuit"):
-    return SHIPPED.results(task, agent)[0].parameters.array()
-
-
 def test_a_lesion_takes_out_all_that_touches_a_neuron_and_nothing_else():
     task = TASKS["cart-pole"]
     policy = task.policy(task.circuit())
-    vector, circuit = trained("cart-pole"), policy.circuit
+    vector = SHIPPED.results("cart-pole", "circuit")[0].parameters.array()
+    circuit = policy.circuit
     found = lesioned(policy, vector)
     assert len(found) == 1 + circuit.size + circuit.synapse_count
     assert found[INTACT].tolist() == vector.tolist()
@@ -47,22 +39,6 @@ def test_a_circuit_without_its_motor_neurons_does_not_park():
     assert (rows[INTACT]["succeed"], rows[INTACT]["circuits"]) == (10, 10)
     assert rows["FWD"]["succeed"] == rows["LFT"]["succeed"] == 0
     assert rows["FWD"]["mean"] < rows[INTACT]["mean"]
-
-
-@pytest.mark.parametrize("agent", ["circuit", "lstm"])
-def test_without_a_disturbance_an_episode_is_the_evaluators(agent):
-    task, seeds = TASKS["cart-pole"], draw_seeds(3, (), 4)
-    vectors = np.tile(trained("cart-pole", agent) * 0.7, (4, 1))
-    expected = Evaluator(task, build_agent(task, agent, 0), for_search=True).run(vectors, seeds)[:, 0]
-    for undisturbed in (("noise", 0.0), ("delay", 0), ("loss", 0.0)):
-        assert disturbed_returns(task, agent, vectors, seeds, undisturbed).tolist() == expected.tolist()
-
-
-@pytest.mark.parametrize("disturbance", [("noise", 3.0), ("delay", 60), ("loss", 0.99)])
-def test_a_strong_disturbance_fells_the_pole(disturbance):
-    task, seeds = TASKS["cart-pole"], draw_seeds(3, (), 4)
-    vectors = np.tile(trained("cart-pole"), (4, 1))
-    assert disturbed_returns(task, "circuit", vectors, seeds, disturbance).mean() < 200.0
 
 
 def test_the_command_writes_a_picture_and_the_figures(tmp_path, capsys):

@@ -106,14 +106,6 @@ def test_a_table_of_the_papers_own_search_holds_its_circuits(which, store):
     assert ("cart-pole", "circuit") in found or which == "policy-gradients"
 
 
-@pytest.mark.parametrize(
-    ("old", "new"), [("table1", "random-circuits"), ("table2", "policy-gradients"), ("table3", "networks")]
-)
-def test_an_old_name_of_a_table_names_the_new_one(old, new, capsys):
-    assert run(["paper", old]) == 2
-    assert f"use paper {new}" in capsys.readouterr().err
-
-
 def test_parameters_are_the_papers():
     rows = {row["task"]: row for row in parameters()}
     pendulum = rows["pendulum"]

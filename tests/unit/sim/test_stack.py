@@ -235,13 +235,9 @@ def test_the_command_line_drives_through_the_stack(capsys):
     assert math.isfinite(fields["times_real_time"])
 
 
-@pytest.mark.parametrize("name", ["kanayama", "lstm"])
+@pytest.mark.parametrize("name", ["kanayama", str(ROOT / "tests" / "data" / "lstm.json")])
 @pytest.mark.long
-def test_laws_and_networks_drive_through_the_stack_as_in_plain_simulation(name, tmp_path):
-    if name == "lstm":
-        results = (ROOT / "docs" / "data" / "compare.jsonl").read_text().splitlines()
-        (tmp_path / "lstm.json").write_text(next(line for line in results if '"lstm-small"' in line))
-        name = str(tmp_path / "lstm.json")
+def test_laws_and_networks_drive_through_the_stack_as_in_plain_simulation(name):
     driven = stack("none", course="parking", driver=name)
     assert pickle.loads(pickle.dumps(driven)).driver.vector == pytest.approx(driven.driver.vector)
     trial = driven.drive(0)

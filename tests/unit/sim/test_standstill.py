@@ -1,9 +1,9 @@
 """The time from a fault to standstill, from a truth file."""
 
 import pytest
+from faults.measure import in_time
+from faults.table import ROWS, braking_s
 
-from sim.faults.measure import in_time
-from sim.faults.table import ROWS, braking_s
 from sim.live.processes import TimedOut
 from sim.live.truth import SAMPLE_S, TruthReader
 from sim.pioneer.real_time import TRUTH_COLUMNS

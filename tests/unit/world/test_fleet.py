@@ -12,7 +12,7 @@ from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.course.course import Obstacle
 from sim.world import chipmunk
 from sim.world.described import default_rover
-from sim.world.fleet import Fleet, wrapped
+from sim.world.fleet import Fleet, advance, place, read_poses, send, wrapped
 from sim.world.pymunk_rover import Ground, PymunkRover
 
 BOX = (
@@ -21,6 +21,25 @@ BOX = (
     Obstacle(x=0.0, y=0.7, theta=0.1, length=3.0, width=0.2),
     Obstacle(x=0.0, y=-0.7, length=3.0, width=0.2),
 )
+
+
+class Driven(Fleet):
+    """A fleet that is driven tick by tick."""
+
+    def place(self, lane, pose):
+        place(self.arrays, lane, *pose)
+
+    def tick(self, commands):
+        """Send commands (2, L), advance by 0.1 s and return the poses (3, L)."""
+        poses = np.empty((3, len(self.bodies)))
+        send(self.arrays, np.ascontiguousarray(commands))
+        advance(self.arrays)
+        read_poses(self.arrays, poses)
+        return poses
+
+    @property
+    def touched(self):
+        return self.arrays.touched.astype(bool)
 
 
 def models(count):
@@ -67,10 +86,10 @@ def drive_alone(model, obstacles, start, commands):
 def test_each_rover_of_a_fleet_goes_as_it_would_alone(lanes, obstacles, touching):
     start = Pose(0.0, 0.01, 0.2)
     commands = random_commands(3, 150, lanes, 0.5, 2.0)
-    fleet = Fleet(models(lanes), obstacles)
+    fleet = Driven(models(lanes), obstacles)
     for lane in range(lanes):
         fleet.place(lane, start)
-    poses = np.array([fleet.tick(np.ascontiguousarray(command.T)) for command in commands])
+    poses = np.array([fleet.tick(command.T) for command in commands])
     for lane, model in enumerate(models(lanes)):
         alone, touched = drive_alone(model, obstacles, start, commands[:, lane])
         assert np.array_equal(poses[:, :, lane], alone)
@@ -93,11 +112,11 @@ def test_shapes_and_mirrored_drives_change_no_bit_on_open_ground(seed):
         sent = commands * mirror[[0, 2]]
         poses = {}
         for obstacles in ((), far):
-            fleet = Fleet(models(lanes), obstacles)
+            fleet = Driven(models(lanes), obstacles)
             assert any(body.shapes for body in fleet.bodies) == bool(obstacles)
             for lane, start in enumerate(starts):
                 fleet.place(lane, start)
-            poses[obstacles] = np.array([fleet.tick(np.ascontiguousarray(row.T)) for row in sent])
+            poses[obstacles] = np.array([fleet.tick(row.T) for row in sent])
             assert not fleet.touched.any()
         assert poses[()].tobytes() == poses[far].tobytes()
         for lane, model in enumerate(models(lanes)):
@@ -110,9 +129,9 @@ def test_shapes_and_mirrored_drives_change_no_bit_on_open_ground(seed):
 def test_a_rover_placed_again_drives_as_a_new_one():
     start, model = Pose(0.0, 0.0, 0.0), default_rover()
     commands = random_commands(8, 200, 8, 0.5, 2.0)
-    fleet = Fleet([model] * 8, BOX)
+    fleet = Driven([model] * 8, BOX)
     for command in commands:
-        fleet.tick(np.ascontiguousarray(command.T))
+        fleet.tick(command.T)
     assert fleet.touched.any()
     for _ in range(2):  # the second time without what the last contact left over
         for lane in range(8):
@@ -120,7 +139,7 @@ def test_a_rover_placed_again_drives_as_a_new_one():
         fleet.tick(np.zeros((2, 8)))
     for lane in range(8):
         fleet.place(lane, start)
-    poses = np.array([fleet.tick(np.ascontiguousarray(command.T)) for command in commands])
+    poses = np.array([fleet.tick(command.T) for command in commands])
     for lane in range(8):
         assert np.array_equal(poses[:, :, lane], drive_alone(model, BOX, start, commands[:, lane])[0])
 

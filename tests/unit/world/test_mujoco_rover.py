@@ -4,11 +4,7 @@ import math
 from itertools import pairwise
 
 import pytest
-
-from rover_ncp.core.errors import UsageError
-from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.course.course import Obstacle
-from sim.studies.rigid_body import (
+from rigid_body import (
     SETTINGS,
     V_M_S,
     advance,
@@ -20,6 +16,10 @@ from sim.studies.rigid_body import (
     shake_m_s2,
     stopping_m,
 )
+
+from rover_ncp.core.errors import UsageError
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.course.course import Obstacle
 from sim.world.bodies import PRESETS, Body
 from sim.world.described import default_rover
 from sim.world.mujoco_rover import TICKS_PER_M, MujocoRover

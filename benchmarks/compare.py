@@ -1,0 +1,157 @@
+"""Other controllers in the circuit's place: the same trials, search and budget, another body of numbers.
+
+    python -m benchmarks.compare AGENT [--seed 1] [--generations 2600] [--rollouts 144] [--trained-on harsh]
+
+prints one JSON object: what the search found, and how that does on trials that it did not see. Agents:
+
+circuit         the tap-withdrawal circuit with course-relative sensing, from its hand-set start
+kanayama, pure-pursuit, smooth
+                a classical law (``laws.py``), from gains set by hand
+mlp, lstm       networks of as many cells
+lstm-small, cfc, ltc
+                networks of about as many numbers
+random-N        the circuit number N of random wiring, of as many neurons and synapses
+absolute        the paper's sensing with ranges in which a rover that starts elsewhere still moves; it knows
+                one course, so it is trained on that alone, from the policy that parks undisturbed
+paper           the same with the paper's own ranges
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.policy import Policy, course_policy
+from rover_ncp.circuit.policy_file import load_circuit, load_policy
+from rover_ncp.circuit.sensing import shifted_sensing
+from rover_ncp.circuit.tap_withdrawal import random_circuit
+from rover_ncp.course.course import Course, load_course
+from rover_ncp.course.reference import plan_reference
+from sim.evaluate.driver import CIRCUIT, NETWORKS
+from sim.evaluate.evaluate import unseen_courses
+from sim.learn.evaluator import Evaluator
+from sim.learn.laws import LAWS, gain_box, law_commander
+from sim.learn.networks import Net, net_for, network_commander
+from sim.learn.record import RobustSettings, made_with
+from sim.learn.robust import RobustSearch, drive_trials, policy_box, training_courses
+from sim.learn.search.unit_box import UnitBox
+from sim.world.described import default_rover
+from sim.world.randomization import draw_trials, load_randomization
+
+FloatArray = NDArray[np.float64]
+
+_RANDOM_COURSES = RobustSettings().random_courses
+_TRIALS, _TRIALS_SEED, _UNSEEN = 1000, 31415, 200
+_PROGRESS_GENERATIONS = 25
+
+
+class Agent(NamedTuple):
+    """The search space, its engine, and whether the agent can follow any course."""
+
+    box: UnitBox
+    engine: Callable[..., Evaluator]
+    any_course: bool
+
+
+def find_agent(name: str, seed: int) -> Agent:
+    """Return an agent by its name; networks draw their start from the seed. Raises KeyError."""
+    following = course_policy(load_circuit("tracking"))
+    if name in LAWS:
+        law = LAWS[name]
+        engine = partial(Evaluator, following, commander=law_commander(law, following))
+        return Agent(gain_box(law), engine, True)
+    if name in NETWORKS:
+        return _network(net_for(following, *NETWORKS[name]), following, seed)
+    if name.startswith("random-"):
+        return _circuit(course_policy(random_circuit(int(name.removeprefix("random-")))), True)
+    known: dict[str, Callable[[], Agent]] = {
+        CIRCUIT: lambda: _circuit(following, True),
+        "absolute": lambda: _circuit(replace(load_policy("parking"), sensing=shifted_sensing()), False),
+        "paper": lambda: _circuit(load_policy("parking"), False),
+    }
+    return known[name]()
+
+
+def _circuit(policy: Policy, any_course: bool) -> Agent:
+    return Agent(policy_box(policy), partial(Evaluator, policy), any_course)
+
+
+def _network(net: Net, policy: Policy, seed: int) -> Agent:
+    start = net.start(np.random.default_rng(np.random.SeedSequence(seed)))
+    box = UnitBox.of(net.layout(), start)
+    return Agent(box, partial(Evaluator, policy, commander=network_commander(net)), True)
+
+
+def compare(name: str, *, seed: int, generations: int, rollouts: int, trained_on: str) -> dict[str, Any]:
+    """Search for an agent as the shipped circuit was searched for, and say how far that came."""
+    began = time.process_time()
+    agent, model, course = find_agent(name, seed), default_rover(), load_course("parking")
+    courses, references = training_courses(
+        course, plan_reference(course), seed, _RANDOM_COURSES if agent.any_course else 0
+    )
+    ranges = load_randomization(trained_on)
+    nothing_yet = draw_trials(ranges, model, seed, count=1, ticks=max(each.ticks for each in courses))
+    drive = drive_trials(
+        agent.engine(courses, trials=nothing_yet, references=references), ranges, model, seed
+    )
+    search = RobustSearch(agent.box, seed=seed, rollouts=rollouts, worst=rollouts)
+    while search.number < generations:
+        last = search.advance(drive)
+        if last.number % _PROGRESS_GENERATIONS == 0:
+            print(f"{name}: generation {last.number}, cost {last.best:.3f}", file=sys.stderr, flush=True)
+
+    def judged(courses: Sequence[Course], ranges: str) -> dict[str, float]:
+        ticks = max(each.ticks for each in courses)
+        trials = draw_trials(load_randomization(ranges), model, _TRIALS_SEED, count=_TRIALS, ticks=ticks)
+        found = agent.engine(courses, trials=trials).outcomes(last.winner)
+        return {
+            "success_rate": float(found.parked.mean()),
+            "error_m_p95": float(np.percentile(found.error_m, 95)),
+        }
+
+    results = {ranges: judged([course], ranges) for ranges in ("mild", "full", "harsh", "skid")}
+    if agent.any_course:
+        results["unseen"] = judged(unseen_courses(_TRIALS_SEED, _UNSEEN), "full")
+    return {
+        "agent": name,
+        "seed": seed,
+        "trained_on": trained_on,
+        "generations": generations,
+        "rollouts": rollouts,
+        "numbers": agent.box.size,
+        "episodes": search.episodes,
+        "cpu_s": round(time.process_time() - began),
+        "made_with": made_with(),
+        **results,
+        "found": last.winner.tolist(),
+    }
+
+
+def main() -> None:
+    """Compare from the command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.compare")
+    parser.add_argument("agent")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--generations", type=int, default=2600)
+    parser.add_argument("--rollouts", type=int, default=144)
+    parser.add_argument("--trained-on", default="harsh", help="ranges of the training's trials")
+    given = parser.parse_args()
+    found = compare(
+        given.agent,
+        seed=given.seed,
+        generations=given.generations,
+        rollouts=given.rollouts,
+        trained_on=given.trained_on,
+    )
+    print(json.dumps(found), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,1 +1,0 @@
-"""Park, evaluate and other experiments that join all parts."""

@@ -1,0 +1,154 @@
+"""Mock, bridge, proxied links and drivers as real processes, and the rover's true motion.
+
+The mock reads the base's faults from its standard input. A wrapper around the command causes hangs
+(`hang.py`), and proxies cause the faults of both links. No process under test has a hook for them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from faults import hang
+from faults.outlet import OutletProcess
+from faults.proxy import Proxy
+from faults.scripted_driver import ScriptedDriver
+from rover_ncp.core.errors import RoverNcpError
+from sim.live.live_run import PIONEER, LiveRun
+from sim.live.processes import Process, wait_for
+
+SPEED_M_S = 0.12
+"""Speed of a scripted driver."""
+CREEP_M_S = 0.05
+"""Speed above which the rover of a circuit counts as moving."""
+STAND_TIMEOUT_S = 8.0
+
+
+class Unsafe(RoverNcpError):
+    """The rover violated a safety requirement."""
+
+    exit_code = 1
+
+
+class Rig(LiveRun):
+    """A live run with two proxies and scripted drivers.
+
+    ``robot`` is the bridge's address; ``through_proxy`` is its address by way of the proxy ``link``. The
+    bridge reaches the base through the proxy ``line``. ``course`` is the course of circuits. ``outlet`` is
+    the kind of `Outlet` that takes the bridge's output.
+    """
+
+    module = hang.__file__
+
+    def __init__(
+        self,
+        folder: Path,
+        course: Path,
+        *,
+        mock: Sequence[str] = (),
+        bridge: Sequence[str] = (),
+        outlet: str = "",
+        base_form: str = PIONEER,
+    ) -> None:
+        super().__init__(folder, mock=mock, bridge=bridge, base_form=base_form)
+        self.course, self._outlet = course, outlet
+        self._scripted: list[ScriptedDriver] = []
+
+    def start(self) -> None:
+        """Start mock, bridge and proxies. Raises ProcessError or TimedOut."""
+        super().start()
+        self.link = self.start_process(lambda: Proxy(self.robot.removeprefix("tcp/"), self.folder, "link"))
+        self.through_proxy = f"tcp/{self.link.address}"
+        self.watcher = self.scripted_driver()
+        """A driver that receives everything and sends nothing."""
+        self.watcher.silent, self.watcher.requests_lease = True, False
+
+    def start_mock(self) -> str:
+        """Start the mock and the proxy ``line`` to it; return the proxy's address."""
+        base = super().start_mock()
+        self.line = self.start_process(lambda: Proxy(base, self.folder, "line"))
+        return self.line.address
+
+    def bridge_process(self, arguments: Sequence[str]) -> Process:
+        """Return the bridge's process, with an outlet if the rig has one."""
+        if self._outlet:
+            return OutletProcess(self._outlet, "bridge", arguments, self.folder, self.module)
+        return super().bridge_process(arguments)
+
+    def drive_course(self, *options: str, robot: str = "") -> Process:
+        """Start a driver with a circuit on the rig's course."""
+        return self.deploy("--course", str(self.course), *options, robot=robot)
+
+    def scripted_driver(self, robot: str = "", lease_s: float = 1.0) -> ScriptedDriver:
+        """Start a scripted driver, in this process."""
+        self._scripted.append(ScriptedDriver(robot or self.robot, lease_s).start())
+        return self._scripted[-1]
+
+    def under_way(self, driver: ScriptedDriver, v: float = SPEED_M_S) -> ScriptedDriver:
+        """Let a scripted driver drive, and wait until the rover does. Raises TimedOut."""
+        driver.velocity = driver.velocity._replace(v=v)
+        wait_for(lambda: abs(self.truth.speed() - v) < 0.01, what="the rover under a scripted driver")
+        return driver
+
+    def driven(self, deploy: Process) -> None:
+        """Wait until a circuit moves the rover. Raises TimedOut or ProcessError."""
+        wait_for(
+            lambda: not deploy.running or abs(self.truth.speed()) > CREEP_M_S, 30.0, "the circuit to drive"
+        )
+        if not deploy.running:
+            raise deploy.failure()
+
+    def stood(self, since_ns: int) -> float:
+        """Return the time in s from ``since_ns`` (machine's monotonic clock) to the rover's stop.
+
+        Raises TimedOut.
+        """
+        return self.truth.stood_after(since_ns, STAND_TIMEOUT_S)
+
+    def late_s(self) -> float:
+        """Return the greatest delay of line and mock, in s, since each last received a line."""
+        return (self.line.tell("").late_ns + self.mock.tell("").late_ns) * 1e-9
+
+    def end(self, driver: ScriptedDriver | Process) -> None:
+        """End a driver."""
+        if isinstance(driver, Process):
+            self.end_process(driver)
+        else:
+            self._scripted.remove(driver)
+            driver.close()
+
+    def close(self) -> None:
+        """End all drivers, then all processes."""
+        for driver in self._scripted:
+            driver.close()
+        super().close()
+
+
+@dataclass
+class Scene:
+    """A rig and its driver: a scripted driver, or the process of a circuit."""
+
+    rig: Rig
+    driver: ScriptedDriver | Process
+    note: str = ""
+    """A property of this injection, if injections differ."""
+
+    @property
+    def scripted(self) -> ScriptedDriver:
+        """The driver, which must be a scripted one."""
+        assert isinstance(self.driver, ScriptedDriver)
+        return self.driver
+
+    @property
+    def process(self) -> Process:
+        """The driver, which must be a process."""
+        assert isinstance(self.driver, Process)
+        return self.driver
+
+    def request_no_lease(self) -> None:
+        """Stop a scripted driver from requesting the lease."""
+        if isinstance(self.driver, ScriptedDriver):
+            self.driver.requests_lease = False
+
+    def dropped(self) -> int:
+        """Return how many commands the gate has dropped."""
+        return sum(self.scripted.gate.dropped.values())

@@ -1,0 +1,383 @@
+"""The safety matrix: every fault, how it is injected into a running `Rig`, and how soon the rover must stand.
+
+The one table behind ``docs/safety.md``, the tests of the matrix and ``make soak``. A row that is missing
+in one of them fails a test.
+
+A fault acts on a moving rover that a circuit or a scripted driver drives. It needs no help from the processes
+under test. After the measurement the fault is removed, and the rover must not move then.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from signal import SIGCONT, SIGKILL, SIGSTOP, SIGUSR1
+from typing import Any, NamedTuple
+
+from faults.hang import HANG_S
+from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
+from faults.rig import SPEED_M_S, Scene, Unsafe
+from faults.scripted_driver import NAME
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.messages import odometry, text, twist_stamped
+from sim.live.processes import Process, wait_for
+
+STOP_S, WATCHDOG_S = 0.5, 2.0
+"""The first safety requirement, and the base's own watchdog."""
+LOW_BATTERY_S = 2.0
+"""How long the voltage must be low before it counts: it sags when the motors start."""
+BRAKING_M_S2, ALPHA_RAD_S2, DELAY_S = 0.31, 1.25, 0.15
+"""The mock's, as a Pioneer's: what "plus braking" means."""
+LONG_LEASE_S = 30.0
+"""With a lease that long, Zenoh itself does not detect a link that is held."""
+LATE_S = 5.0
+FLOOD_S, FLOOD_PER_S = 1.5, 10_000
+NAN_S, NAN_PERIOD_S = 1.0, 0.01
+
+CIRCUIT, SCRIPTED = "circuit", NAME
+"""The drivers."""
+
+
+Act = Callable[[Scene], int | None]
+
+
+class Row(NamedTuple):
+    """A fault of a layer."""
+
+    key: str
+    layer: str
+    fault: str
+    act: Act | None = None
+    """Injects the fault into running processes. Returns when it began, in ns of the monotonic clock, or None
+    for the time of its call."""
+    mend: Callable[[Scene], object] = lambda scene: None
+    """Removes the fault; by default it ends by itself."""
+    ended: str = ""
+    """The reason for which the gate ends the lease, if it always does."""
+    only: str = ""
+    """The only driver under which the fault can be injected, if not both."""
+    requests_lease: bool = True
+    """Whether a scripted driver requests the lease again. False where the gate would grant it at once."""
+    lease_s: float = 1.0
+    """Zenoh lease of a scripted driver."""
+    from_rest: bool = False
+    """Whether the rover stands when the fault begins."""
+    outlet: str = ""
+    """The kind of `Outlet` that takes the bridge's output, which stops just before the fault."""
+
+    @property
+    def drivers(self) -> tuple[str, ...]:
+        """The drivers under which the fault can be injected."""
+        return (self.only,) if self.only else (SCRIPTED, CIRCUIT)
+
+    @property
+    def link_fault(self) -> bool:
+        """Whether the fault is on the driver's own link, which then goes through the proxy."""
+        return self.layer == "link"
+
+    @property
+    def losing(self) -> bool:
+        """Whether the driver may miss messages once the fault has begun."""
+        return self.layer in {"deploy", "link", "bridge"}
+
+    @property
+    def bound_s(self) -> float:
+        """The rover stands within this time plus braking."""
+        if self.layer in {"line", "bridge"}:
+            return WATCHDOG_S
+        return STOP_S + (LOW_BATTERY_S if self.key == "low-battery" else 0.0)
+
+    @property
+    def allowed(self) -> str:
+        """The bound in words."""
+        return f"{WATCHDOG_S:g} s + {STOP_S:g} s" if self.bound_s > WATCHDOG_S else f"{self.bound_s:g} s"
+
+
+def braking_s(v: float, omega: float = 0.0) -> float:
+    """Return how long the base takes to stand, in s, from a speed in m/s and a turn rate in rad/s."""
+    return DELAY_S + max(abs(v) / BRAKING_M_S2, abs(omega) / ALPHA_RAD_S2)
+
+
+# Injections of faults, and their removal.
+
+
+def _tell_line(command: str) -> Act:
+    return lambda scene: scene.rig.line.tell(command).t_ns
+
+
+def _tell_link(command: str) -> Act:
+    return lambda scene: scene.rig.link.tell(command).t_ns
+
+
+_hold, _release = _tell_link("hold"), _tell_link("release")
+
+
+def _signal_driver(number: int) -> Act:
+    return lambda scene: scene.process.send_signal(number)
+
+
+def _signal_bridge(number: int) -> Act:
+    return lambda scene: scene.rig.bridge.send_signal(number)
+
+
+def _hang(process: Process) -> int:
+    return process.answer_to(lambda: process.send_signal(SIGUSR1)).t_ns
+
+
+def _payload(data: bytes) -> Act:
+    return lambda scene: setattr(scene.scripted, "payload", data)
+
+
+def _clock_back(scene: Scene) -> None:
+    scene.scripted.age_s = 3600.0
+
+
+def _silence(scene: Scene) -> None:
+    scene.scripted.silent = True
+
+
+def _nan_odometry(scene: Scene) -> None:
+    """Publish odometry that is not a number, ten times as often as the base publishes its own."""
+    end = time.monotonic() + NAN_S
+    while time.monotonic() < end:
+        nowhere = odometry(Pose(math.nan, math.nan, math.nan), Velocity(math.nan, 0.0), time.time_ns())
+        scene.rig.watcher.session.put("odom", nowhere)
+        time.sleep(NAN_PERIOD_S)
+
+
+def _resume_bridge(scene: Scene) -> None:
+    """Let a stopped bridge continue; many old commands wait for it."""
+    scene.request_no_lease()
+    scene.rig.bridge.send_signal(SIGCONT)
+
+
+def _outlast_hang(scene: Scene) -> None:
+    """Wait until the bridge's hang ends; many old commands wait for it."""
+    scene.request_no_lease()
+    # The base's watchdog stopped the rover after 2 s. The hang ends at least 1 s before this.
+    time.sleep(HANG_S - 1.0)
+
+
+def _release_without_lease(scene: Scene) -> None:
+    """Release the link once the lease has lapsed; an earlier release would only pause the drive."""
+    wait_for(lambda: not scene.rig.watcher.gate.lease, what="the lease to lapse")
+    _release(scene)
+
+
+def _hold_commands(scene: Scene) -> int | None:
+    """Hold only commands, and no requests for the lease."""
+    held_ns = _hold(scene)
+    scene.request_no_lease()
+    return held_ns
+
+
+def _deliver_late(scene: Scene) -> None:
+    """Release the held commands when the first of them are `LATE_S` old, and wait until all are dropped."""
+    time.sleep(LATE_S - 1.0)
+    dropped = scene.dropped()
+    _silence(scene)
+    _release(scene)
+    wait_for(lambda: scene.dropped() - dropped > 70, what="the old commands to arrive")
+
+
+def _hold_first_commands(scene: Scene) -> int:
+    """Hold the first commands of a drive until most of them are old, then deliver them."""
+    driver = scene.scripted
+    wait_for(lambda: driver.driving, what="the lease")
+    held_ns = _hold_commands(scene) or 0
+    driver.velocity, driver.silent = Velocity(SPEED_M_S, 0.0), False
+    time.sleep(0.8)  # the lease is still valid when they arrive
+    dropped = scene.dropped()
+    _silence(scene)
+    _release(scene)
+    wait_for(lambda: scene.dropped() - dropped > 8, what="the old commands to be dropped")
+    if any(abs(state.velocity.v) >= SPEED_M_S for state in scene.rig.truth.since(held_ns)):
+        raise Unsafe("old commands drove the rover")
+    # Commands of the last 0.2 s are fresh; each of them is valid for 0.3 s.
+    return driver.last_sent_ns
+
+
+def _release_slow_link(scene: Scene) -> None:
+    wait_for(lambda: scene.scripted.gate.dropped.get("stale", 0), what="a stale command")
+    wait_for(lambda: not scene.scripted.gate.lease, what="the lease to lapse")
+    _silence(scene)
+    _release(scene)
+
+
+def _foreign_publisher(scene: Scene) -> int:
+    """Let a foreign publisher send other commands; then silence the driver that has the lease."""
+    rig = scene.rig
+    stranger = rig.scripted_driver()
+    stranger.requests_lease, stranger.velocity = False, Velocity(-0.3, 0.6)
+    began_ns = time.monotonic_ns()
+    time.sleep(0.5)
+    velocities = [state.velocity for state in rig.truth.since(began_ns)]
+    if any(omega != 0.0 or abs(v - SPEED_M_S) > 0.02 for v, omega in velocities):
+        raise Unsafe("a foreign publisher moved the rover")
+    silent_ns = time.monotonic_ns()
+    _silence(scene)
+    time.sleep(1.0)
+    rig.end(stranger)
+    return silent_ns
+
+
+def _flood(scene: Scene) -> int:
+    """Let a foreign publisher send commands as fast as it can while the driver falls silent."""
+    stranger = scene.rig.scripted_driver()
+    stranger.requests_lease, stranger.silent = False, True
+    command, sent, began = twist_stamped(Velocity(0.3, 0.0), 0), 0, time.monotonic()
+    silent_ns = time.monotonic_ns()
+    _silence(scene)
+    while (elapsed := time.monotonic() - began) < FLOOD_S:
+        if sent < elapsed * FLOOD_PER_S:
+            stranger.send(command)
+            sent += 1
+        else:  # a stranger's computer takes no time from the robot's
+            time.sleep(0.001)
+    scene.note = f"{sent / FLOOD_S:,.0f} a second"
+    scene.rig.end(stranger)
+    return silent_ns
+
+
+def _start_bridge(scene: Scene) -> None:
+    scene.rig.start_bridge()
+
+
+def _release_stop(scene: Scene) -> None:
+    scene.rig.watcher.stop(release=True)
+
+
+def _request_stop(scene: Scene) -> None:
+    if not scene.rig.watcher.stop():
+        raise Unsafe("the bridge does not answer rover/stop")
+
+
+def _with_outlet_blocked(act: Act) -> Act:
+    """Return a fault that begins when the bridge's output has just been blocked: the bridge cannot log it."""
+
+    def act_blocked(scene: Scene) -> int | None:
+        assert isinstance(scene.rig.bridge, OutletProcess)  # the row names an outlet
+        scene.rig.bridge.outlet.block()
+        return act(scene)
+
+    return act_blocked
+
+
+# The rows.
+
+_GOOD = twist_stamped(Velocity(0.2, 0.0), 0)
+_NAN = twist_stamped(Velocity(math.nan, 0.0), 0)
+_INFINITE = twist_stamped(Velocity(0.1, -math.inf), 0)
+_ODOMETRY = odometry(Pose(0.2, 0.2, 0.2), Velocity(0.2, 0.2), 0)
+_LAPSED, _NO_BASE = "lease-lapsed", "no-base"
+_HUNG, _NAN_WORDS = "hung, the interpreter's lock held", "odometry not a number, between the base's own"
+_PULLED = "to the base pulled: nothing comes, nothing goes"
+
+
+def _base(key: str, fault: str, line: str, ended: str = "", **more: Any) -> Row:
+    return Row(key, "base", fault, lambda scene: scene.rig.mock.tell(line).t_ns, ended=ended, **more)
+
+
+def _deploy(key: str, fault: str, act: Act, mend: Act = lambda scene: None) -> Row:
+    return Row(key, "deploy", fault, act, mend, only=CIRCUIT)
+
+
+def _link(key: str, fault: str, act: Act, mend: Callable[[Scene], object], **more: Any) -> Row:
+    return Row(key, "link", fault, act, mend, **{"only": SCRIPTED} | more)
+
+
+def _command(key: str, fault: str, act: Act) -> Row:
+    return Row(key, "command", fault, act, only=SCRIPTED)
+
+
+_BUMPER = _base("bumper", "bumper", "bumper@0-1.5", "bumper")
+_STALL = _base("stall", "stall", "stall@0-1.5", "stall")
+_STOP_BUTTON = _base("stop-button", "stop button", "stop-button@0-1.5", "stop-button")
+
+_ROWS = (
+    _base("odometry-frozen", "odometry frozen, SIPs go on", "freeze-odometry@0-3", "odometry-frozen"),
+    _base("odometry-jumps", "odometry jumps by 0.5 m", "jump-odometry@0-3", only=CIRCUIT),
+    Row("odometry-nan", "base", _NAN_WORDS, _nan_odometry, only=CIRCUIT),
+    _base("mute", "mute (no SIPs)", "mute@0-2", _NO_BASE),
+    *(_BUMPER, _STALL, _STOP_BUTTON),
+    _base("low-battery", "low battery (2 s below 11 V)", "low-battery=10@0-4", "low-battery"),
+    _base("restart", "restarts", "reset@0-0.05", _NO_BASE, requests_lease=False),
+    Row("wall", "base", "a wall within `sonar_stop_m`"),  # a test of its own: it needs another course
+    Row(
+        "line-reset",
+        "line",
+        "to the base cut by a TCP reset",
+        _tell_line("reset"),
+        ended=_NO_BASE,
+        requests_lease=False,
+    ),
+    Row("line-pulled", "line", _PULLED, _tell_line("hold_both_ways"), _tell_line("release"), _NO_BASE),
+    _deploy("deploy-killed", "killed (SIGKILL)", _signal_driver(SIGKILL)),
+    _deploy("deploy-stopped", "stopped (SIGSTOP)", _signal_driver(SIGSTOP), _signal_driver(SIGCONT)),
+    _deploy("deploy-hung", _HUNG, lambda scene: _hang(scene.process), _signal_driver(SIGKILL)),
+    _link("deploy-held", "deploy's link held back", _hold, _release_without_lease, only=CIRCUIT),
+    _link(
+        "link-late",
+        "commands 5 s late, all arrive",
+        _hold_commands,
+        _deliver_late,
+        lease_s=LONG_LEASE_S,
+        ended=_LAPSED,
+    ),
+    _link("link-cut", "cut", _tell_link("cut"), _release_without_lease, only=""),
+    # The driver sends only commands: a late request for the lease would make stale commands look fresh.
+    _link(
+        "link-slow",
+        "slow: 1 kB/s, commands later and later",
+        _tell_link("throttle 1000"),
+        _release_slow_link,
+        requests_lease=False,
+    ),
+    _link(
+        "link-held-first",
+        "held back before the first command",
+        _hold_first_commands,
+        _release,
+        lease_s=LONG_LEASE_S,
+        from_rest=True,
+    ),
+    _command("not-a-number", "not a number", _payload(_NAN)),
+    _command("infinite", "infinite", _payload(_INFINITE)),
+    _command("truncated", "truncated", _payload(_GOOD[:-5])),
+    _command("oversized", "oversized", _payload(_GOOD + bytes(500_000))),
+    _command("another-type", "of another type", _payload(_ODOMETRY)),
+    _command("no-type", "of no type", _payload(text("forward!"))),
+    _command("clock-back", "stamped an hour ago", _clock_back),
+    _command("foreign", "a foreign publisher goes on", _foreign_publisher),
+    _command("flood", "a flood of commands", _flood),
+    Row("bridge-stopped", "bridge", "stopped (SIGSTOP)", _signal_bridge(SIGSTOP), _resume_bridge),
+    Row("bridge-hung", "bridge", _HUNG, lambda scene: _hang(scene.rig.bridge), _outlast_hang),
+    Row("bridge-killed", "bridge", "killed (SIGKILL)", _signal_bridge(SIGKILL), _start_bridge),
+)
+_OUTLETS = {
+    TERMINAL: "the bridge's terminal stopped (Ctrl-S)",
+    PIPE: "the bridge's pipe full",
+    GONE: "the bridge's reader gone",
+}
+_WITH_OUTLET = (
+    *(_BUMPER, _STALL, _STOP_BUTTON),
+    Row("stop-query", "", "`rover/stop`", _request_stop, _release_stop, "stopped"),
+    Row("silence", "", "no more commands", _silence, ended=_LAPSED, requests_lease=False),
+)
+
+MATRIX: tuple[Row, ...] = (
+    *_ROWS,
+    *(
+        row._replace(
+            key=f"{outlet}-{row.key}",
+            layer="output",
+            fault=f"{state}, then {row.fault}",
+            act=_with_outlet_blocked(row.act),
+            only=SCRIPTED,
+            outlet=outlet,
+        )
+        for outlet, state in _OUTLETS.items()
+        for row in _WITH_OUTLET
+        if row.act is not None
+    ),
+)
+ROWS = {row.key: row for row in MATRIX}

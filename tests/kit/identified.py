@@ -1,0 +1,116 @@
+"""Random robots, driven as `rover-ncp identify` does on a virtual clock, and the truth about them."""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bridge.pioneer.setpoints import MotionLimits
+from deploy.drive.measurements import Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.identify.excitation import FENCE_M, excite
+from deploy.identify.fit import identify
+from deploy.identify.motion_log import motion_log
+from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.geometry import Pose
+from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance
+from rover_ncp.core.recording import Recorded
+from rover_ncp.core.robot_profile import OF_THE_GROUND, RoverProfile
+from sim.pioneer.firmware import Firmware
+from sim.pioneer.trial import BaseTrial, rover_of
+from sim.stack.virtual import VirtualBridge, VirtualLink
+from sim.world.described import default_rover
+from sim.world.pymunk_rover import Ground
+from sim.world.randomization import Randomization, Trials, draw_trials
+from sim.world.rover import SUBSTEP_S
+
+TICKS = 600
+"""How long a robot's trial lasts: longer than the drive that identifies it."""
+OUTSIDE_M, OUTSIDE_RAD = 0.005, 0.0087
+"""Noise of the external poses."""
+
+
+class Error(NamedTuple):
+    """Found minus true value, and the standard deviation in the profile; in the value's unit."""
+
+    error: float
+    std: float
+
+
+def robot(ranges: Randomization, seed: int, number: int) -> Trials:
+    """Draw a robot, as row 0."""
+    return draw_trials(ranges, default_rover(), seed, count=1, ticks=TICKS, first=number)
+
+
+def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Recorded]:
+    """Drive a robot as `identify` does, through firmware, bridge and driver's code on a virtual clock."""
+    rover = rover_of(trials, default_rover(), Ground(()))
+    bridge = VirtualBridge(Firmware(USUAL_ROBOT, rover, trial=BaseTrial(trials)))
+    received: list[Recorded] = []
+    look = _camera(rover, bridge, received, np.random.default_rng(seed)) if outside else lambda: None
+
+    def record(message: Recorded) -> None:
+        received.append(message)
+        if message.topic == "odom":
+            look()
+
+    link = VirtualLink(bridge, rover.pose, record)
+    measurements = Measurements(link)
+    monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
+    monitor.wait()
+    excite(link, measurements, monitor, FENCE_M, bridge)
+    return received
+
+
+def identified(trials: Trials, *, outside: bool = False, seed: int = 0) -> RoverProfile:
+    """Drive and identify a robot."""
+    return identify(motion_log(driven(trials, outside=outside, seed=seed)), "mock")
+
+
+def _camera(
+    rover: Any, bridge: VirtualBridge, received: list[Recorded], noise: np.random.Generator
+) -> Callable[[], None]:
+    """Return a camera above the ground, which publishes where the rover is when it is called."""
+    spread = np.diag(np.square([OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]))
+
+    def look() -> None:
+        seen = np.array(rover.pose) + noise.normal(size=3) * [OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]
+        now = bridge.time_ns()
+        data = pose_with_covariance(Pose(*seen.tolist()), spread, now, COURSE_FRAME)
+        received.append(Recorded("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", data, now, now))
+
+    return look
+
+
+def truth(ranges: Randomization, trials: Trials) -> dict[str, float]:
+    """Return the true values of the robot in row 0, by their names in a profile."""
+    odometry, limits = trials.odometry[0], MotionLimits()
+    delay_v, delay_omega = (trials.delay[0] * SUBSTEP_S).tolist()
+    gain_v, gain_omega = (trials.gain[0] * odometry).tolist()
+    accel, alpha, decel, alpha_decel = trials.acceleration[0].tolist()
+    turn_gain, rotation_center_m = trials.turning[0].tolist()
+    return {
+        "delay_v_s": delay_v,
+        "delay_omega_s": delay_omega,
+        # As the bridge sets them in the base, in whole mm/s² and deg/s².
+        "accel": round(limits.accel * 1000) / 1000 * accel,
+        "decel": round(limits.decel * 1000) / 1000 * decel,
+        "alpha": math.radians(round(math.degrees(limits.alpha))) * alpha * turn_gain,
+        "alpha_decel": math.radians(round(math.degrees(limits.alpha_decel))) * alpha_decel * turn_gain,
+        "gain_v": gain_v,
+        "gain_omega": gain_omega,
+        "noise_m": ranges.noise_m,
+        "noise_rad": ranges.noise_rad,
+        "odometry_distance": float(odometry[0]),
+        "odometry_heading": float(odometry[1]) / turn_gain,
+        "rotation_center_m": rotation_center_m,
+        "imbalance_rad_m": float(trials.imbalance[0]) * turn_gain,
+        "slip_s": float(trials.slip[0]) / turn_gain,
+        **dict.fromkeys(OF_THE_GROUND, 0.0),  # level
+    }
+
+
+def errors(found: RoverProfile, true: dict[str, float]) -> dict[str, Error]:
+    """Compare the values of a profile that have a standard deviation with the truth."""
+    return {key: Error(getattr(found, key) - true[key], std) for key, std in found.std.items()}

@@ -1,0 +1,53 @@
+"""Comparisons of controllers: each is searched and judged as the circuit is, on the same trials."""
+
+import numpy as np
+import pytest
+
+from benchmarks.compare import find_agent
+from benchmarks.paired import Paired, paired, parked
+from rover_ncp.course.course import load_course
+from sim.evaluate.driver import load_driver
+from sim.evaluate.evaluate import evaluate
+from sim.world.randomization import load_randomization
+
+
+@pytest.mark.parametrize(
+    ("name", "numbers"),
+    [("circuit", 89), ("mlp", 90), ("lstm-small", 116), ("smooth", 6), ("random-0", None), ("paper", None)],
+)
+def test_agents_start_inside_their_bounds(name, numbers):
+    box = find_agent(name, 3).box
+    assert numbers is None or len(box.start) == numbers
+    assert ((box.start >= 0.0) & (box.start <= 1.0)).all()
+    again = find_agent(name, 3).box
+    assert np.array_equal(box.vectors(box.start[None]), again.vectors(again.start[None]))
+
+
+def test_networks_draw_their_start_from_the_seed():
+    starts = [find_agent("mlp", seed).box.start for seed in (1, 2)]
+    assert not np.array_equal(*starts)
+
+
+def test_unknown_agent_is_refused():
+    with pytest.raises(KeyError):
+        find_agent("oracle", 0)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "p"), [(0, 0, 1.0), (3, 3, 1.0), (0, 5, 2 / 32), (5, 0, 2 / 32), (1, 9, 22 / 1024)]
+)
+def test_the_chance_of_a_split_is_that_of_a_coin(first, second, p):
+    assert Paired(both=7, first_only=first, second_only=second, neither=2).p == pytest.approx(p)
+
+
+def test_trials_are_counted_pair_by_pair():
+    one = np.array([True, True, True, False, False])
+    other = np.array([True, False, False, True, False])
+    assert paired(one, other) == Paired(both=1, first_only=2, second_only=1, neither=1)
+
+
+@pytest.mark.parametrize("driver", ["course", "kanayama"])
+def test_the_trials_are_those_of_an_evaluation(driver):
+    course, ranges = load_course("parking"), load_randomization("harsh")
+    found = parked(driver, [course], ranges, trials=100, seed=9)
+    assert found.mean() == evaluate(load_driver(driver), [course], ranges, trials=100, seed=9).success_rate

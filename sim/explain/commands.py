@@ -112,7 +112,7 @@ def report(
     time slider, with a sentence for each phase of the manoeuvre. It holds all its data and loads nothing from
     the network.
     """
-    from sim.explain.files import write_animation, write_page
+    from sim.explain.report import write_animation, write_page
 
     output = Output(json)
     if animation is not None:

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.report.charts.animation import FORMATS, animate
 from deploy.report.charts.circuit import circuit
 from deploy.report.charts.figure import Picture
 from deploy.report.charts.neuron_pairs import phase_plots, slope_histograms
@@ -19,11 +18,8 @@ from deploy.report.interpretation import (
     SYMBOLS,
     Contribution,
 )
-from deploy.report.page.page import drive_page
-from deploy.report.recorded_drive import read_drive
 from deploy.report.sentences import number
-from rover_ncp.core.errors import UsageError
-from rover_ncp.core.files import existing_file, require_writable, write_atomic
+from rover_ncp.core.files import write_atomic
 from sim.explain.charts import knock_out_chart, return_chart, sensitivity_chart
 from sim.explain.explain import Explanation
 from sim.explain.task import TaskExplanation
@@ -268,23 +264,3 @@ def _counts(one: Contribution) -> list[Any]:
 
 def _images(names: Iterable[str]) -> str:
     return "\n".join(f"![{name.replace('_', ' ')}]({name}.png)" for name in names)
-
-
-def write_page(source: Path, out: Path | None = None) -> Path:
-    """Write the report of a recording, beside it by default, and return its path.
-
-    Raises FileError and ConfigError.
-    """
-    path = out or existing_file(source).with_suffix(".html")
-    require_writable(path)
-    write_atomic(path, drive_page(read_drive(source)))
-    return path
-
-
-def write_animation(source: Path, out: Path) -> None:
-    """Write a recorded drive as an animated picture. Raises FileError, ConfigError and UsageError."""
-    if out.suffix not in FORMATS:
-        raise UsageError(f"--animation {out}: expected a file that ends in {' or '.join(FORMATS)}")
-    require_writable(out)
-    drive = read_drive(source)
-    write_atomic(out, animate(drive.timeline.trace(), drive.course, out.suffix))

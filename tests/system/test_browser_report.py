@@ -7,7 +7,7 @@ from recorded_drives import BEGAN_NS, TICK_NS, write_drive
 from rover_ncp.core import messages
 from rover_ncp.core.protocol import DriverStatus, dump_json
 from rover_ncp.core.recording import Recorded
-from sim.explain.files import write_page
+from sim.explain.report import write_page
 
 pytestmark = pytest.mark.browser
 

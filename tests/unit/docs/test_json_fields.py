@@ -24,10 +24,7 @@ SEQUENCES = [
     {f"eval parking --course {SHORT} --trials 2 --randomize mild": ["eval --trials"]},
     {f"eval course --course {SHORT} --stack --trials 2": STACK},
     {"eval wall.yaml --task wall:FollowWall-v0 --trials 2": ["eval --task, an environment"]},
-    {
-        f"train --course {SHORT} --agents 1 --iterations 2 --processes 1 --out run": ["train"],
-        "report run": ["report"],
-    },
+    {f"train --course {SHORT} --agents 1 --iterations 2 --processes 1 --out run": ["train"]},
     {
         f"train --randomize mild --course {SHORT} --iterations 1 --rollouts 2 --random-courses 0 --out run": [
             "train --randomize"

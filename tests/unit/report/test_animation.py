@@ -9,7 +9,7 @@ from PIL import Image
 from recorded_drives import write_drive
 
 from rover_ncp.core.errors import UsageError
-from sim.explain.files import write_animation
+from sim.explain.report import write_animation
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])

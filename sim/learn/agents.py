@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.streams import Domain, random_stream
 from sim.learn.search.base import SearchState, Strategy
 from sim.learn.search.strategies import start_search
 from sim.learn.workers import MadeOnce, Result, Workers
@@ -34,8 +35,6 @@ ROUND_ITERATIONS = 100
 _PORTION_S = 0.5
 """CPU time for which a worker advances agents: lanes run empty at its end, and a display waits for it. Not
 wall time, in which a busy machine may do too little to be worth handing the agents over."""
-_SEARCH_STREAM = 0
-"""Second element of an agent's spawn key."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +125,7 @@ class Progress(NamedTuple):
 
 def revive(plan: Plan, agent: AgentState) -> Strategy:
     """Return the agent's search as it stood. Raises ValueError, KeyError or TypeError for a damaged state."""
-    seed = np.random.SeedSequence(plan.root_seed, spawn_key=(agent.number, _SEARCH_STREAM))
-    generator = np.random.Generator(np.random.PCG64(seed))
+    generator = random_stream(plan.root_seed, Domain.AGENT, agent.number)
     search = start_search(plan.strategy, plan.start.layout(), plan.start.parameters(), generator, plan.inert)
     if agent.search is not None:
         search.restore(agent.search)

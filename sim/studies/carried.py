@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rover_ncp.core.geometry import Pose
+from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S, load_course
 from sim.evaluate.driver import load_driver
 from sim.pioneer.trial import Drawn
@@ -35,7 +36,7 @@ class CarriedStack(Stack):
 
     def displacement(self, number: int) -> tuple[int, Pose]:
         """Return tick and displacement of a trial."""
-        stream = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number, 4)))
+        stream = random_stream(self.seed, Domain.DISPLACEMENT, number)
         tick, direction = round(stream.uniform(*WAY_S) / TICK_S), stream.uniform(-math.pi, math.pi)
         if self.turned:
             return tick, Pose(0.0, 0.0, math.copysign(TURNED_RAD, direction))

@@ -32,6 +32,7 @@ from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.circuit.sensing import shifted_sensing
 from rover_ncp.circuit.tap_withdrawal import random_circuit
+from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate.driver import CIRCUIT, NETWORKS
@@ -84,7 +85,7 @@ def _circuit(policy: Policy, any_course: bool) -> Agent:
 
 
 def _network(net: Net, policy: Policy, seed: int) -> Agent:
-    start = net.start(np.random.default_rng(np.random.SeedSequence(seed)))
+    start = net.start(random_stream(seed, Domain.NETWORK_START))
     box = UnitBox.of(net.layout(), start)
     return Agent(box, partial(Evaluator, policy, commander=network_commander(net)), True)
 

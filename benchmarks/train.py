@@ -28,6 +28,7 @@ import numpy as np
 from rover_ncp.circuit.compiled import allocate_lanes, make_program, resting_potentials
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.circuit.solver import tick_lanes
+from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S
 from rover_ncp.kernels.jit import kernel
 from sim.learn.agents import AgentState, Plan, split
@@ -152,7 +153,7 @@ def tick_alone(runner: PolicyRunner) -> None:
 
 def _candidates(policy: Policy, count: int) -> np.ndarray:
     layout = policy.layout()
-    noise = np.random.default_rng(0).normal(size=(count, layout.size))
+    noise = random_stream(0, Domain.STUDY).normal(size=(count, layout.size))
     vectors = policy.parameters() + 0.05 * noise * (layout.upper - layout.lower)
     return np.clip(vectors, layout.lower, layout.upper)
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rover_ncp.circuit.policy import Policy
     from rover_ncp.course.course import Course
+    from sim.evaluate.driver import Driver
     from sim.evaluate.evaluate import Evaluation
     from sim.explain.explain import Explanation
     from sim.explain.task import TaskExplanation
@@ -103,21 +104,24 @@ def evaluate(
     randomize: str | Path = "none",
     seed: int = 0,
 ) -> "Evaluation":
-    """Drive random trials, trial i on course i modulo their number, and return how they ended."""
-    from sim.evaluate.driver import Driver
+    """Drive random trials, trial i on course i modulo their number, and return how they ended.
+
+    ``policy`` may also name a tracking law, as ``rover-ncp eval`` takes them.
+    """
     from sim.evaluate.evaluate import evaluate as run
     from sim.world.described import ranges_for
 
     many = [course] if isinstance(course, str | Path) or not isinstance(course, Sequence) else course
     ranges = ranges_for(randomize, None)
-    return run(Driver(_policy(policy)), [_course(each) for each in many], ranges, trials=trials, seed=seed)
+    return run(_driver(policy), [_course(each) for each in many], ranges, trials=trials, seed=seed)
 
 
 def rollout(policy: "Policy | str | Path", course: "Course | str | Path" = "parking") -> "Rollout":
-    """Drive a course once and return the trace of poses, commands and potentials."""
+    """Drive a course once and return the trace of poses, commands and potentials; a law has none."""
     from sim.learn.rollout import rollout as run
 
-    return run(_policy(policy), _course(course))
+    driver = _driver(policy)
+    return run(driver.policy, _course(course), runner=driver.runner())
 
 
 def explain(source: str | Path, course: str | None = None) -> "Explanation":
@@ -134,10 +138,10 @@ def explain_task(source: "str | Path | None", task: str) -> "Explanation | TaskE
     return run(None if source is None else str(source), task)
 
 
-def _policy(given: "Policy | str | Path") -> "Policy":
-    from rover_ncp.circuit.policy_file import load_policy
+def _driver(given: "Policy | str | Path") -> "Driver":
+    from sim.evaluate.driver import Driver, load_driver
 
-    return load_policy(given) if isinstance(given, str | Path) else given
+    return load_driver(str(given)) if isinstance(given, str | Path) else Driver(given)
 
 
 def _course(given: "Course | str | Path") -> "Course":

@@ -27,6 +27,10 @@ ORDER = ["PVD", "AVM", "PLM", "ALM", "DVA", "PVC", "AVD", "AVB", "AVA", "LFT", "
 """Neurons of the shipped wirings, in each row from left to right."""
 FITTING = 5
 """Letters of a name that fit into a neuron, in figures and pages."""
+FITTING_SMALL, NAME_LINES = 6, 2
+"""The same in smaller letters on a page, which has lines for longer names."""
+MOTIONS = {("v", 1): "forward", ("v", -1): "backward", ("omega", 1): "left", ("omega", -1): "right"}
+"""What a part of a rover's command does, by its sign."""
 SWEEPS = 4
 BENDS = (0.0, 0.08, -0.08, 0.15, -0.15, 0.25, -0.25)
 """Distances of a curve's middle from the straight line, in lengths of the line."""
@@ -69,10 +73,10 @@ def layers(policy: Policy) -> tuple[str, ...]:
 
 
 def labels(policy: Policy) -> dict[str, str]:
-    """Return the inputs of sensory neurons and the outputs of motor neurons, as in ``omega > 0``.
+    """Return the inputs of sensory neurons and what motor neurons do, as in ``heading > 0`` and ``left``.
 
     Of a channel that a layer mixes, the label has the two strongest parts: ``speed − heading > 0`` is sensed,
-    ``v > 0, omega < 0`` is driven. Parts below a quarter of the strongest are left out.
+    ``forward, right`` is driven. Parts below a quarter of the strongest are left out.
     """
     sensing, motors = policy.sensing, policy.motors
     found: dict[str, str] = {}
@@ -90,7 +94,11 @@ def labels(policy: Policy) -> dict[str, str]:
         one_sided = len(channel.sides) == 1 and policy.output_layer is None
         for neuron, end in channel.sides:
             parts = _strongest(motors.outputs, end * layer[:, number])
-            driven = [name if one_sided else f"{name} {'>' if sign > 0 else '<'} 0" for name, sign in parts]
+            driven = [
+                MOTIONS.get((name, 1 if weight > 0 else -1))
+                or (name if one_sided else f"{name} {'>' if weight > 0 else '<'} 0")
+                for name, weight in parts
+            ]
             found[neuron] = ", ".join([*([found[neuron]] if neuron in found else []), *driven])
     return found
 
@@ -104,6 +112,19 @@ def _strongest(names: Sequence[str], weights: FloatArray) -> list[tuple[str, flo
     """Return the two largest weights of a mixture, with their names, in the order of the names."""
     least = max(np.sort(np.abs(weights))[-2:][0], 0.25 * np.abs(weights).max())
     return [(name, float(w)) for name, w in zip(names, weights, strict=True) if abs(w) >= least]
+
+
+def name_lines(name: str) -> list[str]:
+    """Return a neuron's name as lines that fit into its circle on a page; "…" stands for the rest."""
+    if len(name) <= FITTING:
+        return [name]
+    lines, rest = list[str](), name
+    while rest and len(lines) < NAME_LINES:
+        # Beside an underscore if one is near the end of the line.
+        ends = [end for end in range(FITTING_SMALL, 2, -1) if "_" in rest[end - 1 : end + 1]]
+        lines.append(rest[: ends[0] if ends and len(rest) > FITTING_SMALL else FITTING_SMALL])
+        rest = rest[len(lines[-1]) :]
+    return [*lines[:-1], lines[-1][: FITTING_SMALL - 1] + "…"] if rest else lines
 
 
 def name_scale(name: str) -> float:

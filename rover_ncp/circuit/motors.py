@@ -95,7 +95,8 @@ def course_motors() -> Motors:
         outputs=("v", "omega"),
         limits=(COMMAND_MAX.v, COMMAND_MAX.omega),
         channels=(
-            Channel(name="forward", positive="FWD", maximum=1.0),
-            Channel(name="reverse", positive="REV", maximum=1.0),
+            # Named as in the paper's wiring; both drive forward, each to the side away from its track.
+            Channel(name="left_track", positive="FWD", maximum=1.0),
+            Channel(name="right_track", positive="REV", maximum=1.0),
         ),
     )

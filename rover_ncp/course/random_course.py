@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.course.reference import OMEGA_MAX, Reference, drive_profile
 
@@ -27,7 +28,7 @@ _DECIMALS = 6
 
 def random_course(seed: int, number: int) -> tuple[Course, Reference]:
     """Return course ``number`` of a seed, and the drive it was made from."""
-    stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+    stream = random_stream(seed, Domain.COURSE, number)
     knots = round(HORIZON_S / _KNOT_S) + 1
     v, omega = np.zeros(knots), np.zeros(knots)
     begin = at = int(stream.integers(2, 8))

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.core.geometry import Pose
+from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.reference import SIGNALS, Reference, see
 from rover_ncp.export.circuit_c import fill, literal
@@ -39,7 +40,7 @@ def drives(policy: Policy) -> bool:
 
 def make_vectors(policy: Policy, course: Course, reference: Reference | None, seed: int = 0) -> Vectors:
     """Run a policy on random observations: poses near the course, or numbers in -1..1 without one."""
-    generator = np.random.default_rng(seed)
+    generator = random_stream(seed, Domain.EXPORT_VECTORS)
     poses = None
     observations = generator.uniform(-1.0, 1.0, (TICKS, len(policy.sensing.inputs)))
     if drives(policy):

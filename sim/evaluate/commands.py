@@ -232,13 +232,14 @@ def evaluate(options: EvalOptions) -> int:
 
 def _drive_once(options: EvalOptions) -> int:
     """Drive once on the nominal rover model."""
-    from rover_ncp.circuit.policy_file import load_policy
     from sim.evaluate.courses import fitted_courses
+    from sim.evaluate.driver import load_driver
     from sim.learn.rollout import rollout
     from sim.world.described import described_rover
 
     (course,), robot, fitted = fitted_courses(options)
-    run = rollout(load_policy(options.policy), course, described_rover(robot) if robot else None)
+    driver, model = load_driver(options.policy), described_rover(robot) if robot else None
+    run = rollout(driver.policy, course, model, runner=driver.runner())
     verdict = run.verdict
     fields = {
         "return": run.total,  #: the paper's; 0 is out of reach
@@ -258,9 +259,12 @@ def _drive_once(options: EvalOptions) -> int:
 
 def _play_task(options: EvalOptions, task: str) -> int:
     """Play a task; return 1 if a single episode was played and no success."""
+    from sim.learn.laws import LAWS
     from sim.paper.score_file import EPISODES, score_circuit
     from sim.paper.tasks import TASKS
 
+    if options.policy in LAWS:
+        raise UsageError(f"{options.policy} follows a course: --task needs a policy or a circuit")
     others = ("course", "stack", "live", "profile", "randomize", "random_courses")
     if any(getattr(options, name) for name in others):
         raise UsageError("--task goes with --range, --trials and --seed alone")

@@ -17,10 +17,11 @@ from deploy.report.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import UsageError
+from rover_ncp.core.streams import Domain, episode_seeds
 from sim.explain.explain import Explanation, command_line, explain_stored
 from sim.explain.what_if import Sensitivity, damaged, part_title, sensitivities_of
 from sim.learn.environment import EnvironmentEvaluator, Play
-from sim.learn.search.base import Seeds, draw_seeds
+from sim.learn.search.base import Seeds
 from sim.paper.agents import build_agent
 from sim.paper.play import BenchmarkEpisodes
 from sim.paper.results import ResultStore
@@ -138,7 +139,7 @@ def explain_task(
         return explain_stored(name, command, parks, threshold=threshold, on_progress=on_progress)
     subject = _subject(source, task)
     policy, episodes = subject.policy, subject.episodes
-    seeds = draw_seeds(0, (), EPISODES)
+    seeds = episode_seeds(0, Domain.EXPLAINED_EPISODES, EPISODES)
     [returns] = episodes.returns(policy.parameters()[None], seeds)
     play = episodes.play(int(seeds[0]))
     count = len(play.outputs)

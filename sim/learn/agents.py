@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.streams import Domain, random_stream
 from sim.learn.search.base import SearchState, Strategy
 from sim.learn.search.strategies import start_search
 from sim.learn.workers import MadeOnce, Result, Workers
@@ -31,11 +32,11 @@ if TYPE_CHECKING:
 
 ROUND_ITERATIONS = 100
 """Short enough for a live display."""
+_MOST_ROUNDS_AHEAD = 40
+"""Rounds that an agent may be ahead of the slowest: their states are kept until all agents have done them."""
 _PORTION_S = 0.5
 """CPU time for which a worker advances agents: lanes run empty at its end, and a display waits for it. Not
 wall time, in which a busy machine may do too little to be worth handing the agents over."""
-_SEARCH_STREAM = 0
-"""Second element of an agent's spawn key."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,8 @@ class AgentState:
     number: int
     search: SearchState | None = None
     improvements: tuple[tuple[int, float], ...] = ()
-    """(iteration, return) wherever the incumbent's return changed; iteration 0 is the start."""
+    """(iteration, return) where the incumbent's return changed, the last one before each `curve_point`;
+    iteration 0 is the start."""
 
     @property
     def iterations(self) -> int:
@@ -76,7 +78,7 @@ class AgentState:
         return float(self.search["value"]) if self.search else -math.inf
 
     def value_at(self, iteration: int) -> float:
-        """Return the incumbent's return as it stood after ``iteration``."""
+        """Return the incumbent's return as it stood after ``iteration``, a `curve_point` or the last one."""
         known = bisect_right(self.improvements, iteration, key=lambda change: change[0])
         return self.improvements[known - 1][1] if known else -math.inf
 
@@ -117,6 +119,12 @@ class Snapshot:
         return float(median(self.returns))
 
 
+def curve_point(iteration: int) -> int:
+    """Return the first point of a learning curve from ``iteration`` on: at most two significant digits."""
+    step = 10 ** max(len(str(iteration - 1)) - 2, 0)
+    return -(-iteration // step) * step
+
+
 class Progress(NamedTuple):
     """What an agent did: its states at the targets that it reached, and its last one."""
 
@@ -126,8 +134,7 @@ class Progress(NamedTuple):
 
 def revive(plan: Plan, agent: AgentState) -> Strategy:
     """Return the agent's search as it stood. Raises ValueError, KeyError or TypeError for a damaged state."""
-    seed = np.random.SeedSequence(plan.root_seed, spawn_key=(agent.number, _SEARCH_STREAM))
-    generator = np.random.Generator(np.random.PCG64(seed))
+    generator = random_stream(plan.root_seed, Domain.AGENT, agent.number)
     search = start_search(plan.strategy, plan.start.layout(), plan.start.parameters(), generator, plan.inert)
     if agent.search is not None:
         search.restore(agent.search)
@@ -145,20 +152,25 @@ def rounds(
 ) -> Generator[list[AgentState], None, None]:
     """Yield all agents after each of these numbers of iterations, which rise.
 
-    The workers go on while the consumer has a round.
+    The workers go on while the consumer has a round. Memory does not grow with the number of targets.
     """
     advance = MadeOnce(partial(_team, plan))
     last, reached = list(agents), [0] * len(agents)
     waiting: list[deque[AgentState]] = [deque() for _ in agents]
 
+    def following(index: int) -> Sequence[int]:
+        return targets[reached[index] : reached[index] + _MOST_ROUNDS_AHEAD]
+
     def submit() -> list[tuple[list[int], Result]]:
-        behind = [index for index, count in enumerate(reached) if count < len(targets)]
+        behind = [
+            index
+            for index, count in enumerate(reached)
+            if count < len(targets) and len(waiting[index]) < _MOST_ROUNDS_AHEAD
+        ]
         return [
             (
                 group,
-                workers.submit(
-                    advance, [last[i] for i in group], [targets[reached[i] :] for i in group], _PORTION_S
-                ),
+                workers.submit(advance, [last[i] for i in group], [following(i) for i in group], _PORTION_S),
             )
             for group in split(behind, workers.count)
         ]
@@ -195,10 +207,11 @@ def run_rounds(
         return snapshot
     # First the starts alone: a first picture, and early news of an evaluator that fails.
     first = snapshot.iterations // ROUND_ITERATIONS + 1 if snapshot.arrived(0) else 0
-    targets = [*range(first * ROUND_ITERATIONS, iterations, ROUND_ITERATIONS), iterations]
-    with closing(rounds(workers, plan, snapshot.agents, targets)) as found:
-        for agents in found:
-            snapshot = Snapshot(tuple(agents))
-            if after_round(snapshot):
-                break
+    whole = range(first * ROUND_ITERATIONS, iterations + 1, ROUND_ITERATIONS)
+    for targets in (whole, [iterations] if iterations % ROUND_ITERATIONS else []):
+        with closing(rounds(workers, plan, snapshot.agents, targets)) as found:
+            for agents in found:
+                snapshot = Snapshot(tuple(agents))
+                if after_round(snapshot):
+                    return snapshot
     return snapshot

@@ -6,19 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from sim.learn.agents import AgentState
+from sim.learn.agents import AgentState, curve_point
 
 _LEAST_LOSS = 1e-4
 
 
 def curve_iterations(last: int) -> list[int]:
     """Return the iterations a curve shows: those of at most two significant digits, and the last one."""
-    shown, step = [0], 1
-    while shown[-1] + step <= last:
-        shown.append(shown[-1] + step)
-        if shown[-1] == 100 * step:
-            step *= 10
-    return shown if shown[-1] == last else [*shown, last]
+    shown = [0]
+    while shown[-1] < last:
+        shown.append(min(curve_point(shown[-1] + 1), last))
+    return shown
 
 
 def curve_csv(agents: Sequence[AgentState], last: int) -> str:

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_start
 from rover_ncp.core.errors import UsageError
+from rover_ncp.core.streams import Domain, episode_seeds
 from sim.learn.environment import Environment, EnvironmentEvaluator, make_environment, require_fit
 from sim.learn.record import Record, TaskSettings
 from sim.learn.robust import Drive, Generation, RobustSearch, Stage, policy_box
 from sim.learn.robust_run import RobustResult, SearchRun
 from sim.learn.run_folder import open_folder
-from sim.learn.search.base import draw_seeds
 
 FloatArray = NDArray[np.float64]
 
@@ -30,8 +30,6 @@ EPISODES = 100
 _STAGES = (Stage(0, 1, 0.005, 0.0, 0.0, 0.0, False),)
 _SPREADS = (0.15, 0.3)
 """A circuit of one's own begins far from any solution."""
-_TRAINING, _SCORING = range(2)
-"""Streams of random numbers: no episode of a training scores its policy."""
 
 
 class Score(NamedTuple):
@@ -52,7 +50,7 @@ def _episodes(task: str, start: Policy, seed: int) -> Drive:
     evaluator = EnvironmentEvaluator(task, start)
 
     def drive(vectors: FloatArray, first: int, count: int, stage: Stage) -> FloatArray:
-        return -evaluator.returns(vectors, draw_seeds(seed, (_TRAINING, first), count))
+        return -evaluator.returns(vectors, episode_seeds(seed, Domain.TRAINING_EPISODES, count, first))
 
     return drive
 
@@ -100,6 +98,6 @@ def score_task(
 ) -> Score:
     """Return the score of a policy in fresh episodes. Raises as `EnvironmentEvaluator`."""
     evaluator = EnvironmentEvaluator(task, policy, made)
-    [returns] = evaluator.returns(policy.parameters(), draw_seeds(seed, (_SCORING,), episodes))
+    [returns] = evaluator.returns(policy.parameters(), episode_seeds(seed, Domain.SCORING_EPISODES, episodes))
     successes = None if evaluator.enough is None else int((returns >= evaluator.enough).sum())
     return Score(episodes, float(returns.mean()), float(returns.std()), successes)

@@ -124,7 +124,8 @@ class Evaluator:
 
         A return is the mean over the E trials, or courses, of minus the sum of the squared misses of C
         checkpoints. With ``thresholds`` (k,) an episode is truncated as soon as its running return is below.
-        Its return is then below the threshold, and at least that of the whole episode.
+        Its return is then below the threshold, and at least that of the whole episode. A mean over several
+        episodes has no such bound: ValueError.
         """
         _, results, misses = self._drive(vectors, thresholds)
         return results[:, :, 0].mean(axis=1), misses
@@ -176,6 +177,9 @@ class Evaluator:
         stop = np.full(len(rows), -np.inf) if thresholds is None else np.array(thresholds, np.float64)
         if stop.shape != (len(rows),):
             raise ValueError(f"one threshold is needed for each of {len(rows)} vectors, got {stop.shape}")
+        episodes = len(self.courses) if self._nominal else self._trials.size
+        if thresholds is not None and episodes != 1:
+            raise ValueError(f"thresholds are for one trial on one course, got {episodes} episodes a vector")
         if self._nominal:
             tasks = np.arange(len(self.courses))
             trials = np.zeros(len(tasks), np.int64)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.streams import Domain, stream_seed
 from rover_ncp.course.course import Course
 from rover_ncp.course.random_course import mirrored, mirrored_reference, random_course
 from rover_ncp.course.reference import Reference
@@ -72,8 +73,6 @@ well within the 5 mm and 5 mrad of parked, as large twitches are rare, and the s
 are not."""
 _AVERAGED, _AVERAGED_SHARE = 100, 4
 """The winner is the average of so many last means, yet of no more than that fraction of all."""
-_COURSES_APART = 10**9
-"""Training courses have seeds from here on, evaluations smaller ones: no course is in both."""
 _RANDOM_BETWEEN = 2
 """The number of random courses after each turn of the given one, which goes to the left and to the right."""
 
@@ -133,6 +132,11 @@ def mean_of_worst(returns: Sequence[float], worst: int) -> float:
     return math.fsum(sorted(returns)[:worst]) / worst
 
 
+def _training_seed(seed: int) -> int:
+    """Return the root seed of the courses and trials of a training, which no evaluation uses."""
+    return int(stream_seed(seed, Domain.TRAINING).generate_state(1, np.uint64)[0])
+
+
 def training_courses(
     given: Course, planned: Reference, seed: int, count: int
 ) -> tuple[list[Course], list[Reference]]:
@@ -142,11 +146,11 @@ def training_courses(
     is when ``count`` is 0.
     """
     turns = ((given, planned), (mirrored(given), mirrored_reference(planned)))
-    pairs = []
+    apart, pairs = _training_seed(seed), []
     for number in range(count):
         if number % _RANDOM_BETWEEN == 0:
             pairs.append(turns[number // _RANDOM_BETWEEN % 2])
-        pairs.append(random_course(_COURSES_APART + seed, number))
+        pairs.append(random_course(apart, number))
     pairs = pairs or [turns[0]]
     return [course for course, _ in pairs], [reference for _, reference in pairs]
 
@@ -154,11 +158,12 @@ def training_courses(
 def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, seed: int) -> Drive:
     """Return what drives the trials of a search on an engine."""
     ticks = max(course.ticks for course in engine.courses)
+    apart = _training_seed(seed)
     unrounded = ranges.model_copy(update={"speed_step_m_s": 0.0, "turn_step_rad_s": 0.0})
 
     def drive(vectors: FloatArray, first: int, count: int, stage: Stage) -> FloatArray:
         now = ranges if stage.rounded else unrounded
-        trials = draw_trials(now, model, _COURSES_APART + seed, count=count, ticks=ticks, first=first)
+        trials = draw_trials(now, model, apart, count=count, ticks=ticks, first=first)
         # The first few courses will do until all rollouts are driven; then all courses take their turn.
         engine.change_trials(trials, first if stage.divisor == 1 else 0)
         return costs(engine.outcomes(vectors), stage)

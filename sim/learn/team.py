@@ -5,7 +5,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 
-from sim.learn.agents import ROUND_ITERATIONS, AgentState, Plan, Progress, revive
+from sim.learn.agents import ROUND_ITERATIONS, AgentState, Plan, Progress, curve_point, revive
 from sim.learn.evaluator import Stream
 from sim.learn.search.base import Vector
 
@@ -83,10 +83,16 @@ class _Runner:
         for number in range(search.tell(returns, misses)):
             if value is None or returns[number] > value:
                 value = float(returns[number])
-                self._improvements.append((first + number, value))
+                self._note_change(first + number, value)
         if search.value is not None and search.value != value:  # a new estimate of the incumbent is lower
-            self._improvements.append((search.iterations, search.value))
+            self._note_change(search.iterations, search.value)
         self._note_targets()
+
+    def _note_change(self, iteration: int, value: float) -> None:
+        """Keep only the last change before each point of the curve: so many do not fill the memory."""
+        if self._improvements and curve_point(self._improvements[-1][0]) == curve_point(iteration):
+            self._improvements.pop()
+        self._improvements.append((iteration, value))
 
     def _note_targets(self) -> None:
         while self.targets and self.search.value is not None and self.search.iterations >= self.targets[0]:

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple, Self, TypeVar
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.process import Interrupts
 
-READY_TIMEOUT_S = 30.0
-STOP_TIMEOUT_S = 5.0
+READY_TIMEOUT_S = 120.0
+STOP_TIMEOUT_S = 20.0
 APPLIED = "applied "
 """Begins the line in which a child reports that it applied a line of its input."""
 APPLIED_TIMEOUT_S = 5.0

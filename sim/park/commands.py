@@ -25,7 +25,7 @@ class ParkOptions:
         str,
         typer.Option(
             help="The mock robot's description, a name or a file. A ROS 2 robot is parked with the policy "
-            "course unless --policy names another: training simulates a Pioneer."
+            "course unless --policy names another: only Pioneers are trained for."
         ),
     ] = USUAL_ROBOT
     seed: Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the training.")] = 0

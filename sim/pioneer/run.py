@@ -16,6 +16,7 @@ from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.process import Interrupts
 from rover_ncp.core.robot_description import load_description
+from rover_ncp.core.streams import Domain, integer_seed
 from rover_ncp.course.course import load_course
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
@@ -61,7 +62,9 @@ def run_mock(
         raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}, or --ros2")
     if ros2 is not None and description.topics is None:
         raise UsageError(f"--model {model}: the description has no topics, which a ROS 2 robot needs")
-    injected = Faults([parse_fault(text) for text in faults if text != FROM_STDIN], seed)
+    fault_seed = integer_seed(seed, Domain.MOCK_FAULTS, trial)
+    base_seed = integer_seed(seed, Domain.BASE_SENSORS, trial)
+    injected = Faults([parse_fault(text) for text in faults if text != FROM_STDIN], fault_seed)
     # Unbuffered, so that the server's selector sees every line that is left to read.
     fault_lines = io.FileIO(sys.stdin.fileno(), closefd=False) if FROM_STDIN in faults else None
     known = load_course(course) if course else None
@@ -71,11 +74,15 @@ def run_mock(
     server: Server | Ros2Server
     if ros2 is None:
         flash = replace(config_of(description), has_gyro=int(gyro))
-        firmware = Firmware(description, rover, injected, now, config=flash, trial=base_trial, gyro_seed=seed)
+        firmware = Firmware(
+            description, rover, injected, now, config=flash, trial=base_trial, gyro_seed=base_seed
+        )
         server = Server(host, port, firmware, file, output.say)
     else:
         epoch_s = time.time() - now
-        robot = Ros2Robot(description, rover, injected, now, epoch_s=epoch_s, trial=base_trial, seed=seed)
+        robot = Ros2Robot(
+            description, rover, injected, now, epoch_s=epoch_s, trial=base_trial, seed=base_seed
+        )
         server = Ros2Server(
             host,
             port,

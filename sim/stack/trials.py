@@ -15,8 +15,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
-import numpy as np
-
 from deploy.drive.config import DriveConfig, settings_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
@@ -25,6 +23,7 @@ from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_description import RobotDescription, load_description
 from rover_ncp.core.robot_profile import OF_THE_GROUND, RoverProfile
+from rover_ncp.core.streams import Domain, integer_seed, random_stream
 from rover_ncp.course.course import Course, Verdict
 from sim.evaluate.commands import Place
 from sim.evaluate.driver import Driver
@@ -129,7 +128,7 @@ class Stack:
         """Identify the robot of a trial, and return what its driver then knows."""
         ranges = levelled(self.ranges) if place is Place.LEVEL else self.ranges
         drawn = draw_rover(ranges, self.description, None, seed=self.seed, number=number)
-        stream = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number, 3)))
+        stream = random_stream(self.seed, Domain.IDENTIFICATION, number)
         found = self._completed(identified(drawn, self.description, self.identify_camera, stream))
         return found.model_copy(update=dict.fromkeys(OF_THE_GROUND)) if place is Place.LEVEL else found
 
@@ -140,15 +139,14 @@ class Stack:
             known = self._identified(number, self.identify)
             settings = self._settings(known, measured=True)
         course, (rover, trials) = self.course(number), self.drawn(number)
-        camera_seed, base_seed = np.random.SeedSequence(self.seed, spawn_key=(number, 2)).spawn(2)
-        gyro_seed = int(base_seed.generate_state(1)[0])
-        base = simulated_base(self.description, rover, BaseTrial(trials), gyro=self.gyro, seed=gyro_seed)
+        base_seed = integer_seed(self.seed, Domain.BASE_SENSORS, number)
+        base = simulated_base(self.description, rover, BaseTrial(trials), gyro=self.gyro, seed=base_seed)
         bridge = VirtualBridge(base)
         link = VirtualLink(bridge, rover.pose)
         truth = _Truth(rover, watch=bool(course.obstacles))
         watching = [truth.note]
         if self.camera is not None:
-            stream = np.random.default_rng(camera_seed)
+            stream = random_stream(self.seed, Domain.CAMERA, number)
             watching.append(Localiser(self.camera, rover, stream, link.localise).observe)
 
         def observe(now: float) -> None:

@@ -18,6 +18,7 @@ from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S
 from sim.world.bodies import PRESETS, Body
 from sim.world.rover import SUBSTEP_S, RoverModel
@@ -134,16 +135,14 @@ def draw_trials(
     """Draw trials ``first``, ``first`` + 1, ... of a seed, each for ``ticks`` ticks or fewer."""
     if ranges.rover is not None:
         return _of_known(ranges, ranges.rover, model, seed, count=count, ticks=ticks, first=first)
-    streams = [
-        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first + i,))) for i in range(count)
-    ]
+    streams = [random_stream(seed, Domain.TRIAL, first + i) for i in range(count)]
     # (N, 17) in −1..1.
     u = np.array([stream.uniform(-1.0, 1.0, 17) for stream in streams])
     noise = np.array([stream.normal(size=(ticks + 1, 3)) for stream in streams])
     chance = np.array([stream.random((ticks + 1, 2)) for stream in streams])
     # From other streams: more draws of the first ones would change the noise, or depend on the ticks.
-    others = [np.random.SeedSequence(seed, spawn_key=(first + i, 1)) for i in range(count)]
-    skid = np.array([np.random.default_rng(other).uniform(-1.0, 1.0, 2) for other in others])
+    others = [random_stream(seed, Domain.TRIAL_SKID, first + i) for i in range(count)]
+    skid = np.array([other.uniform(-1.0, 1.0, 2) for other in others])
     nominal = (model.delay_v_s, model.delay_v_s), (model.delay_omega_s, model.delay_omega_s)
     least, most = np.array([ranges.delay_v_s or nominal[0], ranges.delay_omega_s or nominal[1]]).T
     delay_s = least + (most - least) * 0.5 * (1.0 + u[:, 3:5])

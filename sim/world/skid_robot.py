@@ -2,11 +2,11 @@
 
 import math
 
-import numpy as np
 from pydantic import Field
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.robot_description import RobotDescription
+from rover_ncp.core.streams import Domain, random_stream
 
 
 class Contact(StrictModel):
@@ -85,8 +85,7 @@ def rigid_body_of(robot: RobotDescription) -> SkidRobot:
 
 def draw_robot(ranges: SkidRanges, seed: int, number: int, usual: SkidRobot | None = None) -> SkidRobot:
     """Draw the robot and the ground of trial ``number`` of a seed, about a ``usual`` one."""
-    # Beside the stream of the trial, whose key is its number alone.
-    stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 1)))
+    stream = random_stream(seed, Domain.SKID_ROBOT, number)
     u = stream.uniform(-1.0, 1.0, 7).tolist()
     radii = stream.uniform(-1.0, 1.0, 4)
     places = stream.uniform(-1.0, 1.0, (ranges.cables, 3))

@@ -23,6 +23,7 @@ from faults.table import CIRCUIT, MATRIX, Row
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import write_atomic
+from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import load_course
 from sim.live.processes import compile_driver, wait_for
 
@@ -81,7 +82,7 @@ def soak(
     """
     course = _prompt_course(folder)
     compile_driver()  # else the compilation would delay the first round
-    order, moments = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+    order, moments = (random_stream(seed, domain) for domain in (Domain.SOAK_ORDER, Domain.SOAK_MOMENTS))
     soaked, began_s = Soaked(), time.monotonic()
     rows = [row for row in rows if row.act is not None]
     last = [row for row in rows if row.key == LAST]

@@ -17,6 +17,7 @@ from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance
 from rover_ncp.core.recording import Recorded
 from rover_ncp.core.robot_profile import OF_THE_GROUND, RoverProfile
+from rover_ncp.core.streams import Domain, random_stream
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.virtual import VirtualBridge, VirtualLink
@@ -48,7 +49,7 @@ def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Reco
     rover = rover_of(trials, default_rover(), Ground(()))
     bridge = VirtualBridge(Firmware(USUAL_ROBOT, rover, trial=BaseTrial(trials)))
     received: list[Recorded] = []
-    look = _camera(rover, bridge, received, np.random.default_rng(seed)) if outside else lambda: None
+    look = _camera(rover, bridge, received, random_stream(seed, Domain.STUDY)) if outside else lambda: None
 
     def record(message: Recorded) -> None:
         received.append(message)

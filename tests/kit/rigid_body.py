@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from rover_ncp.core.streams import Domain, random_stream
 from sim.world.bodies import Body
 from sim.world.described import default_rover
 from sim.world.mujoco_rover import MujocoRover
@@ -137,7 +138,7 @@ def slope_effects(seed: int, count: int) -> tuple[float, float]:
     radian. A turn of 2 rad that changes its direction once has it.
     """
     slides, gains, slopes = list[float](), list[float](), list[float]()
-    ranges, stream = load_randomization("slope", Body.MUJOCO).skid_steer, np.random.default_rng(seed)
+    ranges, stream = load_randomization("slope", Body.MUJOCO).skid_steer, random_stream(seed, Domain.STUDY)
     assert ranges is not None
     for number in range(count):
         robot, heading = draw_robot(ranges, seed, number), float(stream.uniform(-math.pi, math.pi))

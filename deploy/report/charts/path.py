@@ -27,9 +27,11 @@ from deploy.report.charts.figure import (
 from deploy.report.layout import LAYERS, labels, layers
 from deploy.report.phases import Phase
 from deploy.report.trace import Trace
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.feasibility import Drivability
+from rover_ncp.course.reference import Reference, plan_reference
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,6 +56,12 @@ def trajectory(trace: Trace, course: Course, found: Sequence[Phase]) -> Picture:
     drawn = figure(7.6, 6.2)
     axes = drawn.add_subplot()
     draw_course(axes, course)
+    targets = [point.pose for point in course.checkpoints]
+    follows = RoverInterface(trace.policy).needs_reference
+    if follows:
+        reference = plan_reference(course)
+        targets = [reference.at(point.t)[0] for point in course.checkpoints]
+        _draw_reference(axes, course, reference)
     _draw_ends(axes, trace.poses)
     for turn, (color, dash, words) in TURNS.items():
         if any(phase.signs[1] == turn for phase in found):
@@ -70,12 +78,13 @@ def trajectory(trace: Trace, course: Course, found: Sequence[Phase]) -> Picture:
                 zorder=6, bbox=badge,
             )  # fmt: skip
     times = np.append(trace.times, trace.times[-1] + trace.policy.tick_s)
-    for point in course.checkpoints:
+    for point, target in zip(course.checkpoints, targets, strict=True):
         there = trace.poses[min(int(np.searchsorted(times, point.t - 1e-9)), len(times) - 1)]
-        axes.plot([point.x, there[0]], [point.y, there[1]], color=INK, linewidth=0.8, linestyle=":")
-    axes.plot([], [], ":", color=INK, linewidth=0.8, label="miss at its deadline")
-    _draw_deadlines(axes, course)
-    axes.legend(loc="upper left", fontsize=8, frameon=False)
+        axes.plot([target.x, there[0]], [target.y, there[1]], color=INK, linewidth=0.8, linestyle=":")
+    axes.plot([], [], ":", color=INK, linewidth=0.8, label="miss at its time")
+    if not follows:
+        _draw_times(axes, deadlines(course))
+    _draw_legend(axes)
     axes.set_title("Path from above, by phases", loc="left", fontsize=11, color=INK)
     return render(drawn)
 
@@ -83,18 +92,18 @@ def trajectory(trace: Trace, course: Course, found: Sequence[Phase]) -> Picture:
 def drive_chart(
     course: Course, truth: Sequence[Pose], estimate: Sequence[Pose], outline: FloatArray = OUTLINE
 ) -> Picture:
-    """Draw the true and the estimated path of a drive, and the deadlines of its checkpoints."""
+    """Draw the true and the estimated path of a drive, and where its reference is at which time."""
     drawn = figure(7.6, 6.2)
     axes = drawn.add_subplot()
     draw_course(axes, course)
+    _draw_reference(axes, course, plan_reference(course))
     _draw_ends(axes, np.array(truth), outline)
     for poses, color, dash, words in (
         (truth, BLUE, "solid", "true path"),
         (estimate, VERMILLION, "dashed", "estimate"),
     ):
         axes.plot(*np.array(poses)[:, :2].T, color=color, linestyle=dash, linewidth=2, label=words)
-    _draw_deadlines(axes, course)
-    axes.legend(loc="upper left", fontsize=8, frameon=False)
+    _draw_legend(axes)
     return render(drawn)
 
 
@@ -183,7 +192,7 @@ def course_picture(course: Course, found: Drivability, outline: FloatArray = OUT
             color=VERMILLION,
             zorder=7,
         )
-    axes.legend(loc="best", fontsize=8, frameon=False)
+    _draw_legend(axes)
     verdict, color = ("drivable", GREEN) if found.drivable else ("not drivable", VERMILLION)
     axes.set_title(f"{course.name}: {verdict}", loc="left", fontsize=11, color=color)
     return render(drawn)
@@ -194,9 +203,13 @@ def deadlines(course: Course) -> list[tuple[float, float, str]]:
 
     A drawing skips labels that would cover one of an earlier place.
     """
+    return _by_place([(point.x, point.y, point.t) for point in course.checkpoints])
+
+
+def _by_place(points: Sequence[tuple[float, float, float]]) -> list[tuple[float, float, str]]:
     places: dict[tuple[float, float], list[float]] = {}
-    for point in course.checkpoints:
-        places.setdefault((round(point.x, 3), round(point.y, 3)), []).append(point.t)
+    for x, y, t in points:
+        places.setdefault((round(x, 3), round(y, 3)), []).append(t)
     ordered = sorted(places.items(), key=lambda item: -len(item[1]))
     return [
         (x, y, f"{times[0]:.0f} s" if len(times) == 1 else f"{times[0]:.0f} to {times[-1]:.0f} s")
@@ -217,23 +230,41 @@ def draw_course(axes: "Axes", course: Course) -> None:
     axes.add_patch(Circle(course.goal[:2], radius, label=f"goal, {100 * radius:.0f} cm around", **style))
     points = np.array([point.pose for point in course.checkpoints])
     arrows = ARROW_M * np.array([np.cos(points[:, 2]), np.sin(points[:, 2])])
-    how: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
-    axes.quiver(*points[:, :2].T, *arrows, width=0.003, color=INK, zorder=5, **how)
-    axes.plot(*points[:, :2].T, "o", color=INK, markersize=4, zorder=5, label="checkpoint, heading")
+    how: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "headlength": 3.5}
+    axes.quiver(*points[:, :2].T, *arrows, units="inches", width=0.02, color=GREY, zorder=3, **how)
+    axes.plot(*points[:, :2].T, "o", color=GREY, markersize=4, zorder=3, label="checkpoint, heading")
     axes.set_aspect("equal")
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
 
 
-def _draw_deadlines(axes: "Axes", course: Course) -> None:
+def _draw_reference(axes: "Axes", course: Course, reference: Reference) -> None:
+    """Draw the path of the moving reference, and where it is at the deadlines."""
+    axes.plot(*reference.poses[:, :2].T, color=GREEN, linewidth=4, alpha=0.45, label="moving reference")
+    poses = [(point.t, reference.at(point.t)[0]) for point in course.checkpoints]
+    points = np.array([pose[:2] for _, pose in poses])
+    axes.plot(*points.T, "D", color=GREEN, markersize=5, zorder=5, label="reference at these times")
+    _draw_times(axes, _by_place([(pose.x, pose.y, t) for t, pose in poses]))
+
+
+def _draw_legend(axes: "Axes") -> None:
+    """Draw the legend below the axes, where it covers nothing."""
+    axes.legend(
+        loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=5, ncols=4, fontsize=8, frameon=False
+    )
+
+
+def _draw_times(axes: "Axes", times: Sequence[tuple[float, float, str]]) -> None:
     from matplotlib.patheffects import withStroke
 
     labelled: list[tuple[float, float]] = []
-    for x, y, words in deadlines(course):
+    for x, y, words in times:
         if all(np.hypot(x - other[0], y - other[1]) > LABEL_M for other in labelled):
             labelled.append((x, y))
+            # The place where it stands has the label with two times, which needs more room.
+            offset, align = ((6, -12), "left") if " to " in words else ((-6, 6), "right")
             label = axes.annotate(
-                words, (x, y), xytext=(6, -12), textcoords="offset points", fontsize=8, zorder=7
+                words, (x, y), xytext=offset, textcoords="offset points", ha=align, fontsize=8, zorder=7
             )
             label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
 

@@ -14,14 +14,17 @@ from numpy.typing import ArrayLike
 from deploy.report.charts.figure import OUTLINE, FloatArray, rectangle, ring_radius
 from deploy.report.charts.path import deadlines
 from deploy.report.findings import Findings
-from deploy.report.layout import HEIGHT, RADIUS, WIDTH, label_lines, labels, lay_out, name_scale
+from deploy.report.layout import HEIGHT, RADIUS, WIDTH, label_lines, labels, lay_out, name_lines
 from deploy.report.timeline import Command, Moved, Tick, Timeline
 from deploy.report.trace import synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import Course
+from rover_ncp.course.reference import plan_reference
 
+REFERENCE_EVERY = 5
+"""Ticks between points of the reference."""
 TRUTH_STEP_NS = 50_000_000
 """A mock records the true pose at 100 Hz; a page shows 20 Hz."""
 LEAST_RING = 1.5
@@ -29,8 +32,9 @@ LEAST_RING = 1.5
 
 
 def course_data(course: Course, outline: FloatArray = OUTLINE) -> dict[str, Any]:
-    """Return a course and the rover's outline."""
+    """Return a course, its reference every half a second and the rover's outline."""
     return {
+        "reference": plan_reference(course).poses[::REFERENCE_EVERY, :2].T.round(4).tolist(),
         "checkpoints": [[p.t, p.x, p.y, p.theta] for p in course.checkpoints],
         "deadlines": deadlines(course),
         "obstacles": [
@@ -54,7 +58,7 @@ def circuit_data(policy: Policy) -> dict[str, Any]:
                 "x": round(x, 1),
                 "y": round(y, 1),
                 "label": meanings.get(name, ""),
-                "fits": name_scale(name) == 1.0,
+                "nameLines": name_lines(name),
                 "lines": label_lines(meanings.get(name, "")),
             }
             for name, layer, (x, y) in zip(circuit.neurons, layout.layers, layout.places, strict=True)

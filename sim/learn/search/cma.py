@@ -12,6 +12,8 @@ import numpy as np
 from cmaes import CMA, SepCMA
 from numpy.typing import NDArray
 
+from rover_ncp.core.streams import Domain, integer_seed
+
 FloatArray = NDArray[np.float64]
 
 # ``cmaes`` offers no state but its pickle, which lacks the random generator and must not be read from a file.
@@ -72,8 +74,7 @@ class Cma:
 
     def ask(self) -> FloatArray:
         """Return the candidates (population, n) of this generation."""
-        stream = np.random.SeedSequence(self._seed, spawn_key=(self.generation,))
-        self._cma.reseed_rng(int(stream.generate_state(1)[0]))
+        self._cma.reseed_rng(integer_seed(self._seed, Domain.CMA_GENERATION, self.generation))
         self._asked = np.array([self._cma.ask() for _ in range(self.population)])
         return self._asked
 

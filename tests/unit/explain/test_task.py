@@ -8,13 +8,13 @@ from tutorials import PAGES, write_files
 
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError
+from rover_ncp.core.streams import Domain, episode_seeds
 from sim import api
 from sim.explain.explain import Explanation
 from sim.explain.files import markdown
 from sim.explain.task import EPISODES, TaskExplanation, explain_task, stored_policy
 from sim.explain.what_if import without_neuron
 from sim.learn.environment import EnvironmentEvaluator
-from sim.learn.search.base import draw_seeds
 from sim.paper.play import BenchmarkEpisodes
 from sim.paper.tasks import TASKS
 
@@ -57,7 +57,7 @@ def test_a_knock_out_is_the_mean_return_of_the_same_episodes(folder):
     by_name = {row.name: row for row in found.knock_outs}
     lame = without_neuron(found.policy, "LEFT")
     returns = EnvironmentEvaluator("wall:FollowWall-v0", lame).returns(
-        lame.parameters(), draw_seeds(0, (), EPISODES)
+        lame.parameters(), episode_seeds(0, Domain.EXPLAINED_EPISODES, EPISODES)
     )
     assert by_name["LEFT"].total == pytest.approx(returns.mean())
     assert by_name["LEFT"].change == pytest.approx(returns.mean() - found.returns.mean())

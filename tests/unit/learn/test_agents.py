@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import pickle
 import signal
 from dataclasses import replace
 from functools import partial
@@ -17,7 +18,9 @@ from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import load_course
 from sim.learn import agents as agents_module
+from sim.learn import team as team_module
 from sim.learn.agents import AgentState, Plan, Snapshot, run_rounds
+from sim.learn.curve import curve_iterations
 from sim.learn.evaluator import Answer, Evaluator, Stream
 from sim.learn.record import Task, TrainSettings
 from sim.learn.search.base import dump_state
@@ -140,13 +143,72 @@ def test_agents_differ_and_the_first_do_not_depend_on_how_many_follow():
     assert len({agent.value for agent in many}) == 6
 
 
-def test_improvements_are_the_whole_curve():
-    (agent,) = advance(toy_plan(), begin(1), 200)
-    (progress,) = Team(toy_plan()).advance(begin(1), [range(201)])
-    assert [state.iterations for state in progress.at_targets] == list(range(201))
+@pytest.mark.parametrize("last", [200, 1234])
+def test_improvements_are_the_whole_curve(last):
+    (agent,) = advance(toy_plan(), begin(1), last)
+    (progress,) = Team(toy_plan()).advance(begin(1), [range(last + 1)])
+    assert [state.iterations for state in progress.at_targets] == list(range(last + 1))
     values = [state.value for state in progress.at_targets]
-    assert [agent.value_at(i) for i in range(201)] == values == sorted(values)
+    assert values == sorted(values)
+    shown = curve_iterations(last)
+    assert [agent.value_at(i) for i in shown] == [values[i] for i in shown]
     assert AgentState(0).value_at(0) == AgentState(0).value == float("-inf")
+
+
+class Climbing:
+    """A search whose every candidate is a little better than all before."""
+
+    needs_misses, most_ahead, speculates = False, 100, False
+
+    def __init__(self):
+        self.value, self.evaluations = None, 0
+        self.iterations, self.to_beat = 0, np.zeros(1)
+
+    def ask(self, count=1):
+        return np.zeros((count, 1))
+
+    def tell(self, values, misses=None):
+        self.value, self.evaluations = float(values[-1]), self.evaluations + len(values)
+        self.iterations = self.evaluations - 1
+        return len(values)
+
+    def state(self):
+        return {"evaluations": self.evaluations, "value": self.value}
+
+
+class AlwaysBetter:
+    room, enough = 100, 100
+
+    def stream(self, agents):
+        self.count = 0
+        return self
+
+    def submit(self, agent, vectors, thresholds):
+        self.waiting = len(vectors)
+
+    def collect(self):
+        returns = np.arange(self.count, self.count + self.waiting, dtype=float)
+        self.count, self.waiting = self.count + self.waiting, 0
+        return [Answer(0, returns, None)] if len(returns) else []
+
+
+def test_curve_of_a_search_that_always_improves_stays_small(monkeypatch):
+    monkeypatch.setattr(team_module, "revive", lambda plan, agent: Climbing())
+    (agent,) = advance(Plan(0, "published", POLICY, AlwaysBetter), begin(1), 50_000)
+    assert len(agent.improvements) < 400
+    assert [agent.value_at(i) for i in (0, 7, 100, 1200, 50_000)] == [0, 7, 100, 1200, 50_000]
+
+
+def test_work_handed_out_does_not_grow_with_the_number_of_iterations():
+    sizes = []
+
+    class Measuring(Inline):
+        def submit(self, function, /, *arguments):
+            sizes.append(len(pickle.dumps(arguments)))
+            return super().submit(function, *arguments)
+
+    train(Measuring(), toy_plan(), begin(2), 10**7, lambda snapshot: True)
+    assert max(sizes) < 10_000
 
 
 @pytest.mark.parametrize("portion_s", [0.0, 0.05, 10.0])

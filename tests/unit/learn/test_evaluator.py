@@ -110,6 +110,17 @@ def test_a_lost_race_is_stopped_and_no_other_is_touched():
     assert (raced[lost] > returns[lost]).any()
 
 
+@pytest.mark.parametrize("several", ["trials", "courses"])
+def test_thresholds_with_several_episodes_are_refused(several):
+    model, courses = default_rover(), [COURSE, COURSE]
+    trials = draw_trials(load_randomization("full"), model, 5, count=3, ticks=COURSE.ticks)
+    engine = Evaluator(POLICY, COURSE, model, trials) if several == "trials" else Evaluator(POLICY, courses)
+    vectors = candidates(2, seed=3)
+    assert engine.returns(vectors).shape == (2,)
+    with pytest.raises(ValueError, match="thresholds are for one trial"):
+        engine.returns(vectors, [-1.0, -1.0])
+
+
 def test_other_rovers_other_returns():
     model = default_rover(delay_v_s=0.32, delay_omega_s=0.05, accel=0.1, decel=0.2, alpha=0.5)
     vectors = candidates(4, seed=4)

@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deploy.report.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out, layers
+from deploy.report.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out, layers, name_lines
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_policy
@@ -82,10 +82,31 @@ def test_sensory_neuron_onto_a_motor_neuron_stays_sensory():
 def test_labels_name_the_largest_parts_of_a_mixture():
     policy = load_policy("course")
     found = labels(policy)
-    assert (found["FWD"], found["REV"]) == ("v > 0, omega < 0", "v > 0, omega > 0")
+    assert (found["FWD"], found["REV"]) == ("forward, right", "forward, left")
     assert (found["PLM"], found["AVM"]) == ("speed − heading > 0", "speed − heading < 0")
     # Of the row below, the second is less than a quarter of the first.
     alone = policy.input_layer * [[0.0, 0.0, 0.0, 1.0, 0.3], [1.0, 1.0, 1.0, 1.0, 1.0]]
     assert labels(dataclasses.replace(policy, input_layer=alone))["PLM"] == "speed > 0"
     assert labels(dataclasses.replace(policy, input_layer=-alone))["PLM"] == "− speed > 0"
     assert labels(load_policy("parking"))["PVD"] == "x"
+
+
+def test_motor_neurons_are_labelled_by_what_they_do():
+    found = labels(load_policy("parking"))
+    assert [found[neuron] for neuron in ("FWD", "LFT", "RGT")] == ["forward", "left", "right"]
+    assert labels(load_policy("reverse"))["REV"] == "backward"
+
+
+@pytest.mark.parametrize(
+    ("name", "lines"),
+    [
+        ("AVB", ["AVB"]),
+        ("TURN_L", ["TURN_L"]),
+        ("LEFT_OF_ME", ["LEFT_", "OF_ME"]),
+        ("POINTS_LEFT", ["POINTS", "_LEFT"]),
+        ("TEMPERATURE", ["TEMPER", "ATURE"]),
+        ("A_NAME_OF_MANY_LETTERS", ["A_NAME", "_OF_…"]),
+    ],
+)
+def test_long_names_are_broken_into_lines_that_fit(name, lines):
+    assert name_lines(name) == lines

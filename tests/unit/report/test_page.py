@@ -71,6 +71,12 @@ def test_page_is_small_and_complete(drive):
     assert "connect-src 'none'" in own
 
 
+def test_verdict_and_picture_come_before_the_sentences(drive):
+    text, _ = drive
+    places = [text.index(f'id="{part}"') for part in ("badge", "path-plot", "circuit", "phases", "summary")]
+    assert places == sorted(places)
+
+
 def test_data_of_the_page_are_the_run(drive):
     text, simulated = drive
     data = data_of(text)
@@ -85,6 +91,7 @@ def test_data_of_the_page_are_the_run(drive):
     assert news["letThrough"]["v"] == pytest.approx(simulated.commands[:, 0], abs=1e-4)
     assert len(news["findings"]["contributions"]) == 12 * 11
     assert len(data["course"]["checkpoints"]) == 2
+    assert np.array(data["course"]["reference"]).shape == (2, 1 + (len(simulated.poses) - 1) // 5)
     # The kit gives tick k the variances (1 + k) * 1e-6 in x and (1 + k) * 2e-6 in y.
     major, minor, direction = ticks["ellipse"][7]
     assert (major, minor) == pytest.approx(((8 * 2e-6) ** 0.5, (8 * 1e-6) ** 0.5), abs=1e-6)

@@ -2,18 +2,22 @@
 
 import csv
 import io
+import json
 import time
 
 import pytest
 
 from benchmarks import search as bench_search
 from benchmarks import train as bench_train
+from rover_ncp.cli import run as run_command
+from sim.benchmarks import deploy as bench_deploy
 from sim.learn.agents import AgentState
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.search import descent
 from sim.learn.search.strategies import SearchName
 from sim.learn.team import Team
 from sim.learn.train import training_plan
+from sim.live.processes import ProcessError
 
 ITERATIONS = 60
 
@@ -88,3 +92,26 @@ def test_speed_does_not_count_first_call_of_a_kernel(monkeypatch: pytest.MonkeyP
     _, in_engine = bench_train._iterations_per_cpu_s(training_plan(settings, task), task, 100)
     assert calls > 1
     assert in_engine > 0.5
+
+
+def test_rates_that_were_measured_are_kept_when_a_safety_rule_stops_another(monkeypatch, capfd):
+    def measure(rate_hz, seconds, *, ping):
+        if rate_hz == 50.0:
+            raise ProcessError("deploy", 4, "stopped by odometry: it is 0.45 s old")
+        drive = {"ticks": 9, "predicted": 0, "missed": 0, "tick_rate_hz": rate_hz, "cpu_share": 0.1}
+        names = ("odometry_to_command_ms", "bare_half_round_trip_ms", "above_bare_ms")
+        times = {key: {"p50": 1.0, "p99": 2.0} for key in names}
+        return {"rate_hz": rate_hz, "stopped": None, **drive, **times}
+
+    monkeypatch.setattr(bench_deploy, "_measure", measure)
+    monkeypatch.setattr(bench_deploy, "_circuit_us", lambda: 5.0)
+    assert run_command(["bench", "deploy", "--json"]) == 1
+    found = json.loads(capfd.readouterr().out)
+    assert [(rate["rate_hz"], bool(rate["stopped"])) for rate in found["rates"]] == [
+        (10.0, False),
+        (50.0, True),
+        (100.0, False),
+    ]
+    assert "0.45 s old" in found["rates"][1]["stopped"]
+    assert found["rates"][2]["odometry_to_command_ms"]["p99"] == 2.0
+    assert found["fastest"]["rate_hz"] == 500.0

@@ -16,6 +16,7 @@ from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_cir
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
+from sim import api as sim_api
 from sim.evaluate import evaluate
 from sim.evaluate.driver import Driver
 from sim.evaluate.evaluate import unseen_courses
@@ -179,3 +180,20 @@ def test_outcomes_do_not_depend_on_the_batch_size(monkeypatch):
     whole = found()
     monkeypatch.setattr(evaluate, "_BATCH", 4)  # so that the second part begins on the second course
     assert found() == whole
+
+
+@pytest.mark.parametrize("law", ["kanayama", "pure-pursuit", "smooth"])
+def test_a_law_drives_once_and_in_trials(law, capsys):
+    assert run(["eval", law, "--json"]) == 0
+    once = json.loads(capsys.readouterr().out)
+    assert once["parked"]
+    assert run(["eval", law, "--trials", "1", "--randomize", "none", "--json"]) == 0
+    trial = json.loads(capsys.readouterr().out)
+    assert trial["error_m"]["max"] == pytest.approx(once["error_m"], abs=1e-9)
+    assert sim_api.rollout(law).verdict.parked
+    assert sim_api.evaluate(law, trials=2).success_rate == 1.0
+
+
+def test_a_law_is_no_circuit_for_a_task(capsys):
+    assert run(["eval", "kanayama", "--task", "mountain-car"]) == 2
+    assert "kanayama follows a course" in capsys.readouterr().err

@@ -1,9 +1,10 @@
 // The path from above and the plots over time. Few parts of them move with the slider.
 const ELLIPSE_SIGMAS = 3;
+const REFERENCE = ["reference: where it should be", { color: COLOR.green, width: 1.5, dash: "dashdot" }];
 const PATH_LINES = {
   estimate: { color: COLOR.blue, width: 3 }, "odometry alone": { color: COLOR.grey, width: 1.5, dash: "dash" },
   true: { color: COLOR.ink, width: 1.5, dash: "dot" }, [`covariance, ${ELLIPSE_SIGMAS} σ`]: { color: COLOR.focus, width: 2 },
-  [GOAL[0]]: GOAL[1],
+  [REFERENCE[0]]: REFERENCE[1], [GOAL[0]]: GOAL[1],
 };
 const COMMAND_LINES = {
   "asked by the circuit": { color: COLOR.blue, width: 3 }, "let through by the gate": { color: COLOR.amber, width: 1.8, dash: "dash" },
@@ -30,6 +31,7 @@ class PathPlot {
     const path = ({ x, y, t }, line) => ({ x, y, mode: "lines", line, text: t, hovertemplate: "%{text} s<extra></extra>" });
     const moving = (style) => ({ x: [], y: [], mode: "lines", hoverinfo: "skip", ...style });
     const traces = [
+      { x: course.reference[0], y: course.reference[1], mode: "lines", line: REFERENCE[1], hoverinfo: "skip" },
       path(odometry, alone), path(ticks, estimate), path(truth, real), this.paint(ticks), checkpoints(course),
       moving({ mode: "markers", marker: { symbol: "circle-open", size: 22, color: COLOR.red, line: { width: 3 } } }),
       moving({ line: { color: COLOR.blue, width: 2 } }), moving({ line: real }),
@@ -83,7 +85,7 @@ class PathPlot {
       next ? [[next[1], next[2]]] : [], i < 0 ? [] : placed(body, x, y, theta),
       j < 0 ? [] : placed(course.outline, truth.x[j], truth.y[j], truth.theta[j]), i < 0 ? [] : placed(ellipse, x, y, direction),
     ];
-    Plotly.restyle(this.holder, { x: all.map((points) => points.map((p) => p[0])), y: all.map((points) => points.map((p) => p[1])) }, [5, 6, 7, 8]);
+    Plotly.restyle(this.holder, { x: all.map((points) => points.map((p) => p[0])), y: all.map((points) => points.map((p) => p[1])) }, [6, 7, 8, 9]);
     if (i < 0) return "No tick yet.";
     const words = [`x ${number(x, 3)} m, y ${number(y, 3)} m, θ ${number((theta * 180) / Math.PI, 1)}°`, `± ${number(1000 * major, 1)} mm (one σ)`];
     if (j >= 0) words.push(`${number(1000 * Math.hypot(x - truth.x[j], y - truth.y[j]))} mm from the true position`);
@@ -142,7 +144,7 @@ class Lanes extends TimePlot {
     ]);
     const half = rows.map((_, lane) => lane + height(-40));
     this.show(60 + 44 * rows.length, traces, {
-      yaxis: { range: [-0.05, rows.length], tickvals: rows.map((_, lane) => lane + 0.45), ticktext: rows.map(({ name }) => name), fixedrange: true, showgrid: false, zeroline: false },
+      yaxis: { range: [-0.05, rows.length], tickvals: rows.map((_, lane) => lane + 0.45), ticktext: rows.map(({ nameLines }) => nameLines.join("<br>")), fixedrange: true, showgrid: false, zeroline: false },
     }, half.map((y) => ({ type: "line", xref: "paper", x0: 0, x1: 1, y0: y, y1: y, line: { color: COLOR.grey, width: 0.5, dash: "dot" }, layer: "below" })));
   }
 }

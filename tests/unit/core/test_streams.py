@@ -1,0 +1,73 @@
+"""Random streams: no two of a seed share bits, and everything draws from one of them."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rover_ncp.core.streams import Domain, episode_seeds, integer_seed, random_stream, stream_seed
+from rover_ncp.course.random_course import random_course
+from sim.world.described import default_rover
+from sim.world.randomization import draw_trials, load_randomization
+from sim.world.skid_robot import SkidRanges, draw_robot
+
+ROOT = Path(__file__).parents[3]
+INDICES = (*range(20), 2**32 - 1, 2**32, 2**33 + 5, 2**40)
+OWN_GENERATORS = {
+    "rover_ncp/core/streams.py",
+    "rover_ncp/circuit/tap_withdrawal.py",  # the only user of a seed without a spawn key
+    "sim/learn/search/base.py",  # draws the seeds of sim.paper
+}
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**63 - 1])
+def test_no_two_streams_of_a_seed_share_bits(seed):
+    words = [np.random.SeedSequence(seed).generate_state(8)]
+    words += [stream_seed(seed, domain, index).generate_state(8) for domain in Domain for index in INDICES]
+    assert len({tuple(row.tolist()) for row in words}) == 1 + len(Domain) * len(INDICES)
+    assert len(np.unique(np.concatenate(words))) > 8 * len(words) - 5  # by chance, 32 bits may be equal
+
+
+def test_a_stream_is_that_of_its_seed_domain_and_index():
+    first = random_stream(3, Domain.COURSE, 7).random(4)
+    assert np.array_equal(first, random_stream(3, Domain.COURSE, 7).random(4))
+    assert integer_seed(3, Domain.COURSE, 7) == integer_seed(3, Domain.COURSE, 7) < 2**32
+    seeds = episode_seeds(3, Domain.SCORING_EPISODES, 5)
+    assert np.array_equal(seeds[:3], episode_seeds(3, Domain.SCORING_EPISODES, 3))
+
+
+def test_course_and_robot_of_a_trial_are_independent():
+    """The start offset and the length of a course once came from the same bits (correlation 0.9995)."""
+    count = 200
+    trials = draw_trials(load_randomization("full"), default_rover(), 1, count=count, ticks=320)
+    courses = [random_course(1, number) for number in range(count)]
+    of_course = [[course.start_signal_s, course.checkpoints[-2].t, *course.goal] for course, _ in courses]
+    drawn = [trials.start, trials.delay, trials.gain, trials.odometry, trials.acceleration[:, :2]]
+    assert _largest_correlation(np.column_stack(drawn), np.array(of_course)) < 0.3
+
+
+def test_skid_and_ground_of_a_trial_are_independent():
+    count = 200
+    skid = load_randomization("skid")
+    trials = draw_trials(skid, default_rover(), 1, count=count, ticks=1)
+    ranges = SkidRanges(mass=0.2, friction=(0.4, 1.0))
+    robots = [draw_robot(ranges, 1, number) for number in range(count)]
+    of_robot = np.array([[robot.mass_kg, robot.friction] for robot in robots])
+    assert _largest_correlation(trials.turning, of_robot) < 0.3
+
+
+def test_all_random_numbers_come_from_streams():
+    own = re.compile(r"default_rng\(|SeedSequence\(|PCG64\(|RandomState\(")
+    makers = {
+        path.relative_to(ROOT).as_posix()
+        for package in ("rover_ncp", "bridge", "deploy", "sim")
+        for path in (ROOT / package).rglob("*.py")
+        if own.search(path.read_text(encoding="utf-8"))
+    }
+    assert {name for name in makers if not name.startswith("sim/paper/")} == OWN_GENERATORS
+
+
+def _largest_correlation(left, right):
+    together = np.corrcoef(np.column_stack([left, right]), rowvar=False)
+    return np.abs(together[: left.shape[1], left.shape[1] :]).max()

@@ -1,0 +1,110 @@
+"""``park`` trains, judges and drives one course and one robot, for a number of iterations, not of seconds."""
+
+import time
+from dataclasses import dataclass
+
+import pytest
+
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.robot_description import load_description
+from rover_ncp.course.course import load_course
+from rover_ncp.course.fit import slowed
+from sim.learn.record import course_of
+from sim.park import park
+from sim.park.commands import ParkOptions
+from sim.world.described import default_rover, described_rover
+
+SLOW = """\
+format: 1
+name: slow
+based_on: p3at-sh
+motion: {v_max: 0.08, omega_max: 0.09}
+"""
+
+
+class StoppedError(Exception):
+    """The training was asked for and would begin."""
+
+
+@dataclass
+class Best:
+    number: int
+    value: float
+
+
+@dataclass
+class Round:
+    best: Best
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What ``park`` asks of the training, and the rollouts of its stop rule."""
+    found = {"rollouts": []}
+
+    def train(settings, folder, *, on_progress, stop_when):
+        found.update(settings=settings, stop_when=stop_when)
+        raise StoppedError
+
+    def rollout(policy, course, model=None):
+        found["rollouts"].append((course, model or default_rover()))
+        return real(policy, course, model)
+
+    real = park.rollout
+    monkeypatch.setattr(park, "train", train)
+    monkeypatch.setattr(park, "rollout", rollout)
+    return found
+
+
+def begin(asked, tmp_path, **options):
+    with pytest.raises(StoppedError):
+        park.run_park(ParkOptions(out=tmp_path / "park", **options))
+    return asked["settings"], asked["stop_when"]
+
+
+def test_a_slow_robot_is_trained_and_judged_as_it_is_driven(asked, tmp_path):
+    (tmp_path / "slow.yaml").write_text(SLOW)
+    model = str(tmp_path / "slow.yaml")
+    settings, stop = begin(asked, tmp_path, model=model)
+    robot = load_description(model)
+    course, pace = slowed(load_course("parking"), robot)
+    assert pace
+    assert course_of(settings) == course
+    assert settings.rover == described_rover(robot)
+    stop(Round(Best(0, -1.0)), load_policy("parking"))
+    assert asked["rollouts"] == [(course, described_rover(robot))]
+
+
+def test_the_usual_robot_is_trained_as_train_does_by_default(asked, tmp_path):
+    settings, _ = begin(asked, tmp_path)
+    assert settings.model is None
+    assert settings.rover == described_rover(load_description("p3at-sh"))
+
+
+def test_the_best_agent_is_driven_only_when_it_has_changed(asked, tmp_path):
+    _, stop = begin(asked, tmp_path)
+    policy = load_policy("reverse")  # parks elsewhere
+    for best in (Best(0, -1.0), Best(0, -1.0), Best(1, -0.5), Best(1, -0.5), Best(1, -0.4)):
+        assert not stop(Round(best), policy)
+    assert len(asked["rollouts"]) == 3
+
+
+def test_a_slow_machine_trains_as_many_iterations(asked, tmp_path, monkeypatch):
+    now = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    settings, stop = begin(asked, tmp_path)
+    now += 36_000.0  # compiling and ten rounds took ten hours
+    assert not stop(Round(Best(0, -1.0)), load_policy("reverse"))
+    assert stop(Round(Best(1, -0.1)), load_policy("parking"))
+    assert settings.iterations == park.ITERATIONS
+
+
+def test_the_message_names_limit_and_remedy(tmp_path, monkeypatch, capsys):
+    fields = {"best_return": -5.0, "iterations": 20_000}
+    monkeypatch.setattr(park, "_train", lambda *_: (fields, "policy.yaml", "0.9 m from the goal"))
+    assert park.run_park(ParkOptions(out=tmp_path / "park")) == 1
+    words = capsys.readouterr()
+    said = words.out + words.err
+    assert "the limit is 20000" in said
+    assert "--seed" in said
+    assert "--policy course" in said

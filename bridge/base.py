@@ -156,7 +156,7 @@ BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Lost | Recovered | Failed
 class OwnTimeout(NamedTuple):
     """What is known of the time in s after which the base halts without commands.
 
-    ``refusal`` is why no driver but the check may drive; "" = every driver may.
+    ``refusal`` is why the robot is not driven unless the request says ``unchecked``; "" = it is.
     """
 
     state: TimeoutState

@@ -26,7 +26,6 @@ from bridge.guarded_base import GuardedBase
 from bridge.inbox import Query
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.protocol import (
-    CHECK,
     KEY_BYTES,
     PROTOCOL,
     VERSION_REASON,
@@ -107,8 +106,8 @@ class Answers:
             return MotorsRefusal(reason=VERSION_REASON, detail=other_version(PROTOCOL, version))
         request = parse_json(MotorsRequest, query.payload)
         sequence = tag.sequence if tag is not None and signed else None
-        if request.enable and request.name != CHECK and (unchecked := self._base.own_timeout.refusal):
-            return MotorsRefusal(reason=UNCHECKED, detail=unchecked)
+        if request.enable and not request.unchecked and (detail := self._base.own_timeout.refusal):
+            return MotorsRefusal(reason=UNCHECKED, detail=detail)
         if not request.enable:
             if sequence is not None:
                 self._judge(Release(sequence), now)
@@ -158,8 +157,8 @@ class Answers:
         It counts as a renewal of the lease, so that the same request never counts twice.
         """
         tag, lease = read_tag(query.attachment), gate.lease
-        if tag is None or lease is None or lease.name != CHECK:
-            return "only the check may measure, while it holds the lease"
+        if tag is None or lease is None:
+            return "only the holder of the lease may measure"
         if not lease.signed(tag, Signed.MOTORS, self._key(query.name), query.payload):
             return "the request is not signed with the lease's key"
         verdict = self._judge(Enable(lease.name, request.sent_ns, lease.secret, tag.sequence), now)

@@ -11,6 +11,8 @@ from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.messages import twist_stamped
 from rover_ncp.core.protocol import (
+    BaseReply,
+    BaseRequest,
     MotorsReply,
     MotorsRequest,
     Signed,
@@ -28,6 +30,7 @@ class FailingBase:
 
     def __init__(self):
         self.fails, self.driven, self.calls = {}, [], []
+        self.timeout = OwnTimeout(TimeoutState.PUBLISHED, 1.0)
         self.reports = [Ready("x", shape_of(load_description("p3at")))]
 
     def _call(self, name):
@@ -55,7 +58,7 @@ class FailingBase:
     @property
     def own_timeout(self):
         self._call("own_timeout")
-        return OwnTimeout(TimeoutState.PUBLISHED, 1.0)
+        return self.timeout
 
     def measure_timeout(self, now):
         self._call("measure_timeout")
@@ -106,14 +109,14 @@ class Loop:
             self.now_ns += 20_000_000
             self.node.turn()
 
-    def ask(self, name, payload):
+    def ask(self, name, payload, tag=None):
         replies = []
-        self.arrivals.append(Query(name, payload, None, replies.append, replies.append))
+        self.arrivals.append(Query(name, payload, tag, replies.append, replies.append))
         self.turn()
         return replies[0]
 
-    def motors(self):
-        request = MotorsRequest(enable=True, name="x", sent_ns=self.now_ns)
+    def motors(self, name="x", unchecked=False):
+        request = MotorsRequest(enable=True, unchecked=unchecked, name=name, sent_ns=self.now_ns)
         reply = parse_json(MotorsReply, self.ask("rover/motors", dump_json(request)))
         self.lease.grant(reply)
         return reply
@@ -224,3 +227,25 @@ def test_base_that_is_ready_again_has_other_odometry_and_one_that_recovers_the_s
     reply = loop.motors()
     assert reply.granted is (not fenced or again == "recovered")
     assert reply.granted or reply.reason == "fence-lost"
+
+
+@pytest.mark.parametrize("name", ["x", "check", "unchecked", ""])
+def test_unchecked_robot_is_granted_to_a_request_that_says_so_whatever_its_name(name):
+    loop = Loop()
+    loop.base.timeout = OwnTimeout(TimeoutState.UNKNOWN, None, "it is not known to halt")
+    loop.turn(3)
+    reply = loop.motors(name)
+    assert (reply.granted, reply.reason, reply.detail) == (False, "unchecked", "it is not known to halt")
+    assert loop.motors(name, unchecked=True).granted
+
+
+def test_holder_of_the_lease_alone_may_measure_the_timeout(driving):
+    request = dump_json(BaseRequest(measure=True, sent_ns=driving.now_ns))
+    other = DriverLease()
+    other.grant(MotorsReply(granted=True, lease=1, key="00" * 32))
+    for tag in (None, other.sign(Signed.MOTORS, "rover/base", request, driving.now_ns).pack()):
+        reply = parse_json(BaseReply, driving.ask("rover/base", request, tag))
+        assert "lease" in reply.reason
+        assert "measure_timeout" not in driving.base.calls
+    tag = driving.lease.sign(Signed.MOTORS, "rover/base", request, driving.now_ns).pack()
+    assert parse_json(BaseReply, driving.ask("rover/base", request, tag)).reason == "it is published"

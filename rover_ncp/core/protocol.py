@@ -101,8 +101,8 @@ class _Version(BaseModel):
 class MotorsRequest(StrictModel):
     """Request or renewal of the lease, or its release; ``sent_ns`` is the driver's monotonic clock.
 
-    A renewal and a release carry a `CommandTag`; a first request does not. ``unchecked`` also asks for a robot
-    that is not known to halt when the bridge dies, as to measure that.
+    A renewal and a release carry a `CommandTag`; a first request does not. ``unchecked`` also asks for a
+    robot that is not known to halt when the bridge dies, as to measure that.
     """
 
     version: int = PROTOCOL

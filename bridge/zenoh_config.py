@@ -45,9 +45,9 @@ def configured(
 ) -> tuple[zenoh.Config, list[str]]:
     """Return the session's settings and where it listens: the option, else the file, else our default.
 
-    Raises FileError for a bad file, for certificates that are not valid now and for access rules that nobody
-    can send commands by on ``command_key``. Raises UsageError for a bad endpoint or, unless ``insecure``, for
-    one beyond this machine without authentication.
+    Raises FileError for a bad file, for certificates that are not valid now and for access rules that let
+    no user send commands on ``command_key``. Raises UsageError for a bad endpoint or, unless ``insecure``,
+    for one beyond this machine without authentication.
     """
     settings = read_config(file)
     endpoints = [listen] if listen else _endpoints(settings)
@@ -126,7 +126,7 @@ def _require_authentication(settings: zenoh.Config, endpoints: list[str]) -> Non
 
 
 def _require_access(settings: zenoh.Config, file: Path | None, command_key: str) -> None:
-    """Raise FileError if access rules let nobody send commands, as those made for another namespace."""
+    """Raise FileError if access rules let no user send commands, as those made for another namespace."""
     access = json.loads(settings.get_json("access_control"))
     if not access["enabled"] or access["default_permission"] != "deny":
         return
@@ -139,7 +139,7 @@ def _require_access(settings: zenoh.Config, file: Path | None, command_key: str)
     if not any(zenoh.KeyExpr(name).includes(zenoh.KeyExpr(command_key)) for name in allowed):
         found = sorted({name for name in allowed if name.endswith("cmd_vel")})
         raise FileError(
-            f"{file}: its access rules let nobody publish {command_key}, they are for "
+            f"{file}: its access rules let no user publish {command_key}, they are for "
             f"{', '.join(found) or 'no commands'}: give the bridge and 'rover-ncp keys' the same --namespace"
         )
 

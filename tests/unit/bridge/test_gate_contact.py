@@ -188,6 +188,16 @@ def test_stalled_rover_may_drive_back_from_where_it_was_moving(commanded, report
         assert verdict.held is (None if passes else Reason.STALL)
 
 
+def test_stall_is_on_the_side_of_the_newest_command():
+    gate = Gate().driving(9.0)
+    gate.drive(9.02, Velocity(-0.1, 0.0))
+    gate.at(9.1, BaseReport(stalled=(True, True)))
+    gate.sequence = 0
+    assert gate.enable(9.1).refusal is None
+    assert gate.drive(9.12, Velocity(-0.1, 0.0)).held is Reason.STALL
+    assert gate.drive(9.14, Velocity(0.1, 0.0)).held is None
+
+
 def test_stall_of_a_rover_that_was_never_seen_to_move_refuses_the_lease():
     gate = Gate()
     gate.at(0.0, BaseReport(stalled=(True, True)))

@@ -47,7 +47,9 @@ def test_publishing_waits_for_nothing():
     ],
 )
 def test_keys_of_another_namespace_are_refused(keys, made, asked, found):
-    with pytest.raises(FileError, match=f"nobody publish {asked}, they are for {found}: .* same --namespace"):
+    with pytest.raises(
+        FileError, match=f"no user publish {asked}, they are for {found}: .* same --namespace"
+    ):
         configured(None, keys(made), False, asked)
 
 

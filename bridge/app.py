@@ -11,9 +11,11 @@ from bridge.ros import messages as ros_messages
 from bridge.ros.discovery import Convention
 from bridge.zenoh_link import ZenohLink
 from rover_ncp.core.console import Output
-from rover_ncp.core.process import Interrupts
+from rover_ncp.core.process import Interrupts, require_open_files
 
 INTERRUPTED = 130
+OPEN_FILES = 100
+"""Zenoh and the line to the base use about 20, and each driver one: without any left, no driver connects."""
 
 
 def run_bridge(
@@ -32,6 +34,7 @@ def run_bridge(
     as_json: bool,
 ) -> int:
     """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
+    require_open_files(OPEN_FILES)
     output = Output(as_json, controls=True)
     chosen = choose_base(base, model, base_zenoh_config)
     allowed = gate_limits(limits, chosen.description)

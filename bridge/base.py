@@ -70,6 +70,8 @@ class Setpoint(NamedTuple):
     motors: bool
     emergency: bool
     """Whether to brake harder than the base's own deceleration limit."""
+    lease: int = 0
+    """Number of the lease, 0 without one. With each new one, the motors must be requested again."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,10 @@ class BaseReport:
     stalled: tuple[bool, bool] = (False, False)
     """Left and right motor."""
     bumpers: tuple[int, int] = (0, 0)
-    """Bits of the front and rear segments, bit 0 first; 0 when the base is not known to have any."""
+    """Bits of the front and rear segments, bit 0 first; 0 when the base is not known to have any.
+
+    Contact on an unknown side sets both: with one of them the rover may be driven away from it.
+    """
     sonar: Mapping[int, float] = field(default_factory=dict)
     """Ranges in m of the sonars read since the last report, by number."""
     clear_ahead_m: float = math.nan
@@ -151,7 +156,7 @@ BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Lost | Recovered | Failed
 class OwnTimeout(NamedTuple):
     """What is known of the time in s after which the base halts without commands.
 
-    ``refusal`` is why no driver but the check may drive; "" = every driver may.
+    ``refusal`` is why the robot is not driven unless the request says ``unchecked``; "" = it is.
     """
 
     state: TimeoutState
@@ -169,7 +174,8 @@ class LinkHealth(NamedTuple):
 class Base(Protocol):
     """A base. Its own thread puts what arrives from it into the bridge's inbox; all else runs in the loop.
 
-    ``now`` is the bridge's monotonic clock in seconds.
+    ``now`` is the bridge's monotonic clock in seconds. A base whose odometry restarted sends `Ready` again.
+    An exception counts as the loss of the base. At the end, the bridge drives zero before it calls ``close``.
     """
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:

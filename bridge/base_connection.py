@@ -129,8 +129,9 @@ class BaseConnection:
                     data = transport.read(READ_S)
                     if self._broken is not None:
                         raise self._broken
-                except NoRobot as error:
-                    self._give_up(transport, error)
+                except Exception as error:
+                    reason = error if isinstance(error, NoRobot) else NoRobot(f"{self.endpoint}: {error}")
+                    self._give_up(transport, reason)
                     transport = None
                     self._closing.wait(wait_s)
                     wait_s = min(2 * wait_s, MAX_RETRY_S)

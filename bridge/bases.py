@@ -25,7 +25,7 @@ from bridge.ros_base.line import LOOP_KEY, RosLine
 from bridge.ros_base.silence_file import SilenceFile
 from bridge.zenoh_link import ZenohLink
 from rover_ncp.core.config import load_yaml, validated
-from rover_ncp.core.errors import UsageError
+from rover_ncp.core.errors import NoRobot, RoverNcpError, UsageError
 from rover_ncp.core.files import shipped_names
 from rover_ncp.core.robot_description import RobotDescription, Topics, load_description
 
@@ -139,7 +139,13 @@ def open_base(
     """
     if chosen.driver is not None:
         assert chosen.description is not None  # choose_base checks it
-        base = _load(chosen.driver)(chosen.address.partition("/")[2], chosen.description, inbox.put)
+        open_driver = _load(chosen.driver)
+        try:
+            base = open_driver(chosen.address.partition("/")[2], chosen.description, inbox.put)
+        except RoverNcpError:
+            raise
+        except Exception as error:
+            raise NoRobot(f"{chosen.address}: the base driver failed: {error}") from error
         return base, base, ""
     if chosen.ros2 is None:
         robot = parameters_of(chosen.description) if chosen.description else None
@@ -161,6 +167,6 @@ def open_base(
 def _load(driver: EntryPoint) -> BaseDriver:
     try:
         loaded: BaseDriver = driver.load()
-    except (ImportError, AttributeError) as error:
+    except Exception as error:
         raise UsageError(f"base driver {driver.name} ({driver.value}) cannot be loaded: {error}") from error
     return loaded

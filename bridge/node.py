@@ -5,7 +5,8 @@ Rules of this file:
 1. One loop does it all: arrivals go to the base and the gate, the gate's verdict goes to the base.
    The base's keep-alives come from this loop, so a loop that hangs stops the rover.
 2. Only the gate's verdict is sent to the base as a speed, and the same value is published.
-3. Every exit stops the rover, switches its motors off and closes the connection.
+3. Every exit stops the rover, switches its motors off and closes the connection. It does not rely on the
+   base's `close` for that, and an exception of the base is a lost base.
 """
 
 import math
@@ -29,6 +30,7 @@ from bridge.base import (
 from bridge.gate.gate import step
 from bridge.gate.limits import Limits
 from bridge.gate.state import BaseLost, GateEvent, GateState, Reason, Tick, VelocityCommand, Verdict, read_tag
+from bridge.guarded_base import GuardedBase
 from bridge.inbox import CommandMessage, Query, ThreadError
 from bridge.queries import Answers
 from bridge.ros import messages as ros
@@ -80,11 +82,11 @@ class Node:
         clock: Clock = time,
         suspended_s: Callable[[], float] = suspended_s,
     ) -> None:
-        self._base, self._link, self._inbox, self._clock = base, link, inbox, clock
+        self._base, self._link, self._inbox, self._clock = GuardedBase(base), link, inbox, clock
         self._total_suspended_s, self._suspended_s = suspended_s, suspended_s()
         self._limits, self._accept_ros, self._say = limits, accept_ros, say
         self._ready = ready
-        self._answers = Answers(limits, link.key, self._judge, base)
+        self._answers = Answers(limits, link.key, self._judge, self._base)
         self.gate = GateState()
         self.reconnects = -1
         """Number of reconnections of the base; −1 until the first connection."""
@@ -104,7 +106,7 @@ class Node:
             while not stopping():
                 self.turn()
         finally:
-            self._base.close(self._clock.monotonic())
+            self._log += self._base.shut_down(self._clock.monotonic())
             self._flush_log()
 
     @property
@@ -175,6 +177,8 @@ class Node:
                     self._hardware, self._robot = hardware, robot
                     self._answers.model = robot.name
                     self.reconnects += 1
+                    if self.reconnects > 0:
+                        self._judge(BaseLost(restarted=True), arrived_s)
                     self._say(f"the base is connected: {hardware}")
                     if self.reconnects == 0:
                         self._ready()
@@ -224,7 +228,8 @@ class Node:
         last, self._sent = self._sent, verdict
         self._act_now = self._commanded = False
         self._acted_s = now
-        setpoint = Setpoint(verdict.velocity, verdict.motors, verdict.emergency)
+        lease = verdict.lease.number if verdict.lease else 0
+        setpoint = Setpoint(verdict.velocity, verdict.motors, verdict.emergency, lease)
         self._handle(self._base.drive(setpoint, now), now)
         if verdict.velocity != last.velocity:
             self._link.publish("rover/cmd_out", twist_stamped(verdict.velocity, self._wall_ns(now)))

@@ -9,7 +9,6 @@ from collections.abc import Callable
 
 from pydantic import BaseModel
 
-from bridge.base import Base
 from bridge.gate.limits import Limits
 from bridge.gate.state import (
     Enable,
@@ -23,10 +22,10 @@ from bridge.gate.state import (
     Verdict,
     read_tag,
 )
+from bridge.guarded_base import GuardedBase
 from bridge.inbox import Query
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.protocol import (
-    CHECK,
     KEY_BYTES,
     PROTOCOL,
     VERSION_REASON,
@@ -50,11 +49,13 @@ UNCHECKED = "unchecked"
 _DETAILS = {
     Reason.NO_BASE: "the base is not connected",
     Reason.STOP_BUTTON: "the STOP button is pressed",
-    Reason.BUMPER: "a bumper is pressed",
-    Reason.STALL: "a motor is stalled",
+    Reason.BUMPER: "a bumper is pressed, and no direction is known to be free",
+    Reason.STALL: "a motor is stalled, and no direction is known to be free",
     Reason.LOW_BATTERY: "the battery is low",
     Reason.ODOMETRY: "the base reports no pose, or its odometry is stale",
     Reason.FROZEN: "the base reports the same pose while it reports a speed",
+    Reason.FENCE_LOST: "odometry restarted, so the place of the fence is not known: put the rover where odom "
+    "is to begin, and restart the bridge",
     Reason.REPEATED: "this renewal of the lease, or a later message, has arrived already",
 }
 
@@ -70,7 +71,7 @@ class Answers:
         limits: Limits,
         key: Callable[[str], str],
         judge: Callable[[GateEvent, float], Verdict],
-        base: Base,
+        base: GuardedBase,
     ) -> None:
         self._limits, self._key, self._judge, self._base = limits, key, judge, base
         self.model = ""
@@ -105,8 +106,8 @@ class Answers:
             return MotorsRefusal(reason=VERSION_REASON, detail=other_version(PROTOCOL, version))
         request = parse_json(MotorsRequest, query.payload)
         sequence = tag.sequence if tag is not None and signed else None
-        if request.enable and request.name != CHECK and (unchecked := self._base.own_timeout.refusal):
-            return MotorsRefusal(reason=UNCHECKED, detail=unchecked)
+        if request.enable and not request.unchecked and (detail := self._base.own_timeout.refusal):
+            return MotorsRefusal(reason=UNCHECKED, detail=detail)
         if not request.enable:
             if sequence is not None:
                 self._judge(Release(sequence), now)
@@ -156,8 +157,8 @@ class Answers:
         It counts as a renewal of the lease, so that the same request never counts twice.
         """
         tag, lease = read_tag(query.attachment), gate.lease
-        if tag is None or lease is None or lease.name != CHECK:
-            return "only the check may measure, while it holds the lease"
+        if tag is None or lease is None:
+            return "only the holder of the lease may measure"
         if not lease.signed(tag, Signed.MOTORS, self._key(query.name), query.payload):
             return "the request is not signed with the lease's key"
         verdict = self._judge(Enable(lease.name, request.sent_ns, lease.secret, tag.sequence), now)
@@ -173,8 +174,14 @@ class Answers:
                 ok=False,
                 reason="a driver holds the lease: its pose would jump; reset odometry after the drive",
             )
-        self._base.reset_odometry()
-        return ResetReply(ok=True)
+        if self._limits.fence is not None:
+            return ResetReply(
+                ok=False,
+                reason="the fence would move with odom: put the rover where both are to begin, and restart "
+                "the bridge",
+            )
+        problem = self._base.reset_odometry()
+        return ResetReply(ok=not problem, reason=problem)
 
 
 def _refusal(refusal: Reason, gate: GateState) -> MotorsRefusal:

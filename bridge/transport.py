@@ -4,6 +4,7 @@ A line carries bytes in order, nothing more. Every failure is a NoRobot that nam
 after one, the line is closed and another is opened.
 """
 
+import errno
 import fcntl
 import os
 import select
@@ -14,6 +15,7 @@ import termios
 import time
 from abc import ABC, abstractmethod
 from contextlib import suppress
+from pathlib import Path
 
 import serial
 
@@ -187,7 +189,7 @@ class SerialTransport(Transport):
                 port, baudrate=baudrate, timeout=0.0, write_timeout=0.0, exclusive=True
             )
         except (serial.SerialException, OSError, ValueError) as error:
-            raise self._gone(_reason(error)) from error
+            raise self._gone(_other_user(port, error) or _reason(error)) from error
         self.baudrate = baudrate
 
     def set_baudrate(self, baudrate: int) -> None:
@@ -238,8 +240,24 @@ class SerialTransport(Transport):
 
 def _reason(error: Exception) -> str:
     """Return pyserial's reason without its prose."""
-    cause = error.__context__ if isinstance(error.__context__, OSError) else error
-    return str(getattr(cause, "strerror", None) or error)
+    return str(getattr(_cause(error), "strerror", None) or error)
+
+
+def _cause(error: Exception) -> BaseException:
+    return error.__context__ if isinstance(error.__context__, OSError) else error
+
+
+def _other_user(port: str, error: Exception) -> str:
+    """Return which process uses a locked port, as far as the system shows it; "" if it is not locked."""
+    if getattr(_cause(error), "errno", None) not in {errno.EAGAIN, errno.EBUSY}:
+        return ""
+    device, users = Path(port).resolve(), set()
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with suppress(OSError):
+            process = link.parent.parent
+            if link.readlink() == device and process.name != str(os.getpid()):
+                users.add(f"{(process / 'comm').read_text().strip()}, process {process.name}")
+    return f"another process uses it: {' and '.join(sorted(users)) or 'one of another user'}"
 
 
 def open_transport(endpoint: str) -> Transport:

@@ -2,11 +2,13 @@
 
 import ipaddress
 import json
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
+from rover_ncp.core.certificates import require_valid
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.files import existing_file
 
@@ -24,6 +26,10 @@ _SETTINGS: dict[str, Any] = {
     "transport/link/tx/keep_alive": 4,
     # The longest message we read has 4 kB, the longest that passes through us hardly more.
     "transport/link/rx/max_message_size": 1 << 20,
+    # No peer of ours uses it, and with a full /dev/shm the session would not open.
+    "transport/shared_memory/enabled": False,
+    # Publishing never blocks: by default it waits 1 ms before it drops a message that cannot leave at once.
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
     # Microseconds that an answer to a query may wait for a peer that takes no data, instead of 5 s: the loop
     # answers. Then Zenoh ends the session with that peer.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 20_000,
@@ -33,11 +39,14 @@ _LOCAL_PROTOCOLS = frozenset({"unixsock-stream", "unixpipe"})
 _ENCRYPTED_PROTOCOLS = frozenset({"tls", "quic"})
 
 
-def configured(listen: str | None, file: Path | None, insecure: bool) -> tuple[zenoh.Config, list[str]]:
+def configured(
+    listen: str | None, file: Path | None, insecure: bool, command_key: str
+) -> tuple[zenoh.Config, list[str]]:
     """Return the session's settings and where it listens: the option, else the file, else our default.
 
-    Raises FileError for a bad file, and UsageError for a bad endpoint or, unless ``insecure``, for one beyond
-    this machine without authentication.
+    Raises FileError for a bad file, for certificates that are not valid now and for access rules that let
+    no user send commands on ``command_key``. Raises UsageError for a bad endpoint or, unless ``insecure``,
+    for one beyond this machine without authentication.
     """
     settings = read_config(file)
     endpoints = [listen] if listen else _endpoints(settings)
@@ -49,6 +58,8 @@ def configured(listen: str | None, file: Path | None, insecure: bool) -> tuple[z
         raise UsageError(f"--listen {endpoints[0]}: expected PROTOCOL/HOST:PORT, like {LISTEN}") from error
     if not insecure:
         _require_authentication(settings, endpoints)
+    require_valid(settings, "listen", file, datetime.now(UTC))
+    _require_access(settings, file, command_key)
     if any_port(endpoints):
         settings.insert_json5("adminspace/enabled", "true")  # the port is shown nowhere else
     return settings, endpoints
@@ -105,6 +116,25 @@ def _require_authentication(settings: zenoh.Config, endpoints: list[str]) -> Non
         f"{open_[0]}: any client that reaches it could drive the rover; make keys with 'rover-ncp keys' and "
         "give --zenoh-config, or give --insecure"
     )
+
+
+def _require_access(settings: zenoh.Config, file: Path | None, command_key: str) -> None:
+    """Raise FileError if access rules let no user send commands, as those made for another namespace."""
+    access = json.loads(settings.get_json("access_control"))
+    if not access["enabled"] or access["default_permission"] != "deny":
+        return
+    allowed = [
+        name
+        for rule in access["rules"] or []
+        if rule["permission"] == "allow" and "put" in rule["messages"]
+        for name in rule["key_exprs"]
+    ]
+    if not any(zenoh.KeyExpr(name).includes(zenoh.KeyExpr(command_key)) for name in allowed):
+        found = sorted({name for name in allowed if name.endswith("cmd_vel")})
+        raise FileError(
+            f"{file}: its access rules let no user publish {command_key}, they are for "
+            f"{', '.join(found) or 'no commands'}: give the bridge and 'rover-ncp keys' the same --namespace"
+        )
 
 
 def _local(endpoint: str) -> bool:

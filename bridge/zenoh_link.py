@@ -45,8 +45,8 @@ class ZenohLink(ClosedAtExit):
         self._namespace = namespace
         self._ros = ros
         self._rmw: RmwNode | None = None
-        self.key("odom")  # raises for a bad namespace before anything is opened
-        settings, endpoints = configured(listen, config, insecure)
+        # Raises for a bad namespace before anything is opened.
+        settings, endpoints = configured(listen, config, insecure, self.key("cmd_vel"))
         if Convention.RMW_ZENOH in ros:
             # ROS nodes find each other through the router they are connected to, which we are then.
             settings.insert_json5("scouting/gossip/enabled", "true")

@@ -8,11 +8,13 @@ import re
 import socket
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
+from rover_ncp.core.certificates import require_valid
 from rover_ncp.core.errors import FileError, NoBridge, NotAuthorised, UnreachableError, UsageError
 from rover_ncp.core.files import existing_file
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, key
@@ -121,6 +123,7 @@ def client_config(robot: str, file: Path | None) -> tuple[zenoh.Config, str]:
         config = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
     except zenoh.ZError as error:
         raise FileError(f"{file}: not a Zenoh configuration: {error}") from error
+    require_valid(config, "connect", file, datetime.now(UTC))
     for path, value in {**CLIENT, "connect/endpoints": [endpoint]}.items():
         config.insert_json5(path, json.dumps(value))
     return config, endpoint
@@ -150,5 +153,6 @@ def _refused(endpoint: str) -> UnreachableError:
         )
     return NotAuthorised(
         f"not authorised: the process at {endpoint} accepts no session from us; it may want a certificate "
-        "(--zenoh-config, see 'rover-ncp keys'), or is no bridge, or hangs"
+        "(--zenoh-config, see 'rover-ncp keys'), or its clock is wrong and our certificate invalid by it, or it "
+        "is no bridge, or hangs"
     )

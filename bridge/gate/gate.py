@@ -8,8 +8,8 @@ Rules of this file:
 3. The output is zero unless all of these hold: the base reports in time, no stop is latched, no hazard is
    flagged, the motors are on, there is a lease, and its holder sent a command that is fresh, new and finite.
 4. A hazard revokes the lease: the driver must request it again, and plain ROS commands must pause or be
-   zero. Stale commands or odometry only hold the rover. So do fence and sonars: the rover may be driven
-   away from them.
+   zero. In contact, a new lease allows driving away only (`contact.py`). Stale commands or odometry only
+   hold the rover. So do fence and sonars: the rover may be driven away from them.
 5. The gate limits only growth of the command, never braking.
 6. A message that is not signed with the key of the current lease changes nothing but a counter. The caller
    verifies digests and makes keys: `step` draws no random numbers.
@@ -21,10 +21,22 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from bridge.base import BaseReport
-from bridge.gate.limits import Fence, Limits
+from bridge.gate.contact import (
+    STANDING,
+    bounded,
+    known_contact,
+    lasting_contact,
+    leads_away,
+    one_sided_contact,
+    stall_direction,
+)
+from bridge.gate.limits import Limits
+from bridge.gate.motion import approach, clear, leaves
 from bridge.gate.state import (
+    NO_CONTACT,
     ZERO,
     BaseLost,
+    Contact,
     Enable,
     GateEvent,
     GateState,
@@ -49,10 +61,6 @@ MOTORS_GRACE_S = 1.0
 """How long after ENABLE the base may still report its motors off."""
 COAST_S = 2.0
 """Without a lease, motors are switched off when the rover stands, or after this."""
-STANDING = 0.01
-"""Below this, in m/s and rad/s, a reported speed counts as standing."""
-REACT_S = 0.3
-"""Longest time from command to first braking; the fence assumes it besides braking."""
 FROZEN_M, FROZEN_RAD = 0.01, 0.02
 """Odometry is frozen if the base moved this far by its own speeds and reports the same pose."""
 FROZEN_REPORTS = 2
@@ -72,7 +80,8 @@ def step(
         case BaseReport():
             state = _take_report(state, event, limits)
         case BaseLost():
-            state = replace(state, base=None, low_since_s=None)
+            restarted = state.odometry_restarted or event.restarted
+            state = replace(state, base=None, low_since_s=None, odometry_restarted=restarted)
         case Enable():
             state, refusal = _enable(state, event, limits)
         case Release(sequence) if state.lease is not None and sequence > state.lease.last_sequence:
@@ -85,7 +94,7 @@ def step(
             state, dropped = _command(state, event, limits, accept_ros)
         case _:  # time alone, or a release that was repeated or came after the lease ended
             pass
-    hazard = _hazard(state, limits)
+    hazard = _hazard(state, limits, known_contact(state))
     if hazard is not None and state.lease is not None:
         state = _end_lease(state, hazard)
     # A publisher may wait for a bridge that starts: the time before the first report is no hazard to it.
@@ -96,13 +105,13 @@ def step(
         state = replace(state, stops=_count(state.stops, held))
     velocity = ZERO
     if held is None and state.target is not None:
-        velocity = _within(state.target, state.out, limits, elapsed)
+        velocity = approach(state.target, state.out, limits, elapsed)
     state = _switch_motors(replace(state, held=held, out=velocity))
     return state, Verdict(velocity, state.motors, held, refusal, dropped, state.lease)
 
 
-def _hazard(state: GateState, limits: Limits) -> Reason | None:
-    """Return the active hazard, if any."""
+def _hazard(state: GateState, limits: Limits, known: Contact) -> Reason | None:
+    """Return the active hazard, if any; ``known`` contact is no hazard."""
     base, low, lease = state.base, state.low_since_s, state.lease
     if state.latched is not None:
         return Reason.STOPPED
@@ -110,10 +119,11 @@ def _hazard(state: GateState, limits: Limits) -> Reason | None:
         return Reason.NO_BASE
     for flagged, reason in (
         (base.stop_pressed, Reason.STOP_BUTTON),
-        (any(base.bumpers), Reason.BUMPER),
-        (any(base.stalled), Reason.STALL),
+        (base.bumpers[0] & ~known.front or base.bumpers[1] & ~known.rear, Reason.BUMPER),
+        (any(base.stalled) and not known.stalled, Reason.STALL),
         (low is not None and state.now - low >= limits.battery_low_s, Reason.LOW_BATTERY),
         (_frozen(state), Reason.FROZEN),
+        (state.odometry_restarted and limits.fence is not None, Reason.FENCE_LOST),
     ):
         if flagged:
             return reason
@@ -136,9 +146,11 @@ def _hold_reason(state: GateState, limits: Limits) -> Reason | None:
         reason = state.idle
     elif state.now > state.target_until_s:
         reason = Reason.SILENCE
-    elif limits.fence is not None and _leaves(limits.fence, base, _clamp(target.v, limits.v_max), limits):
+    elif limits.fence is not None and leaves(
+        limits.fence, base, target, state.now - state.base_s, limits.brake
+    ):
         reason = Reason.GEOFENCE
-    elif limits.sonar_stop_m is not None and not _clear(base, target.v, limits.sonar_stop_m):
+    elif limits.sonar_stop_m is not None and not clear(base, target.v, limits.sonar_stop_m):
         reason = Reason.SONAR
     return reason
 
@@ -155,20 +167,6 @@ def _odometry_stale(state: GateState, base: BaseReport, limits: Limits) -> bool:
     return state.now - state.base_s > limits.odometry_s or not all(map(math.isfinite, numbers))
 
 
-def _leaves(fence: Fence, base: BaseReport, v: float, limits: Limits) -> bool:
-    """Whether a base at speed ``v`` would stop outside the fence, no nearer to it than it is now."""
-    reach = v * REACT_S + v * abs(v) / (2.0 * limits.brake)
-    ahead = fence.outside(base.x + reach * math.cos(base.theta), base.y + reach * math.sin(base.theta))
-    return v != 0.0 and ahead > 0.0 and ahead >= fence.outside(base.x, base.y)
-
-
-def _clear(base: BaseReport, v: float, least_m: float) -> bool:
-    """Whether the clearance in the direction of ``v`` is known and at least ``least_m``."""
-    ahead = v <= 0.0 or base.clear_ahead_m >= least_m
-    behind = v >= 0.0 or base.clear_behind_m >= least_m
-    return ahead and behind
-
-
 def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateState:
     """Store a base report; update the start of low battery and the distance driven at the same pose."""
     before, low_since_s, repeats, frozen_m, frozen_rad = state.base, None, 0, 0.0, 0.0
@@ -181,6 +179,7 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
         low_since_s = state.now if state.low_since_s is None else state.low_since_s
     return replace(
         state,
+        stalled_v=stall_direction(state, base),
         base=base,
         base_s=state.now,
         low_since_s=low_since_s,
@@ -204,7 +203,8 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         return state, Reason.ANOTHER_DRIVER
     if lease is not None and sequence <= lease.last_sequence:
         return state, Reason.REPEATED
-    hazard = _hazard(state, limits)
+    contact = one_sided_contact(state) if lease is None else known_contact(state)
+    hazard = _hazard(state, limits, contact)
     if hazard is not None or base is None:
         return state, hazard
     if _odometry_stale(state, base, limits):
@@ -217,6 +217,7 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         granted_s=state.now,
         expires_s=state.now + limits.lease_s,
         last_sequence=sequence,
+        contact=contact,
     )
     return replace(
         state,
@@ -287,15 +288,17 @@ def _command(
         # The driver that holds the lease is faulty: the command before this one is not carried out further.
         return replace(state, target=None, idle=flaw, dropped=_count(state.dropped, flaw)), flaw
     assert velocity is not None  # else it has a flaw
-    limited = state.limited
-    if abs(velocity.v) > limits.v_max:
+    contact, limited = lasting_contact(state, admitted.lease.contact, velocity), state.limited
+    allowed = bounded(contact, velocity, limits)
+    if velocity.v != allowed.v:
         limited = _count(limited, Reason.SPEED)
-    if abs(velocity.omega) > limits.omega_max:
+    if velocity.omega != allowed.omega:
         limited = _count(limited, Reason.TURN)
     return replace(
         state,
-        lease=replace(admitted.lease, expires_s=state.now + limits.lease_s),
-        target=velocity,
+        lease=replace(admitted.lease, expires_s=state.now + limits.lease_s, contact=contact),
+        target=allowed if leads_away(state, contact, velocity) else None,
+        idle=Reason.BUMPER if contact.front or contact.rear else Reason.STALL,
         target_until_s=admitted.sent_s + limits.silence_s,
         accepted=state.accepted + 1,
         limited=limited,
@@ -310,7 +313,7 @@ def _tagged(state: GateState, tag: CommandTag, signed: bool, limits: Limits) -> 
     """
     lease = state.lease
     if lease is None:
-        return _hazard(state, limits) or Reason.NO_LEASE
+        return _hazard(state, limits, NO_CONTACT) or Reason.NO_LEASE
     if not signed:
         return Reason.FOREIGN
     if tag.sequence <= lease.last_sequence:
@@ -334,7 +337,8 @@ def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Ad
     if not abs(age) <= ROS_AGE_S:
         return Reason.STALE
     if state.lease is None:
-        refusal = _hazard(state, limits) or _flaw(command.velocity)
+        known = one_sided_contact(state) if command.velocity == ZERO else NO_CONTACT
+        refusal = _hazard(state, limits, known) or _flaw(command.velocity)
         if refusal is None and state.now < state.untagged_until_s and command.velocity != ZERO:
             refusal = Reason.NO_LEASE
         if refusal is None:
@@ -363,24 +367,6 @@ def remember(
     if kept and kept[-1][0] == second:
         return (*kept[:-1], (second, min(offset, kept[-1][1])))
     return (*kept, (second, offset))
-
-
-def _within(target: Velocity, before: Velocity, limits: Limits, elapsed: float) -> Velocity:
-    """Return the target within the limits and the allowed acceleration."""
-    return Velocity(
-        _toward(before.v, _clamp(target.v, limits.v_max), limits.accel * elapsed),
-        _toward(before.omega, _clamp(target.omega, limits.omega_max), limits.alpha * elapsed),
-    )
-
-
-def _clamp(value: float, bound: float) -> float:
-    return min(max(value, -bound), bound)
-
-
-def _toward(before: float, wanted: float, growth: float) -> float:
-    """Let a magnitude grow by ``growth`` at most, from zero where the sign changes."""
-    start = abs(before) if before * wanted > 0.0 else 0.0
-    return math.copysign(min(abs(wanted), start + growth), wanted)
 
 
 def _count(counts: Mapping[Reason, int], reason: Reason) -> Mapping[Reason, int]:

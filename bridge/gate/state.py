@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from bridge.base import BaseReport
 from rover_ncp.core.errors import FormatError
@@ -29,6 +29,8 @@ class Reason(StrEnum):
     """Odometry is stale, or its pose is not finite."""
     FROZEN = "odometry-frozen"
     """Frozen odometry: the base reports the same pose while it reports a speed."""
+    FENCE_LOST = "fence-lost"
+    """Odometry restarted, so that the place of the fence is not known until the bridge is restarted."""
     NO_LEASE = "no-lease"
     SILENCE = "silence"
     LEASE_LAPSED = "lease-lapsed"
@@ -57,7 +59,9 @@ class Tick:
 
 @dataclass(frozen=True)
 class BaseLost:
-    """The link to the base is gone, or it was set up anew."""
+    """The link to the base is gone, or it was set up anew; then odometry may have ``restarted``."""
+
+    restarted: bool = False
 
 
 @dataclass(frozen=True)
@@ -110,6 +114,17 @@ class Unlatch:
 GateEvent: TypeAlias = Tick | BaseReport | BaseLost | VelocityCommand | Enable | Release | Stop | Unlatch
 
 
+class Contact(NamedTuple):
+    """What touches the base: the bits of the pressed front and rear bumpers, and whether a motor stalls."""
+
+    front: int = 0
+    rear: int = 0
+    stalled: bool = False
+
+
+NO_CONTACT = Contact()
+
+
 @dataclass(frozen=True)
 class Lease:
     """A driver's lease, and when it expires without a command."""
@@ -124,6 +139,8 @@ class Lease:
     granted_s: float
     expires_s: float
     last_sequence: int = -1
+    contact: Contact = NO_CONTACT
+    """The contact in which it was granted, as far as it lasted until the last command that led away."""
 
     def signed(self, tag: CommandTag | None, kind: Signed, key_expr: str, payload: bytes) -> bool:
         """Return whether a message's digest is valid under the key of this lease."""
@@ -162,8 +179,12 @@ class GateState:
     frozen_m: float = 0.0
     frozen_rad: float = 0.0
     """Distance by the base's reported speeds since its reported pose last changed."""
+    stalled_v: float = 0.0
+    """Direction of travel when a motor began to stall: 1 forward, −1 backward, 0 unknown."""
+    odometry_restarted: bool = False
+    """Whether the origin of odom is another place than at the first report."""
     target: Velocity | None = None
-    """The command in force, until ``target_until_s``."""
+    """The command in force within the speed limits, until ``target_until_s``."""
     target_until_s: float = -math.inf
     idle: Reason = Reason.SILENCE
     """Hold reason while there is no command in force."""

@@ -64,7 +64,7 @@ class ArcosBase:
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
         """See Base."""
         last, self._last = self._last, setpoint
-        if setpoint.motors != last.motors:
+        if setpoint.motors != last.motors or setpoint.lease not in {0, last.lease}:
             self._session.enable(setpoint.motors)
         if setpoint.emergency and not last.emergency:
             self._session.emergency_stop()

@@ -156,7 +156,7 @@ class Session:
     def enable(self, on: bool) -> None:
         """Ask for the motors, or switch them off, standing still either way."""
         if self.state is SessionState.READY:
-            self._setpoints.enable(on, self._report is not None and self._report.motors_on, self._now)
+            self._setpoints.enable(on, self._now)
 
     def emergency_stop(self) -> None:
         """Stop at once, beyond the deceleration limit."""

@@ -113,10 +113,8 @@ class Setpoints:
         """Set the speeds that the next tick sends."""
         self._velocity = velocity if self._wanted else _ZERO
 
-    def enable(self, on: bool, motors_on: bool, now: float) -> None:
-        """Ask for the motors or switch them off, standing still. They stay on if they are already."""
-        if on and self._wanted and motors_on:
-            return
+    def enable(self, on: bool, now: float) -> None:
+        """Ask for the motors or switch them off, standing still."""
         self._wanted = on
         self._enable_tries = 0
         if on:

@@ -283,7 +283,8 @@ class Ros2Base:
             charging=self._charging,
             stop_pressed=self._stop_pressed,
             stalled=(STALL in self._hazards, STALL in self._hazards),
-            bumpers=(int(not self._hazards.isdisjoint(_BUMPERS)), 0),
+            # Bumpers and cliff sensors are in front. With a dropped wheel no direction is free.
+            bumpers=(int(not self._hazards.isdisjoint(_BUMPERS)), int(WHEEL_DROP in self._hazards)),
             clear_ahead_m=ahead,
             clear_behind_m=behind,
         )

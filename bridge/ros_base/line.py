@@ -8,6 +8,7 @@ import json
 import secrets
 import time
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from bridge.ros.rmw_node import publisher
 from bridge.ros_base.address import RosAddress
 from bridge.ros_base.base import TokenSeen
 from bridge.zenoh_config import read_config, reason
+from rover_ncp.core.certificates import require_valid
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.messages import (
     BATTERY_STATE,
@@ -157,6 +159,7 @@ def _source(sample: zenoh.Sample) -> bytes | None:
 
 def _open(endpoint: str, file: Path | None) -> zenoh.Session:
     config = read_config(file)
+    require_valid(config, "connect", file, datetime.now(UTC))
     for path, value in {**CLIENT, "connect/endpoints": [endpoint]}.items():
         config.insert_json5(path, json.dumps(value))
     try:

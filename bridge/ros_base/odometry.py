@@ -84,7 +84,10 @@ class RosOdometer:
             )
             return None
         if not all(map(math.isfinite, (*sample.pose, *sample.velocity))):
+            rest = (sample.pose.x, sample.pose.y, *sample.velocity)
             self.problem = "odometry is not finite"
+            if all(map(math.isfinite, rest)):
+                self.problem = "the orientation in odometry is not a rotation, a quaternion of the length 1"
             self._spread.clear()
             return None
         return self._moved(sample, arrived_s) if self._new_and_fresh(sample.stamp_ns, arrived_s) else None

@@ -34,7 +34,7 @@ class Silence:
 
     @property
     def refusal(self) -> str:
-        """Why no driver but the check may drive; "" if every one may."""
+        """Why the robot is not driven unless the request says ``unchecked``; "" if it is."""
         if self.unsafe or self.state is TimeoutState.MEASURED:
             return ""
         known = f"the robot {self._known} by itself when its commands stop"

@@ -34,8 +34,11 @@ class Link(MeasurementSource, Protocol):
     def authorised(self) -> bool:
         """Return whether the bridge takes commands from this driver."""
 
-    def request_motors(self, name: str) -> MotorsReply:
-        """Request the motors and with them the lease. Raises UnreachableError or SafetyStop."""
+    def request_motors(self, name: str, unchecked: bool = False) -> MotorsReply:
+        """Request the motors and with them the lease. Raises UnreachableError or SafetyStop.
+
+        ``unchecked`` also asks for a robot that is not known to halt when the bridge dies.
+        """
 
     def release(self) -> None:
         """Stop the rover and release the lease, if this driver holds it; never raises."""

@@ -91,7 +91,7 @@ class ZenohLink(ZenohClient):
         """Whether a subscriber takes our commands: a bridge without permission for us has none."""
         return matches(self._publishers["cmd_vel"])
 
-    def request_motors(self, name: str) -> MotorsReply:
+    def request_motors(self, name: str, unchecked: bool = False) -> MotorsReply:
         """Request the motors and with them the lease, or renew the current lease.
 
         After a slow answer it sends a signed renewal. If the answer was lost, the gate refuses every driver,
@@ -104,7 +104,8 @@ class ZenohLink(ZenohClient):
             self._token = self._session.liveliness().declare_token(self.key("rover/alive/driver"))
         for _ in range(REQUEST_TRIES):
             sent_s = time.monotonic()
-            reply = self._motors(enable=True, name=name, timeout_s=QUERY_TIMEOUT_S)
+            request = MotorsRequest(enable=True, unchecked=unchecked, name=name)
+            reply = self._motors(request, QUERY_TIMEOUT_S)
             round_trip_s = time.monotonic() - sent_s
             if reply is not None and reply.granted:
                 self.lease.grant(reply)
@@ -130,9 +131,9 @@ class ZenohLink(ZenohClient):
             )
         return reply
 
-    def _motors(self, enable: bool, name: str, timeout_s: float) -> MotorsReply | None:
+    def _motors(self, request: MotorsRequest, timeout_s: float) -> MotorsReply | None:
         now_ns = time.monotonic_ns()
-        payload = dump_json(MotorsRequest(enable=enable, name=name, sent_ns=now_ns))
+        payload = dump_json(request.model_copy(update={"sent_ns": now_ns}))
         where, tag = self.key("rover/motors"), None
         if self.lease.number:
             tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
@@ -201,7 +202,7 @@ class ZenohLink(ZenohClient):
         with contextlib.suppress(zenoh.ZError):
             self.command(Velocity(0.0, 0.0))
         with contextlib.suppress(zenoh.ZError, NoBridge, OtherVersion):
-            self._motors(enable=False, name="", timeout_s=RELEASE_TIMEOUT_S)
+            self._motors(MotorsRequest(enable=False), RELEASE_TIMEOUT_S)
         self.lease.end()
 
     def command(self, velocity: Velocity) -> int:

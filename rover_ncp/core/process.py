@@ -1,11 +1,15 @@
 """A process's clock, its termination signals (recorded, not obeyed), and what a ``with`` block closes."""
 
+import resource
 import signal
 import sys
 import time
 from abc import ABC, abstractmethod
+from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
+
+from rover_ncp.core.errors import UsageError
 
 _AGAIN_S = 0.01
 _DROPPING = ("llvmlite.", "pymunk._callbacks.", "enum.")
@@ -37,6 +41,18 @@ def suspended_s() -> float:
     if sys.platform != "linux":
         return 0.0
     return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
+
+
+def require_open_files(free: int) -> None:
+    """Let this process open so many more files. Raises UsageError if the system's limit is too low."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = len(list(Path("/dev/fd").iterdir())) + free
+    if soft != resource.RLIM_INFINITY and soft < needed:
+        if hard != resource.RLIM_INFINITY and hard < needed:
+            raise UsageError(
+                f"this process may open {hard} files, expected {needed} or more: raise ulimit -n"
+            )
+        resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
 
 
 class ClosedAtExit(ABC):

@@ -21,8 +21,6 @@ PROTOCOL = 2
 """Version of this protocol. Version 1 had no key: a tag was the driver's public id, and no digest."""
 VERSION_REASON = "version"
 """The reason of a refusal because driver and bridge use different versions."""
-CHECK = "check"
-"""The name of the driver that checks a robot. No other one drives a robot whose timeout is not known."""
 KEY_BYTES = 32
 """Length of a lease's key."""
 
@@ -103,11 +101,13 @@ class _Version(BaseModel):
 class MotorsRequest(StrictModel):
     """Request or renewal of the lease, or its release; ``sent_ns`` is the driver's monotonic clock.
 
-    A renewal and a release carry a `CommandTag`; a first request does not.
+    A renewal and a release carry a `CommandTag`; a first request does not. ``unchecked`` also asks for a
+    robot that is not known to halt when the bridge dies, as to measure that.
     """
 
     version: int = PROTOCOL
     enable: bool
+    unchecked: bool = False
     name: ShortText = ""
     sent_ns: Nanoseconds = 0
 
@@ -182,7 +182,7 @@ class ResetReply(StrictModel):
 class BaseRequest(StrictModel):
     """What is known of the base. ``measure`` begins the measurement of its own timeout.
 
-    The measurement needs the lease of the driver `CHECK`, signed as a renewal, and wheels that turn.
+    The measurement needs the lease, a signature as that of a renewal, and wheels that turn.
     """
 
     measure: bool = False

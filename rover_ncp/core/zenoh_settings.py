@@ -10,6 +10,8 @@ CLIENT: dict[str, Any] = {
     "transport/link/tx/lease": 1000,
     "transport/link/tx/keep_alive": 4,
     "transport/shared_memory/enabled": False,
+    # Microseconds; by default a message that cannot leave at once blocks its sender for 1 ms.
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
     "connect/timeout_ms": 2000,
     # The default waits up to 4 s between attempts, which made reconnecting as slow.
     "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},

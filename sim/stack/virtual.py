@@ -179,10 +179,10 @@ class VirtualLink:
         """Return True: the simulation authorises every driver."""
         return True
 
-    def request_motors(self, name: str) -> MotorsReply:
+    def request_motors(self, name: str, unchecked: bool = False) -> MotorsReply:
         """Request the lease. Raises SafetyStop when it is refused."""
         self._requested = True
-        reply = self._motors(enable=True, name=name)
+        reply = self._motors(MotorsRequest(enable=True, unchecked=unchecked, name=name))
         if not reply.granted:
             raise SafetyStop(reply.reason or "gate", reply.detail)
         self.lease.grant(reply)
@@ -192,7 +192,7 @@ class VirtualLink:
         """Stop and release the lease, if we hold it."""
         if self.lease.number:
             self.command(Velocity(0.0, 0.0))
-            self._motors(enable=False, name="")
+            self._motors(MotorsRequest(enable=False))
             self.lease.end()
 
     def command(self, velocity: Velocity) -> int:
@@ -208,8 +208,8 @@ class VirtualLink:
     def publish(self, name: str, data: bytes, wall_ns: int) -> None:
         """Discard a message: the simulation has no subscriber to the driver's own topics."""
 
-    def _motors(self, enable: bool, name: str) -> MotorsReply:
-        payload = dump_json(MotorsRequest(enable=enable, name=name, sent_ns=self._bridge.now_ns))
+    def _motors(self, request: MotorsRequest) -> MotorsReply:
+        payload = dump_json(request.model_copy(update={"sent_ns": self._bridge.now_ns}))
         tag = None
         if self.lease.number:
             tag = self.lease.sign(Signed.MOTORS, "rover/motors", payload, self._bridge.now_ns).pack()

@@ -1,9 +1,12 @@
 """The bridge as a process: how it begins, how it ends, and a base that fails under it."""
 
 import json
+import re
 import signal
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 
@@ -163,3 +166,24 @@ def test_a_zenoh_configuration_says_where_to_listen(free_endpoint, tmp_path, cap
     arguments = ["bridge", "--base", free_endpoint, "--zenoh-config", str(config)]
     assert cli.run([*arguments, "--insecure"]) == 2
     assert "--listen tcp/192.0.2.1:9: cannot listen there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("limit", "code", "words"),
+    [
+        ("-n 60", 2, r"may open 60 files, expected \d+ or more: raise ulimit -n"),
+        ("-Sn 60", 3, "connection refused"),  # it raises its own limit
+    ],
+)
+def test_bridge_that_may_open_too_few_files_is_refused_before_it_is_ready(limit, code, words):
+    command = f"ulimit {limit}; exec {sys.executable} -m rover_ncp bridge --base tcp/127.0.0.1:1 "
+    done = subprocess.run(
+        ["sh", "-c", command + "--listen tcp/127.0.0.1:0"],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == code
+    assert re.search(words, done.stderr)
+    assert "ready" not in done.stdout

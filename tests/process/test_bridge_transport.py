@@ -4,6 +4,8 @@ import os
 import pty
 import socket
 import struct
+import subprocess
+import sys
 import time
 import tty
 from contextlib import closing, contextmanager, suppress
@@ -210,3 +212,18 @@ def test_the_last_command_arrives_although_sips_lie_unread():
         line.close()
         far.settimeout(2.0)
         assert far.recv(100) == encode_command(Command.CLOSE)
+
+
+def test_port_that_another_process_has_locked_is_named_with_that_process():
+    far, near = pty.openpty()
+    name = os.ttyname(near)
+    lock = "import fcntl, sys; port = open(sys.argv[1]); fcntl.flock(port, 2); print(flush=True); input()"
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", lock, name], **pipes) as other:
+        other.stdout.readline()
+        with pytest.raises(NoRobot, match=rf"another process uses it: python\S*, process {other.pid}"):
+            open_transport(f"serial/{name}")
+        other.communicate(b"\n")
+    open_transport(f"serial/{name}").close()
+    os.close(far)
+    os.close(near)

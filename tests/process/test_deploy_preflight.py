@@ -74,7 +74,9 @@ def test_rare_odometry_is_listened_to_once_more(reports, ok):
 )
 def test_a_measurement_that_a_stop_ended_is_not_called_a_missing_timeout(monkeypatch, state, words):
     replies = (BaseReply(model="husky-a200", state=state) for state in ("unknown", "running", state))
-    link = SimpleNamespace(about_base=lambda measure=False: next(replies), request_motors=lambda name: None)
+    link = SimpleNamespace(
+        about_base=lambda measure=False: next(replies), request_motors=lambda name, unchecked: None
+    )
     monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
     monitor, measurements = SimpleNamespace(until=lambda condition, timeout_s: False), SimpleNamespace()
     found, detail = Preflight(link, measurements, monitor, Battery())._check_own_timeout()

@@ -1,8 +1,8 @@
 """Mutation testing of the gate: ``python tests/tools/mutate_gate.py [FIRST LAST]``, or ``make mutate``.
 
-Every mutant differs from ``bridge/gate/gate.py`` in one place: a comparison, an operator, a constant, a
-condition, a keyword of a call, a statement. Each is run against the gate's tests in a process of its own,
-forked from one that has everything loaded. A mutant that no test kills must stand in
+Every mutant differs from a module of ``bridge/gate`` (`MODULES`) in one place: a comparison, an operator, a
+constant, a condition, a keyword of a call, a statement. Each is run against the gate's tests in a process of
+its own, forked from one that has everything loaded. A mutant that no test kills must stand in
 ``tests/data/gate_survivors.yaml`` with the reason why it is the same gate; one that stands there and dies
 is an error too.
 """
@@ -22,9 +22,9 @@ import yaml
 import bridge
 
 ROOT = Path(__file__).parents[2]
-GATE = ROOT / "bridge" / "gate" / "gate.py"
+MODULES = {name: ROOT / "bridge" / "gate" / f"{name}.py" for name in ("gate", "contact", "motion")}
 SURVIVORS = ROOT / "tests" / "data" / "gate_survivors.yaml"
-TESTS = [f"test_gate{part}.py" for part in ("", "_commands", "_edges", "_anything")]
+TESTS = [f"test_gate{part}.py" for part in ("", "_commands", "_contact", "_edges", "_fence", "_anything")]
 TIMEOUT_S = 30
 
 COMPARISONS = {
@@ -95,8 +95,13 @@ def _remove(node, name, place):
 
 
 def mutants():
-    """Yield (name, module) of every mutant; a name is the function, the line's text and the change."""
-    source = GATE.read_text()
+    """Yield (name, module, tree) of every mutant; a name is the function, the line's text and the change."""
+    for module, path in MODULES.items():
+        for name, tree in mutants_of(path.read_text()):
+            yield name, module, tree
+
+
+def mutants_of(source):
     lines, tree = source.splitlines(), ast.parse(source)
     owners = {}
     for function in [node for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)]:
@@ -138,12 +143,12 @@ def forget():
     """Let the next import of the gate and of what uses it be a new one."""
     for name in list(sys.modules):
         if "gate" in name and name.startswith(
-            ("bridge.gate.gate", "tests.unit.bridge.test_gate", "gate_bench")
+            (*(f"bridge.gate.{name}" for name in MODULES), "tests.unit.bridge.test_gate", "gate_bench")
         ):
             del sys.modules[name]
 
 
-def killed(tree):
+def killed(name, tree):
     """Whether the tests notice the mutant, or one of them never ends."""
     child = os.fork()
     if child == 0:
@@ -151,11 +156,11 @@ def killed(tree):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
         try:
             forget()
-            module = types.ModuleType("bridge.gate.gate")
-            module.__file__ = str(GATE)
-            sys.modules["bridge.gate.gate"] = module
-            exec(compile(tree, str(GATE), "exec"), module.__dict__)
-            bridge.gate.gate = module
+            module = types.ModuleType(f"bridge.gate.{name}")
+            module.__file__ = str(MODULES[name])
+            sys.modules[module.__name__] = module
+            exec(compile(tree, module.__file__, "exec"), module.__dict__)
+            setattr(bridge.gate, name, module)
             failed = run_tests()
         except BaseException:
             failed = True
@@ -166,28 +171,28 @@ def killed(tree):
 
 def main(arguments):
     run_tests("--collect-only", "-qq")  # what all of them load is loaded once
-    if killed(ast.parse(GATE.read_text())):
-        print("the gate itself does not pass its tests")
-        return 1
+    for module, path in MODULES.items():
+        if killed(module, ast.parse(path.read_text())):
+            print("the gate itself does not pass its tests")
+            return 1
     found = list(mutants())
     gc.freeze()  # or each child's collector would walk through all those trees
     first, last = (int(arguments[0]), int(arguments[1])) if arguments else (0, len(found))
     chosen = found[first:last]
     listed = yaml.safe_load(SURVIVORS.read_text()) if SURVIVORS.exists() else {}
-    dead = []
+    dead, names = [], {name for name, _, _ in chosen}
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for (name, _), died in zip(chosen, pool.map(lambda item: killed(item[1]), chosen), strict=True):
+        for (name, _, _), died in zip(chosen, pool.map(lambda item: killed(*item[1:]), chosen), strict=True):
             dead.append(died)
             print(
                 f"{len(dead)}/{len(chosen)} {'killed' if died else 'SURVIVES'}  {name}",
                 file=sys.stderr,
                 flush=True,
             )
-    alive = {name for (name, _), died in zip(chosen, dead, strict=True) if not died}
+    alive = {name for (name, _, _), died in zip(chosen, dead, strict=True) if not died}
     unexplained = sorted(alive - set(listed))
-    names = {name for name, _ in chosen}
     wrong = sorted(name for name in listed if name in names and name not in alive)
-    gone = sorted(name for name in listed if name not in {name for name, _ in found})
+    gone = sorted(name for name in listed if name not in {name for name, _, _ in found})
     print(f"{len(chosen)} mutants, {sum(dead)} killed, {len(alive)} survive, {len(unexplained)} unexplained")
     for title, items in (("survives", unexplained), ("listed, but dies", wrong), ("listed, no mutant", gone)):
         for name in items:

@@ -184,8 +184,7 @@ def test_sonars_hold_nothing_without_sonar_stop_m():
 
 HAZARDS = [
     (BaseReport(stop_pressed=True), Reason.STOP_BUTTON),
-    (BaseReport(bumpers=(1, 0)), Reason.BUMPER),
-    (BaseReport(stalled=(False, True)), Reason.STALL),
+    (BaseReport(bumpers=(1, 2)), Reason.BUMPER),
 ]
 
 
@@ -218,7 +217,8 @@ def test_a_hazard_stops_and_ends_the_lease(event, reason):
 )
 def test_only_stop_button_bumper_and_stall_brake_harder(reason, emergency):
     gate = Gate().driving()
-    events = {value: event for event, value in HAZARDS} | {Reason.STOPPED: Stop("now")}
+    events = {value: event for event, value in HAZARDS}
+    events |= {Reason.STOPPED: Stop("now"), Reason.STALL: BaseReport(stalled=(False, True))}
     verdict = gate.at(0.35, BaseReport())
     if reason is Reason.NO_LEASE:
         verdict = gate.release(0.35)

@@ -45,11 +45,12 @@ reports = st.builds(
     motors_on=st.sampled_from([True, True, True, False]),
     stop_pressed=st.sampled_from([False] * 9 + [True]),
     stalled=st.sampled_from([(False, False)] * 9 + [(True, False)]),
-    bumpers=st.sampled_from([(0, 0)] * 9 + [(0, 4)]),
+    bumpers=st.sampled_from([(0, 0)] * 9 + [(0, 4), (1, 0), (1, 4)]),
     clear_ahead_m=st.sampled_from([5.0, 5.0, 0.5, 0.4, math.nan]),
     clear_behind_m=st.sampled_from([5.0, 0.4, math.nan]),
 )
 CLEAR = BaseReport(clear_ahead_m=1.0, clear_behind_m=1.0)
+TOUCHING = [BaseReport(bumpers=(0, 4)), BaseReport(bumpers=(1, 0)), BaseReport(stalled=(True, True))]
 good = st.just(("good", None))
 happenings = st.lists(
     st.tuples(
@@ -57,6 +58,8 @@ happenings = st.lists(
         st.one_of(
             *[good] * 8,
             st.just(("start", None)),
+            st.tuples(st.just("touch"), st.sampled_from(TOUCHING)),
+            st.tuples(st.just("touching"), st.tuples(st.sampled_from(TOUCHING), velocities)),
             st.tuples(st.just("report"), reports),
             st.tuples(st.just("event"), st.sampled_from([Tick(), BaseLost(), Stop("x"), Unlatch()])),
             st.tuples(st.just("enable"), st.tuples(st.none() | sequences, stamp_errors)),
@@ -85,7 +88,10 @@ all_limits = st.builds(
 
 
 def events_of(kind, what, now, sequence):
-    """The events that a happening stands for: "start" is all it takes to begin, "good" to go on."""
+    """The events that a happening stands for: "start" is all it takes to begin, "good" to go on.
+
+    "touch" is all it takes to begin in contact, "touching" to go on.
+    """
     stamp = round(now * 1e9)
     match kind:
         case "good":
@@ -98,6 +104,13 @@ def events_of(kind, what, now, sequence):
             yield Unlatch()
             yield CLEAR
             yield Enable("x", stamp, SECRET)
+        case "touch":
+            yield what
+            yield Unlatch()
+            yield Enable("x", stamp, SECRET)
+        case "touching":
+            yield what[0]
+            yield VelocityCommand(what[1], CommandTag(1, sequence, stamp), signed=True)
         case "enable":
             yield Enable("x", stamp + what[1], SECRET, what[0])
         case "release":
@@ -127,20 +140,23 @@ def allowed_to_move(history, limits):
     commanded_s, command, _ = history[counted[-1]]
     last = -1 if command.tag is None else command.tag.sequence
     latches = [event for _, event, _ in history if isinstance(event, Stop | Unlatch)]
+    hazards = hazardous(history)
     return (
         now - commanded_s <= limits.silence_s + ROUNDING_S
         and report.motors_on
         and all(math.isfinite(getattr(report, name)) for name in ("x", "y", "theta", "v", "omega"))
-        and not any(ends(event, last) for _, event, _ in history[counted[-1] + 1 :])
-        and asked_again(history, counted)
+        and not any(hazards[counted[-1] + 1 :])
+        and not any(released(event, last) for _, event, _ in history[counted[-1] + 1 :])
+        and asked_again(history, counted, hazards)
+        and away(report, history[-1][2].velocity)
         and not (latches and isinstance(latches[-1], Stop))
         and not blocked(report, command.velocity.v, limits)
     )
 
 
-def asked_again(history, counted):
+def asked_again(history, counted, hazardous):
     """Whether the first driver after a hazard asked for a lease, sent zero, or paused for 1 s before."""
-    hazards = [k for k, (_, event, _) in enumerate(history) if hazardous(event)]
+    hazards = [k for k, flagged in enumerate(hazardous) if flagged]
     begin = hazards[-1] if hazards else len(history)
     first = next((k for k in counted if k > begin), None)
     if first is None:
@@ -167,14 +183,32 @@ def blocked(report, v, limits):
     return asked and not ranges[math.copysign(1.0, v)] >= limits.sonar_stop_m
 
 
-def hazardous(event):
-    if isinstance(event, BaseReport):
-        return event.stop_pressed or any(event.stalled) or any(event.bumpers)
-    return isinstance(event, Stop | BaseLost)
+def hazardous(history):
+    """Of each event, whether it must end a lease: contact must, unless it was there when the lease began."""
+    flags, number, known, now = [], 0, (0, 0, 0), (0, 0, 0)
+    for _, event, verdict in history:
+        flag = isinstance(event, Stop | BaseLost)
+        if isinstance(event, BaseReport):
+            now = (*event.bumpers, int(any(event.stalled)))
+            flag = event.stop_pressed or any(new & ~old for new, old in zip(now, known, strict=True))
+        if verdict.lease is not None and verdict.lease.number != number:
+            number, known = verdict.lease.number, now
+        flags.append(flag)
+    return flags
 
 
-def ends(event, last):
-    return hazardous(event) or (isinstance(event, Release) and event.sequence > last)
+def away(report, velocity):
+    """Whether the rover drives slowly and straight if it touches something, and away from it."""
+    front, rear = map(bool, report.bumpers)
+    if not front and not rear and not any(report.stalled):
+        return True
+    free = -1.0 if front else 1.0
+    sided = not (front and rear) and (not (front or rear) or velocity.v * free > 0.0)
+    return sided and velocity.omega == 0.0 and abs(velocity.v) <= 0.1
+
+
+def released(event, last):
+    return isinstance(event, Release) and event.sequence > last
 
 
 def forged(event, state):

@@ -4,12 +4,22 @@ import math
 
 import pytest
 
+from bridge.gate.limits import Fence, Limits
 from bridge.pioneer.arcos import Command, Decoder
 from deploy.drive.lease import DriverLease
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import read_odometry, read_twist, twist_stamped
-from rover_ncp.core.protocol import MotorsReply, MotorsRequest, Signed, dump_json, parse_json
+from rover_ncp.core.messages import read_odometry, read_text, read_twist, twist_stamped
+from rover_ncp.core.protocol import (
+    GateStatus,
+    MotorsReply,
+    MotorsRequest,
+    ResetReply,
+    Signed,
+    dump_json,
+    parse_json,
+)
 from sim.pioneer.client_commands import decode_argument
+from sim.pioneer.faults import parse_fault
 from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import WALL_NS, VirtualBridge
 from sim.world.described import default_rover
@@ -24,11 +34,14 @@ class Bridge(VirtualBridge):
 
     set_ns = 0
     slept_s = 0.0
+    enables = 0
+    """Number of ENABLE 1."""
 
-    def __init__(self):
+    def __init__(self, limits=None):
         self.stamps, self.published, self.sent = [], [], []
         self._decoder = Decoder()
-        super().__init__(Firmware("p3at-sh", PymunkRover(default_rover(), Ground(()))))
+        self.firmware = Firmware("p3at-sh", PymunkRover(default_rover(), Ground(())))
+        super().__init__(self.firmware, limits)
         self.line.write, self._write = self.write, self.line.write
         self.sleep(3.0)
         assert abs(self.stamps[-1]) < SECOND_NS / 10
@@ -41,7 +54,10 @@ class Bridge(VirtualBridge):
 
     def publish(self, name, data):
         if name == "odom":
-            self.stamps.append(read_odometry(data).stamp_ns - WALL_NS - self.now_ns)
+            self.odom = read_odometry(data)
+            self.stamps.append(self.odom.stamp_ns - WALL_NS - self.now_ns)
+        if name == "rover/gate":
+            self.gate = parse_json(GateStatus, read_text(data))
         if name == "rover/cmd_out":
             self.published.append(read_twist(data).velocity)
 
@@ -49,11 +65,15 @@ class Bridge(VirtualBridge):
         for packet in self._decoder.feed(data, self.monotonic()):
             if packet.kind in {Command.VEL, Command.RVEL}:
                 self.sent.append((Command(packet.kind), decode_argument(packet.kind, packet.payload)))
+            elif packet.kind == Command.ENABLE:
+                self.enables += decode_argument(packet.kind, packet.payload)
         self._write(data)
 
-    def motors(self):
-        request = MotorsRequest(enable=True, name="x", sent_ns=self.now_ns)
-        return parse_json(MotorsReply, self.query("rover/motors", dump_json(request)))
+    def motors(self, enable=True, lease=None):
+        """A request for the motors, signed with the key of a lease if there is one."""
+        data = dump_json(MotorsRequest(enable=enable, name="x", sent_ns=self.now_ns))
+        tag = lease and lease.sign(Signed.MOTORS, "rover/motors", data, self.now_ns).pack()
+        return parse_json(MotorsReply, self.query("rover/motors", data, tag))
 
 
 @pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS])
@@ -123,3 +143,95 @@ def test_base_gets_the_published_setpoint_rounded_to_its_units(wanted):
     assert bridge.published[-1] == tuple(
         math.copysign(min(abs(each), limit), each) for each, limit in zip(wanted, limits, strict=True)
     )
+
+
+# The motors
+
+
+def test_new_lease_enables_the_motors_of_a_rover_that_still_rolls_after_the_stop_button():
+    bridge, lease = Bridge(), DriverLease()
+    lease.grant(bridge.motors())
+    drive(bridge, lease, Velocity(0.3, 0.0))
+    bridge.firmware.inject(parse_fault("stop-button@0-0.12"))
+    bridge.sleep(0.2)
+    assert bridge.gate.ended == "stop-button"
+    assert bridge.odom.velocity.v > 0.05  # so the gate has not switched the motors off yet
+    lease.grant(bridge.motors())
+    drive(bridge, lease, Velocity(0.2, 0.0))
+    drive(bridge, lease, Velocity(0.2, 0.0))
+    assert (bridge.gate.lease, bridge.gate.held) == (lease.number, "")
+    assert bridge.odom.velocity.v == pytest.approx(0.2, abs=0.02)
+
+
+@pytest.mark.parametrize("wait_s", [0.1, 3.0])  # while it still rolls, and when it stands
+def test_each_new_lease_enables_the_motors_and_a_renewal_does_not(wait_s):
+    bridge, lease = Bridge(), DriverLease()
+    for number in (1, 2, 3):
+        before = bridge.enables
+        lease.grant(bridge.motors())
+        assert lease.number == number
+        drive(bridge, lease, Velocity(0.2, 0.0))
+        bridge.motors(lease=lease)
+        drive(bridge, lease, Velocity(0.2, 0.0))
+        assert bridge.enables == before + 1
+        bridge.motors(enable=False, lease=lease)
+        lease.end()
+        bridge.sleep(wait_s)
+
+
+# A fence
+
+
+FENCED = Limits(fence=Fence(x_min=-1.0, x_max=1.0, y_min=-1.0, y_max=1.0))
+
+
+def fenced_rover(limits=FENCED):
+    """A bridge whose rover was driven half a metre ahead and stands."""
+    bridge, lease = Bridge(limits), DriverLease()
+    lease.grant(bridge.motors())
+    for _ in range(3):
+        drive(bridge, lease, Velocity(0.3, 0.0))
+    bridge.motors(enable=False, lease=lease)
+    bridge.sleep(3.0)
+    assert bridge.odom.pose.x > 0.5
+    return bridge
+
+
+@pytest.mark.parametrize("fault", ["reset@0-0.1", "mute@0-4"])
+def test_fence_is_lost_when_the_base_is_connected_again(fault):
+    bridge = fenced_rover()
+    bridge.firmware.inject(parse_fault(fault))
+    bridge.sleep(12.0)
+    assert abs(bridge.odom.pose.x) < 0.01
+    for _ in range(2):
+        reply = bridge.motors()
+        assert (reply.granted, reply.reason) == (False, "fence-lost")
+        assert "restart the bridge" in reply.detail
+        assert bridge.gate.held == "fence-lost"
+        bridge.sleep(5.0)
+
+
+def test_fence_is_kept_over_a_gap_in_the_reports():
+    bridge = fenced_rover()
+    bridge.firmware.inject(parse_fault("mute@0-1"))
+    bridge.sleep(2.0)
+    assert bridge.odom.pose.x > 0.5
+    assert bridge.motors().granted
+
+
+@pytest.mark.parametrize(("limits", "reset"), [(FENCED, False), (Limits(), True)])
+def test_odometry_is_reset_only_without_a_fence(limits, reset):
+    bridge = fenced_rover(limits)
+    reply = parse_json(ResetReply, bridge.query("rover/reset_odometry", b"{}"))
+    assert reply.ok is reset
+    assert ("the fence would move with odom" in reply.reason) is not reset
+    bridge.sleep(1.0)
+    assert (abs(bridge.odom.pose.x) < 0.01) is reset
+    assert bridge.motors().granted
+
+
+def test_without_a_fence_a_base_that_is_connected_again_may_be_driven():
+    bridge = fenced_rover(Limits())
+    bridge.firmware.inject(parse_fault("reset@0-0.1"))
+    bridge.sleep(12.0)
+    assert bridge.motors().granted

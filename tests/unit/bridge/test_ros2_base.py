@@ -199,18 +199,19 @@ def test_bytes_that_are_no_odometry_never_make_it_ready(world, payload):
     assert not world.reports
 
 
-@pytest.mark.parametrize("values", [{"x": math.nan}, {"v": math.inf}, {"theta": math.nan}])
+@pytest.mark.parametrize("values", [{"x": math.nan}, {"v": math.inf}, {"x": math.inf, "theta": math.nan}])
 def test_odometry_that_is_not_finite_stops_it(ready, values):
     ready.run(1.0, **values)
     assert ready.last == Lost("odometry is not finite")
     assert all(math.isfinite(report.x) for report in ready.reports)
 
 
-def test_a_quaternion_of_zeros_is_no_heading(ready):
+@pytest.mark.parametrize("w", [0.0, 0.5, math.nan])
+def test_invalid_quaternion_is_named_as_no_rotation(ready, w):
     message = ros_cdr.Odometry.deserialize(odometry(EPOCH_S + ready.now + 1))
-    message.pose.pose.orientation = Quaternion(0.0, 0.0, 0.0, 0.0)
+    message.pose.pose.orientation = Quaternion(0.0, 0.0, 0.0, w)
     ready.run(0.7, odom=False, each=lambda: ready.hear("odom", message.serialize()))
-    assert ready.last == Lost("odometry is not finite")
+    assert ready.last == Lost("the orientation in odometry is not a rotation, a quaternion of the length 1")
 
 
 def test_a_covariance_of_nan_changes_nothing(ready):

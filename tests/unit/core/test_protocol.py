@@ -148,7 +148,7 @@ def test_a_refusal_keeps_the_fields_that_every_version_reads():
 
 
 def test_a_request_reads_as_documented():
-    data = {"version": 2, "enable": True, "name": "deploy", "sent_ns": 12345}
+    data = {"version": 2, "enable": True, "unchecked": False, "name": "deploy", "sent_ns": 12345}
     request = parse_json(MotorsRequest, json.dumps(data))
     assert json.loads(dump_json(request)) == data
     assert request.enable

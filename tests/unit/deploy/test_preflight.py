@@ -1,11 +1,12 @@
 """What the pre-flight says of a robot that did not move as commanded."""
 
+import math
 from types import SimpleNamespace
 
 import pytest
 
 from deploy.drive.lease import NOT_ACCEPTED
-from deploy.preflight.preflight import Preflight
+from deploy.preflight.preflight import Battery, Preflight
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.protocol import GateStatus
 
@@ -40,10 +41,32 @@ def test_a_move_is_tried_once_more_when_the_gate_seemed_to_accept_nothing(monkey
 
     monkeypatch.setattr(Preflight, "_command", command)
     monkeypatch.setattr(Preflight, "_until", lambda self, condition, timeout_s: False)
-    preflight = Preflight(SimpleNamespace(request_motors=requested.append), None, None, None)
+    link = SimpleNamespace(request_motors=lambda name, unchecked: requested.append(unchecked))
+    preflight = Preflight(link, None, None, None)
     if len(stops) == tries or stops == ["bumper"]:
         with pytest.raises(SafetyStop, match=stops[-1]):
             preflight._move((0.1, 0.0))
     else:
         assert preflight._move((0.1, 0.0)) == "moved"
-    assert (len(tried), len(requested)) == (tries, tries - 1)
+    assert len(tried) == tries
+    assert requested == [True] * (tries - 1)
+
+
+@pytest.mark.parametrize(
+    ("volts", "ok", "words"),
+    [
+        (0.0, True, "the base reports no voltage"),
+        (11.4, False, "11.4 V"),
+        (11.6, True, "11.6 V"),
+        (math.nan, False, "nan V"),
+    ],
+)
+def test_voltage_of_zero_is_not_known_as_to_the_gate(volts, ok, words):
+    battery = Battery()
+    battery.voltage = volts
+    link = SimpleNamespace(about_base=lambda: None)
+    preflight = Preflight(link, None, SimpleNamespace(until=lambda *_: None), battery)
+    preflight._until = lambda condition, timeout_s: condition()
+    found, detail = preflight._check_battery()
+    assert found is ok
+    assert detail.startswith(words)

@@ -1,0 +1,77 @@
+"""Geometry and speeds of the gate: where the base would stop, what is near it, how commands may grow."""
+
+import math
+from collections.abc import Iterator
+
+from bridge.base import BaseReport
+from bridge.gate.limits import Fence, Limits
+from rover_ncp.core.geometry import Velocity
+
+REACT_S = 0.3
+"""Longest time from command to first braking; the fence assumes it besides braking."""
+ROLLING = 0.05
+"""From this reported speed in m/s on, the fence also assumes that the base brakes from its reported speed."""
+FASTEST = Velocity(1.2, 3.0)
+"""Reported speeds beyond the largest `Limits` count as these."""
+ARC_RAD = 0.1
+"""Largest turn between two points of an arc."""
+CIRCLE = 63
+"""With so many steps an arc is a full circle; more of them lead to no new place."""
+
+
+def leaves(fence: Fence, base: BaseReport, target: Velocity, age_s: float, brake: float) -> bool:
+    """Whether a base that is to move at ``target`` would stop outside the fence, no nearer to it than now.
+
+    Its report is ``age_s`` old. While the base stops, its turn rate may lie anywhere between zero, its
+    reported rate and the commanded one.
+    """
+    rolling = clamp(base.v, FASTEST.v)
+    speeds = (target.v, rolling if abs(rolling) >= ROLLING and any(target) else 0.0)
+    turns = (0.0, target.omega, clamp(base.omega, FASTEST.omega))
+    slow, fast = min(turns), max(turns)
+    now = fence.outside(base.x, base.y)
+    return any(
+        outside > 0.0 and outside >= now
+        for v in speeds
+        for omega in (slow, (slow + fast) / 2.0, fast)
+        for outside in _outside(fence, base, Velocity(v, omega), age_s + REACT_S + abs(v) / (2.0 * brake))
+        if v != 0.0
+    )
+
+
+def _outside(fence: Fence, base: BaseReport, velocity: Velocity, time_s: float) -> Iterator[float]:
+    """Yield how far the points of an arc are outside the fence, for ``time_s`` at ``velocity``."""
+    x, y = base.x, base.y
+    steps = math.ceil(abs(velocity.omega) * time_s / ARC_RAD) or 1
+    step_s = time_s / steps
+    for k in range(min(steps, CIRCLE)):
+        heading = base.theta + velocity.omega * step_s * (k + 0.5)
+        x += velocity.v * step_s * math.cos(heading)
+        y += velocity.v * step_s * math.sin(heading)
+        yield fence.outside(x, y)
+
+
+def clear(base: BaseReport, v: float, least_m: float) -> bool:
+    """Whether the clearance in the direction of ``v`` is known and at least ``least_m``."""
+    ahead = v <= 0.0 or base.clear_ahead_m >= least_m
+    behind = v >= 0.0 or base.clear_behind_m >= least_m
+    return ahead and behind
+
+
+def approach(target: Velocity, before: Velocity, limits: Limits, elapsed: float) -> Velocity:
+    """Return the target within the allowed acceleration."""
+    return Velocity(
+        _toward(before.v, target.v, limits.accel * elapsed),
+        _toward(before.omega, target.omega, limits.alpha * elapsed),
+    )
+
+
+def clamp(value: float, bound: float) -> float:
+    """Return a value within ±``bound``."""
+    return min(max(value, -bound), bound)
+
+
+def _toward(before: float, wanted: float, growth: float) -> float:
+    """Let a magnitude grow by ``growth`` at most, from zero where the sign changes."""
+    start = abs(before) if before * wanted > 0.0 else 0.0
+    return math.copysign(min(abs(wanted), start + growth), wanted)

@@ -1,0 +1,93 @@
+"""A base whose exceptions count as its loss: whatever a base driver raises, the bridge keeps running."""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+from bridge.base import Base, BaseEvent, BaseReport, LinkHealth, Lost, Notice, OwnTimeout, Ready, Setpoint
+from bridge.gate.state import ZERO
+from rover_ncp.core.errors import NoRobot, RoverNcpError
+from rover_ncp.core.protocol import TimeoutState
+
+
+class GuardedBase:
+    """A `Base` that raises NoRobot before it was ever ready, and nothing later.
+
+    After an exception the base is called on, as a line is opened again. Its reports count again once it has
+    taken a setpoint.
+    """
+
+    def __init__(self, base: Base) -> None:
+        self._base = base
+        self._was_ready = self._driven = False
+        self._problem = ""
+        """The exception by which the base is lost; "" without one."""
+
+    def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
+        """See Base."""
+        return self._events(lambda: self._base.receive(arrival, now))
+
+    def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
+        """See Base."""
+        self._driven = True
+        return self._events(lambda: self._base.drive(setpoint, now))
+
+    def reset_odometry(self) -> str:
+        """Make the present pose the origin of odom; return why not, "" if it was requested."""
+        try:
+            self._base.reset_odometry()
+        except Exception as error:
+            return _words(error)
+        return ""
+
+    def health(self) -> LinkHealth:
+        """See Base."""
+        with suppress(Exception):
+            return self._base.health()
+        return LinkHealth(damaged=True, counters={})
+
+    @property
+    def own_timeout(self) -> OwnTimeout:
+        """See Base."""
+        try:
+            return self._base.own_timeout
+        except Exception as error:
+            return OwnTimeout(TimeoutState.UNKNOWN, None, _words(error))
+
+    def measure_timeout(self, now: float) -> str:
+        """See Base."""
+        try:
+            return self._base.measure_timeout(now)
+        except Exception as error:
+            return _words(error)
+
+    def shut_down(self, now: float) -> list[str]:
+        """Stop the base, switch its motors off, then close it; return what failed."""
+        problems = []
+        stop = Setpoint(ZERO, motors=False, emergency=False)
+        for action in (lambda: self._base.drive(stop, now), lambda: self._base.close(now)):
+            try:
+                action()
+            except Exception as error:
+                problems.append(_words(error))
+        return problems
+
+    def _events(self, call: Callable[[], Sequence[BaseEvent]]) -> Sequence[BaseEvent]:
+        try:
+            events = call()
+        except Exception as error:
+            if not self._was_ready:
+                raise NoRobot(_words(error)) from error
+            known, self._problem, self._driven = self._problem, _words(error), False
+            return [] if known else [Lost(self._problem)]
+        self._was_ready |= any(isinstance(event, Ready) for event in events)
+        if not self._problem:
+            return events
+        if self._driven and any(isinstance(event, BaseReport) for event in events):
+            self._problem = ""
+            return [Notice("the base works again"), *events]
+        return [event for event in events if not isinstance(event, BaseReport)]
+
+
+def _words(error: Exception) -> str:
+    plain = isinstance(error, OSError | RoverNcpError)
+    return f"the base driver failed: {error if plain else repr(error)}"

@@ -1,0 +1,218 @@
+"""The gate: no motion from which the rover would stop outside the fence, also on an arc."""
+
+import math
+import random
+from collections import deque
+
+import pytest
+from gate_bench import LIMITS, Gate
+
+from bridge.base import BaseReport
+from bridge.gate.limits import Fence, Limits
+from bridge.gate.motion import leaves
+from bridge.gate.state import ZERO, BaseLost, Reason
+from rover_ncp.core.geometry import Velocity
+
+BOX = Fence(x_min=-1.0, x_max=2.0, y_min=-1.0, y_max=1.0)
+LANE = Fence(x_min=-9.0, x_max=9.0, y_min=-1.0, y_max=1.0)
+BRAKE = 0.25
+FENCED = LIMITS.model_copy(update={"fence": BOX})
+
+
+def held(base, velocity, age_s=0.0, fence=BOX):
+    return leaves(fence, base, velocity, age_s, BRAKE)
+
+
+# The arc
+
+
+@pytest.mark.parametrize(
+    ("velocity", "room"),
+    [
+        # 0.9 s at 0.3 m/s and 0.6 rad/s: an arc of 0.54 rad with a radius of 0.5 m
+        (Velocity(0.3, 0.6), 0.5 * (1.0 - math.cos(0.54))),
+        (Velocity(-0.3, -0.6), 0.5 * (1.0 - math.cos(0.54))),
+        (Velocity(0.3, 0.1), 3.0 * (1.0 - math.cos(0.09))),
+        # A whole circle; at half of the turn rate it is twice as large.
+        (Velocity(1.2, 3.0), 1.6),
+    ],
+)
+def test_arc_of_the_stop_stays_inside(velocity, room):
+    def held(base, command):
+        return leaves(LANE, base, command, 0.0, BRAKE)
+
+    for y, v, omega in ((1.0, *velocity), (-1.0, velocity.v, -velocity.omega)):
+        inside, outside = y * (0.999 - room), y * (1.001 - room)
+        assert not held(BaseReport(y=inside), Velocity(v, omega))
+        assert held(BaseReport(y=outside), Velocity(v, omega))
+        # As long as the rover still turns, the command to drive straight on is not enough.
+        assert not held(BaseReport(y=inside, omega=omega), Velocity(v, 0.0))
+        assert held(BaseReport(y=outside, omega=omega), Velocity(v, 0.0))
+        if abs(v) < 1.0:
+            assert not held(BaseReport(y=outside), Velocity(v, -omega))
+
+
+def test_straight_stop_counts_also_on_a_curve_away_from_the_fence():
+    assert held(BaseReport(x=1.8), Velocity(0.3, 0.6))
+    assert held(BaseReport(x=1.8), Velocity(0.3, -0.6))
+
+
+@pytest.mark.parametrize(("rolling", "way"), [(0.3, 0.27), (0.05, 0.02), (5.0, 3.24), (-0.3, 0.27)])
+def test_rolling_rover_needs_the_way_of_its_own_speed(rolling, way):
+    slow = Velocity(math.copysign(0.001, rolling), 0.0)
+    for room, leaving in ((way - 0.001, True), (way + 0.001, False)):
+        base = BaseReport(x=math.copysign(9.0 - room, rolling), v=rolling)
+        assert held(base, slow, fence=LANE) is leaving
+
+
+def test_noise_of_a_standing_rover_holds_nothing():
+    assert not held(BaseReport(x=2.0, v=math.nextafter(0.05, 0.0)), Velocity(0.0, 0.3))
+    assert held(BaseReport(x=2.0, v=0.05), Velocity(0.0, 0.3))
+
+
+def test_fastest_reported_turn_counts():
+    # At 3 rad/s for 0.5 s, with a radius of a thirtieth of a metre.
+    room = 0.1 / 3.0 * (1.0 - math.cos(1.5))
+    assert held(BaseReport(y=1.0 - room + 0.0005, omega=50.0), Velocity(0.1, 0.0))
+    assert not held(BaseReport(y=1.0 - room - 0.0005, omega=50.0), Velocity(0.1, 0.0))
+
+
+def test_age_of_the_report_counts():
+    assert not held(BaseReport(x=1.87), Velocity(0.1, 0.0), age_s=0.7)
+    assert held(BaseReport(x=1.89), Velocity(0.1, 0.0), age_s=0.7)
+    gate = Gate(FENCED).driving()
+    gate.at(0.0, BaseReport(x=1.945))
+    assert gate.drive(0.0, Velocity(0.1, 0.0)).held is None
+    assert gate.drive(0.2, Velocity(0.1, 0.0)).held is Reason.GEOFENCE
+
+
+@pytest.mark.parametrize("value", [1e308, -1e308])
+@pytest.mark.parametrize("field", ["x", "y", "theta", "v", "omega"])
+def test_any_finite_report_is_judged(field, value):
+    assert held(BaseReport(**{field: value}), Velocity(0.3, 0.6)) in {True, False}
+
+
+def test_speed_limit_bounds_the_way():
+    gate = Gate(FENCED).driving()
+    gate.at(0.1, BaseReport(x=1.7))
+    assert gate.drive(0.1, Velocity(50.0, 0.0)).held is None
+
+
+def reference(base, v, omega):
+    """How far the arc of a stop leads outside, in fine steps."""
+    x, y, theta, worst = base.x, base.y, base.theta, -1.0
+    step_s = (0.3 + abs(v) / (2 * BRAKE)) / 500
+    for _ in range(500):
+        theta += omega * step_s / 2
+        x, y = x + v * step_s * math.cos(theta), y + v * step_s * math.sin(theta)
+        theta += omega * step_s / 2
+        worst = max(worst, BOX.x_min - x, x - BOX.x_max, BOX.y_min - y, y - BOX.y_max)
+    return worst
+
+
+def test_random_arcs_agree_with_fine_steps():
+    dice, decided = random.Random(1), 0
+    for _ in range(400):
+        base = BaseReport(x=dice.uniform(-1, 2), y=dice.uniform(-1, 1), theta=dice.uniform(-4, 4))
+        velocity = Velocity(dice.uniform(-1, 1), dice.uniform(-3, 3))
+        worst = max(reference(base, velocity.v, share * velocity.omega) for share in (0.0, 0.5, 1.0))
+        if abs(worst) > 0.002:
+            decided += 1
+            assert held(base, velocity) is (worst > 0.0)
+    assert decided > 380
+
+
+# A rover with a delay, the least braking, and reports ten times a second
+
+
+def drive_along(y, theta, command, seconds=6.0, delay_s=0.2, turn_braking=1.25):
+    """Return the largest y of a rover that is driven by the gate's output, from full speed on."""
+    gate = Gate(FENCED).driving()
+    pending = deque()
+    x = v = omega = 0.0
+    begin = now = 0.02
+    worst = y
+    while now < begin + seconds:
+        if round(now * 50) % 5 == 0:
+            gate.at(now, BaseReport(x=x, y=y, theta=theta, v=v, omega=omega))
+        gate.drive(now, command(now - begin))
+        pending.append((now + delay_s, gate.state.out))
+        wanted = ZERO
+        while pending and pending[0][0] <= now:
+            wanted = pending[0][1]
+            if len(pending) > 1 and pending[1][0] <= now:
+                pending.popleft()
+            else:
+                break
+        for _ in range(20):
+            v += min(max(wanted.v - v, -0.3e-3), 1e-3)
+            change = turn_braking * 1e-3
+            omega += min(max(wanted.omega - omega, -change), change)
+            theta += omega * 1e-3
+            x, y = x + v * 1e-3 * math.cos(theta), y + v * 1e-3 * math.sin(theta)
+            worst = max(worst, y)
+        now += 0.02
+    return worst
+
+
+@pytest.mark.parametrize("turn_braking", [0.3, 1.25, 100.0])
+def test_rover_parallel_to_the_fence_that_turns_toward_it_stays_inside(turn_braking):
+    assert drive_along(0.97, 0.0, lambda t: Velocity(0.3, 0.6), turn_braking=turn_braking) <= 1.0
+
+
+@pytest.mark.parametrize("v", [0.3, 0.05, 0.0, -0.3])
+@pytest.mark.parametrize("omega", [0.6, -0.6])
+def test_rover_at_speed_whose_command_changes_stays_inside(v, omega):
+    def command(t):
+        return Velocity(0.3, 0.0) if t < 2.0 else Velocity(v, omega)
+
+    assert drive_along(0.97, 0.0, command) <= 1.0
+    assert drive_along(0.4, 0.2, command) <= 1.0
+
+
+@pytest.mark.parametrize("omega", [-0.6, -0.2, 0.0])
+def test_rover_drives_on_along_the_fence_and_away_from_it(omega):
+    gate = Gate(FENCED).driving()
+    gate.at(0.1, BaseReport(y=0.97, v=0.3, omega=omega))
+    assert gate.drive(0.1, Velocity(0.3, omega)).held is None
+
+
+@pytest.mark.parametrize("angle", [-0.5, 0.0, 0.5])
+@pytest.mark.parametrize("omega", [-0.3, 0.0, 0.3])
+def test_rover_outside_may_drive_back_and_turn(angle, omega):
+    gate = Gate(FENCED).driving()
+    for theta, v in ((angle, -0.1), (math.pi + angle, 0.1)):
+        gate.at(0.1, BaseReport(x=2.2, theta=theta, omega=omega, v=0.04))
+        assert gate.drive(0.1, Velocity(v, omega)).held is None
+        assert gate.drive(0.1, Velocity(0.0, omega)).held is None
+        assert gate.drive(0.1, Velocity(-v, omega)).held is Reason.GEOFENCE
+
+
+# Odometry that begins anew
+
+
+def test_fence_is_lost_when_odometry_restarts():
+    gate = Gate(FENCED).driving()
+    verdict = gate.at(0.1, BaseLost(restarted=True))
+    assert (verdict.velocity, verdict.held) == (ZERO, Reason.NO_BASE)
+    for k in range(2, 50):
+        gate.at(0.1 * k, BaseReport())
+        assert gate.enable(0.1 * k).refusal is Reason.FENCE_LOST
+        assert gate.drive(0.1 * k).dropped is Reason.FENCE_LOST
+    gate.at(5.0, BaseLost())
+    gate.at(5.1, BaseReport())
+    assert gate.enable(5.1).refusal is Reason.FENCE_LOST
+
+
+def test_fence_is_kept_when_the_same_odometry_goes_on():
+    gate = Gate(FENCED).driving()
+    gate.at(0.1, BaseLost())
+    gate.at(0.2, BaseReport())
+    assert gate.enable(0.2).refusal is None
+
+
+def test_without_a_fence_odometry_may_restart():
+    gate = Gate(Limits()).driving()
+    gate.at(0.1, BaseLost(restarted=True))
+    gate.at(0.2, BaseReport())
+    assert gate.enable(0.2).refusal is None

@@ -1,0 +1,251 @@
+"""The bridge's loop and its base: exceptions of a base driver, its end, its reconnection, its motors."""
+
+import pytest
+
+from bridge.base import BaseReport, LinkHealth, Lost, OwnTimeout, Ready, Recovered, Setpoint, shape_of
+from bridge.gate.limits import Fence, Limits
+from bridge.inbox import CommandMessage, Query
+from bridge.node import Node
+from deploy.drive.lease import DriverLease
+from rover_ncp.core.errors import NoRobot
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.messages import twist_stamped
+from rover_ncp.core.protocol import (
+    BaseReply,
+    BaseRequest,
+    MotorsReply,
+    MotorsRequest,
+    Signed,
+    TimeoutState,
+    dump_json,
+    parse_json,
+)
+from rover_ncp.core.robot_description import load_description
+
+STOP = Setpoint(Velocity(0.0, 0.0), motors=False, emergency=False)
+
+
+class FailingBase:
+    """A base of another package that reports at each arrival; `fails` is what raises, and with what."""
+
+    def __init__(self):
+        self.fails, self.driven, self.calls = {}, [], []
+        self.timeout = OwnTimeout(TimeoutState.PUBLISHED, 1.0)
+        self.reports = [Ready("x", shape_of(load_description("p3at")))]
+
+    def _call(self, name):
+        self.calls.append(name)
+        if name in self.fails:
+            raise self.fails[name]
+
+    def receive(self, arrival, now):
+        self._call("receive")
+        events, self.reports = [*self.reports, BaseReport()], []
+        return events
+
+    def drive(self, setpoint, now):
+        self._call("drive")
+        self.driven.append(setpoint)
+        return []
+
+    def reset_odometry(self):
+        self._call("reset_odometry")
+
+    def health(self):
+        self._call("health")
+        return LinkHealth(damaged=False, counters={})
+
+    @property
+    def own_timeout(self):
+        self._call("own_timeout")
+        return self.timeout
+
+    def measure_timeout(self, now):
+        self._call("measure_timeout")
+        return "it is published"
+
+    def close(self, now):
+        self._call("close")
+
+
+class Loop:
+    """A node with such a base, on a virtual clock: each turn takes 20 ms and brings a report."""
+
+    def __init__(self, accept_ros=False, limits=None):
+        self.now_ns, self.base, self.said, self.lease = 10**9, FailingBase(), [], DriverLease()
+        self.arrivals, self.silent = [], False
+        self.node = Node(
+            self.base,
+            self,
+            self,
+            limits=limits or Limits(),
+            accept_ros=accept_ros,
+            say=self.said.append,
+            ready=lambda: None,
+            clock=self,
+            suspended_s=lambda: 0.0,
+        )
+
+    def monotonic(self):
+        return self.now_ns * 1e-9
+
+    def monotonic_ns(self):
+        return self.now_ns
+
+    time_ns = monotonic_ns
+
+    def take(self, timeout_s):
+        arrived, self.arrivals = [*self.arrivals, *([] if self.silent else [b"report"])], []
+        return [(self.monotonic(), arrival) for arrival in arrived]
+
+    def key(self, name):
+        return name
+
+    def publish(self, name, data):
+        pass
+
+    def turn(self, times=1):
+        for _ in range(times):
+            self.now_ns += 20_000_000
+            self.node.turn()
+
+    def ask(self, name, payload, tag=None):
+        replies = []
+        self.arrivals.append(Query(name, payload, tag, replies.append, replies.append))
+        self.turn()
+        return replies[0]
+
+    def motors(self, name="x", unchecked=False):
+        request = MotorsRequest(enable=True, unchecked=unchecked, name=name, sent_ns=self.now_ns)
+        reply = parse_json(MotorsReply, self.ask("rover/motors", dump_json(request)))
+        self.lease.grant(reply)
+        return reply
+
+    def drive(self, times=20):
+        for _ in range(times):
+            data = twist_stamped(Velocity(0.2, 0.0), self.now_ns)
+            tag = self.lease.sign(Signed.COMMAND, "cmd_vel", data, self.now_ns)
+            self.arrivals.append(CommandMessage(data, tag.pack()))
+            self.turn()
+
+
+@pytest.fixture
+def driving():
+    loop = Loop()
+    loop.turn(3)
+    assert loop.motors().granted
+    loop.drive()
+    assert loop.base.driven[-1].velocity == (0.2, 0.0)
+    return loop
+
+
+def test_end_of_the_loop_drives_zero_with_motors_off_before_close(driving):
+    driving.node.run(lambda: True)
+    assert driving.base.driven[-1] == STOP
+    assert driving.base.calls[-2:] == ["drive", "close"]
+
+
+@pytest.mark.parametrize("fails", ["drive", "close"])
+def test_end_of_the_loop_goes_on_after_an_exception_of_the_base(driving, fails):
+    driving.base.fails[fails] = BrokenPipeError(32, "Broken pipe")
+    driving.node.run(lambda: True)
+    assert driving.base.calls[-2:] == ["drive", "close"]
+    assert driving.said[-1] == "the base driver failed: [Errno 32] Broken pipe"
+
+
+def test_error_of_the_loop_stops_the_base_too(driving):
+    def stopping():
+        raise RuntimeError("a bug")
+
+    with pytest.raises(RuntimeError, match="a bug"):
+        driving.node.run(stopping)
+    assert driving.base.driven[-1] == STOP
+
+
+@pytest.mark.parametrize("fails", ["receive", "drive"])
+@pytest.mark.parametrize(
+    "error", [BrokenPipeError(32, "Broken pipe"), ValueError("x"), NoRobot("y"), KeyError()]
+)
+def test_exception_of_the_base_is_a_lost_base(driving, fails, error):
+    loop, said = driving, len(driving.said)
+    loop.base.fails[fails] = error
+    loop.drive()
+    lost = [
+        line for line in loop.said[said:] if line.startswith("the base is lost: the base driver failed: ")
+    ]
+    assert len(lost) == 1
+    assert (str(error) or "KeyError") in lost[0]
+    assert not loop.motors().granted
+    loop.base.fails.clear()
+    loop.turn()
+    assert loop.base.driven[-1].velocity == (0.0, 0.0)
+    assert not loop.base.driven[-1].motors
+    loop.turn(3)
+    assert loop.said[-1] == "the base works again"
+    loop.lease.end()
+    assert loop.motors().granted
+    loop.drive()
+    assert loop.base.driven[-1].velocity == (0.2, 0.0)
+
+
+def test_base_that_takes_no_setpoint_gets_no_driver(driving):
+    driving.base.fails["drive"] = OSError("gone")
+    driving.turn(100)
+    driving.lease.end()
+    assert driving.motors().reason == "no-base"
+
+
+def test_base_that_fails_before_it_was_ready_ends_the_bridge_in_one_line():
+    loop = Loop()
+    loop.base.fails["receive"] = OSError("no such device")
+    with pytest.raises(NoRobot, match="the base driver failed: no such device"):
+        loop.node.run(lambda: loop.turn() or False)
+    assert loop.base.calls[-1] == "close"
+
+
+@pytest.mark.parametrize("fails", ["health", "own_timeout", "reset_odometry", "measure_timeout"])
+def test_exception_of_another_call_of_the_base_ends_nothing(fails):
+    loop = Loop(accept_ros=True)
+    loop.turn(3)
+    loop.base.fails[fails] = OSError("gone")
+    loop.turn(60)
+    assert b"gone" in loop.ask("rover/reset_odometry", b"{}") or fails != "reset_odometry"
+    granted = loop.motors()
+    assert granted.granted is (fails != "own_timeout")
+    assert fails != "own_timeout" or "gone" in granted.detail
+
+
+@pytest.mark.parametrize("fenced", [True, False])
+@pytest.mark.parametrize("again", ["ready", "recovered"])
+def test_base_that_is_ready_again_has_other_odometry_and_one_that_recovers_the_same(fenced, again):
+    fence = Fence(x_min=-1.0, x_max=1.0, y_min=-1.0, y_max=1.0) if fenced else None
+    loop = Loop(limits=Limits(fence=fence))
+    ready = loop.base.reports[0]
+    loop.turn(3)
+    loop.base.reports = [Lost("x"), ready if again == "ready" else Recovered()]
+    loop.turn(2)
+    reply = loop.motors()
+    assert reply.granted is (not fenced or again == "recovered")
+    assert reply.granted or reply.reason == "fence-lost"
+
+
+@pytest.mark.parametrize("name", ["x", "check", "unchecked", ""])
+def test_unchecked_robot_is_granted_to_a_request_that_says_so_whatever_its_name(name):
+    loop = Loop()
+    loop.base.timeout = OwnTimeout(TimeoutState.UNKNOWN, None, "it is not known to halt")
+    loop.turn(3)
+    reply = loop.motors(name)
+    assert (reply.granted, reply.reason, reply.detail) == (False, "unchecked", "it is not known to halt")
+    assert loop.motors(name, unchecked=True).granted
+
+
+def test_holder_of_the_lease_alone_may_measure_the_timeout(driving):
+    request = dump_json(BaseRequest(measure=True, sent_ns=driving.now_ns))
+    other = DriverLease()
+    other.grant(MotorsReply(granted=True, lease=1, key="00" * 32))
+    for tag in (None, other.sign(Signed.MOTORS, "rover/base", request, driving.now_ns).pack()):
+        reply = parse_json(BaseReply, driving.ask("rover/base", request, tag))
+        assert "lease" in reply.reason
+        assert "measure_timeout" not in driving.base.calls
+    tag = driving.lease.sign(Signed.MOTORS, "rover/base", request, driving.now_ns).pack()
+    assert parse_json(BaseReply, driving.ask("rover/base", request, tag)).reason == "it is published"

@@ -1,0 +1,89 @@
+"""Settings of the bridge's Zenoh session: what it refuses before it opens one."""
+
+import json
+from datetime import datetime
+
+import pytest
+import zenoh
+
+from bridge.zenoh_config import configured
+from rover_ncp.core.credentials import make_credentials
+from rover_ncp.core.errors import FileError
+from rover_ncp.core.zenoh_settings import CLIENT
+
+DROP_WAIT = "transport/link/tx/queue/congestion_control/drop/wait_before_drop"
+
+
+@pytest.fixture
+def keys(tmp_path):
+    def make(namespace):
+        for name, text in make_credentials(["127.0.0.1"], namespace).items():
+            (tmp_path / name).write_text(text)
+        return tmp_path / "bridge.json5"
+
+    return make
+
+
+def test_full_shared_memory_cannot_keep_the_bridge_from_listening():
+    settings, _ = configured("tcp/127.0.0.1:0", None, False, "cmd_vel")
+    assert json.loads(settings.get_json("transport/shared_memory/enabled")) is False
+    assert CLIENT["transport/shared_memory/enabled"] is False
+
+
+def test_publishing_waits_for_nothing():
+    settings, _ = configured("tcp/127.0.0.1:0", None, False, "cmd_vel")
+    assert json.loads(settings.get_json(DROP_WAIT)) == 0
+    client = zenoh.Config()
+    client.insert_json5(DROP_WAIT, json.dumps(CLIENT[DROP_WAIT]))
+    assert json.loads(client.get_json(DROP_WAIT)) == 0
+
+
+@pytest.mark.parametrize(
+    ("made", "asked", "found"),
+    [
+        ("bot1", "cmd_vel", "bot1/cmd_vel"),
+        ("", "bot1/cmd_vel", "cmd_vel"),
+        ("bot1", "bot2/cmd_vel", "bot1/cmd_vel"),
+    ],
+)
+def test_keys_of_another_namespace_are_refused(keys, made, asked, found):
+    with pytest.raises(
+        FileError, match=f"no user publish {asked}, they are for {found}: .* same --namespace"
+    ):
+        configured(None, keys(made), False, asked)
+
+
+@pytest.mark.parametrize(("made", "asked"), [("", "cmd_vel"), ("bot1", "bot1/cmd_vel")])
+def test_keys_of_the_same_namespace_are_accepted(keys, made, asked):
+    _, endpoints = configured(None, keys(made), False, asked)
+    assert endpoints == ["tls/0.0.0.0:7447"]
+
+
+@pytest.mark.parametrize("key_exprs", [["**"], ["*/cmd_vel", "x"]])
+def test_own_access_rules_that_include_the_commands_are_accepted(tmp_path, key_exprs):
+    rule = {
+        "id": "a",
+        "permission": "allow",
+        "flows": ["ingress"],
+        "messages": ["put"],
+        "key_exprs": key_exprs,
+    }
+    policy = {"rules": ["a"], "subjects": ["all"]}
+    access = {"enabled": True, "default_permission": "deny", "rules": [rule], "policies": [policy]}
+    access["subjects"] = [{"id": "all"}]
+    (tmp_path / "own.json5").write_text(json.dumps({"access_control": access}))
+    configured("tcp/127.0.0.1:0", tmp_path / "own.json5", False, "bot1/cmd_vel")
+
+
+def test_keys_are_refused_while_the_clock_is_wrong(keys, monkeypatch):
+    monkeypatch.setattr("bridge.zenoh_config.datetime", Clock)
+    with pytest.raises(FileError, match=r"not yet valid.*clock says 1970-01-01"):
+        configured(None, keys(""), False, "cmd_vel")
+
+
+class Clock:
+    """A clock that was never set."""
+
+    @staticmethod
+    def now(zone):
+        return datetime.fromtimestamp(0, zone)

@@ -1,0 +1,77 @@
+"""Certificates of a Zenoh configuration: their validity is read, and judged by the clock."""
+
+import json
+import re
+import ssl
+from datetime import UTC, datetime, timedelta
+
+import pytest
+import zenoh
+from cryptography import x509
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rover_ncp.core.certificates import require_valid, validity
+from rover_ncp.core.credentials import make_credentials
+from rover_ncp.core.errors import FileError
+
+NOW = datetime.now(UTC)
+
+
+@pytest.fixture(scope="module")
+def files():
+    return make_credentials(["127.0.0.1"])
+
+
+def settings(text):
+    return zenoh.Config.from_json5(re.sub(r"^//.*\n", "", text))
+
+
+def test_validity_is_that_which_the_library_reads(files):
+    certificate = x509.load_pem_x509_certificate(files["ca.pem"].encode())
+    assert validity(files["ca.pem"]) == (certificate.not_valid_before_utc, certificate.not_valid_after_utc)
+
+
+@pytest.mark.parametrize(("file", "role"), [("bridge.json5", "listen"), ("driver.json5", "connect")])
+@pytest.mark.parametrize(
+    ("now", "words"),
+    [
+        (
+            datetime(1970, 1, 1, tzinfo=UTC),
+            "is not yet valid.*clock says 1970-01-01 00:00 UTC: set the clock",
+        ),
+        (NOW - timedelta(days=3), "is not yet valid"),
+        (NOW + timedelta(days=5 * 365 + 1), "is expired"),
+    ],
+)
+def test_certificate_that_is_not_valid_now_is_refused_with_the_clock(files, file, role, now, words):
+    with pytest.raises(FileError, match=f"{role}_certificate {words}"):
+        require_valid(settings(files[file]), role, file, now)
+
+
+@pytest.mark.parametrize(("file", "role"), [("bridge.json5", "listen"), ("driver.json5", "connect")])
+def test_valid_certificate_is_accepted(files, file, role):
+    require_valid(settings(files[file]), role, file, NOW)
+
+
+def test_certificate_in_a_file_is_read_too(files, tmp_path):
+    (tmp_path / "ca.pem").write_text(files["ca.pem"])
+    config = zenoh.Config()
+    config.insert_json5("transport/link/tls/root_ca_certificate", json.dumps(str(tmp_path / "ca.pem")))
+    require_valid(config, "listen", None, NOW)
+    with pytest.raises(FileError, match="root_ca_certificate is expired"):
+        require_valid(config, "listen", None, NOW + timedelta(days=3000))
+
+
+def test_no_certificate_and_one_that_cannot_be_read_are_left_to_zenoh(tmp_path):
+    config = zenoh.Config()
+    require_valid(config, "listen", None, NOW)
+    config.insert_json5("transport/link/tls/listen_certificate", json.dumps(str(tmp_path / "none")))
+    require_valid(config, "listen", None, NOW)
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_in_a_certificate_are_an_error_of_one_kind(data):
+    pem = ssl.DER_cert_to_PEM_cert(data)
+    with pytest.raises(ValueError):
+        validity(pem)

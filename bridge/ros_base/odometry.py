@@ -8,7 +8,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from bridge.gate.gate import remember
+from rover_ncp.core.clock_offset import remember
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, distance, relative, wrap_angle
 from rover_ncp.core.messages import OdometrySample, read_odometry

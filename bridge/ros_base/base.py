@@ -31,7 +31,7 @@ from bridge.base import (
 )
 from bridge.inbox import RobotMessage
 from bridge.ros.discovery import Announced
-from bridge.ros_base.odometry import LEAST_IN_RATE_S, RATE_S, Moved, RosOdometer
+from bridge.ros_base.odometry import CLOCK_BACK_S, LEAST_IN_RATE_S, LOSS_S, RATE_S, Moved, RosOdometer
 from bridge.ros_base.scan import ScanRoom
 from bridge.ros_base.silence import Measurement, NotStored, Silence
 from rover_ncp.core.cdr import decode, encode
@@ -59,7 +59,6 @@ REPORT_S = 0.018
 """Odometry at a higher rate is passed on at most this often."""
 WAIT_S = 6.0
 """A robot that is not ready after this time cannot be served."""
-LOSS_S = 0.5
 CLEAR_S = 2.0
 """How long a contradiction must be over before the base is ready again."""
 MOST_TOKENS = 1000
@@ -158,10 +157,11 @@ class Ros2Base:
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
         """See Base."""
-        events: list[BaseEvent] = []
+        events, notices = list[BaseEvent](), list[BaseEvent]()
         match arrival:
             case RobotMessage():
                 events = self._message(arrival)
+                notices = self._clock_notices(arrival.topic)
             case TokenSeen(token, there):
                 if not there:
                     self._tokens.pop(token, None)
@@ -173,7 +173,7 @@ class Ros2Base:
                 return [
                     Notice(f"the measured timeout counts until this bridge ends, it was not stored: {reason}")
                 ]
-        changes = self._watch(now)
+        changes = [*notices, *self._watch(now)]
         return [*changes, *events] if self._ready else changes
 
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
@@ -303,6 +303,12 @@ class Ros2Base:
         self._contradictions[f"{who} publishes {where} too"] = now
         self._odometer.counters["foreign"] += 1
 
+    def _clock_notices(self, topic: str) -> list[BaseEvent]:
+        back_s = self._odometer.set_back_s
+        if topic != self._topics.odom or not 0.0 < back_s <= CLOCK_BACK_S:  # beyond it, it is a restart
+            return []
+        return [Notice(f"the clock that stamps {self._line.topic(topic)} was set back by {back_s:.2f} s")]
+
     def _announced(self, topic: str, published: bool) -> list[Announced]:
         """Return what others announce of a topic."""
         name = self._line.topic(topic)
@@ -351,7 +357,7 @@ class Ros2Base:
         if not self._ready:
             return self._other_type() if self._odometer.enough(now) else self._no_odometry(where, now)
         if self._odometer.restarts != self._known_restarts:
-            return f"odometry on {where} began again: the robot restarted, or its clock was set back"
+            return f"odometry on {where} began again: {self._odometer.restart_reason}"
         if self._odometer.age_s(now) <= LOSS_S:
             return ""
         return self._odometer.problem or f"no odometry on {where} for {LOSS_S} s"

@@ -70,6 +70,8 @@ class Setpoint(NamedTuple):
     motors: bool
     emergency: bool
     """Whether to brake harder than the base's own deceleration limit."""
+    leased: bool = True
+    """Whether a driver holds the lease."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +191,10 @@ class Base(Protocol):
         """What is known of its behaviour when this process dies."""
 
     def measure_timeout(self, now: float) -> str:
-        """Send nothing until the base halts, for a few seconds at most; return why not, "" if it begins."""
+        """Send nothing until the base halts, for a few seconds at most; return why not, "" if it begins.
+
+        The end of the lease, motors off and an emergency end it: the base then gets zeros.
+        """
 
     def close(self, now: float) -> None:
         """Stop the base, switch its motors off and end the connection."""

@@ -224,7 +224,9 @@ class Node:
         last, self._sent = self._sent, verdict
         self._act_now = self._commanded = False
         self._acted_s = now
-        setpoint = Setpoint(verdict.velocity, verdict.motors, verdict.emergency)
+        setpoint = Setpoint(
+            verdict.velocity, verdict.motors, verdict.emergency, leased=verdict.lease is not None
+        )
         self._handle(self._base.drive(setpoint, now), now)
         if verdict.velocity != last.velocity:
             self._link.publish("rover/cmd_out", twist_stamped(verdict.velocity, self._wall_ns(now)))

@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import date
 from typing import Protocol
 
 from deploy.drive.lease import ACCEPTED_S, NOT_ACCEPTED
@@ -220,9 +221,12 @@ class Preflight:
         ended_s = time.monotonic() + MEASURING_S
         while base is not None and base.state is TimeoutState.RUNNING and time.monotonic() < ended_s:
             self._until(lambda: False, POLL_S)
+            self._link.request_motors(CHECK)  # without the lease, the bridge sends zeros
             base = self._link.about_base()
         if base is not None and base.state is TimeoutState.MEASURED:
-            return True, f"if it dies, the base halts after {base.timeout_s:.2f} s"
+            measured_s = math.ceil(100.0 * (base.timeout_s or 0.0)) / 100.0
+            line = f"measured_base_timeout_s: {measured_s:g} # {date.today()}"
+            return True, f"if it dies, the base halts; the line for the robot's description: {line}"
         if base is not None and base.state is TimeoutState.UNKNOWN:
             return False, "the timeout was not measured: a stop or a loss of the base ended the measurement"
         return False, "if it dies, the base does not halt: the bridge then needs --no-base-watchdog"

@@ -1,5 +1,6 @@
 """What the pre-flight says of a robot that did not move as commanded."""
 
+from datetime import date
 from types import SimpleNamespace
 
 import pytest
@@ -7,7 +8,7 @@ import pytest
 from deploy.drive.lease import NOT_ACCEPTED
 from deploy.preflight.preflight import Preflight
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.protocol import GateStatus
+from rover_ncp.core.protocol import CHECK, BaseReply, GateStatus
 
 
 def said(after):
@@ -47,3 +48,16 @@ def test_a_move_is_tried_once_more_when_the_gate_seemed_to_accept_nothing(monkey
     else:
         assert preflight._move((0.1, 0.0)) == "moved"
     assert (len(tried), len(requested)) == (tries, tries - 1)
+
+
+def test_the_check_keeps_its_lease_while_it_measures_and_prints_the_line_to_add(monkeypatch):
+    states = ["unknown", *["running"] * 8, "measured"]
+    replies = (BaseReply(model="mine", state=state, timeout_s=0.514) for state in states)
+    requested = []
+    link = SimpleNamespace(about_base=lambda measure=False: next(replies), request_motors=requested.append)
+    monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
+    monitor = SimpleNamespace(until=lambda condition, timeout_s: False)
+    found, detail = Preflight(link, None, monitor, None)._check_own_timeout()
+    assert found
+    assert detail.endswith(f"measured_base_timeout_s: 0.52 # {date.today()}")
+    assert requested == [CHECK] * 9  # one for the move, and one at each look

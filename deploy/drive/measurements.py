@@ -124,7 +124,7 @@ READERS: dict[str, Callable[[bytes], Sample]] = {
 class Measurements:
     """Takes the received samples of one link, decodes them and counts them by topic.
 
-    ``say`` logs for people that a clock was set back.
+    ``say`` logs for people that a clock was set back, and why the first message of a topic is unreadable.
     """
 
     def __init__(self, source: MeasurementSource, say: Callable[[str], None] = lambda words: None) -> None:
@@ -163,7 +163,9 @@ class Measurements:
         for arrival in arrivals:
             try:
                 sample = read(arrival.data)
-            except FormatError:
+            except FormatError as error:
+                if not self.unreadable[topic]:
+                    self._say(f"a message on '{topic}' cannot be read: {error}")
                 self.unreadable[topic] += 1
                 continue
             if sample.stamp_ns == 0:  # a publisher without a clock

@@ -384,10 +384,10 @@ def _pose(pose: Pose) -> dict[str, Any]:
 
 
 def _read_pose(pose: Any) -> Pose:
-    """Return the pose in the plane; the heading is NaN if the quaternion is none, as when all of it is 0."""
+    """Return the pose in the plane, which may be not finite. Raises FormatError for what is no rotation."""
     q = pose.orientation
-    if not abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) <= _UNIT_TOLERANCE:
-        return Pose(pose.position.x, pose.position.y, math.nan)
+    if abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) > _UNIT_TOLERANCE:
+        raise FormatError(f"the orientation {q.x:g}, {q.y:g}, {q.z:g}, {q.w:g} is not a rotation")
     yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
     return Pose(pose.position.x, pose.position.y, yaw)
 

@@ -221,7 +221,7 @@ def test_a_quaternion_of_zeros_is_no_heading(ready):
     message = ros_cdr.Odometry.deserialize(odometry(EPOCH_S + ready.now + 1))
     message.pose.pose.orientation = Quaternion(0.0, 0.0, 0.0, 0.0)
     ready.run(0.7, odom=False, each=lambda: ready.hear("odom", message.serialize()))
-    assert ready.last == Lost("odometry is not finite")
+    assert ready.last == Lost("odometry cannot be read: the orientation 0, 0, 0, 0 is not a rotation")
 
 
 def test_a_covariance_of_nan_changes_nothing(ready):

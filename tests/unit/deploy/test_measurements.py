@@ -1,5 +1,7 @@
 """What the driver does with odometry, gyro readings and external poses whose stamps are wrong."""
 
+import math
+import struct
 from types import SimpleNamespace
 
 import numpy as np
@@ -87,3 +89,13 @@ def test_poses_out_of_order_are_used_for_their_moment():
 def test_samples_without_a_stamp_are_as_young_as_their_arrival(topic):
     driver = Driver(topic)
     assert [driver.age_ms(0, number * PERIOD) for number in range(20)] == [[0]] * 20
+
+
+def test_the_first_unreadable_pose_is_named():
+    driver = Driver("pose")
+    data = pose_with_covariance(Pose(0.0, 0.0, 1.0), np.eye(3), WALL_NS, "course")
+    rotation = struct.pack("<2d", math.sin(0.5), math.cos(0.5))
+    for _ in range(3):
+        driver.source.poses.put(Arrival(data.replace(rotation, bytes(16)), 0))
+    assert driver.measurements.poses() == []
+    assert driver.said == ["a message on 'pose' cannot be read: the orientation 0, 0, 0, 0 is not a rotation"]

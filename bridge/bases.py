@@ -140,8 +140,8 @@ def open_base(
     assert chosen.description is not None and chosen.description.topics is not None  # choose_base checks it
     line = RosLine(chosen.ros2, chosen.description.topics, inbox)
     link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
-    robot = Ros2Base(line, chosen.description, unsafe=no_base_watchdog)
-    return line, robot, robot.note
+    ros2 = Ros2Base(line, chosen.description, unsafe=no_base_watchdog)
+    return line, ros2, ros2.note
 
 
 def _load(driver: EntryPoint) -> BaseDriver:

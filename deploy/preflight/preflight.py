@@ -197,7 +197,10 @@ class Preflight:
         """Test the most important stop: no commands arrive any more."""
         self._move(Velocity(V_M_S, 0.0))
         silent = time.monotonic()
-        allowed = STOP_S + BRAKING_S + REPORT_S
+        braking_s = BRAKING_S
+        if self._robot is not None:
+            braking_s = max(braking_s, self._robot.delays.v_s + V_M_S / self._robot.motion.decel)
+        allowed = STOP_S + braking_s + REPORT_S
         stands = self._until(self._stands, 2 * allowed)
         took = self._newest.ref.measured_ns / NS - silent  # a busy moment of this computer does not count
         words = f"stands {took:.2f} s after the last command" if stands else "does not stop"

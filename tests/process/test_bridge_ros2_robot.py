@@ -3,6 +3,7 @@
 The robot is the mock. Publishers beside it encode with an independent library.
 """
 
+import os
 import re
 import struct
 import threading
@@ -14,6 +15,7 @@ from paths import DATA
 from ros_cdr import TwistStamped, odometry
 from zenoh_session import open_session
 
+from rover_ncp import cli
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import ClosedAtExit
 from sim.live.live_run import RMW_ZENOH, ROS2DDS
@@ -158,6 +160,16 @@ def test_a_bridge_whose_two_networks_are_connected_does_not_start(tmp_path):
     assert ended.code == 3
     # Not the last line: Zenoh may write of its own when two connected sessions close.
     assert "the robot's Zenoh network is connected to the drivers'" in ended.result["error"]
+
+
+def test_a_user_without_a_home_can_run_the_bridge(tmp_path, monkeypatch, capsys):
+    monkeypatch.delenv("HOME")
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 54321)
+    port = free_port("127.0.0.1")
+    base = ["--base", f"ros2/tcp/127.0.0.1:{port}", "--model", "turtlebot4", "--listen", "tcp/127.0.0.1:0"]
+    assert cli.run(["bridge", *base]) == 3
+    assert "no Zenoh router answers there" in capsys.readouterr().err
 
 
 def test_nothing_at_the_robots_address_is_one_line(tmp_path):

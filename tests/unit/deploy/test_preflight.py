@@ -1,14 +1,17 @@
 """What the pre-flight says of a robot that did not move as commanded."""
 
+import time
 from datetime import date
 from types import SimpleNamespace
 
 import pytest
 
 from deploy.drive.lease import NOT_ACCEPTED
+from deploy.drive.measurements import NS
 from deploy.preflight.preflight import Preflight
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.protocol import CHECK, BaseReply, GateStatus
+from rover_ncp.core.robot_description import load_description
 
 
 def said(after):
@@ -61,3 +64,14 @@ def test_the_check_keeps_its_lease_while_it_measures_and_prints_the_line_to_add(
     assert found
     assert detail.endswith(f"measured_base_timeout_s: 0.52 # {date.today()}")
     assert requested == [CHECK] * 9  # one for the move, and one at each look
+
+
+@pytest.mark.parametrize(("decel", "ok"), [(1.0, False), (0.1, True)])
+def test_a_robot_may_brake_as_slowly_as_its_description_says(monkeypatch, decel, ok):
+    robot = load_description("turtlebot4")
+    robot = robot.model_copy(update={"motion": robot.motion.model_copy(update={"decel": decel})})
+    stood = SimpleNamespace(ref=SimpleNamespace(measured_ns=time.monotonic_ns() + round(1.4 * NS)))
+    monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
+    monkeypatch.setattr(Preflight, "_until", lambda self, condition, timeout_s: True)
+    found, words = Preflight(None, SimpleNamespace(newest=stood), None, None, robot)._check_silence()
+    assert found is ok, words

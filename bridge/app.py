@@ -4,7 +4,7 @@ import signal
 from collections.abc import Collection
 from pathlib import Path
 
-from bridge.bases import SilenceOptions, choose_base, gate_limits, open_base
+from bridge.bases import choose_base, gate_limits, open_base
 from bridge.inbox import Inbox
 from bridge.node import Node
 from bridge.ros import messages as ros_messages
@@ -30,7 +30,7 @@ def run_bridge(
     ros: Collection[Convention],
     accept_ros: bool,
     insecure: bool,
-    silence: SilenceOptions,
+    no_base_watchdog: bool,
     as_json: bool,
 ) -> int:
     """See ``commands.bridge``. Raises UsageError, FileError, ConfigError, PortInUse or NoRobot."""
@@ -43,7 +43,7 @@ def run_bridge(
         Interrupts() as interrupts,
         ZenohLink(listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros) as link,
     ):
-        line, driven, note = open_base(chosen, allowed, inbox, link, silence)
+        line, driven, note = open_base(chosen, allowed, inbox, link, no_base_watchdog=no_base_watchdog)
 
         def ready() -> None:
             link.announce()

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol, TypeAlias
 
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.protocol import TimeoutState
-from rover_ncp.core.robot_description import RobotDescription
+from rover_ncp.core.robot_description import Odometry, RobotDescription
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Wheels:
 
 @dataclass(frozen=True)
 class RobotShape:
-    """Outline, wheels and sonars of a robot."""
+    """Outline, wheels and sensors of a robot."""
 
     name: str
     front_m: float
@@ -36,6 +36,9 @@ class RobotShape:
     """Sonar poses in the base's frame; the index is the sonar's number."""
     sonar_height_m: float
     wheels: Wheels
+    odometry: Odometry
+    gyro_rad_s: float
+    """Standard deviation of the gyro's readings; 0 = not known."""
 
     @property
     def length_m(self) -> float:
@@ -60,6 +63,8 @@ def shape_of(description: RobotDescription) -> RobotShape:
             wheels.width_m,
             tuple((x, y) for x in axles for y in (wheels.track_m / 2, -wheels.track_m / 2)),
         ),
+        odometry=description.odometry,
+        gyro_rad_s=description.gyro.noise_rad_s if description.gyro else 0.0,
     )
 
 
@@ -195,7 +200,10 @@ class Base(Protocol):
         """What is known of its behaviour when this process dies."""
 
     def measure_timeout(self, now: float) -> str:
-        """Send nothing until the base halts, for a few seconds at most; return why not, "" if it begins."""
+        """Send nothing until the base halts, for a few seconds at most; return why not, "" if it begins.
+
+        The end of the lease, motors off and an emergency end it: the base then gets zeros.
+        """
 
     def close(self, now: float) -> None:
         """Stop the base, switch its motors off and end the connection."""

@@ -6,10 +6,9 @@ name, which is called with REST, the robot's description and a function that put
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from bridge.base import Base
 from bridge.base_connection import BaseConnection
@@ -22,7 +21,6 @@ from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros_base.address import PREFIX, RosAddress, parse_address
 from bridge.ros_base.base import LoopSeen, Ros2Base
 from bridge.ros_base.line import LOOP_KEY, RosLine
-from bridge.ros_base.silence_file import SilenceFile
 from bridge.zenoh_link import ZenohLink
 from rover_ncp.core.config import load_yaml, validated
 from rover_ncp.core.errors import NoRobot, RoverNcpError, UsageError
@@ -64,13 +62,6 @@ class ChosenBase:
     description: RobotDescription | None
     ros2: RosAddress | None = None
     driver: EntryPoint | None = None
-
-
-class SilenceOptions(NamedTuple):
-    """Where measurements of robots' own timeouts are kept, and whether a robot may drive without one."""
-
-    file: Path | None = None
-    unsafe: bool = False
 
 
 def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> ChosenBase:
@@ -131,7 +122,7 @@ def gate_limits(file: Path | None, description: RobotDescription | None) -> Limi
 
 
 def open_base(
-    chosen: ChosenBase, limits: Limits, inbox: Inbox, link: ZenohLink, silence: SilenceOptions
+    chosen: ChosenBase, limits: Limits, inbox: Inbox, link: ZenohLink, *, no_base_watchdog: bool
 ) -> tuple[ByteCounts, Base, str]:
     """Open the line to the base; also return what a user has to know of it.
 
@@ -153,15 +144,10 @@ def open_base(
         connection = BaseConnection(chosen.address, inbox)
         return connection, ArcosBase(connection, session), ""
     assert chosen.description is not None and chosen.description.topics is not None  # choose_base checks it
-    file = SilenceFile(silence.file, chosen.ros2, chosen.description)
-    known = file.load(silence.unsafe)
     line = RosLine(chosen.ros2, chosen.description.topics, inbox)
     link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
-    return (
-        line,
-        Ros2Base(line, chosen.description, known, partial(file.store_in_background, inbox.put)),
-        known.note,
-    )
+    ros2 = Ros2Base(line, chosen.description, unsafe=no_base_watchdog)
+    return line, ros2, ros2.note
 
 
 def _load(driver: EntryPoint) -> BaseDriver:

@@ -71,13 +71,6 @@ def bridge(
             "this bridge dies, it may drive on.",
         ),
     ] = False,
-    state: Annotated[
-        Path | None,
-        typer.Option(
-            help="File that keeps what 'check' measured of ROS 2 robots.",
-            show_default="~/.local/state/rover-ncp/robots.yaml",
-        ),
-    ] = None,
     json: Json = False,
 ) -> int | None:
     """Connect a Pioneer or a ROS 2 robot to Zenoh: one driver at a time drives it, within limits.
@@ -89,7 +82,6 @@ def bridge(
     "ready zenoh=... base=..."; Ctrl-C or SIGTERM stops the rover and ends it.
     """
     from bridge.app import run_bridge
-    from bridge.bases import SilenceOptions
 
     return run_bridge(
         base=base,
@@ -102,7 +94,7 @@ def bridge(
         ros=ros or [Convention.ROS2DDS],
         accept_ros=accept_ros,
         insecure=insecure,
-        silence=SilenceOptions(state, no_base_watchdog),
+        no_base_watchdog=no_base_watchdog,
         as_json=json,
     )
 

@@ -34,6 +34,7 @@ from bridge.guarded_base import GuardedBase
 from bridge.inbox import CommandMessage, Query, ThreadError
 from bridge.queries import Answers
 from bridge.ros import messages as ros
+from bridge.ros.covariance import OdometryErrors
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.messages import read_twist, text, twist_stamped
 from rover_ncp.core.process import Clock, suspended_s
@@ -93,6 +94,7 @@ class Node:
         self._verdict = self._sent = Verdict(self.gate.out, motors=False, held=self.gate.held)
         self._report: BaseReport | None = None
         self._robot: RobotShape | None = None
+        self._errors: OdometryErrors | None = None
         self._hardware = ""
         self._act_now = self._commanded = False
         self._log: list[str] = []
@@ -171,10 +173,10 @@ class Node:
                     self._report = event
                     self._judge(event, arrived_s)
                     self._publish_report(event, arrived_s)
-                case TurnRate(rate):
-                    self._link.publish("imu", ros.turn_rate(rate, self._wall_ns(arrived_s)))
+                case TurnRate(rate) if self._robot is not None:
+                    self._link.publish("imu", ros.turn_rate(rate, self._robot, self._wall_ns(arrived_s)))
                 case Ready(hardware, robot):
-                    self._hardware, self._robot = hardware, robot
+                    self._hardware, self._robot, self._errors = hardware, robot, OdometryErrors(robot)
                     self._answers.model = robot.name
                     self.reconnects += 1
                     if self.reconnects > 0:
@@ -243,9 +245,10 @@ class Node:
         self._suspended_s += max(slept_s, 0.0)
 
     def _publish_report(self, report: BaseReport, arrived_s: float) -> None:
-        assert self._robot is not None  # a base is ready before it reports
+        assert self._robot is not None and self._errors is not None  # a base is ready before it reports
         stamp_ns = self._wall_ns(arrived_s - report.age_s)
-        for name, data in ros.each_report(report, self._robot, stamp_ns).items():
+        variances = self._errors.after(report)
+        for name, data in ros.each_report(report, self._robot, stamp_ns, variances).items():
             self._link.publish(name, data)
         self._link.publish("rover/cmd_out", twist_stamped(self._sent.velocity, self._wall_ns(arrived_s)))
 

@@ -77,12 +77,11 @@ class ZenohLink(ClosedAtExit):
         self._held.append(self._session.liveliness().declare_subscriber(key, on_token, history=True))
 
     def _ros2dds_tokens(self) -> list[str]:
+        # A token of cmd_vel names one type: the ROS bridge would make a reader of that one, and would pass on
+        # neither the other type nor a warning. Without a token it takes the type of each publisher.
         zid = str(self._session.info.zid())
-        rows = [row for row in KEYS if row.name in self._publishers or row.name == "cmd_vel"]
-        topics = [
-            topic_token(zid, self.key(row.name), row.type, row.name in self._publishers, row.latched)
-            for row in rows
-        ]
+        rows = [row for row in KEYS if row.name in self._publishers]
+        topics = [topic_token(zid, self.key(row.name), row.type, True, row.latched) for row in rows]
         return [bridge_token(zid), *topics]
 
     def publish(self, name: str, data: bytes) -> None:

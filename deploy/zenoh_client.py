@@ -153,6 +153,6 @@ def _refused(endpoint: str) -> UnreachableError:
         )
     return NotAuthorised(
         f"not authorised: the process at {endpoint} accepts no session from us; it may want a certificate "
-        "(--zenoh-config, see 'rover-ncp keys'), or its clock is wrong and our certificate invalid by it, or it "
-        "is no bridge, or hangs"
+        "(--zenoh-config, see 'rover-ncp keys'), or its clock is wrong and our certificate invalid by it, or "
+        "it is no bridge, or hangs"
     )

@@ -48,11 +48,10 @@ from bridge.gate.state import (
     VelocityCommand,
     Verdict,
 )
+from rover_ncp.core.clock_offset import remember
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.protocol import CommandTag
 
-MINIMUM_KEPT_S = 60
-"""How long the smallest (arrival − stamp) is remembered: clocks that drift 100 ppm differ by 6 ms in it."""
 ROS_AGE_S = 0.3
 """The gate accepts a stamped command without a tag if its stamp is no farther from our clock than this."""
 UNTAGGED_PAUSE_S = 1.0
@@ -356,17 +355,6 @@ def _flaw(velocity: Velocity | None) -> Reason | None:
     if velocity is None:
         return Reason.UNREADABLE
     return None if all(map(math.isfinite, velocity)) else Reason.NOT_FINITE
-
-
-def remember(
-    minima: tuple[tuple[int, float], ...], now: float, stamp_ns: int
-) -> tuple[tuple[int, float], ...]:
-    """Add (arrival − stamp) to the minima of the last minute, one a second."""
-    second, offset = math.floor(now), now - stamp_ns * 1e-9
-    kept = tuple(item for item in minima if second - item[0] <= MINIMUM_KEPT_S)
-    if kept and kept[-1][0] == second:
-        return (*kept[:-1], (second, min(offset, kept[-1][1])))
-    return (*kept, (second, offset))
 
 
 def _count(counts: Mapping[Reason, int], reason: Reason) -> Mapping[Reason, int]:

@@ -9,29 +9,29 @@ from collections.abc import Mapping
 
 from bridge.base import BaseReport, LinkHealth, RobotShape
 from bridge.gate.state import GateState, Reason
-from bridge.pioneer.packets import GYRO_RAD_S, NO_ECHO_MM
+from bridge.pioneer.packets import NO_ECHO_MM
+from bridge.ros.covariance import MIN_VARIANCE, Variances
 from rover_ncp.core import messages
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.messages import BASE_FRAME, ODOM_FRAME, Diagnostic, Transform, imu
 from rover_ncp.core.protocol import GateStatus
 
-# Variance of a single reading from its rounding (uniform: step² / 12), without the drift of odometry:
-# positions in whole mm, headings in 1/4096 turn, wheel speeds in whole mm/s, turn rates in 0.1 deg/s.
-_POSE_VARIANCE = (0.001**2 / 12, 0.001**2 / 12, (math.tau / 4096) ** 2 / 12)
-_VELOCITY_VARIANCE = (0.001**2 / 12, math.radians(0.1) ** 2 / 12)
-
-_GYRO_VARIANCE = (GYRO_RAD_S / 4) ** 2 / 12
-"""Of the mean of four readings, from their rounding."""
-
 OK, WARNING, ERROR = 0, 1, 2
 
 
-def each_report(report: BaseReport, robot: RobotShape, stamp_ns: int) -> dict[str, bytes]:
+def each_report(
+    report: BaseReport, robot: RobotShape, stamp_ns: int, variances: Variances
+) -> dict[str, bytes]:
     """Return the messages that go out with each report, by key."""
     pose = Pose(report.x, report.y, report.theta)
     sent = {
         "odom": messages.odometry(
-            pose, Velocity(report.v, report.omega), stamp_ns, _POSE_VARIANCE, _VELOCITY_VARIANCE
+            pose,
+            Velocity(report.v, report.omega),
+            stamp_ns,
+            variances.pose,
+            variances.velocity,
+            lateral_variance=variances.lateral,
         ),
         "tf": messages.transforms(
             [Transform(ODOM_FRAME, BASE_FRAME, report.x, report.y, 0.0, report.theta)], stamp_ns
@@ -70,9 +70,9 @@ def sensor_frames(robot: RobotShape) -> list[Transform]:
     ]
 
 
-def turn_rate(rate: float, stamp_ns: int) -> bytes:
+def turn_rate(rate: float, robot: RobotShape, stamp_ns: int) -> bytes:
     """Return the gyro's turn rate: rad/s, counter-clockwise."""
-    return imu(rate, _GYRO_VARIANCE, stamp_ns)
+    return imu(rate, max(robot.gyro_rad_s**2, MIN_VARIANCE), stamp_ns)
 
 
 def gate_status(state: GateState) -> GateStatus:

@@ -11,7 +11,7 @@ Rules of this file:
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -31,9 +31,9 @@ from bridge.base import (
 )
 from bridge.inbox import RobotMessage
 from bridge.ros.discovery import Announced
-from bridge.ros_base.odometry import LEAST_IN_RATE_S, RATE_S, Moved, RosOdometer
+from bridge.ros_base.base_timeout import BaseTimeout, TimeoutMeasurement
+from bridge.ros_base.odometry import CLOCK_BACK_S, LEAST_IN_RATE_S, LOSS_S, RATE_S, Moved, RosOdometer
 from bridge.ros_base.scan import ScanRoom
-from bridge.ros_base.silence import Measurement, NotStored, Silence
 from rover_ncp.core.cdr import decode, encode
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
@@ -55,11 +55,12 @@ from rover_ncp.core.robot_description import RobotDescription, Topics
 
 REFRESH_S = 0.05
 """Bases stop without commands after 0.25 s at the earliest (Husky under ROS 1)."""
+LAST_ZEROS = 5
+"""Zeros before the session ends, `REFRESH_S` apart: each of them may be dropped."""
 REPORT_S = 0.018
 """Odometry at a higher rate is passed on at most this often."""
 WAIT_S = 6.0
 """A robot that is not ready after this time cannot be served."""
-LOSS_S = 0.5
 CLEAR_S = 2.0
 """How long a contradiction must be over before the base is ready again."""
 MOST_TOKENS = 1000
@@ -108,6 +109,9 @@ class Line(Protocol):
     def publish(self, payload: bytes) -> None:
         """Send a command."""
 
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+
     def close(self) -> None:
         """End the session."""
 
@@ -128,12 +132,10 @@ def command(topics: Topics, velocity: Velocity, stamp_ns: int) -> bytes:
 class Ros2Base:
     """One robot, described by ``description``, whose ``topics`` are not None.
 
-    ``silence`` is what is known of it without commands; ``store`` keeps what is measured, and does not wait.
+    ``unsafe`` is whether every driver may drive although the robot is not known to halt without commands.
     """
 
-    def __init__(
-        self, line: Line, description: RobotDescription, silence: Silence, store: Callable[[Silence], None]
-    ) -> None:
+    def __init__(self, line: Line, description: RobotDescription, unsafe: bool) -> None:
         assert description.topics is not None
         self._line, self._description, self._topics = line, description, description.topics
         self._odometer = RosOdometer(self._topics, description.motion)
@@ -152,16 +154,17 @@ class Ros2Base:
         self._stop_pressed, self._hazards = False, frozenset[int]()
         self._turns: deque[float] = deque(maxlen=100)
         self._room = ScanRoom(description) if self._topics.scan is not None else None
-        self.silence, self._store = silence, store
+        self._timeout = BaseTimeout(description.measured_base_timeout_s, unsafe)
         self._speed = 0.0
-        self._measurement: Measurement | None = None
+        self._measurement: TimeoutMeasurement | None = None
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
         """See Base."""
-        events: list[BaseEvent] = []
+        events, notices = list[BaseEvent](), list[BaseEvent]()
         match arrival:
             case RobotMessage():
                 events = self._message(arrival)
+                notices = self._clock_notices(arrival.topic)
             case TokenSeen(token, there):
                 if not there:
                     self._tokens.pop(token, None)
@@ -169,19 +172,15 @@ class Ros2Base:
                     self._tokens[token] = None
             case LoopSeen(there):
                 self._loop = there
-            case NotStored(reason):
-                return [
-                    Notice(f"the measured timeout counts until this bridge ends, it was not stored: {reason}")
-                ]
-        changes = self._watch(now)
+        changes = [*notices, *self._watch(now)]
         return [*changes, *events] if self._ready else changes
 
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
         """See Base."""
         events = self._watch(now)
         velocity = setpoint.velocity if setpoint.motors and self._ready else ZERO
-        if setpoint.emergency or not self._ready:
-            self._measurement = None  # whatever halts the robot now, it is not its own timeout
+        if setpoint.emergency or not (setpoint.motors and setpoint.lease and self._ready):
+            self._measurement = None  # the robot gets zeros: it does not halt by its own timeout
         measurement = self._measurement
         if measurement is not None:
             measurement.update(self._speed, now)
@@ -194,8 +193,7 @@ class Ros2Base:
             self._driven_s = now
         if measurement is not None and now >= measurement.counts_s:
             self._measurement = None
-            self.silence = self.silence.measured(measurement.timeout_s)
-            self._store(self.silence)
+            self._timeout = self._timeout.after(measurement.timeout_s)
         return events
 
     def reset_odometry(self) -> None:
@@ -208,24 +206,32 @@ class Ros2Base:
         return LinkHealth(counters["unreadable"] > 0, counters)
 
     @property
+    def note(self) -> str:
+        """What a user has to know at each start."""
+        return self._timeout.note
+
+    @property
     def own_timeout(self) -> OwnTimeout:
         """See Base."""
+        known = self._timeout
         if self._measurement is not None:
-            return OwnTimeout(TimeoutState.RUNNING, None, self.silence.refusal or _MEASURING)
-        return OwnTimeout(self.silence.state, self.silence.timeout_s, self.silence.refusal)
+            return OwnTimeout(TimeoutState.RUNNING, None, known.refusal or _MEASURING)
+        return OwnTimeout(known.state, known.timeout_s, known.refusal)
 
     def measure_timeout(self, now: float) -> str:
         """See Base."""
         # With a zero already sent, it would measure how the robot obeys and not how it halts by itself.
         if not self._ready or abs(self._speed) < MOVING_M_S or self._out == ZERO:
             return "the wheels do not turn by a command"
-        self._measurement = Measurement(self._sent[-1][0], self._speed)
+        self._measurement = TimeoutMeasurement(self._sent[-1][0], self._speed)
         return ""
 
     def close(self, now: float) -> None:
         """See Base."""
         try:
-            self._send(ZERO, now)
+            for number in range(LAST_ZEROS):
+                self._send(ZERO, now + number * REFRESH_S)
+                self._line.wait(REFRESH_S)
         finally:
             self._line.close()
 
@@ -304,6 +310,12 @@ class Ros2Base:
         self._contradictions[f"{who} publishes {where} too"] = now
         self._odometer.counters["foreign"] += 1
 
+    def _clock_notices(self, topic: str) -> list[BaseEvent]:
+        back_s = self._odometer.set_back_s
+        if topic != self._topics.odom or not 0.0 < back_s <= CLOCK_BACK_S:  # beyond it, it is a restart
+            return []
+        return [Notice(f"the clock that stamps {self._line.topic(topic)} was set back by {back_s:.2f} s")]
+
     def _announced(self, topic: str, published: bool) -> list[Announced]:
         """Return what others announce of a topic."""
         name = self._line.topic(topic)
@@ -352,7 +364,7 @@ class Ros2Base:
         if not self._ready:
             return self._other_type() if self._odometer.enough(now) else self._no_odometry(where, now)
         if self._odometer.restarts != self._known_restarts:
-            return f"odometry on {where} began again: the robot restarted, or its clock was set back"
+            return f"odometry on {where} began again: {self._odometer.restart_reason}"
         if self._odometer.age_s(now) <= LOSS_S:
             return ""
         return self._odometer.problem or f"no odometry on {where} for {LOSS_S} s"

@@ -76,6 +76,10 @@ class RosLine:
             attachment = Attachment(self._sequence, time.time_ns(), self.source)
             self._publisher.put(payload, attachment=attachment.pack())
 
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        time.sleep(seconds)
+
     def close(self) -> None:
         """End the session; its tokens go with it."""
         session: Any = self._session

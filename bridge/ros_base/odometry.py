@@ -1,14 +1,14 @@
 """A robot's Odometry messages as poses since it was connected. Pure.
 
-A message counts when it is of the right frames, finite, new and fresh. Its age is the growth of (arrival −
-stamp) over the minimum of the last minute, so that the robot's clock may be off by any constant.
+A message counts when it is of the right frames, finite, new and fresh. The robot's clock may be off by any
+constant, and may be set (`rover_ncp.core.clock_offset`).
 """
 
 import math
 from collections import deque
 from typing import NamedTuple
 
-from bridge.gate.gate import remember
+from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, distance, relative, wrap_angle
 from rover_ncp.core.messages import OdometrySample, read_odometry
@@ -19,9 +19,11 @@ RATE_S, LEAST_IN_RATE_S = 1.0, 5
 BURST_S = 0.08
 """Messages closer than this count as one in that."""
 STALE_S = 0.2
-CLOCK_BACK_S = 1.0
-"""Stamps that go back by more than this: the robot restarted, or its clock was set."""
-JUMP_M = 0.05
+LOSS_S = 0.5
+"""Without odometry for longer than this, the base is lost and the robot gets zeros."""
+CLOCK_BACK_S = 1.25
+"""A clock that is set back by more than this may be that of a robot that restarted."""
+JUMP_M, JUMP_RAD = 0.05, 0.1
 """A pose farther from the last one than the robot can drive, and this, has jumped."""
 LATEST_NS = 2**31 * 1_000_000_000 - 1
 """The latest time that a ROS stamp can hold."""
@@ -45,24 +47,31 @@ class RosOdometer:
         self.counters = dict.fromkeys(("messages", "unreadable", "stale", "repeated", "foreign"), 0)
         self.problem = ""
         self.restarts = 0
-        """How often the origin was set anew, because the robot began again."""
+        """How often the origin was set anew, because the robot began again, and why the last time."""
+        self.restart_reason = ""
+        self.set_back_s = 0.0
+        """By how much the robot's clock was set back, as the last message shows; else 0."""
         self._good_s = -math.inf
         self._spread: deque[float] = deque(maxlen=LEAST_IN_RATE_S)
         """When messages that count arrived, without those of a burst."""
         self._arrivals: deque[float] = deque(maxlen=64)
         self._sources: dict[bytes, float] = {}
         """The last two, the newest last, and when each last published."""
-        self._minima: tuple[tuple[int, float], ...] = ()
+        self._clock = StampClock()
         self._stamp_ns = 0
         self._seen: deque[tuple[float, Pose]] = deque(maxlen=2)
+        self._velocity = Velocity(0.0, 0.0)
         self._alternations: deque[float] = deque(maxlen=ALTERNATIONS)
-        self._clock_backs: deque[float] = deque(maxlen=ALTERNATIONS)
+        self._clock_jumps: deque[float] = deque(maxlen=ALTERNATIONS)
         self._origin: Pose | None = None
+        self._origin_source: bytes | None = None
+        """The publisher by whose message the origin was set."""
         self._theta = self._age_s = 0.0
 
     def take(self, payload: bytes, arrived_s: float, source: bytes | None = None) -> Moved | None:
         """Return the motion that a message reports; None if it does not count."""
         self.counters["messages"] += 1
+        self.set_back_s = 0.0
         self._arrivals.append(arrived_s)
         try:
             sample = read_odometry(payload)
@@ -84,13 +93,12 @@ class RosOdometer:
             )
             return None
         if not all(map(math.isfinite, (*sample.pose, *sample.velocity))):
-            rest = (sample.pose.x, sample.pose.y, *sample.velocity)
             self.problem = "odometry is not finite"
-            if all(map(math.isfinite, rest)):
-                self.problem = "the orientation in odometry is not a rotation, a quaternion of the length 1"
             self._spread.clear()
             return None
-        return self._moved(sample, arrived_s) if self._new_and_fresh(sample.stamp_ns, arrived_s) else None
+        if not self._new_and_fresh(sample.stamp_ns, arrived_s):
+            return None
+        return self._moved(sample, arrived_s, source)
 
     def reset(self) -> None:
         """Make the next pose the origin."""
@@ -116,7 +124,7 @@ class RosOdometer:
     def publishers(self, now: float) -> int:
         """Return how many publishers the messages of the last second show, 2 for any more."""
         known = sum(now - at < CONFLICT_S for at in self._sources.values())
-        full = [found for found in (self._alternations, self._clock_backs) if len(found) == ALTERNATIONS]
+        full = [found for found in (self._alternations, self._clock_jumps) if len(found) == ALTERNATIONS]
         return max(known, 2 if any(now - found[0] < CONFLICT_S for found in full) else 1)
 
     def robot_clock_ns(self, now: float) -> int:
@@ -124,33 +132,40 @@ class RosOdometer:
 
         A message of another's may have moved that clock to the end of time: the result always fits a stamp.
         """
-        if not self._minima:
-            return 0
-        return min(round((now - min(offset for _, offset in self._minima)) * 1e9), LATEST_NS)
+        robot_ns = self._clock.sender_ns(round(now * 1e9))
+        return 0 if robot_ns is None else min(max(robot_ns, 0), LATEST_NS)
 
     def _new_and_fresh(self, stamp_ns: int, arrived_s: float) -> bool:
         self._age_s = 0.0
         if stamp_ns == 0:  # a publisher without a clock
             return True
-        if stamp_ns < self._stamp_ns - round(CLOCK_BACK_S * 1e9):
-            self._clock_backs.append(arrived_s)
-            self._minima, self._stamp_ns = (), 0
-            self._restart()
+        arrived_ns = round(arrived_s * 1e9)
+        measured_ns = self._clock.measured_ns(stamp_ns, arrived_ns)
+        self.set_back_s = self._clock.set_back_s
+        if self.set_back_s:
+            self._stamp_ns = 0
+        if self.set_back_s > CLOCK_BACK_S:
+            self._restart(f"its clock was set back by {self.set_back_s:.2f} s")
+        if self._clock.doubt_s > CLOCK_BACK_S:
+            self._clock_jumps.append(arrived_s)
+        if measured_ns is None:
+            self.counters["stale"] += 1
+            self.problem = f"the stamps of odometry jump by {self._clock.doubt_s:.1f} s"
+            return False
         if stamp_ns <= self._stamp_ns:
             self.counters["repeated"] += 1
             return False
         self._stamp_ns = stamp_ns
-        self._minima = remember(self._minima, arrived_s, stamp_ns)
-        self._age_s = arrived_s - stamp_ns * 1e-9 - min(offset for _, offset in self._minima)
+        self._age_s = (arrived_ns - measured_ns) * 1e-9
         if self._age_s > STALE_S:
             self.counters["stale"] += 1
             self.problem = f"odometry arrives {self._age_s:.1f} s late"
             return False
         return True
 
-    def _moved(self, sample: OdometrySample, arrived_s: float) -> Moved:
-        if self._seen and self.age_s(arrived_s) > CONFLICT_S and self._jumps(sample.pose, -1, arrived_s):
-            self._restart()
+    def _moved(self, sample: OdometrySample, arrived_s: float, source: bytes | None) -> Moved:
+        if self._seen and (reason := self._restarted(sample.pose, arrived_s, source)):
+            self._restart(reason)
         elif (
             len(self._seen) == 2
             and self._jumps(sample.pose, -1, arrived_s)
@@ -164,19 +179,39 @@ class RosOdometer:
         self.problem = ""
         last = self._seen[-1][1] if self._seen else sample.pose
         self._seen.append((arrived_s, sample.pose))
+        self._velocity = sample.velocity
         if self._origin is None:
-            self._origin, self._theta = sample.pose, 0.0
+            self._origin, self._theta, self._origin_source = sample.pose, 0.0, source
         else:
             self._theta += wrap_angle(sample.pose.theta - last.theta)
         x, y, _ = relative(self._origin, sample.pose)
         return Moved(Pose(x, y, self._theta), sample.velocity, self._age_s)
 
+    def _restarted(self, pose: Pose, arrived_s: float, source: bytes | None) -> str:
+        """Return why a pose counts from another place than those before; "" if it does not.
+
+        A robot that was silent was sent zeros since then: it can only have coasted from its last speed.
+        """
+        if None not in {source, self._origin_source} and source != self._origin_source:
+            return "it has another publisher" if self.publishers(arrived_s) == 1 else ""
+        if self.age_s(arrived_s) <= LOSS_S:
+            return ""
+        v, omega = map(abs, self._velocity)
+        before, motion = self._seen[-1][1], self._motion
+        coasted_m = v * LOSS_S + v * v / (2.0 * motion.decel)
+        coasted_rad = omega * LOSS_S + omega * omega / (2.0 * motion.alpha_decel)
+        turned = abs(wrap_angle(pose.theta - before.theta))
+        if distance(pose, before) <= JUMP_M + coasted_m and turned <= JUMP_RAD + coasted_rad:
+            return ""
+        return "its pose jumped while it was silent, so the robot restarted or was moved"
+
     def _jumps(self, pose: Pose, index: int, arrived_s: float) -> bool:
         at, before = self._seen[index]
         return distance(pose, before) > JUMP_M + 2.0 * self._motion.v_max * (arrived_s - at)
 
-    def _restart(self) -> None:
+    def _restart(self, reason: str) -> None:
         self.restarts += 1
+        self.restart_reason = reason
         self._origin = None
         self._spread.clear()
         self._seen.clear()

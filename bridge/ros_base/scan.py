@@ -6,12 +6,13 @@ from typing import TypeAlias
 import numpy as np
 
 from rover_ncp.core.cdr import decode
+from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.messages import LASER_SCAN
 from rover_ncp.core.robot_description import RobotDescription
 
 VALID_S = 1.0
-"""How long a scan counts, as a sonar's range does."""
+"""How long a scan counts from its stamp on, as a sonar's range does."""
 MARGIN_M = 0.05
 """The way that must be clear is wider than the robot by this on each side."""
 BEAMS_APART = 1.5
@@ -29,11 +30,17 @@ class ScanRoom:
     def __init__(self, description: RobotDescription) -> None:
         assert description.scan is not None
         self._robot, self._mount = description, description.scan
+        self._clock = StampClock()
         self._at_s, self._room = -math.inf, (math.nan, math.nan)
 
     def take(self, payload: bytes, now: float) -> None:
         """Take a LaserScan. Raises FormatError."""
         message = decode(LASER_SCAN, payload)
+        now_ns = round(now * 1e9)
+        stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        measured_ns = self._clock.measured_ns(stamp_ns, now_ns) if stamp_ns else now_ns
+        if measured_ns is None:
+            return
         ranges = np.asarray(message.ranges, np.float64)
         step = float(message.angle_increment)
         limits = (float(message.angle_min), step, float(message.range_min), float(message.range_max))
@@ -53,7 +60,7 @@ class ScanRoom:
         sees = nothing | (measured & ~own)
         ahead = _least(x[other & (x > 0.0)] - front) if _scanned(angles, sees, 0.0, step) else math.nan
         behind = _least(-x[other & (x < 0.0)] - rear) if _scanned(angles, sees, math.pi, step) else math.nan
-        self._at_s, self._room = now, (ahead, behind)
+        self._at_s, self._room = measured_ns * 1e-9, (ahead, behind)
 
     def clear(self, now: float) -> tuple[float, float]:
         """Return the room in m from the outline to the nearest thing ahead and behind; NaN = not known."""

@@ -74,7 +74,7 @@ class Drive:
         self._config, self._clock, self._say = config, clock, say
         self._used: list[SampleRef] = []
         """Samples that the estimator got since the last tick."""
-        self.measurements = Measurements(link)
+        self.measurements = Measurements(link, say)
         self._monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
         self._placed = False
         """Whether external poses gave the start pose."""
@@ -101,18 +101,21 @@ class Drive:
     def measurements_used(self) -> dict[str, dict[str, Any]]:
         """Counts of odometry samples and external poses by their outcome, as the result reports them."""
         taken, unreadable = self.measurements.taken, self.measurements.unreadable
+        doubtful = self.measurements.doubtful
         estimator = self._controller.estimator
         outcomes, nis = estimator.poses, estimator.nis
         return {
             "odometry": {  #: samples
                 "taken": taken["odom"],
                 "unreadable": unreadable["odom"],
+                "doubtful": doubtful["odom"],  #: not used: their stamps contradict those around them
                 "rejected": estimator.rejected,  #: by the filter
             },
             "pose": {  #: external poses
                 "placed": self._placed,  #: whether they gave the start
                 "taken": taken["pose"],
                 "unreadable": unreadable["pose"],
+                "doubtful": doubtful["pose"],  #: the same
                 "used": outcomes[Outcome.ACCEPTED],  #: by the filter
                 "refused": outcomes[Outcome.OUTLIER] + outcomes[Outcome.NOT_FINITE],
                 "too_late": outcomes[Outcome.TOO_OLD],  #: older than the filter's history

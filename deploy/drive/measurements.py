@@ -8,8 +8,9 @@ import threading
 import zlib
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
+from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.messages import (
     COURSE_FRAME,
@@ -24,7 +25,6 @@ from rover_ncp.core.messages import (
 NS = 1_000_000_000
 """Nanoseconds in a second."""
 INBOX_LENGTH = 1000
-STAMP_WINDOW_NS = 60 * NS
 
 Sample = OdometrySample | TurnSample | PoseSample
 SampleT = TypeVar("SampleT", OdometrySample, TurnSample, PoseSample)
@@ -79,33 +79,6 @@ class MeasurementSource(Protocol):
         """External poses, in the course's frame."""
 
 
-class StampClock:
-    """The moment of a measurement on the receiver's clock, from the sender's stamp and the arrival.
-
-    Arrival minus stamp is an unknown constant plus the transit time. Its minimum over the last minute stands
-    for the constant and the shortest transit; the excess of a sample is its age. All times are in ns.
-    """
-
-    def __init__(self, in_order: bool = True) -> None:
-        self._in_order = in_order
-        self._smallest: deque[tuple[int, int]] = deque()  # (arrival, arrival − stamp), both rising
-        self._measured_ns: int | None = None
-
-    def measured_ns(self, stamp_ns: int, arrival_ns: int) -> int:
-        """Return when the sample was measured; for samples in order never before the previous one."""
-        offset = arrival_ns - stamp_ns
-        while self._smallest and self._smallest[-1][1] >= offset:
-            self._smallest.pop()
-        self._smallest.append((arrival_ns, offset))
-        while self._smallest[0][0] < arrival_ns - STAMP_WINDOW_NS:
-            self._smallest.popleft()
-        measured = stamp_ns + self._smallest[0][1]
-        if self._in_order and self._measured_ns is not None:
-            measured = max(measured, self._measured_ns)
-        self._measured_ns = measured
-        return measured
-
-
 class SampleRef(NamedTuple):
     """Names a sample: stamp, CRC-32 of its bytes, time of measurement on the driver's clock, topic."""
 
@@ -149,16 +122,23 @@ READERS: dict[str, Callable[[bytes], Sample]] = {
 
 
 class Measurements:
-    """Takes the received samples of one link, decodes them and counts them by topic."""
+    """Takes the received samples of one link, decodes them and counts them by topic.
 
-    def __init__(self, source: MeasurementSource) -> None:
-        self._source = source
+    ``say`` logs for people that a clock was set back, and why the first message of a topic is unreadable.
+    """
+
+    def __init__(self, source: MeasurementSource, say: Callable[[str], None] = lambda words: None) -> None:
+        self._source, self._say = source, say
         # External poses may come late, out of order, and stamped by any clock.
         self._clocks = {"odom": StampClock(), "imu": StampClock(), "pose": StampClock(in_order=False)}
+        self._before: dict[str, tuple[Arrival, Any]] = {}
+        """The last message of each topic and its sample."""
         self.newest: Measurement[OdometrySample] | None = None
         """The newest odometry."""
         self.taken: Counter[str] = Counter()
         self.unreadable: Counter[str] = Counter()
+        self.doubtful: Counter[str] = Counter()
+        """Samples that are not used because of their stamps."""
 
     def odometry(self, timeout_s: float) -> Measurement[OdometrySample] | None:
         """Return the newest odometry not yet taken; wait for it at most ``timeout_s``."""
@@ -179,15 +159,33 @@ class Measurements:
     def _read(
         self, topic: str, read: Callable[[bytes], SampleT], arrivals: list[Arrival]
     ) -> list[Measurement[SampleT]]:
-        found = []
-        for data, arrival_ns in arrivals:
+        clock, found = self._clocks[topic], list[Measurement[SampleT]]()
+        for arrival in arrivals:
             try:
-                sample = read(data)
-            except FormatError:
+                sample = read(arrival.data)
+            except FormatError as error:
+                if not self.unreadable[topic]:
+                    self._say(f"a message on '{topic}' cannot be read: {error}")
                 self.unreadable[topic] += 1
                 continue
-            measured_ns = self._clocks[topic].measured_ns(sample.stamp_ns, arrival_ns)
-            ref = SampleRef.of(sample.stamp_ns, data, measured_ns, topic)
-            found.append(Measurement(sample, ref, arrival_ns))
+            if sample.stamp_ns == 0:  # a publisher without a clock
+                found.append(_measurement(topic, arrival, sample, arrival.arrival_ns))
+                continue
+            measured_ns = clock.measured_ns(sample.stamp_ns, arrival.arrival_ns)
+            if clock.set_back_s:
+                self._say(f"the clock that stamps '{topic}' was set back by {clock.set_back_s:.2f} s")
+            if clock.late_ns is not None:
+                found.append(_measurement(topic, *self._before[topic], clock.late_ns))
+                self.doubtful[topic] -= 1
+            if measured_ns is not None:
+                found.append(_measurement(topic, arrival, sample, measured_ns))
+            else:
+                self.doubtful[topic] += 1
+            self._before[topic] = arrival, sample
         self.taken[topic] += len(found)
         return found
+
+
+def _measurement(topic: str, arrival: Arrival, sample: SampleT, measured_ns: int) -> Measurement[SampleT]:
+    ref = SampleRef.of(sample.stamp_ns, arrival.data, measured_ns, topic)
+    return Measurement(sample, ref, arrival.arrival_ns)

@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import date
 from typing import Protocol
 
 from deploy.drive.lease import ACCEPTED_S, NOT_ACCEPTED
@@ -198,7 +199,10 @@ class Preflight:
         """Test the most important stop: no commands arrive any more."""
         self._move(Velocity(V_M_S, 0.0))
         silent = time.monotonic()
-        allowed = STOP_S + BRAKING_S + REPORT_S
+        braking_s = BRAKING_S
+        if self._robot is not None:
+            braking_s = max(braking_s, self._robot.delays.v_s + V_M_S / self._robot.motion.decel)
+        allowed = STOP_S + braking_s + REPORT_S
         stands = self._until(self._stands, 2 * allowed)
         took = self._newest.ref.measured_ns / NS - silent  # a busy moment of this computer does not count
         words = f"stands {took:.2f} s after the last command" if stands else "does not stop"
@@ -222,9 +226,12 @@ class Preflight:
         ended_s = time.monotonic() + MEASURING_S
         while base is not None and base.state is TimeoutState.RUNNING and time.monotonic() < ended_s:
             self._until(lambda: False, POLL_S)
+            self._link.request_motors("check", unchecked=True)  # without the lease, the bridge sends zeros
             base = self._link.about_base()
         if base is not None and base.state is TimeoutState.MEASURED:
-            return True, f"if it dies, the base halts after {base.timeout_s:.2f} s"
+            measured_s = math.ceil(100.0 * (base.timeout_s or 0.0)) / 100.0
+            line = f"measured_base_timeout_s: {measured_s:g} # {date.today()}"
+            return True, f"if it dies, the base halts; the line for the robot's description: {line}"
         if base is not None and base.state is TimeoutState.UNKNOWN:
             return False, "the timeout was not measured: a stop or a loss of the base ended the measurement"
         return False, "if it dies, the base does not halt: the bridge then needs --no-base-watchdog"

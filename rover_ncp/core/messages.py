@@ -1,9 +1,8 @@
 """The ROS messages that this project sends and reads, made from and turned into plain values.
 
 Frames as in REP-105: ``odom`` → ``base_link``, and ``course`` for a course's own; x forward, y left, angles
-counter-clockwise (REP-103). Stamps are ns since the epoch. The keys they travel on are in
-`rover_ncp.core.key_table`, what rides with a command and the JSON of the queries in
-`rover_ncp.core.protocol`, the bytes in `rover_ncp.core.cdr`.
+counter-clockwise (REP-103). Stamps are ns since the epoch. `rover_ncp.core.key_table` has the keys,
+`rover_ncp.core.protocol` the tags of commands and the JSON of queries, `rover_ncp.core.cdr` the bytes.
 """
 
 import math
@@ -113,9 +112,13 @@ def odometry(
     pose_variance: Sequence[float] = (0.0, 0.0, 0.0),
     velocity_variance: Sequence[float] = (0.0, 0.0),
     *,
+    lateral_variance: float = 0.0,
     frames: tuple[str, str] = (ODOM_FRAME, BASE_FRAME),
 ) -> bytes:
-    """Return an Odometry, base_link in odom; variances of (x, y, theta) and of (v, omega), SI squared."""
+    """Return an Odometry, base_link in odom.
+
+    The variances are those of (x, y, theta), of (v, omega) and of the speed to the side, SI squared.
+    """
     x, y, theta = pose_variance
     v, omega = velocity_variance
     return encode(
@@ -123,8 +126,10 @@ def odometry(
         header=_header(stamp_ns, frames[0]),
         child_frame_id=frames[1],
         pose={"pose": _pose(pose), "covariance": np.diag([x, y, *[_UNKNOWN] * 3, theta]).ravel()},
-        # A base on wheels does not slide sideways: its lateral speed is known to be 0.
-        twist={"twist": _twist(velocity), "covariance": np.diag([v, 0.0, *[_UNKNOWN] * 3, omega]).ravel()},
+        twist={
+            "twist": _twist(velocity),
+            "covariance": np.diag([v, lateral_variance, *[_UNKNOWN] * 3, omega]).ravel(),
+        },
     )
 
 
@@ -379,10 +384,10 @@ def _pose(pose: Pose) -> dict[str, Any]:
 
 
 def _read_pose(pose: Any) -> Pose:
-    """Return the pose in the plane; the heading is NaN if the quaternion is none, as when all of it is 0."""
+    """Return the pose in the plane, which may be not finite. Raises FormatError for what is no rotation."""
     q = pose.orientation
-    if not abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) <= _UNIT_TOLERANCE:
-        return Pose(pose.position.x, pose.position.y, math.nan)
+    if abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) > _UNIT_TOLERANCE:
+        raise FormatError(f"the orientation {q.x:g}, {q.y:g}, {q.z:g}, {q.w:g} is not a rotation")
     yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
     return Pose(pose.position.x, pose.position.y, yaw)
 

@@ -17,6 +17,9 @@ from rover_ncp.core.files import read_text, resolve
 _DEPTH = 4
 """How many files may be based on each other."""
 
+MAX_BASE_TIMEOUT_S = 2.5
+"""A base that takes longer to halt without commands counts as one without a timeout: a Pioneer takes 2 s."""
+
 Metres = Annotated[float, Field(gt=0, le=5)]
 TopicName = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*(/[A-Za-z_]\w*)*$")]
 
@@ -218,6 +221,8 @@ class RobotDescription(StrictModel):
     """Its voltages."""
     topics: Topics | None = None
     """None for a robot without ROS 2."""
+    measured_base_timeout_s: float | None = Field(default=None, gt=0, le=MAX_BASE_TIMEOUT_S)
+    """After so long without commands this very robot halts, as `rover-ncp check` measured and printed it."""
     sonars: Sonars | None = None
     """None for a robot without them."""
     scan: Scan | None = None
@@ -278,6 +283,7 @@ def _merged(name_or_path: str, depth: int) -> dict[str, Any]:
             name_or_path, [f"$.based_on: expected a description's name, in {_DEPTH} steps at most"]
         )
     merged = _merged(base, depth - 1)
+    merged.pop("measured_base_timeout_s", None)  # that robot was measured, not this one
     inherited = merged.get("sources")
     for key, value in data.items():
         known = merged.get(key)

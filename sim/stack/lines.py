@@ -15,7 +15,6 @@ from bridge.pioneer.base import ArcosBase
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros_base.base import Ros2Base
-from bridge.ros_base.silence import Silence
 from rover_ncp.core.robot_description import RobotDescription
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of
@@ -124,7 +123,7 @@ class Ros2Line:
         self.bytes_to_base = self.bytes_from_base = 0
         self.arrivals: list[object] = []
         # Every driver may drive: a bridge on a virtual clock does not die.
-        self.base: Base = Ros2Base(self, robot.description, Silence(unsafe=True), lambda silence: None)
+        self.base: Base = Ros2Base(self, robot.description, unsafe=True)
 
     @property
     def due_s(self) -> float:
@@ -143,6 +142,9 @@ class Ros2Line:
         """Bring a command to the robot."""
         self.bytes_to_base += len(payload)
         self._robot.command(payload, self._now)
+
+    def wait(self, seconds: float) -> None:
+        """Do nothing: the owner of the virtual clock lets time pass."""
 
     def topic(self, name: str) -> str:
         """Return a topic; there is no namespace."""

@@ -24,7 +24,6 @@ from bridge.ros.discovery import read_topic_token, topic_token
 from bridge.ros.rmw import read_token
 from bridge.ros_base.address import parse_address
 from bridge.ros_base.base import Ros2Base, TokenSeen
-from bridge.ros_base.silence import Silence
 from deploy.drive.config import CONFIG_FILE, COURSE_FILE, POLICY_FILE, DriveConfig
 from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.replay import replay
@@ -203,7 +202,7 @@ def _robot(data):
     burger = load_description("turtlebot3-burger")
     switches = burger.topics.model_copy(update={"stop": "stop", "hazards": "hazards"})
     robot = burger.model_copy(update={"topics": switches})
-    base = Ros2Base(_NoLine(), robot, Silence(), lambda _: None)
+    base = Ros2Base(_NoLine(), robot, unsafe=False)
     for token in tokens:
         if token is not None:
             base.receive(TokenSeen(token, True), 0.0)

@@ -5,7 +5,6 @@ from ros_cdr import odometry
 from bridge.base import BaseReport, Setpoint, TurnRate
 from bridge.inbox import RobotMessage
 from bridge.ros_base.base import Ros2Base
-from bridge.ros_base.silence import Silence
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.robot_description import load_description
 
@@ -20,7 +19,7 @@ class Line:
     endpoint, zid, source = "tcp/robot:7447", "ours", OURS
 
     def __init__(self):
-        self.sent, self.closed = [], False
+        self.sent, self.closed, self.waited_s = [], False, 0.0
 
     def topic(self, name):
         return name
@@ -29,6 +28,9 @@ class Line:
         assert not self.closed
         self.sent.append(payload)
 
+    def wait(self, seconds):
+        self.waited_s += seconds
+
     def close(self):
         self.closed = True
 
@@ -36,13 +38,12 @@ class Line:
 class World:
     """A base, a line and a clock; ``events`` is all that happened, reports apart."""
 
-    def __init__(self, description=BURGER, store=None):
+    def __init__(self, description=BURGER):
         self.line, self.now = Line(), 100.0
-        self.stored = []
-        self.base = Ros2Base(self.line, description, Silence(), store or self.stored.append)
+        self.base = Ros2Base(self.line, description, unsafe=False)
         self.events, self.reports, self.turns = [], [], []
         self.x = self.setpoint_v = 0.0
-        self.emergency = False
+        self.emergency, self.motors, self.lease = False, True, 1
         self.clock_s = EPOCH_S
 
     def keep(self, events):
@@ -70,7 +71,7 @@ class World:
                 self.odom(**{"v": self.setpoint_v, **values})
             if each:
                 each()
-            setpoint = Setpoint(Velocity(self.setpoint_v, 0.0), True, self.emergency)
+            setpoint = Setpoint(Velocity(self.setpoint_v, 0.0), self.motors, self.emergency, self.lease)
             self.keep(self.base.drive(setpoint, self.now))
         return self
 

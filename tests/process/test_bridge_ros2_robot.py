@@ -3,6 +3,7 @@
 The robot is the mock. Publishers beside it encode with an independent library.
 """
 
+import os
 import re
 import struct
 import threading
@@ -14,6 +15,7 @@ from paths import DATA
 from ros_cdr import TwistStamped, odometry
 from zenoh_session import open_session
 
+from rover_ncp import cli
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import ClosedAtExit
 from sim.live.live_run import RMW_ZENOH, ROS2DDS
@@ -160,6 +162,16 @@ def test_a_bridge_whose_two_networks_are_connected_does_not_start(tmp_path):
     assert "the robot's Zenoh network is connected to the drivers'" in ended.result["error"]
 
 
+def test_a_user_without_a_home_can_run_the_bridge(tmp_path, monkeypatch, capsys):
+    monkeypatch.delenv("HOME")
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 54321)
+    port = free_port("127.0.0.1")
+    base = ["--base", f"ros2/tcp/127.0.0.1:{port}", "--model", "turtlebot4", "--listen", "tcp/127.0.0.1:0"]
+    assert cli.run(["bridge", *base]) == 3
+    assert "no Zenoh router answers there" in capsys.readouterr().err
+
+
 def test_nothing_at_the_robots_address_is_one_line(tmp_path):
     port = free_port("127.0.0.1")
     arguments = ["--base", f"ros2/tcp/127.0.0.1:{port}", "--model", "turtlebot4"]
@@ -170,8 +182,8 @@ def test_nothing_at_the_robots_address_is_one_line(tmp_path):
 
 
 @pytest.mark.long
-def test_an_unchecked_robot_is_driven_by_the_check_alone_until_its_timeout_is_known(tmp_path):
-    bridge = ["--model", "husky-a200", "--state", str(tmp_path / "robots.yaml")]
+def test_an_unchecked_robot_is_driven_by_the_check_alone_until_its_description_has_the_timeout(tmp_path):
+    bridge = ["--model", "husky-a200"]
     mock = ["--ros2", "--model", "husky-a200"]
     with Rig(tmp_path / "run", mock=mock, bridge=bridge, base_form=ROS2DDS) as rig:
         with Driver(rig.locator) as driver:
@@ -184,14 +196,35 @@ def test_an_unchecked_robot_is_driven_by_the_check_alone_until_its_timeout_is_kn
         findings = {finding["name"]: finding for finding in done.result["findings"]}
         assert done.code == 0, findings
         # The mock halts 0.5 s after its last command, as its description has it.
-        assert re.match(r"if it dies, the base halts after 0\.[4-9]", findings["bridge"]["detail"])
+        line = re.search(r"measured_base_timeout_s: 0\.[4-9]\d* # .*$", findings["bridge"]["detail"])
+        assert line
         with Driver(rig.locator) as driver:
-            assert driver.motors().granted
+            assert "add the line" in driver.motors().detail
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(f"name: mine\nbased_on: husky-a200\n{line[0]}\n")
+    with (
+        Rig(tmp_path / "mine", mock=mock, bridge=["--model", str(mine)], base_form=ROS2DDS) as rig,
+        Driver(rig.locator) as driver,
+    ):
+        assert driver.motors().granted
+
+
+@pytest.mark.long
+def test_ctrl_c_in_the_check_halts_a_robot_while_its_timeout_is_measured(tmp_path):
+    """The robot has no timeout of its own: only the bridge's zeros halt it."""
+    burger = ["--model", "turtlebot3-burger"]
+    with Rig(tmp_path / "run", mock=["--ros2", *burger], bridge=burger, base_form=ROS2DDS) as rig:
+        with Process("check", ["--robot", rig.locator, "--on-blocks"], tmp_path) as check:
+            with Driver(rig.locator) as driver:
+                wait_for(lambda: '"running"' in driver.ask("rover/base", b"{}").decode(), 60.0)
+            began_ns = time.time_ns()
+            assert check.stop().code == 130
+        assert rig.stood_after(began_ns) < 1.0
 
 
 @pytest.mark.long
 def test_a_robot_without_a_timeout_is_driven_only_if_that_is_asked_for(tmp_path):
-    bridge = ["--model", "turtlebot3-burger", "--state", str(tmp_path / "robots.yaml")]
+    bridge = ["--model", "turtlebot3-burger"]
     mock = ["--ros2", "--model", "turtlebot3-burger"]
     with Rig(tmp_path / "run", mock=mock, bridge=bridge, base_form=ROS2DDS) as rig:
         about = ["--robot", rig.locator, "--on-blocks", "--model", "turtlebot3-burger"]

@@ -11,6 +11,7 @@ from bridge.base import LinkHealth
 from bridge.gate.state import GateState, Lease, Reason
 from bridge.pioneer.robots import ROBOTS
 from bridge.ros import messages as ros
+from bridge.ros.covariance import Variances
 from rover_ncp.core.key_table import spec
 from rover_ncp.core.messages import decode, read_odometry, text
 from rover_ncp.core.protocol import dump_json
@@ -18,15 +19,18 @@ from rover_ncp.core.protocol import dump_json
 ROBOT = ROBOTS["p3at-sh"]
 
 
-def sent(state):
-    both = ros.each_report(state, ROBOT, STAMP) | ros.each_second(state, ROBOT, STAMP)
+CERTAIN = Variances((1e-6, 1e-6, 1e-6), (1e-6, 1e-6), 1e-6)
+
+
+def sent(state, variances=CERTAIN):
+    both = ros.each_report(state, ROBOT, STAMP, variances) | ros.each_second(state, ROBOT, STAMP)
     return {name: decode(spec(name).type, data) for name, data in both.items()}
 
 
 def test_odometry_is_base_link_in_odom():
     message = sent(STATE)["odom"]
     assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
-    sample = read_odometry(ros.each_report(STATE, ROBOT, STAMP)["odom"])
+    sample = read_odometry(ros.each_report(STATE, ROBOT, STAMP, CERTAIN)["odom"])
     assert sample.stamp_ns == STAMP
     assert sample.velocity == (0.16, -0.18)
     assert sample.pose == pytest.approx((1.0, -2.0, 7.0 - math.tau))
@@ -56,7 +60,7 @@ def test_echoes_lie_where_the_sonars_look():
 
 
 def test_report_without_sonar_sends_no_point_cloud():
-    assert "sonar" not in ros.each_report(STATE, ROBOT, STAMP)
+    assert "sonar" not in ros.each_report(STATE, ROBOT, STAMP, CERTAIN)
 
 
 def test_every_sonar_has_its_place_on_the_base():

@@ -3,8 +3,8 @@
 import math
 
 import pytest
-from ros2_world import World
-from ros_cdr import LaserScan
+from ros2_world import EPOCH_S, World
+from ros_cdr import LaserScan, header
 
 from rover_ncp.core.robot_description import load_description
 
@@ -101,3 +101,14 @@ def test_a_laser_that_looks_to_the_left_is_turned():
     world.hear("scan", scan((-90, 1.0)))
     world.run(0.1, frames=("odom", "base_link"))
     assert world.reports[-1].clear_ahead_m == pytest.approx(1.0 - 0.04 - 0.171, abs=1e-3)
+
+
+def test_scans_that_arrive_late_are_no_room(ready):
+    """A link that became slow shows what was ahead then, not now."""
+    for late_s, ahead in ((0.0, 0.927), (0.5, 0.927), (2.0, math.nan), (2.0, math.nan), (0.0, 0.927)):
+        ready.run(3.0)
+        message = LaserScan.deserialize(scan((0, 1.0)))
+        message.header = header(EPOCH_S + ready.now - late_s, "base_scan")
+        ready.hear("scan", message.serialize())
+        ready.run(0.1)
+        assert ready.reports[-1].clear_ahead_m == pytest.approx(ahead, abs=1e-3, nan_ok=True)

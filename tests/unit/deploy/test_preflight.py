@@ -1,14 +1,18 @@
 """What the pre-flight says of a robot that did not move as commanded."""
 
 import math
+import time
+from datetime import date
 from types import SimpleNamespace
 
 import pytest
 
 from deploy.drive.lease import NOT_ACCEPTED
+from deploy.drive.measurements import NS
 from deploy.preflight.preflight import Battery, Preflight
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.protocol import GateStatus
+from rover_ncp.core.protocol import BaseReply, GateStatus
+from rover_ncp.core.robot_description import load_description
 
 
 def said(after):
@@ -48,8 +52,7 @@ def test_a_move_is_tried_once_more_when_the_gate_seemed_to_accept_nothing(monkey
             preflight._move((0.1, 0.0))
     else:
         assert preflight._move((0.1, 0.0)) == "moved"
-    assert len(tried) == tries
-    assert requested == [True] * (tries - 1)
+    assert (len(tried), len(requested)) == (tries, tries - 1)
 
 
 @pytest.mark.parametrize(
@@ -70,3 +73,31 @@ def test_voltage_of_zero_is_not_known_as_to_the_gate(volts, ok, words):
     found, detail = preflight._check_battery()
     assert found is ok
     assert detail.startswith(words)
+
+
+def test_the_check_keeps_its_lease_while_it_measures_and_prints_the_line_to_add(monkeypatch):
+    states = ["unknown", *["running"] * 8, "measured"]
+    replies = (BaseReply(model="mine", state=state, timeout_s=0.514) for state in states)
+    requested = []
+
+    def request(name, unchecked=False):
+        requested.append((name, unchecked))
+
+    link = SimpleNamespace(about_base=lambda measure=False: next(replies), request_motors=request)
+    monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
+    monitor = SimpleNamespace(until=lambda condition, timeout_s: False)
+    found, detail = Preflight(link, None, monitor, None)._check_own_timeout()
+    assert found
+    assert detail.endswith(f"measured_base_timeout_s: 0.52 # {date.today()}")
+    assert requested == [("check", True)] * 9  # one for the move, and one at each look
+
+
+@pytest.mark.parametrize(("decel", "ok"), [(1.0, False), (0.1, True)])
+def test_a_robot_may_brake_as_slowly_as_its_description_says(monkeypatch, decel, ok):
+    robot = load_description("turtlebot4")
+    robot = robot.model_copy(update={"motion": robot.motion.model_copy(update={"decel": decel})})
+    stood = SimpleNamespace(ref=SimpleNamespace(measured_ns=time.monotonic_ns() + round(1.4 * NS)))
+    monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
+    monkeypatch.setattr(Preflight, "_until", lambda self, condition, timeout_s: True)
+    found, words = Preflight(None, SimpleNamespace(newest=stood), None, None, robot)._check_silence()
+    assert found is ok, words

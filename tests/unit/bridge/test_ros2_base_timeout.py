@@ -1,0 +1,242 @@
+"""What a ROS 2 robot does without commands: the measurement, and what lifts the refusal to serve it."""
+
+import pytest
+from ros2_world import BURGER, World
+from ros_cdr import TwistStamped
+
+from bridge.base import Lost
+from bridge.ros_base.base_timeout import BaseTimeout
+from deploy.drive.lease import DriverLease
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.files import shipped_names
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.messages import twist, twist_stamped
+from rover_ncp.core.protocol import (
+    BaseReply,
+    BaseRequest,
+    MotorsReply,
+    MotorsRequest,
+    Signed,
+    StopRequest,
+    dump_json,
+    parse_json,
+)
+from rover_ncp.core.robot_description import load_description
+from sim.pioneer.ros2_robot import Ros2Robot
+from sim.stack.virtual import VirtualBridge
+from sim.world.described import described_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
+
+UNSCANNED = BURGER.model_copy(update={"topics": BURGER.topics.model_copy(update={"scan": None})})
+CHECKED = BURGER.model_copy(update={"measured_base_timeout_s": 0.6})
+
+
+def begin(world):
+    """Begin the measurement of a robot that drives 0.1 m/s."""
+    world.setpoint_v = 0.1
+    world.run(0.5)
+    assert world.base.measure_timeout(world.now) == ""
+    world.setpoint_v = 0.0
+
+
+def halts(world, after_s):
+    """Let a robot that drives 0.1 m/s halt so long after its last command."""
+    begin(world)
+    sent, began_s = len(world.line.sent), world.now
+    while world.base.own_timeout.state == "running":
+        turns = world.now - began_s < after_s
+        world.run(0.01, rate_hz=100.0, v=0.1 if turns else 0.0)
+        if turns and world.base.own_timeout.state == "running":
+            assert len(world.line.sent) == sent
+        assert world.now - began_s < 8.0
+    return world.base.own_timeout
+
+
+def last_v(world):
+    return TwistStamped.deserialize(world.line.sent[-1]).twist.linear.x
+
+
+def test_a_robot_that_is_not_checked_has_a_refusal(ready):
+    known = ready.base.own_timeout
+    assert known.state == "unknown"
+    assert "rover-ncp check" in known.refusal
+
+
+def test_the_robots_own_timeout_is_measured_while_nothing_is_sent(ready):
+    known = halts(ready, 0.6)
+    assert known.state == "measured"
+    assert known.timeout_s == pytest.approx(0.65, abs=0.08)  # counted from the last command before
+    ready.run(0.2)
+    assert last_v(ready) == 0.0
+
+
+def test_only_the_description_lifts_the_refusal(ready):
+    assert "add the line that 'rover-ncp check' printed" in halts(ready, 0.6).refusal
+    assert World(CHECKED).base.own_timeout == ("measured", 0.6, "")
+
+
+def test_no_driver_drives_a_checked_robot_while_it_is_measured_again():
+    world = World(CHECKED)
+    world.run(2.0)
+    begin(world)
+    assert world.base.own_timeout.refusal != ""  # the base would send it neither commands nor zeros
+    assert halts(world, 0.6).refusal == ""
+
+
+def test_a_described_robot_that_does_not_halt_any_more_has_a_refusal():
+    world = World(CHECKED)
+    world.run(2.0)
+    assert "--no-base-watchdog" in halts(world, 100.0).refusal
+
+
+def test_a_robot_that_does_not_halt_gets_zeros_after_5_s_and_a_refusal(ready):
+    known = halts(ready, 100.0)
+    assert (known.state, known.timeout_s) == ("none", None)
+    assert "--no-base-watchdog" in known.refusal
+    ready.run(0.1)
+    assert last_v(ready) == 0.0
+
+
+@pytest.mark.parametrize(
+    "end", [{"emergency": True}, {"motors": False}, {"lease": 0}], ids=lambda end: next(iter(end))
+)
+def test_what_ends_a_drive_ends_the_measurement_with_zeros(ready, end):
+    begin(ready)
+    ready.run(0.3, rate_hz=100.0, v=0.1)
+    silent = len(ready.line.sent)
+    vars(ready).update(end)
+    ready.run(0.2, rate_hz=100.0, v=0.1)
+    assert ready.base.own_timeout.state == "unknown"
+    assert [TwistStamped.deserialize(data).twist.linear.x for data in ready.line.sent[silent:]] == [0.0] * 4
+    assert ready.line.sent[silent:]
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.05, 1.2])
+def test_a_robot_that_a_stop_halts_is_not_measured(ready, late_s):
+    """The wheels stand when the stop is pressed; the flag comes with that, or later."""
+    begin(ready)
+    ready.run(1.2, rate_hz=100.0, v=0.1)
+    if late_s:
+        ready.run(late_s, rate_hz=100.0, v=0.0)
+        assert last_v(ready) == 0.0  # the silence has ended all the same
+    ready.emergency = True
+    ready.run(0.1, rate_hz=100.0, v=0.0)
+    ready.emergency = False
+    ready.run(3.0)
+    assert ready.base.own_timeout.state == "unknown"
+
+
+def test_a_robot_that_another_publishers_zero_halts_is_not_measured(ready):
+    begin(ready)
+    ready.run(0.5, rate_hz=100.0, v=0.1)
+    ready.hear("cmd_vel", twist(Velocity(0.0, 0.0)))
+    assert isinstance(ready.last, Lost)
+    ready.run(5.0, v=0.0)
+    assert ready.base.own_timeout.state == "unknown"
+
+
+def test_wheels_that_stand_measure_nothing(ready):
+    assert ready.base.measure_timeout(ready.now) == "the wheels do not turn by a command"
+
+
+def test_wheels_that_roll_out_after_a_zero_measure_nothing(ready):
+    ready.setpoint_v = 0.1
+    ready.run(0.5)
+    ready.setpoint_v = 0.0
+    ready.run(0.02, v=0.1, rate_hz=100.0)
+    assert ready.base.measure_timeout(ready.now) == "the wheels do not turn by a command"
+
+
+@pytest.mark.parametrize("name", shipped_names("robots"))
+def test_no_shipped_description_says_that_a_robot_was_measured(name):
+    assert load_description(name).measured_base_timeout_s is None
+
+
+def test_a_measurement_is_not_inherited_from_another_robot(tmp_path):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("name: mine\nbased_on: turtlebot4\nmeasured_base_timeout_s: 0.52 # 2026-11-25\n")
+    other = tmp_path / "other.yaml"
+    other.write_text(f"name: other\nbased_on: {mine}\n")
+    assert load_description(mine).measured_base_timeout_s == 0.52
+    assert load_description(other).measured_base_timeout_s is None
+
+
+def test_a_robot_that_halts_too_late_is_described_as_unchecked(tmp_path):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("name: mine\nbased_on: turtlebot4\nmeasured_base_timeout_s: 2.6\n")
+    with pytest.raises(ConfigError, match="measured_base_timeout_s"):
+        load_description(mine)
+
+
+@pytest.mark.parametrize(
+    ("known", "words"),
+    [
+        (BaseTimeout(), "is not known to halt by itself"),
+        (BaseTimeout(0.5), "halts 0.5 s after its last command"),
+        (BaseTimeout().after(None), "does not halt by itself"),
+    ],
+)
+def test_each_start_says_what_is_known(known, words):
+    assert words in known.note
+    assert words in BaseTimeout(known.described_s, True, known.measured, known.measured_s).note
+
+
+class Checked:
+    """A robot without a timeout behind a bridge on a virtual clock; the check has begun to measure it."""
+
+    def __init__(self):
+        self.robot = Ros2Robot(UNSCANNED, PymunkRover(described_rover(UNSCANNED), Ground(())))
+        self.bridge, self.lease = VirtualBridge(self.robot), DriverLease()
+        self.bridge.sleep(3.0)
+        self.lease.grant(parse_json(MotorsReply, self.motors(enable=True)))
+        for _ in range(20):
+            data = twist_stamped(Velocity(0.1, 0.0), self.bridge.time_ns())
+            self.bridge.command(data, self.tag(Signed.COMMAND, "cmd_vel", data))
+            self.bridge.sleep(0.05)
+        request = dump_json(BaseRequest(measure=True, sent_ns=self.bridge.now_ns))
+        reply = self.bridge.query("rover/base", request, self.tag(Signed.MOTORS, "rover/base", request))
+        assert parse_json(BaseReply, reply).state == "running"
+        self.bridge.sleep(0.7)
+        assert self.speed == pytest.approx(0.1, abs=0.01)
+
+    def tag(self, kind, name, data):
+        return self.lease.sign(kind, name, data, self.bridge.now_ns).pack()
+
+    def motors(self, enable):
+        request = dump_json(
+            MotorsRequest(enable=enable, name="check", unchecked=True, sent_ns=self.bridge.now_ns)
+        )
+        tag = self.tag(Signed.MOTORS, "rover/motors", request) if self.lease.number else None
+        return self.bridge.query("rover/motors", request, tag)
+
+    def stop(self):
+        self.bridge.query("rover/stop", dump_json(StopRequest(reason="test")))
+
+    @property
+    def speed(self):
+        return self.robot.drive.measured.v
+
+
+@pytest.mark.parametrize("end", [lambda checked: checked.motors(enable=False), Checked.stop])
+def test_a_release_or_a_stop_halts_a_robot_that_is_measured(end):
+    checked = Checked()
+    end(checked)
+    checked.bridge.sleep(0.3)
+    assert checked.speed == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_check_that_died_halts_a_robot_that_is_measured_with_its_lease():
+    checked = Checked()
+    checked.bridge.sleep(0.3 + 0.3)  # the lease lasts 1 s; braking
+    assert checked.speed == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_check_that_renews_its_lease_measures_to_the_end():
+    checked = Checked()
+    for _ in range(20):
+        checked.motors(enable=True)
+        checked.bridge.sleep(0.2)
+        assert checked.speed == pytest.approx(0.1, abs=0.01)
+    checked.bridge.sleep(0.7)
+    assert checked.speed == pytest.approx(0.0, abs=0.01)
+    assert checked.bridge.line.base.own_timeout.state == "none"

@@ -1,0 +1,101 @@
+"""What the driver does with odometry, gyro readings and external poses whose stamps are wrong."""
+
+import math
+import struct
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from deploy.drive.measurements import NS, Arrival, Inbox, Measurements
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.messages import imu, odometry, pose_with_covariance
+
+WALL_NS = 1_700_000_000 * NS
+MS = NS // 1000
+PERIOD = 100 * MS
+TRANSIT = 20 * MS
+ORIGIN = Pose(0.0, 0.0, 0.0)
+MESSAGES = {
+    "odom": lambda stamp: odometry(ORIGIN, Velocity(0.0, 0.0), stamp),
+    "imu": lambda stamp: imu(0.0, 1e-6, stamp),
+    "pose": lambda stamp: pose_with_covariance(ORIGIN, np.eye(3), stamp, "course"),
+}
+TOPICS = pytest.mark.parametrize("topic", MESSAGES)
+
+
+class Driver:
+    """The measurements of a link whose messages the test brings."""
+
+    def __init__(self, topic):
+        self.topic, self.said = topic, []
+        self.source = SimpleNamespace(odometry=Inbox(1), gyro=Inbox(), poses=Inbox())
+        self.measurements = Measurements(self.source, self.said.append)
+
+    def age_ms(self, stamp_ns, arrival_ns):
+        """Return the ages in ms of what a message makes available."""
+        inbox = {"odom": "odometry", "imu": "gyro", "pose": "poses"}[self.topic]
+        getattr(self.source, inbox).put(Arrival(MESSAGES[self.topic](stamp_ns), arrival_ns))
+        if self.topic == "odom":
+            newest = self.measurements.odometry(0)
+            found = [] if newest is None else [newest]
+        else:
+            found = self.measurements.gyro() if self.topic == "imu" else self.measurements.poses()
+        return [round((arrival_ns - taken.ref.measured_ns) / MS) for taken in found]
+
+
+@TOPICS
+@pytest.mark.parametrize("step_s", [-3600.0, -1.5, -1.0, -0.6, -0.3, -0.2, 0.6, 3600.0])
+def test_a_publishers_clock_that_is_set_costs_one_sample(topic, step_s):
+    driver = Driver(topic)
+    for number in range(100):
+        stamp = WALL_NS + number * PERIOD + (round(step_s * NS) if number >= 50 else 0)
+        ages = driver.age_ms(stamp, number * PERIOD + TRANSIT)
+        assert ages == ([] if number == 50 else [0])
+    back = [f"the clock that stamps '{topic}' was set back by {-step_s:.2f} s"] if step_s < 0 else []
+    assert driver.said == back
+    assert driver.measurements.doubtful == {topic: 1}
+
+
+@TOPICS
+def test_a_sample_stamped_5_s_ahead_costs_one_sample(topic):
+    driver = Driver(topic)
+    for number in range(20):
+        ahead = 5 * NS if number == 10 else 0
+        ages = driver.age_ms(WALL_NS + number * PERIOD + ahead, number * PERIOD + TRANSIT)
+        assert ages == ([] if number == 10 else [0])
+    assert not driver.said
+
+
+@TOPICS
+def test_a_link_that_became_slow_makes_samples_old(topic):
+    driver = Driver(topic)
+    for number in range(100):
+        late = 600 * MS if number >= 10 else 0
+        ages = driver.age_ms(WALL_NS + number * PERIOD, number * PERIOD + TRANSIT + late)
+        assert ages == [late // MS]
+    assert not driver.said
+
+
+def test_poses_out_of_order_are_used_for_their_moment():
+    driver = Driver("pose")
+    moments = [(stamp, arrival) for stamp, arrival in ((0, 0), (10, 10), (4, 11), (12, 12))]
+    ages = [driver.age_ms(WALL_NS + stamp * PERIOD, arrival * PERIOD) for stamp, arrival in moments]
+    assert ages == [[0], [0], [], [800, 0]]  # the late one is known as such by the next
+    assert driver.measurements.doubtful == {"pose": 0}
+
+
+@TOPICS
+def test_samples_without_a_stamp_are_as_young_as_their_arrival(topic):
+    driver = Driver(topic)
+    assert [driver.age_ms(0, number * PERIOD) for number in range(20)] == [[0]] * 20
+
+
+def test_the_first_unreadable_pose_is_named():
+    driver = Driver("pose")
+    data = pose_with_covariance(Pose(0.0, 0.0, 1.0), np.eye(3), WALL_NS, "course")
+    rotation = struct.pack("<2d", math.sin(0.5), math.cos(0.5))
+    for _ in range(3):
+        driver.source.poses.put(Arrival(data.replace(rotation, bytes(16)), 0))
+    assert driver.measurements.poses() == []
+    assert driver.said == ["a message on 'pose' cannot be read: the orientation 0, 0, 0, 0 is not a rotation"]

@@ -188,8 +188,10 @@ def main() -> None:
     # Read by numpy and scipy when they are loaded. For matrices as small as ours BLAS's threads only wait for
     # each other: on a busy machine planning a course took fifty times as long with two.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # SIGTERM ends a command as Ctrl-C does: it also ends its children and closes its files.
+    # SIGTERM and SIGHUP end a command as Ctrl-C does: it also ends its children and closes its files.
     signal.signal(signal.SIGTERM, interrupt)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:  # ignored under nohup
+        signal.signal(signal.SIGHUP, interrupt)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # ignored in a shell's background
         signal.signal(signal.SIGINT, interrupt)
     stdout, stderr = install()

@@ -138,3 +138,23 @@ def test_delay_between_the_readings_of_two_clocks_is_no_suspend(monkeypatch):
     late_s, slept_s = count(), {time.CLOCK_BOOTTIME: 5.0, time.CLOCK_MONOTONIC: 0.0}
     monkeypatch.setattr(time, "clock_gettime", lambda clock: next(late_s) + slept_s[clock])
     assert suspended_s() <= 5.0
+
+
+@pytest.mark.parametrize("name", ["SIGHUP", "SIGTERM", "SIGINT"])
+@pytest.mark.parametrize("ignored", [False, True])
+def test_signal_before_a_command_has_installed_its_own_handler_interrupts_it(name, ignored):
+    code = f"""
+import os, signal, sys, time
+signal.signal(signal.SIGHUP, signal.SIG_IGN if {ignored} else signal.SIG_DFL)
+from rover_ncp import cli
+def command(**options):
+    os.kill(os.getpid(), signal.{name})
+    time.sleep(0.1)
+    return 0
+cli._app = lambda: command
+cli.main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    expected = 0 if ignored and name == "SIGHUP" else 130
+    assert done.returncode == expected, done.stderr
+    assert "Traceback" not in done.stderr

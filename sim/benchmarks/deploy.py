@@ -52,8 +52,11 @@ def bench_deploy(seconds: float, say: Callable[[str], None]) -> dict[str, Any]:
         )
     fastest = _try_rate(FASTEST_HZ, min(seconds, FASTEST_S), say, ping=False)
     fields["fastest"] = {  #: when 500 Hz are requested
-        name: fastest.get(name)
-        for name in ("rate_hz", "stopped", "ticks", "predicted", "missed", "tick_rate_hz", "cpu_share")
+        "stopped": fastest["stopped"],  #: why it was not measured; then the other values are null
+        **{
+            name: fastest.get(name)
+            for name in ("rate_hz", "ticks", "predicted", "missed", "tick_rate_hz", "cpu_share")
+        },
     }
     if not fastest["stopped"]:
         say(

@@ -121,7 +121,7 @@ class Snapshot:
 
 def curve_point(iteration: int) -> int:
     """Return the first point of a learning curve from ``iteration`` on: at most two significant digits."""
-    step = 10 ** max(len(str(iteration - 1)) - 2, 0)
+    step = int(10 ** max(len(str(iteration - 1)) - 2, 0))
     return -(-iteration // step) * step
 
 

@@ -120,7 +120,7 @@ def test_everything_can_be_done_with_the_keyboard(opened):
     page.keyboard.press("Enter")
     assert page.get_attribute("[data-neuron=AVB]", "aria-pressed") == "true"
     assert "AVB" in page.text_content("#neuron-now")
-    assert page.evaluate("document.getElementById('path-plot').data[3].marker.size.length") == 320
+    assert page.evaluate("document.getElementById('path-plot').data[4].marker.size.length") == 320
 
 
 def test_a_phase_and_a_click_into_a_plot_go_to_their_moment(opened):

@@ -1,6 +1,6 @@
 // The path from above and the plots over time. Few parts of them move with the slider.
 const ELLIPSE_SIGMAS = 3;
-const REFERENCE = ["reference: where it should be", { color: COLOR.green, width: 1.5, dash: "dashdot" }];
+const REFERENCE = ["reference: where it should be", { color: COLOR.green, width: 1.5 }];
 const PATH_LINES = {
   estimate: { color: COLOR.blue, width: 3 }, "odometry alone": { color: COLOR.grey, width: 1.5, dash: "dash" },
   true: { color: COLOR.ink, width: 1.5, dash: "dot" }, [`covariance, ${ELLIPSE_SIGMAS} σ`]: { color: COLOR.focus, width: 2 },

@@ -5,6 +5,7 @@ import errno
 import os
 import secrets
 import tempfile
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 from typing import IO
@@ -76,11 +77,13 @@ def read_text(path: Path) -> str:
         raise FileError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
 
 
-def write_atomic(path: Path, content: bytes | str, private: bool = False) -> None:
+def write_atomic(
+    path: Path, content: bytes | str | Callable[[IO[bytes]], None], private: bool = False
+) -> None:
     """Write a file whole or not at all: a temporary file beside it, synced, then renamed over it.
 
-    A ``private`` one is its owner's alone. Makes missing folders. Raises FileError when the place cannot be
-    written.
+    ``content`` may be a function that writes into the open file. A ``private`` file is its owner's alone.
+    Makes missing folders. Raises FileError when the place cannot be written.
     """
     data = content.encode() if isinstance(content, str) else content
     # Named before it is made: Ctrl-C at any moment leaves nothing behind.
@@ -90,7 +93,10 @@ def write_atomic(path: Path, content: bytes | str, private: bool = False) -> Non
         _make_folder(path.parent)
         try:
             with open(temporary, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
-                file.write(data)
+                if callable(data):
+                    data(file)
+                else:
+                    file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
             temporary.replace(path)

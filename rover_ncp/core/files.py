@@ -1,5 +1,6 @@
 """Files that are found by name, read with clear errors and never left half-written."""
 
+import codecs
 import contextlib
 import errno
 import os
@@ -70,9 +71,12 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Read a UTF-8 file; an unreadable one, or one with other bytes, is a FileError."""
+    """Read a UTF-8 file, without its byte-order mark; an unreadable one, or other bytes, is a FileError."""
+    content = read_bytes(path)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise FileError(f"{path}: is UTF-16, expected UTF-8; save it as UTF-8")
     try:
-        return read_bytes(path).decode()
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FileError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
 

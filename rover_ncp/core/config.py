@@ -1,9 +1,11 @@
 """YAML into validated models: every problem at once, each with the path of its value.
 
 A configuration is a frozen pydantic model with SI units in its fields. Unknown keys are errors, so that a
-typo is found; infinities and NaN are errors everywhere.
+typo is found; infinities and NaN are errors everywhere. Only a number is a number: ``yes``, ``1:30``, ``010``
+and ``"1"`` are none, and ``1e3`` is one.
 """
 
+import re
 import reprlib
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -12,17 +14,37 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic_core import CoreSchema
 
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text
 
 
 class StrictModel(BaseModel):
-    """Base of all configuration models: frozen, finite, no unknown keys."""
+    """Base of all configuration models: frozen, finite, no unknown keys, numbers only from numbers."""
 
     # A process loads many models and reads few of them: each is built when it is first used.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        schema: CoreSchema = _strict_numbers(handler(source))
+        return schema
+
+
+def _strict_numbers(schema: Any) -> Any:
+    """Make all numbers of a schema strict. pydantic's own strict mode would refuse lists for tuples, too."""
+    if isinstance(schema, dict):
+        for key, part in schema.items():
+            schema[key] = _strict_numbers(part)
+        if schema.get("type") in {"int", "float"}:
+            schema["strict"] = True
+        elif schema.get("type") == "literal" and {type(value) for value in schema["expected"]} == {int}:
+            return {"type": "chain", "steps": [{"type": "int", "strict": True}, schema]}
+    elif isinstance(schema, list):
+        return [_strict_numbers(part) for part in schema]
+    return schema
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
@@ -43,6 +65,24 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         return super().construct_mapping(node, deep)  # type: ignore[no-any-return]
 
 
+_FLOAT = "tag:yaml.org,2002:float"
+_NUMBERS = {
+    "tag:yaml.org,2002:int": re.compile(r"[-+]?(0|[1-9][0-9]*)$"),
+    _FLOAT: re.compile(
+        r"[-+]?(([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+|\.(inf|nan))$",
+        re.IGNORECASE,
+    ),
+}
+"""Numbers of YAML 1.2 in decimals. YAML 1.1 also reads 1:30 as 90 and 010 as 8, and 1e3 as text."""
+_NO_NUMBERS = {*_NUMBERS, "tag:yaml.org,2002:timestamp"}
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, regexp) for tag, regexp in resolvers if tag not in _NO_NUMBERS]
+    for first, resolvers in _Loader.yaml_implicit_resolvers.items()
+}
+for _tag, _regexp in _NUMBERS.items():
+    _Loader.add_implicit_resolver(_tag, _regexp, list("-+.0123456789"))
+
+
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # the C dumper is optional
     """A safe dumper that writes short lists of numbers, and each row of a table, on one line."""
 
@@ -56,6 +96,7 @@ def _represent_list(dumper: Any, data: list[Any]) -> Any:
     return node
 
 
+_Dumper.add_implicit_resolver(_FLOAT, _NUMBERS[_FLOAT], list("-+.0123456789"))  # quotes a name such as 1e3
 _Dumper.add_representer(list, _represent_list)
 _Dumper.add_representer(tuple, _represent_list)
 

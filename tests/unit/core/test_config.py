@@ -2,6 +2,8 @@ import math
 import os
 import struct
 import sys
+from collections.abc import Mapping
+from typing import Annotated, Literal
 
 import pytest
 from hypothesis import given
@@ -93,6 +95,47 @@ def test_bad_yaml_is_one_line_naming_source_and_place(text, expected):
     assert expected in str(caught.value)
     assert str(caught.value).startswith("x.yaml: ")
     assert "\n" not in str(caught.value)
+
+
+NO_NUMBERS = [
+    *("yes", "no", "on", "true", "null", "~", '"1.5"', "'1'", "one", "1m", "[1]", "{}"),
+    *("1:30", "1:30.5", "0b1", "0x1", "010", "1_000", "1e", "2001-01-01", ".nan", ".inf", "-.INF", "1e999"),
+]
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS)
+@pytest.mark.parametrize("key", ["speed", "count", "size", "sides[1]", "by_name.a", "format", "pair[0]"])
+def test_only_a_number_is_a_number(key, value):
+    class Numbers(StrictModel):
+        speed: float = Field(default=1.0, gt=0)
+        count: int = 1
+        size: Annotated[float, Field(gt=0)] | tuple[float, float] = 1.0
+        sides: tuple[float, ...] = ()
+        by_name: Mapping[str, float] = Field(default_factory=dict)
+        format: Literal[1] = 1
+        pair: tuple[int, float] = (1, 1.0)
+
+    texts = {"sides[1]": f"sides: [1, {value}]", "by_name.a": f"by_name: {{a: {value}}}"}
+    texts |= {"pair[0]": f"pair: [{value}, 1]"}
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(texts.get(key, f"{key}: {value}"), Numbers, "x.yaml")
+    assert all(problem.startswith(f"$.{key}") for problem in caught.value.problems)
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [("1", 1.0), ("-0.5", -0.5), (".5", 0.5), ("5.", 5.0), ("1e-3", 1e-3), ("+2E6", 2e6), ("1.5e3", 1.5e3)],
+)
+def test_numbers_in_decimals_are_read(text, number):
+    assert parse_yaml(f"wheels: []\nspeed: {text}", Base, "x.yaml").speed == number
+
+
+@given(st.text(st.sampled_from("0123456789eE.:-+_xobn"), min_size=1))
+def test_names_that_look_like_numbers_survive_yaml(name):
+    class Named(StrictModel):
+        name: str
+
+    assert parse_yaml(dump_yaml({"name": name}), Named, "x").name == name
 
 
 def test_yaml_that_stands_for_more_than_memory_holds_is_one_line_too():

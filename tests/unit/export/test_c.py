@@ -154,6 +154,34 @@ def test_a_file_name_that_is_no_identifier_becomes_one(tmp_path):
     compile_c(files, tmp_path / "built", "check")
 
 
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
+@pytest.mark.parametrize("real", [[], ["-DROVER_NCP_FLOAT"]], ids=["double", "float"])
+def test_a_program_in_cpp_links_and_runs(shipped, tmp_path, real):
+    _, name, files = shipped
+    sources = {file: text for file, text in files.items() if not file.endswith("_check.c")}
+    program = f"""#include "{name}_course.h"
+int main()
+{{
+    {name}_state state;
+    {name}_course course;
+    {name}_real observation[{name.upper()}_INPUTS], command[{name.upper()}_OUTPUTS];
+    {name}_reset(&state);
+    {name}_course_start(&course);
+    {name}_observe(&course, 0, 0, 0, observation);
+    const int result = {name}_tick(&state, observation, command);
+    {name}_course_advance(&course);
+    return result;
+}}
+"""
+    compile_c(sources, tmp_path, "policy.o", "-r", *real)
+    (tmp_path / "main.cpp").write_text(program)
+    strict = ["-std=c++11", "-Wall", "-Wextra", "-Werror", "-pedantic", *real]
+    command = ["g++", *strict, "-o", "program", "main.cpp", "policy.o", "-lm"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+    assert subprocess.run([tmp_path / "program"], timeout=10, check=False).returncode == 0
+
+
 def test_json_holds_the_policy_and_vectors_that_the_solver_reproduces():
     policy = load_policy("course")
     content = json.loads(exported(policy, "json", "course", load_course("parking"))["course.json"])

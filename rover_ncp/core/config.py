@@ -7,14 +7,15 @@ and ``"1"`` are none, and ``1e3`` is one.
 
 import re
 import reprlib
+import unicodedata
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema
 
 from rover_ncp.core.errors import ConfigError, FileError
@@ -45,6 +46,23 @@ def _strict_numbers(schema: Any) -> Any:
     elif isinstance(schema, list):
         return [_strict_numbers(part) for part in schema]
     return schema
+
+
+MAX_NAME = 64
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=MAX_NAME)]
+"""Name of a circuit, a neuron or a robot, for files, messages and programs."""
+_NO_NAME = re.compile(r"[^A-Za-z0-9_.+-]+")
+
+
+def is_name(text: str) -> bool:
+    """Return whether a text is a `Name`."""
+    return 0 < len(text) <= MAX_NAME and text[0].isalnum() and not _NO_NAME.search(text)
+
+
+def name_from(path: Path, other: str) -> str:
+    """Return a `Name` made from the name of a file; ``other`` if nothing of it can be used."""
+    plain = unicodedata.normalize("NFKD", path.stem).encode("ascii", "ignore").decode()
+    return _NO_NAME.sub("-", plain).strip("-._+")[:MAX_NAME] or other
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
@@ -96,6 +114,13 @@ def _represent_list(dumper: Any, data: list[Any]) -> Any:
     return node
 
 
+def _represent_text(dumper: Any, data: str) -> Any:
+    """Represent text; bytes of a file's name that are not UTF-8 have no other place in a text file."""
+    text = data.encode(errors="surrogateescape").decode(errors="replace")
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text)
+
+
+_Dumper.add_representer(str, _represent_text)
 _Dumper.add_implicit_resolver(_FLOAT, _NUMBERS[_FLOAT], list("-+.0123456789"))  # quotes a name such as 1e3
 _Dumper.add_representer(list, _represent_list)
 _Dumper.add_representer(tuple, _represent_list)

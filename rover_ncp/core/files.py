@@ -74,7 +74,7 @@ def read_text(path: Path) -> str:
     """Read a UTF-8 file, without its byte-order mark; an unreadable one, or other bytes, is a FileError."""
     content = read_bytes(path)
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise FileError(f"{path}: is UTF-16, expected UTF-8; save it as UTF-8")
+        raise FileError(f"{path}: not a text file in UTF-8 but in UTF-16; save it as UTF-8")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -148,7 +148,7 @@ def test_poses_of_any_spreadsheet_are_read(tmp_path, encoding, end, header):
 def test_utf_16_is_named(tmp_path):
     for name in ("poses.csv", "poses.yaml"):
         (tmp_path / name).write_bytes("x,y,theta\n0,0,0\n".encode("utf-16"))
-        with pytest.raises(FileError, match=f"{name}: is UTF-16, expected UTF-8"):
+        with pytest.raises(FileError, match=f"{name}: not a text file in UTF-8 but in UTF-16"):
             read_poses(tmp_path / name)
 
 

@@ -1,4 +1,4 @@
-"""YAML into validated models: every problem at once, each with the path of its value.
+"""YAML into validated models: all problems at once, each with the path of its value.
 
 A configuration is a frozen pydantic model with SI units in its fields. Unknown keys are errors, so that a
 typo is found; infinities and NaN are errors everywhere. Only a number is a number: ``yes``, ``1:30``, ``010``
@@ -8,9 +8,7 @@ and ``"1"`` are none, and ``1e3`` is one.
 import re
 import reprlib
 import unicodedata
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -48,6 +46,8 @@ def _strict_numbers(schema: Any) -> Any:
     return schema
 
 
+MAX_PROBLEMS = 20
+"""Problems of a file that are shown."""
 MAX_NAME = 64
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=MAX_NAME)]
 """Name of a circuit, a neuron or a robot, for files, messages and programs."""
@@ -167,8 +167,7 @@ def validated(data: Any, model: type[ModelT], source: str) -> ModelT:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        other = _other_kind(data, model)
-        raise ConfigError(source, [other] if other else _lines(error.errors(), model)) from error
+        raise ConfigError(source, _lines(error.errors())) from error
 
 
 def load_yaml(path: Path, model: type[ModelT]) -> ModelT:
@@ -184,67 +183,13 @@ def dump_yaml(data: dict[str, Any]) -> str:
     return str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110))
 
 
-def _known_keys(model: type[BaseModel], place: Sequence[Any]) -> list[str]:
-    """Return the keys at a place in a model, such as ``("checkpoints", 0)``."""
-    models = [model]
-    for part in place:
-        fields = [each.model_fields[part] for each in models if part in each.model_fields]
-        models = [found for field in fields for found in models_in(field.annotation)] or models
-    return [key for each in models for key in each.model_fields]
-
-
-def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models in the type of a field."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for part in getattr(annotation, "__args__", ()):
-        yield from models_in(part)
-
-
-KINDS = {
-    "a course": {"checkpoints"},
-    "a list of poses": {"poses"},
-    "a policy": {"sensing"},
-    "a circuit": {"synapses"},
-    "a robot's description": {"footprint", "based_on"},
-    "a robot's profile": {"gain_v", "measured"},
-}
-"""Kinds of files by top-level keys that no other kind has."""
-
-
-def _other_kind(data: Any, model: type[BaseModel]) -> str:
-    """Return what a file looks like if it is not of the model's kind; "" if it may be."""
-    expected = [kind for kind, keys in KINDS.items() if keys & set(model.model_fields)]
-    found = [kind for kind, keys in KINDS.items() if isinstance(data, dict) and keys & set(data)]
-    if not expected or not found or set(expected) & set(found):
-        return ""
-    return f"looks like {found[0]}, expected {expected[0]}"
-
-
-def _lines(errors: Sequence[Any], model: type[BaseModel]) -> list[str]:
-    """Return a line for each problem; the same one in several items of a list is one line with a count."""
-    outer = {item["loc"][:length] for item in errors for length in range(len(item["loc"]))}
-    keys: defaultdict[tuple[Any, str], list[str]] = defaultdict(list)
-    for item in errors:
-        keys[item["loc"][:-1], item["type"]] += item["loc"][-1:]
-    places: defaultdict[tuple[Any, str], list[str]] = defaultdict(list)
-    for item in errors:
-        loc, kind, text = item["loc"], item["type"], _text(item)
-        missing, unknown = keys[loc[:-1], "missing"], keys[loc[:-1], "extra_forbidden"]
-        misspelt = len(missing) == len(unknown) == 1
-        # pydantic counts only the valid items of a list, and a misspelt key as unknown and as missing.
-        if loc in outer or (misspelt and kind == "missing"):
-            continue
-        if kind == "extra_forbidden":
-            near = missing if misspelt else get_close_matches(str(loc[-1]), _known_keys(model, loc[:-1]), n=1)
-            text += f"; did you mean {near[0]}?" if near else ""
-        path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc)
-        items = tuple("" if isinstance(part, int) else part for part in loc)
-        places[items, text].append(f"${path}: {text}")
-    return [
-        first + (f" (also in {len(others)} other item{'s' if len(others) > 1 else ''})" if others else "")
-        for first, *others in places.values()
-    ]
+def _lines(errors: Sequence[Any]) -> list[str]:
+    """Return a line for each problem, with the path of its value, and the number of those left out."""
+    lines = []
+    for item in errors[:MAX_PROBLEMS]:
+        path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in item["loc"])
+        lines.append(f"${path}: {_text(item)}")
+    return lines + ([f"and {len(errors) - MAX_PROBLEMS} more"] if len(errors) > MAX_PROBLEMS else [])
 
 
 def _text(item: Any) -> str:

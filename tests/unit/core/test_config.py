@@ -36,43 +36,22 @@ def test_every_problem_is_reported_at_once_with_its_path():
         "$.wheels[0].radius_m",
         "got -1",
         "$.wheels[1].name: this key is missing",
-        "$.spede: unknown key; did you mean speed?",
+        "$.spede: unknown key",
         "$.speed",
     ]:
         assert part in message
     assert len(caught.value.problems) == 4
 
 
-def test_one_typo_in_many_items_is_one_clause():
-    wheels = "\n".join("- {radius_mm: 0.1, name: left}" for _ in range(8))
+def test_many_problems_are_counted():
+    wheels = "\n".join("- {radius_mm: 0.1, name: left}" for _ in range(50))
     with pytest.raises(ConfigError) as caught:
         parse_yaml(f"wheels:\n{wheels}", Base, "base.yaml")
-    assert caught.value.problems == (
-        "$.wheels[0].radius_mm: unknown key; did you mean radius_m? (also in 7 other items)",
+    assert caught.value.problems[:2] == (
+        "$.wheels[0].radius_m: this key is missing",
+        "$.wheels[0].radius_mm: unknown key",
     )
-
-
-def test_bad_items_do_not_make_their_list_too_short():
-    class Pair(StrictModel):
-        wheels: tuple[Wheel, ...] = Field(min_length=2)
-
-    text = "wheels:\n- {radius_m: 0.1, name: left}\n- {radius_m: 0.1, label: right}\n"
-    with pytest.raises(ConfigError) as caught:
-        parse_yaml(text, Pair, "base.yaml")
-    assert caught.value.problems == ("$.wheels[1].label: unknown key; did you mean name?",)
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("wheels: [{name: x, radius: 1}]", "$.wheels[0].radius: unknown key; did you mean radius_m?"),
-        ("wheels: []\nradius_m: 1", "$.radius_m: unknown key"),  # it is one, but of a wheel
-    ],
-)
-def test_an_unknown_key_is_answered_with_a_near_one_of_the_same_place(text, expected):
-    with pytest.raises(ConfigError) as caught:
-        parse_yaml(text, Base, "base.yaml")
-    assert expected in caught.value.problems
+    assert caught.value.problems[-1] == "and 80 more"
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,8 @@ from rover_ncp.core.errors import FileError
 _RECORDING = b"\x89MCAP0\r\n"
 """First bytes of a recording, also of a damaged or unfinished one."""
 _DATA = resources.files("rover_ncp") / "data"
+MAX_BYTES = 64 << 20
+"""Limit of a file that is read as a whole; recordings have limits of their own."""
 USUAL_ROBOT = "p3at-sh"
 """The robot that courses and policies were made for: the description in use unless another is named."""
 
@@ -63,11 +65,15 @@ def _exists(path: Path) -> bool:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Read a file; an unreadable one is a FileError."""
+    """Read a file; an unreadable one, or one of more than `MAX_BYTES`, is a FileError."""
     try:
-        return path.read_bytes()
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(content) > MAX_BYTES:
+        raise FileError(f"{path}: has more than {MAX_BYTES} bytes, the limit of such a file")
+    return content
 
 
 def read_text(path: Path) -> str:

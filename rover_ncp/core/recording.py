@@ -47,8 +47,8 @@ _log = logging.getLogger(__name__)
 CHUNK_BYTES = 256 * 1024
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".bnn": "text/plain"}
 MEMORY_LIMIT, MESSAGE_BYTES = 1 << 30, 250
-"""Limit of what `read_recording` keeps, and memory of a message beside its data, in bytes. Seven hours of a
-drive with all its topics reach the limit."""
+"""Limit of what `read_recording` keeps, and memory of a message beside its data, in bytes. Five hours of what
+a report reads come to the limit."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ meets them, and later where that is still too much; where a recording paused or 
 import csv
 import math
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, validated
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.core.geometry import Pose, distance, relative, wrap_angle
-from rover_ncp.core.messages import read_odometry, read_pose
+from rover_ncp.core.messages import OdometrySample, PoseSample, read_odometry, read_pose
 from rover_ncp.core.recording import Recording, read_recording
 from rover_ncp.course.course import (
     MOST_CHECKPOINTS,
@@ -44,6 +44,10 @@ MOVED_M, MOVED_RAD = 0.01, 0.02
 """Smaller motion counts as standing."""
 _DECIMALS = 4
 _POSE = ("x", "y", "theta")
+_READERS: dict[str, Callable[[bytes], PoseSample | OdometrySample]] = {
+    "rover/estimate": read_pose,
+    "odom": read_odometry,
+}
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = 60
 
@@ -77,7 +81,7 @@ def read_poses(path: Path) -> PoseList:
         case ".csv":
             return _from_csv(path)
         case ".mcap":
-            return _listed(path, _thinned(_driven(read_recording(path))))
+            return _listed(path, _thinned(_driven(read_recording(path, topics=_READERS))))
     raise FileError(f"{path}: expected poses as .yaml or .csv, or a recording as .mcap")
 
 
@@ -186,7 +190,7 @@ def _listed(path: Path, poses: Sequence[tuple[float, float, float]]) -> PoseList
 def _driven(recording: Recording) -> list[Pose]:
     """Return where the rover was: by the driver's estimate where there is one, else by odometry."""
     poses = []
-    for topic, read in (("rover/estimate", read_pose), ("odom", read_odometry)):
+    for topic, read in _READERS.items():
         for message in recording.topic(topic):
             try:
                 pose = read(message.data).pose

@@ -3,6 +3,7 @@ import os
 import struct
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
@@ -153,6 +154,14 @@ def test_unreadable_and_empty_files_name_their_path(tmp_path):
         with pytest.raises(FileError, match=expected) as caught:
             load_yaml(tmp_path / name, Base)
         assert str(tmp_path / name) in str(caught.value)
+
+
+def test_file_that_is_too_large_is_one_line(tmp_path):
+    with (tmp_path / "huge.yaml").open("wb") as file:
+        file.truncate(1 << 40)
+    for path in (tmp_path / "huge.yaml", Path("/dev/zero")):
+        with pytest.raises(FileError, match="the limit of such a file"):
+            load_yaml(path, Base)
 
 
 def test_names_resolve_to_shipped_files_and_paths_to_themselves(tmp_path):

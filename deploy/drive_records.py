@@ -10,10 +10,11 @@ from pydantic import Field
 
 from deploy.drive.measurements import SampleRef
 from deploy.estimator.estimator import Estimate
+from rover_ncp.core import recording_time
 from rover_ncp.core.config import StrictModel
 
 START_TOPIC = "deploy/start"
-TICKS_TOPIC = "deploy/ticks"
+TICKS_TOPIC = recording_time.TICKS_TOPIC
 
 
 class StartRecord(StrictModel):

@@ -2,7 +2,8 @@
 
 Messages are handed over through a bounded queue; one that finds it full is counted as dropped. When the
 disk fails, recording ends, `Recorder.failure` gives the reason, and the drive goes on. The file so far stays
-readable. A killed process loses at most the messages after the last flush.
+readable. A killed process loses at most the messages after the last flush, a power cut those after the last
+sync: the thread does both every `FLUSH_S`.
 """
 
 import contextlib
@@ -10,6 +11,7 @@ import queue
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,8 @@ from rover_ncp.core.recording import Recorded, RecordingWriter
 
 FLUSH_S = 0.4
 """Leaves a tenth of a second for the queue and the disk: a killed process loses at most 0.5 s."""
+STAMPED_NS = 1_000_000_000
+"""A message whose log time is further away was dated on purpose, such as a path at the drive's start."""
 QUEUE_LENGTH = 10_000
 """A minute of everything the bridge publishes."""
 CLOSE_TIMEOUT_S = 10.0
@@ -40,6 +44,7 @@ class Recorder(ClosedAtExit):
         """Reason for an early end of the recording; empty while it works."""
         self.written = 0
         self.dropped = 0
+        self._clocks_ns = time.time_ns() - time.monotonic_ns()
         self._queue: queue.Queue[Recorded | None] = queue.Queue(QUEUE_LENGTH)
         self._thread: threading.Thread | None = None
 
@@ -51,16 +56,20 @@ class Recorder(ClosedAtExit):
             writer = RecordingWriter(self.path, overwrite=self._overwrite)
             for name, content in attachments.items():
                 writer.attach(name, content)
-            writer.flush()
+            writer.flush()  # the thread syncs
         except OSError as error:
             raise FileError(f"{self.path}: cannot be written: {error.strerror}") from error
         self._thread = threading.Thread(target=self._run, args=(writer,), name="recorder", daemon=True)
         self._thread.start()
 
     def put(self, message: Recorded) -> None:
-        """Hand over a message; never waits."""
+        """Hand over a message; never waits. Its log time is kept free of settings of the wall clock."""
         if self.path is None:
             return
+        wall_ns = time.time_ns()
+        set_ns = wall_ns - time.monotonic_ns() - self._clocks_ns
+        if abs(wall_ns - message.log_ns) < STAMPED_NS:
+            message = replace(message, log_ns=message.log_ns - set_ns)
         try:
             self._queue.put_nowait(message)
         except queue.Full:
@@ -118,5 +127,5 @@ class Recorder(ClosedAtExit):
             except queue.Empty:
                 pass
             if time.monotonic() >= flushed + FLUSH_S:
-                writer.flush()
+                writer.sync()
                 flushed = time.monotonic()

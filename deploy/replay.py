@@ -32,6 +32,7 @@ COMMAND = ("command v", "command omega")
 ABSENT = "absent"
 INPUTS = {"odom": "odometry", "imu": "gyro reading", "pose": "external pose"}
 """Inputs of a tick, by topic."""
+TOPICS = {*INPUTS, START_TOPIC, TICKS_TOPIC, "rover/estimate", "rover/neurons", "cmd_vel"}
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Comparison:
 
 def replay(path: Path, policy: str | None = None) -> Comparison:
     """Recompute a recording, with its own policy or another. Raises FileError and ConfigError."""
-    recording = read_recording(path)
+    recording = read_recording(path, topics=TOPICS)
     own, course, config = attached(recording)
     other = load_policy(policy) if policy is not None else own
     start, ticks = _records(recording)

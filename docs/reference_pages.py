@@ -17,7 +17,6 @@ from result_fields import RESULTS, noted, result_fields
 from bridge.gate.limits import Limits
 from rover_ncp import cli
 from rover_ncp.circuit import policy_file
-from rover_ncp.core.config import models_in
 from rover_ncp.core.key_table import KEYS, Kind, Role
 from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.core.robot_profile import RoverProfile
@@ -41,6 +40,14 @@ MODELS: dict[str, tuple[str, type[BaseModel]]] = {
 UNITS = {"rad_m": "rad/m", "rad_s": "rad/s", "per_s": "1/s", "us": "µs", "hz": "Hz", "mb": "MB"}
 UNITS |= {unit: unit for unit in ("m", "rad", "s", "ms", "ns", "mV")}
 """By the end of a field's name."""
+
+
+def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the models in the type of a field."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in getattr(annotation, "__args__", ()):
+        yield from models_in(part)
 
 
 def reference_pages() -> dict[str, str]:

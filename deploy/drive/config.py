@@ -10,7 +10,7 @@ from deploy.drive.safety_monitor import Timeouts
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
-from rover_ncp.core.config import dump_yaml, parse_yaml, read_yaml
+from rover_ncp.core.config import dump_yaml, parse_yaml
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording
 from rover_ncp.core.robot_description import RobotDescription
@@ -141,15 +141,5 @@ def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
     return (
         policy_from_yaml(texts[POLICY_FILE], where[POLICY_FILE]),
         parse_yaml(texts[COURSE_FILE], Course, where[COURSE_FILE]),
-        _drive_config(texts[CONFIG_FILE], where[CONFIG_FILE]),
+        parse_yaml(texts[CONFIG_FILE], DriveConfig, where[CONFIG_FILE]),
     )
-
-
-def _drive_config(text: str, where: str) -> DriveConfig:
-    settings = read_yaml(text, where)
-    if isinstance(settings, dict) and settings.get("format") == 1:
-        raise FileError(
-            f"{where}: has format 1, from before the estimator changed; "
-            f"only the rover-ncp that recorded it can recompute the drive"
-        )
-    return parse_yaml(text, DriveConfig, where)

@@ -13,7 +13,7 @@ from deploy.identify.fit import identify
 from deploy.identify.motion_log import motion_log
 from deploy.recorder import Recorder
 from deploy.zenoh_client import BridgeAddress
-from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.config import dump_yaml, name_from
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import require_writable, write_atomic
@@ -97,7 +97,7 @@ def _write_profile(
     robot: RobotDescription | None = None,
 ) -> int:
     """Return 1 when delays or gains could not be determined, else 0."""
-    profile = identify(motion_log(messages), out.stem)
+    profile = identify(motion_log(messages), name_from(out, "rover"))
     made = {"from": origin, "version": version("rover-ncp")} | ({"model": robot.name} if robot else {})
     profile = profile.model_copy(update={"measured": made | profile.measured})
     write_atomic(out, dump_yaml(profile.model_dump(mode="json", exclude_none=True)))

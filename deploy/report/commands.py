@@ -100,12 +100,13 @@ def course(
 
 
 def _new(source: Path, out: Path | None, name: str | None) -> Any:
+    from rover_ncp.core.config import name_from
     from rover_ncp.core.files import require_writable, write_atomic
     from rover_ncp.course.builder import course_yaml, make_course, read_poses
 
     if out is None or out.suffix not in {".yaml", ".yml"}:
         raise UsageError("--out: expected the new course's file, .yaml")
-    name = name or re.sub(r"[^a-z0-9_-]+", "-", out.stem.lower()).strip("-_") or "course"
+    name = name or re.sub(r"[^a-z0-9_-]+", "-", name_from(out, "course").lower()).strip("-_") or "course"
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", name):
         raise UsageError(f"--name {name}: expected small letters, digits, - and _, at most 64")
     require_writable(out)

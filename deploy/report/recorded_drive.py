@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from deploy.report.charts.figure import OUTLINE, FloatArray, outline_of
-from deploy.report.timeline import Timeline
+from deploy.report.timeline import TOPICS, Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml
 from rover_ncp.core.config import parse_yaml, read_yaml, validated
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording, read_recording
+from rover_ncp.core.recording_time import steady
 from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.course.course import Course, Verdict
 
@@ -30,8 +31,13 @@ class Drive:
     settings: dict[str, Any]
     """The driver's settings; empty if the recording holds none."""
     timeline: Timeline
-    complete: bool
-    """False if the recording was cut off."""
+    damage: str
+    """Where the recording is cut off or damaged; empty if it is whole."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the recording is whole."""
+        return not self.damage
 
     @property
     def outline(self) -> FloatArray:
@@ -54,19 +60,19 @@ class Summary(NamedTuple):
 
 def read_drive(path: Path) -> Drive:
     """Read a recording of ``rover-ncp deploy``. Raises FileError and ConfigError."""
-    recording = read_recording(path)
+    recording = read_recording(path, topics=TOPICS)
     policy = policy_from_yaml(_attached(recording, "policy.yaml"), f"{path}, policy.yaml")
     course = parse_yaml(_attached(recording, "course.yaml"), Course, f"{path}, course.yaml")
     settings: Any = {}
     if "deploy.yaml" in recording.attachments:
         settings = read_yaml(_attached(recording, "deploy.yaml"), f"{path}, deploy.yaml")
     timeline = Timeline(policy, course)
-    for message in recording.messages:
+    for message in steady(recording.messages):
         timeline.take(message)
     if not timeline.ticks:
         raise FileError(f"{path}: holds no tick of a drive")
     return Drive(
-        path, policy, course, settings if isinstance(settings, dict) else {}, timeline, recording.complete
+        path, policy, course, settings if isinstance(settings, dict) else {}, timeline, recording.damage
     )
 
 
@@ -77,7 +83,7 @@ def summarise(drive: Drive) -> Summary:
     if drive.settings.get("dry_run"):
         rows.append(("Dry run", "no command was sent"))
     if not drive.complete:
-        rows.append(("Recording", "cut off; the page shows its readable part"))
+        rows.append(("Recording", f"{drive.damage}; the page shows what precedes it"))
     began = datetime.fromtimestamp(drive.timeline.ticks[0].wall_ns * 1e-9, UTC)
     names = f"policy {drive.policy.circuit.name} on course {drive.course.name}"
     return Summary(

@@ -2,12 +2,12 @@
 
 Reads the topics of `rover_ncp.core.key_table`, the true pose that the mock adds, and of the driver's own
 records only whether a tick ran on prediction. A message that cannot be decoded is counted and left out. Times
-are ns of one clock: in a recording the driver's wall clock, live the viewer's time of arrival.
+are ns of one clock that is never set: in a recording that of `steady`, live the viewer's monotonic clock.
 """
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,12 +21,12 @@ from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read_text, read_twist
 from rover_ncp.core.protocol import DriverStatus, GateStatus, parse_json
 from rover_ncp.core.recording import Recorded
+from rover_ncp.core.recording_time import TICKS_TOPIC
 from rover_ncp.course.course import TICK_S, Course, Verdict
 
 FloatArray = NDArray[np.float64]
 
 TRUTH_TOPIC = "truth/pose"
-TICKS_TOPIC = "deploy/ticks"
 LARGEST = 1e9
 """Limit for poses in m and rad, covariances and potentials in mV: larger numbers overflow when squared."""
 
@@ -94,26 +94,14 @@ class Timeline:
         """The gate before the drive: its counters are since the bridge's start."""
         self._events: list[Event] = []
         self._course_odom: Pose | None = None
-        self._readers = {
-            "rover/estimate": self._read_estimate,
-            "rover/neurons": self._read_neurons,
-            "odom": self._read_odometry,
-            "cmd_vel": lambda message: self.asked.append(_command(message)),
-            "rover/cmd_out": lambda message: self.let_through.append(_command(message)),
-            "rover/status": self._read_status,
-            "rover/gate": self._read_gate,
-            "battery_state": self._read_battery,
-            TRUTH_TOPIC: self._read_truth,
-            TICKS_TOPIC: self._read_record,
-        }
 
     def take(self, message: Recorded) -> None:
         """Add the next message; ignore other topics."""
-        reader = self._readers.get(message.topic)
+        reader = _READERS.get(message.topic)
         if reader is None:
             return
         try:
-            reader(message)
+            reader(self, message)
         except FormatError:
             self.unreadable[message.topic] += 1
 
@@ -237,6 +225,22 @@ class Timeline:
             self.predicted += 1
             words = f"no odometry in time: tick {index} ran on prediction"
             self._events.append(Event(message.log_ns, "late", words))
+
+
+_READERS: dict[str, Callable[[Timeline, Recorded], None]] = {
+    "rover/estimate": Timeline._read_estimate,
+    "rover/neurons": Timeline._read_neurons,
+    "odom": Timeline._read_odometry,
+    "cmd_vel": lambda timeline, message: timeline.asked.append(_command(message)),
+    "rover/cmd_out": lambda timeline, message: timeline.let_through.append(_command(message)),
+    "rover/status": Timeline._read_status,
+    "rover/gate": Timeline._read_gate,
+    "battery_state": Timeline._read_battery,
+    TRUTH_TOPIC: Timeline._read_truth,
+    TICKS_TOPIC: Timeline._read_record,
+}
+TOPICS = frozenset(_READERS)
+"""Topics that a timeline reads."""
 
 
 def _since(before: GateStatus, now: GateStatus) -> GateStatus:

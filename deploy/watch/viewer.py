@@ -19,7 +19,7 @@ class Viewer(ZenohClient):
 
     def __init__(self, address: BridgeAddress, take: Callable[[Recorded], None]) -> None:
         def receive(row: KeySpec, data: bytes) -> None:
-            now = time.time_ns()
+            now = time.monotonic_ns()
             with contextlib.suppress(FormatError):
                 take(Recorded(row.name, row.type, data, now, now))
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rover_ncp.core.config import MAX_NAME, is_name
 from rover_ncp.core.errors import ConfigError
 
 FloatArray = NDArray[np.float64]
@@ -123,7 +124,7 @@ class Circuit:
             object.__setattr__(self, kind, _frozen(getattr(self, kind), np.float64))
         problems = self._shape_problems() or self._value_problems()
         if problems:
-            raise ConfigError(f"circuit {self.name}", problems)
+            raise ConfigError(f"circuit {self.name}" if is_name(self.name) else "circuit", problems)
         gaps = self.kind == SynapseKind.GAP
         sigma = np.where(gaps, DEFAULTS[ParameterKind.SIGMA], self.sigma)
         object.__setattr__(self, "sigma", _frozen(sigma, np.float64))
@@ -162,6 +163,12 @@ class Circuit:
         if not 1 <= n <= MAXIMUM_NEURONS:
             return [f"1..{MAXIMUM_NEURONS} neurons are possible, got {n}"]
         problems = [f"two neurons are called {name!r}" for name in _repeated(self.neurons)]
+        # What cannot be read from a policy's file is not made.
+        problems += [
+            f"name {name[:80]!r}: expected letters, digits and _ . + -, at most {MAX_NAME}, no sign first"
+            for name in (self.name, *self.neurons)
+            if not is_name(name)
+        ]
         for names, count, what in (
             (("source", "destination", *_SYNAPSE_ARRAYS), m, "synapses"),
             (_NEURON_ARRAYS, n, "neurons"),

@@ -15,7 +15,7 @@ from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, Circuit, ParameterKind, 
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.sensing import Sensing
-from rover_ncp.core.config import StrictModel, dump_yaml, parse_yaml, read_yaml
+from rover_ncp.core.config import Name, StrictModel, dump_yaml, name_from, parse_yaml, read_yaml
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text, resolve, write_atomic
 
@@ -24,7 +24,6 @@ def _bounded(kind: ParameterKind) -> Any:
     return Field(ge=BOUNDS[kind].lower, le=BOUNDS[kind].upper)
 
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=64)]
 Layer = tuple[tuple[float, ...], ...]
 
 
@@ -88,13 +87,13 @@ def load_policy(name_or_path: str | Path) -> Policy:
     """Load a shipped policy by name, or a policy file or ``.bnn`` circuit by path.
 
     A ``.bnn`` circuit must have parking's motor neurons; it gets parking's mappings with sensors that are
-    not clamped, as it was trained. Raises FileError or ConfigError.
+    not clamped, as it was trained. It is named for its file. Raises FileError or ConfigError.
     """
     path = resolve("policies", name_or_path)
     text = _text(path)
     if path.suffix != ".bnn":
         return policy_from_yaml(text, str(path))
-    circuit = circuit_from_bnn(text, path.stem, str(path))
+    circuit = circuit_from_bnn(text, name_from(path, "circuit"), str(path))
     if "RGT" not in circuit.neurons or "FWD" not in circuit.neurons:
         raise ConfigError(
             str(path),
@@ -111,7 +110,7 @@ def load_circuit(name_or_path: str | Path) -> Circuit:
     path = resolve("circuits", name_or_path)
     text = _text(path)
     if path.suffix == ".bnn":
-        return circuit_from_bnn(text, path.stem, str(path))
+        return circuit_from_bnn(text, name_from(path, "circuit"), str(path))
     return _circuit(parse_yaml(text, _CircuitFile, str(path)), str(path), "$")
 
 

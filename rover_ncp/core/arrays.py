@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rover_ncp.core import messages
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.recording import read_recording
+from rover_ncp.core.recording_time import steady
 
 _POSE = ("x", "y", "theta")
 
@@ -16,14 +17,15 @@ _POSE = ("x", "y", "theta")
 def read_arrays(path: Path) -> dict[str, NDArray[np.void]]:
     """Return each topic's messages as a structured array, in order: ``arrays["odom"]["x"]`` is (n,).
 
-    The field ``t`` of each is the arrival in s since the recording's first message. Units are SI, potentials
-    mV. Topics without numbers (text, transforms) are left out. Raises FileError for a file or message that
-    cannot be read.
+    The field ``t`` of each is the arrival in s since the recording's first message, also where the wall clock
+    was set. Units are SI, potentials mV. Topics without numbers (text, transforms) are left out. Raises
+    FileError for a file or message that cannot be read.
     """
     recording = read_recording(path)
-    began_ns = min((message.log_ns for message in recording.messages), default=0)
     rows: dict[str, list[Mapping[str, float]]] = {}
-    for message in recording.messages:
+    began_ns: int | None = None
+    for message in steady(recording.messages):
+        began_ns = message.log_ns if began_ns is None else began_ns
         read = _READERS.get(message.type)
         if read is None or (message.layout is not None and message.layout.encoding != "cdr"):
             continue

@@ -51,7 +51,7 @@ def keys(
 
 
 def recover(
-    run: Annotated[Path, typer.Argument(help="A recording whose writer was killed, or whose disk was full.")],
+    run: Annotated[Path, typer.Argument(help="A recording whose writer was killed, or whose disk failed.")],
     *,
     out: Annotated[
         Path | None, typer.Option(help="Write the whole recording here instead of in its place.")
@@ -59,32 +59,31 @@ def recover(
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
-    """Make a recording whole that was cut off: every message it holds, and the index that viewers need.
+    """Make a recording whole that was cut off or damaged: every message before, and the index for viewers.
 
     Messages that a killed process had not yet written are lost, half a second at most. The file is replaced
     at once or not at all. A recording that is whole already stays as it is, and so does one that is still
-    being written.
+    being written. Memory does not grow with the length of the recording.
     """
     from rover_ncp.core.files import require_creatable
-    from rover_ncp.core.recording import read_recording, require_finished, rewrite
+    from rover_ncp.core.recording import recover as make_whole
+    from rover_ncp.core.recording import require_finished
 
     target = out or run
     if target == run:
         require_finished(run)
     require_creatable(target, overwrite=overwrite or target == run)
-    recording = read_recording(run)
-    if not recording.complete or out is not None:
-        rewrite(recording, target)
-    count = len(recording.messages)
-    seconds = (recording.messages[-1].log_ns - recording.messages[0].log_ns) * 1e-9 if count else 0.0
-    said = "was whole already" if recording.complete else "is whole again"
+    found = make_whole(run, target)
+    said = f"is whole again ({run.name} was {found.damage})" if found.damage else "was whole already"
     Output(json).result(
         {
             "recording": str(target),  #: the file that is whole
-            "was_complete": recording.complete,  #: whether it was already
-            "messages": count,  #: how many
-            "attachments": sorted(recording.attachments),  #: their names
-            "seconds": seconds,
+            "was_complete": not found.damage,  #: whether it was already
+            "damage": found.damage or None,  #: where it was cut off or damaged
+            "messages": found.messages,  #: how many
+            "attachments": sorted(found.attachments),  #: their names
+            "seconds": found.seconds,
         },
-        f"{target} {said}: {count} messages over {seconds:.1f} s, {len(recording.attachments)} attachments",
+        f"{target} {said}: {found.messages} messages over {found.seconds:.1f} s, "
+        f"{len(found.attachments)} attachments",
     )

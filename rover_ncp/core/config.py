@@ -1,28 +1,68 @@
-"""YAML into validated models: every problem at once, each with the path of its value.
+"""YAML into validated models: all problems at once, each with the path of its value.
 
 A configuration is a frozen pydantic model with SI units in its fields. Unknown keys are errors, so that a
-typo is found; infinities and NaN are errors everywhere.
+typo is found; infinities and NaN are errors everywhere. Only a number is a number: ``yes``, ``1:30``, ``010``
+and ``"1"`` are none, and ``1e3`` is one.
 """
 
+import re
 import reprlib
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
+import unicodedata
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
+from pydantic_core import CoreSchema
 
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text
 
 
 class StrictModel(BaseModel):
-    """Base of all configuration models: frozen, finite, no unknown keys."""
+    """Base of all configuration models: frozen, finite, no unknown keys, numbers only from numbers."""
 
     # A process loads many models and reads few of them: each is built when it is first used.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        schema: CoreSchema = _strict_numbers(handler(source))
+        return schema
+
+
+def _strict_numbers(schema: Any) -> Any:
+    """Make all numbers of a schema strict. pydantic's own strict mode would refuse lists for tuples, too."""
+    if isinstance(schema, dict):
+        for key, part in schema.items():
+            schema[key] = _strict_numbers(part)
+        if schema.get("type") in {"int", "float"}:
+            schema["strict"] = True
+        elif schema.get("type") == "literal" and {type(value) for value in schema["expected"]} == {int}:
+            return {"type": "chain", "steps": [{"type": "int", "strict": True}, schema]}
+    elif isinstance(schema, list):
+        return [_strict_numbers(part) for part in schema]
+    return schema
+
+
+MAX_PROBLEMS = 20
+"""Problems of a file that are shown."""
+MAX_NAME = 64
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=MAX_NAME)]
+"""Name of a circuit, a neuron or a robot, for files, messages and programs."""
+_NO_NAME = re.compile(r"[^A-Za-z0-9_.+-]+")
+
+
+def is_name(text: str) -> bool:
+    """Return whether a text is a `Name`."""
+    return 0 < len(text) <= MAX_NAME and text[0].isalnum() and not _NO_NAME.search(text)
+
+
+def name_from(path: Path, other: str) -> str:
+    """Return a `Name` made from the name of a file; ``other`` if nothing of it can be used."""
+    plain = unicodedata.normalize("NFKD", path.stem).encode("ascii", "ignore").decode()
+    return _NO_NAME.sub("-", plain).strip("-._+")[:MAX_NAME] or other
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
@@ -43,6 +83,24 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         return super().construct_mapping(node, deep)  # type: ignore[no-any-return]
 
 
+_FLOAT = "tag:yaml.org,2002:float"
+_NUMBERS = {
+    "tag:yaml.org,2002:int": re.compile(r"[-+]?(0|[1-9][0-9]*)$"),
+    _FLOAT: re.compile(
+        r"[-+]?(([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+|\.(inf|nan))$",
+        re.IGNORECASE,
+    ),
+}
+"""Numbers of YAML 1.2 in decimals. YAML 1.1 also reads 1:30 as 90 and 010 as 8, and 1e3 as text."""
+_NO_NUMBERS = {*_NUMBERS, "tag:yaml.org,2002:timestamp"}
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, regexp) for tag, regexp in resolvers if tag not in _NO_NUMBERS]
+    for first, resolvers in _Loader.yaml_implicit_resolvers.items()
+}
+for _tag, _regexp in _NUMBERS.items():
+    _Loader.add_implicit_resolver(_tag, _regexp, list("-+.0123456789"))
+
+
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # the C dumper is optional
     """A safe dumper that writes short lists of numbers, and each row of a table, on one line."""
 
@@ -56,6 +114,14 @@ def _represent_list(dumper: Any, data: list[Any]) -> Any:
     return node
 
 
+def _represent_text(dumper: Any, data: str) -> Any:
+    """Represent text; bytes of a file's name that are not UTF-8 have no other place in a text file."""
+    text = data.encode(errors="surrogateescape").decode(errors="replace")
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text)
+
+
+_Dumper.add_representer(str, _represent_text)
+_Dumper.add_implicit_resolver(_FLOAT, _NUMBERS[_FLOAT], list("-+.0123456789"))  # quotes a name such as 1e3
 _Dumper.add_representer(list, _represent_list)
 _Dumper.add_representer(tuple, _represent_list)
 
@@ -101,8 +167,7 @@ def validated(data: Any, model: type[ModelT], source: str) -> ModelT:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        other = _other_kind(data, model)
-        raise ConfigError(source, [other] if other else _lines(error.errors(), model)) from error
+        raise ConfigError(source, _lines(error.errors())) from error
 
 
 def load_yaml(path: Path, model: type[ModelT]) -> ModelT:
@@ -118,67 +183,13 @@ def dump_yaml(data: dict[str, Any]) -> str:
     return str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110))
 
 
-def _known_keys(model: type[BaseModel], place: Sequence[Any]) -> list[str]:
-    """Return the keys at a place in a model, such as ``("checkpoints", 0)``."""
-    models = [model]
-    for part in place:
-        fields = [each.model_fields[part] for each in models if part in each.model_fields]
-        models = [found for field in fields for found in models_in(field.annotation)] or models
-    return [key for each in models for key in each.model_fields]
-
-
-def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models in the type of a field."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for part in getattr(annotation, "__args__", ()):
-        yield from models_in(part)
-
-
-KINDS = {
-    "a course": {"checkpoints"},
-    "a list of poses": {"poses"},
-    "a policy": {"sensing"},
-    "a circuit": {"synapses"},
-    "a robot's description": {"footprint", "based_on"},
-    "a robot's profile": {"gain_v", "measured"},
-}
-"""Kinds of files by top-level keys that no other kind has."""
-
-
-def _other_kind(data: Any, model: type[BaseModel]) -> str:
-    """Return what a file looks like if it is not of the model's kind; "" if it may be."""
-    expected = [kind for kind, keys in KINDS.items() if keys & set(model.model_fields)]
-    found = [kind for kind, keys in KINDS.items() if isinstance(data, dict) and keys & set(data)]
-    if not expected or not found or set(expected) & set(found):
-        return ""
-    return f"looks like {found[0]}, expected {expected[0]}"
-
-
-def _lines(errors: Sequence[Any], model: type[BaseModel]) -> list[str]:
-    """Return a line for each problem; the same one in several items of a list is one line with a count."""
-    outer = {item["loc"][:length] for item in errors for length in range(len(item["loc"]))}
-    keys: defaultdict[tuple[Any, str], list[str]] = defaultdict(list)
-    for item in errors:
-        keys[item["loc"][:-1], item["type"]] += item["loc"][-1:]
-    places: defaultdict[tuple[Any, str], list[str]] = defaultdict(list)
-    for item in errors:
-        loc, kind, text = item["loc"], item["type"], _text(item)
-        missing, unknown = keys[loc[:-1], "missing"], keys[loc[:-1], "extra_forbidden"]
-        misspelt = len(missing) == len(unknown) == 1
-        # pydantic counts only the valid items of a list, and a misspelt key as unknown and as missing.
-        if loc in outer or (misspelt and kind == "missing"):
-            continue
-        if kind == "extra_forbidden":
-            near = missing if misspelt else get_close_matches(str(loc[-1]), _known_keys(model, loc[:-1]), n=1)
-            text += f"; did you mean {near[0]}?" if near else ""
-        path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc)
-        items = tuple("" if isinstance(part, int) else part for part in loc)
-        places[items, text].append(f"${path}: {text}")
-    return [
-        first + (f" (also in {len(others)} other item{'s' if len(others) > 1 else ''})" if others else "")
-        for first, *others in places.values()
-    ]
+def _lines(errors: Sequence[Any]) -> list[str]:
+    """Return a line for each problem, with the path of its value, and the number of those left out."""
+    lines = []
+    for item in errors[:MAX_PROBLEMS]:
+        path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in item["loc"])
+        lines.append(f"${path}: {_text(item)}")
+    return lines + ([f"and {len(errors) - MAX_PROBLEMS} more"] if len(errors) > MAX_PROBLEMS else [])
 
 
 def _text(item: Any) -> str:

@@ -1,10 +1,12 @@
 """Files that are found by name, read with clear errors and never left half-written."""
 
+import codecs
 import contextlib
 import errno
 import os
 import secrets
 import tempfile
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 from typing import IO
@@ -14,6 +16,8 @@ from rover_ncp.core.errors import FileError
 _RECORDING = b"\x89MCAP0\r\n"
 """First bytes of a recording, also of a damaged or unfinished one."""
 _DATA = resources.files("rover_ncp") / "data"
+MAX_BYTES = 64 << 20
+"""Limit of a file that is read as a whole; recordings have limits of their own."""
 USUAL_ROBOT = "p3at-sh"
 """The robot that courses and policies were made for: the description in use unless another is named."""
 
@@ -61,26 +65,35 @@ def _exists(path: Path) -> bool:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Read a file; an unreadable one is a FileError."""
+    """Read a file; an unreadable one, or one of more than `MAX_BYTES`, is a FileError."""
     try:
-        return path.read_bytes()
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(content) > MAX_BYTES:
+        raise FileError(f"{path}: has more than {MAX_BYTES} bytes, the limit of such a file")
+    return content
 
 
 def read_text(path: Path) -> str:
-    """Read a UTF-8 file; an unreadable one, or one with other bytes, is a FileError."""
+    """Read a UTF-8 file, without its byte-order mark; an unreadable one, or other bytes, is a FileError."""
+    content = read_bytes(path)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise FileError(f"{path}: not a text file in UTF-8 but in UTF-16; save it as UTF-8")
     try:
-        return read_bytes(path).decode()
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FileError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
 
 
-def write_atomic(path: Path, content: bytes | str, private: bool = False) -> None:
+def write_atomic(
+    path: Path, content: bytes | str | Callable[[IO[bytes]], None], private: bool = False
+) -> None:
     """Write a file whole or not at all: a temporary file beside it, synced, then renamed over it.
 
-    A ``private`` one is its owner's alone. Makes missing folders. Raises FileError when the place cannot be
-    written.
+    ``content`` may be a function that writes into the open file. A ``private`` file is its owner's alone.
+    Makes missing folders. Raises FileError when the place cannot be written.
     """
     data = content.encode() if isinstance(content, str) else content
     # Named before it is made: Ctrl-C at any moment leaves nothing behind.
@@ -90,7 +103,10 @@ def write_atomic(path: Path, content: bytes | str, private: bool = False) -> Non
         _make_folder(path.parent)
         try:
             with open(temporary, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
-                file.write(data)
+                if callable(data):
+                    data(file)
+                else:
+                    file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
             temporary.replace(path)

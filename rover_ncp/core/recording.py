@@ -1,69 +1,59 @@
 """Recordings: MCAP files of the ros2 profile that hold the CDR bytes as they went over the wire.
 
 Written so that a killed process loses little: attachments (policy, configuration, course) come first, and
-what came since is a finished chunk on the disk after each `RecordingWriter.flush`. Read so that a file cut
-off anywhere still gives all its whole records. Specification: https://mcap.dev/spec and /spec/registry.
+what came since is a finished chunk on the disk after each `RecordingWriter.flush`. A file that is cut off or
+damaged is read up to there. Specification: https://mcap.dev/spec and /spec/registry.
 """
 
 import contextlib
 import fcntl
 import functools
-import io
-import struct
+import heapq
+import logging
+import os
 import time
-import zlib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import IO, NamedTuple, Self
 
-from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
-from zstandard import ZstdError
 
 from rover_ncp.core.cdr import definition
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import create, read_bytes, write_atomic
+from rover_ncp.core.files import create, write_atomic
+from rover_ncp.core.key_table import KEYS
+from rover_ncp.core.mcap_records import Damaged, read_records
+from rover_ncp.core.recorded import Layout, Recorded, header_stamp_ns
+from rover_ncp.core.recording_time import steady
 
-MAGIC = b"\x89MCAP0\r\n"
+__all__ = [
+    "Layout",
+    "Recorded",
+    "Recording",
+    "RecordingWriter",
+    "Recovered",
+    "header_stamp_ns",
+    "read_recording",
+    "recover",
+    "require_finished",
+    "rewrite",
+]
+
+_log = logging.getLogger(__name__)
 CHUNK_BYTES = 256 * 1024
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".bnn": "text/plain"}
-# A Header begins with its stamp, right behind CDR's own four bytes: int32 seconds, uint32 nanoseconds.
-CDR_ORDERS = (b"\x00\x00", b"\x00\x01")
-CDR_STAMP, CDR_STAMP_BIG = struct.Struct("<iI"), struct.Struct(">iI")
-RECORD_LIMIT = 1 << 30
-"""Our records are far shorter; a longer one means a damaged length."""
-
-
-class Layout(NamedTuple):
-    """Encoding of a channel's bytes as its file declares it: MCAP's Channel, with its Schema."""
-
-    encoding: str
-    metadata: tuple[tuple[str, str], ...]
-    schema: tuple[str, str, bytes] | None
-    """Name, encoding and text; None where a channel needs none."""
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """One message: its bytes, when it arrived here and when it was sent (ns since the epoch)."""
-
-    topic: str
-    type: str
-    data: bytes
-    log_ns: int
-    publish_ns: int
-    sequence: int = 0
-    layout: Layout | None = field(default=None, compare=False, repr=False)
-    """None for ours: ``type`` in CDR. A file may hold what we cannot read; `rewrite` keeps it as it is."""
+MEMORY_LIMIT, MESSAGE_BYTES = 1 << 30, 250
+"""Limit of what `read_recording` keeps, and memory of a message beside its data, in bytes. Five hours of what
+a report reads come to the limit."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A whole file in memory; ``complete`` is False when its writer never finished it."""
+    """A whole file in memory; ``complete`` is False if it is cut off or damaged, ``damage`` says where."""
 
     path: Path
     attachments: Mapping[str, bytes]
@@ -71,6 +61,7 @@ class Recording:
     messages: tuple[Recorded, ...]
     complete: bool
     profile: str = "ros2"
+    damage: str = ""
 
     def topic(self, name: str) -> list[Recorded]:
         """Return the messages of one topic in the order in which they were written."""
@@ -84,24 +75,29 @@ class Recording:
         return self.attachments[name]
 
 
+# rosbag2 replays a topic as it was offered. Numbers are those of metadata before version 9, which all its
+# versions read beside the record that says so (`Metadata("rosbag2", ...)`).
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
+_LATCHED_QOS = f"""- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline: {_FOREVER}
+  lifespan: {_FOREVER}
+  liveliness: 1
+  liveliness_lease_duration: {_FOREVER}
+  avoid_ros_namespace_conventions: false
+"""
+"""Keep the last message, reliable, transient local: late subscribers receive it."""
+_ROSBAG2 = "rosbag2", {"serialized_metadata": ""}
+_LATCHED = {row.name for row in KEYS if row.latched} | {"deploy/frames", "deploy/path"}
+"""Topics of which one message counts for the whole recording."""
+
+
 @functools.cache
-def _begins_with_header(ros_type: str) -> bool:
-    fields = [line for line in definition(ros_type).splitlines() if line and not line.startswith("#")]
-    return fields[0].split() == ["std_msgs/Header", "header"]
-
-
-def header_stamp_ns(ros_type: str, data: bytes) -> int | None:
-    """Return the stamp of a message whose first field is a Header; None when there is none to read."""
-    if not _begins_with_header(ros_type) or len(data) < CDR_STAMP.size + 4 or data[:2] not in CDR_ORDERS:
-        return None
-    seconds, nanoseconds = (CDR_STAMP if data[1] else CDR_STAMP_BIG).unpack_from(data, 4)
-    return int(seconds * 1_000_000_000 + nanoseconds)
-
-
-@functools.cache
-def _our_layout(ros_type: str) -> Layout:
-    # The key must be there (MCAP registry, ros2 profile); what it would say is known to ROS alone.
-    metadata = (("offered_qos_profiles", ""),)
+def _our_layout(topic: str, ros_type: str) -> Layout:
+    # The key must be there (MCAP registry, ros2 profile).
+    metadata = (("offered_qos_profiles", _LATCHED_QOS if topic in _LATCHED else ""),)
     return Layout("cdr", metadata, (ros_type, "ros2msg", definition(ros_type).encode()))
 
 
@@ -114,6 +110,7 @@ class RecordingWriter:
     def __init__(
         self, target: Path | IO[bytes], *, overwrite: bool = False, profile: str = Recording.profile
     ) -> None:
+        self._owns = isinstance(target, Path)
         if isinstance(target, Path):
             self._file = create(target, overwrite=overwrite)
             with contextlib.suppress(OSError):  # a file system without locks can be written all the same
@@ -124,6 +121,7 @@ class RecordingWriter:
         self._writer.start(profile=profile, library="rover-ncp")
         self._channels: dict[tuple[str, Layout | None], tuple[int, str]] = {}
         self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self._latched = False
 
     def __enter__(self) -> Self:
         return self
@@ -150,7 +148,10 @@ class RecordingWriter:
         """Add a message. A topic of ours has one type; ValueError if another comes on it."""
         known = (message.topic, message.layout)
         if known not in self._channels:
-            layout = message.layout or _our_layout(message.type)
+            layout = message.layout or _our_layout(message.topic, message.type)
+            if message.layout is None and message.topic in _LATCHED and not self._latched:
+                self._latched = True
+                self.describe(*_ROSBAG2)
             self._channels[known] = (self._channel(message.topic, layout), message.type)
         channel, ros_type = self._channels[known]
         if ros_type != message.type:
@@ -167,85 +168,96 @@ class RecordingWriter:
         return self._writer.register_channel(topic, layout.encoding, number, dict(layout.metadata))
 
     def flush(self) -> None:
-        """Put everything so far on the disk as whole records (but do not wait for the disk itself)."""
+        """Put everything so far into the file as whole records, for other processes to read."""
         self._writer.flush()  # type: ignore[no-untyped-call]  # mcap has it untyped
+        self._file.flush()
+
+    def sync(self) -> None:
+        """Flush, and wait until the disk holds it, so that it survives a power cut."""
+        self.flush()
+        os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Finish the file with its index, and close it."""
+        """Finish the file with its index; sync and close it, unless it was given open."""
         self._writer.finish()  # type: ignore[no-untyped-call]
-        self._file.close()
+        if self._owns:
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
 
     def abandon(self) -> None:
         """Close the file as it is, after a method failed; what was flushed can be read."""
-        with contextlib.suppress(OSError):
-            self._file.close()
+        if self._owns:
+            with contextlib.suppress(OSError):
+                self._file.close()
 
 
-class _WholeReads(io.BytesIO):
-    """A file in memory that never returns fewer bytes than asked for: the end of it is an error."""
-
-    def read(self, size: int | None = -1) -> bytes:
-        if size is not None and size > self.getbuffer().nbytes:
-            raise EndOfFile  # also a damaged length that is no size at all
-        data = super().read(size)
-        if size is not None and 0 <= len(data) < size:
-            raise EndOfFile
-        return data
+Content = Recorded | Attachment | Metadata | Header
 
 
-def read_recording(path: Path) -> Recording:
-    """Read a recording, also one whose writer was killed. Raises FileError: unreadable, or damaged."""
-    content = read_bytes(path)
-    if not content:
-        raise FileError(f"{path}: the file is empty")
-    if not content.startswith(MAGIC[: len(content)]):
-        raise FileError(f"{path}: not an MCAP recording")
-    stream = _WholeReads(content)
+def _contents(path: Path) -> Iterator[Content]:
+    """Yield what a file holds, its header first. Raises Damaged at the end of what can be read; FileError."""
     schemas: dict[int, tuple[str, str, bytes]] = {}
     channels: dict[int, tuple[str, str, Layout]] = {}
-    profile = ""
+    headed = False
+    try:
+        with path.open("rb") as file:
+            for record in read_records(path, file):
+                headed = headed or isinstance(record, Header)
+                if isinstance(record, Message):
+                    if record.channel_id not in channels:
+                        raise Damaged("damaged: a message of an unknown channel")
+                    topic, ros_type, layout = channels[record.channel_id]
+                    times = record.log_time, record.publish_time
+                    yield Recorded(topic, ros_type, record.data, *times, record.sequence, layout)
+                elif isinstance(record, Schema):
+                    schemas[record.id] = (record.name, record.encoding, record.data)
+                elif isinstance(record, Channel):
+                    schema = schemas.get(record.schema_id)
+                    layout = Layout(record.message_encoding, tuple(record.metadata.items()), schema)
+                    channels[record.id] = (record.topic, schema[0] if schema else "", layout)
+                elif isinstance(record, Attachment | Metadata | Header):
+                    yield record
+    except Damaged as damage:
+        if not headed:
+            found = "cut off" if str(damage).startswith("cut off") else str(damage)
+            raise FileError(f"{path}: {found} before its first record") from damage
+        raise
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def read_recording(path: Path, topics: Collection[str] | None = None) -> Recording:
+    """Read a recording, or the messages of some topics; of a cut or damaged one what precedes the damage.
+
+    The log gets one line about damage. Raises FileError: unreadable, no recording, or larger than
+    `MEMORY_LIMIT`.
+    """
+    profile = damage = ""
     attachments: dict[str, bytes] = {}
     metadata: dict[str, dict[str, str]] = {}
     messages: list[Recorded] = []
-    complete = headed = False
-    reader = StreamReader(stream, validate_crcs=True, record_size_limit=RECORD_LIMIT)
+    kept = 0
     try:
-        for record in reader.records:
-            if isinstance(record, Message):
-                topic, ros_type, layout = channels[record.channel_id]
-                times = record.log_time, record.publish_time
-                messages.append(Recorded(topic, ros_type, record.data, *times, record.sequence, layout))
-            elif isinstance(record, Schema):
-                schemas[record.id] = (record.name, record.encoding, record.data)
-            elif isinstance(record, Channel):
-                schema = schemas.get(record.schema_id)
-                layout = Layout(record.message_encoding, tuple(record.metadata.items()), schema)
-                channels[record.id] = (record.topic, schema[0] if schema else "", layout)
-            elif isinstance(record, Attachment):
-                attachments[record.name] = record.data
-            elif isinstance(record, Metadata):
-                metadata[record.name] = record.metadata
-            elif isinstance(record, Header):
-                headed, profile = True, record.profile
-        complete = True
-    except EndOfFile:
-        if not headed:
-            raise FileError(f"{path}: cut off before its first record") from None
-    except _DAMAGE as error:
-        raise FileError(f"{path}: damaged before byte {stream.tell()}: {error or 'bad record'}") from error
-    return Recording(path, attachments, metadata, tuple(messages), complete, profile)
-
-
-_DAMAGE = (
-    McapError,
-    ZstdError,
-    struct.error,
-    zlib.error,
-    UnicodeDecodeError,
-    KeyError,
-    ValueError,
-    RuntimeError,
-)
+        for item in _contents(path):
+            if isinstance(item, Recorded):
+                if topics is not None and item.topic not in topics:
+                    continue
+                messages.append(item)
+                kept += len(item.data) + MESSAGE_BYTES
+            elif isinstance(item, Attachment):
+                attachments[item.name] = item.data
+                kept += len(item.data)
+            elif isinstance(item, Metadata):
+                metadata[item.name] = item.metadata
+            else:
+                profile = item.profile
+            if kept > MEMORY_LIMIT:
+                raise FileError(f"{path}: holds more than the limit of {MEMORY_LIMIT >> 20} MiB of messages")
+    except Damaged as error:
+        damage = str(error)
+        _log.warning("%s: %s; the %d messages before it are used", path, damage, len(messages))
+    return Recording(path, attachments, metadata, tuple(messages), not damage, profile, damage)
 
 
 def require_finished(path: Path) -> None:
@@ -260,18 +272,71 @@ def require_finished(path: Path) -> None:
 
 
 def rewrite(source: Recording, target: Path, more: Iterable[Recorded] = ()) -> None:
-    """Write a whole, indexed copy of a recording, with ``more`` messages put in at their time.
+    """Write a whole, indexed copy of a recording, with ``more`` messages merged in, such as ``truth/pose``.
 
-    Makes a cut-off recording whole, and adds topics such as ``truth/pose``. ``target`` may be the source's
-    own file: it is replaced at once or not at all. Raises FileError.
+    Messages of the source keep their order. The log times of ``more`` rise, by a clock that was never set.
+    ``target`` may be the source's own file: it is replaced at once or not at all. Raises FileError.
     """
-    buffer = io.BytesIO()
-    buffer.close = lambda: None  # type: ignore[method-assign]  # the writer closes what we still have to read
-    with RecordingWriter(buffer, profile=source.profile) as writer:
-        for name, content in source.attachments.items():
-            writer.attach(name, content)
-        for name, values in source.metadata.items():
-            writer.describe(name, values)
-        for message in sorted([*source.messages, *more], key=lambda message: message.log_ns):
-            writer.write(message)
-    write_atomic(target, buffer.getvalue())
+    header = Header(profile=source.profile, library="")
+    attachments = [Attachment(0, 0, name, "", content) for name, content in source.attachments.items()]
+    metadata = [Metadata(name, dict(values)) for name, values in source.metadata.items()]
+    own = zip((message.log_ns for message in steady(source.messages)), source.messages, strict=True)
+    others = ((message.log_ns, message) for message in more)
+    messages = (message for _, message in heapq.merge(own, others, key=lambda pair: pair[0]))
+    write_atomic(target, lambda file: _fill(file, chain([header, *attachments, *metadata], messages)))
+
+
+class Recovered(NamedTuple):
+    """Result of `recover`: ``damage`` is empty for a recording that was whole."""
+
+    damage: str
+    messages: int
+    seconds: float
+    attachments: tuple[str, ...]
+
+
+def recover(path: Path, target: Path) -> Recovered:
+    """Write a whole copy of a recording, in its order, unless it is whole and ``target`` is its own file.
+
+    Memory does not grow with the length. Raises FileError.
+    """
+    damage, count, began_ns, ended_ns = "", 0, 0, 0
+    attachments: list[str] = []
+
+    def messages() -> Iterator[Recorded]:
+        nonlocal damage
+        try:
+            for item in _contents(path):
+                if isinstance(item, Recorded):
+                    yield item
+                elif isinstance(item, Attachment):
+                    attachments.append(item.name)
+        except Damaged as error:
+            damage = str(error)
+
+    for message in steady(messages()):
+        began_ns, ended_ns = began_ns if count else message.log_ns, message.log_ns
+        count += 1
+    if damage or target != path:
+        write_atomic(target, lambda file: _fill(file, _sound(path)))
+    return Recovered(damage, count, (ended_ns - began_ns) * 1e-9, tuple(attachments))
+
+
+def _sound(path: Path) -> Iterator[Content]:
+    with contextlib.suppress(Damaged):
+        yield from _contents(path)
+
+
+def _fill(file: IO[bytes], contents: Iterable[Content]) -> None:
+    """Write a recording; the header comes first."""
+    items = iter(contents)
+    header = next(items)
+    assert isinstance(header, Header)
+    with RecordingWriter(file, profile=header.profile) as writer:
+        for item in items:
+            if isinstance(item, Recorded):
+                writer.write(item)
+            elif isinstance(item, Attachment):
+                writer.attach(item.name, item.data)
+            elif isinstance(item, Metadata):
+                writer.describe(item.name, item.metadata)

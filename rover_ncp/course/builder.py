@@ -5,9 +5,9 @@ meets them, and later where that is still too much; where a recording paused or 
 """
 
 import csv
-import io
 import math
-from collections.abc import Sequence
+import reprlib
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, validated
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.core.geometry import Pose, distance, relative, wrap_angle
-from rover_ncp.core.messages import read_odometry, read_pose
+from rover_ncp.core.messages import OdometrySample, PoseSample, read_odometry, read_pose
 from rover_ncp.core.recording import Recording, read_recording
 from rover_ncp.course.course import (
     MOST_CHECKPOINTS,
@@ -43,7 +43,13 @@ STEP_M, STEP_RAD = 0.10, 0.20
 MOVED_M, MOVED_RAD = 0.01, 0.02
 """Smaller motion counts as standing."""
 _DECIMALS = 4
-
+_POSE = ("x", "y", "theta")
+_READERS: dict[str, Callable[[bytes], PoseSample | OdometrySample]] = {
+    "rover/estimate": read_pose,
+    "odom": read_odometry,
+}
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = 60
 
 MOST_POSES = MOST_CHECKPOINTS - 2
 """A course has a checkpoint before them, and one after."""
@@ -65,14 +71,17 @@ class PoseList(StrictModel):
 
 
 def read_poses(path: Path) -> PoseList:
-    """Read YAML, CSV (header x, y, theta) or a recording (MCAP). Raises FileError and ConfigError."""
+    """Read YAML, CSV (header x, y, theta; commas or semicolons) or a recording (MCAP).
+
+    Raises FileError and ConfigError.
+    """
     match existing_file(path).suffix:
         case ".yaml" | ".yml":
             return load_yaml(path, PoseList)
         case ".csv":
             return _from_csv(path)
         case ".mcap":
-            return _listed(path, _thinned(_driven(read_recording(path))))
+            return _listed(path, _thinned(_driven(read_recording(path, topics=_READERS))))
     raise FileError(f"{path}: expected poses as .yaml or .csv, or a recording as .mcap")
 
 
@@ -133,33 +142,55 @@ def _checkpoint(t: float, pose: Pose) -> Checkpoint:
 
 
 def _from_csv(path: Path) -> PoseList:
-    rows = csv.DictReader(io.StringIO(read_text(path)), skipinitialspace=True)
-    if missing := [name for name in ("x", "y", "theta") if name not in (rows.fieldnames or ())]:
-        raise FileError(f"{path}: its first line lacks {', '.join(missing)} (expected x, y, theta)")
+    lines = read_text(path).splitlines(keepends=True)
+    delimiter = ";" if lines and ";" in lines[0] and "," not in lines[0] else ","
     places = []
-    for row in rows:
-        try:
-            x, y, theta = (float(row[name]) for name in ("x", "y", "theta"))
-        except (TypeError, ValueError) as error:
-            raise FileError(f"{path}: line {rows.line_num}: expected three numbers") from error
-        if not all(map(math.isfinite, (x, y, theta))):
-            raise FileError(f"{path}: line {rows.line_num}: expected finite numbers")
-        places.append((x, y, theta))
+    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+    try:
+        header = [name.strip() for name in next(reader, [])]
+        if missing := [name for name in _POSE if name not in header]:
+            raise FileError(
+                f"{path}: its first line lacks {', '.join(missing)} (expected x, y, theta, "
+                f"got {_SHORT.repr(', '.join(header))})"
+            )
+        columns = [header.index(name) for name in _POSE]
+        for row in reader:
+            if row:
+                cells = [row[column] if column < len(row) else "" for column in columns]
+                places.append(_numbers(cells, f"{path}: line {reader.line_num}"))
+    except csv.Error as error:
+        raise FileError(f"{path}: line {reader.line_num}: no CSV: {error}") from error
     if len(places) < 2:
         raise FileError(f"{path}: a course needs two poses at least, got {len(places)}")
     return _listed(path, places)
 
 
+def _numbers(cells: Sequence[str], where: str) -> tuple[float, float, float]:
+    """Return a pose. Raises FileError: not three finite numbers in decimals with a point."""
+    for cell in cells:
+        if "_" in cell or not cell.isascii():  # float takes 1_0 and digits of other scripts
+            raise FileError(f"{where}: expected three numbers, got {_SHORT.repr(cell)}")
+    try:
+        x, y, theta = map(float, cells)
+    except ValueError as error:
+        found = _SHORT.repr(", ".join(cells))
+        hint = "; write a decimal point, not a comma" if any("," in cell for cell in cells) else ""
+        raise FileError(f"{where}: expected three numbers, got {found}{hint}") from error
+    if not all(map(math.isfinite, (x, y, theta))):
+        raise FileError(f"{where}: expected finite numbers")
+    return x, y, theta
+
+
 def _listed(path: Path, poses: Sequence[tuple[float, float, float]]) -> PoseList:
     """Return poses that were not read from YAML, by the same rules. Raises ConfigError."""
-    data = [dict(zip(("x", "y", "theta"), pose, strict=True)) for pose in poses]
+    data = [dict(zip(_POSE, pose, strict=True)) for pose in poses]
     return validated({"poses": data}, PoseList, str(path))
 
 
 def _driven(recording: Recording) -> list[Pose]:
     """Return where the rover was: by the driver's estimate where there is one, else by odometry."""
     poses = []
-    for topic, read in (("rover/estimate", read_pose), ("odom", read_odometry)):
+    for topic, read in _READERS.items():
         for message in recording.topic(topic):
             try:
                 pose = read(message.data).pose

@@ -1,1 +1,1 @@
-"""Policies for other programs: C for microcontrollers, JSON, and the wiring for the library ncps."""
+"""Policies for other programs: C for microcontrollers."""

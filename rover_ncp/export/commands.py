@@ -14,8 +14,6 @@ class Target(StrEnum):
     """What a policy is exported to."""
 
     C = "c"
-    JSON = "json"
-    NCPS = "ncps"
     YAML = "yaml"
 
 
@@ -24,16 +22,12 @@ def export(
     *,
     to: Annotated[
         Target,
-        typer.Option(
-            help="c: C99 sources. json: plain form. ncps: wiring for ncps. yaml: a policy file to edit."
-        ),
+        typer.Option(help="c: C99 sources. yaml: a policy file to edit."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the files; those of the same names are replaced.")],
     course: Annotated[
         str | None,
-        typer.Option(
-            help="Course of the C sources and test vectors, by name or YAML file.", show_default="parking"
-        ),
+        typer.Option(help="Course of the C sources, by name or YAML file.", show_default="parking"),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -46,16 +40,14 @@ def export(
         rover-ncp export course --to c --out firmware
         cc -std=c99 -O2 -ffp-contract=off -o check firmware/*.c -lm && ./check
 
-    To json: NAME.json, the policy with the constants of its equations and test vectors. To ncps:
-    NAME_ncps.json, the wiring for ncps.wirings.Wiring.from_config. To yaml: NAME.yaml, the policy file, to
-    begin one of your own with (train --circuit NAME.yaml).
+    To yaml: NAME.yaml, the policy file, to begin one of your own with (train --circuit NAME.yaml).
     """
     from rover_ncp.circuit.policy_file import load_policy
     from rover_ncp.core.files import require_writable, write_atomic
     from rover_ncp.course.course import load_course
     from rover_ncp.export.export import exported
 
-    name = re.sub(r"[^a-z0-9]+", "_", Path(policy).stem.lower()).strip("_")
+    name = re.sub(r"[^a-z0-9]+", "_", Path(policy).stem.lower()).strip("_")[:64]
     name = name if name[:1].isalpha() else f"policy_{name}".rstrip("_")
     require_writable(out / name)
     files = exported(load_policy(policy), to, name, load_course(course or "parking"))

@@ -8,20 +8,15 @@ from rover_ncp.course.course import Course
 from rover_ncp.course.reference import needs_reference, plan_reference
 from rover_ncp.export.circuit_c import circuit_files
 from rover_ncp.export.course_c import course_files
-from rover_ncp.export.plain import json_file, ncps_file
 from rover_ncp.export.vectors import check_file, drives, make_vectors
 
 
 def exported(policy: Policy, to: str, name: str, course: Course) -> dict[str, str]:
-    """Return the text of each file. Raises ConfigError for a wiring that the target cannot hold."""
-    if to == "ncps":
-        return {f"{name}_ncps.json": ncps_file(policy)}
+    """Return the text of each file."""
     if to == "yaml":
         return {f"{name}.yaml": policy_to_yaml(policy)}
     reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
     vectors = make_vectors(policy, course, reference)
-    if to == "json":
-        return {f"{name}.json": json_file(policy, vectors)}
     made_by = version("rover-ncp")
     files = circuit_files(policy, name, made_by)
     if drives(policy):

@@ -1,4 +1,4 @@
-"""Test vectors of an exported policy: what the solver answers, for the C check and for other ports."""
+"""Test vectors of an exported policy: what the solver answers, for the C check."""
 
 from typing import NamedTuple
 

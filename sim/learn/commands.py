@@ -1,5 +1,6 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -130,7 +131,7 @@ def train(
     In the folder: policy.yaml (the best agent's circuit, ready for deploy and eval), curve.csv and curve.png
     (best return so far of each agent), settings.yaml, agents/. The same settings give the same bytes, for
     any number of processes. A run can be interrupted at any time: with --resume it ends in the same files,
-    and needs none of the options again.
+    and needs none of the options again but a --task that imports a module.
 
         rover-ncp train --seed 1 --out runs/mine
         rover-ncp train --out runs/mine --resume
@@ -185,6 +186,11 @@ def train(
         if {course, model, agents, search, randomize, worst, random_courses, profile, cluster} != {None}:
             raise UsageError("--task goes with --circuit, --seed, --iterations, --rollouts and --processes")
         before = saved.model_dump() if isinstance(saved, TaskSettings) else {}
+        if task is None and ":" in before["task"]:
+            # The folder may come from others, and its module would run: only the command line names code.
+            raise UsageError(
+                f"--resume: the task of {out} imports a module; name it again with --task, as MODULE:ID"
+            )
         asked = {"task": task, "rollouts": rollouts, **options}
         _train_task(
             output, before | {k: v for k, v in asked.items() if v is not None}, out, resume, processes
@@ -276,7 +282,8 @@ def _train_task(
     settings = TaskSettings(**asked)
     start = start_of(settings)  # before a folder is made, so that a typo leaves none behind
     out = out or new_run_path()
-    with _generations(output, settings.iterations, out) as on_generation:
+    again = f" --task {shlex.quote(settings.task)}" if ":" in settings.task else ""
+    with _generations(output, settings.iterations, out, again) as on_generation:
         result = train_task(
             settings, start, out, resume=resume, processes=processes, on_generation=on_generation
         )
@@ -293,7 +300,9 @@ def _train_task(
 
 
 @contextmanager
-def _generations(output: Output, total: int, out: Path) -> "Iterator[Callable[[Generation], None]]":
+def _generations(
+    output: Output, total: int, out: Path, again: str = ""
+) -> "Iterator[Callable[[Generation], None]]":
     """Show the progress of a search by generations, and how to go on after an interruption."""
     from rich.console import Console
     from rich.progress import Progress
@@ -306,5 +315,5 @@ def _generations(output: Output, total: int, out: Path) -> "Iterator[Callable[[G
             bar = progress.add_task("generations", total=total)
             yield lambda last: progress.update(bar, completed=last.number)
     except (KeyboardInterrupt, WorkerDied):
-        output.say(f"Go on with: rover-ncp train --out {out} --resume")
+        output.say(f"Go on with: rover-ncp train --out {out} --resume{again}")
         raise

@@ -96,14 +96,13 @@ def during(
 ) -> Sequence[TrueState]:
     """Return the states from a run's first tick, at the wall clock's ``began_ns``, to the course's horizon.
 
-    Raises FileError when there is none.
+    Only the begin is of the wall clock, which may be set later. Raises FileError when there is none.
     """
-    until_ns = began_ns + round((course.horizon_s + margin_s) * 1e9)
-    moments = [state.wall_ns for state in states]
-    run = states[bisect_left(moments, began_ns) : bisect_right(moments, until_ns)]
-    if not run:
+    first = next((number for number, state in enumerate(states) if state.wall_ns >= began_ns), len(states))
+    if first == len(states):
         raise FileError("the mock recorded no true pose during the drive: was the machine's clock set?")
-    return run
+    until_ns = states[first].clock_ns + round((course.horizon_s + margin_s) * 1e9)
+    return states[first : bisect_right(states, until_ns, key=lambda state: state.clock_ns)]
 
 
 def judge_truth(
@@ -111,17 +110,18 @@ def judge_truth(
 ) -> Verdict:
     """Judge a run by its true poses; arguments and errors as `during`."""
     run = during(course, states, began_ns, margin_s)
+    first = run[0]
+    lag_ns = first.wall_ns - began_ns
     return course.judge(
-        [(state.wall_ns - began_ns) * 1e-9 for state in run],
+        [(state.clock_ns - first.clock_ns + lag_ns) * 1e-9 for state in run],
         [state.pose for state in run],
         any(state.contact for state in run),
     )
 
 
 def recorded_truth(states: Sequence[TrueState]) -> Iterator[Recorded]:
-    """Return the truth as messages to merge into a recording."""
+    """Return the truth as messages to merge into a recording, by a clock that was never set."""
     for number, state in enumerate(states):
         data = pose_stamped(state.pose, state.wall_ns, TRUTH_FRAME)
-        yield Recorded(
-            TRUTH_TOPIC, "geometry_msgs/msg/PoseStamped", data, state.wall_ns, state.wall_ns, number
-        )
+        log_ns = states[0].wall_ns + state.clock_ns - states[0].clock_ns
+        yield Recorded(TRUTH_TOPIC, "geometry_msgs/msg/PoseStamped", data, log_ns, state.wall_ns, number)

@@ -256,6 +256,9 @@ def test_text_shows_a_standard_deviation_with_each_value(tmp_path, capsys):
     assert lines
     assert all("±" in line for line in lines)
     assert load_profile(tmp_path / "p.yaml").std["delay_v_s"] < 0.002
+    long = tmp_path / f"großes Profil {'x' * 100}.yaml"  # its name is made from the file's
+    assert run(["identify", str(tmp_path / "run.mcap"), "--out", str(long)]) == 0
+    assert load_profile(long).name == f"groes-Profil-{'x' * 51}"
 
 
 def test_a_record_that_says_nothing_is_refused():

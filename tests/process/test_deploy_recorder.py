@@ -1,3 +1,4 @@
+import os
 import threading
 import time
 
@@ -74,3 +75,38 @@ def test_overwriting_does_not_damage_what_another_writer_still_writes(tmp_path):
     second.close()
     assert [read_text(message.data) for message in read_recording(path).messages] == ["second"]
     assert read_recording(path).complete
+
+
+def test_disk_is_synced_at_each_flush_by_the_thread_alone(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr("deploy.recorder.FLUSH_S", 0.02)
+    monkeypatch.setattr(os, "fsync", lambda handle: synced.append(threading.current_thread().name))
+    recorder = Recorder(tmp_path / "run.mcap")
+    recorder.open({"policy.yaml": b"x"})
+    recorder.put(note("one"))
+    deadline = time.monotonic() + 20.0
+    while len(synced) < 3 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    before = len(synced)
+    recorder.close()
+    assert before >= 3
+    assert set(synced) == {"recorder"}
+    assert len(synced) > before
+
+
+@pytest.mark.parametrize("by_s", [-3600, 3600])
+def test_log_times_are_free_of_settings_of_the_wall_clock(tmp_path, monkeypatch, by_s):
+    wall_ns, offset_ns = time.time_ns, 0
+    monkeypatch.setattr(time, "time_ns", lambda: wall_ns() + offset_ns)
+    recorder = Recorder(tmp_path / "run.mcap")
+    recorder.open({})
+    dated = time.time_ns() - 10**10
+    recorder.put(note("one"))
+    offset_ns = by_s * 10**9
+    recorder.put(note("two"))
+    recorder.put(note("dated at the start", dated))
+    recorder.close()
+    one, two, path = read_recording(tmp_path / "run.mcap").messages
+    assert 0 <= two.log_ns - one.log_ns < 10**9
+    assert two.publish_ns - one.publish_ns == pytest.approx(by_s * 1e9, abs=1e9)
+    assert path.log_ns == dated

@@ -15,8 +15,9 @@ from folders import content
 from json_fields import assert_on_page
 from paths import DATA
 
-from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.cli import run
+from rover_ncp.core.config import dump_yaml
 from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
 from sim.learn.progress import TrainProgress
@@ -195,3 +196,20 @@ def test_killed_again_and_again_it_ends_in_the_same_bytes(tmp_path):
     with ThreadPoolExecutor(2) as pool:
         for end in pool.map(kill_again_and_again, ["1", "2"], [MOMENTS, MOMENTS[::2]]):
             assert end == expected
+
+
+def test_resuming_a_folder_of_strangers_imports_no_module_that_it_names(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "evil_task.py").write_text("from pathlib import Path\nPath('imported').touch()\n")
+    (tmp_path / "circuit.yaml").write_text(policy_to_yaml(load_policy("course")))
+    settings = {"task": "evil_task:Env-v0", "circuit": "circuit.yaml"}
+    record = {"format": 1, "command": "x", "settings": settings, "made_with": {}, "circuit": {}}
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "settings.yaml").write_text(dump_yaml(record))
+    assert run(["train", "--out", "run", "--resume"]) == 2
+    assert "name it again with --task, as MODULE:ID" in capfd.readouterr().err
+    assert not (tmp_path / "imported").exists()
+    # The command line names it: then it is imported, and holds no environment.
+    assert run(["train", "--out", "run", "--resume", "--task", "evil_task:Env-v0"]) == 2
+    assert (tmp_path / "imported").exists()

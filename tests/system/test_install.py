@@ -27,7 +27,7 @@ NEWEST = newest_python()
 # What each set of extras makes possible, as command lines and their exit codes.
 WORKS = {
     "": [("urdf", 0), ("bridge --base tcp/127.0.0.1:1", 3)],
-    "drive": [("course check parking", 0), ("export parking --to json --out exported", 0)],
+    "drive": [("course check parking", 0), ("export parking --to c --out exported", 0)],
     "keys": [("keys --out keys", 0)],
     "drive,report": [("watch --robot tcp/127.0.0.1:1", 3)],
     "train": [("eval parking", 0)],

@@ -13,6 +13,10 @@
 #ifndef ROVER_NCP_${guard}_H
 #define ROVER_NCP_${guard}_H
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #ifdef ROVER_NCP_FLOAT
 typedef float ${name}_real;
 #else
@@ -32,5 +36,9 @@ void ${name}_reset(${name}_state *state);
 /* Run one control tick. Returns 0; or -1 if a number of the observation is not finite. The state is then
    unchanged and the command 0. */
 int ${name}_tick(${name}_state *state, const ${name}_real *observation, ${name}_real *command);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

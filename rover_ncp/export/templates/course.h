@@ -17,6 +17,10 @@
 
 #include "${name}.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 enum { ${guard}_COURSE_TICKS = $ticks };
 
 /* The tick, -1 for the warm-up$fields_are. */
@@ -30,5 +34,9 @@ void ${name}_course_advance(${name}_course *course);
 /* Fill in an observation, the input of ${name}_tick. */
 void ${name}_observe(const ${name}_course *course, ${name}_real x, ${name}_real y, ${name}_real theta,
                      ${name}_real *observation);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -1,3 +1,4 @@
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -19,11 +20,13 @@ from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
 from rover_ncp.circuit.policy_file import (
     load_circuit,
     load_policy,
+    policy_from_yaml,
     policy_to_yaml,
     save_policy,
 )
 from rover_ncp.circuit.sensing import Sensing, parking_sensing
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError, FileError
 
 GOLDEN = DATA / "golden"
@@ -239,3 +242,38 @@ def test_a_policy_is_read_without_numba():
         f"from rover_ncp.circuit.policy_file import load_policy\nload_policy({str(GOLDEN / 'parking.bnn')!r})"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("stem", "name"),
+    [
+        ("my circuit", "my-circuit"),
+        ("größe", "groe"),
+        ("bi\u202edi", "bidi"),
+        ("x" * 100, "x" * 64),
+        ("日本", "circuit"),
+        ("-..+", "circuit"),
+        ("new\nline", "new-line"),
+        ("\udcff", "circuit"),
+        ("v1.2_a+b-c", "v1.2_a+b-c"),
+    ],
+)
+def test_policy_of_any_bnn_file_is_read_from_what_is_written(tmp_path, stem, name):
+    path = tmp_path / f"{stem}.bnn"
+    shutil.copy(GOLDEN / "parking.bnn", path)
+    policy = load_policy(path)
+    assert policy.circuit.name == load_circuit(path).name == name
+    assert policy_from_yaml(policy_to_yaml(policy), "again").circuit.name == name
+
+
+@pytest.mark.parametrize("name", ["", "a b", "ä", "x" * 65, "\u202ea", "*/", "-a", "1\n"])
+def test_name_that_no_file_can_hold_is_refused_where_it_is_made(name):
+    circuit = load_circuit("parking")
+    with pytest.raises(ConfigError, match="expected letters, digits"):
+        replace(circuit, name=name)
+    with pytest.raises(ConfigError, match="expected letters, digits"):
+        replace(circuit, neurons=(name, *circuit.neurons[1:]))
+
+
+def test_text_that_is_not_utf_8_does_not_stop_a_file():
+    assert yaml.safe_load(dump_yaml({"from": "a\udcff"})) == {"from": "a\ufffd"}

@@ -2,6 +2,9 @@ import math
 import os
 import struct
 import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal
 
 import pytest
 from hypothesis import given
@@ -34,43 +37,22 @@ def test_every_problem_is_reported_at_once_with_its_path():
         "$.wheels[0].radius_m",
         "got -1",
         "$.wheels[1].name: this key is missing",
-        "$.spede: unknown key; did you mean speed?",
+        "$.spede: unknown key",
         "$.speed",
     ]:
         assert part in message
     assert len(caught.value.problems) == 4
 
 
-def test_one_typo_in_many_items_is_one_clause():
-    wheels = "\n".join("- {radius_mm: 0.1, name: left}" for _ in range(8))
+def test_many_problems_are_counted():
+    wheels = "\n".join("- {radius_mm: 0.1, name: left}" for _ in range(50))
     with pytest.raises(ConfigError) as caught:
         parse_yaml(f"wheels:\n{wheels}", Base, "base.yaml")
-    assert caught.value.problems == (
-        "$.wheels[0].radius_mm: unknown key; did you mean radius_m? (also in 7 other items)",
+    assert caught.value.problems[:2] == (
+        "$.wheels[0].radius_m: this key is missing",
+        "$.wheels[0].radius_mm: unknown key",
     )
-
-
-def test_bad_items_do_not_make_their_list_too_short():
-    class Pair(StrictModel):
-        wheels: tuple[Wheel, ...] = Field(min_length=2)
-
-    text = "wheels:\n- {radius_m: 0.1, name: left}\n- {radius_m: 0.1, label: right}\n"
-    with pytest.raises(ConfigError) as caught:
-        parse_yaml(text, Pair, "base.yaml")
-    assert caught.value.problems == ("$.wheels[1].label: unknown key; did you mean name?",)
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("wheels: [{name: x, radius: 1}]", "$.wheels[0].radius: unknown key; did you mean radius_m?"),
-        ("wheels: []\nradius_m: 1", "$.radius_m: unknown key"),  # it is one, but of a wheel
-    ],
-)
-def test_an_unknown_key_is_answered_with_a_near_one_of_the_same_place(text, expected):
-    with pytest.raises(ConfigError) as caught:
-        parse_yaml(text, Base, "base.yaml")
-    assert expected in caught.value.problems
+    assert caught.value.problems[-1] == "and 80 more"
 
 
 @pytest.mark.parametrize(
@@ -93,6 +75,47 @@ def test_bad_yaml_is_one_line_naming_source_and_place(text, expected):
     assert expected in str(caught.value)
     assert str(caught.value).startswith("x.yaml: ")
     assert "\n" not in str(caught.value)
+
+
+NO_NUMBERS = [
+    *("yes", "no", "on", "true", "null", "~", '"1.5"', "'1'", "one", "1m", "[1]", "{}"),
+    *("1:30", "1:30.5", "0b1", "0x1", "010", "1_000", "1e", "2001-01-01", ".nan", ".inf", "-.INF", "1e999"),
+]
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS)
+@pytest.mark.parametrize("key", ["speed", "count", "size", "sides[1]", "by_name.a", "format", "pair[0]"])
+def test_only_a_number_is_a_number(key, value):
+    class Numbers(StrictModel):
+        speed: float = Field(default=1.0, gt=0)
+        count: int = 1
+        size: Annotated[float, Field(gt=0)] | tuple[float, float] = 1.0
+        sides: tuple[float, ...] = ()
+        by_name: Mapping[str, float] = Field(default_factory=dict)
+        format: Literal[1] = 1
+        pair: tuple[int, float] = (1, 1.0)
+
+    texts = {"sides[1]": f"sides: [1, {value}]", "by_name.a": f"by_name: {{a: {value}}}"}
+    texts |= {"pair[0]": f"pair: [{value}, 1]"}
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(texts.get(key, f"{key}: {value}"), Numbers, "x.yaml")
+    assert all(problem.startswith(f"$.{key}") for problem in caught.value.problems)
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [("1", 1.0), ("-0.5", -0.5), (".5", 0.5), ("5.", 5.0), ("1e-3", 1e-3), ("+2E6", 2e6), ("1.5e3", 1.5e3)],
+)
+def test_numbers_in_decimals_are_read(text, number):
+    assert parse_yaml(f"wheels: []\nspeed: {text}", Base, "x.yaml").speed == number
+
+
+@given(st.text(st.sampled_from("0123456789eE.:-+_xobn"), min_size=1))
+def test_names_that_look_like_numbers_survive_yaml(name):
+    class Named(StrictModel):
+        name: str
+
+    assert parse_yaml(dump_yaml({"name": name}), Named, "x").name == name
 
 
 def test_yaml_that_stands_for_more_than_memory_holds_is_one_line_too():
@@ -131,6 +154,14 @@ def test_unreadable_and_empty_files_name_their_path(tmp_path):
         with pytest.raises(FileError, match=expected) as caught:
             load_yaml(tmp_path / name, Base)
         assert str(tmp_path / name) in str(caught.value)
+
+
+def test_file_that_is_too_large_is_one_line(tmp_path):
+    with (tmp_path / "huge.yaml").open("wb") as file:
+        file.truncate(1 << 40)
+    for path in (tmp_path / "huge.yaml", Path("/dev/zero")):
+        with pytest.raises(FileError, match="the limit of such a file"):
+            load_yaml(path, Base)
 
 
 def test_names_resolve_to_shipped_files_and_paths_to_themselves(tmp_path):

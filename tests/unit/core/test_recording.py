@@ -1,16 +1,31 @@
 import io
 import struct
 import time
+import tracemalloc
 
+import lz4.frame
 import pytest
+import yaml
+import zstandard
+from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
+from mcap.records import Chunk
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
+from rover_ncp.core import mcap_records, recording
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.messages import odometry, pose_stamped, text
-from rover_ncp.core.recording import Recorded, RecordingWriter, header_stamp_ns, read_recording, rewrite
+from rover_ncp.core.mcap_records import MAGIC, RECORD_LIMIT
+from rover_ncp.core.messages import Transform, odometry, pose_stamped, text, transforms
+from rover_ncp.core.recording import (
+    Recorded,
+    RecordingWriter,
+    header_stamp_ns,
+    read_recording,
+    recover,
+    rewrite,
+)
 
 T0 = 1_700_000_000_000_000_000
 POLICY = b"format: 1\n" * 50
@@ -44,14 +59,14 @@ def written(tmp_path):
 
 
 def test_written_messages_are_read(written):
-    recording = read_recording(written)
-    assert recording.complete
-    assert recording.attachment("policy.yaml") == POLICY
-    assert recording.metadata["run"] == {"driver": "ab"}
-    assert recording.topic("odom") == [odom(number) for number in range(40)]
-    assert recording.topic("rover/status") == [status(number) for number in range(40)]
+    found = read_recording(written)
+    assert found.complete
+    assert found.attachment("policy.yaml") == POLICY
+    assert found.metadata["run"] == {"driver": "ab"}
+    assert found.topic("odom") == [odom(number) for number in range(40)]
+    assert found.topic("rover/status") == [status(number) for number in range(40)]
     with pytest.raises(FileError, match=r"no attachment course.yaml \(it has: policy.yaml\)"):
-        recording.attachment("course.yaml")
+        found.attachment("course.yaml")
 
 
 def test_recovery_keeps_messages_of_other_software_as_bytes(tmp_path):
@@ -150,27 +165,51 @@ def test_flushed_messages_are_on_the_disk_before_the_end(tmp_path):
     for number in range(5):
         writer.write(odom(number))
     writer.flush()
-    recording = read_recording(tmp_path / "a.mcap")
-    assert len(recording.messages) == 5
-    assert recording.attachment("policy.yaml") == POLICY
+    found = read_recording(tmp_path / "a.mcap")
+    assert len(found.messages) == 5
+    assert found.attachment("policy.yaml") == POLICY
     writer.abandon()
 
 
-def test_a_damaged_file_is_refused_with_its_name_or_read_to_the_damage(written, tmp_path):
+def test_a_damaged_file_is_read_up_to_the_damage(written, tmp_path, caplog):
     content, whole = written.read_bytes(), read_recording(written)
     damaged = tmp_path / "damaged.mcap"
-    refused = 0
-    for where in range(0, len(content), 53):
+    kept = set()
+    for where in range(len(MAGIC) + 40, len(content), 53):
         damaged.write_bytes(content[:where] + bytes([content[where] ^ 0x10]) + content[where + 1 :])
-        try:
-            part = read_recording(damaged)
-        except FileError as error:
-            assert "damaged.mcap" in str(error)
-            refused += 1
-        else:
-            # Data with a checksum is never read wrong: topics and bytes are those that were written.
-            assert {message.data for message in part.messages} <= {message.data for message in whole.messages}
-    assert refused > 20
+        caplog.clear()
+        part = read_recording(damaged)
+        # Data with a checksum is never read wrong: topics and bytes are those that were written.
+        assert {message.data for message in part.messages} <= {message.data for message in whole.messages}
+        assert len(caplog.messages) == (not part.complete)
+        assert all(str(damaged) in line and "\n" not in line for line in caplog.messages)
+        kept.add(len(part.messages))
+    assert kept >= {0, 20, 40, 60, 80}
+
+
+@pytest.mark.parametrize("tail", [b"\0" * 100_000, b"\xff" * 4000, b"garbage", MAGIC])
+@pytest.mark.parametrize("whole", [True, False])
+def test_garbage_at_the_end_costs_no_message_before_it(written, tmp_path, tail, whole):
+    content = written.read_bytes()
+    if not whole:
+        content = content[: content.rindex(b"nav_msgs/msg/Odometry") - 40]  # the index is lost
+    path = tmp_path / "tail.mcap"
+    path.write_bytes(content + tail)
+    assert read_recording(path).messages == read_recording(written).messages
+    found = recover(path, path)
+    assert (found.messages, bool(found.damage)) == (80, True)
+    with path.open("rb") as file:  # viewers find the index at the end
+        assert make_reader(file).get_summary().statistics.message_count == 80
+    assert not recover(path, path).damage
+
+
+def test_damaged_attachment_is_not_used(written, tmp_path):
+    content = written.read_bytes()
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(content.replace(POLICY, POLICY.replace(b"1", b"2", 1)))
+    part = read_recording(path)
+    assert not part.attachments
+    assert "checksum of an attachment" in part.damage
 
 
 @pytest.mark.parametrize(
@@ -180,7 +219,7 @@ def test_a_damaged_file_is_refused_with_its_name_or_read_to_the_damage(written, 
         (b"hello, this is text", "not an MCAP recording"),
         (b"\x89MCAP0\r\n", "cut off before its first record"),
         (b"\x89MCAP0\r\n" + b"\x01" + struct.pack("<Q", 1 << 60), "damaged before byte"),
-        (b"\x89MCAP0\r\n" + b"\x01" + struct.pack("<Q", 4) + b"\xff\xff\xff\x7f", "cut off"),
+        (b"\x89MCAP0\r\n" + b"\x01" + struct.pack("<Q", 4) + b"\xff\xff\xff\x7f", "damaged before byte"),
     ],
 )
 def test_file_that_is_no_recording_is_a_one_line_error(tmp_path, content, message):
@@ -235,3 +274,87 @@ def test_rewriting_makes_a_cut_off_file_whole_and_adds_a_topic_in_order(written,
     assert max(times) < before
     with cut.open("rb") as file:
         assert make_reader(file).get_summary().statistics.message_count == len(copy.messages)
+
+
+def chunked(path, *chunks):
+    """Write a recording of chunks: the size that each names, its compression, and its packed bytes."""
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        channel = writer.register_channel("a", "", 0)
+        writer.add_message(channel, 1, b"first", 1)
+        for size, compression, data in chunks:
+            builder = RecordBuilder()
+            Chunk(compression, data, 0, 0, 0, size).write(builder)
+            file.write(builder.end())
+    return path
+
+
+@pytest.mark.parametrize(("compression", "pack"), [("zstd", zstandard.compress), ("lz4", lz4.frame.compress)])
+def test_unpacked_size_has_a_limit_that_is_named(tmp_path, compression, pack):
+    bomb = pack(bytes(RECORD_LIMIT + 1))
+    assert len(bomb) < RECORD_LIMIT / 100
+    path = chunked(tmp_path / "bomb.mcap", (RECORD_LIMIT + 1, compression, bomb))
+    for read in (read_recording, lambda path: recover(path, tmp_path / "out.mcap")):
+        with pytest.raises(FileError, match=rf"bomb\.mcap: .*at most {RECORD_LIMIT} bytes are read"):
+            read(path)
+    assert not (tmp_path / "out.mcap").exists()
+    part = read_recording(chunked(path, (1000, compression, bomb)))  # it names another size
+    assert [message.data for message in part.messages] == [b"first"]
+    assert "size that it names" in part.damage
+
+
+def test_many_chunks_that_unpack_to_more_than_memory_are_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(mcap_records, "UNPACKED_LIMIT", 10_000_000)
+    one = 1_000_000, "zstd", zstandard.compress(b"\x80" + struct.pack("<Q", 999_991) + bytes(999_991))
+    with pytest.raises(FileError, match="more than 10000000 bytes, unpacked"):
+        read_recording(chunked(tmp_path / "many.mcap", *[one] * 20))
+
+
+def test_messages_kept_in_memory_have_a_limit_that_is_named(written, monkeypatch):
+    monkeypatch.setattr(recording, "MEMORY_LIMIT", 1 << 15)
+    with pytest.raises(FileError, match="holds more than the limit of"):
+        read_recording(written)
+    assert len(read_recording(written, topics={"rover/status"}).messages) == 40
+
+
+def test_memory_of_recovery_does_not_grow_with_the_recording(tmp_path):
+    peaks = []
+    for count in (4_000, 12_000):
+        path = tmp_path / f"{count}.mcap"
+        with RecordingWriter(path) as writer:
+            for number in range(count):
+                writer.write(odom(number))
+        tracemalloc.start()
+        recover(path, tmp_path / "copy.mcap")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 1_000_000
+
+
+def test_late_listeners_of_a_replayed_recording_receive_latched_topics(tmp_path):
+    transform = Transform("base_link", "laser", 0.1, 0.0, 0.2, 0.0)
+    static = Recorded("tf_static", "tf2_msgs/msg/TFMessage", transforms([transform], T0), T0, T0)
+    path = tmp_path / "run.mcap"
+    with RecordingWriter(path) as writer:
+        for message in (odom(0), static, odom(1), static):
+            writer.write(message)
+    with AnyReader([path]) as reader:
+        (profile,) = next(c for c in reader.connections if c.topic == "tf_static").ext.offered_qos_profiles
+        (plain,) = [c for c in reader.connections if c.topic == "odom"]
+    assert profile.durability.name == "TRANSIENT_LOCAL"
+    assert profile.reliability.name == "RELIABLE"
+    assert (profile.history.name, profile.depth) == ("KEEP_LAST", 1)
+    assert not plain.ext.offered_qos_profiles
+    # rosbag2 reads the numbers of the profile only beside a record of its name without newer metadata.
+    found = read_recording(path)
+    assert found.metadata == {"rosbag2": {"serialized_metadata": ""}}
+    qos = dict(found.topic("tf_static")[0].layout.metadata)["offered_qos_profiles"]
+    (fields,) = yaml.safe_load(qos)
+    assert fields.pop("avoid_ros_namespace_conventions") is False
+    assert all(isinstance(value, int | dict) for value in fields.values())
+    recover(path, tmp_path / "copy.mcap")
+    assert (
+        read_recording(tmp_path / "copy.mcap").topic("tf_static")[0].layout
+        == found.topic("tf_static")[0].layout
+    )

@@ -109,6 +109,19 @@ def test_an_angle_in_degrees_is_the_only_problem_of_its_file(tmp_path):
         ("a.csv", "x,y,theta\n1,2,3\n", FileError, "two poses at least, got 1"),
         ("a.yaml", "poses:\n- {x: 1, y: 2, theta: 3}\n", ConfigError, r"\$\.poses"),
         ("a.yaml", "poses: [[1, 2, 3], [1, 2, 3]]\n", ConfigError, r"\$\.poses\[0\]"),
+        ("a.csv", "X;Y;T\n1;2;3\n", FileError, r"lacks x, y, theta .*got 'X, Y, T'"),
+        (
+            "a.csv",
+            "x;y;theta\n1,5;2;0\n2;2;0\n",
+            FileError,
+            "line 2: .*got '1,5, 2, 0'; write a decimal point",
+        ),
+        ("a.csv", "x,y,theta\n1_0,2,0\n", FileError, "line 2: expected three numbers, got '1_0'"),
+        ("a.csv", "x,y,theta\n١,2,0\n", FileError, "line 2: expected three numbers"),
+        ("a.csv", "x,y,theta\n0,0,0\n1,\0,0\n", FileError, "line 3"),
+        ("a.csv", f"x,y,theta\n{'1' * 200_000},0,0\n", FileError, "line 2: no CSV: field larger"),
+        ("a.csv", '"x,y,theta\n1,2,3\n', FileError, "lacks x, y, theta"),
+        ("a.csv", "", FileError, "lacks x, y, theta"),
         ("a.txt", "1 2 3\n", FileError, "expected poses as"),
         ("a.mcap", "nothing", FileError, "not an MCAP recording"),
     ],
@@ -117,6 +130,26 @@ def test_a_file_that_is_no_list_of_poses_is_named(tmp_path, name, content, error
     (tmp_path / name).write_text(content)
     with pytest.raises(error, match=words):
         read_poses(tmp_path / name)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("header", ["x,y,theta", '"x","y","theta"', " x , y , theta ", "x;y;theta"])
+def test_poses_of_any_spreadsheet_are_read(tmp_path, encoding, end, header):
+    rows = f"0,0,0{end}{end}1,0.5,0.1{end}"
+    text = header + end + (rows.replace(",", ";") if ";" in header else rows)
+    (tmp_path / "poses.csv").write_bytes(text.encode(encoding))
+    assert [tuple(vars(pose).values()) for pose in read_poses(tmp_path / "poses.csv").poses] == [
+        (0.0, 0.0, 0.0),
+        (1.0, 0.5, 0.1),
+    ]
+
+
+def test_utf_16_is_named(tmp_path):
+    for name in ("poses.csv", "poses.yaml"):
+        (tmp_path / name).write_bytes("x,y,theta\n0,0,0\n".encode("utf-16"))
+        with pytest.raises(FileError, match=f"{name}: not a text file in UTF-8 but in UTF-16"):
+            read_poses(tmp_path / name)
 
 
 def test_a_recording_without_motion_or_poses_makes_no_course(tmp_path):

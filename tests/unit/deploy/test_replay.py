@@ -260,7 +260,7 @@ def test_recording_of_an_earlier_estimator_is_one_line_and_exit_code_2(recorded,
     earlier = source.attachments[CONFIG_FILE].replace(b"format: 2", b"format: 1")
     rewrite(replace(source, attachments={**source.attachments, CONFIG_FILE: earlier}), path)
     assert shell(["replay", str(path)]) == 2
-    assert "has format 1, from before the estimator changed" in capsys.readouterr().err
+    assert "deploy.yaml: $.format" in capsys.readouterr().err
 
 
 def test_what_is_no_recording_of_a_drive_is_one_line_and_exit_code_2(recorded, tmp_path, capsys):

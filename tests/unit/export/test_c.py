@@ -12,11 +12,10 @@ import pytest
 from c_policy import CCourse, CPolicy, compile_c
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ncps.wirings import Wiring
 from wirings import wirings
 
 from rover_ncp.circuit.policy import PolicyRunner
-from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
+from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.cli import run
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
@@ -154,37 +153,29 @@ def test_a_file_name_that_is_no_identifier_becomes_one(tmp_path):
     compile_c(files, tmp_path / "built", "check")
 
 
-def test_json_holds_the_policy_and_vectors_that_the_solver_reproduces():
-    policy = load_policy("course")
-    content = json.loads(exported(policy, "json", "course", load_course("parking"))["course.json"])
-    vectors = content.pop("test_vectors")
-    content.pop("constants")
-    again = PolicyRunner(policy_from_yaml(json.dumps(content), "json"))
-    for observation, command in zip(vectors["observations"], vectors["commands"], strict=True):
-        assert list(again.tick(observation)) == command
-    assert again.potentials.tolist() == vectors["potentials_mV"][-1]
-
-
-def test_the_library_ncps_reads_the_wiring_with_every_synapse_that_acts():
-    policy = load_policy("parking")
-    content = json.loads(exported(policy, "ncps", "parking", load_course("parking"))["parking_ncps.json"])
-    wiring = Wiring.from_config(content)
-    wiring.build(4)
-    units = content["unit_names"]
-    assert [name for i, name in enumerate(units) if wiring.get_type_of_neuron(i) == "motor"] == [
-        "FWD",
-        "LFT",
-        "RGT",
-    ]
-    found = {
-        (source, units[column]): sign
-        for names, matrix in (
-            (units, wiring.adjacency_matrix),
-            (content["input_names"], wiring.sensory_adjacency_matrix),
-        )
-        for source, row in zip(names, matrix.tolist(), strict=True)
-        for column, sign in enumerate(row)
-        if sign
-    }
-    labels = [policy.circuit.label(s).split(" ", 1) for s in range(policy.circuit.synapse_count)]
-    assert found == {tuple(ends.split(" -> ")): -1 if kind == "inhibitory" else 1 for kind, ends in labels}
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
+@pytest.mark.parametrize("real", [[], ["-DROVER_NCP_FLOAT"]], ids=["double", "float"])
+def test_a_program_in_cpp_links_and_runs(shipped, tmp_path, real):
+    _, name, files = shipped
+    sources = {file: text for file, text in files.items() if not file.endswith("_check.c")}
+    program = f"""#include "{name}_course.h"
+int main()
+{{
+    {name}_state state;
+    {name}_course course;
+    {name}_real observation[{name.upper()}_INPUTS], command[{name.upper()}_OUTPUTS];
+    {name}_reset(&state);
+    {name}_course_start(&course);
+    {name}_observe(&course, 0, 0, 0, observation);
+    const int result = {name}_tick(&state, observation, command);
+    {name}_course_advance(&course);
+    return result;
+}}
+"""
+    compile_c(sources, tmp_path, "policy.o", "-r", *real)
+    (tmp_path / "main.cpp").write_text(program)
+    strict = ["-std=c++11", "-Wall", "-Wextra", "-Werror", "-pedantic", *real]
+    command = ["g++", *strict, "-o", "program", "main.cpp", "policy.o", "-lm"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+    assert subprocess.run([tmp_path / "program"], timeout=10, check=False).returncode == 0

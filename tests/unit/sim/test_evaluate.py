@@ -110,12 +110,9 @@ def test_a_saved_policy_scores_as_the_policy_it_was(files, capsys):
         (["nan.bnn"], "nan.bnn"),
         (["empty.bnn"], "empty.bnn: the file is empty"),
         (["numb.bnn", "--course", "nowhere"], "nowhere: no such file, and none of the shipped courses"),
-        (
-            ["numb.bnn", "--course", "typo.yaml"],
-            "typo.yaml: $.horizon: unknown key; did you mean horizon_s?",
-        ),
+        (["numb.bnn", "--course", "typo.yaml"], "$.horizon: unknown key"),
         (["numb.bnn", "--course", "blocked.yaml"], "course stay: an obstacle stands where the rover starts"),
-        (["stay.yaml"], "stay.yaml: looks like a course, expected a policy"),
+        (["stay.yaml"], "stay.yaml: $.circuit: this key is missing"),
         ([], "Missing argument"),
     ],
 )

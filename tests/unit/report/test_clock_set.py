@@ -1,0 +1,159 @@
+"""The wall clock of a driver is set during its drive: each tool shows the same drive as without that."""
+
+import functools
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded_drives import BEGAN_NS, TICK_NS, drive_messages
+
+from deploy.drive.config import COURSE_FILE, POLICY_FILE
+from deploy.report.page.page_data import columns
+from deploy.report.recorded_drive import facts, read_drive
+from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
+from rover_ncp.core import messages
+from rover_ncp.core.arrays import read_arrays
+from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.geometry import Pose
+from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording, recover, rewrite
+from rover_ncp.core.recording_time import TICKS_TOPIC, steady
+from rover_ncp.course.course import load_course
+from sim.live.truth import TrueState, judge_truth, recorded_truth
+
+SHORT = "tests/data/short_course.yaml"
+HOUR_NS = 3600 * 10**9
+BOOT_NS = 5_000_000_000_000
+"""Monotonic clock at the first tick."""
+SET_AT = 21
+
+
+@functools.cache
+def driven():
+    """A drive's messages with the records of its ticks, and the rollout."""
+    policy, course = load_policy("parking"), load_course(SHORT)
+    told, run = drive_messages(policy, course, truth=False)
+    ticks = []
+    for k in range(len(run.commands)):
+        ns = BEGAN_NS + k * TICK_NS
+        record = {"index": k, "predicted": False, "now_ns": BOOT_NS + k * TICK_NS, "wall_ns": ns}
+        ticks.append(Recorded(TICKS_TOPIC, "std_msgs/msg/String", messages.text(json.dumps(record)), ns, ns))
+    return policy, course, run, sorted([*ticks, *told], key=lambda message: message.log_ns)
+
+
+def clock_set(told, by_ns, since_ns, log=True):
+    """Return the messages with stamps that change by ``by_ns`` from a moment on."""
+    found = []
+    for message in told:
+        data = message.data
+        if message.topic == TICKS_TOPIC and message.publish_ns >= since_ns:
+            record = json.loads(messages.read_text(data))
+            record["wall_ns"] += by_ns
+            data = messages.text(json.dumps(record))
+        log_ns, publish_ns = (
+            moment + by_ns * (moment >= since_ns) for moment in (message.log_ns, message.publish_ns)
+        )
+        log_ns = log_ns if log else message.log_ns
+        found.append(replace(message, data=data, log_ns=log_ns, publish_ns=publish_ns))
+    return found
+
+
+def write(path, policy, course, told):
+    with RecordingWriter(path) as writer:
+        writer.attach(POLICY_FILE, policy_to_yaml(policy).encode())
+        writer.attach(COURSE_FILE, dump_yaml(course.model_dump(mode="json")).encode())
+        for message in told:
+            writer.write(message)
+    return path
+
+
+SETTINGS = [
+    pytest.param(by_ns, at, id=f"{by_ns / 1e9:+g} s at {at}")
+    for by_ns in (-HOUR_NS, HOUR_NS, -3 * 10**9, 2 * 10**9, -(10**9), 20 * 365 * 24 * HOUR_NS)
+    for at in (0.5, SET_AT + 0.01, SET_AT + 0.5, 38.97)
+]
+
+
+@pytest.mark.parametrize(("by_ns", "at"), SETTINGS)
+@pytest.mark.parametrize("log", [True, False], ids=["log times set", "log times steady"])
+def test_clock_that_is_set_in_a_drive_changes_no_time_of_its_report(tmp_path, by_ns, at, log):
+    policy, course, run, told = driven()
+    since_ns = BEGAN_NS + round(at * TICK_NS)
+    drive = read_drive(write(tmp_path / "set.mcap", policy, course, clock_set(told, by_ns, since_ns, log)))
+    usual = read_drive(write(tmp_path / "usual.mcap", policy, course, told))
+    trace = drive.timeline.trace()
+    assert trace.times == pytest.approx(run.times[:-1])
+    assert drive.timeline.judge() == usual.timeline.judge()
+    assert dict(facts(drive.timeline)) == dict(facts(usual.timeline))
+    rows = dict.fromkeys(drive.timeline.streams, 0)
+    for name, stream in columns(drive.timeline, rows).items():
+        expected = columns(usual.timeline, rows)[name].get("t", [])
+        assert stream.get("t", []) == pytest.approx(expected, abs=0.1), name
+    events, expected = drive.timeline.events, usual.timeline.events
+    assert [event[1:] for event in events] == [event[1:] for event in expected]
+    times = [[(e.wall_ns - BEGAN_NS) * 1e-9 for e in found] for found in (events, expected)]
+    assert times[0] == pytest.approx(times[1], abs=0.2)
+
+
+@pytest.mark.parametrize("by_ns", [-HOUR_NS, HOUR_NS])
+def test_clock_that_is_set_changes_neither_arrays_nor_the_duration_of_recovery(tmp_path, by_ns):
+    policy, course, _, told = driven()
+    path = write(
+        tmp_path / "set.mcap", policy, course, clock_set(told, by_ns, BEGAN_NS + round(SET_AT * TICK_NS))
+    )
+    usual = write(tmp_path / "usual.mcap", policy, course, told)
+    for topic, rows in read_arrays(usual).items():
+        assert read_arrays(path)[topic]["t"] == pytest.approx(rows["t"], abs=0.02), topic
+    before = read_recording(path).messages
+    content = path.read_bytes()
+    path.write_bytes(content[: content.rindex(b"nav_msgs/msg/Odometry") - 200])
+    found = recover(path, path)
+    assert found.seconds == pytest.approx(recover(usual, usual).seconds, abs=0.2)
+    assert read_recording(path).messages == before[: found.messages]
+
+
+@pytest.mark.parametrize("by_ns", [-HOUR_NS, HOUR_NS])
+def test_truth_is_judged_and_merged_by_the_steady_clock(tmp_path, by_ns):
+    policy, course, run, told = driven()
+    since_ns = BEGAN_NS + round((SET_AT + 0.5) * TICK_NS)
+    states = []
+    for k in range(10 * len(run.poses)):
+        ns = BEGAN_NS - TICK_NS + k * TICK_NS // 10
+        pose = Pose(*run.poses[min(max(0, k // 10 - 1), len(run.poses) - 1)])
+        wall_ns = ns + by_ns * (ns >= since_ns)
+        states.append(TrueState(ns - BEGAN_NS + BOOT_NS, wall_ns, pose, None, False))
+    path = write(tmp_path / "set.mcap", policy, course, clock_set(told, by_ns, since_ns))
+    rewrite(read_recording(path), path, recorded_truth(states))
+    drive = read_drive(path)
+    began_ns = drive.timeline.ticks[0].wall_ns
+    assert [(m.wall_ns - began_ns) * 1e-9 for m in drive.timeline.truth] == pytest.approx(
+        0.01 * np.arange(len(states)) - 0.1
+    )
+    judged, shown = judge_truth(course, states, began_ns), drive.timeline.judge()["true"]
+    assert judged.error_m == pytest.approx(shown.error_m)
+    assert judged.error_m == pytest.approx(run.verdict.error_m, abs=0.02)
+    assert judged.reason == shown.reason
+
+
+def test_clock_set_back_without_ticks_leaves_the_order_of_the_file():
+    _, _, _, told = driven()
+    plain = [message for message in told if message.topic == "odom"]
+    times = [message.log_ns for message in steady(clock_set(plain, -HOUR_NS, BEGAN_NS + 10**9))]
+    usual = [message.log_ns for message in plain]
+    assert np.array(times) - times[0] == pytest.approx(np.array(usual) - usual[0], abs=1.5 * TICK_NS)
+    assert times == sorted(times)
+
+
+def test_message_that_is_dated_at_the_start_moves_no_other():
+    _, _, _, told = driven()
+    path = Recorded("deploy/path", "nav_msgs/msg/Path", b"", told[0].log_ns, told[0].log_ns)
+    assert [m.log_ns for m in steady([*told[:-1], path, told[-1]])][-1] == told[-1].log_ns
+
+
+@pytest.mark.parametrize("value", [True, "1", None, -1, 1 << 70, 1.5, [1]])
+def test_tick_record_of_strangers_moves_no_message(value):
+    _, _, _, told = driven()
+    record = messages.text(json.dumps({"now_ns": value, "wall_ns": BEGAN_NS}))
+    own = [message for message in told if message.topic != TICKS_TOPIC]
+    ticks = [Recorded(TICKS_TOPIC, "std_msgs/msg/String", record, m.log_ns, m.log_ns) for m in own]
+    assert list(steady(ticks)) == ticks

@@ -16,6 +16,7 @@ from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import Clock
+from rover_ncp.core.protocol import UNNAMED, GateStatus, in_words
 from rover_ncp.course.course import TICK_S
 
 POLL_S = 0.002
@@ -132,7 +133,7 @@ class SafetyMonitor:
         if gate.lease == lease.number:
             self._lease_confirmed = True
         elif self._lease_confirmed:
-            raise SafetyStop(gate.ended or "lease", "the gate revoked the lease")
+            raise revoked(gate)
         elif now_ns - granted_ns > self._timeouts.lease_wait_s * NS:
             raise SafetyStop("lease", "the gate does not confirm the lease")
         lease.check(gate, now_ns)
@@ -146,8 +147,15 @@ class SafetyMonitor:
             raise SafetyStop("command", f"the circuit's command is not finite: {command}")
         if missing := self._response.tick(command, motion):
             gate = self._link.gate
-            held = f" (the gate reports: {gate.held})" if gate.held else ""
+            held = f" (the gate reports {in_words(gate.held)})" if gate.held else ""
             raise SafetyStop("no-response", f"the rover drove {missing}{held}")
+
+
+def revoked(gate: GateStatus) -> SafetyStop:
+    """Return the stop of a driver whose lease the gate revoked; it names who did and why."""
+    if gate.ended == "stopped":
+        return SafetyStop(gate.ended, by=gate.ended_detail or UNNAMED)
+    return SafetyStop(gate.ended or "lease", gate.ended_detail or "the gate revoked the lease")
 
 
 class ResponseCheck:

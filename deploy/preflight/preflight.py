@@ -232,7 +232,8 @@ class Preflight:
         gate = self._link.gate
         words = []
         if reason := gate.held or gate.ended:
-            words.append(f"the gate stopped the robot: {reason}")
+            detail = f" ({gate.ended_detail})" if gate.ended_detail else ""
+            words.append(f"the gate stopped the robot: {reason}{detail}")
         for what, old, new in (
             ("stopped the robot for a moment", before.stops, gate.stops),
             ("dropped commands", before.dropped, gate.dropped),

@@ -261,7 +261,7 @@ def _gate_news(before: GateStatus, now: GateStatus) -> Iterator[tuple[str, str]]
     if before.held and not now.held and before.accepted:
         yield "gate", "the gate passes commands again"
     if now.ended and now.ended != before.ended:
-        yield "stop", f"the gate revoked the lease, {now.ended}"
+        yield "stop", f"the gate revoked the lease, {now.ended}{_because(now.ended_detail)}"
     for verb, then, counts in (
         ("dropped", before.dropped, now.dropped),
         ("limited", before.limited, now.limited),

@@ -27,6 +27,7 @@ from rover_ncp.core.console import Output, printable
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.core.process import Interrupts
+from rover_ncp.core.protocol import in_words
 
 PERIOD_S = 0.05
 LONGEST_LOOP_S = 0.25
@@ -52,7 +53,7 @@ class Teleop:
     def progress(self) -> str:
         """One line for people; another thread may read it."""
         v, omega = self._command
-        held = f"  held by {self._link.gate.held}" if self._link.gate.held else ""
+        held = f"  held by {in_words(self._link.gate.held)}" if self._link.gate.held else ""
         newest = self._measurements.newest
         where = "  x {:.2f} m  y {:.2f} m  θ {:.2f} rad".format(*newest.sample.pose) if newest else ""
         return printable(f"{v:+.2f} m/s  {omega:+.2f} rad/s{where}{held}")

@@ -6,7 +6,7 @@ The values of the configuration are measured; see the comments beside them.
 import json
 import re
 import socket
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -86,6 +86,29 @@ class ZenohClient(ClosedAtExit):
     def key(self, name: str) -> str:
         """Return the key expression of a row of the table, with the namespace."""
         return key(self.address.namespace, name)
+
+    def bridge_answer(self, replies: Iterable[zenoh.Reply]) -> bytes | None:
+        """Return the bridge's answer to a query; None if no queryable takes it.
+
+        The bridge is the process that this session is connected to: other answers are ignored. Behind a
+        router it cannot be distinguished from other peers, and has to be the only one that answers. Raises
+        NoBridge for several answers, for none in time, and for a refusal. Needs replies without
+        consolidation.
+        """
+        connected, others = self._session.info.routers_zid(), []
+        for reply in replies:
+            if reply.replier_id is not None and reply.replier_id.zid in connected:
+                others = [reply]
+                break
+            others.append(reply)
+        answers = [reply.ok for reply in others if reply.ok is not None]
+        if len(answers) > 1:
+            raise NoBridge(f"{len(answers)} peers at {self.robot} answer as a bridge, expected one")
+        if answers:
+            return answers[0].payload.to_bytes()
+        if others:
+            raise NoBridge(f"the bridge at {self.robot} does not answer in time")
+        return None
 
     def _declare(self) -> None:
         """Declare what a subclass sends, before the first message arrives."""

@@ -120,7 +120,8 @@ class ZenohLink(ZenohClient):
                 raise OtherVersion(words)
             if reply.reason == ANOTHER_DRIVER:
                 raise AnotherDriver(words)
-            raise SafetyStop(reply.reason or "gate", words)
+            by = "a stop that is not released" if reply.reason == "stopped" else ""
+            raise SafetyStop(reply.reason or "gate", words, by=by)
         if not self.lease.number:
             raise NoBridge(f"the bridge at {self.robot} grants the motors without a key")
         if round_trip_s > ROUND_TRIP_S:
@@ -175,10 +176,17 @@ class ZenohLink(ZenohClient):
         payload = dump_json(BaseRequest(measure=measure, sent_ns=now_ns))
         if self.lease.number:
             tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
-        for reply in self._session.get(where, payload=payload, attachment=tag, timeout=QUERY_TIMEOUT_S):
-            with contextlib.suppress(FormatError):
-                if reply.ok is not None:
-                    return parse_json(BaseReply, reply.ok.payload.to_bytes())
+        replies = self._session.get(
+            where,
+            payload=payload,
+            attachment=tag,
+            timeout=QUERY_TIMEOUT_S,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+        with contextlib.suppress(FormatError, NoBridge):
+            answer = self.bridge_answer(replies)
+            if answer is not None:
+                return parse_json(BaseReply, answer)
         return None
 
     def other_model(self, robot: RobotDescription) -> str:

@@ -150,8 +150,8 @@ def watch(
 
     The page is that of 'rover-ncp report', updated ten times a second: path, circuit, commands, events. Its
     Stop button stops the rover until released. The page shows whether this user may stop the rover. Only
-    this machine can open the page. It is ready when it prints "watching at ADDRESS". Ctrl-C ends it and does
-    not affect the rover.
+    this machine can open the page; the page shows the SSH command by which another device opens it. It is
+    ready when it prints "watching at ADDRESS". Ctrl-C ends it and does not affect the rover.
     """
     from deploy.watch.server import run
     from deploy.zenoh_client import BridgeAddress

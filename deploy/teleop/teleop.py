@@ -19,7 +19,7 @@ from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.recorder import Recorder
-from deploy.teleop.keyboard import HELP, STANDSTILL, Keyboard, Press, presses
+from deploy.teleop.keyboard import HELP, STANDSTILL, Keyboard, KeyReader, Press
 from deploy.teleop.terminal import Terminal
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
@@ -43,6 +43,7 @@ class Teleop:
         self._measurements = Measurements(link)
         self._monitor = SafetyMonitor(link, self._measurements, interrupted)
         self.keyboard = Keyboard()
+        self._reader = KeyReader()
         self.seconds = self.driven_m = self.turned_rad = 0.0
         """Duration, and motion by odometry."""
         self.commands = 0
@@ -88,7 +89,7 @@ class Teleop:
             read = now
             if text is None:
                 return
-            for key in presses(text):
+            for key in self._reader.keys(text):
                 if key is Press.QUIT:
                     return
                 self.keyboard.press(key, now)

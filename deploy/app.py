@@ -151,6 +151,7 @@ def _result(drive: Drive, config: DriveConfig) -> dict[str, Any]:
         "state": drive.phase.value,  #: in which the drive ended
         "reason": drive.reason,  #: in words
         "stopped_by": drive.stop.rule if drive.stop else None,  #: the safety rule
+        "contact": drive.contact or None,  #: that the base reported: a pressed bumper or a stall
         #: in 95 % of drives, by the filter's covariance, if no external pose comes after the start
         "predicted_error_m": drive.predicted_error_m,
         "estimate_error_m": verdict.error_m if verdict else None,  #: of the estimate to the goal, at the end

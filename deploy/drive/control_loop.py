@@ -91,6 +91,11 @@ class Drive:
         """From the arrival of odometry to its command on the wire."""
 
     @property
+    def contact(self) -> str:
+        """The contact that the base reported during the drive, in words."""
+        return self._monitor.contact
+
+    @property
     def progress(self) -> str:
         """One line for people; another thread may read it."""
         keeper, newest = self.keeper, self.measurements.newest
@@ -142,7 +147,7 @@ class Drive:
         except KeyboardInterrupt:
             self._enter(Phase.ENDED, "interrupted")
         else:
-            self.verdict = self._controller.verdict()
+            self.verdict = self._controller.verdict().with_contact(self._monitor.contact)
             self._enter(Phase.PARKED if self.verdict.parked else Phase.ENDED, self.verdict.reason)
         self._publisher.finish()
 

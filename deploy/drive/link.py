@@ -28,6 +28,10 @@ class Link(MeasurementSource, Protocol):
         """The newest gate status."""
 
     @property
+    def bumped(self) -> int:
+        """How many messages so far reported a pressed bumper."""
+
+    @property
     def lease(self) -> DriverLease:
         """The driver's lease."""
 

@@ -16,7 +16,7 @@ from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import Clock
-from rover_ncp.core.protocol import UNNAMED, GateStatus, in_words
+from rover_ncp.core.protocol import REASONS, UNNAMED, GateStatus, in_words
 from rover_ncp.course.course import TICK_S
 
 POLL_S = 0.002
@@ -58,6 +58,9 @@ class SafetyMonitor:
         self._interrupted, self._clock = interrupted, clock
         self._timeouts = timeouts or Timeouts()
         self._granted_ns: int | None = None
+        self._granted_gate, self._granted_bumped = GateStatus(), 0
+        self.contact = ""
+        """The contact that the base reported since the lease was granted, in words."""
         self._lease_confirmed = False
         self._response = ResponseCheck()
         self._checked_ns: int | None = None
@@ -99,6 +102,7 @@ class SafetyMonitor:
     def granted(self) -> None:
         """Note that the lease is ours from now on; the gate has a limited time to confirm it."""
         self._granted_ns = self._checked_ns = self._clock.monotonic_ns()
+        self._granted_gate, self._granted_bumped = self._link.gate, self._link.bumped
 
     def check(self) -> None:
         """Check bridge, age of odometry and lease. Raises SafetyStop or KeyboardInterrupt."""
@@ -132,6 +136,8 @@ class SafetyMonitor:
         gate, lease, now_ns = self._link.gate, self._link.lease, self._clock.monotonic_ns()
         if gate.lease == lease.number:
             self._lease_confirmed = True
+            bumped = REASONS["bumper"] if self._link.bumped > self._granted_bumped else ""
+            self.contact = self.contact or gate.contact_since(self._granted_gate) or bumped
         elif self._lease_confirmed:
             raise revoked(gate)
         elif now_ns - granted_ns > self._timeouts.lease_wait_s * NS:

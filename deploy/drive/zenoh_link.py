@@ -24,7 +24,7 @@ from rover_ncp.core.errors import (
 )
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, spec
-from rover_ncp.core.messages import read_text, twist_stamped
+from rover_ncp.core.messages import read_bumpers, read_text, twist_stamped
 from rover_ncp.core.protocol import (
     PROTOCOL,
     VERSION_REASON,
@@ -62,12 +62,14 @@ class ZenohLink(ZenohClient):
         self.gyro = Inbox()
         self.poses = Inbox()
         self.gate = GateStatus()
+        self.bumped = 0
         self._token: Any = None
         self._takers: dict[str, Callable[[Arrival], None]] = {
             "odom": self.odometry.put,
             "imu": self.gyro.put,
             "pose": self.poses.put,
             "rover/gate": self._update_gate,
+            "bumpers": self._count_bumps,
         }
         super().__init__(address, self._take, own=_OWN)
 
@@ -245,3 +247,7 @@ class ZenohLink(ZenohClient):
         # An unreadable status is ignored: the previous one stays valid.
         with contextlib.suppress(FormatError):
             self.gate = parse_json(GateStatus, read_text(arrival.data))
+
+    def _count_bumps(self, arrival: Arrival) -> None:
+        with contextlib.suppress(FormatError):
+            self.bumped += read_bumpers(arrival.data)

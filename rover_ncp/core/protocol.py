@@ -238,6 +238,8 @@ REASONS = {
 }
 """The gate's reasons in words."""
 UNNAMED = "a client that gave no name"
+CONTACTS = frozenset({"bumper", "stall"})
+"""The reasons that report that the rover touched something."""
 
 
 def in_words(reason: str) -> str:
@@ -270,6 +272,15 @@ class GateStatus(StrictModel):
     dropped: dict[str, int] = Field(default_factory=dict)
     limited: dict[str, int] = Field(default_factory=dict)
     stops: dict[str, int] = Field(default_factory=dict)
+
+    def contact_since(self, before: "GateStatus") -> str:
+        """Return the contact that is reported, or cut off a command since ``before``; "" if none."""
+        found = [
+            self.held,
+            self.ended,
+            *(name for name in self.stops if self.stops[name] > before.stops.get(name, 0)),
+        ]
+        return next((REASONS[name] for name in found if name in CONTACTS), "")
 
 
 class DriverStatus(StrictModel):

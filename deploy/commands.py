@@ -74,9 +74,9 @@ def deploy(
     them, and later poses correct odometry. Ctrl-C stops the rover first. The motors are off after every end
     of the drive.
 
-    Ends with 0 parked, 1 not parked (judged on the estimate, and never parked after a bumper or a stall), 3 no
-    bridge, no robot, not authorised or
-    another driver, 4 stopped by a safety rule, which is named, 130 interrupted.
+    Ends with 0 parked, 1 not parked (judged on the estimate; never parked after a bumper or a stall), 3 no
+    bridge, no robot, not authorised or another driver, 4 stopped by a safety rule, which is named, 130
+    interrupted.
     """
     from deploy.app import run
     from deploy.zenoh_client import BridgeAddress

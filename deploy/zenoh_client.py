@@ -13,10 +13,12 @@ from typing import Any
 
 import zenoh
 
+from deploy.drive.sources import INPUTS, Sources
 from rover_ncp.core.errors import FileError, NoBridge, NotAuthorised, UnreachableError, UsageError
 from rover_ncp.core.files import existing_file
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, key
 from rover_ncp.core.process import ClosedAtExit
+from rover_ncp.core.recording import header_stamp_ns
 from rover_ncp.core.zenoh_settings import CLIENT
 
 PORT = 7447
@@ -58,6 +60,7 @@ class ZenohClient(ClosedAtExit):
         config, self.robot = client_config(address.robot, address.zenoh_config)
         self.bridge_alive = False
         self._receive = receive
+        self.sources = Sources()
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -117,12 +120,21 @@ class ZenohClient(ClosedAtExit):
         def receive(sample: zenoh.Sample) -> None:
             data = sample.payload.to_bytes()
             if len(data) <= row.max_bytes:
+                if row.name in INPUTS:
+                    self.sources.note(row.name, _source(sample), header_stamp_ns(row.type, data) or 0)
                 self._receive(row, data)
 
         return receive
 
     def _bridge_token_changed(self, sample: zenoh.Sample) -> None:
         self.bridge_alive = sample.kind == zenoh.SampleKind.PUT
+
+
+def _source(sample: zenoh.Sample) -> str:
+    """Return the id of a sample's publisher, else of the process that stamped it first; "" without either."""
+    if sample.source_info is not None:
+        return str(sample.source_info.source_id.zid)
+    return "" if sample.timestamp is None else f"stamped by {sample.timestamp.get_id()}"
 
 
 def matches(declared: Any) -> bool:

@@ -78,6 +78,7 @@ class Drive:
         self._monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
         self._placed = False
         """Whether external poses gave the start pose."""
+        self._warned = ""
         self.keeper = RateKeeper(self._period_ns, 0)
         self.phase = Phase.WAITING
         self.reason = ""
@@ -89,6 +90,12 @@ class Drive:
         """Predicted error of the estimate at the goal without further poses, in 95 % of drives."""
         self.latencies_ns: list[int] = []
         """From the arrival of odometry to its command on the wire."""
+
+    @property
+    def warning(self) -> str:
+        """Inputs that have a second publisher, in words; "" if none has."""
+        words = "; ".join(self._link.sources.second.values())
+        return words and f"{words}: the estimate may be wrong; keep others out with 'rover-ncp keys'"
 
     @property
     def contact(self) -> str:
@@ -267,7 +274,10 @@ class Drive:
         self._publish_status()
 
     def _publish_status(self) -> None:
-        keeper = self.keeper
+        keeper, warning = self.keeper, self.warning
+        if warning != self._warned:
+            self._warned = warning
+            self._say(f"warning: {warning}")
         self._publisher.status(
             DriverStatus(
                 state=self.phase.value,
@@ -277,5 +287,6 @@ class Drive:
                 tick=keeper.index,
                 t_s=keeper.index * TICK_S,
                 overruns=keeper.overruns,
+                warning=warning,
             )
         )

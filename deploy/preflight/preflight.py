@@ -149,6 +149,8 @@ class Preflight:
             rate = (self._measurements.taken["odom"] - before) / LISTEN_S
             if rate >= least:
                 break
+        if second := "; ".join(self._link.sources.second.values()):
+            return False, second
         return rate >= least, f"{rate:.1f} reports a second (at least {least:g})"
 
     def _check_battery(self) -> tuple[bool, str]:

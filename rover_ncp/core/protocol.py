@@ -284,7 +284,7 @@ class GateStatus(StrictModel):
 
 
 class DriverStatus(StrictModel):
-    """Status of the driving process on ``rover/status``."""
+    """Status of the driving process on ``rover/status``; ``warning`` says what may make the drive wrong."""
 
     state: str
     reason: str = ""
@@ -293,6 +293,7 @@ class DriverStatus(StrictModel):
     tick: int = 0
     t_s: float = 0.0
     overruns: int = 0
+    warning: str = ""
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)

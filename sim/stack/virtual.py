@@ -16,6 +16,7 @@ from deploy.drive.controller import Tick
 from deploy.drive.lease import DriverLease
 from deploy.drive.measurements import Arrival, Inbox
 from deploy.drive.publisher import Publisher
+from deploy.drive.sources import Sources
 from deploy.drive_records import TickRecord
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.errors import SafetyStop
@@ -169,7 +170,7 @@ class VirtualLink:
         self._bridge, self._start, self._record = bridge, start, record
         self.odometry, self.poses, self.gyro = _OdometryInbox(bridge), Inbox(), Inbox()
         self.gate = GateStatus()
-        self.bumped = 0
+        self.bumped, self.sources = 0, Sources()
         self.first_command_ns: int | None = None
         """When the first command was sent."""
         self.lease = DriverLease()

@@ -112,6 +112,8 @@ class Feed:
             notes += [f"the gate holds the rover, {in_words(gate.held)}"] if gate.held else []
         elif gate:
             notes.append("no driver holds the lease")
+        if status and status.warning:
+            notes.append(status.warning)
         if timeline.foreign:
             notes.append(
                 "the driver's neurons are not those of this page's policy: start watch with --policy"

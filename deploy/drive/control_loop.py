@@ -9,6 +9,7 @@ Rules of this file:
 4. Only while DRIVING may a command other than zero leave this process.
 """
 
+import math
 import time
 from collections.abc import Callable
 from enum import Enum
@@ -26,6 +27,7 @@ from deploy.drive_records import StartRecord, TickRecord, numbers
 from deploy.estimator.estimator import Estimate
 from deploy.estimator.settings import Outcome
 from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.core.messages import OdometrySample
 from rover_ncp.core.process import Clock
 from rover_ncp.core.protocol import DriverStatus
@@ -164,6 +166,7 @@ class Drive:
         self._enter(Phase.ARMED)
         pose, covariance = detector.pose()
         self._placed = covariance is not None
+        self._check_start(pose)
         self._start = start.ref
         """The controller's time is in seconds from this sample."""
         record = StartRecord(
@@ -179,6 +182,20 @@ class Drive:
             self._link.request_motors(f"policy {self._config.policy}")
             self._monitor.granted()
         self._enter(Phase.DRIVING)
+
+    def _check_start(self, pose: Pose) -> None:
+        """Raise SafetyStop if the rover is where no rate of parking is known."""
+        (x, y, theta), config = pose, self._config
+        far = round(max(abs(x), abs(y)), 3) > config.start_m
+        if far or abs(wrap_angle(theta)) > config.start_rad:
+            found = f"x {x:.2f} m, y {y:.2f} m and {math.degrees(theta):.0f}°"
+            limits = f"±{config.start_m:g} m and ±{math.degrees(config.start_rad):.0f}°"
+            raise SafetyStop(
+                "start-pose",
+                f"external poses show the rover at {found} from the course's start, expected {limits} at "
+                "most, as farther away no rate of parking is known; place it nearer, or give a course that "
+                "starts where it is",
+            )
 
     def _predict_accuracy(self) -> None:
         """Predict the error at the goal. Raises SafetyStop when it is more than required."""

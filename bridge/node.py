@@ -190,7 +190,7 @@ class Node:
                     self._say(words)
                 case Lost(reason):
                     self._report = None
-                    self._judge(BaseLost(), arrived_s)
+                    self._judge(BaseLost(reason), arrived_s)
                     self._say(f"the base is lost: {reason}")
                 case Failed(reason):
                     if self.reconnects < 0:
@@ -240,8 +240,9 @@ class Node:
         """End the lease after a suspend: the monotonic clock stood still, so old commands look fresh."""
         slept_s = self._total_suspended_s() - self._suspended_s
         if slept_s > SUSPENDED_S:
-            self._judge(BaseLost(), now)
-            self._log.append(f"this computer was suspended for {slept_s:.1f} s")
+            words = f"this computer was suspended for {slept_s:.1f} s"
+            self._judge(BaseLost(words), now)
+            self._log.append(words)
         self._suspended_s += max(slept_s, 0.0)
 
     def _publish_report(self, report: BaseReport, arrived_s: float) -> None:
@@ -294,7 +295,7 @@ def _log_lines(before: GateState, after: GateState) -> Iterator[str]:
         yield f"{new.name or 'a driver without a name'} got the lease"
     if old is not None and new is None:
         yield f"{old.name or 'a driver without a name'} " + (
-            f"lost the lease: {after.ended}" if after.ended else "released the lease"
+            f"lost the lease: {after.ended}, {after.ended_detail}" if after.ended else "released the lease"
         )
     if before.held is None and after.held not in {None, Reason.NO_LEASE}:
         yield f"stopped: {after.held}"

@@ -20,6 +20,7 @@ from bridge.gate.state import (
     Stop,
     Unlatch,
     Verdict,
+    describe,
     read_tag,
 )
 from bridge.guarded_base import GuardedBase
@@ -46,18 +47,6 @@ from rover_ncp.core.protocol import (
 )
 
 UNCHECKED = "unchecked"
-_DETAILS = {
-    Reason.NO_BASE: "the base is not connected",
-    Reason.STOP_BUTTON: "the STOP button is pressed",
-    Reason.BUMPER: "a bumper is pressed, and no direction is known to be free",
-    Reason.STALL: "a motor is stalled, and no direction is known to be free",
-    Reason.LOW_BATTERY: "the battery is low",
-    Reason.ODOMETRY: "the base reports no pose, or its odometry is stale",
-    Reason.FROZEN: "the base reports the same pose while it reports a speed",
-    Reason.FENCE_LOST: "odometry restarted, so the place of the fence is not known: put the rover where odom "
-    "is to begin, and restart the bridge",
-    Reason.REPEATED: "this renewal of the lease, or a later message, has arrived already",
-}
 
 
 class Answers:
@@ -168,7 +157,7 @@ class Answers:
 
     def _reset(self, gate: GateState) -> ResetReply:
         if gate.base is None:
-            return ResetReply(ok=False, reason=_DETAILS[Reason.NO_BASE])
+            return ResetReply(ok=False, reason=describe(Reason.NO_BASE, gate))
         if gate.lease is not None:
             return ResetReply(
                 ok=False,
@@ -185,9 +174,7 @@ class Answers:
 
 
 def _refusal(refusal: Reason, gate: GateState) -> MotorsRefusal:
-    detail = _DETAILS.get(refusal, "")
-    if refusal is Reason.ANOTHER_DRIVER and gate.lease is not None:
-        detail = f"{gate.lease.name or 'a driver without a name'} holds the lease"
-    elif refusal is Reason.STOPPED:
-        detail = f"stopped until released: {gate.latched or 'no reason given'}"
+    detail = describe(refusal, gate)
+    if refusal is Reason.STOPPED:
+        detail = f"stopped until released, by {detail}"
     return MotorsRefusal(reason=str(refusal), detail=detail)

@@ -86,7 +86,12 @@ class ZenohLink(ClosedAtExit):
 
     def publish(self, name: str, data: bytes) -> None:
         """Send a message on a key of the table."""
-        self._publishers[name].put(data)
+        publisher = self._publishers[name]
+        if name in self._marked:
+            self._sequence = (self._sequence + 1) % 2**32
+            publisher.put(data, source_info=zenoh.SourceInfo(publisher.id, self._sequence))
+        else:
+            publisher.put(data)
         if self._rmw is not None:
             self._rmw.publish(name, data)
 
@@ -103,6 +108,9 @@ class ZenohLink(ClosedAtExit):
         self._publishers = {
             row.name: publisher(self._session, self.key(row.name), row.latched) for row in ours
         }
+        # By this id drivers notice others that publish our topics. Latched messages cannot have it.
+        self._marked = {row.name for row in ours if not row.latched}
+        self._sequence = 0
         self._held.append(self._session.declare_subscriber(self.key("cmd_vel"), self._guard(self._command)))
         for row in KEYS:
             if row.kind is Kind.QUERYABLE:

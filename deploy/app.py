@@ -151,6 +151,8 @@ def _result(drive: Drive, config: DriveConfig) -> dict[str, Any]:
         "state": drive.phase.value,  #: in which the drive ended
         "reason": drive.reason,  #: in words
         "stopped_by": drive.stop.rule if drive.stop else None,  #: the safety rule
+        "warning": drive.warning or None,  #: a second publisher of odom, imu or pose
+        "contact": drive.contact or None,  #: that the base reported: a pressed bumper or a stall
         #: in 95 % of drives, by the filter's covariance, if no external pose comes after the start
         "predicted_error_m": drive.predicted_error_m,
         "estimate_error_m": verdict.error_m if verdict else None,  #: of the estimate to the goal, at the end
@@ -187,6 +189,8 @@ def _words(fields: dict[str, Any]) -> str:
         f"{fields['ticks']} ticks at {fields['tick_rate_hz']:.2f} Hz, {fields['overruns']} overruns; "
         f"odometry to command {latency['p50']:.1f} ms (median), {latency['p99']:.1f} ms (99 %)",
     ]
+    if fields["warning"]:
+        lines.append(f"warning: {fields['warning']}")
     pose = fields["pose"]
     if pose["taken"] and not pose["placed"]:
         lines.append("external poses came, but none while the rover stood at the start: none was used")

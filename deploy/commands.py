@@ -74,8 +74,9 @@ def deploy(
     them, and later poses correct odometry. Ctrl-C stops the rover first. The motors are off after every end
     of the drive.
 
-    Ends with 0 parked, 1 not parked (judged on the estimate), 3 no bridge, no robot, not authorised or
-    another driver, 4 stopped by a safety rule, which is named, 130 interrupted.
+    Ends with 0 parked, 1 not parked (judged on the estimate; never parked after a bumper or a stall), 3 no
+    bridge, no robot, not authorised or another driver, 4 stopped by a safety rule, which is named, 130
+    interrupted.
     """
     from deploy.app import run
     from deploy.zenoh_client import BridgeAddress
@@ -150,8 +151,8 @@ def watch(
 
     The page is that of 'rover-ncp report', updated ten times a second: path, circuit, commands, events. Its
     Stop button stops the rover until released. The page shows whether this user may stop the rover. Only
-    this machine can open the page. It is ready when it prints "watching at ADDRESS". Ctrl-C ends it and does
-    not affect the rover.
+    this machine can open the page; the page shows the SSH command by which another device opens it. It is
+    ready when it prints "watching at ADDRESS". Ctrl-C ends it and does not affect the rover.
     """
     from deploy.watch.server import run
     from deploy.zenoh_client import BridgeAddress

@@ -6,7 +6,7 @@ The values of the configuration are measured; see the comments beside them.
 import json
 import re
 import socket
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,11 +14,13 @@ from typing import Any
 
 import zenoh
 
+from deploy.drive.sources import INPUTS, Sources
 from rover_ncp.core.certificates import require_valid
 from rover_ncp.core.errors import FileError, NoBridge, NotAuthorised, UnreachableError, UsageError
 from rover_ncp.core.files import existing_file
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, key
 from rover_ncp.core.process import ClosedAtExit
+from rover_ncp.core.recording import header_stamp_ns
 from rover_ncp.core.zenoh_settings import CLIENT
 
 PORT = 7447
@@ -60,6 +62,7 @@ class ZenohClient(ClosedAtExit):
         config, self.robot = client_config(address.robot, address.zenoh_config)
         self.bridge_alive = False
         self._receive = receive
+        self.sources = Sources()
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -89,6 +92,29 @@ class ZenohClient(ClosedAtExit):
         """Return the key expression of a row of the table, with the namespace."""
         return key(self.address.namespace, name)
 
+    def bridge_answer(self, replies: Iterable[zenoh.Reply]) -> bytes | None:
+        """Return the bridge's answer to a query; None if no queryable takes it.
+
+        The bridge is the process that this session is connected to: other answers are ignored. Behind a
+        router it cannot be distinguished from other peers, and has to be the only one that answers. Raises
+        NoBridge for several answers, for none in time, and for a refusal. Needs replies without
+        consolidation.
+        """
+        connected, others = self._session.info.routers_zid(), []
+        for reply in replies:
+            if reply.replier_id is not None and reply.replier_id.zid in connected:
+                others = [reply]
+                break
+            others.append(reply)
+        answers = [reply.ok for reply in others if reply.ok is not None]
+        if len(answers) > 1:
+            raise NoBridge(f"{len(answers)} peers at {self.robot} answer as a bridge, expected one")
+        if answers:
+            return answers[0].payload.to_bytes()
+        if others:
+            raise NoBridge(f"the bridge at {self.robot} does not answer in time")
+        return None
+
     def _declare(self) -> None:
         """Declare what a subclass sends, before the first message arrives."""
 
@@ -96,12 +122,21 @@ class ZenohClient(ClosedAtExit):
         def receive(sample: zenoh.Sample) -> None:
             data = sample.payload.to_bytes()
             if len(data) <= row.max_bytes:
+                if row.name in INPUTS:
+                    self.sources.note(row.name, _source(sample), header_stamp_ns(row.type, data) or 0)
                 self._receive(row, data)
 
         return receive
 
     def _bridge_token_changed(self, sample: zenoh.Sample) -> None:
         self.bridge_alive = sample.kind == zenoh.SampleKind.PUT
+
+
+def _source(sample: zenoh.Sample) -> str:
+    """Return the id of a sample's publisher, else of the process that stamped it first; "" without either."""
+    if sample.source_info is not None:
+        return str(sample.source_info.source_id.zid)
+    return "" if sample.timestamp is None else f"stamped by {sample.timestamp.get_id()}"
 
 
 def matches(declared: Any) -> bool:

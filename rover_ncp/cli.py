@@ -45,6 +45,7 @@ _EXTRAS = {
     "plotly": "report",
     "starlette": "report",
     "uvicorn": "report",
+    "websockets": "report",
     "cryptography": "keys",
     "distributed": "cluster",
 }

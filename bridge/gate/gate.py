@@ -47,6 +47,7 @@ from bridge.gate.state import (
     Unlatch,
     VelocityCommand,
     Verdict,
+    describe,
 )
 from rover_ncp.core.clock_offset import remember
 from rover_ncp.core.geometry import Velocity
@@ -78,9 +79,10 @@ def step(
     match event:
         case BaseReport():
             state = _take_report(state, event, limits)
-        case BaseLost():
+        case BaseLost(reason):
             restarted = state.odometry_restarted or event.restarted
-            state = replace(state, base=None, low_since_s=None, odometry_restarted=restarted)
+            lost = reason or state.lost
+            state = replace(state, base=None, lost=lost, low_since_s=None, odometry_restarted=restarted)
         case Enable():
             state, refusal = _enable(state, event, limits)
         case Release(sequence) if state.lease is not None and sequence > state.lease.last_sequence:
@@ -223,6 +225,7 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         lease=granted,
         leases=granted.number,
         ended=None,
+        ended_detail="",
         hazard_since_untagged=state.hazard_since_untagged and granted.secret is not None,
         target=None,
         idle=Reason.SILENCE,
@@ -243,6 +246,7 @@ def _end_lease(state: GateState, reason: Reason | None) -> GateState:
         state,
         lease=None,
         ended=reason,
+        ended_detail="" if reason is None else describe(reason, state),
         target=None,
         motors_until_s=state.now + COAST_S,
         untagged_until_s=state.now + UNTAGGED_PAUSE_S,

@@ -9,9 +9,10 @@ from typing import NamedTuple, TypeAlias
 from bridge.base import BaseReport
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.protocol import CommandTag, Signed
+from rover_ncp.core.protocol import REASONS, UNNAMED, CommandTag, Signed
 
 ZERO = Velocity(0.0, 0.0)
+DETAIL_LENGTH = 200
 
 
 class Reason(StrEnum):
@@ -61,6 +62,7 @@ class Tick:
 class BaseLost:
     """The link to the base is gone, or it was set up anew; then odometry may have ``restarted``."""
 
+    reason: str = ""
     restarted: bool = False
 
 
@@ -169,9 +171,13 @@ class GateState:
     """Number of leases granted so far."""
     ended: Reason | None = None
     """Reason for the end of the last lease; None if its driver released it."""
+    ended_detail: str = ""
+    """The words for ``ended``, as it was then."""
     latched: str | None = None
     """The text of the stop request; None without one."""
     base: BaseReport | None = None
+    lost: str = ""
+    """Reason for the last loss of the base."""
     base_s: float = -math.inf
     low_since_s: float | None = None
     repeats: int = 0
@@ -205,6 +211,17 @@ class GateState:
     """Number of times a command in force was cut off, by reason."""
     limited: Mapping[Reason, int] = field(default_factory=dict)
     """Commands that the gate limited, by reason."""
+
+
+def describe(reason: Reason, state: GateState) -> str:
+    """Return the words for a refusal, or for the end of a lease; who stopped the rover, after a request."""
+    if reason is Reason.STOPPED and state.latched is not None:
+        return state.latched or UNNAMED
+    if reason is Reason.NO_BASE and state.lost:
+        return f"{REASONS[reason]}: {state.lost}"[:DETAIL_LENGTH]
+    if reason is Reason.ANOTHER_DRIVER and state.lease is not None:
+        return f"{state.lease.name or 'a driver without a name'} holds the lease"
+    return REASONS.get(reason, "")
 
 
 @dataclass(frozen=True)

@@ -85,6 +85,7 @@ def gate_status(state: GateState) -> GateStatus:
         sequence=lease.last_sequence if lease else -1,
         held="" if held in {None, Reason.NO_LEASE} else str(held),
         ended=str(state.ended or ""),
+        ended_detail=state.ended_detail,
         stop_reason=state.latched or "",
         accepted=state.accepted,
         dropped=_named(state.dropped),

@@ -54,6 +54,10 @@ class DriveConfig(Timeouts):
     still_rad: float = Field(default=0.005, gt=0)
     pose: PoseUse = "auto"
     pose_wait_s: float = Field(default=10.0, gt=0, description="for the first external pose, if required")
+    start_m: float = Field(
+        default=0.2, gt=0, description="how far from the course's start it may begin, in x and y"
+    )
+    start_rad: float = Field(default=0.35, gt=0, description="how far from the start's heading it may begin")
     require_accuracy_m: float | None = Field(
         default=None, gt=0, description="without external poses, the largest predicted error at the goal"
     )

@@ -9,6 +9,7 @@ Rules of this file:
 4. Only while DRIVING may a command other than zero leave this process.
 """
 
+import math
 import time
 from collections.abc import Callable
 from enum import Enum
@@ -26,6 +27,7 @@ from deploy.drive_records import StartRecord, TickRecord, numbers
 from deploy.estimator.estimator import Estimate
 from deploy.estimator.settings import Outcome
 from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.core.messages import OdometrySample
 from rover_ncp.core.process import Clock
 from rover_ncp.core.protocol import DriverStatus
@@ -78,6 +80,7 @@ class Drive:
         self._monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
         self._placed = False
         """Whether external poses gave the start pose."""
+        self._warned = ""
         self.keeper = RateKeeper(self._period_ns, 0)
         self.phase = Phase.WAITING
         self.reason = ""
@@ -89,6 +92,17 @@ class Drive:
         """Predicted error of the estimate at the goal without further poses, in 95 % of drives."""
         self.latencies_ns: list[int] = []
         """From the arrival of odometry to its command on the wire."""
+
+    @property
+    def warning(self) -> str:
+        """Inputs that have a second publisher, in words; "" if none has."""
+        words = "; ".join(self._link.sources.second.values())
+        return words and f"{words}: the estimate may be wrong; keep others out with 'rover-ncp keys'"
+
+    @property
+    def contact(self) -> str:
+        """The contact that the base reported during the drive, in words."""
+        return self._monitor.contact
 
     @property
     def progress(self) -> str:
@@ -145,7 +159,7 @@ class Drive:
         except KeyboardInterrupt:
             self._enter(Phase.ENDED, "interrupted")
         else:
-            self.verdict = self._controller.verdict()
+            self.verdict = self._controller.verdict().with_contact(self._monitor.contact)
             self._enter(Phase.PARKED if self.verdict.parked else Phase.ENDED, self.verdict.reason)
         self._publisher.finish()
 
@@ -155,6 +169,7 @@ class Drive:
         self._enter(Phase.ARMED)
         pose, covariance = detector.pose()
         self._placed = covariance is not None
+        self._check_start(pose)
         self._start = start.ref
         """The controller's time is in seconds from this sample."""
         record = StartRecord(
@@ -170,6 +185,20 @@ class Drive:
             self._link.request_motors(f"policy {self._config.policy}")
             self._monitor.granted()
         self._enter(Phase.DRIVING)
+
+    def _check_start(self, pose: Pose) -> None:
+        """Raise SafetyStop if the rover is where no rate of parking is known."""
+        (x, y, theta), config = pose, self._config
+        far = round(max(abs(x), abs(y)), 3) > config.start_m
+        if far or abs(wrap_angle(theta)) > config.start_rad:
+            found = f"x {x:.2f} m, y {y:.2f} m and {math.degrees(theta):.0f}°"
+            limits = f"±{config.start_m:g} m and ±{math.degrees(config.start_rad):.0f}°"
+            raise SafetyStop(
+                "start-pose",
+                f"external poses show the rover at {found} from the course's start, expected {limits} at "
+                "most, as farther away no rate of parking is known; place it nearer, or give a course that "
+                "starts where it is",
+            )
 
     def _predict_accuracy(self) -> None:
         """Predict the error at the goal. Raises SafetyStop when it is more than required."""
@@ -265,7 +294,10 @@ class Drive:
         self._publish_status()
 
     def _publish_status(self) -> None:
-        keeper = self.keeper
+        keeper, warning = self.keeper, self.warning
+        if warning != self._warned:
+            self._warned = warning
+            self._say(f"warning: {warning}")
         self._publisher.status(
             DriverStatus(
                 state=self.phase.value,
@@ -275,5 +307,6 @@ class Drive:
                 tick=keeper.index,
                 t_s=keeper.index * TICK_S,
                 overruns=keeper.overruns,
+                warning=warning,
             )
         )

@@ -9,7 +9,7 @@ Rules of this file:
 from collections import deque
 
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.protocol import CommandTag, GateStatus, MotorsReply, Signed
+from rover_ncp.core.protocol import REASONS, CommandTag, GateStatus, MotorsReply, Signed
 
 NOT_ACCEPTED = "not-accepted"
 """Name of the rule."""
@@ -62,7 +62,11 @@ class DriverLease:
         if age_s <= ACCEPTED_S:
             return
         growth = {reason: count - self._dropped.get(reason, 0) for reason, count in gate.dropped.items()}
-        reasons = ", ".join(f"{reason} {count}" for reason, count in growth.items() if count > 0)
+        reasons = ", ".join(
+            f"{reason} {count} ({REASONS.get(reason, reason)})"
+            for reason, count in growth.items()
+            if count > 0
+        )
         raise SafetyStop(
             NOT_ACCEPTED,
             f"the gate accepted no command of this driver for {age_s:.2f} s (at most {ACCEPTED_S} s); "

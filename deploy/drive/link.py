@@ -4,6 +4,7 @@ from typing import Protocol
 
 from deploy.drive.lease import DriverLease
 from deploy.drive.measurements import MeasurementSource
+from deploy.drive.sources import Sources
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.protocol import GateStatus, MotorsReply
 
@@ -26,6 +27,14 @@ class Link(MeasurementSource, Protocol):
     @property
     def gate(self) -> GateStatus:
         """The newest gate status."""
+
+    @property
+    def sources(self) -> Sources:
+        """The publishers of the driver's inputs."""
+
+    @property
+    def bumped(self) -> int:
+        """How many messages so far reported a pressed bumper."""
 
     @property
     def lease(self) -> DriverLease:

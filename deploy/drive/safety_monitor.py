@@ -16,6 +16,7 @@ from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import Clock
+from rover_ncp.core.protocol import REASONS, UNNAMED, GateStatus, in_words
 from rover_ncp.course.course import TICK_S
 
 POLL_S = 0.002
@@ -57,6 +58,9 @@ class SafetyMonitor:
         self._interrupted, self._clock = interrupted, clock
         self._timeouts = timeouts or Timeouts()
         self._granted_ns: int | None = None
+        self._granted_gate, self._granted_bumped = GateStatus(), 0
+        self.contact = ""
+        """The contact that the base reported since the lease was granted, in words."""
         self._lease_confirmed = False
         self._response = ResponseCheck()
         self._checked_ns: int | None = None
@@ -98,6 +102,7 @@ class SafetyMonitor:
     def granted(self) -> None:
         """Note that the lease is ours from now on; the gate has a limited time to confirm it."""
         self._granted_ns = self._checked_ns = self._clock.monotonic_ns()
+        self._granted_gate, self._granted_bumped = self._link.gate, self._link.bumped
 
     def check(self) -> None:
         """Check bridge, age of odometry and lease. Raises SafetyStop or KeyboardInterrupt."""
@@ -131,8 +136,10 @@ class SafetyMonitor:
         gate, lease, now_ns = self._link.gate, self._link.lease, self._clock.monotonic_ns()
         if gate.lease == lease.number:
             self._lease_confirmed = True
+            bumped = REASONS["bumper"] if self._link.bumped > self._granted_bumped else ""
+            self.contact = self.contact or gate.contact_since(self._granted_gate) or bumped
         elif self._lease_confirmed:
-            raise SafetyStop(gate.ended or "lease", "the gate revoked the lease")
+            raise revoked(gate)
         elif now_ns - granted_ns > self._timeouts.lease_wait_s * NS:
             raise SafetyStop("lease", "the gate does not confirm the lease")
         lease.check(gate, now_ns)
@@ -146,8 +153,15 @@ class SafetyMonitor:
             raise SafetyStop("command", f"the circuit's command is not finite: {command}")
         if missing := self._response.tick(command, motion):
             gate = self._link.gate
-            held = f" (the gate reports: {gate.held})" if gate.held else ""
+            held = f" (the gate reports {in_words(gate.held)})" if gate.held else ""
             raise SafetyStop("no-response", f"the rover drove {missing}{held}")
+
+
+def revoked(gate: GateStatus) -> SafetyStop:
+    """Return the stop of a driver whose lease the gate revoked; it names who did and why."""
+    if gate.ended == "stopped":
+        return SafetyStop(gate.ended, by=gate.ended_detail or UNNAMED)
+    return SafetyStop(gate.ended or "lease", gate.ended_detail or "the gate revoked the lease")
 
 
 class ResponseCheck:

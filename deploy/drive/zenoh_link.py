@@ -24,7 +24,7 @@ from rover_ncp.core.errors import (
 )
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, spec
-from rover_ncp.core.messages import read_text, twist_stamped
+from rover_ncp.core.messages import read_bumpers, read_text, twist_stamped
 from rover_ncp.core.protocol import (
     PROTOCOL,
     VERSION_REASON,
@@ -62,12 +62,14 @@ class ZenohLink(ZenohClient):
         self.gyro = Inbox()
         self.poses = Inbox()
         self.gate = GateStatus()
+        self.bumped = 0
         self._token: Any = None
         self._takers: dict[str, Callable[[Arrival], None]] = {
             "odom": self.odometry.put,
             "imu": self.gyro.put,
             "pose": self.poses.put,
             "rover/gate": self._update_gate,
+            "bumpers": self._count_bumps,
         }
         super().__init__(address, self._take, own=_OWN)
 
@@ -121,7 +123,8 @@ class ZenohLink(ZenohClient):
                 raise OtherVersion(words)
             if reply.reason == ANOTHER_DRIVER:
                 raise AnotherDriver(words)
-            raise SafetyStop(reply.reason or "gate", words)
+            by = "a stop that is not released" if reply.reason == "stopped" else ""
+            raise SafetyStop(reply.reason or "gate", words, by=by)
         if not self.lease.number:
             raise NoBridge(f"the bridge at {self.robot} grants the motors without a key")
         if round_trip_s > ROUND_TRIP_S:
@@ -176,10 +179,17 @@ class ZenohLink(ZenohClient):
         payload = dump_json(BaseRequest(measure=measure, sent_ns=now_ns))
         if self.lease.number:
             tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
-        for reply in self._session.get(where, payload=payload, attachment=tag, timeout=QUERY_TIMEOUT_S):
-            with contextlib.suppress(FormatError):
-                if reply.ok is not None:
-                    return parse_json(BaseReply, reply.ok.payload.to_bytes())
+        replies = self._session.get(
+            where,
+            payload=payload,
+            attachment=tag,
+            timeout=QUERY_TIMEOUT_S,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+        with contextlib.suppress(FormatError, NoBridge):
+            answer = self.bridge_answer(replies)
+            if answer is not None:
+                return parse_json(BaseReply, answer)
         return None
 
     def other_model(self, robot: RobotDescription) -> str:
@@ -238,3 +248,7 @@ class ZenohLink(ZenohClient):
         # An unreadable status is ignored: the previous one stays valid.
         with contextlib.suppress(FormatError):
             self.gate = parse_json(GateStatus, read_text(arrival.data))
+
+    def _count_bumps(self, arrival: Arrival) -> None:
+        with contextlib.suppress(FormatError):
+            self.bumped += read_bumpers(arrival.data)

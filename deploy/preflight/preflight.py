@@ -150,6 +150,8 @@ class Preflight:
             rate = (self._measurements.taken["odom"] - before) / LISTEN_S
             if rate >= least:
                 break
+        if second := "; ".join(self._link.sources.second.values()):
+            return False, second
         return rate >= least, f"{rate:.1f} reports a second (at least {least:g})"
 
     def _check_battery(self) -> tuple[bool, str]:
@@ -241,7 +243,8 @@ class Preflight:
         gate = self._link.gate
         words = []
         if reason := gate.held or gate.ended:
-            words.append(f"the gate stopped the robot: {reason}")
+            detail = f" ({gate.ended_detail})" if gate.ended_detail else ""
+            words.append(f"the gate stopped the robot: {reason}{detail}")
         for what, old, new in (
             ("stopped the robot for a moment", before.stops, gate.stops),
             ("dropped commands", before.dropped, gate.dropped),

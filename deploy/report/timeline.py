@@ -18,7 +18,14 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.cdr import decode
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
-from rover_ncp.core.messages import read_neurons, read_odometry, read_pose, read_text, read_twist
+from rover_ncp.core.messages import (
+    read_bumpers,
+    read_neurons,
+    read_odometry,
+    read_pose,
+    read_text,
+    read_twist,
+)
 from rover_ncp.core.protocol import DriverStatus, GateStatus, parse_json
 from rover_ncp.core.recording import Recorded
 from rover_ncp.core.recording_time import TICKS_TOPIC
@@ -83,6 +90,8 @@ class Timeline:
         self.asked: list[Command] = []
         self.let_through: list[Command] = []
         self.voltages: list[float] = []
+        self.touched = False
+        """Whether the base reported a contact during the drive."""
         self.predicted = 0
         self.foreign = False
         """Whether neurons arrived that are not those of the policy."""
@@ -153,7 +162,7 @@ class Timeline:
     def judge(self) -> dict[str, Verdict]:
         """Return the verdicts by the ``true`` pose, if it is known, and by the ``estimated`` pose.
 
-        The gate reports contacts. Raises ValueError before the first tick.
+        The base reports contacts. Raises ValueError before the first tick.
         """
         if not self.ticks:
             raise ValueError("a drive without a tick has no verdict")
@@ -166,9 +175,10 @@ class Timeline:
             "true": [moved for moved in self.truth if began <= moved.wall_ns <= until],
             "estimated": estimates,
         }
-        touched = self.gate is not None and "bumper" in self.gate.stops
         return {
-            by: self.course.judge([(p.wall_ns - began) * 1e-9 for p in path], [p.pose for p in path], touched)
+            by: self.course.judge(
+                [(p.wall_ns - began) * 1e-9 for p in path], [p.pose for p in path], self.touched
+            )
             for by, path in paths.items()
             if path
         }
@@ -210,7 +220,13 @@ class Timeline:
         if not self.ticks and (self.gate is None or not now.lease):
             self._gate_before = now
         self.gate = _since(self._gate_before, now)
+        if self.ticks and (before.lease or now.lease):
+            self.touched |= bool(now.contact_since(self._gate_before))
         self._events += [Event(message.log_ns, *news) for news in _gate_news(before, self.gate)]
+
+    def _read_bumpers(self, message: Recorded) -> None:
+        if self.ticks and self.gate is not None and self.gate.lease:
+            self.touched |= read_bumpers(message.data)
 
     def _read_battery(self, message: Recorded) -> None:
         self.voltages.append(float(decode(message.type, message.data).voltage))
@@ -236,6 +252,7 @@ _READERS: dict[str, Callable[[Timeline, Recorded], None]] = {
     "rover/status": Timeline._read_status,
     "rover/gate": Timeline._read_gate,
     "battery_state": Timeline._read_battery,
+    "bumpers": Timeline._read_bumpers,
     TRUTH_TOPIC: Timeline._read_truth,
     TICKS_TOPIC: Timeline._read_record,
 }
@@ -265,7 +282,7 @@ def _gate_news(before: GateStatus, now: GateStatus) -> Iterator[tuple[str, str]]
     if before.held and not now.held and before.accepted:
         yield "gate", "the gate passes commands again"
     if now.ended and now.ended != before.ended:
-        yield "stop", f"the gate revoked the lease, {now.ended}"
+        yield "stop", f"the gate revoked the lease, {now.ended}{_because(now.ended_detail)}"
     for verb, then, counts in (
         ("dropped", before.dropped, now.dropped),
         ("limited", before.limited, now.limited),

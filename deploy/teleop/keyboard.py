@@ -9,8 +9,14 @@ second, then again 10 to 30 times a second. It never reports the release of a ke
    then.
 3. Any other key stops the rover at once.
 4. Keys that were read late are stale and discarded (`teleop.py`).
+
+A key is one character or one whole sequence, which may arrive in parts. A part of a sequence is no key:
+Shift+Enter is ``ESC [ 1 3 ; 2 u`` in many terminals, and that u does not drive. Sequences are those of
+ECMA-48 in 7 and 8 bits, mouse reports, function keys of the Linux console, a key after ESC (that key with
+Alt), and pasted text.
 """
 
+import re
 from enum import StrEnum
 
 from rover_ncp.core.geometry import Velocity
@@ -36,8 +42,8 @@ KEYS: dict[str, tuple[int, int]] = {
     "\x1b[c": (0, -1),
     "\x1b[d": (0, 1),
 }
-"""Share of speed and share of turn rate (left is positive) of each key."""
-QUIT = frozenset("q\x03\x04\x1a")
+"""Share of speed and share of turn rate (left is positive) of each key; arrows in small letters."""
+QUIT = frozenset("qQ\x03\x04\x1a")
 """q, and Ctrl-C, Ctrl-D, Ctrl-Z where the terminal hands them on."""
 HELP = """hold a key to drive, release it to stop:
     u i o     forward: left, straight, right
@@ -45,7 +51,24 @@ HELP = """hold a key to drive, release it to stop:
     m , .     backward: left, straight, right
 the arrows do as i , j l; q or Ctrl-C ends"""
 
-_ESCAPE = "\x1b"
+_ARROW = re.compile(r"\x1b[\[O]([A-D])")
+# Introducers in 8 bits are one character, or a byte that is no UTF-8, which is decoded to a surrogate.
+_CSI, _SS3 = r"(?:\x1b\[|[\x9b\udc9b])", r"(?:\x1b[NO]|[\x8e\x8f\udc8e\udc8f])"
+_STRING = r"(?:\x1b[PX\]^_]|[\x90\x98\x9d-\x9f\udc90\udc98\udc9d-\udc9f])"
+_CANCELS = r"\x03\x04\x18\x1a\x1b"
+_SEQUENCE = re.compile(
+    rf"\x1b*?(?:{_CSI}(?:M(?:[^\x1b]{{3}}|[^\x1b]{{0,2}}(?=\x1b))|\[.|(?![M\[])[ -?]*(?:[@-~]|(?=[^ -~])))"
+    rf"|{_SS3}[0-?]*[^0-?]"
+    rf"|{_STRING}[^\x07\x9c\udc9c{_CANCELS}]*(?:[\x07\x9c\udc9c]|\x1b\\|(?=[{_CANCELS}]))"
+    r"|\x1b[ -/]+[^ -/]"
+    r"|\x1b[^\x1b\[NOPX\]^_ -/])",
+    re.DOTALL,
+)
+_INTRODUCER = re.compile(rf"\x1b|{_CSI}|{_SS3}|{_STRING}")
+_PASTE_BEGIN, _PASTE_END = re.compile(rf"\x1b*?{_CSI}200~"), re.compile(rf"{_CSI}201~")
+_PASTE_END_LENGTH = 6
+_KEPT, _KEPT_LONG = 64, 3
+"""A beginning of a sequence is kept; of one that is longer, the first characters, which make no key."""
 
 
 class Press(StrEnum):
@@ -55,15 +78,61 @@ class Press(StrEnum):
     QUIT = "quit"
 
 
+class KeyReader:
+    """Splits the text of one terminal into keys."""
+
+    def __init__(self) -> None:
+        self._rest = ""
+        """The beginning of a sequence whose end has not arrived."""
+        self._pasting = False
+
+    def keys(self, text: str) -> list[str]:
+        """Return the keys in the terminal's next text: `KEYS`, or what they mean by `Press`.
+
+        Keys in one text with others that stop do not drive: text was pasted into a terminal that does not
+        mark it. The beginning of a sequence stops, too.
+        """
+        found: list[str] = []
+        self._rest += text
+        while self._rest and (key := self._next()):
+            found.append(key)
+        if self._rest or self._pasting:
+            found.append(Press.STOP)
+        if Press.STOP in found:
+            return [key if key is Press.QUIT else Press.STOP for key in found]
+        return found
+
+    def _next(self) -> str | None:
+        """Take the next key off the text; None if its end has not arrived."""
+        rest = self._rest
+        if begin := None if self._pasting else _PASTE_BEGIN.match(rest):
+            self._pasting, rest = True, rest[begin.end() :]
+        if self._pasting:
+            end = _PASTE_END.search(rest)
+            self._pasting = end is None
+            self._rest = rest[end.end() :] if end else rest[-_PASTE_END_LENGTH:]
+            return Press.STOP if end else None
+        sequence = _SEQUENCE.match(rest)
+        if sequence is None and _INTRODUCER.match(rest):
+            self._rest = rest if len(rest) <= _KEPT else rest[:_KEPT_LONG]
+            return None
+        unit = sequence[0] if sequence else rest[0]
+        self._rest = rest[len(unit) :]
+        return _meaning(unit)
+
+
 def presses(text: str) -> list[str]:
-    """Split what a terminal sent into keys: `KEYS`, or what they mean by `Press`."""
-    # Some terminals send ESC O A for ESC [ A; the shift key has no effect.
-    rest, found = text.lower().replace("\x1bo", "\x1b["), []
-    while rest:
-        key = rest[:3] if rest.startswith(_ESCAPE) else rest[0]
-        rest = rest[len(key) :]
-        found.append(Press.QUIT if key in QUIT else key if key in KEYS else Press.STOP)
-    return found
+    """Return the keys in a text of its own."""
+    return KeyReader().keys(text)
+
+
+def _meaning(unit: str) -> str:
+    if unit in QUIT or (len(unit) == 2 and unit[1] in QUIT):  # also with Alt: to end is safe
+        return Press.QUIT
+    if arrow := _ARROW.fullmatch(unit):
+        return f"\x1b[{arrow[1].lower()}"
+    key = unit.lower()
+    return key if len(unit) == 1 and key in KEYS else Press.STOP
 
 
 class Keyboard:

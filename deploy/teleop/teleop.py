@@ -19,7 +19,7 @@ from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.recorder import Recorder
-from deploy.teleop.keyboard import HELP, STANDSTILL, Keyboard, Press, presses
+from deploy.teleop.keyboard import HELP, STANDSTILL, Keyboard, KeyReader, Press
 from deploy.teleop.terminal import Terminal
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
@@ -27,6 +27,7 @@ from rover_ncp.core.console import Output, printable
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.core.process import Interrupts
+from rover_ncp.core.protocol import in_words
 
 PERIOD_S = 0.05
 LONGEST_LOOP_S = 0.25
@@ -42,6 +43,7 @@ class Teleop:
         self._measurements = Measurements(link)
         self._monitor = SafetyMonitor(link, self._measurements, interrupted)
         self.keyboard = Keyboard()
+        self._reader = KeyReader()
         self.seconds = self.driven_m = self.turned_rad = 0.0
         """Duration, and motion by odometry."""
         self.commands = 0
@@ -52,7 +54,7 @@ class Teleop:
     def progress(self) -> str:
         """One line for people; another thread may read it."""
         v, omega = self._command
-        held = f"  held by {self._link.gate.held}" if self._link.gate.held else ""
+        held = f"  held by {in_words(self._link.gate.held)}" if self._link.gate.held else ""
         newest = self._measurements.newest
         where = "  x {:.2f} m  y {:.2f} m  θ {:.2f} rad".format(*newest.sample.pose) if newest else ""
         return printable(f"{v:+.2f} m/s  {omega:+.2f} rad/s{where}{held}")
@@ -87,7 +89,7 @@ class Teleop:
             read = now
             if text is None:
                 return
-            for key in presses(text):
+            for key in self._reader.keys(text):
                 if key is Press.QUIT:
                     return
                 self.keyboard.press(key, now)

@@ -1,5 +1,6 @@
 """A terminal that delivers single keys at once; its settings are always restored."""
 
+import codecs
 import contextlib
 import os
 import select
@@ -11,6 +12,8 @@ from typing import Self
 from rover_ncp.core.errors import UsageError
 
 READ_BYTES = 1024
+BRACKETED_PASTE, NO_BRACKETED_PASTE = b"\x1b[?2004h", b"\x1b[?2004l"
+"""Makes a terminal mark the beginning and the end of pasted text."""
 _INPUT, _LOCAL, _CHARACTERS = 0, 3, 6
 
 
@@ -22,6 +25,8 @@ class Terminal:
     """
 
     def __init__(self) -> None:
+        # Bytes that are no UTF-8 stay distinct: some of them begin a sequence.
+        self._decoder = codecs.getincrementaldecoder("utf-8")("surrogateescape")
         self._fd = sys.stdin.fileno() if sys.stdin is not None else -1
         if self._fd < 0 or not os.isatty(self._fd):
             raise UsageError("teleop reads keys: expected a terminal as standard input")
@@ -37,12 +42,14 @@ class Terminal:
         # TCSAFLUSH would wait until the terminal has written all output, which a stopped one never does.
         self.discard()
         termios.tcsetattr(self._fd, termios.TCSANOW, settings)
+        self._send(BRACKETED_PASTE)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         # A closed terminal cannot be set back, and need not be. There is no wait for one that is stuck.
+        self._send(NO_BRACKETED_PASTE)
         with contextlib.suppress(termios.error):
             termios.tcflush(self._fd, termios.TCIFLUSH)
             termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
@@ -56,8 +63,17 @@ class Terminal:
             data = os.read(self._fd, READ_BYTES)
         except OSError:
             return None
-        return data.decode(errors="replace") if data else None
+        return self._decoder.decode(data) if data else None
 
     def discard(self) -> None:
         """Discard unread keys."""
         termios.tcflush(self._fd, termios.TCIFLUSH)
+
+    def _send(self, data: bytes) -> None:
+        """Write to the terminal, unless it takes nothing at once."""
+        with contextlib.suppress(OSError):
+            fd = os.open(os.ttyname(self._fd), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+            try:
+                os.write(fd, data)
+            finally:
+                os.close(fd)

@@ -1,25 +1,31 @@
 """The live page: served to this machine alone, updated ten times a second, with a Stop button.
 
-Server-sent events carry new data; a browser that lost the connection reconnects and gets everything.
-Only pages of this server may press its buttons: other pages in the same browser have another origin, and
-other names for this machine another host in the request.
+Rules of this file:
+
+1. Each page has one WebSocket for news and for its requests to stop. A browser limits the HTTP connections to
+   a host to six, over all its pages; WebSockets are outside that limit.
+2. A request to stop waits for nothing: neither for news of this page nor for those of another.
+3. A page requests the next news when it has shown the last. A slow or hidden page thus queues nothing.
+4. Only pages of this server may open the WebSocket: other pages in the same browser have another origin, and
+   other names for this machine another host in the request.
 """
 
-import asyncio
+import contextlib
 import json
 import socket
-import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from typing import Any
 
 import uvicorn
+from anyio import CapacityLimiter, create_task_group
+from anyio.to_thread import run_sync
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
-from starlette.routing import Route
+from starlette.responses import HTMLResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deploy.report.charts.figure import outline_of
 from deploy.report.page.feed import Feed, Place
@@ -35,75 +41,91 @@ from rover_ncp.course.course import load_course
 
 HOST = "127.0.0.1"
 INTERRUPTED = 130
-PERIOD_S = 0.1
+REQUEST_BYTES = 16
+"""The longest request of a page is "release"."""
+STOPS_AT_ONCE = 64
 
 
 def run(address: BridgeAddress, policy: str, course: str, port: int, output: Output, *, model: str) -> int:
     """Serve until interrupted. Raises RoverNcpError if it could not begin."""
     the_policy, the_course = load_policy(policy), load_course(course)
     feed = Feed(the_policy, the_course)
-    page = watch_page(address.robot, the_policy, the_course, outline_of(load_description(model)))
-    with _listener(port) as listener, Viewer(address, feed.take) as viewer:
-        url = f"http://{HOST}:{listener.getsockname()[1]}/"
-        application = _application(page, feed, viewer, ending=lambda: server.should_exit)
-        config = uvicorn.Config(
-            application, log_level="warning", access_log=False, lifespan="off", timeout_graceful_shutdown=1
-        )
-        server = uvicorn.Server(config)
-        output.announce(f"watching at {url}")
-        # The server ends in order on a signal, and then raises the signal again.
-        with Interrupts():
-            server.run(sockets=[listener])
+    with _listener(port) as listener:
+        port = listener.getsockname()[1]
+        url = f"http://{HOST}:{port}/"
+        outline = outline_of(load_description(model))
+        page = watch_page(address.robot, url, the_policy, the_course, outline)
+        with Viewer(address, feed.take) as viewer:
+            _serve(listener, _application(page, feed, viewer), lambda: output.announce(f"watching at {url}"))
     output.result({"address": url, "robot": viewer.robot}, "interrupted; no longer watching")
     return INTERRUPTED
 
 
-def _application(page: str, feed: Feed, viewer: Viewer, ending: Callable[[], bool]) -> Starlette:
-    """Return the web application. Streams of events end soon after ``ending`` returns True."""
+def _serve(listener: socket.socket, application: Starlette, ready: Callable[[], None]) -> None:
+    """Serve until interrupted."""
+    config = uvicorn.Config(
+        application,
+        ws="websockets-sansio",
+        ws_max_size=REQUEST_BYTES,
+        ws_per_message_deflate=False,
+        log_level="warning",
+        access_log=False,
+        lifespan="off",
+        timeout_graceful_shutdown=1,
+    )
+    server = uvicorn.Server(config)
+    ready()
+    # The server ends in order on a signal, and then raises the signal again.
+    with Interrupts():
+        server.run(sockets=[listener])
+
+
+def _application(page: str, feed: Feed, viewer: Viewer) -> Starlette:
+    """Return the web application."""
+    stops = CapacityLimiter(STOPS_AT_ONCE)  # threads of their own, so that no page's news delay a stop
 
     async def show(request: Request) -> Response:
         return HTMLResponse(page)
 
-    async def events(request: Request) -> Response:
-        return StreamingResponse(_events(feed, viewer, ending), media_type="text/event-stream")
+    async def live(socket: WebSocket) -> None:
+        if socket.headers.get("origin") != f"http://{socket.headers.get('host')}":
+            await socket.close()
+            return
+        await socket.accept()
+        place = Place()
 
-    async def stop(request: Request) -> Response:
-        return await _request_stop(request, viewer, release=False)
+        async def answer(request: str) -> None:
+            if request in {"stop", "release"}:
+                reply = await run_sync(_request_stop, viewer, request == "release", limiter=stops)
+            elif request == "news":
+                reply = await run_sync(_news, feed, viewer, place)
+            else:
+                return
+            with contextlib.suppress(WebSocketDisconnect):  # the page was closed meanwhile
+                await socket.send_text(reply)
 
-    async def release(request: Request) -> Response:
-        return await _request_stop(request, viewer, release=True)
+        async with create_task_group() as requests:
+            async for request in socket.iter_text():
+                requests.start_soon(answer, request)
 
     return Starlette(
-        routes=[
-            Route("/", show),
-            Route("/events", events),
-            Route("/stop", stop, methods=["POST"]),
-            Route("/release", release, methods=["POST"]),
-        ],
+        routes=[Route("/", show), WebSocketRoute("/live", live)],
         middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])],
     )
 
 
-async def _events(feed: Feed, viewer: Viewer, ending: Callable[[], bool]) -> AsyncIterator[str]:
-    place = Place()
-    yield "retry: 500\n\n"
-    while not ending():
-        bridge = viewer.bridge_alive
-        news: dict[str, Any] = await run_in_threadpool(feed.news, place, bridge)
-        news |= {"bridge": bridge, "mayStop": viewer.may_stop}
-        yield f"data: {json.dumps(news, allow_nan=False, separators=(',', ':'))}\n\n"
-        await asyncio.sleep(PERIOD_S)
+def _news(feed: Feed, viewer: Viewer, place: Place) -> str:
+    bridge = viewer.bridge_alive
+    news = feed.news(place, bridge) | {"bridge": bridge, "mayStop": viewer.may_stop}
+    return json.dumps(news, allow_nan=False, separators=(",", ":"))
 
 
-async def _request_stop(request: Request, viewer: Viewer, release: bool) -> Response:
-    if request.headers.get("origin") != f"{request.url.scheme}://{request.headers.get('host')}":
-        return JSONResponse({"error": "only the page itself may do this"}, 403)
-    began_s = time.monotonic()
+def _request_stop(viewer: Viewer, release: bool) -> str:
     try:
-        reply = await run_in_threadpool(viewer.stop, release)
+        answer: dict[str, Any] = {"stopped": viewer.stop(release).stopped}
     except UnreachableError as error:
-        return JSONResponse({"error": str(error)}, 502)
-    return JSONResponse({"stopped": reply.stopped, "took_s": time.monotonic() - began_s})
+        answer = {"error": str(error)}
+    return json.dumps({"answer": answer})
 
 
 def _listener(port: int) -> socket.socket:

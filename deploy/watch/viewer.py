@@ -4,6 +4,8 @@ import contextlib
 import time
 from collections.abc import Callable
 
+import zenoh
+
 from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.core.errors import FormatError, NoBridge, NotAuthorised
 from rover_ncp.core.key_table import KeySpec
@@ -11,7 +13,7 @@ from rover_ncp.core.protocol import StopReply, StopRequest, dump_json, parse_jso
 from rover_ncp.core.recording import Recorded
 
 STOP_TIMEOUT_S = 1.0
-REASON = "the Stop button of a viewer"
+REASON = "the live page's Stop button"
 
 
 class Viewer(ZenohClient):
@@ -26,7 +28,12 @@ class Viewer(ZenohClient):
         super().__init__(address, receive)
 
     def _declare(self) -> None:
-        self._stopper = self._session.declare_querier(self.key("rover/stop"), timeout=STOP_TIMEOUT_S)
+        self._stopper = self._session.declare_querier(
+            self.key("rover/stop"),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=STOP_TIMEOUT_S,
+        )
 
     @property
     def may_stop(self) -> bool:
@@ -40,11 +47,10 @@ class Viewer(ZenohClient):
         no readable answer.
         """
         request = StopRequest(release=release, reason="" if release else REASON)
-        for reply in self._stopper.get(payload=dump_json(request)):
-            if reply.ok is None:
-                raise NoBridge(f"the bridge at {self.robot} does not answer within {STOP_TIMEOUT_S:g} s")
+        answer = self.bridge_answer(self._stopper.get(payload=dump_json(request)))
+        if answer is not None:
             try:
-                return parse_json(StopReply, reply.ok.payload.to_bytes())
+                return parse_json(StopReply, answer)
             except FormatError as error:
                 raise NoBridge(f"the bridge at {self.robot} sends an unreadable answer: {error}") from error
         if not self.bridge_alive:

@@ -83,11 +83,14 @@ class FormatError(RoverNcpError):
 
 
 class SafetyStop(RoverNcpError):
-    """A safety rule stopped the rover; ``rule`` is its short name."""
+    """A safety rule stopped the rover; ``rule`` is its short name.
+
+    ``by`` is who did, if it was a person or a program: then the message has it in place of the rule.
+    """
 
     exit_code = 4
 
-    def __init__(self, rule: str, detail: str = "") -> None:
+    def __init__(self, rule: str, detail: str = "", *, by: str = "") -> None:
         self.rule = rule
         self.detail = detail
-        super().__init__(f"stopped by {rule}" + (f": {detail}" if detail else ""))
+        super().__init__(f"stopped by {by or rule}" + (f": {detail}" if detail else ""))

@@ -321,6 +321,11 @@ def bumpers(front: int, rear: int) -> bytes:
     return encode("std_msgs/msg/UInt8MultiArray", layout=_layout("front,rear", 2), data=data)
 
 
+def read_bumpers(data: bytes) -> bool:
+    """Return whether a segment of any bumper is pressed. Raises FormatError."""
+    return any(decode("std_msgs/msg/UInt8MultiArray", data).data.tolist())
+
+
 def diagnostics(items: Sequence[Diagnostic], stamp_ns: int, hardware_id: str = "") -> bytes:
     """Return a DiagnosticArray."""
     status = [

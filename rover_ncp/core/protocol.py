@@ -155,7 +155,7 @@ def other_version(bridge: int, driver: int) -> str:
 
 
 class StopRequest(StrictModel):
-    """Stop until released, or release."""
+    """Stop until released, or release. ``reason`` says who stops, and why: it follows "stopped by"."""
 
     release: bool = False
     reason: ShortText = ""
@@ -214,14 +214,50 @@ class BaseReply(StrictModel):
     reason: str = ""
 
 
+REASONS = {
+    "stopped": "a stop was requested, and is not released",
+    "no-base": "the base is not connected",
+    "stop-button": "the STOP button is pressed",
+    "bumper": "a bumper is pressed",
+    "stall": "a motor is stalled",
+    "low-battery": "the battery is low",
+    "motors-off": "the base reports its motors off",
+    "odometry": "the base reports no pose, or its odometry is stale",
+    "odometry-frozen": "the base reports the same pose while it reports a speed",
+    "fence-lost": "odometry restarted, so the place of the fence is not known: put the rover where odom is to "
+    "begin, and restart the bridge",
+    "silence": "no fresh command arrives",
+    "lease-lapsed": "no command arrived for longer than a lease lasts",
+    "no-lease": "no driver holds the lease",
+    "another-driver": "another driver holds the lease",
+    "foreign": "not signed by the driver that holds the lease",
+    "repeated": "a message with this sequence number, or a later one, has arrived already",
+    "stale": "commands arrived too late",
+    "unreadable": "no velocity command",
+    "not-finite": "not a finite number",
+    "geofence": "the rover would leave the geofence",
+    "sonar": "an obstacle is near in the commanded direction, or the sonars there report nothing",
+}
+"""The gate's reasons in words."""
+UNNAMED = "a client that gave no name"
+CONTACTS = frozenset({"bumper", "stall"})
+"""The reasons that report that the rover touched something."""
+
+
+def in_words(reason: str) -> str:
+    """Return a gate's reason with its words."""
+    return f"{reason}: {REASONS[reason]}" if reason in REASONS else reason
+
+
 class GateStatus(StrictModel):
     """The gate's state, on ``rover/gate`` at each change and ten times a second.
 
     ``lease`` is the number of the lease that is held (0 = none), ``driver_name`` its holder, ``sequence`` the
     newest number that the gate accepted under it (-1 = none). ``held`` names what holds the rover at zero now
     ("" = nothing, a command is in force). ``ended`` names what took the last lease away ("" = it is held, or
-    was given back). Counters are since the bridge's start, by name of the gate's reason: commands
-    ``dropped``, commands ``limited``, and ``stops``, how often a command in force was cut off.
+    was given back), and ``ended_detail`` has the words for it. Counters are since the bridge's start, by name
+    of the gate's reason: commands ``dropped``, commands ``limited``, and ``stops``, how often a command in
+    force was cut off.
     """
 
     driver: str = Field(default="", exclude=True, repr=False)
@@ -231,6 +267,7 @@ class GateStatus(StrictModel):
     sequence: int = -1
     held: str = ""
     ended: str = ""
+    ended_detail: str = ""
     stop_reason: str = ""
     """The text of a latched stop."""
     accepted: int = 0
@@ -238,9 +275,18 @@ class GateStatus(StrictModel):
     limited: dict[str, int] = Field(default_factory=dict)
     stops: dict[str, int] = Field(default_factory=dict)
 
+    def contact_since(self, before: "GateStatus") -> str:
+        """Return the contact that is reported, or cut off a command since ``before``; "" if none."""
+        found = [
+            self.held,
+            self.ended,
+            *(name for name in self.stops if self.stops[name] > before.stops.get(name, 0)),
+        ]
+        return next((REASONS[name] for name in found if name in CONTACTS), "")
+
 
 class DriverStatus(StrictModel):
-    """Status of the driving process on ``rover/status``."""
+    """Status of the driving process on ``rover/status``; ``warning`` says what may make the drive wrong."""
 
     state: str
     reason: str = ""
@@ -249,6 +295,7 @@ class DriverStatus(StrictModel):
     tick: int = 0
     t_s: float = 0.0
     overruns: int = 0
+    warning: str = ""
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)

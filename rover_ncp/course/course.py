@@ -5,7 +5,7 @@ its reward are in section VI and the published simulator.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Self
@@ -80,6 +80,10 @@ class Verdict:
     error_m: float
     error_rad: float
     reason: str = ""
+
+    def with_contact(self, words: str) -> "Verdict":
+        """Return the verdict of a rover whose base reported a contact; itself if ``words`` are empty."""
+        return replace(self, parked=False, reason=f"touched an obstacle: {words}") if words else self
 
 
 class Course(StrictModel):

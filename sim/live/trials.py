@@ -100,7 +100,7 @@ class _LiveTrial(LiveRun):
         truth = self.truth.read()
         rewrite(read_recording(path), path, recorded_truth(truth))
         began_ns = read_drive(path).timeline.ticks[0].wall_ns
-        verdict = judge_truth(course, truth, began_ns)
+        verdict = judge_truth(course, truth, began_ns).with_contact(done.result["contact"] or "")
         rule = done.result["stopped_by"]
         return Driven(
             verdict.parked and rule is None,

@@ -89,7 +89,7 @@ def run_park(options: ParkOptions) -> int:
     estimates = [tick.estimate.pose for tick in drive.timeline.ticks]
     write_atomic(picture, drive_chart(course, true_path, estimates, outline_of(robot)).png)
     write_atomic(report, drive_page(drive))
-    verdict = judge_truth(course, truth, began_ns)
+    verdict = judge_truth(course, truth, began_ns).with_contact(done.result["contact"] or "")
     fields = {
         "parked": verdict.parked,  #: the verdict on the true pose
         "reason": verdict.reason,  #: why it did not park, or empty

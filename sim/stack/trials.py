@@ -6,6 +6,7 @@ true pose is judged.
 """
 
 import copy
+import math
 import multiprocessing
 from bisect import bisect_right
 from collections.abc import Callable
@@ -161,6 +162,9 @@ class Stack:
             course=course.name,
             dry_run=False,
             ticks=course.ticks,
+            # Rates are measured from any start of the randomization.
+            start_m=math.inf,
+            start_rad=math.inf,
             estimator=settings,
             rover=known,
         )

@@ -16,12 +16,13 @@ from deploy.drive.controller import Tick
 from deploy.drive.lease import DriverLease
 from deploy.drive.measurements import Arrival, Inbox
 from deploy.drive.publisher import Publisher
+from deploy.drive.sources import Sources
 from deploy.drive_records import TickRecord
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.key_table import spec
-from rover_ncp.core.messages import read_text, twist_stamped
+from rover_ncp.core.messages import read_bumpers, read_text, twist_stamped
 from rover_ncp.core.protocol import (
     GateStatus,
     MotorsReply,
@@ -169,6 +170,7 @@ class VirtualLink:
         self._bridge, self._start, self._record = bridge, start, record
         self.odometry, self.poses, self.gyro = _OdometryInbox(bridge), Inbox(), Inbox()
         self.gate = GateStatus()
+        self.bumped, self.sources = 0, Sources()
         self.first_command_ns: int | None = None
         """When the first command was sent."""
         self.lease = DriverLease()
@@ -226,6 +228,8 @@ class VirtualLink:
             self.gyro.put(self._arrival(data))
         elif name == "rover/gate":
             self.gate = parse_json(GateStatus, read_text(data))
+        elif name == "bumpers":
+            self.bumped += read_bumpers(data)
 
     def localise(self, data: bytes, now_ns: int) -> None:
         """Deliver an external pose that arrives now."""

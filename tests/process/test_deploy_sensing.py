@@ -1,6 +1,7 @@
 """The driver's measurements beside odometry: external poses and a gyro, over real Zenoh."""
 
 import dataclasses
+import math
 
 import pytest
 from deploy_bench import ODOM_AT_START, STILL
@@ -41,6 +42,18 @@ def test_an_external_pose_places_the_rover_on_the_course(bridge, drive, tmp_path
     assert distance(first, there) < 1e-6
     assert first.theta == pytest.approx(0.3)
     assert replay(tmp_path / "run.mcap").difference is None
+
+
+@pytest.mark.parametrize(
+    "there", [Pose(-3.25, 0.0, 2.48), Pose(0.0, 0.0, math.pi), Pose(0.1, -0.21, 0.0), Pose(0.5, 0.1, 0.3)]
+)
+@pytest.mark.parametrize("pose", ["required", "auto"])
+def test_a_start_for_which_no_rate_is_known_is_refused_before_the_motors(bridge, drive, there, pose):
+    bridge.odom = localised(bridge, compose(there, inverse(ODOM_AT_START)))
+    code, result = drive(duration_s=0.5, pose=pose)
+    assert (code, result["stopped_by"], bridge.requests, bridge.commands) == (4, "start-pose", [], [])
+    assert f"x {there.x:.2f} m, y {there.y:.2f} m" in result["reason"]
+    assert "expected ±0.2 m and ±20° at most" in result["reason"]
 
 
 def test_a_gyros_readings_count_are_recorded_and_recomputed(bridge, drive, tmp_path):

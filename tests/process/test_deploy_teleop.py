@@ -209,6 +209,31 @@ def test_keys_that_piled_up_while_it_slept_move_nothing(rig, sit_down):
     assert rig.truth.read()[-1].pose.x == pytest.approx(where, abs=1e-4)
 
 
+def test_sequences_that_are_no_drive_keys_move_nothing(sit_down, rig):
+    person = sit_down()
+    began_ns = time.time_ns()
+    chunks = (
+        "\x1b[13;2u",
+        "\x1b[13;",
+        "2u",
+        "\x1b[M iu",
+        "\x1b[200~",
+        "uiojl",
+        "m,.\x1b[201~",
+        "look, a jug of oil",
+    )
+    for chunk in chunks:
+        person.type(chunk)
+        time.sleep(0.15)
+    time.sleep(0.5)
+    assert moved_since(rig, began_ns)[0] < 1e-6
+    person.type("i")
+    wait_for(lambda: moved_since(rig, began_ns)[0] > 0.005)
+    assert b"\x1b[?2004h" in os.read(person.master, 4096)
+    person.type("q")
+    assert person.end()[0] == 0
+
+
 def test_a_bridge_that_dies_ends_it_with_a_name(sit_down, rig):
     person = sit_down()
     person.hold("i", 1.0)

@@ -1,16 +1,19 @@
 """The live page among real processes: its data and its Stop button."""
 
+import contextlib
 import http.client
 import json
 import signal
+import threading
 import time
-import urllib.error
 import urllib.request
 from html import unescape
 from itertools import pairwise
 
 import pytest
 from recorded_drives import drive_messages
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from deploy.report.page.feed import Feed, Place
 from deploy.watch import server
@@ -19,7 +22,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core import messages
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import NoBridge
-from rover_ncp.core.protocol import DriverStatus, dump_json
+from rover_ncp.core.protocol import DriverStatus, StopReply, dump_json
 from rover_ncp.core.recording import Recorded
 from rover_ncp.course.course import load_course
 from sim.live.live_run import LiveRun
@@ -155,27 +158,97 @@ class Page:
         self.address = address
         self.host = address.removeprefix("http://").rstrip("/")
 
-    def post(self, what, origin):
-        headers = {"Origin": origin} if origin else {}
-        request = urllib.request.Request(self.address + what, method="POST", headers=headers)
-        try:
-            with urllib.request.urlopen(request, timeout=5) as answer:
-                return answer.status, json.load(answer)
-        except urllib.error.HTTPError as error:
-            with error:
-                return error.code, json.loads(error.read())
+    def connect(self, origin=None):
+        return connect(f"ws://{self.host}/live", origin=origin or f"http://{self.host}", open_timeout=5)
+
+    def request(self, what):
+        """Request a stop or its release, and return the answer."""
+        with self.connect() as socket:
+            socket.send(what)
+            return json.loads(socket.recv(timeout=5))["answer"]
 
     def news(self, until, timeout_s=30.0):
-        """Read events until one satisfies ``until``; return it."""
+        """Request news until some satisfy ``until``; return them."""
         deadline = time.monotonic() + timeout_s
-        with urllib.request.urlopen(self.address + "events", timeout=5) as stream:
-            for line in stream:
-                if line.startswith(b"data: "):
-                    news = json.loads(line[6:])
-                    if until(news):
-                        return news
-                assert time.monotonic() < deadline, "no matching event"
-        raise AssertionError("the stream ended")
+        with self.connect() as socket:
+            while time.monotonic() < deadline:
+                socket.send("news")
+                news = json.loads(socket.recv(timeout=5))
+                if until(news):
+                    return news
+                time.sleep(0.1)
+        raise AssertionError("no such news")
+
+
+class SlowFeed:
+    """News that never come."""
+
+    def __init__(self):
+        self.released = threading.Event()
+
+    def news(self, place, bridge):
+        self.released.wait(30)
+        return {}
+
+
+class CountingViewer:
+    """A viewer that only counts."""
+
+    bridge_alive = may_stop = True
+    stops = 0
+
+    def stop(self, release):
+        self.stops += not release
+        return StopReply(stopped=not release)
+
+
+@contextlib.contextmanager
+def served(feed, viewer):
+    """Serve the application without a robot."""
+    listener = server._listener(0)
+    config = server.uvicorn.Config(
+        server._application("", feed, viewer), ws="websockets-sansio", log_level="warning", lifespan="off"
+    )
+    running = server.uvicorn.Server(config)
+    thread = threading.Thread(target=running.run, kwargs={"sockets": [listener]})
+    thread.start()
+    try:
+        yield Page(f"http://127.0.0.1:{listener.getsockname()[1]}/")
+    finally:
+        feed.released.set()
+        running.should_exit = True
+        thread.join()
+
+
+def test_stop_waits_for_no_news():
+    """News of more pages than there are threads for news, none of which comes."""
+    feed, viewer = SlowFeed(), CountingViewer()
+    with served(feed, viewer) as page, contextlib.ExitStack() as stack:
+        sockets = [stack.enter_context(page.connect()) for _ in range(60)]
+        for socket in sockets:
+            socket.send("news")
+        for number, socket in enumerate(sockets, 1):
+            socket.send("stop")
+            assert json.loads(socket.recv(timeout=5)) == {"answer": {"stopped": True}}
+            assert viewer.stops == number
+
+
+def test_only_a_page_of_this_server_may_connect():
+    with served(SlowFeed(), CountingViewer()) as page:
+        for origin in ("http://evil.example", "null", f"https://{page.host}", None):
+            with pytest.raises(InvalidStatus, match="403"):
+                connect(f"ws://{page.host}/live", origin=origin)
+        with pytest.raises(InvalidStatus, match="400"):
+            connect(
+                f"ws://{page.host}/live",
+                additional_headers={"Host": "evil.example"},
+                origin="http://evil.example",
+            )
+        with page.connect() as socket:
+            for request in ("", "STOP", "x" * 16):
+                socket.send(request)
+            socket.send("stop")
+            assert json.loads(socket.recv(timeout=5)) == {"answer": {"stopped": True}}
 
 
 @pytest.fixture(scope="module")
@@ -201,8 +274,8 @@ def test_the_stop_button_stops_a_running_rover(live):
     with urllib.request.urlopen(page.address, timeout=5) as answer:
         assert b'id="stop"' in answer.read()
     # A foreign page in the same browser, and a name for this machine from a foreign DNS.
-    assert page.post("stop", "http://evil.example")[0] == 403
-    assert page.post("stop", None)[0] == 403
+    with pytest.raises(InvalidStatus, match="403"):
+        page.connect("http://evil.example")
     line = http.client.HTTPConnection(page.host, timeout=5)
     line.request("GET", "/", headers={"Host": "evil.example"})
     assert line.getresponse().status == 400
@@ -210,15 +283,14 @@ def test_the_stop_button_stops_a_running_rover(live):
     assert running.truth.speed() > 0.03  # so it still drives
 
     pressed_ns = running.truth.read()[-1].clock_ns
-    code, said = page.post("stop", page.address.rstrip("/"))
-    assert (code, said["stopped"]) == (200, True)
+    assert page.request("stop") == {"stopped": True}
     assert running.truth.stood_after(pressed_ns) < 0.5
     ended = page.news(lambda news: news["status"]["state"] == "fault")
     assert ended["gate"]["held"] == "stopped"
-    assert "the Stop button of a viewer" in ended["gate"]["stop_reason"]
+    assert ended["gate"]["stop_reason"] == "the live page's Stop button"
+    assert ended["status"]["reason"] == "stopped by the live page's Stop button"
 
-    code, said = page.post("release", page.address.rstrip("/"))
-    assert (code, said["stopped"]) == (200, False)
+    assert page.request("release") == {"stopped": False}
     page.news(lambda news: news["gate"]["held"] != "stopped")
 
 
@@ -229,8 +301,9 @@ def test_ctrl_c_ends_it_with_130_and_no_traceback_while_a_page_listens(live):
     watch = Process("watch", ["--robot", running.robot, "--port", "0"], logs)
     try:
         address = watch.wait_for_line("watching at ")
-        with urllib.request.urlopen(address + "events", timeout=5) as stream:
-            stream.readline()
+        with Page(address).connect() as socket:
+            socket.send("news")
+            socket.recv(timeout=5)
             watch.send_signal(signal.SIGINT)
             done = watch.wait(30)
     finally:
@@ -245,6 +318,4 @@ def test_the_end_of_the_bridge_is_reported(live):
     running.bridge.stop()
     gone = page.news(lambda news: not news["bridge"])
     assert gone["mayStop"] is False
-    code, said = page.post("stop", page.address.rstrip("/"))
-    assert code == 502
-    assert "nothing to stop" in said["error"]
+    assert "nothing to stop" in page.request("stop")["error"]

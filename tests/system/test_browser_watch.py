@@ -4,7 +4,7 @@ import csv
 import time
 
 import pytest
-from bridge_bench import Rig
+from bridge_bench import Driver, Rig, wait_for
 from browser import Watched, chromium
 
 from rover_ncp import cli
@@ -75,6 +75,67 @@ def test_a_running_rover_is_seen_and_stopped(browser, tmp_path):
         phone.until("document.getElementById('badge').textContent === 'no connection'")
         assert phone.page.is_disabled("#stop")
         phone.page.close()
+
+
+TABS = 20
+
+
+class Tabs:
+    """Tabs of one browser window: they share its connections."""
+
+    def __init__(self, browser):
+        self._context = browser.new_context(viewport={"width": 400, "height": 850})
+
+    def new_page(self, viewport):
+        return self._context.new_page()
+
+    def close(self):
+        self._context.close()
+
+
+def test_stop_reaches_the_gate_from_any_of_many_tabs(browser, tmp_path, record_property):
+    """A browser has six HTTP connections to a host; every tab has its news, and every Stop goes through."""
+    with LiveRun(tmp_path) as running, Driver(running.robot) as bridge:
+        watch = Process("watch", ["--robot", running.robot, "--port", "0"], tmp_path)
+        running.processes.append(watch)
+        address, tabs = watch.wait_for_line("watching at "), Tabs(browser)
+        pages = [Watched(tabs, address) for _ in range(TABS)]
+        for seen in pages:
+            seen.until("!document.getElementById('stop').disabled")
+        took_s = []
+        for seen in (pages[0], pages[TABS // 2], pages[-1]):
+            seen.page.bring_to_front()
+            for top in ("0", "document.body.scrollHeight", "document.body.scrollHeight / 2"):
+                seen.page.evaluate(f"window.scrollTo(0, {top})")
+                seen.page.evaluate("document.addEventListener('click', () => (window.clicked = Date.now()))")
+                seen.page.click("#stop", timeout=2000, no_wait_after=True)
+                wait_for(lambda: bridge.gate.held == "stopped", what=f"the gate to stop, {took_s}")
+                took_s.append(time.time() - seen.page.evaluate("window.clicked") / 1000)
+                seen.until("document.getElementById('stopnote').textContent.startsWith('Stopped until')")
+                seen.page.click("#release")
+                wait_for(lambda: bridge.gate.held != "stopped")
+        record_property("stop_s", took_s)
+        print(f"{TABS} tabs, from click to latched gate: at most {1000 * max(took_s):.0f} ms")
+        assert all(seen.complaints == [] for seen in pages)
+        tabs.close()
+
+
+@pytest.mark.parametrize(("width", "height"), [(400, 850), (1280, 900)])
+def test_stop_is_on_the_screen_wherever_the_page_is_scrolled(browser, tmp_path, width, height):
+    with LiveRun(tmp_path) as running:
+        watch = Process("watch", ["--robot", running.robot, "--port", "0"], tmp_path)
+        running.processes.append(watch)
+        address = watch.wait_for_line("watching at ")
+        seen = Watched(browser, address, width, height)
+        port = address.rstrip("/").rpartition(":")[2]
+        assert f"ssh -N -L {port}:127.0.0.1:{port} " in seen.page.text_content("header")
+        for top in ("0", "document.body.scrollHeight / 2", "document.body.scrollHeight"):
+            seen.page.evaluate(f"window.scrollTo(0, {top})")
+            box = seen.page.evaluate("document.getElementById('stop').getBoundingClientRect().toJSON()")
+            assert 0 <= box["left"] < box["right"] <= width
+            assert 0 <= box["top"] < box["bottom"] <= height
+        assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
+        seen.page.close()
 
 
 def test_who_may_only_look_sees_that(browser, tmp_path):

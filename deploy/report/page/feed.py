@@ -19,6 +19,7 @@ from deploy.report.page.page_data import columns, event_rows
 from deploy.report.recorded_drive import facts
 from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.protocol import in_words
 from rover_ncp.core.recording import Recorded
 from rover_ncp.course.course import Course
 
@@ -108,9 +109,11 @@ class Feed:
             notes.append(f"policy {status.policy} on course {status.course}")
         if gate and gate.lease:
             notes.append(f"{gate.driver_name or 'a driver without a name'} holds the lease")
-            notes += [f"the gate holds the rover: {gate.held}"] if gate.held else []
+            notes += [f"the gate holds the rover, {in_words(gate.held)}"] if gate.held else []
         elif gate:
             notes.append("no driver holds the lease")
+        if status and status.warning:
+            notes.append(status.warning)
         if timeline.foreign:
             notes.append(
                 "the driver's neurons are not those of this page's policy: start watch with --policy"

@@ -6,6 +6,7 @@ Text from peers and policies reaches a page only through templates, which escape
 from collections import Counter
 from importlib import resources
 from typing import Any
+from urllib.parse import urlsplit
 
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup, escape
@@ -64,8 +65,10 @@ def drive_page(drive: Drive) -> str:
     )
 
 
-def watch_page(robot: str, policy: Policy, course: Course, outline: FloatArray = OUTLINE) -> str:
-    """Return the page of ``watch`` as HTML; its script gets all news from the server."""
+def watch_page(
+    robot: str, address: str, policy: Policy, course: Course, outline: FloatArray = OUTLINE
+) -> str:
+    """Return the page of ``watch`` as HTML; its script gets all news from the server at ``address``."""
     title = fragment("title", "waiting", "", "for the bridge")
     return page(
         "page.html",
@@ -73,6 +76,8 @@ def watch_page(robot: str, policy: Policy, course: Course, outline: FloatArray =
         data=_frame(policy, course, outline),
         html={"title": title},
         live=True,
+        address=address,
+        port=urlsplit(address).port,
     )
 
 

@@ -1,20 +1,45 @@
-// The page while a rover drives: server-sent events bring news; a request stops the rover or releases the stop.
-const REDRAW_MS = 500;
-let outdated = false, next = 0, asking = false;
+// The page while a rover drives. One WebSocket brings news and carries requests to stop: an event stream would
+// take one of the six connections that a browser has to a host, and with six pages open no request could leave.
+const REDRAW_MS = 500, NEWS_MS = 100, SILENT_MS = 3000, RECONNECT_MS = 500;
+let socket, title, outdated = false, next = 0, asked = null, silence, unanswered;
 
 for (const control of [$("time"), $("play")]) control.addEventListener("pointerdown", () => ($("follow").checked = false));
 for (const action of ["stop", "release"]) $(action).addEventListener("click", () => ask(action));
+connect();
 
-const source = new EventSource("events");
-source.onmessage = (message) => receive(JSON.parse(message.data));
-source.onerror = () => {
+function connect() {
+  socket = new WebSocket(`ws://${location.host}/live`);
+  socket.onopen = () => request("news");
+  socket.onclose = () => {
+    lost();
+    $("stop").disabled = true;
+    setTimeout(connect, RECONNECT_MS);
+  };
+  socket.onmessage = (message) => {
+    const received = JSON.parse(message.data);
+    if (received.answer) return answered(received.answer);
+    clearTimeout(silence);
+    receive(received);
+    setTimeout(request, NEWS_MS, "news");
+  };
+}
+
+function request(what) {
+  if (socket.readyState !== WebSocket.OPEN) return;
+  socket.send(what);
+  if (what === "news") silence = setTimeout(lost, SILENT_MS);
+}
+
+function lost() {
+  title = title ?? $("title").innerHTML;
   $("badge").textContent = "no connection";
   $("badge").className = "bad";
   $("headline").textContent = "The server of this page does not answer; the page keeps trying.";
-  $("stop").disabled = true;
-};
+}
 
 function receive(news) {
+  if (title !== undefined) $("title").innerHTML = title;
+  title = undefined;
   const changed = take(news), fresh = Boolean(news.ticks?.t?.length), now = performance.now();
   if (news.reset) player.set(0);
   outdated = outdated || changed || fresh;
@@ -31,20 +56,24 @@ function stopControls({ bridge, mayStop, gate }) {
   const held = gate?.held === "stopped";
   $("stop").disabled = !mayStop;
   $("release").hidden = !(held && mayStop);
-  if (!bridge) $("stopnote").textContent = "No bridge, nothing to stop.";
-  else if (!mayStop) $("stopnote").textContent = "You may watch this rover, but you are not authorised to stop it.";
-  else if (held) $("stopnote").textContent = `Stopped until released: ${gate.stop_reason}`;
-  else if (!asking) $("stopnote").textContent = "";
+  if (asked) return;
+  if (!bridge) note("No bridge, nothing to stop.");
+  else if (!mayStop) note("You may watch this rover, but you are not authorised to stop it.");
+  else note(held ? `Stopped until released, by ${gate.stop_reason || "an unnamed client"}.` : "");
 }
 
-async function ask(action) {
-  asking = true;
-  $("stopnote").textContent = action === "stop" ? "Stopping…" : "Releasing…";
-  try {
-    const answer = await (await fetch(action, { method: "POST" })).json();
-    $("stopnote").textContent = answer.error || (answer.stopped ? "Stopped until released." : "Released.");
-  } catch (error) {
-    $("stopnote").textContent = `The request failed: ${error.message}`;
-  }
-  setTimeout(() => (asking = false), 3000);
+const note = (words) => ($("stopnote").textContent = words);
+
+function ask(action) {
+  asked = action;
+  request(action);
+  note(action === "stop" ? "Stopping…" : "Releasing…");
+  clearTimeout(unanswered);
+  unanswered = setTimeout(answered, SILENT_MS, { error: `No answer within ${SILENT_MS / 1000} s: the rover may still drive.` });
+}
+
+function answered({ error, stopped }) {
+  clearTimeout(unanswered);
+  note(error || (stopped ? "Stopped until released." : "Released."));
+  unanswered = setTimeout(() => (asked = null), 3000);
 }

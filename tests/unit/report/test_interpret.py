@@ -123,11 +123,9 @@ def test_currents_and_pulls_by_hand():
     # Both chemical synapses are half open: 1 S towards 0 mV, 0.5 S towards -90 mV; leak 1 S towards -70 mV.
     assert found.current[0] == pytest.approx([1.0 * 50, 0.5 * -40, 0.5 * 0.0])
     target = (1 * -70 + 1.0 * 0 + 0.5 * -90) / 2.5
-    assert found.target[0, 2] == pytest.approx(target)
     without_excitation = (-70 - 45) / 1.5
     without_inhibition = -70 / 2
     assert found.pull[0, :2] == pytest.approx([target - without_excitation, target - without_inhibition])
-    assert found.target[0, 1] == pytest.approx((-70 - 20) / 1.5)
     assert found.pull[0, 2] == pytest.approx(-60 + 70)
 
 

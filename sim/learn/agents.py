@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 ROUND_ITERATIONS = 100
 """Short enough for a live display."""
-_MOST_ROUNDS_AHEAD = 40
+_MAX_ROUNDS_AHEAD = 40
 """Rounds that an agent may be ahead of the slowest: their states are kept until all agents have done them."""
 _PORTION_S = 0.5
 """CPU time for which a worker advances agents: lanes run empty at its end, and a display waits for it. Not
@@ -159,13 +159,13 @@ def rounds(
     waiting: list[deque[AgentState]] = [deque() for _ in agents]
 
     def following(index: int) -> Sequence[int]:
-        return targets[reached[index] : reached[index] + _MOST_ROUNDS_AHEAD]
+        return targets[reached[index] : reached[index] + _MAX_ROUNDS_AHEAD]
 
     def submit() -> list[tuple[list[int], Result]]:
         behind = [
             index
             for index, count in enumerate(reached)
-            if count < len(targets) and len(waiting[index]) < _MOST_ROUNDS_AHEAD
+            if count < len(targets) and len(waiting[index]) < _MAX_ROUNDS_AHEAD
         ]
         return [
             (

@@ -12,7 +12,7 @@ Rules of this file:
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from bridge.base import (
@@ -164,7 +164,7 @@ class Ros2Base:
         match arrival:
             case RobotMessage():
                 events = self._message(arrival)
-                notices = self._clock_notices(arrival.topic)
+                notices = self._clock_notices(arrival.topic, self._odometer.set_back_s)
             case TokenSeen(token, there):
                 if not there:
                     self._tokens.pop(token, None)
@@ -179,8 +179,14 @@ class Ros2Base:
         """See Base."""
         events = self._watch(now)
         velocity = setpoint.velocity if setpoint.motors and self._ready else ZERO
+<<<<<<< HEAD
         if setpoint.emergency or not (setpoint.motors and setpoint.lease and self._ready):
             self._measurement = None  # the robot gets zeros: it does not halt by its own timeout
+=======
+        ends = setpoint.emergency or not (setpoint.motors and setpoint.leased and self._ready)
+        if ends and self._measurement is not None:  # zeros halt the robot, not its own timeout
+            self._measurement, self._timeout = None, replace(self._timeout, interrupted=True)
+>>>>>>> ros
         measurement = self._measurement
         if measurement is not None:
             measurement.update(self._speed, now)
@@ -310,8 +316,7 @@ class Ros2Base:
         self._contradictions[f"{who} publishes {where} too"] = now
         self._odometer.counters["foreign"] += 1
 
-    def _clock_notices(self, topic: str) -> list[BaseEvent]:
-        back_s = self._odometer.set_back_s
+    def _clock_notices(self, topic: str, back_s: float) -> list[BaseEvent]:
         if topic != self._topics.odom or not 0.0 < back_s <= CLOCK_BACK_S:  # beyond it, it is a restart
             return []
         return [Notice(f"the clock that stamps {self._line.topic(topic)} was set back by {back_s:.2f} s")]

@@ -28,10 +28,12 @@ class BaseTimeout:
     measured: bool = False
     measured_s: float | None = None
     """What was measured since the bridge's start; None = it did not halt."""
+    interrupted: bool = False
+    """Whether the last measurement was ended before its result."""
 
     def after(self, measured_s: float | None) -> "BaseTimeout":
         """Return what is known after a measurement; None = it did not halt."""
-        return replace(self, measured=True, measured_s=measured_s)
+        return replace(self, measured=True, measured_s=measured_s, interrupted=False)
 
     @property
     def timeout_s(self) -> float | None:
@@ -40,19 +42,17 @@ class BaseTimeout:
 
     @property
     def state(self) -> TimeoutState:
-        """What is known of it."""
-        if self.timeout_s is not None and self.timeout_s <= MAX_BASE_TIMEOUT_S:
-            return TimeoutState.MEASURED
-        return TimeoutState.NONE if self.measured else TimeoutState.UNKNOWN
+        """The result of the last measurement, or the description's."""
+        return TimeoutState.UNKNOWN if self.interrupted else self._newest
 
     @property
     def refusal(self) -> str:
         """Why no driver but the check may drive; "" if every driver may."""
-        if self.unsafe or (self.described_s is not None and self.state is TimeoutState.MEASURED):
+        if self.unsafe or (self.described_s is not None and self._newest is TimeoutState.MEASURED):
             return ""
-        if self.state is TimeoutState.NONE:
+        if self._newest is TimeoutState.NONE:
             remedy = f"to drive it, {_UNSAFE}"
-        elif self.state is TimeoutState.UNKNOWN:
+        elif self._newest is TimeoutState.UNKNOWN:
             remedy = f"put it on blocks and run 'rover-ncp check', or {_UNSAFE}"
         else:
             remedy = (
@@ -66,8 +66,14 @@ class BaseTimeout:
         return f"if this bridge dies: {self.refusal or f'the robot {self._known}'}"
 
     @property
+    def _newest(self) -> TimeoutState:
+        if self.timeout_s is not None and self.timeout_s <= MAX_BASE_TIMEOUT_S:
+            return TimeoutState.MEASURED
+        return TimeoutState.NONE if self.measured else TimeoutState.UNKNOWN
+
+    @property
     def _known(self) -> str:
-        match self.state:
+        match self._newest:
             case TimeoutState.NONE:
                 return "does not halt by itself when its commands stop"
             case TimeoutState.UNKNOWN:

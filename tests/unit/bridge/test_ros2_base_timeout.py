@@ -83,10 +83,25 @@ def test_no_driver_drives_a_checked_robot_while_it_is_measured_again():
     assert halts(world, 0.6).refusal == ""
 
 
+def test_an_interrupted_measurement_of_a_checked_robot_has_no_result_and_it_may_drive_on():
+    world = World(CHECKED)
+    world.run(2.0)
+    begin(world)
+    world.leased = False
+    world.run(0.1)
+    assert world.base.own_timeout[::2] == ("unknown", "")
+    world.leased = True
+    assert halts(world, 0.4).state == "measured"
+
+
 def test_a_described_robot_that_does_not_halt_any_more_has_a_refusal():
     world = World(CHECKED)
     world.run(2.0)
     assert "--no-base-watchdog" in halts(world, 100.0).refusal
+    begin(world)
+    world.leased = False
+    world.run(0.1)
+    assert "--no-base-watchdog" in world.base.own_timeout.refusal
 
 
 def test_a_robot_that_does_not_halt_gets_zeros_after_5_s_and_a_refusal(ready):

@@ -45,6 +45,7 @@ class ZenohLink(ClosedAtExit):
         self._namespace = namespace
         self._ros = ros
         self._rmw: RmwNode | None = None
+        self._sequence = 0
         # Raises for a bad namespace before anything is opened.
         settings, endpoints = configured(listen, config, insecure, self.key("cmd_vel"))
         if Convention.RMW_ZENOH in ros:
@@ -110,7 +111,6 @@ class ZenohLink(ClosedAtExit):
         }
         # By this id drivers notice others that publish our topics. Latched messages cannot have it.
         self._marked = {row.name for row in ours if not row.latched}
-        self._sequence = 0
         self._held.append(self._session.declare_subscriber(self.key("cmd_vel"), self._guard(self._command)))
         for row in KEYS:
             if row.kind is Kind.QUERYABLE:

@@ -179,14 +179,9 @@ class Ros2Base:
         """See Base."""
         events = self._watch(now)
         velocity = setpoint.velocity if setpoint.motors and self._ready else ZERO
-<<<<<<< HEAD
-        if setpoint.emergency or not (setpoint.motors and setpoint.lease and self._ready):
-            self._measurement = None  # the robot gets zeros: it does not halt by its own timeout
-=======
-        ends = setpoint.emergency or not (setpoint.motors and setpoint.leased and self._ready)
+        ends = setpoint.emergency or not (setpoint.motors and setpoint.lease and self._ready)
         if ends and self._measurement is not None:  # zeros halt the robot, not its own timeout
             self._measurement, self._timeout = None, replace(self._timeout, interrupted=True)
->>>>>>> ros
         measurement = self._measurement
         if measurement is not None:
             measurement.update(self._speed, now)

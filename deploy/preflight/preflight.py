@@ -111,7 +111,7 @@ class Preflight:
         findings: list[Finding] = []
         checks = {
             **({"model": self._check_model} if self._robot else {}),
-            "odometry": self._check_odometry,
+            "odometry": self._check_inputs,
             "battery": self._check_battery,
             "stop": self._check_holds,
             "motors": self._check_motors,
@@ -140,6 +140,11 @@ class Preflight:
         found = base.model if base else "a robot that it does not name"
         return found == self._robot.name, f"the bridge drives {found}, expected {self._robot.name}"
 
+    def _check_inputs(self) -> tuple[bool, str]:
+        ok, words = self._check_odometry()
+        second = "; ".join(self._link.sources.second.values())
+        return (False, second) if ok and second else (ok, words)
+
     def _check_odometry(self) -> tuple[bool, str]:
         least, rate = RATE_HZ, 0.0
         if self._robot is not None:
@@ -150,8 +155,6 @@ class Preflight:
             rate = (self._measurements.taken["odom"] - before) / LISTEN_S
             if rate >= least:
                 break
-        if second := "; ".join(self._link.sources.second.values()):
-            return False, second
         return rate >= least, f"{rate:.1f} reports a second (at least {least:g})"
 
     def _check_battery(self) -> tuple[bool, str]:

@@ -40,6 +40,7 @@ from sim.world.described import described_rover
 from sim.world.randomization import Randomization
 from sim.world.rover import Rover, RoverModel
 
+ANYWHERE_M = 1000.0
 _WORTH_A_PROCESS = 6
 """Fewer trials take no longer than a process takes to start."""
 
@@ -163,8 +164,8 @@ class Stack:
             dry_run=False,
             ticks=course.ticks,
             # Rates are measured from any start of the randomization.
-            start_m=math.inf,
-            start_rad=math.inf,
+            start_m=ANYWHERE_M,
+            start_rad=math.pi,
             estimator=settings,
             rover=known,
         )

@@ -122,7 +122,7 @@ def _bodies(path: Path, file: IO[bytes], size: int) -> Iterator[tuple[int, bytes
     end = file.read(len(MAGIC) + 1)
     if end != MAGIC:
         cut = f"cut off at byte {size}"
-        raise Damaged(cut if MAGIC.startswith(end) else f"damaged before byte {file.tell()}: no end")
+        raise Damaged(cut if MAGIC.startswith(end) else f"damaged before byte {file.tell()}: not the end")
 
 
 def _too_large(path: Path, what: str, limit: int) -> FileError:

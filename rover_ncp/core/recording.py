@@ -256,7 +256,7 @@ def read_recording(path: Path, topics: Collection[str] | None = None) -> Recordi
                 raise FileError(f"{path}: holds more than the limit of {MEMORY_LIMIT >> 20} MiB of messages")
     except Damaged as error:
         damage = str(error)
-        _log.warning("%s: %s; the %d messages before it are used", path, damage, len(messages))
+        _log.warning("%s: %s; what precedes it is used", path, damage)
     return Recording(path, attachments, metadata, tuple(messages), not damage, profile, damage)
 
 

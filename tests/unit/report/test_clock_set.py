@@ -9,15 +9,15 @@ import pytest
 from recorded_drives import BEGAN_NS, TICK_NS, drive_messages
 
 from deploy.drive.config import COURSE_FILE, POLICY_FILE
+from deploy.drive_records import TICKS_TOPIC
 from deploy.report.page.page_data import columns
 from deploy.report.recorded_drive import facts, read_drive
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
-from rover_ncp.core import messages
+from rover_ncp.core import messages, recording
 from rover_ncp.core.arrays import read_arrays
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording, recover, rewrite
-from rover_ncp.core.recording_time import TICKS_TOPIC, steady
+from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording, rewrite
 from rover_ncp.course.course import load_course
 from sim.live.truth import TrueState, judge_truth, recorded_truth
 
@@ -107,8 +107,8 @@ def test_clock_that_is_set_changes_neither_arrays_nor_the_duration_of_recovery(t
     before = read_recording(path).messages
     content = path.read_bytes()
     path.write_bytes(content[: content.rindex(b"nav_msgs/msg/Odometry") - 200])
-    found = recover(path, path)
-    assert found.seconds == pytest.approx(recover(usual, usual).seconds, abs=0.2)
+    found = recording.recover(path, path)
+    assert found.seconds == pytest.approx(recording.recover(usual, usual).seconds, abs=0.2)
     assert read_recording(path).messages == before[: found.messages]
 
 
@@ -138,7 +138,7 @@ def test_truth_is_judged_and_merged_by_the_steady_clock(tmp_path, by_ns):
 def test_clock_set_back_without_ticks_leaves_the_order_of_the_file():
     _, _, _, told = driven()
     plain = [message for message in told if message.topic == "odom"]
-    times = [message.log_ns for message in steady(clock_set(plain, -HOUR_NS, BEGAN_NS + 10**9))]
+    times = [message.log_ns for message in recording.steady(clock_set(plain, -HOUR_NS, BEGAN_NS + 10**9))]
     usual = [message.log_ns for message in plain]
     assert np.array(times) - times[0] == pytest.approx(np.array(usual) - usual[0], abs=1.5 * TICK_NS)
     assert times == sorted(times)
@@ -147,7 +147,7 @@ def test_clock_set_back_without_ticks_leaves_the_order_of_the_file():
 def test_message_that_is_dated_at_the_start_moves_no_other():
     _, _, _, told = driven()
     path = Recorded("deploy/path", "nav_msgs/msg/Path", b"", told[0].log_ns, told[0].log_ns)
-    assert [m.log_ns for m in steady([*told[:-1], path, told[-1]])][-1] == told[-1].log_ns
+    assert [m.log_ns for m in recording.steady([*told[:-1], path, told[-1]])][-1] == told[-1].log_ns
 
 
 @pytest.mark.parametrize("value", [True, "1", None, -1, 1 << 70, 1.5, [1]])
@@ -156,4 +156,4 @@ def test_tick_record_of_strangers_moves_no_message(value):
     record = messages.text(json.dumps({"now_ns": value, "wall_ns": BEGAN_NS}))
     own = [message for message in told if message.topic != TICKS_TOPIC]
     ticks = [Recorded(TICKS_TOPIC, "std_msgs/msg/String", record, m.log_ns, m.log_ns) for m in own]
-    assert list(steady(ticks)) == ticks
+    assert list(recording.steady(ticks)) == ticks

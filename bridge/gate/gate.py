@@ -197,7 +197,10 @@ def _moving(before: float, now: float) -> float:
 
 
 def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateState, Reason | None]:
-    """Grant or renew the lease, or return the refusal. A renewal resets the driver's clock offset."""
+    """Grant or renew the lease, or return the refusal. A new lease resets the driver's clock offset.
+
+    A renewal does not: on a link that became slow it would make stale commands look fresh.
+    """
     base, lease = state.base, state.lease
     sequence = -1 if lease is None else request.sequence
     if sequence is None:
@@ -229,7 +232,7 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         hazard_since_untagged=state.hazard_since_untagged and granted.secret is not None,
         target=None,
         idle=Reason.SILENCE,
-        minima=remember((), state.now, request.sent_ns),
+        minima=remember(() if lease is None else state.minima, state.now, request.sent_ns),
         motors=True,
     ), None
 

@@ -105,15 +105,37 @@ def test_delay_from_the_first_command_on_is_detected():
     assert gate.drive(10.25, age=0.21).dropped is Reason.STALE
 
 
-def test_renewal_resets_the_clock_offset():
+def test_new_lease_resets_the_clock_offset():
     gate = Gate().driving()
     gate.ahead_s += 3600.0
     assert gate.drive(0.1).dropped is None  # it seems quicker than any before it
     gate.ahead_s -= 3600.0
     assert gate.drive(0.2).dropped is Reason.STALE
+    gate.release(0.25)
     gate.at(0.3, BaseReport())
-    assert gate.renew(0.3).refusal is None
+    assert gate.enable(0.3).refusal is None
     assert gate.drive(0.4).dropped is None
+
+
+def test_renewal_over_a_link_that_became_slow_makes_no_stale_command_fresh():
+    gate = Gate().driving()
+    gate.at(0.3, BaseReport())
+    gate.ahead_s -= 0.4  # all that arrives was sent 0.4 s earlier
+    assert gate.renew(0.3).refusal is None
+    assert gate.drive(0.4).dropped is Reason.STALE
+
+
+def test_renewal_that_arrives_sooner_than_the_request_counts():
+    gate = Gate()
+    gate.ahead_s -= 0.4
+    gate.at(0.0, BaseReport())
+    gate.enable(0.0)
+    gate.ahead_s += 0.4
+    gate.at(0.1, BaseReport())
+    assert gate.renew(0.1).refusal is None
+    assert gate.drive(0.2).dropped is None
+    gate.ahead_s -= 0.4
+    assert gate.drive(0.3).dropped is Reason.STALE
 
 
 def test_smallest_delay_may_come_at_any_time():

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from deploy.drive.safety_monitor import Timeouts
-from deploy.estimator.settings import EstimatorSettings
+from deploy.estimator.settings import GYRO_S, EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
 from rover_ncp.core.config import dump_yaml, parse_yaml, read_yaml
@@ -40,7 +40,7 @@ PoseUse = Literal["auto", "required", "none"]
 class DriveConfig(Timeouts):
     """The settings of one drive; times in s."""
 
-    format: int = Field(default=2, ge=2, le=2)
+    format: int = Field(default=3, ge=3, le=3)
     version: str = Field(default_factory=lambda: version("rover-ncp"))
     robot: str
     namespace: str
@@ -115,6 +115,10 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
         "distance_gain_std": odometry.distance_error / math.sqrt(3.0),
         "turn_gain_std": odometry.turn_error / math.sqrt(3.0),
     }
+    if robot.gyro is not None:
+        # Its readings are averaged over the time of a turn. No less than usual: it is read at other moments.
+        noise_rad = robot.gyro.noise_rad_s * math.sqrt(GYRO_S / robot.gyro.rate_hz)
+        spread["gyro_rad"] = max(usual.gyro_rad, noise_rad)
     if robot.drive.kind == "differential":  # it turns about the middle of its axle, and does not slide
         spread |= {"rotation_center_std_m": AXLE_STD_M, "downhill_std_m": AXLE_STD_M}
     return usual.model_copy(update=spread)
@@ -147,9 +151,9 @@ def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
 
 def _drive_config(text: str, where: str) -> DriveConfig:
     settings = read_yaml(text, where)
-    if isinstance(settings, dict) and settings.get("format") == 1:
+    if isinstance(settings, dict) and settings.get("format") in {1, 2}:
         raise FileError(
-            f"{where}: has format 1, from before the estimator changed; "
+            f"{where}: has format {settings['format']}, from before the estimator changed; "
             f"only the rover-ncp that recorded it can recompute the drive"
         )
     return parse_yaml(text, DriveConfig, where)

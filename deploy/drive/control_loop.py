@@ -99,7 +99,7 @@ class Drive:
 
     @property
     def measurements_used(self) -> dict[str, dict[str, Any]]:
-        """Counts of odometry samples and external poses by their outcome, as the result reports them."""
+        """Counts of odometry, gyro readings and external poses by their outcome, as the result has them."""
         taken, unreadable = self.measurements.taken, self.measurements.unreadable
         estimator = self._controller.estimator
         outcomes, nis = estimator.poses, estimator.nis
@@ -108,6 +108,11 @@ class Drive:
                 "taken": taken["odom"],
                 "unreadable": unreadable["odom"],
                 "rejected": estimator.rejected,  #: by the filter
+            },
+            "gyro": {  #: readings
+                "taken": taken["imu"],
+                "unreadable": unreadable["imu"],
+                "rejected": estimator.gyro_rejected,  #: by the filter
             },
             "pose": {  #: external poses
                 "placed": self._placed,  #: whether they gave the start

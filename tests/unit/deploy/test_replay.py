@@ -3,6 +3,7 @@
 import json
 import zlib
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -79,6 +80,16 @@ def record_drive(path, policy):
 @pytest.fixture(scope="module")
 def policy(request):
     return load_policy(request.config.rootpath / "tests/data/golden/parking.bnn")
+
+
+def test_samples_of_the_same_checksum_are_told_apart_by_their_stamps(policy, tmp_path, monkeypatch):
+    collides = SimpleNamespace(crc32=lambda data: 1 if data.startswith(b"\0\1\0\0") else zlib.crc32(data))
+    for module in ("deploy.drive.measurements", "deploy.replay"):
+        monkeypatch.setattr(f"{module}.zlib", collides)
+    record_drive(tmp_path / "run.mcap", policy)
+    comparison = replay(tmp_path / "run.mcap")
+    assert comparison.difference is None
+    assert comparison.ticks == TICKS
 
 
 @pytest.fixture(scope="module")

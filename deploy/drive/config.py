@@ -50,7 +50,7 @@ class DriveConfig(Timeouts):
     ticks: int = Field(ge=1, description="how many control ticks the drive lasts at most")
     still_wait_s: float = Field(default=10.0, gt=0, description="for the rover to stand still")
     still_s: float = Field(default=1.0, gt=0, description="so long it stands still before the start")
-    still_m: float = Field(default=0.003, gt=0)
+    still_m: float = Field(default=0.003, gt=0, description="or what odometry's noise makes of rest")
     still_rad: float = Field(default=0.005, gt=0)
     pose: PoseUse = "auto"
     pose_wait_s: float = Field(default=10.0, gt=0, description="for the first external pose, if required")
@@ -109,6 +109,8 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
     spread = {
         "position_m": max(usual.position_m, odometry.noise_m),
         "heading_rad": max(usual.heading_rad, odometry.noise_rad),
+        "speed_m_s": math.hypot(usual.speed_m_s, odometry.noise_m_s),
+        "turn_rad_s": math.hypot(usual.turn_rad_s, odometry.noise_rad_s),
         "acceleration": max(motion.accel, motion.decel) ** 2 / odometry.rate_hz,
         "angular_acceleration": max(motion.alpha, motion.alpha_decel) ** 2 / odometry.rate_hz,
         "rejected_in_a_row": max(usual.rejected_in_a_row, math.ceil(REJECTED_S * odometry.rate_hz)),

@@ -152,7 +152,7 @@ class Estimator:
         own = pose if odometry is None else odometry
         if not all(map(math.isfinite, (*pose, *own, t))):
             raise ValueError(f"cannot start from {pose}, odometry {own}, at {t}")
-        sure = np.zeros((3, 3)) if covariance is None else self._spread(covariance)
+        sure = np.zeros((3, 3)) if covariance is None else completed(covariance, self._settings)
         if sure is None:
             raise ValueError(f"cannot start with the covariance {covariance}")
         self._started = History(self._settings, t, own, pose, sure)
@@ -197,7 +197,7 @@ class Estimator:
 
         ``covariance`` (3, 3) is that of (x, y, θ); a variance of 0 means unknown.
         """
-        noise = self._spread(covariance)
+        noise = completed(covariance, self._settings)
         if noise is None or not all(map(math.isfinite, (*pose, t))):
             outcome = Outcome.NOT_FINITE
         else:
@@ -251,16 +251,6 @@ class Estimator:
             raise RuntimeError("the estimator was not started")
         return self._started
 
-    def _spread(self, covariance: Array) -> Array | None:
-        """Return a covariance with unknown variances filled in; None if it is invalid."""
-        spread = np.array(covariance, dtype=np.float64)
-        if not np.isfinite(spread).all() or (np.diag(spread) < 0).any():
-            return None
-        usual = np.square([self._settings.pose_m, self._settings.pose_m, self._settings.pose_rad])
-        spread[np.diag_indices(3)] = np.where(np.diag(spread) == 0.0, usual, np.diag(spread))
-        spread = 0.5 * (spread + spread.T)
-        return spread if np.linalg.eigvalsh(spread).min() > 0.0 else None
-
     def _count_gyro(self, outcome: Outcome | None) -> None:
         if outcome is Outcome.ACCEPTED:
             self._gyro_in_a_row = 0
@@ -287,3 +277,14 @@ class Estimator:
     def _fail(self, rule: str, words: str) -> None:
         if not self.fault:
             self.fault, self.fault_rule = words, rule
+
+
+def completed(covariance: Array, settings: EstimatorSettings) -> Array | None:
+    """Return an external pose's covariance with unknown variances filled in; None if it is invalid."""
+    spread = np.array(covariance, dtype=np.float64)
+    if not np.isfinite(spread).all() or (np.diag(spread) < 0).any():
+        return None
+    usual = np.square([settings.pose_m, settings.pose_m, settings.pose_rad])
+    spread[np.diag_indices(3)] = np.where(np.diag(spread) == 0.0, usual, np.diag(spread))
+    spread = 0.5 * (spread + spread.T)
+    return spread if np.linalg.eigvalsh(spread).min() > 0.0 else None

@@ -6,9 +6,11 @@ from base_odometry import reported
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
+from rover_ncp.core.robot_description import load_description
 
 DT = 0.1
 STILL = Velocity(0.0, 0.0)
@@ -169,6 +171,19 @@ def test_noise_of_odometry_does_not_move_a_standing_rover():
     for tick in range(1, 200):
         seen = Pose(*(rng.normal(size=3) * [0.005, 0.005, 0.009]))
         assert estimator.odometry(seen, STILL, tick * DT) is Outcome.ACCEPTED
+        assert estimator.at(tick * DT).pose == pytest.approx((1.0, 2.0, 0.5), abs=1e-9)
+
+
+def test_noise_of_reported_speeds_does_not_move_a_standing_rover():
+    husky = load_description("husky-a200")
+    noise = {"noise_m_s": 0.02, "noise_rad_s": 0.03, "noise_m": 0.003, "noise_rad": 0.005}
+    robot = husky.model_copy(update={"odometry": husky.odometry.model_copy(update=noise)})
+    rng, estimator = np.random.default_rng(4), Estimator(settings_for(None, robot))
+    estimator.start(Pose(1.0, 2.0, 0.5), 0.0, Pose(0.0, 0.0, 0.0))
+    for tick in range(1, 200):
+        seen = Pose(*(rng.normal(size=3) * [0.003, 0.003, 0.005]))
+        velocity = Velocity(*(rng.normal(size=2) * [0.02, 0.03]))
+        assert estimator.odometry(seen, velocity, tick * DT) is Outcome.ACCEPTED
         assert estimator.at(tick * DT).pose == pytest.approx((1.0, 2.0, 0.5), abs=1e-9)
 
 

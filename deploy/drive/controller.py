@@ -135,7 +135,7 @@ class Controller:
                 return None
 
     def tick(self, index: int, t: float) -> Tick:
-        """Run tick ``index`` of the course at time ``t``, which is not before the last odometry."""
+        """Run tick ``index`` of the course at time ``t``."""
         estimate = self.look(index, t)
         start = self._course.start_signal(index * TICK_S)
         outputs = self._runner.tick(self._observation(self._steered(estimate), index, start))

@@ -51,18 +51,19 @@ class MotionLog(NamedTuple):
 
 def motion_log(messages: Iterable[Recorded]) -> MotionLog:
     """Read a drive's messages; skip malformed ones. Raises FileError when there are too few."""
-    sent, odometry, external, offsets_ns = [], [], [], list[int]()
+    sent, external, offsets_ns = [], [], list[int]()
+    odometry: list[tuple[float, ...]] = []
     for message in messages:
         try:
             if message.topic == "rover/cmd_out":
                 twist = read_twist(message.data)
-                sent.append((twist.stamp_ns, len(odometry), message.log_ns, *twist.velocity))
+                sent.append((twist.stamp_ns, (len(odometry), message.log_ns), twist.velocity))
             elif message.topic == "odom":
                 sample = read_odometry(message.data)
                 odometry.append((sample.stamp_ns, *sample.pose, *sample.velocity))
                 offsets_ns.append(message.log_ns - sample.stamp_ns)
             elif message.topic == "pose":
-                external.append((len(odometry), message.log_ns, *read_course_pose(message.data).pose))
+                external.append(((len(odometry), message.log_ns), read_course_pose(message.data).pose))
         except FormatError:
             continue
     if len(odometry) < _LEAST or not sent:
@@ -74,10 +75,10 @@ def motion_log(messages: Iterable[Recorded]) -> MotionLog:
     def stamp_ns(place: int, arrival_ns: int) -> int:
         return arrival_ns - min(offsets_ns[max(place - _NEAR, 0) : place + _NEAR])
 
-    zero_ns = odometry[0][0]
-    commands = _table([(at or stamp_ns(*seen), v, omega) for at, *seen, v, omega in sent], zero_ns, 3)
+    zero_ns = int(odometry[0][0])
+    commands = _table([(at or stamp_ns(*seen), *velocity) for at, seen, velocity in sent], zero_ns, 3)
     samples = _table(odometry, zero_ns, 6)
-    outside = _table([(stamp_ns(place, at), *pose) for place, at, *pose in external], zero_ns, 4)
+    outside = _table([(stamp_ns(*seen), *pose) for seen, pose in external], zero_ns, 4)
     samples[:, 0] = _measured(samples[:, 0])
     return MotionLog(commands[:, 0], commands[:, 1:], _track(samples[:, :4]), samples[:, 4:], _track(outside))
 

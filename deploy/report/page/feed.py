@@ -53,6 +53,10 @@ class Feed:
         self._lock, self._explaining = threading.Lock(), threading.Lock()
         self._generation = 0
         self._ended = False
+        self._verdicts: dict[str, Verdict] | None
+        """Those of the ended drive, judged once, and again if the gate reports a contact then."""
+        self._judged: bool | None
+        """Whether the verdicts count a contact; None before there are any."""
         self._begin()
 
     def take(self, message: Recorded) -> None:
@@ -108,9 +112,7 @@ class Feed:
         self._findings_html: dict[str, Markup] = {}
         self._explained = (0, False)
         self._explain_after = -math.inf
-        self._verdicts: dict[str, Verdict] | None = None
-        """Those of the ended drive, judged once, and again if the gate reports a contact then."""
-        self._judged: bool | None = None
+        self._verdicts, self._judged = None, None
 
     def _state_html(self, bridge: bool) -> dict[str, Markup]:
         """Return the parts of the page that change with the states of driver and gate."""

@@ -106,6 +106,6 @@ def test_poses_from_before_the_rover_stood_do_not_count():
 
 def test_another_drivers_lease_is_named():
     world = World(lambda t: (0.0, 0.0, 0.0))
-    world.gate = SimpleNamespace(lease=3, driver_name="somebody")
-    with pytest.raises(start.AnotherDriver, match="somebody holds the lease"):
+    world.gate = SimpleNamespace(lease=3, driver_name="a teleop")
+    with pytest.raises(start.AnotherDriver, match="a teleop holds the lease"):
         detect(world)

@@ -7,10 +7,10 @@ from typing import Literal
 from pydantic import Field
 
 from deploy.drive.safety_monitor import Timeouts
-from deploy.estimator.settings import EstimatorSettings
+from deploy.estimator.settings import GYRO_S, EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
-from rover_ncp.core.config import dump_yaml, parse_yaml
+from rover_ncp.core.config import dump_yaml, parse_yaml, read_yaml
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.recording import Recording
 from rover_ncp.core.robot_description import RobotDescription
@@ -40,7 +40,7 @@ PoseUse = Literal["auto", "required", "none"]
 class DriveConfig(Timeouts):
     """The settings of one drive; times in s."""
 
-    format: int = Field(default=2, ge=2, le=2)
+    format: int = Field(default=3, ge=3, le=3)
     version: str = Field(default_factory=lambda: version("rover-ncp"))
     robot: str
     namespace: str
@@ -50,7 +50,7 @@ class DriveConfig(Timeouts):
     ticks: int = Field(ge=1, description="how many control ticks the drive lasts at most")
     still_wait_s: float = Field(default=10.0, gt=0, description="for the rover to stand still")
     still_s: float = Field(default=1.0, gt=0, description="so long it stands still before the start")
-    still_m: float = Field(default=0.003, gt=0)
+    still_m: float = Field(default=0.003, gt=0, description="or what odometry's noise makes of rest")
     still_rad: float = Field(default=0.005, gt=0)
     pose: PoseUse = "auto"
     pose_wait_s: float = Field(default=10.0, gt=0, description="for the first external pose, if required")
@@ -113,12 +113,18 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
     spread = {
         "position_m": max(usual.position_m, odometry.noise_m),
         "heading_rad": max(usual.heading_rad, odometry.noise_rad),
+        "speed_m_s": math.hypot(usual.speed_m_s, odometry.noise_m_s),
+        "turn_rad_s": math.hypot(usual.turn_rad_s, odometry.noise_rad_s),
         "acceleration": max(motion.accel, motion.decel) ** 2 / odometry.rate_hz,
         "angular_acceleration": max(motion.alpha, motion.alpha_decel) ** 2 / odometry.rate_hz,
         "rejected_in_a_row": max(usual.rejected_in_a_row, math.ceil(REJECTED_S * odometry.rate_hz)),
         "distance_gain_std": odometry.distance_error / math.sqrt(3.0),
         "turn_gain_std": odometry.turn_error / math.sqrt(3.0),
     }
+    if robot.gyro is not None:
+        # Its readings are averaged over the time of a turn. No less than usual: it is read at other moments.
+        noise_rad = robot.gyro.noise_rad_s * math.sqrt(GYRO_S / robot.gyro.rate_hz)
+        spread["gyro_rad"] = max(usual.gyro_rad, noise_rad)
     if robot.drive.kind == "differential":  # it turns about the middle of its axle, and does not slide
         spread |= {"rotation_center_std_m": AXLE_STD_M, "downhill_std_m": AXLE_STD_M}
     return usual.model_copy(update=spread)
@@ -145,5 +151,15 @@ def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
     return (
         policy_from_yaml(texts[POLICY_FILE], where[POLICY_FILE]),
         parse_yaml(texts[COURSE_FILE], Course, where[COURSE_FILE]),
-        parse_yaml(texts[CONFIG_FILE], DriveConfig, where[CONFIG_FILE]),
+        _drive_config(texts[CONFIG_FILE], where[CONFIG_FILE]),
     )
+
+
+def _drive_config(text: str, where: str) -> DriveConfig:
+    settings = read_yaml(text, where)
+    if isinstance(settings, dict) and settings.get("format") in {1, 2}:
+        raise FileError(
+            f"{where}: has format {settings['format']}, from before the estimator changed; "
+            f"only the rover-ncp that recorded it can recompute the drive"
+        )
+    return parse_yaml(text, DriveConfig, where)

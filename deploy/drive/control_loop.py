@@ -113,7 +113,7 @@ class Drive:
 
     @property
     def measurements_used(self) -> dict[str, dict[str, Any]]:
-        """Counts of odometry samples and external poses by their outcome, as the result reports them."""
+        """Counts of odometry, gyro readings and external poses by their outcome, as the result has them."""
         taken, unreadable = self.measurements.taken, self.measurements.unreadable
         doubtful = self.measurements.doubtful
         estimator = self._controller.estimator
@@ -124,6 +124,11 @@ class Drive:
                 "unreadable": unreadable["odom"],
                 "doubtful": doubtful["odom"],  #: not used: their stamps contradict those around them
                 "rejected": estimator.rejected,  #: by the filter
+            },
+            "gyro": {  #: readings
+                "taken": taken["imu"],
+                "unreadable": unreadable["imu"],
+                "rejected": estimator.gyro_rejected,  #: by the filter
             },
             "pose": {  #: external poses
                 "placed": self._placed,  #: whether they gave the start

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from deploy.estimator.estimator import Estimate, Estimator
-from deploy.estimator.settings import EstimatorSettings, Outcome
+from deploy.estimator.settings import TURN_GAINS, EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, wrap_angle
@@ -39,8 +39,6 @@ COMING_TO_REST_S = 1.0
 """It holds so long before it must stand for the verdict; until then, small commands correct its pose."""
 TURNED_SHARE = 0.9
 """A heading further off than this share of what counts as parked is too near that limit to rest with."""
-LEAST_TURN_GAIN = 0.5
-"""No description has robots that turn less than this share of what their wheels say."""
 
 
 @dataclass(frozen=True)
@@ -137,11 +135,11 @@ class Controller:
                 return None
 
     def tick(self, index: int, t: float) -> Tick:
-        """Run tick ``index`` of the course at time ``t``, which is not before the last odometry."""
+        """Run tick ``index`` of the course at time ``t``."""
         estimate = self.look(index, t)
         start = self._course.start_signal(index * TICK_S)
         v, omega = self._runner.tick(self._observation(self._steered(estimate), index, start))
-        turn_gain = max(estimate.turn_gain, LEAST_TURN_GAIN)
+        turn_gain = float(np.clip(estimate.turn_gain, *TURN_GAINS))
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
         tiny = abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega
         if index > self._last_moving:

@@ -1,5 +1,7 @@
 """The start of a drive: the rover must stand still, and external poses may show where it stands."""
 
+import math
+from bisect import bisect_left, insort
 from collections import deque
 from collections.abc import Sequence
 
@@ -11,6 +13,8 @@ from deploy.drive.controller import ORIGIN
 from deploy.drive.link import Link
 from deploy.drive.measurements import NS, Measurement, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.estimator.estimator import completed
+from deploy.estimator.history import SAME_PLACE
 from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.core.messages import OdometrySample, PoseSample
@@ -26,6 +30,10 @@ class StartDetector:
         self._standing: deque[Measurement[OdometrySample]] = deque()
         """Odometry of the rover at one place, from the first sample there."""
         self._poses: list[Measurement[PoseSample]] = []
+        """Usable external poses of the time in which the rover must stand, in the order of measurement."""
+        noise = SAME_PLACE * math.sqrt(2.0)
+        self._still_m = max(config.still_m, noise * config.estimator.position_m)
+        self._still_rad = max(config.still_rad, noise * config.estimator.heading_rad)
 
     def wait(self, monitor: SafetyMonitor) -> Measurement[OdometrySample]:
         """Return the odometry at the start. Raises SafetyStop, NoPose, AnotherDriver, KeyboardInterrupt."""
@@ -69,18 +77,19 @@ class StartDetector:
         )
 
     def _same_place(self, a: Pose, b: Pose) -> bool:
-        config = self._config
-        return distance(a, b) <= config.still_m and abs(wrap_angle(a.theta - b.theta)) <= config.still_rad
+        return distance(a, b) <= self._still_m and abs(wrap_angle(a.theta - b.theta)) <= self._still_rad
 
     def _collect_poses(self) -> None:
-        """Keep the finite external poses of the time in which the rover must stand."""
+        for seen in self._measurements.poses():
+            valid = completed(seen.sample.covariance, self._config.estimator) is not None
+            if valid and all(map(math.isfinite, seen.sample.pose)):
+                insort(self._poses, seen, key=_measured_ns)
         oldest = self._clock.monotonic_ns() - self._config.still_s * NS
-        self._poses = [
-            seen
-            for seen in [*self._poses, *self._measurements.poses()]
-            if seen.ref.measured_ns >= oldest
-            and np.isfinite([*seen.sample.pose, *seen.sample.covariance.ravel()]).all()
-        ]
+        del self._poses[: bisect_left(self._poses, oldest, key=_measured_ns)]
+
+
+def _measured_ns(seen: Measurement[PoseSample]) -> float:
+    return seen.ref.measured_ns
 
 
 def _median(poses: Sequence[Pose]) -> Pose:

@@ -18,11 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.estimator.history import History
+from deploy.estimator.history import TURN_S, History
 from deploy.estimator.motion import (
+    BIAS,
     CENTER,
     DISTANCE,
     GAIN,
+    MOTION,
     OMEGA,
     OWN,
     POSE,
@@ -33,11 +35,13 @@ from deploy.estimator.motion import (
     true_motion,
     turned_without_gain,
 )
-from deploy.estimator.settings import EstimatorSettings, Outcome
+from deploy.estimator.settings import GYRO_S, EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 
 GYRO_GAP_S = 0.25
 """After a longer gap, a gyro gives no turn for the time of the gap."""
+GYRO_OFF_RAD_S = 1.0
+"""A reading that is further off, beyond five standard deviations of its noise, is rejected by itself."""
 LATE, EARLY = 1.5, 0.5
 """Odometry may be late after a gap of more than so many usual ones, and the next with it after less than so
 many."""
@@ -73,6 +77,10 @@ class _Gyro:
         else:
             self._torn = True
         self._t, self._rate = t, rate
+
+    def miss(self) -> None:
+        """Note a reading that cannot be used."""
+        self._torn = True
 
     def angle(self, t: float) -> float:
         """Return the angle at ``t``, NaN where it is unknown, and once after each gap.
@@ -117,17 +125,19 @@ class Estimator:
         self._settings = settings or EstimatorSettings()
         self._started: History | None = None
         self._gyro, self._due = _Gyro(), _Due()
-        self._angle = math.nan
-        """The gyro's at the newest odometry."""
+        self._gyro_off_rad_s = GYRO_OFF_RAD_S + 5.0 * self._settings.gyro_rad / GYRO_S
         self.rejected = 0
         """Odometry samples refused so far."""
+        self.gyro_rejected = 0
+        """Gyro readings refused so far."""
         self.poses = dict.fromkeys(Outcome, 0)
         """Outcomes of the external poses; waiting ones are counted again when they are evaluated."""
         self.fault = ""
         """Fault of the estimate; empty without one."""
         self.fault_rule = ""
-        """The safety rule of that fault: estimator, or external-pose."""
-        self._in_a_row = self._poses_in_a_row = 0
+        """The safety rule of that fault: estimator, gyro or external-pose."""
+        self._in_a_row = self._poses_in_a_row = self._gyro_in_a_row = 0
+        self._gyro_counted = -math.inf
 
     def start(
         self, pose: Pose, t: float, odometry: Pose | None = None, covariance: Array | None = None
@@ -142,7 +152,7 @@ class Estimator:
         own = pose if odometry is None else odometry
         if not all(map(math.isfinite, (*pose, *own, t))):
             raise ValueError(f"cannot start from {pose}, odometry {own}, at {t}")
-        sure = np.zeros((3, 3)) if covariance is None else self._spread(covariance)
+        sure = np.zeros((3, 3)) if covariance is None else completed(covariance, self._settings)
         if sure is None:
             raise ValueError(f"cannot start with the covariance {covariance}")
         self._started = History(self._settings, t, own, pose, sure)
@@ -156,12 +166,10 @@ class Estimator:
             due = self._due.of(t)
             if due < t and self._history.misfit(z, due) < self._history.misfit(z, t):
                 t = due
-            angle = self._gyro.angle(t)
-            outcome, waited = self._history.odometry(z, angle - self._angle, t)
-            if math.isnan(angle):  # also if this sample is refused: the next is not to be compared across
-                self._angle = angle
+            outcome, turn, waited = self._history.odometry(z, self._gyro.angle(t), t)
+            self._count_gyro(turn)
         if outcome is Outcome.ACCEPTED:
-            self._in_a_row, self._angle = 0, angle
+            self._in_a_row = 0
             for seen in waited:
                 self._count(seen)
             return outcome
@@ -174,15 +182,22 @@ class Estimator:
 
     def gyro(self, rate: float, t: float) -> None:
         """Apply a gyro's rate of turn in rad/s, the mean since its last, before the odometry of ``t``."""
-        if math.isfinite(rate) and math.isfinite(t):
+        if not (math.isfinite(rate) and math.isfinite(t)):
+            outcome = Outcome.NOT_FINITE
+        elif abs(rate - self._history.turn_rate()) > self._gyro_off_rad_s:
+            outcome = Outcome.OUTLIER
+        else:
             self._gyro.measure(rate, t)
+            return
+        self._gyro.miss()
+        self._count_gyro(outcome)
 
     def external(self, pose: Pose, covariance: Array, t: float) -> Outcome:
         """Apply an external pose (course frame) that was measured at ``t`` or earlier, and may come late.
 
         ``covariance`` (3, 3) is that of (x, y, θ); a variance of 0 means unknown.
         """
-        noise = self._spread(covariance)
+        noise = completed(covariance, self._settings)
         if noise is None or not all(map(math.isfinite, (*pose, t))):
             outcome = Outcome.NOT_FINITE
         else:
@@ -191,7 +206,7 @@ class Estimator:
         return outcome
 
     def at(self, t: float) -> Estimate:
-        """Return the estimate predicted to ``t``, which must not lie before the last odometry."""
+        """Return the estimate at ``t``: predicted, or of the last second; before that, its oldest."""
         x, P = self._history.at(t)
         ahead, _, turn = true_motion(x, self._settings)
         rows = np.zeros((5, SIZE))
@@ -217,7 +232,8 @@ class Estimator:
         t = self._history.t
         for pose, velocity in zip(path, motion, strict=True):
             if gyro:
-                ahead.gyro(velocity.omega, t)
+                x[MOTION] = velocity
+                ahead.gyro(true_motion(x, self._settings)[2] + float(x[BIAS]), t)
             ahead.odometry(compose(own_path, pose), velocity, t)
             t += period_s
         return ahead.at(t).covariance[:3, :3]
@@ -235,15 +251,17 @@ class Estimator:
             raise RuntimeError("the estimator was not started")
         return self._started
 
-    def _spread(self, covariance: Array) -> Array | None:
-        """Return a covariance with unknown variances filled in; None if it is invalid."""
-        spread = np.array(covariance, dtype=np.float64)
-        if not np.isfinite(spread).all() or (np.diag(spread) < 0).any():
-            return None
-        usual = np.square([self._settings.pose_m, self._settings.pose_m, self._settings.pose_rad])
-        spread[np.diag_indices(3)] = np.where(np.diag(spread) == 0.0, usual, np.diag(spread))
-        spread = 0.5 * (spread + spread.T)
-        return spread if np.linalg.eigvalsh(spread).min() > 0.0 else None
+    def _count_gyro(self, outcome: Outcome | None) -> None:
+        if outcome is Outcome.ACCEPTED:
+            self._gyro_in_a_row = 0
+        elif outcome is not None:
+            self.gyro_rejected += 1
+            if self._history.t - self._gyro_counted >= TURN_S:  # at any rate of readings, n are as long
+                self._gyro_counted = self._history.t
+                self._gyro_in_a_row += 1
+            if self._gyro_in_a_row >= self._settings.gyro_rejected_in_a_row:
+                words = f"{self._gyro_in_a_row} gyro readings in a row refused, the last as {outcome.value}"
+                self._fail("gyro", words)
 
     def _count(self, outcome: Outcome) -> None:
         self.poses[outcome] += 1
@@ -259,3 +277,14 @@ class Estimator:
     def _fail(self, rule: str, words: str) -> None:
         if not self.fault:
             self.fault, self.fault_rule = words, rule
+
+
+def completed(covariance: Array, settings: EstimatorSettings) -> Array | None:
+    """Return an external pose's covariance with unknown variances filled in; None if it is invalid."""
+    spread = np.array(covariance, dtype=np.float64)
+    if not np.isfinite(spread).all() or (np.diag(spread) < 0).any():
+        return None
+    usual = np.square([settings.pose_m, settings.pose_m, settings.pose_rad])
+    spread[np.diag_indices(3)] = np.where(np.diag(spread) == 0.0, usual, np.diag(spread))
+    spread = 0.5 * (spread + spread.T)
+    return spread if np.linalg.eigvalsh(spread).min() > 0.0 else None

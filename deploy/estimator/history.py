@@ -9,8 +9,11 @@ Rules of this file:
 3. A pose that is refused while the rover moves may mean that something pushed it, such as a cable that it
    drove over. If a push explains the pose, the covariance grows by one, once until a pose is accepted. The
    estimate stays, and the next pose can correct it. A rover that was carried away was moved by more.
-4. The rover stands between two odometry samples that report no motion at all and the same place. Its pose
-   then stays the same, and noise does not move the estimate.
+4. The rover stands between two odometry samples that report no motion and the same place, both within their
+   declared noise. Its pose then stays the same, and noise does not move the estimate.
+5. A gyro's turn that does not fit is a push, if one explains it, and else rejected. The heading follows a
+   push, with a standard deviation that also covers a false reading. A turn that would move the turn gain out
+   of its limits is no turn of this rover, and a long push is none either.
 """
 
 import math
@@ -24,6 +27,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from deploy.estimator.motion import (
     BIAS,
     DELAY,
+    GAIN,
     MOTION,
     OWN,
     POSE,
@@ -36,15 +40,25 @@ from deploy.estimator.motion import (
     standing,
     true_motion,
 )
-from deploy.estimator.settings import EstimatorSettings, Outcome
+from deploy.estimator.settings import GYRO_S, TURN_GAINS, EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, wrap_angle
 
+GAP_S = 10.0
+"""After a longer gap any odometry would fit, so none is accepted."""
 WAITING_MAX = 100
 """Most poses that wait for odometry; with more than this, their stamps are wrong."""
 REST_M_S, REST_RAD_S = 0.0005, 0.001
-"""Slower motion counts as none: less than half a step of what a base reports."""
+"""Slower motion counts as none: less than half a step of a Pioneer, whose only noise is rounding."""
 SAME_PLACE = 5.0
-"""Poses within so many standard deviations of odometry's noise count as the same place."""
+"""So many standard deviations of odometry's noise count as the same place, or as no motion."""
+TURN_S = 0.08
+"""A gyro's turns are compared with odometry's over no less, so that no rate hides a small one."""
+PUSH_RAD = 0.2
+"""The estimate follows a push so far."""
+IN_A_PUSH = 1.0
+"""Largest NIS that ends a push."""
+PUSH_DOUBT = 0.3
+"""Standard deviation of a push that a gyro shows, as a share of it."""
 
 _ALL = np.eye(SIZE)
 REPORTED = slice(OWN.start, MOTION.stop)
@@ -53,14 +67,29 @@ _BLOCKS = (OWN, MOTION)
 independent. A 5 × 5 inverse for both would use scipy's threads: 50 ms on a busy machine."""
 
 
+class Turn(NamedTuple):
+    """The angle that a gyro turned in some seconds, its variance, and that of a push meanwhile (rad²)."""
+
+    angle: float
+    seconds: float
+    noise: float
+    push: float = 0.0
+
+
 class Odometry(NamedTuple):
-    """A sample: pose and motion (5,), and the angle that a gyro turned since the sample before (rad)."""
+    """A sample: pose and motion (5,), whether a turn ends with it, and that turn if a gyro showed it."""
 
     z: Array
-    turned: float
-    """NaN without a gyro."""
-    seconds: float
-    """Since the sample before."""
+    ends_turn: bool = True
+    turn: Turn | None = None
+
+
+class Applied(NamedTuple):
+    """Outcome of an odometry sample, of its gyro's turn (None without), and of the poses that waited."""
+
+    odometry: Outcome
+    turn: Outcome | None = None
+    poses: tuple[Outcome, ...] = ()
 
 
 class Seen(NamedTuple):
@@ -111,8 +140,11 @@ class History:
         P[POSE, POSE] = covariance
         deviations = [s.position_m, s.position_m, s.heading_rad, s.speed_m_s, s.turn_rad_s]
         self._noise = np.diag(np.square(deviations))
+        usual = EstimatorSettings()
+        noisier = np.square(deviations[3:]) - np.square([usual.speed_m_s, usual.turn_rad_s])
+        self._rest = np.array([REST_M_S, REST_RAD_S]) + SAME_PLACE * np.sqrt(np.maximum(noisier, 0.0))
         z = np.array([*own, 0.0, 0.0])
-        self._entries = [_Entry(t, True, Odometry(z, math.nan, 0.0), x, P)]
+        self._entries = [_Entry(t, True, Odometry(z), x, P)]
         self._fresh = 1
         """Number of entries that include all earlier ones. The others are applied again when needed, so many
         late poses at once cost little more than one."""
@@ -122,6 +154,10 @@ class History:
         self._push = Push(np.diag(np.square([s.push_m, s.push_m, s.push_rad])))
         self._pushed = False
         """Whether the covariance has a push since the last accepted pose."""
+        self._turn_began = t, math.nan
+        """Begin of the turn in s, and the gyro's angle there."""
+        self._push_rad = 0.0
+        """Size of the push that the gyro's last turns show."""
         self.nis: dict[bool, tuple[int, float]] = {True: (0, 0.0), False: (0, 0.0)}
         """Number and sum of the NIS of external poses, while the rover stood and while it moved."""
 
@@ -130,17 +166,29 @@ class History:
         """The moment of the newest odometry."""
         return self._last[0]
 
-    def odometry(self, z: Array, turned: float, t: float) -> tuple[Outcome, list[Outcome]]:
-        """Apply odometry; return its outcome and those of the poses that waited for it."""
+    def odometry(self, z: Array, angle: float, t: float) -> Applied:
+        """Apply odometry, and the angle that a gyro has turned from any zero (NaN: not known, a new zero)."""
+        began, before = self._turn_began
+        if math.isnan(angle):  # also if this sample is refused: the next is not to be compared across
+            self._turn_began = began, math.nan
         if t < self.t:
-            return Outcome.OUT_OF_ORDER, []
-        if not self._predicted(z, t)[0] <= self._settings.gate:
-            return Outcome.OUTLIER, []
-        self._entries.append(self._updated(t, self._stands(z), Odometry(z, turned, t - self.t)))
+            return Applied(Outcome.OUT_OF_ORDER)
+        if t > self.t + GAP_S or not self._predicted(z, t)[0] <= self._settings.gate:
+            return Applied(Outcome.OUTLIER)
+        stood, turn, turn_outcome = self._stands(z), None, None
+        self._correct_by_odometry(z, stood)
+        turned, seconds = angle - before, t - began
+        ends_turn = math.isnan(turned) or seconds >= TURN_S
+        if ends_turn:
+            self._turn_began = t, angle
+        if ends_turn and math.isfinite(turned):
+            turn = self._explained(turned, seconds)
+            turn_outcome = Outcome.ACCEPTED if turn else Outcome.OUTLIER
+        self._entries.append(self._entry(t, stood, Odometry(z, ends_turn, turn)))
         self._last = t, z
         self._fresh += 1
         due = bisect_right(self._waiting, t, key=lambda waiting: waiting[0])
-        outcomes = [self._insert(*waiting) for waiting in self._waiting[:due]]
+        outcomes = tuple(self._insert(*waiting) for waiting in self._waiting[:due])
         del self._waiting[:due]
         # The last entry before the window stays: it is where a pose at the window's edge starts from.
         oldest = t - self._settings.history_s
@@ -148,11 +196,11 @@ class History:
         self._apply_again(keep + 1)
         del self._entries[:keep]
         self._fresh -= keep
-        return Outcome.ACCEPTED, outcomes
+        return Applied(Outcome.ACCEPTED, turn_outcome, outcomes)
 
     def misfit(self, z: Array, t: float) -> float:
         """Return −2 log likelihood, but for a constant, of odometry measured at ``t``."""
-        if t < self.t:
+        if not self.t <= t <= self.t + GAP_S:
             return math.inf
         nis, covariance = self._predicted(z, t)
         return nis + float(np.linalg.slogdet(covariance)[1])
@@ -178,21 +226,27 @@ class History:
         insort(self._waiting, (at, seen), key=lambda waiting: waiting[0])
         return Outcome.WAITING
 
+    def turn_rate(self) -> float:
+        """Return the turn rate that a gyro should show."""
+        x = self._entries[self._fresh - 1].x
+        return true_motion(x, self._settings)[2] + float(x[BIAS])
+
     def at(self, t: float) -> tuple[Array, Array]:
-        """Return state (18,) and covariance (18, 18) at ``t``, not before the newest odometry."""
-        if t < self.t:
-            raise ValueError(f"asked for {t} s, which is before the last measurement at {self.t} s")
+        """Return state (18,) and covariance (18, 18) at ``t``, before the history those of its begin."""
         self._apply_again(len(self._entries))
-        last = self._entries[-1]
-        x, jacobian, noise = moving(last.x, t - last.t, self._settings, new_turn=True)
-        return x, jacobian @ last.P @ jacobian.T + noise
+        place = max(bisect_right(self._entries, t, key=lambda entry: entry.t), 1)
+        before, dt = self._entries[place - 1], max(t - self._entries[place - 1].t, 0.0)
+        stood = place < len(self._entries) and self._entries[place].stood
+        step = standing if stood else moving
+        x, jacobian, noise = step(before.x, dt, self._settings, new_turn=True)
+        return x, jacobian @ before.P @ jacobian.T + noise
 
     def _stands(self, z: Array) -> bool:
         """Return whether a sample and the one before report no motion, and the same place."""
         before = self._last[1]
         limits = SAME_PLACE * math.sqrt(2.0) * np.sqrt(np.diag(self._noise)[:3])
         moved = np.abs(_residual(z[:3], before[:3]))
-        still = np.abs([z[3:], before[3:]]).max(axis=0) < (REST_M_S, REST_RAD_S)
+        still = np.abs([z[3:], before[3:]]).max(axis=0) < self._rest
         return bool(still.all() and (moved < limits).all())
 
     def _insert(self, t: float, seen: Seen) -> Outcome:
@@ -228,11 +282,9 @@ class History:
         """Bring the filter from an entry to time ``t``."""
         ekf, dt = self._ekf, t - before.t
         ekf.x, ekf.P = before.x, before.P
-        if stood:
-            ekf.moved, ekf.F, ekf.Q = standing(before.x, dt, self._settings)
-        else:
-            new_turn = isinstance(before.measured, Odometry)
-            ekf.moved, ekf.F, ekf.Q = moving(before.x, dt, self._settings, new_turn=new_turn)
+        step = standing if stood else moving
+        new_turn = isinstance(before.measured, Odometry) and before.measured.ends_turn
+        ekf.moved, ekf.F, ekf.Q = step(before.x, dt, self._settings, new_turn=new_turn)
         ekf.predict()
 
     def _updated(self, t: float, stood: bool, measured: Odometry | Seen | Push) -> _Entry:
@@ -244,18 +296,51 @@ class History:
         elif isinstance(measured, Push):
             ekf.P[POSE, POSE] += measured.noise
         else:
-            for rows in _BLOCKS:
-                part = slice(rows.start - OWN.start, rows.stop - OWN.start)
-                if not (stood and rows is MOTION):
-                    innovation = _residual(measured.z[part], ekf.x[rows])
-                    self._correct(innovation, _ALL[rows], self._noise[part, part])
-            if math.isfinite(measured.turned) and measured.seconds > 0:
-                H = _ALL[TURN : TURN + 1] + measured.seconds * _ALL[BIAS : BIAS + 1]
-                noise = np.array([[self._settings.gyro_rad**2]])
-                self._correct(measured.turned - H @ ekf.x, H, noise)
+            self._correct_by_odometry(measured.z, stood)
+            if measured.turn is not None:
+                self._correct_by_turn(measured.turn)
+        return self._entry(t, stood, measured)
+
+    def _entry(self, t: float, stood: bool, measured: Odometry | Seen | Push) -> _Entry:
+        ekf = self._ekf
         for angle in (THETA, OWN.stop - 1):
             ekf.x[angle] = wrap_angle(ekf.x[angle])
         return _Entry(t, stood, measured, ekf.x.copy(), ekf.P.copy())
+
+    def _correct_by_odometry(self, z: Array, stood: bool) -> None:
+        for rows in _BLOCKS:
+            part = slice(rows.start - OWN.start, rows.stop - OWN.start)
+            if not (stood and rows is MOTION):
+                self._correct(_residual(z[part], self._ekf.x[rows]), _ALL[rows], self._noise[part, part])
+
+    def _correct_by_turn(self, turn: Turn) -> None:
+        self._ekf.P[np.ix_((THETA, TURN), (THETA, TURN))] += turn.push
+        H = _turn_row(turn.seconds)
+        self._correct(turn.angle - H @ self._ekf.x, H, np.array([[turn.noise]]))
+
+    def _explained(self, angle: float, seconds: float) -> Turn | None:
+        """Apply a gyro's turn as what explains it, and return it so; None if nothing does."""
+        s, x, P = self._settings, self._ekf.x, self._ekf.P
+        turn = Turn(angle, seconds, s.gyro_rad**2 * seconds / GYRO_S)
+        row = _turn_row(seconds)[0]
+        variance = float(row @ P @ row) + turn.noise
+        missing = angle - float(row @ x)
+        gain = float(x[GAIN] + P[GAIN] @ row / variance * missing)
+        least, most = (limit * s.turn_gain for limit in TURN_GAINS)
+        gate = IN_A_PUSH if self._push_rad else s.gyro_gate
+        if missing**2 <= gate * variance and (
+            least <= gain <= most or abs(gain - s.turn_gain) < abs(x[GAIN] - s.turn_gain)
+        ):
+            self._push_rad = 0.0
+        else:
+            self._push_rad += abs(missing)
+            turn = turn._replace(
+                noise=turn.noise + (PUSH_DOUBT * missing) ** 2, push=(s.gyro_push_rad_s * seconds) ** 2
+            )
+            if self._push_rad > PUSH_RAD or missing**2 > s.gyro_gate * (variance + turn.push):
+                return None
+        self._correct_by_turn(turn)
+        return turn
 
     def _correct(self, innovation: Array, H: Array, noise: Array) -> None:
         self._ekf.update(innovation, lambda _: H, lambda _: 0.0, R=noise)
@@ -272,6 +357,11 @@ class History:
         H = _ALL[POSE].copy()
         H[:, DELAY] = -velocity
         return _residual(seen.z - (seen.late_s - x[DELAY]) * velocity, x[POSE]), H
+
+
+def _turn_row(seconds: float) -> Array:
+    """Return the Jacobian (1, 18) of a gyro's turn in some seconds."""
+    return _ALL[TURN : TURN + 1] + seconds * _ALL[BIAS : BIAS + 1]
 
 
 def _residual(z: Array, expected: Array) -> Array:

@@ -1,8 +1,8 @@
 """Motion of a skid-steered rover and of its odometry, with Jacobian and process noise.
 
 State: the pose x, y, θ in the course's frame; the pose in odometry's own frame; speed v and turn rate ω as
-the encoders see them; the turn of the true heading since the last odometry; then the errors of odometry and
-of the sensors, which the filter estimates beside the pose:
+the encoders see them; the turn of the true heading since the gyro's was last compared with it; then the
+errors of odometry and of the sensors, which the filter estimates beside the pose:
 
     DISTANCE  true distance over odometry's
     GAIN      true turn over odometry's; a skid-steered robot with its weight off the middle turns more
@@ -17,7 +17,8 @@ of the sensors, which the filter estimates beside the pose:
 v and ω are constant but for white noise of the accelerations; one tick at the base's full acceleration
 (0.31 m/s², 1.25 rad/s²) is one standard deviation. So the filter follows odometry almost without lag: a
 circuit that was trained on exact poses must not get late ones. While the rover stands, only odometry's own
-pose may change. What odometry does not see grows with distance and turn.
+pose may change, and the heading by a push that a gyro shows. What odometry does not see grows with distance
+and turn.
 """
 
 import math
@@ -89,15 +90,16 @@ def true_motion(x: Array, settings: EstimatorSettings) -> tuple[float, float, fl
     return float(x[DISTANCE]) * v, float(x[CENTER]) * turn, turn
 
 
-def standing(x: Array, dt: float, settings: EstimatorSettings) -> Step:
-    """Return the step of a rover that stands for ``dt`` s."""
+def standing(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) -> Step:
+    """Return the step of a rover that stands for ``dt`` s; a ``new_turn`` begins at 0."""
     moved, jacobian, noise = x.copy(), np.eye(SIZE), np.zeros((SIZE, SIZE))
-    for row in (V, OMEGA, TURN):
+    for row in (V, OMEGA, TURN) if new_turn else (V, OMEGA):
         moved[row] = jacobian[row, row] = 0.0
     moved[OWN_THETA] = wrap_angle(x[OWN_THETA] + x[DRIFT] * dt)
     jacobian[OWN_THETA, DRIFT] = dt
     noise[OWN, OWN] = STANDING_SHARE * settings.slip * dt * np.eye(3)
     noise[POSE, POSE] = dt * np.diag(np.square([settings.creep_m, settings.creep_m, settings.creep_rad]))
+    noise[TURN, TURN] = noise[TURN, THETA] = noise[THETA, TURN] = noise[THETA, THETA]
     return Step(moved, jacobian, noise)
 
 

@@ -6,6 +6,11 @@ from pydantic import Field
 
 from rover_ncp.core.config import StrictModel
 
+GYRO_S = 0.1
+"""`EstimatorSettings.gyro_rad` is the noise of so long a turn, s."""
+TURN_GAINS = 0.5, 2.0
+"""Limits of the true turn over odometry's: no description has robots beyond them."""
+
 
 class EstimatorSettings(StrictModel):
     """SI units. Deviations (``_std``) are those of an unmeasured skid-steered base."""
@@ -38,6 +43,11 @@ class EstimatorSettings(StrictModel):
     drift_std_rad_s: float = Field(default=0.0005, gt=0, description="of odometry's heading: ±0.05 °/s")
     gyro_bias_std_rad_s: float = Field(default=0.2, gt=0)
     gyro_rad: float = Field(default=0.0007, gt=0, description="noise of a gyro's turn in 0.1 s")
+    gyro_gate: float = Field(default=6.63, gt=0, description="largest NIS: 1 in 100 with 1 degree")
+    gyro_push_rad_s: float = Field(
+        default=0.15, gt=0, description="unseen turn rate by what pushes the rover"
+    )
+    gyro_rejected_in_a_row: int = Field(default=10, ge=1, description="so many are a fault")
 
     wander_m: float = Field(default=0.001, gt=0, description="random, after a metre")
     wander_rad: float = Field(default=0.002, gt=0, description="random, after a metre")

@@ -1,7 +1,8 @@
 """The motion record of a drive as arrays: commands that reached the base, odometry, external poses.
 
-All times are the messages' stamps. The commands that the gate accepted (``rover/cmd_out``) and odometry have
-stamps of the bridge's clock.
+All times are of the bridge's clock, which stamps odometry and the commands that the gate accepted
+(``rover/cmd_out``). Messages without its stamp have the time of their arrival, less the smallest difference
+between arrival and stamp of the odometry around them: that of the clocks and the shortest transit.
 """
 
 import math
@@ -21,6 +22,8 @@ FloatArray = NDArray[np.float64]
 
 _LEAST = 50
 """Least number of odometry samples for a fit."""
+_NEAR = 20
+"""Odometry samples before and after a message that show the difference of the clocks there."""
 _LAG = 40
 """The cycle is first estimated over so many reports; a late one has little influence then."""
 
@@ -43,22 +46,24 @@ class MotionLog(NamedTuple):
     motion: FloatArray
     """(n, 2) v and omega as odometry reports them with each pose."""
     external: Track
-    """Poses from outside, by the time of their arrival; may be empty."""
+    """Poses from outside, by the time of their arrival on the bridge's clock; may be empty."""
 
 
 def motion_log(messages: Iterable[Recorded]) -> MotionLog:
     """Read a drive's messages; skip malformed ones. Raises FileError when there are too few."""
-    sent, odometry, external = [], [], []
+    sent, external, offsets_ns = [], [], list[int]()
+    odometry: list[tuple[float, ...]] = []
     for message in messages:
         try:
             if message.topic == "rover/cmd_out":
                 twist = read_twist(message.data)
-                sent.append((twist.stamp_ns or message.log_ns, *twist.velocity))
+                sent.append((twist.stamp_ns, (len(odometry), message.log_ns), twist.velocity))
             elif message.topic == "odom":
                 sample = read_odometry(message.data)
                 odometry.append((sample.stamp_ns, *sample.pose, *sample.velocity))
+                offsets_ns.append(message.log_ns - sample.stamp_ns)
             elif message.topic == "pose":
-                external.append((message.log_ns, *read_course_pose(message.data).pose))
+                external.append(((len(odometry), message.log_ns), read_course_pose(message.data).pose))
         except FormatError:
             continue
     if len(odometry) < _LEAST or not sent:
@@ -66,9 +71,14 @@ def motion_log(messages: Iterable[Recorded]) -> MotionLog:
             f"nothing can be identified from {len(odometry)} odometry samples and {len(sent)} commands "
             f"(at least {_LEAST} samples, and the commands that the gate accepted, on rover/cmd_out)"
         )
-    zero_ns = odometry[0][0]
-    commands, samples = _table(sent, zero_ns, 3), _table(odometry, zero_ns, 6)
-    outside = _table(external, zero_ns, 4)
+
+    def stamp_ns(place: int, arrival_ns: int) -> int:
+        return arrival_ns - min(offsets_ns[max(place - _NEAR, 0) : place + _NEAR])
+
+    zero_ns = int(odometry[0][0])
+    commands = _table([(at or stamp_ns(*seen), *velocity) for at, seen, velocity in sent], zero_ns, 3)
+    samples = _table(odometry, zero_ns, 6)
+    outside = _table([(stamp_ns(*seen), *pose) for seen, pose in external], zero_ns, 4)
     samples[:, 0] = _measured(samples[:, 0])
     return MotionLog(commands[:, 0], commands[:, 1:], _track(samples[:, :4]), samples[:, 4:], _track(outside))
 

@@ -1,9 +1,10 @@
 """Errors of odometry, from its poses of a standing rover and external poses.
 
-Only poses of a standing rover are compared, so clocks do not matter. The distance and the turn between one
-stand and the next contain the noise of both stands' means, and neighbouring intervals share a stand. So the
-fits are generalised least squares with that covariance. A push between two stands is an outlier, whose
-interval is left out.
+Only poses of a standing rover are compared, so external poses may be late by a third of a second. The
+distance and the turn between one stand and the next contain the noise of both stands' means, and neighbouring
+intervals share a stand. So the fits are generalised least squares with that covariance. A push between two
+stands is an outlier, whose interval is left out. Distances are those of straight ways, as only there both
+kinds of poses show the whole way.
 """
 
 import math
@@ -22,6 +23,8 @@ from deploy.identify.motion_log import MotionLog
 FloatArray = NDArray[np.float64]
 
 LEAST_WAY_M = 0.1
+STRAIGHT_RAD = 0.1
+"""On a straight way, headings differ by no more from that at its begin."""
 LEAST_POSES = 3
 """Of odometry and of external poses in a stand."""
 PUSHED = float(norm.isf(0.0005))
@@ -53,6 +56,8 @@ class Stand(NamedTuple):
     true: FloatArray
     own_variance: FloatArray
     true_variance: FloatArray
+    veered: float = 0.0
+    """How far odometry's heading differs from this stand's at most, until the next stand (rad)."""
 
 
 def stands_beside(
@@ -71,6 +76,8 @@ def stands_beside(
             inside.append((begin, end, own, true))
     if not inside:
         return []
+    begins = [*(row[0] for row in inside[1:]), inside[-1][1]]
+    t, headings = log.odometry.t, log.odometry.poses[:, 2]
     own_noise, true_noise = _scatter([row[2] for row in inside]), _scatter([row[3] for row in inside])
     rounding = np.square([steps[0], steps[0], steps[1]]) / 12.0
     return [
@@ -82,8 +89,9 @@ def stands_beside(
             # The mean of reports that do not scatter is still rounded.
             np.maximum(own_noise / len(own), np.where(own_noise > 3.0 * rounding, 0.0, rounding)),
             true_noise / len(true),
+            float(np.abs(headings[(t >= end) & (t <= until)] - own[:, 2].mean()).max()),
         )
-        for begin, end, own, true in inside
+        for (begin, end, own, true), until in zip(inside, begins, strict=True)
     ]
 
 
@@ -92,8 +100,8 @@ def fit_distance(stands: Sequence[Stand]) -> Fit | None:
     ways, true_ways, directions, rows = [], [], [], []
     for row, (a, b) in enumerate(pairwise(stands)):
         own, true = (b.own - a.own)[:2], (b.true - a.true)[:2]
-        length = math.hypot(*own)
-        if length > LEAST_WAY_M:
+        length, veered = math.hypot(*own), max(a.veered, abs(b.own[2] - a.own[2]))
+        if length > LEAST_WAY_M and veered < STRAIGHT_RAD:
             ways.append(length)
             true_ways.append(math.hypot(*true))
             directions.append(own / length)

@@ -1,13 +1,13 @@
 """A recording for a report: its policy and course, its settings, its drive, and the summary of all this."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from deploy.report.charts.figure import OUTLINE, FloatArray, outline_of
-from deploy.report.timeline import TOPICS, Timeline
+from deploy.report.timeline import TOPICS, Moved, Tick, Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml
 from rover_ncp.core.config import parse_yaml, read_yaml, validated
@@ -78,8 +78,8 @@ def read_drive(path: Path) -> Drive:
 
 def summarise(drive: Drive) -> Summary:
     """Summarise a drive for its report."""
-    verdict = next(iter(drive.timeline.judge().values()))
-    rows = list(facts(drive.timeline))
+    verdicts = drive.timeline.judge()
+    verdict, rows = next(iter(verdicts.values())), list(facts(drive.timeline, verdicts))
     if drive.settings.get("dry_run"):
         rows.append(("Dry run", "no command was sent"))
     if not drive.complete:
@@ -95,17 +95,17 @@ def summarise(drive: Drive) -> Summary:
     )
 
 
-def facts(timeline: Timeline, ended: bool = True) -> Iterator[tuple[str, str]]:
-    """Yield the facts of a drive as names and values; the verdicts only once it has ended."""
-    if ended and timeline.ticks:
-        for by, verdict in timeline.judge().items():
-            yield f"By the {by} pose", _verdict(verdict)
+def facts(timeline: Timeline, verdicts: Mapping[str, Verdict] | None) -> Iterator[tuple[str, str]]:
+    """Yield the facts of a drive as names and values; ``verdicts`` are those of an ended drive."""
+    ended = verdicts is not None
+    for by, verdict in (verdicts or {}).items():
+        yield f"By the {by} pose", _verdict(verdict)
     status, gate = timeline.status, timeline.gate
     if status is not None:
         yield "Ended as" if ended else "State", status.state + (f": {status.reason}" if status.reason else "")
     late = f"{status.overruns if status else 0} late, {timeline.predicted} on prediction"
-    yield "Ticks", f"{_rate([tick.wall_ns for tick in timeline.ticks])}, {late}"
-    yield "Odometry", _rate([moved.wall_ns for moved in timeline.odometry])
+    yield "Ticks", f"{_rate(timeline.ticks)}, {late}"
+    yield "Odometry", _rate(timeline.odometry)
     if gate is not None:
         counts = [f"{gate.accepted} commands accepted"]
         for what, by_reason in (("dropped", gate.dropped), ("limited", gate.limited), ("stops", gate.stops)):
@@ -122,11 +122,11 @@ def _verdict(verdict: Verdict) -> str:
     return f"parked, {where}" if verdict.parked else f"not parked, {where}: {verdict.reason}"
 
 
-def _rate(times_ns: list[int]) -> str:
-    count = f"{len(times_ns)}"
-    if len(times_ns) < 2 or times_ns[-1] <= times_ns[0]:
-        return count
-    return f"{count} at {(len(times_ns) - 1) / (times_ns[-1] - times_ns[0]) * 1e9:.2f} Hz"
+def _rate(rows: Sequence[Tick | Moved]) -> str:
+    count = len(rows)
+    if count < 2 or rows[-1].wall_ns <= rows[0].wall_ns:
+        return f"{count}"
+    return f"{count} at {(count - 1) / (rows[-1].wall_ns - rows[0].wall_ns) * 1e9:.2f} Hz"
 
 
 def _reasons(counts: Mapping[str, int]) -> str:

@@ -99,6 +99,10 @@ class Odometry(StrictModel):
     """Standard deviation of a reported x and y."""
     noise_rad: float = Field(default=0.0, ge=0, le=1)
     """Standard deviation of a reported heading."""
+    noise_m_s: float = Field(default=0.0, ge=0, le=1)
+    """Standard deviation of a reported speed."""
+    noise_rad_s: float = Field(default=0.0, ge=0, le=1)
+    """Standard deviation of a reported turn rate."""
     distance_error: float = Field(gt=0, lt=0.5)
     """Within ± this share of the true distance."""
     turn_error: float = Field(gt=0, lt=0.5)

@@ -1,9 +1,13 @@
 """News of a running drive: the changes since a viewer's last request, ready for its page.
 
 One feed serves any number of viewers, each with its own place (`Place`). A new viewer, and every viewer after
-a new drive has begun, gets everything. Messages come from one thread, requests of viewers from another.
+a new drive has begun, gets everything. Messages come from one thread, requests of viewers from others. Only
+what is short holds the lock that messages need: rows of a drive are only ever appended, so columns are made,
+and the drive is explained, outside it.
 """
 
+import copy
+import math
 import threading
 import time
 from collections import Counter
@@ -21,13 +25,15 @@ from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.protocol import in_words
 from rover_ncp.core.recording import Recorded
-from rover_ncp.course.course import Course
+from rover_ncp.course.course import Course, Verdict
 
 FINAL = frozenset({"parked", "ended", "fault"})
 """States of a driver whose drive has ended."""
 BEFORE = 50
 """Odometry and commands kept before a drive begins."""
 EXPLAIN_EVERY_S = 1.0
+EXPLAIN_SHARE = 0.1
+"""At most this share of the time goes into explanations of a drive, which take longer the longer it is."""
 
 
 @dataclass
@@ -45,9 +51,13 @@ class Feed:
 
     def __init__(self, policy: Policy, course: Course, clock: Callable[[], float] = time.monotonic) -> None:
         self._policy, self._course, self._clock = policy, course, clock
-        self._lock = threading.Lock()
+        self._lock, self._explaining = threading.Lock(), threading.Lock()
         self._generation = 0
         self._ended = False
+        self._verdicts: dict[str, Verdict] | None
+        """Those of the ended drive, judged once, and again if the gate reports a contact then."""
+        self._judged: bool | None
+        """Whether the verdicts count a contact; None before there are any."""
         self._begin()
 
     def take(self, message: Recorded) -> None:
@@ -62,12 +72,18 @@ class Feed:
                     self._begin()
                     self._timeline.take(message)
                 self._ended = status.state in FINAL
+            gate = self._timeline.gate
+            touched = gate is not None and "bumper" in gate.stops
+            if self._ended and self._judged != touched:
+                self._verdicts = self._timeline.judge() if self._timeline.ticks else {}
+                self._judged = touched
             if not self._timeline.ticks:
                 for rows in (self._timeline.odometry, self._timeline.asked, self._timeline.let_through):
                     del rows[:-BEFORE]
 
     def news(self, place: Place, bridge: bool = True) -> dict[str, Any]:
         """Return the new data for a viewer and move its place on; ``bridge`` is False without a bridge."""
+        self._explain()
         with self._lock:
             timeline = self._timeline
             reset = place.generation != self._generation
@@ -79,16 +95,15 @@ class Feed:
                 "gate": timeline.gate and timeline.gate.model_dump(),
                 "events": event_rows(timeline),
             }
+            first = place.rows
             if timeline.ticks:
-                news |= columns(timeline, place.rows)
                 place.rows = Counter({name: len(rows) for name, rows in timeline.streams.items()})
-            self._explain()
             if self._findings is not place.findings:
                 news["findings"] = place.findings = self._findings
             html = {**self._state_html(bridge), **self._findings_html}
             news["html"] = {name: text for name, text in html.items() if place.html.get(name) != text}
             place.html = html
-            return news
+        return news | columns(timeline, first, place.rows) if place.rows else news
 
     def _begin(self) -> None:
         self._generation += 1
@@ -97,7 +112,8 @@ class Feed:
         self._findings: dict[str, Any] | None = None
         self._findings_html: dict[str, Markup] = {}
         self._explained = (0, False)
-        self._explained_at = -EXPLAIN_EVERY_S
+        self._explain_after = -math.inf
+        self._verdicts, self._judged = None, None
 
     def _state_html(self, bridge: bool) -> dict[str, Markup]:
         """Return the parts of the page that change with the states of driver and gate."""
@@ -121,19 +137,30 @@ class Feed:
         return {
             "title": fragment("title", state, kind, status.reason if status else ""),
             "subline": escape("; ".join(notes)),
-            "summary": fragment("rows", facts(timeline, self._ended)),
+            "summary": fragment("rows", facts(timeline, self._verdicts)),
             "events": fragment("events", event_rows(timeline)),
         }
 
     def _explain(self) -> None:
-        """Explain the drive so far once a second, and completely at its end."""
-        count, now = len(self._timeline.ticks), self._clock()
-        if (count, self._ended) == self._explained or count < 2:
+        """Explain the drive so far now and then, and completely at its end; one thread at a time."""
+        if not self._explaining.acquire(blocking=False):
             return
-        if not self._ended and now - self._explained_at < EXPLAIN_EVERY_S:
-            return
-        findings = analyse(self._timeline.trace())
-        self._findings, self._findings_html = findings_data(findings), findings_html(findings)
-        if not self._ended:  # contributions need a whole drive
-            del self._findings["contributions"], self._findings_html["signs"], self._findings_html["taus"]
-        self._explained, self._explained_at = (count, self._ended), now
+        try:
+            with self._lock:
+                began_s, generation, ended = self._clock(), self._generation, self._ended
+                state = len(self._timeline.ticks), ended
+                if state == self._explained or state[0] < 2 or (not ended and began_s < self._explain_after):
+                    return
+                timeline = copy.copy(self._timeline)
+                timeline.ticks = list(timeline.ticks)
+            findings = analyse(timeline.trace())
+            data, html = findings_data(findings), findings_html(findings)
+            if not ended:  # contributions need a whole drive
+                del data["contributions"], html["signs"], html["taus"]
+            with self._lock:
+                if generation == self._generation:
+                    self._findings, self._findings_html, self._explained = data, html, state
+                    pause_s = (self._clock() - began_s) / EXPLAIN_SHARE
+                    self._explain_after = began_s + max(EXPLAIN_EVERY_S, pause_s)
+        finally:
+            self._explaining.release()

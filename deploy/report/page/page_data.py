@@ -88,9 +88,17 @@ def rings(findings: Findings) -> list[tuple[str, float, float, float, float]]:
     return found
 
 
-def columns(timeline: Timeline, first: Mapping[str, int]) -> dict[str, dict[str, Any]]:
-    """Return all streams over time, each from a row on: columns with times in s since the first tick."""
-    new = {name: rows[first[name] :] for name, rows in timeline.streams.items()}
+def columns(
+    timeline: Timeline, first: Mapping[str, int], end: Mapping[str, int] | None = None
+) -> dict[str, dict[str, Any]]:
+    """Return all streams over time, each from a row on: columns with times in s since the first tick.
+
+    ``end`` are the rows behind the last ones, by default all.
+    """
+    new = {
+        name: rows[first[name] : len(rows) if end is None else end[name]]
+        for name, rows in timeline.streams.items()
+    }
     truth = {row.wall_ns // TRUTH_STEP_NS: row for row in new["truth"]}
     return {
         "ticks": _ticks(timeline, new["ticks"]),

@@ -184,3 +184,19 @@ def test_policies_that_do_not_fit_are_refused_with_every_reason(policy):
     turned = policy.motors.model_copy(update={"outputs": ("omega", "v"), "channels": (second, first)})
     with pytest.raises(ConfigError, match="its outputs are omega, v; expected v, omega"):
         Controller(replace(policy, motors=turned), COURSE, EstimatorSettings())
+
+
+class Turning(Resting):
+    """A circuit that always turns."""
+
+    def tick(self, observation):
+        return 0.0, 0.3
+
+
+@pytest.mark.parametrize(("gain", "sent"), [(7.4, 0.15), (2.0, 0.15), (1.2, 0.25), (0.5, 0.6), (-1.0, 0.6)])
+def test_turn_commands_are_divided_by_a_possible_gain(gain, sent):
+    policy = course_policy(load_circuit("tracking"))
+    settings = EstimatorSettings.model_construct(**{**EstimatorSettings().model_dump(), "turn_gain": gain})
+    controller = Controller(policy, COURSE, settings, runner=Turning(policy.sensing.inputs))
+    controller.start(ORIGIN, 0.0)
+    assert controller.tick(0, 0.0).command.omega == pytest.approx(sent)

@@ -5,8 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from deploy.identify.motion_log import MotionLog, Track
+from deploy.identify.fit import identify
+from deploy.identify.motion_log import MotionLog, Track, motion_log
 from deploy.identify.odometry_fit import Stand, fit_center, fit_turns
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.messages import COURSE_FRAME, odometry, pose_with_covariance, twist_stamped
+from rover_ncp.core.recording import Recorded
 
 RATES = [0.12, 0.12, 0.3, 0.3, 0.5, 0.5]
 NOISE_RAD = 0.0005
@@ -75,3 +79,68 @@ def test_a_slide_beyond_what_can_be_is_not_found(slide):
     else:
         assert fit.values == pytest.approx([0.0, slide, 0.0], abs=1e-6)
         assert math.isfinite(fit.covariance.sum())
+
+
+STRAIGHT = [(0.25, 0.0), (-0.25, 0.0), (0.2, 0.0), (-0.3, 0.0)]
+HALF_CIRCLE = [(0.2, 0.785), (-0.2, -0.785)]
+SLALOM = [(0.2, 0.6), (0.2, -0.6)]
+
+
+def messages_of(ways, *, scale=1.0, turn_scale=1.0, skew_s=lambda t: 0.0, seconds=4.0):
+    """Messages of a drive over some ways, each a list of (v, omega) of the true motion, with stands between.
+
+    ``skew_s`` is by how much the clock of the driver, which receives the messages, is ahead of the bridge's.
+    """
+    random, found = np.random.default_rng(11), []
+    own, true, t, period = np.zeros(3), np.zeros(3), 0.0, 0.05
+
+    def add(topic, data):
+        log_ns = round((t + skew_s(t) + random.uniform(0.001, 0.01)) * 1e9)
+        found.append(Recorded(topic, "", data, log_ns, log_ns))
+
+    for way in ways:
+        for v, omega in (*way, (0.0, 0.0)):
+            for _ in range(round((seconds / len(way) if v or omega else 1.5) / period)):
+                t += period
+                for pose, by, turn in ((own, scale, turn_scale), (true, 1.0, 1.0)):
+                    heading = pose[2] + 0.5 * turn * omega * period
+                    step = [by * v * math.cos(heading), by * v * math.sin(heading), turn * omega]
+                    pose[:] = pose + np.array(step) * period
+                stamp_ns = round(t * 1e9)
+                add("rover/cmd_out", twist_stamped(Velocity(v, omega), stamp_ns))
+                add("odom", odometry(Pose(*own), Velocity(scale * v, turn_scale * omega), stamp_ns))
+                seen = true + random.normal(size=3) * [0.001, 0.001, 0.002]
+                add("pose", pose_with_covariance(Pose(*seen), np.eye(3), stamp_ns, COURSE_FRAME))
+    return found
+
+
+@pytest.mark.parametrize(
+    "skew_s",
+    [
+        lambda t: 0.3,
+        lambda t: 0.5,
+        lambda t: -0.5,
+        lambda t: 3600.0,
+        lambda t: 0.01 * t,
+        lambda t: -0.01 * t,
+        lambda t: 0.5 if t > 20.0 else 0.0,
+    ],
+)
+def test_clocks_of_driver_and_bridge_may_differ(skew_s):
+    messages = messages_of([[way] for way in 3 * STRAIGHT], scale=1.05, skew_s=skew_s)
+    log = motion_log(messages)
+    late = log.external.t - log.odometry.t
+    assert abs(late).max() < 0.05 or skew_s(21.0) - skew_s(19.0) > 0.4
+    found = identify(log, "skewed")
+    assert found.odometry_distance == pytest.approx(1.05, abs=0.004)
+    assert abs(found.odometry_distance - 1.05) < 4.0 * found.std["odometry_distance"]
+
+
+@pytest.mark.parametrize("turn_scale", [0.9, 1.0, 1.2])
+@pytest.mark.parametrize("curve", [HALF_CIRCLE, SLALOM], ids=["half circles", "slalom"])
+def test_distance_is_not_taken_from_curves(curve, turn_scale):
+    ways = [[part] for part in 2 * HALF_CIRCLE] if curve is HALF_CIRCLE else 4 * [curve]
+    log = motion_log(messages_of(ways, turn_scale=turn_scale))
+    assert identify(log, "curves").odometry_distance is None
+    log = motion_log(messages_of([*ways, *([way] for way in STRAIGHT)], turn_scale=turn_scale))
+    assert identify(log, "both").odometry_distance == pytest.approx(1.0, abs=0.004)

@@ -1,7 +1,9 @@
+import importlib
 import itertools
 import json
 import math
 import re
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +13,7 @@ from recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
 from deploy.report.page.feed import Feed, Place
 from deploy.report.page.page import drive_page, fragment, page
 from deploy.report.recorded_drive import read_drive, summarise
+from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core import messages
@@ -171,3 +174,55 @@ def test_command_writes_the_page_beside_the_recording(tmp_path, capsys):
 def test_command_names_a_missing_recording(tmp_path, capsys):
     assert run(["report", str(tmp_path / "none.mcap")]) == 2
     assert "none.mcap" in capsys.readouterr().err
+
+
+def test_messages_are_taken_while_a_drive_is_explained(monkeypatch):
+    policy, course = load_policy("parking"), load_course(SHORT)
+    received, _ = drive_messages(policy, course)
+    feed_module, taken = importlib.import_module("deploy.report.page.feed"), []
+    feed, now, once = Feed(policy, course, lambda: now[0]), [0.0], feed_module.analyse
+
+    def analyse(trace):
+        thread = threading.Thread(target=feed.take, args=(received[0],), daemon=True)
+        thread.start()
+        thread.join(5.0)
+        taken.append(not thread.is_alive())
+        return once(trace)
+
+    monkeypatch.setattr(feed_module, "analyse", analyse)
+    for message in received[:400]:
+        feed.take(message)
+    assert "findings" in feed.news(Place())
+    assert taken == [True]
+
+
+def test_explanations_take_a_share_of_the_time_however_long_they_take(monkeypatch):
+    policy, course = load_policy("parking"), load_course(SHORT)
+    received, _ = drive_messages(policy, course)
+    feed_module, explained = importlib.import_module("deploy.report.page.feed"), []
+    feed, place, now, once = Feed(policy, course, lambda: now[0]), Place(), [0.0], feed_module.analyse
+
+    def analyse(trace):
+        now[0] += 2.0
+        explained.append(now[0])
+        return once(trace)
+
+    monkeypatch.setattr(feed_module, "analyse", analyse)
+    ticks = [message for message in received if message.topic in {"rover/estimate", "rover/neurons"}]
+    for message in ticks:
+        feed.take(message)
+        feed.news(place)
+        now[0] += 0.5
+    assert 2 <= len(explained) <= 1 + now[0] / 20.0
+
+
+def test_ended_drive_is_judged_once(monkeypatch):
+    policy, course = load_policy("parking"), load_course(SHORT)
+    feed, place, judged, once = Feed(policy, course), Place(), [], Timeline.judge
+    monkeypatch.setattr(Timeline, "judge", lambda timeline: judged.append(1) or once(timeline))
+    for message in drive_messages(policy, course)[0]:
+        feed.take(message)
+    for _ in range(5):
+        feed.news(place)
+    assert "By the estimated pose" in place.html["summary"]
+    assert len(judged) == 1

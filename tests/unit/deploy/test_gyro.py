@@ -1,0 +1,148 @@
+"""The gate of the gyro: false readings, pushes that the wheels do not show, faults of the sensor."""
+
+import math
+
+import numpy as np
+import pytest
+from base_odometry import reported
+
+from deploy.drive.config import settings_for
+from deploy.estimator.estimator import Estimator
+from deploy.estimator.motion import BIAS
+from deploy.estimator.settings import EstimatorSettings
+from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
+from rover_ncp.core.robot_description import load_description
+
+TRUE_BIAS = 0.1
+NOISE_RAD = 0.0006
+PERIODS = [0.1, 0.02]
+
+
+def standing(t):
+    return 0.0
+
+
+def turning(t):
+    return 0.3 * math.sin(t - 3.0) if t > 3.0 else 0.0
+
+
+def drive(omega, reading=lambda t, rate: rate, period=0.1, until=8.0, pushed=standing, settings=None):
+    """Drive with odometry and gyro; return the estimator and the error of its heading at the end.
+
+    ``reading`` makes a reading of the gyro from the true one, ``pushed`` is a turn rate that no wheel shows.
+    """
+    random, estimator = np.random.default_rng(7), Estimator(settings)
+    estimator.start(Pose(0.0, 0.0, 0.0), 0.0)
+    own = true = 0.0
+    for tick in range(1, round(until / period) + 1):
+        t = tick * period
+        own += omega(t - 0.5 * period) * period
+        unseen = pushed(t - 0.5 * period)
+        true += (1.2 * omega(t - 0.5 * period) + unseen) * period
+        noise = NOISE_RAD * math.sqrt(0.1 / period) / 0.1 * random.normal()
+        rate = 1.2 * omega(t - 0.5 * period) + unseen + TRUE_BIAS + noise
+        estimator.gyro(reading(t, rate), t)
+        estimator.odometry(*reported(Pose(0.0, 0.0, wrap_angle(own)), Velocity(0.0, omega(t))), t)
+        if estimator.fault:
+            break
+    return estimator, wrap_angle(estimator.at(t).pose.theta - true)
+
+
+def bias(estimator, t):
+    return float(estimator._history.at(t)[0][BIAS])
+
+
+@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize("false_rate", [2.0, -1.3, 30.0, 1e300, math.nan, -math.inf])
+@pytest.mark.parametrize("omega", [standing, turning])
+def test_false_reading_is_dropped_and_counted(omega, false_rate, period):
+    def reading(t, rate):
+        return false_rate if 6.0 < t - 1e-6 < 6.1 else rate
+
+    clean, error_without = drive(omega, period=period)
+    estimator, error = drive(omega, reading, period)
+    assert abs(error - error_without) < 0.005
+    assert estimator.at(8.0).turn_gain == pytest.approx(clean.at(8.0).turn_gain, abs=0.02)
+    assert bias(estimator, 8.0) == pytest.approx(TRUE_BIAS, abs=0.003)
+    assert 1 <= estimator.gyro_rejected <= 0.1 / period + 1
+    assert clean.gyro_rejected == 0
+    assert not estimator.fault
+
+
+@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize("false_rate", [0.2, 0.45, 0.8])
+def test_small_false_reading_stays_within_the_estimates_uncertainty(false_rate, period):
+    def reading(t, rate):
+        return rate + (false_rate if 6.0 < t - 1e-6 < 6.1 else 0.0)
+
+    estimator, error = drive(standing, reading, period)
+    assert abs(error) < 4.5 * math.sqrt(estimator.at(8.0).covariance[2, 2])
+    assert abs(error) < 0.05
+    assert not estimator.fault
+
+
+@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize("omega", [standing, turning])
+def test_false_readings_again_and_again_do_not_turn_the_estimate(omega, period):
+    def reading(t, rate):
+        return 2.0 if t > 2.0 and t % 1.0 < 0.9 * period else rate
+
+    estimator, error = drive(omega, reading, period, until=20.0)
+    assert abs(error) < 0.03
+    assert not estimator.fault
+
+
+@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize(("degrees", "seconds"), [(1.0, 0.2), (-1.0, 0.5), (4.0, 0.5)])
+@pytest.mark.parametrize("omega", [standing, turning])
+def test_push_turns_the_estimate_and_is_no_bias(omega, degrees, seconds, period):
+    def pushed(t):
+        return math.radians(degrees) / seconds if 5.0 < t < 5.0 + seconds else 0.0
+
+    estimator, error = drive(omega, period=period, pushed=pushed)
+    assert abs(error - drive(omega, period=period)[1]) < max(0.006, 0.25 * abs(math.radians(degrees)))
+    assert bias(estimator, 8.0) == pytest.approx(TRUE_BIAS, abs=0.003)
+    assert estimator.gyro_rejected == 0
+
+
+@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize(
+    "reading",
+    [
+        lambda t, rate: -rate,
+        lambda t, rate: TRUE_BIAS,
+        lambda t, rate: 0.0 if t > 4.0 else rate,
+        lambda t, rate: rate if t < 4.0 else math.nan,
+        lambda t, rate: rate + (2.0 if t > 4.0 else 0.0),
+        lambda t, rate: 1e300,
+    ],
+    ids=["reversed", "stuck from the start", "stuck", "not finite", "offset", "huge"],
+)
+def test_gyro_that_stays_wrong_is_a_fault(reading, period):
+    estimator, error = drive(turning, reading, period, until=12.0)
+    assert estimator.fault_rule == "gyro"
+    assert estimator.fault.startswith("10 gyro readings in a row refused")
+    assert abs(error) < 0.8
+
+
+def test_noise_of_a_turn_grows_with_its_time():
+    deviations = []
+    for period in (0.1, 0.2):
+        estimator, _ = drive(standing, period=period, until=20.0)
+        deviations.append(math.sqrt(estimator._history.at(20.0)[1][BIAS, BIAS]))
+    assert deviations[1] == pytest.approx(deviations[0], rel=0.1)  # the same time, half as many readings
+
+
+def test_described_noise_of_a_gyro_enters_the_estimate():
+    robot = load_description("turtlebot4")
+    usual = EstimatorSettings().gyro_rad
+    assert settings_for(None, robot).gyro_rad == usual
+    noisy = robot.model_copy(update={"gyro": robot.gyro.model_copy(update={"noise_rad_s": 0.1})})
+    assert settings_for(None, noisy).gyro_rad == pytest.approx(0.1 * math.sqrt(0.1 / robot.gyro.rate_hz))
+    random = np.random.default_rng(5)
+    estimator, _ = drive(
+        standing,
+        lambda t, rate: rate + 0.1 * random.normal() / math.sqrt(10),
+        settings=settings_for(None, noisy),
+    )
+    assert not estimator.fault

@@ -53,6 +53,7 @@ def handle_signals() -> None:
 
 def ignore_signals() -> None:
     """Ignore these signals from now on; for the end of a process, whose exit code is known."""
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 

@@ -13,7 +13,7 @@ import signal
 import sys
 import time
 
-from rover_ncp.cli import main
+from rover_ncp.entry import main
 
 HANG_S = 4
 

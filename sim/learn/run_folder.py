@@ -117,11 +117,13 @@ class RunFolder:
         """
         together = {agent.iterations for agent in snapshot.agents} == {snapshot.iterations}
         if together and snapshot.arrived(0) and is_milestone(snapshot.iterations):
+            require_run(self.path)
             path = self._milestones / f"{snapshot.iterations:06}.yaml"
             save_policy(path, self.policy(snapshot.best, snapshot))
 
     def save_progress(self, snapshot: Snapshot) -> None:
         """Write the agents, the best policy and the table of the curves. Raises FileError."""
+        require_run(self.path)
         # First, and always: a run that resumes from these agents does not reach this iteration again.
         self.save_milestone(snapshot)
         for agent in snapshot.agents:
@@ -191,6 +193,12 @@ def open_folder(path: Path, record: Record[SettingsT], resume: bool) -> Iterator
         yield record
     finally:
         os.close(handle)
+
+
+def require_run(path: Path) -> None:
+    """Raise FileError if the folder of a run was moved or removed: a new one would lack its settings."""
+    if not (path / _RECORD).is_file():
+        raise FileError(f"{path}: was moved or removed during the training; go on with --resume where it is")
 
 
 def _nothing_to_resume(path: Path) -> UsageError:

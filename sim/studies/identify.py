@@ -10,9 +10,7 @@ error over standard deviation. Values that were found to be zero have no interva
 
 import argparse
 import math
-import multiprocessing
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -30,6 +28,7 @@ from rover_ncp.core.geometry import Pose
 from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance
 from rover_ncp.core.recording import Recorded
 from rover_ncp.core.robot_profile import OF_THE_GROUND, RoverProfile
+from sim.learn.workers import process_pool
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.virtual import VirtualBridge, VirtualLink
@@ -163,8 +162,7 @@ def main() -> None:
     options.add_argument("--processes", type=int, default=2)
     chosen = options.parse_args()
     study = partial(_study, chosen.randomize, chosen.seed, not chosen.odometry_only)
-    # Spawned, never forked: numba and cffi do not survive a fork.
-    with ProcessPoolExecutor(chosen.processes, multiprocessing.get_context("spawn")) as pool:
+    with process_pool(chosen.processes, "a process of the study ended unexpectedly") as pool:
         found = list(track(pool.map(study, range(chosen.robots)), "robots", total=chosen.robots))
     print("\n".join(table(found)))
 

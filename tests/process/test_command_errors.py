@@ -1,13 +1,14 @@
 """Mistakes on the command line, and files that cannot be: an exit code and one line, never a traceback."""
 
 import os
+import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from paths import DATA
+from paths import DATA, ROOT
 from recorded_drives import write_drive
 
 from rover_ncp.cli import run
@@ -86,6 +87,7 @@ TABLE = [
     ("mock --truth file", "file: exists already"),
     ("park --policy parking --out done", "done/run.mcap: exists already"),
     ("park --out done", "done/run.mcap: exists already"),
+    ("park --policy task.yaml --out none", "policy wall"),
     ("park --out trained", "trained/train: exists already"),
     ("soak --out soaked", "soaked/drives/001-bumper.mcap: exists already"),
     ("train --resume --out done", "done: holds no training run to resume"),
@@ -185,6 +187,8 @@ def folder(tmp_path_factory):
         SHORT.read_text() + "obstacles: [{x: 0.2, y: 0, length: 0.1, width: 0.1}]\n"
     )
     (folder / "empty.mcap").touch()
+    tutorial = (ROOT / "docs/tutorials/own_task.md").read_text()
+    (folder / "task.yaml").write_text(re.search(r'title="wall.yaml"\n(.*?)```', tutorial, re.DOTALL)[1])
     (folder / "zenoh.json5").write_text('{ mode: "client", no_such_key: 1 }')
     for name, limits in {"fast": "v_max: 3.0", "nan": "v_max: .nan", "unknown": "speed: 1"}.items():
         (folder / f"{name}.yaml").write_text(limits)

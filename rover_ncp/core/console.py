@@ -24,6 +24,8 @@ from typing import Annotated, Any, TextIO
 import typer
 from rich.console import Console
 
+from rover_ncp.core.errors import UsageError
+
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]
 Model = Annotated[str, typer.Option(help="The robot's description: a shipped name or a YAML file.")]
@@ -41,6 +43,19 @@ def command(run: Callable[[Any], int | None]) -> Callable[..., int | None]:
     call.__name__, call.__doc__ = run.__name__, run.__doc__
     call.__signature__ = inspect.signature(parameter.annotation, eval_str=True)  # type: ignore[attr-defined]
     return call
+
+
+def reject(reason: str, **options: Any) -> None:
+    """Raise UsageError for options that were given but would have no effect, with the reason.
+
+    None, False and what is empty were not given.
+    """
+    given = [
+        name for name, value in options.items() if value is not None and value is not False and value != ""
+    ]
+    if given:
+        names = ", ".join(f"--{name.rstrip('_').replace('_', '-')}" for name in given)
+        raise UsageError(f"{names}: {reason}")
 
 
 ROOM_BYTES = 1 << 16

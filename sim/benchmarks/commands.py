@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import MOST_SEED, Json, Output
+from rover_ncp.core.console import MOST_SEED, Json, Output, reject
 from rover_ncp.core.files import require_writable, write_atomic
 from sim.learn.search.strategies import SearchName
 
@@ -35,8 +35,13 @@ def bench(
             min=1, max=10**9, help="Iterations of each agent.", show_default="500 for train, 20000 for search"
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the searches.")] = 0,
-    agents: Annotated[int, typer.Option(min=1, max=1000, help="Agents of a search.")] = 12,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, max=MOST_SEED, help="search: root seed.", show_default="0"),
+    ] = None,
+    agents: Annotated[
+        int | None, typer.Option(min=1, max=1000, help="search: agents of each.", show_default="12")
+    ] = None,
     search: Annotated[
         SearchName | None, typer.Option(help="search: this one alone.", show_default="all")
     ] = None,
@@ -44,8 +49,14 @@ def bench(
         Path | None, typer.Option(help="search: write every agent's returns here.", show_default=False)
     ] = None,
     seconds: Annotated[
-        float, typer.Option(min=2.0, max=86_400.0, help="deploy: duration in s of each rate's measurement.")
-    ] = 60.0,
+        float | None,
+        typer.Option(
+            min=2.0,
+            max=86_400.0,
+            help="deploy: duration in s of each rate's measurement.",
+            show_default="60",
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Measure the training's speed, the returns of each search, or the driver's response time.
@@ -67,12 +78,18 @@ def bench(
         rover-ncp bench search --seed 1 --csv returns.csv
     """
     output = Output(json)
+    if what is not What.DEPLOY:
+        reject("is for deploy", seconds=seconds)
+    if what is not What.SEARCH:
+        reject("is for search", seed=seed, agents=agents, search=search, csv=csv)
+    if what in {What.DEPLOY, What.CIRCUIT}:
+        reject("is for train and search", iterations=iterations)
     if csv is not None:
         require_writable(csv)
     if what is What.DEPLOY:
         from sim.benchmarks.deploy import bench_deploy
 
-        fields = bench_deploy(seconds, output.say)
+        fields = bench_deploy(seconds or 60.0, output.say)
         slow = fields["rates"][0]["above_bare_ms"]["p99"]
         output.result(fields, f"10 Hz: the 99th percentile is {slow:.2f} ms above the bare half round trip")
         return
@@ -94,7 +111,7 @@ def bench(
 
     from sim.benchmarks.search import bench_search, returns_table
 
-    budget = iterations or 20_000
+    budget, seed, agents = iterations or 20_000, seed or 0, agents or 12
     strategies = [search.value] if search is not None else list(SearchName)
     found, trained = bench_search(seed, agents, budget, output.say, strategies)
     if csv is not None:

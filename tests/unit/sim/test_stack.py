@@ -354,7 +354,7 @@ def test_identification_on_level_ground_is_of_the_same_robot():
 
 
 def test_the_command_line_drives_another_body(capsys):
-    sensors = ["--sensors", "camera", "--camera-noise", "0.01"]
+    sensors = ["--sensors", "camera"]
     assert run(["eval", "course", "--stack", "--body", "mujoco", *sensors, "--json"]) == 0
     fields = json.loads(capsys.readouterr().out)
     assert (fields["body"], fields["randomize"], fields["success_rate"]) == ("mujoco", "nominal", 1.0)

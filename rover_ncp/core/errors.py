@@ -45,7 +45,9 @@ class MissingExtra(UsageError):
     """A command needs a library of an extra that is not installed."""
 
     def __init__(self, library: str, extra: str) -> None:
-        super().__init__(f"{library} is not installed: pip install 'rover-ncp[{extra}]'")
+        super().__init__(
+            f"{library} is not installed: install rover-ncp with the extra {extra}, as rover-ncp[{extra}]"
+        )
 
 
 class UnreachableError(RoverNcpError):

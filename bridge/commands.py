@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from bridge.ros.discovery import Convention
-from rover_ncp.core.console import Json
+from rover_ncp.core.console import Json, reject
 from rover_ncp.core.files import USUAL_ROBOT
 
 
@@ -83,6 +83,8 @@ def bridge(
     """
     from bridge.app import run_bridge
 
+    if not base.startswith("ros2/"):
+        reject("is for a ROS 2 robot (ros2/tcp/HOST)", no_base_watchdog=no_base_watchdog)
     return run_bridge(
         base=base,
         listen=listen,

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from deploy.options import Namespace, Robot, ZenohConfig
-from rover_ncp.core.console import Json, Output, Overwrite
+from rover_ncp.core.console import Json, Output, Overwrite, reject
 from rover_ncp.core.files import USUAL_ROBOT
 
 
@@ -81,6 +81,8 @@ def deploy(
     from deploy.app import run
     from deploy.zenoh_client import BridgeAddress
 
+    if record is None:
+        reject("needs --record", overwrite=overwrite)
     return run(
         BridgeAddress(robot, namespace, zenoh_config),
         Output(json, controls=True),

@@ -8,13 +8,10 @@ all of them for their first lines.
 
 import json
 import os
-import signal
 import sys
 import traceback
 from importlib.metadata import distribution, entry_points
-from pathlib import Path
 from typing import Annotated, Any
-from urllib.parse import unquote, urlparse
 
 import typer
 from typer.core import TyperGroup
@@ -22,10 +19,9 @@ from typer.main import get_command
 
 from rover_ncp.core.console import BLOCKED_S, Output, Writer, install, keep, printable
 from rover_ncp.core.errors import FileError, MissingExtra, RoverNcpError
-from rover_ncp.core.process import interrupt
+from rover_ncp.core.interruption import INTERRUPTED, Interruption
 
 GROUP = "rover_ncp.commands"
-INTERRUPTED = 130
 
 # Which extra brings a library that a command found missing.
 _EXTRAS = {
@@ -48,24 +44,6 @@ _EXTRAS = {
     "websockets": "report",
     "cryptography": "keys",
     "distributed": "cluster",
-}
-# The extras of what each command needs whatever its options; ``train`` brings ``drive``.
-_NEEDS = {
-    "park": {"report", "train"},
-    "train": {"train"},
-    "eval": {"train"},
-    "bench": {"train"},
-    "mock": {"train"},
-    "deploy": {"drive"},
-    "replay": {"drive"},
-    "identify": {"drive"},
-    "explain": {"train"},
-    "report": {"report", "train"},
-    "course": {"drive"},
-    "export": {"drive"},
-    "watch": {"drive", "report"},
-    "paper": {"train"},
-    "keys": {"keys"},
 }
 # The order in which a newcomer meets the commands; others follow by name.
 _ORDER = ["park", "train", "eval", "mock", "bridge", "deploy", "replay"]
@@ -122,6 +100,7 @@ def _options(
 
 
 def _fail(message: str, kind: str, code: int, as_json: bool) -> int:
+    Output.ended = True
     line = printable(" ".join(message.split()))
     keep(sys.stderr, f"rover-ncp: {line}\n")
     if as_json:
@@ -136,75 +115,69 @@ def _file_error(error: OSError) -> FileError:
     return FileError(f"{place}{error.strerror or error}")
 
 
-def _extras(arguments: list[str], missing: str) -> list[str]:
-    """Return all extras that a command line needs, of which one is missing."""
-    command = next((word for word in arguments if not word.startswith("-")), "")
-    needed = _NEEDS.get(command, set()) | {missing}
-    return sorted(needed - {"drive"} if "train" in needed else needed)
-
-
-def _remedy(extras: list[str]) -> str:
-    """Return the command that installs extras, from where this rover-ncp was installed (PEP 610)."""
-    record = distribution("rover-ncp").read_text("direct_url.json")
-    origin = json.loads(record) if record else {}
-    place = Path(unquote(urlparse(origin["url"]).path)) if origin.get("url", "").startswith("file:") else None
-    if place is not None and not place.exists():
-        return f"install rover-ncp again with the extras {', '.join(extras)} ({place} is gone)"
-    editable = "--editable " if origin.get("dir_info", {}).get("editable") else ""
-    return f"{sys.executable} -m pip install {editable}'{place or 'rover-ncp'}[{','.join(extras)}]'"
+def _failed(error: Exception, as_json: bool) -> int:
+    """Report a user's mistake and return its exit code; raise any other error, which is a bug."""
+    if isinstance(error, _WrongCommandLine):
+        message = error.format_message() if hasattr(error, "format_message") else str(error)
+        # Without a message typer has just shown the help: a command was missing.
+        return _fail(message, "UsageError", 2, as_json) if message else 2
+    if isinstance(error, ModuleNotFoundError):
+        library = (error.name or "").split(".")[0]
+        if library in _EXTRAS:
+            error = MissingExtra(library, _EXTRAS[library])
+    if isinstance(error, OSError):
+        error = _file_error(error)
+    if isinstance(error, RoverNcpError):
+        return _fail(str(error), type(error).__name__, error.exit_code, as_json)
+    raise error
 
 
 def run(arguments: list[str]) -> int:
     """Run one command line and return its exit code; see ``docs/cli.md`` for the codes."""
-    as_json = "--json" in arguments
     Output.ended = False
     try:
         result = _app()(args=arguments, prog_name="rover-ncp", standalone_mode=False)
-    except (typer.Abort, KeyboardInterrupt):
-        return _fail("interrupted", "Interrupted", INTERRUPTED, as_json)
-    except _WrongCommandLine as error:
-        message = error.format_message() if hasattr(error, "format_message") else str(error)
-        # Without a message typer has just shown the help: a command was missing.
-        return _fail(message, "UsageError", 2, as_json) if message else 2
-    except (RoverNcpError, OSError) as error:
-        known = error if isinstance(error, RoverNcpError) else _file_error(error)
-        return _fail(str(known), type(known).__name__, known.exit_code, as_json)
-    except ModuleNotFoundError as error:
-        library = (error.name or "").split(".")[0]
-        if library not in _EXTRAS:
-            raise
-        missing = MissingExtra(library, _remedy(_extras(arguments, _EXTRAS[library])))
-        return _fail(str(missing), "MissingExtra", missing.exit_code, as_json)
-    # Typer turns Ctrl-C into this code without a message; a command that handles Ctrl-C prints its own.
-    if result == INTERRUPTED and not Output.ended:
-        return _fail("interrupted", "Interrupted", INTERRUPTED, as_json)
+    except KeyboardInterrupt:
+        return interrupted(arguments)
+    except Exception as error:
+        eof = error.__cause__ if isinstance(error, typer.Abort) else None
+        if isinstance(eof, EOFError):  # typer takes each one for the end of a dialog
+            raise eof from None
+        if Interruption.raised or isinstance(error, typer.Abort):  # a library replaced the KeyboardInterrupt
+            return interrupted(arguments)
+        return _failed(error, "--json" in arguments)
+    if result == INTERRUPTED:  # typer turns Ctrl-C into this code, without a message
+        return interrupted(arguments)
     return result if isinstance(result, int) else 0
 
 
-def main() -> None:
-    """Entry point of the ``rover-ncp`` script."""
+def interrupted(arguments: list[str]) -> int:
+    """Report an interruption, unless the command has printed its own result; return the exit code."""
+    if not Output.ended:
+        _fail("interrupted", "Interrupted", INTERRUPTED, "--json" in arguments)
+    return INTERRUPTED
+
+
+def main() -> int:
+    """Run the command line of this process, and return its exit code."""
     # Python would put the current folder in front of all packages in each child, and a user's folder may hold
     # a sim/ or a numba.py of its own.
     os.environ["PYTHONSAFEPATH"] = "1"
     # Read by numpy and scipy when they are loaded. For matrices as small as ours BLAS's threads only wait for
     # each other: on a busy machine planning a course took fifty times as long with two.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # SIGTERM and SIGHUP end a command as Ctrl-C does: it also ends its children and closes its files.
-    signal.signal(signal.SIGTERM, interrupt)
-    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:  # ignored under nohup
-        signal.signal(signal.SIGHUP, interrupt)
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # ignored in a shell's background
-        signal.signal(signal.SIGINT, interrupt)
     stdout, stderr = install()
     try:
         code = run(sys.argv[1:])
+    except KeyboardInterrupt:
+        code = interrupted(sys.argv[1:])
     except SystemExit as ended:  # typer's, after it has printed completions for a shell
         code = ended.code if isinstance(ended.code, int) else 1
     except Exception:
         # Here and not by the interpreter, which would end before it is written.
         traceback.print_exc()
         code = 1
-    sys.exit(_written(code, stdout, stderr))
+    return _written(code, stdout, stderr)
 
 
 def _written(code: int, stdout: Writer, stderr: Writer) -> int:

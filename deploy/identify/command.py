@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from deploy.options import Namespace, ZenohConfig
-from rover_ncp.core.console import Json, Output, Overwrite
+from rover_ncp.core.console import Json, Output, Overwrite, reject
 from rover_ncp.core.errors import UsageError
 
 
@@ -32,8 +32,11 @@ def identify(
     ] = None,
     out: Annotated[Path, typer.Option(help="The rover profile to write (YAML).")] = Path("rover.yaml"),
     fence: Annotated[
-        float, typer.Option(min=0.1, max=5.0, help="How far from its start the rover may come, m.")
-    ] = 0.8,
+        float | None,
+        typer.Option(
+            min=0.1, max=5.0, help="How far from its start the rover may come, m.", show_default="0.8"
+        ),
+    ] = None,
     record: Annotated[
         Path | None, typer.Option(help="Record the drive to this MCAP file.", show_default=False)
     ] = None,
@@ -63,6 +66,7 @@ def identify(
     if (recording is None) == (robot is None):
         raise UsageError("expected either --robot to drive one, or a recording of a drive")
     output = Output(json, controls=True)
+    from deploy.identify.excitation import FENCE_M
     from deploy.identify.run import identify_recording, identify_robot
     from deploy.recorder import Recorder
     from deploy.zenoh_client import BridgeAddress
@@ -70,9 +74,20 @@ def identify(
 
     if robot is None:
         assert recording is not None
-        if record is not None or model is not None:
-            raise UsageError("--record and --model go with --robot")
+        reject(
+            "needs --robot",
+            model=model,
+            fence=fence,
+            record=record,
+            overwrite=overwrite,
+            namespace=namespace,
+            zenoh_config=zenoh_config,
+        )
         return identify_recording(recording, out, output)
+    if record is None:
+        reject("needs --record", overwrite=overwrite)
     address = BridgeAddress(robot, namespace, zenoh_config)
     described = load_description(model) if model else None
-    return identify_robot(address, Recorder(record, overwrite=overwrite), fence, out, output, robot=described)
+    return identify_robot(
+        address, Recorder(record, overwrite=overwrite), fence or FENCE_M, out, output, robot=described
+    )

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from rover_ncp.core.console import Json, Output
+from rover_ncp.core.console import Json, Output, reject
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import USUAL_ROBOT
 
@@ -38,9 +38,12 @@ def course(
         str | None, typer.Option(help="new: what the course is called.", show_default="the file's name")
     ] = None,
     model: Annotated[
-        str,
-        typer.Option(help="check: the robot's description, for its speeds and outline: a name or a file."),
-    ] = USUAL_ROBOT,
+        str | None,
+        typer.Option(
+            help="check: the robot's description, for its speeds and outline: a name or a file.",
+            show_default=USUAL_ROBOT,
+        ),
+    ] = None,
     json: Json = False,
 ) -> int:
     """Make a course, or check whether one can be driven, with place and reason if not.
@@ -62,11 +65,11 @@ def course(
 
     output, pace = Output(json), ""
     if what is What.NEW:
+        reject("is for check", model=model)
         made, found = _new(Path(source), out, name)
     else:
-        if name is not None:
-            raise UsageError("--name is for new")
-        robot = load_description(model)
+        reject("is for new", name=name)
+        robot = load_description(model or USUAL_ROBOT)
         made, pace = slowed(load_course(source), robot)
         found = check_course(made, robot)
         if out is not None:

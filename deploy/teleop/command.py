@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from deploy.options import Namespace, Robot, ZenohConfig
-from rover_ncp.core.console import Json, Output, Overwrite
+from rover_ncp.core.console import Json, Output, Overwrite, reject
 
 
 def teleop(
@@ -34,5 +34,7 @@ def teleop(
     from deploy.teleop.teleop import run
     from deploy.zenoh_client import BridgeAddress
 
+    if record is None:
+        reject("needs --record", overwrite=overwrite)
     address = BridgeAddress(robot, namespace, zenoh_config)
     return run(address, Recorder(record, overwrite=overwrite), Output(json, controls=True))

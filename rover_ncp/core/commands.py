@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import Json, Output, Overwrite
+from rover_ncp.core.console import Json, Output, Overwrite, reject
 from rover_ncp.core.errors import UsageError
 
 
@@ -69,6 +69,8 @@ def recover(
     from rover_ncp.core.recording import recover as make_whole
     from rover_ncp.core.recording import require_finished
 
+    if out is None:
+        reject("needs --out", overwrite=overwrite)
     target = out or run
     if target == run:
         require_finished(run)

@@ -24,6 +24,8 @@ from typing import Annotated, Any, TextIO
 import typer
 from rich.console import Console
 
+from rover_ncp.core.errors import UsageError
+
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]
 MOST_SEED = 2**63 - 1
@@ -42,10 +44,24 @@ def command(run: Callable[[Any], int | None]) -> Callable[..., int | None]:
     return call
 
 
+def reject(reason: str, **options: Any) -> None:
+    """Raise UsageError for options that were given but would have no effect, with the reason.
+
+    None, False and what is empty were not given.
+    """
+    given = [
+        name for name, value in options.items() if value is not None and value is not False and value != ""
+    ]
+    if given:
+        names = ", ".join(f"--{name.rstrip('_').replace('_', '-')}" for name in given)
+        raise UsageError(f"{names}: {reason}")
+
+
 ROOM_BYTES = 1 << 16
 """A `Writer` drops text beyond this."""
 CHUNK_BYTES = 1024
 """The most that one system call writes: a pipe takes it as a whole, a slow terminal within a second."""
+_ERRORS = "backslashreplace"
 BLOCKED_S = 0.4
 """Wait in s at the end of a process for a reader that takes nothing: for stdout and again for stderr."""
 
@@ -57,8 +73,8 @@ class Writer(io.RawIOBase):
     written as soon as there is room again.
     """
 
-    def __init__(self, fd: int) -> None:
-        self._fd = fd
+    def __init__(self, fd: int, encoding: str = "utf-8") -> None:
+        self._fd, self.encoding = fd, encoding
         try:
             self._own = os.dup(fd)
         except OSError:
@@ -152,24 +168,28 @@ def install() -> tuple[Writer, Writer]:
 
     A character that the locale's encoding lacks is written as its escape sequence.
     """
-    writers = Writer(1), Writer(2)
+    writers = tuple(
+        Writer(fd, getattr(stream, "encoding", "utf-8")) for fd, stream in ((1, sys.stdout), (2, sys.stderr))
+    )
     sys.stdout, sys.stderr = (
         io.TextIOWrapper(
             writer,  # type: ignore[type-var]  # Python's own unbuffered stdout has a raw layer here, too
-            encoding=getattr(stream, "encoding", "utf-8"),
-            errors="backslashreplace",
+            encoding=writer.encoding,
+            errors=_ERRORS,
             write_through=True,
         )
-        for writer, stream in zip(writers, (sys.stdout, sys.stderr), strict=True)
+        for writer in writers
     )
-    return writers
+    return writers[0], writers[1]
 
 
 def keep(stream: TextIO, text: str) -> None:
     """Write text that must not be dropped while the reader takes data."""
     writer = getattr(stream, "buffer", None)
-    if isinstance(writer, Writer):
-        writer.put(text.encode(stream.encoding, stream.errors or "strict"), keep=True)
+    if isinstance(
+        writer, Writer
+    ):  # also behind the stream that rich puts in place of ours: it has no encoding
+        writer.put(text.encode(writer.encoding, _ERRORS), keep=True)
     else:
         stream.write(text)
         stream.flush()

@@ -42,10 +42,12 @@ class PortInUse(UsageError):
 
 
 class MissingExtra(UsageError):
-    """A command needs a library that is not installed; ``remedy`` brings all that it needs."""
+    """A command needs a library of an extra that is not installed."""
 
-    def __init__(self, library: str, remedy: str) -> None:
-        super().__init__(f"{library} is not installed: {remedy}")
+    def __init__(self, library: str, extra: str) -> None:
+        super().__init__(
+            f"{library} is not installed: install rover-ncp with the extra {extra}, as rover-ncp[{extra}]"
+        )
 
 
 class UnreachableError(RoverNcpError):

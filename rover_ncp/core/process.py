@@ -10,11 +10,7 @@ from types import FrameType, TracebackType
 from typing import Any, Protocol, Self
 
 from rover_ncp.core.errors import UsageError
-
-_AGAIN_S = 0.01
-_DROPPING = ("llvmlite.", "pymunk._callbacks.", "enum.")
-"""Modules, a dot after each name, of which C calls functions and drops what is raised in them. numpy drops it
-in those of an enumeration: it looks for attributes of the class before it compares an array with a member."""
+from rover_ncp.core.interruption import SIGNALS
 
 
 class Clock(Protocol):
@@ -71,17 +67,6 @@ class ClosedAtExit(ABC):
         self.close()
 
 
-def interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt; as long as one of the modules runs that drop it, later."""
-    while frame is not None:
-        if f"{frame.f_globals.get('__name__')}.".startswith(_DROPPING):
-            signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
-            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
-            return
-        frame = frame.f_back
-    raise KeyboardInterrupt
-
-
 class Interrupts:
     """Record SIGINT, SIGTERM and SIGHUP instead of ending at once: the rover has to be stopped first.
 
@@ -93,7 +78,7 @@ class Interrupts:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 self._before[number] = signal.signal(number, self._note)
         return self

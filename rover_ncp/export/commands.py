@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import Json, Output
+from rover_ncp.core.console import Json, Output, reject
 
 
 class Target(StrEnum):
@@ -47,6 +47,8 @@ def export(
     from rover_ncp.course.course import load_course
     from rover_ncp.export.export import exported
 
+    if to is Target.YAML:
+        reject("--to yaml needs no course", course=course)
     name = re.sub(r"[^a-z0-9]+", "_", Path(policy).stem.lower()).strip("_")[:64]
     name = name if name[:1].isalpha() else f"policy_{name}".rstrip("_")
     require_writable(out / name)

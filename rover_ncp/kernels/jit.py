@@ -1,8 +1,5 @@
 """The compiler of the numerical kernels: numba, strict IEEE arithmetic, machine code kept on disk.
 
-numba's own cache checks only the file of a function, not those of the functions that were compiled into it.
-After an update of one of them it would silently run the old code. Here every kernel has a stamp of all that
-it is made of: its file, the kernels it calls, its constants and, if a factory made it, its free variables.
 Processes that start together compile each kernel once: the first locks it, the others wait and load it.
 
 Arithmetic: no fastmath, so LLVM neither reorders nor fuses operations and a kernel gives the same bits on
@@ -10,27 +7,22 @@ every machine, whatever its vector width. Division by zero gives infinities as i
 would make by default keeps loops from being vectorised.
 """
 
-import contextlib
-import fcntl
 import functools
-import hashlib
-import inspect
-import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from types import CodeType, ModuleType
+from collections.abc import Callable
 from typing import Any
 
-import numpy as np
+import numba
 from llvmlite import ir
 from numba import njit, typeof
 from numba.core import cgutils, types
 from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic
 
-WAIT_S = 60.0
-"""How long a process waits for another that compiles the same kernel, before it compiles that one itself."""
-POLL_S = 0.02
+from rover_ncp.core.errors import UsageError
+from rover_ncp.kernels.machine_code import MachineCode
+
+if getattr(numba.config, "DISABLE_JIT", False):
+    raise UsageError("NUMBA_DISABLE_JIT is set, but kernels run only when they are compiled: unset it")
 
 
 def in_kernels(generator: Callable[..., Any]) -> Any:
@@ -117,136 +109,13 @@ def call_fortran(_context: Any, routine: Any, arguments: Any) -> Any:
 
 
 def _compiled(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    try:
-        compiled: Any = njit(cache=True, **options)(function)
-        _stamp_the_key(compiled._cache, function)
-        _compile_once(compiled)
-    except (RuntimeError, AttributeError):
-        # No writable folder for the cache, or a numba whose cache works in another way: compile each time.
-        compiled = njit(**options)(function)
-    return compiled
-
-
-def _stamp_the_key(cache: Any, function: Callable[..., Any]) -> None:
-    """Look for machine code by the stamp of its kernel.
-
-    The stamp is taken at the first look: what the kernel calls may be further down in its file. numba's own
-    key has the free variables of a function, too, but a compiled one among them differs in each process.
-    """
-    if not hasattr(cache, "_index_key"):
-        raise AttributeError("numba's cache has no _index_key")
-    cached_stamp = functools.cache(stamp)
-    cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple(), cached_stamp(function))
-    load_index = cache._cache_file._load_index
-
-    def load_readable_index() -> Any:
-        # An index names the classes of tuples that a kernel takes; one of them may have been renamed since.
-        try:
-            return load_index()
-        except (AttributeError, ImportError):
-            return {}
-
-    cache._cache_file._load_index = load_readable_index
-
-
-def _compile_once(compiled: Any) -> None:
-    """Let one process at a time look for a kernel on the disk and, if it is not there, compile it."""
-    compile_here, lock = compiled.compile, Path(f"{compiled._cache._cache_file._index_path}.lock")
+    compiled: Any = njit(**options)(function)
+    compile_here, compiled._cache = compiled.compile, MachineCode(compiled)
 
     def compile_locked(signature: Any) -> Any:
         # numba's own lock first, for all threads in the same order. A kernel is locked before those it calls.
-        with global_compiler_lock, _locked(lock):
+        with global_compiler_lock, compiled._cache.locked(signature):
             return compile_here(signature)
 
     compiled.compile = compile_locked
-
-
-_held: set[Path] = set()
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Hold a lock that ends with its process; work without it where no lock file can be made."""
-    if path in _held:
-        yield
-        return
-    with contextlib.ExitStack() as stack:
-        with contextlib.suppress(OSError):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _wait_for(stack.enter_context(path.open("ab")).fileno())
-        _held.add(path)
-        stack.callback(_held.discard, path)
-        yield
-
-
-def _wait_for(file: int) -> None:
-    # A process that is stopped while it compiles must not hold up the others for good.
-    deadline = time.monotonic() + WAIT_S
-    while time.monotonic() < deadline:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            time.sleep(POLL_S)
-        else:
-            return
-
-
-def stamp(function: Callable[..., Any]) -> str:
-    """Return a digest of the sources and constants that are compiled into a kernel.
-
-    Covers the kernels that it calls, and the free variables of a kernel that was made by a factory.
-    TypeError for a free variable of another type than function, class, number, text, tuple or array.
-    """
-    digest = hashlib.sha256()
-    _add_function(function, digest, set())
-    return digest.hexdigest()
-
-
-def _add_function(function: Callable[..., Any], digest: Any, seen: set[Callable[..., Any]]) -> None:
-    if function in seen:
-        return
-    seen.add(function)
-    # Not the path: the same source elsewhere, or by another link, is the same machine code.
-    digest.update(f"{function.__module__}:{function.__qualname__}".encode())
-    with open(inspect.getfile(function), "rb") as file:  # noqa: PTH123  # a Path costs more than the read
-        digest.update(file.read())
-    code, used = function.__code__, function.__globals__
-    names = _names(code)
-    found = [used[key] for key in names if key in used]
-    modules = [item for item in found if isinstance(item, ModuleType)]
-    for item in (
-        *found,
-        *(getattr(module, key) for module in modules for key in names if hasattr(module, key)),
-    ):
-        _add_value(item, digest, seen)
-    for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
-        if not _add_value(cell.cell_contents, digest, seen):
-            kind = type(cell.cell_contents).__name__
-            raise TypeError(f"kernel {function.__qualname__}: the stamp does not cover {name}, a {kind}")
-
-
-def _add_value(value: Any, digest: Any, seen: set[Callable[..., Any]]) -> bool:
-    """Add a value that a kernel uses; return whether it could be added."""
-    called = getattr(value, "py_func", None) or getattr(value, "_defn", None)
-    if called is not None:
-        _add_function(called, digest, seen)
-    elif isinstance(value, np.ndarray):
-        digest.update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
-    elif isinstance(value, tuple):
-        added = [_add_value(item, digest, seen) for item in value]
-        return all(added)
-    elif isinstance(value, type):
-        digest.update(value.__qualname__.encode())
-    elif value is None or isinstance(value, int | float | str | np.generic):
-        digest.update(repr(value).encode())
-    else:
-        return False
-    return True
-
-
-def _names(code: CodeType) -> list[str]:
-    names = list(code.co_names)
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            names += _names(constant)
-    return names
+    return compiled

@@ -1,5 +1,6 @@
 """The command ``eval``; heavy libraries load only when it runs."""
 
+import dataclasses
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import MOST_SEED, Json, Output, command
+from rover_ncp.core.console import MOST_SEED, Json, Output, command, reject
 from rover_ncp.core.errors import UsageError
 from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
 
@@ -93,14 +94,6 @@ class EvalOptions:
             show_default=False,
         ),
     ] = None
-    camera_hz: Annotated[float, typer.Option(min=0.1, max=100.0, help="Rate of the camera.")] = 5.0
-    camera_noise: Annotated[
-        float,
-        typer.Option(
-            min=0.0, max=1.0, help="Standard deviation of its x and y in m; of its heading 1 degree for 2 cm."
-        ),
-    ] = 0.02
-    camera_delay: Annotated[float, typer.Option(min=0.0, max=1.0, help="Delay of its poses in s.")] = 0.1
     live: Annotated[
         int | None,
         typer.Option(
@@ -126,9 +119,10 @@ class EvalOptions:
             show_default="one for each core; 1 live",
         ),
     ] = None
-    out: Annotated[Path, typer.Option(help="With --live: folder for recordings and logs.")] = Path(
-        "runs/live"
-    )
+    out: Annotated[
+        Path | None,
+        typer.Option(help="With --live: folder for recordings and logs.", show_default="runs/live"),
+    ] = None
     task: Annotated[
         str | None,
         typer.Option(
@@ -143,6 +137,11 @@ class EvalOptions:
         ),
     ] = None
     json: Json = False
+
+    @property
+    def folder(self) -> Path:
+        """The folder of live trials."""
+        return self.out or Path("runs/live")
 
     @property
     def courses(self) -> list[str]:
@@ -208,8 +207,9 @@ def evaluate(options: EvalOptions) -> int:
     """
     if options.task is not None:
         return _play_task(options, options.task)
-    if options.range_:
-        raise UsageError("--range needs --task")
+    reject("needs --task", range_=options.range_)
+    if not options.live:
+        reject("needs --live", out=options.out)
     if options.body is Body.MUJOCO and not (options.stack or options.live):
         raise UsageError("--body mujoco needs --stack or --live: plain simulation is pymunk's")
     if options.sensors is not None and not options.stack:
@@ -265,9 +265,14 @@ def _play_task(options: EvalOptions, task: str) -> int:
 
     if options.policy in LAWS:
         raise UsageError(f"{options.policy} follows a course: --task needs a policy or a circuit")
-    others = ("course", "stack", "live", "profile", "randomize", "random_courses")
-    if any(getattr(options, name) for name in others):
-        raise UsageError("--task goes with --range, --trials and --seed alone")
+    own = {"policy", "task", "range_", "trials", "seed", "json"}
+    others = {
+        field.name: getattr(options, field.name)
+        for field in dataclasses.fields(options)
+        if field.name not in own
+    }
+    others["body"] = None if options.body is Body.PYMUNK else options.body
+    reject("--task goes with --range, --trials and --seed alone", **others)
     trials = options.trials or EPISODES
     if task not in TASKS:
         return _play_environment(options, task, trials)

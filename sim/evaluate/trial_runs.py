@@ -32,7 +32,7 @@ def run_trials(options: EvalOptions) -> int:
     if options.stack or options.live:
         if options.live and driver.agent != CIRCUIT:
             raise UsageError(f"{options.policy}: --live needs a policy")
-        camera = Camera(options.camera_hz, options.camera_noise, options.camera_delay)
+        camera = Camera()
         gyro, seen = _sensors(options, robot)
         stack = Stack(
             driver,
@@ -93,8 +93,8 @@ def _live(
     count = options.live or 0
     if count > trials:
         raise UsageError(f"--live {count}: there are only {trials} trials")
-    if options.out.exists() and any(options.out.iterdir()):
-        raise UsageError(f"{options.out}: is not an empty folder")
+    if options.folder.exists() and any(options.folder.iterdir()):
+        raise UsageError(f"{options.folder}: is not an empty folder")
     with _progress(output, count) as done:
         driven = drive_live(stack, options, count, done)
     virtual = drive_all(stack, count, options.processes) if options.stack else []
@@ -107,7 +107,7 @@ def _live(
             "pose": list(trial.pose),  #: the true one at the end: x, y, theta
             "overruns": trial.overruns,
             #: of the trial: course.yaml, driver.yaml, run.mcap, log
-            "folder": str(trial_folder(options.out, number)),
+            "folder": str(trial_folder(options.folder, number)),
             **(apart[number] if apart else {}),
         }
         for number, trial in enumerate(driven)

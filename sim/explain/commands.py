@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import Json, Output
+from rover_ncp.core.console import Json, Output, reject
 from rover_ncp.core.errors import UsageError
 
 
@@ -37,6 +37,13 @@ def explain(
             help="Ratio by which one sign must outnumber the other, for a contribution to have a sign.",
         ),
     ] = 1.5,
+    runs: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --task, without a policy: folder of your runs of 'paper'; they come first.",
+            show_default="runs/paper",
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables (CSV) and pictures (SVG and PNG).")
     ] = None,
@@ -64,16 +71,18 @@ def explain(
     from sim.explain.explain import Explanation
     from sim.explain.explain import explain as explain_source
     from sim.explain.files import sections, write
-    from sim.explain.task import TaskExplanation, explain_task
+    from sim.explain.task import RUNS, TaskExplanation, explain_task
 
     output = Output(json)
     if out is not None:
         require_writable(out / "explanation.md")
     found: Explanation | TaskExplanation
+    if task is None or source is not None:
+        reject("needs --task, without a policy", runs=runs)
     if task is not None:
         if course is not None:
             raise UsageError("--task and --course do not go together")
-        found = explain_task(source, task, threshold=threshold, on_progress=output.say)
+        found = explain_task(source, task, threshold=threshold, on_progress=output.say, runs=runs or RUNS)
     elif source is not None:
         found = explain_source(source, course, threshold=threshold, on_progress=output.say)
     else:

@@ -119,12 +119,17 @@ class Subject(NamedTuple):
     episodes: Episodes
 
 
+RUNS = Path("runs/paper")
+"""Folder of one's own runs of the paper's experiments."""
+
+
 def explain_task(
     source: str | None,
     task: str,
     *,
     threshold: float = THRESHOLD,
     on_progress: Callable[[str], None] = lambda _: None,
+    runs: Path = RUNS,
 ) -> Explanation | TaskExplanation:
     """Explain a policy (name or file) on a task; without one, the best stored circuit of the paper's.
 
@@ -135,9 +140,9 @@ def explain_task(
     if known is not None and not isinstance(known, Benchmark):
         if source is not None:
             raise UsageError(f"--task {task}: explain a policy's drive without --task, with --course parking")
-        name, parks = stored_policy(known)
+        name, parks = stored_policy(known, runs)
         return explain_stored(name, command, parks, threshold=threshold, on_progress=on_progress)
-    subject = _subject(source, task)
+    subject = _subject(source, task, runs)
     policy, episodes = subject.policy, subject.episodes
     seeds = episode_seeds(0, Domain.EXPLAINED_EPISODES, EPISODES)
     [returns] = episodes.returns(policy.parameters()[None], seeds)
@@ -165,9 +170,9 @@ def explain_task(
     )
 
 
-def stored_policy(task: Task) -> tuple[str, Policy]:
+def stored_policy(task: Task, runs: Path = RUNS) -> tuple[str, Policy]:
     """Return the best stored circuit of one of the paper's tasks, and its name. Raises UsageError."""
-    results = ResultStore(Path("runs/paper")).results(task.name, "circuit")
+    results = ResultStore(runs).results(task.name, "circuit")
     if not results:
         raise UsageError(f"no circuit is stored for {task.name}: rover-ncp paper run --task {task.name}")
     best = max(results, key=lambda result: (result.success, result.mean))
@@ -176,11 +181,11 @@ def stored_policy(task: Task) -> tuple[str, Policy]:
     return f"paper run {best.name}", untrained.with_parameters(best.parameters.array())
 
 
-def _subject(source: str | None, task: str) -> Subject:
+def _subject(source: str | None, task: str, runs: Path) -> Subject:
     known = TASKS.get(task)
     if isinstance(known, Benchmark):
         if source is None:
-            name, policy = stored_policy(known)
+            name, policy = stored_policy(known, runs)
         else:
             name, policy = source, benchmark_policy(source, known)
         return Subject(name, policy, BenchmarkEpisodes(known, policy))

@@ -156,7 +156,8 @@ def train(
         rover-ncp train --task my_task:Reach-v0 --circuit reach.yaml --out runs/reach
     """
     from sim.learn.progress import TrainProgress
-    from sim.learn.record import RobustSettings, TaskSettings, TrainSettings, course_of, resolve_task
+    from sim.learn.record import RobustSettings, TaskSettings, TrainSettings, resolve_task
+    from sim.learn.robust_run import start_of as check_settings
     from sim.learn.run_folder import new_run_path, saved_settings
     from sim.learn.train import train as run_training
     from sim.learn.workers import WorkerDied
@@ -206,7 +207,7 @@ def train(
         if "rollouts" in asked:
             asked.setdefault("worst", asked["rollouts"])
         settings = RobustSettings(**(before | asked))
-        course_of(settings)  # before a folder is made, so that a typo leaves none behind
+        check_settings(settings)  # before a folder is made, so that a typo leaves none behind
         _train_robust(output, settings, out or new_run_path(), resume, processes)
         return
     if processes is not None and cluster is not None:

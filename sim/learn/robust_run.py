@@ -34,7 +34,7 @@ from sim.learn.robust import (
     policy_box,
     training_courses,
 )
-from sim.learn.run_folder import open_folder
+from sim.learn.run_folder import open_folder, require_run
 from sim.learn.train import find_workers
 from sim.learn.workers import MadeOnce, Workers, available_processes
 from sim.world.described import ranges_for
@@ -72,6 +72,17 @@ def _drive_parts(workers: Workers, drive: Drive, vectors: FloatArray, *which: An
     return np.concatenate([future.result() for future in futures])
 
 
+def start_of(settings: RobustSettings) -> tuple[Policy, Course, Randomization]:
+    """Return the untuned policy, the course and the trials' ranges. Raises UsageError or FileError."""
+    if settings.worst > settings.rollouts:
+        raise UsageError(f"the worst {settings.worst} of {settings.rollouts} rollouts cannot be taken")
+    ranges = ranges_for(settings.randomize, Path(settings.profile) if settings.profile else None)
+    loaded = load_start(settings.circuit)
+    start = loaded if isinstance(loaded, Policy) else course_policy(loaded)
+    RoverInterface(start)  # raises for a policy that drives none
+    return start, course_of(settings), ranges
+
+
 def train_robust(
     settings: RobustSettings,
     out: Path,
@@ -86,13 +97,7 @@ def train_robust(
     interrupted, however it dies, can be resumed and ends in the same files. Raises UsageError, ConfigError
     or FileError, WorkerDied if one of its processes was killed, KeyboardInterrupt.
     """
-    if settings.worst > settings.rollouts:
-        raise UsageError(f"the worst {settings.worst} of {settings.rollouts} rollouts cannot be taken")
-    course = course_of(settings)
-    ranges = ranges_for(settings.randomize, Path(settings.profile) if settings.profile else None)
-    loaded = load_start(settings.circuit)
-    start = loaded if isinstance(loaded, Policy) else course_policy(loaded)
-    RoverInterface(start)  # raises for a policy that drives none
+    start, course, ranges = start_of(settings)
     record = Record[RobustSettings].of(settings, start, course)
     make = partial(_drive, settings, start, course, ranges)
     search = RobustSearch(
@@ -165,6 +170,7 @@ class SearchRun:
 
     def save(self) -> Policy:
         """Write what resuming needs, then the winner and the curve. Raises FileError."""
+        require_run(self.policy_path.parent)
         state = {"format": 1, "search": self.search.state(), "curve": self._curve}
         write_atomic(self._saved, json.dumps(state, allow_nan=False) + "\n")
         last = self.last

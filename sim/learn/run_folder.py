@@ -104,6 +104,7 @@ class RunFolder:
 
     def save_progress(self, snapshot: Snapshot) -> None:
         """Write the agents, the best policy and the table of the curves. Raises FileError."""
+        require_run(self.path)
         for agent in snapshot.agents:
             save_agent(self._agents / f"{agent.number:02}.json", agent)
         save_policy(self.policy_path, self.policy(snapshot.best, snapshot))
@@ -171,6 +172,12 @@ def open_folder(path: Path, record: Record[SettingsT], resume: bool) -> Iterator
         yield record
     finally:
         os.close(handle)
+
+
+def require_run(path: Path) -> None:
+    """Raise FileError if the folder of a run was moved or removed: a new one would lack its settings."""
+    if not (path / _RECORD).is_file():
+        raise FileError(f"{path}: was moved or removed during the training; go on with --resume where it is")
 
 
 def _nothing_to_resume(path: Path) -> UsageError:

@@ -13,11 +13,13 @@ import threading
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
 from typing import Any, Protocol, Self
 
@@ -168,6 +170,40 @@ def _serve(connection: Connection) -> None:
             except Exception:
                 answer = None, RuntimeError(f"a worker failed:\n{traceback.format_exc()}")
             connection.send(answer)
+
+
+class _Spawning(SpawnContext):
+    """Starts processes for one pool, and knows them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.started: list[SpawnProcess] = []
+
+    def Process(self, *arguments: Any, **options: Any) -> SpawnProcess:  # type: ignore[override]  # noqa: N802
+        """Make a process."""
+        self.started.append(SpawnProcess(*arguments, **options))
+        return self.started[-1]
+
+
+@contextmanager
+def process_pool(
+    count: int, death: str, initializer: Callable[..., object] | None = None, *arguments: Any
+) -> Iterator[ProcessPoolExecutor]:
+    """Give an executor. An error in the block ends its processes at once, and no others of this program.
+
+    Raises WorkerDied with the words of ``death`` if one of them dies.
+    """
+    context = _Spawning()
+    with ProcessPoolExecutor(count, context, initializer, arguments) as pool:
+        try:
+            yield pool
+        except BaseException as error:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in context.started:
+                process.kill()  # it holds nothing that could be left half-done
+            if isinstance(error, BrokenProcessPool):
+                raise WorkerDied(death) from error
+            raise
 
 
 class MadeOnce:

@@ -57,7 +57,7 @@ class _LiveTrial(LiveRun):
     """The processes of one trial, and the external localisation of its start pose."""
 
     def __init__(self, stack: Stack, options: EvalOptions, number: int) -> None:
-        self._out, self._stack, self._number = trial_folder(options.out, number), stack, number
+        self._out, self._stack, self._number = trial_folder(options.folder, number), stack, number
         self._policy, self._course_file = options.policy, str(self._out / "course.yaml")
         self._localiser = ExitStack()
         robot = ["--body", options.body.value, "--randomize", options.randomization or ""]

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from rover_ncp.core.console import Json, Output
+from rover_ncp.core.console import Json, Output, reject
 from rover_ncp.core.errors import UsageError
 from sim.paper import BudgetName
 
@@ -27,6 +27,25 @@ class What(StrEnum):
     CONTRIBUTIONS = "contributions"
     CURVES = "curves"
     LESIONS = "lesions"
+
+
+_SELECTION = {"task", "agent", "seed", "circuit", "budget", "runs"}
+_OPTIONS = {
+    What.RUN: _SELECTION | {"again", "processes", "cluster"},
+    What.REPLAY: _SELECTION,
+    What.STATUS: {"budget", "runs"},
+    What.RANDOM_CIRCUITS: {"budget", "runs"},
+    What.POLICY_GRADIENTS: {"budget", "runs"},
+    What.NETWORKS: {"budget", "runs"},
+    What.COMPARISONS: {"agent", "budget", "runs"},
+    What.CLAIMS: {"runs"},
+    What.PARAMETERS: set[str](),
+    What.TIME_CONSTANTS: {"runs"},
+    What.CONTRIBUTIONS: {"runs"},
+    What.CURVES: {"budget", "runs", "out"},
+    What.LESIONS: {"task", "runs", "out"},
+}
+"""Options that each action uses, beside --json."""
 
 
 def paper(
@@ -63,9 +82,10 @@ def paper(
             show_default="default; of replay all",
         ),
     ] = None,
-    runs: Annotated[Path, typer.Option(help="Folder of your runs; they precede the shipped ones.")] = Path(
-        "runs/paper"
-    ),
+    runs: Annotated[
+        Path | None,
+        typer.Option(help="Folder of your runs; they precede the shipped ones.", show_default="runs/paper"),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="curves, lesions: the picture.", show_default="runs/paper/ and the name, .png"),
@@ -106,6 +126,17 @@ def paper(
     from sim.paper.results import ResultStore
     from sim.paper.selection import select
 
+    given: dict[str, Any] = {
+        "task": task,
+        "agent": agent,
+        "seed": seed,
+        "circuit": circuit,
+        "budget": budget,
+        "runs": runs,
+    }
+    given |= {"out": out, "again": again, "processes": processes, "cluster": cluster}
+    reject(f"has no effect on {what}", **{k: v for k, v in given.items() if k not in _OPTIONS[what]})
+    runs = runs or Path("runs/paper")
     output, store = Output(json), ResultStore(runs)
     if what is What.REPLAY:
         agents = agent if agent or circuit else AGENTS  # no stored run needs torch to be scored

@@ -2,11 +2,9 @@
 
 import importlib
 import math
-import multiprocessing
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Future, as_completed
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -21,7 +19,7 @@ from sim.learn.cluster import DaskCluster
 from sim.learn.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector, draw_seeds
-from sim.learn.workers import WorkerDied, starting_processes
+from sim.learn.workers import process_pool, starting_processes
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
@@ -233,22 +231,13 @@ def make_runs(
             for run in as_completed([workers.submit(train_run, name) for name in names]):
                 keep(run)
         return
-    # Spawned, never forked: numba and MuJoCo do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(processes, len(names)), context) as pool:
-        try:
-            with starting_processes():  # the pool starts them as work is handed in
-                places = [(name, circuit, store.unfinished(name)) for name in names]
-                runs = [pool.submit(train_run, *place) for place in places]
-            for run in as_completed(runs):
-                keep(run)
-        except BaseException as error:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for child in multiprocessing.active_children():
-                child.kill()
-            if isinstance(error, BrokenProcessPool):
-                raise WorkerDied("the process of a run ended; repeat the command to continue") from error
-            raise
+    death = "the process of a run ended; repeat the command to continue"
+    with process_pool(min(processes, len(names)), death) as pool:
+        with starting_processes():  # the pool starts them as work is handed in
+            places = [(name, circuit, store.unfinished(name)) for name in names]
+            runs = [pool.submit(train_run, *place) for place in places]
+        for run in as_completed(runs):
+            keep(run)
 
 
 def _require(names: Sequence[RunName], circuit: Path | None) -> None:

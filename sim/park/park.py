@@ -18,6 +18,7 @@ from deploy.report.page.page import drive_page
 from deploy.report.recorded_drive import read_drive
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import USUAL_ROBOT, require_creatable, write_atomic
@@ -65,7 +66,7 @@ def run_park(options: ParkOptions) -> int:
             )
             return 1
         output.say(f"{_summary(training)}: it parks in simulation")
-    load_policy(policy)  # a bad file is found before anything is started
+    RoverInterface(load_policy(policy))  # one that drives no rover is found before anything is started
     recording, picture, report = out / "run.mcap", out / "trajectory.png", out / "run.html"
     ros2 = [] if form == PIONEER else ["--ros2"]
     run = LiveRun(

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from bridge.ros.discovery import Convention
-from rover_ncp.core.console import MOST_SEED, Json, Overwrite
+from rover_ncp.core.console import MOST_SEED, Json, Overwrite, reject
 from rover_ncp.core.files import USUAL_ROBOT
 from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
 
@@ -24,9 +24,12 @@ def mock(
         bool, typer.Option("--ros2", help="Simulate a ROS 2 robot, whose topics are on Zenoh.")
     ] = False,
     ros: Annotated[
-        Convention,
-        typer.Option(help="With --ros2: the form of its topics on Zenoh; the domain is ROS_DOMAIN_ID."),
-    ] = Convention.ROS2DDS,
+        Convention | None,
+        typer.Option(
+            help="With --ros2: the form of its topics on Zenoh; the domain is ROS_DOMAIN_ID.",
+            show_default="ros2dds",
+        ),
+    ] = None,
     namespace: Annotated[str, typer.Option(help="With --ros2: prefix of its topics.")] = "",
     course: Annotated[
         str | None, typer.Option(help="Put this course's obstacles around the rover: a name or a file.")
@@ -88,11 +91,17 @@ def mock(
     from sim.pioneer.run import Ros2Options, run_mock
     from sim.world.described import ranges_for
 
+    if ros2:
+        reject("a ROS 2 robot's gyro is in its description", gyro=gyro)
+    else:
+        reject("needs --ros2", ros=ros, namespace=namespace)
+    if truth is None:
+        reject("needs --truth", overwrite=overwrite)
     robot = load_description(model)
     run_mock(
         listen=listen,
         model=model,
-        ros2=Ros2Options(ros, namespace) if ros2 else None,
+        ros2=Ros2Options(ros or Convention.ROS2DDS, namespace) if ros2 else None,
         course=course,
         truth=truth,
         overwrite=overwrite,

@@ -21,6 +21,8 @@ from sim.world.rover import SUBSTEP_S
 PERIOD_S = SUBSTEP_S
 """The mock sleeps no longer than a step, so a turn that ends later shows how long it had no CPU."""
 
+MAX_READ_BYTES = 65_536
+
 TRUTH_COLUMNS = ("t_ns", "t_s", "x", "y", "theta", "v", "omega", "contact", "clock_ns")
 """Wall clock in ns, time since the start in s, true pose in m and rad, speeds in m/s and rad/s, 0 or 1,
 simulation clock in ns: the end of the step on the machine's monotonic clock, whenever it was computed."""
@@ -87,15 +89,16 @@ class TruthFile:
 class RealTimeLoop:
     """Advances ``base``, whose clock is the machine's monotonic clock; subclasses connect it to a line."""
 
-    def __init__(
-        self, base: SimulatedBase, truth: TruthFile | None = None, say: Callable[[str], None] = print
-    ) -> None:
+    def __init__(self, base: SimulatedBase, say: Callable[[str], None] = print) -> None:
+        self.truth: TruthFile | None = None
+        """Where the true pose is written from now on."""
         self.touched = False
         """Whether the rover ever touched anything."""
         # Not epoll, which takes no files: fault lines may come from one, or from /dev/null.
         self.selector = selectors.PollSelector()
         """Calls the data of each key when there is something to read."""
-        self._truth, self._say = truth, say
+        self._say = say
+        self._unfinished = b""
         self._lateness = Lateness()
         self._base, self._start_s = base, base.now
         base.observe = self._observe
@@ -111,7 +114,7 @@ class RealTimeLoop:
         how late the loop ended a turn at worst since the line before. An empty line asks only for the answer.
         """
         if fault_lines is not None:
-            self.selector.register(fault_lines, selectors.EVENT_READ, lambda: self._read_fault(fault_lines))
+            self.selector.register(fault_lines, selectors.EVENT_READ, lambda: self._read_faults(fault_lines))
         while not stopping():
             sleep_s = max(min(self._base.due_s - time.monotonic(), PERIOD_S), 0.0)
             self._lateness.begin(sleep_s)
@@ -119,22 +122,26 @@ class RealTimeLoop:
                 key.data()
             self._base.advance(time.monotonic())
             self.send()
-            if self._truth:
-                self._truth.flush()
+            if self.truth:
+                self.truth.flush()
             self._lateness.end()
 
     def close(self) -> None:
         """Close everything."""
         self.selector.close()
-        if self._truth:
-            self._truth.close()
+        if self.truth:
+            self.truth.close()
 
-    def _read_fault(self, fault_lines: FileIO) -> None:
-        line = fault_lines.readline()
-        if not line:
+    def _read_faults(self, fault_lines: FileIO) -> None:
+        data = fault_lines.read(MAX_READ_BYTES)  # what is there, without waiting for the end of a line
+        *lines, self._unfinished = (self._unfinished + data).split(b"\n")
+        if not data:
             self.selector.unregister(fault_lines)
-            return
-        text = line.decode(errors="replace").strip()
+            lines = [self._unfinished] if self._unfinished else []
+        for line in lines:
+            self._inject(line.decode(errors="replace").strip())
+
+    def _inject(self, text: str) -> None:
         try:
             fault = parse_fault(text) if text else None
         except UsageError as error:
@@ -149,6 +156,6 @@ class RealTimeLoop:
     def _observe(self, now: float) -> None:
         contact = self._base.drive.rover.in_contact
         self.touched |= contact
-        if self._truth:
+        if self.truth:
             behind_ns = round((time.monotonic() - now) * 1e9)
-            self._truth.add(self._base, time.time_ns() - behind_ns, now - self._start_s)
+            self.truth.add(self._base, time.time_ns() - behind_ns, now - self._start_s)

@@ -29,7 +29,7 @@ from rover_ncp.core.messages import (
     TWIST,
     TWIST_STAMPED,
 )
-from sim.pioneer.real_time import RealTimeLoop, TruthFile
+from sim.pioneer.real_time import RealTimeLoop
 from sim.pioneer.ros2_robot import Ros2Robot
 
 _SETTINGS: dict[str, Any] = {
@@ -49,23 +49,22 @@ class Ros2Server(RealTimeLoop):
         host: str,
         port: int,
         robot: Ros2Robot,
-        truth: TruthFile | None = None,
         say: Callable[[str], None] = print,
         *,
         convention: Convention = Convention.ROS2DDS,
         domain: int = 0,
         namespace: str = "",
     ) -> None:
-        super().__init__(robot, truth, say)
+        super().__init__(robot, say)
         self.host, self.port, self.robot = host, port or free_port(host), robot
         self.bytes_in = self.bytes_out = 0
         self._namespace, self._domain = namespace.strip("/"), domain
+        self._session = _open(host, self.port)
         self._commands: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._arrived, self._woken = socket.socketpair()
         self._arrived.setblocking(False)
         # As a robot does, the mock takes a command when it arrives, not when its next step is due.
         self.selector.register(self._woken, selectors.EVENT_READ, lambda: self._woken.recv(4096))
-        self._session = _open(host, self.port)
         self._publishers: dict[str, Any] = {}
         self._numbers: dict[str, tuple[bytes, int]] = {}
         self._held: list[Any] = []

@@ -2,7 +2,6 @@
 
 import io
 import os
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,6 +13,7 @@ from bridge.ros.discovery import Convention
 from bridge.ros.rmw import domain_id
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
+from rover_ncp.core.files import require_creatable
 from rover_ncp.core.process import Interrupts
 from rover_ncp.core.robot_description import load_description
 from rover_ncp.core.streams import Domain, integer_seed
@@ -66,18 +66,19 @@ def run_mock(
     base_seed = integer_seed(seed, Domain.BASE_SENSORS, trial)
     injected = Faults([parse_fault(text) for text in faults if text != FROM_STDIN], fault_seed)
     # Unbuffered, so that the server's selector sees every line that is left to read.
-    fault_lines = io.FileIO(sys.stdin.fileno(), closefd=False) if FROM_STDIN in faults else None
+    fault_lines = io.FileIO(0, closefd=False) if FROM_STDIN in faults else None
     known = load_course(course) if course else None
     rover, trials = draw_rover(ranges, description, known, seed=seed, number=trial)
     base_trial, now = BaseTrial(trials), time.monotonic()
-    file = TruthFile(truth, overwrite=overwrite) if truth else None
+    if truth is not None:
+        require_creatable(truth, overwrite=overwrite)
     server: Server | Ros2Server
     if ros2 is None:
         flash = replace(config_of(description), has_gyro=int(gyro))
         firmware = Firmware(
             description, rover, injected, now, config=flash, trial=base_trial, gyro_seed=base_seed
         )
-        server = Server(host, port, firmware, file, output.say)
+        server = Server(host, port, firmware, output.say)
     else:
         epoch_s = time.time() - now
         robot = Ros2Robot(
@@ -87,13 +88,13 @@ def run_mock(
             host,
             port,
             robot,
-            file,
             output.say,
             convention=ros2.convention,
             domain=domain_id(os.environ),
             namespace=ros2.namespace,
         )
     try:
+        server.truth = TruthFile(truth, overwrite=overwrite) if truth else None
         with Interrupts() as interrupts:
             output.announce(f"listening on {server.host}:{server.port}")
             server.serve(lambda: interrupts.raised, fault_lines)

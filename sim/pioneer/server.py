@@ -9,7 +9,7 @@ from contextlib import suppress
 
 from rover_ncp.core.errors import PortInUse, UsageError
 from sim.pioneer.firmware import Firmware
-from sim.pioneer.real_time import RealTimeLoop, TruthFile
+from sim.pioneer.real_time import RealTimeLoop
 
 CHUNK_BYTES = 4096
 
@@ -36,10 +36,9 @@ class Server(RealTimeLoop):
         host: str,
         port: int,
         firmware: Firmware,
-        truth: TruthFile | None = None,
         say: Callable[[str], None] = print,
     ) -> None:
-        super().__init__(firmware, truth, say)
+        super().__init__(firmware, say)
         self._listener = _listen(host, port)
         name = self._listener.getsockname()
         self.host, self.port = str(name[0]), int(name[1])

@@ -7,11 +7,9 @@ true pose is judged.
 
 import copy
 import math
-import multiprocessing
 from bisect import bisect_right
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import as_completed
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -29,7 +27,7 @@ from rover_ncp.course.course import Course, Verdict
 from sim.evaluate.commands import Place
 from sim.evaluate.driver import Driver
 from sim.evaluate.evaluate import cause
-from sim.learn.workers import WorkerDied, available_processes, starting_processes
+from sim.learn.workers import available_processes, process_pool, starting_processes
 from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
 from sim.stack.camera import Camera, Localiser
 from sim.stack.estimates import Belief, belief_of, settings_of
@@ -241,22 +239,12 @@ def drive_all(
             found[number] = stack.drive(number)
             on_done()
         return list(found.values())
-    # Spawned, never forked: numba and cffi do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _set_stack, (stack,)) as pool:
-        try:
-            with starting_processes():  # the pool starts them as work is handed in
-                waiting = {pool.submit(_drive, number): number for number in range(count)}
-            for done in as_completed(waiting):
-                found[waiting[done]] = done.result()
-                on_done()
-        except BrokenProcessPool as error:
-            raise WorkerDied("a process that drove trials ended unexpectedly") from error
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
-                process.kill()  # else it drives its trial to the end, and those that wait
-            raise
+    with process_pool(workers, "a process that drove trials ended unexpectedly", _set_stack, stack) as pool:
+        with starting_processes():  # the pool starts them as work is handed in
+            waiting = {pool.submit(_drive, number): number for number in range(count)}
+        for done in as_completed(waiting):
+            found[waiting[done]] = done.result()
+            on_done()
     return [found[number] for number in range(count)]
 
 

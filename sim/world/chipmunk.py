@@ -149,18 +149,6 @@ def _contacts_offset(space: pymunk.Space, body: pymunk.Body) -> int:
     return found[0]
 
 
-def leave_velocities(space: pymunk.Space, body: pymunk.Body) -> None:
-    """Let Chipmunk's steps change a velocity by contacts alone, as they do without gravity and damping.
-
-    The bits are the same and a step is quicker: a damping of 0, which is not used any more, saves a power
-    function.
-    """
-    # It takes a body first, as an update does, and changes nothing.
-    getter = ffi.addressof(lib, "cpBodyGetUserData")
-    lib.cpBodySetVelocityUpdateFunc(body._body, ffi.cast("cpBodyVelocityFunc", getter))
-    space.damping = 0.0
-
-
 @in_kernels
 def call_with_number(_context: Any, function: Any, thing: Any, number: Any) -> Any:
     """Within a kernel: call a C function of a pointer and a double; it returns nothing."""
@@ -175,17 +163,25 @@ def call_with_number(_context: Any, function: Any, thing: Any, number: Any) -> A
     return types.void(types.int64, types.int64, types.float64), generate
 
 
-@in_kernels
-def call_with_thing(_context: Any, function: Any, thing: Any, other: Any) -> Any:
-    """Within a kernel: call a C function of two pointers, whose result is not wanted."""
+def _call_with_two(result: ir.Type) -> Any:
+    """Return a function for kernels that calls a C function of two pointers; its result is not wanted."""
 
-    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        pointer = ir.IntType(8).as_pointer()
-        callee = builder.inttoptr(arguments[0], ir.FunctionType(pointer, [pointer, pointer]).as_pointer())
-        builder.call(callee, [builder.inttoptr(argument, pointer) for argument in arguments[1:]])
-        return context.get_dummy_value()
+    @in_kernels
+    def call(_context: Any, function: Any, thing: Any, other: Any) -> Any:
+        def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            pointer = ir.IntType(8).as_pointer()
+            callee = builder.inttoptr(arguments[0], ir.FunctionType(result, [pointer, pointer]).as_pointer())
+            builder.call(callee, [builder.inttoptr(argument, pointer) for argument in arguments[1:]])
+            return context.get_dummy_value()
 
-    return types.void(types.int64, types.int64, types.int64), generate
+        return types.void(types.int64, types.int64, types.int64), generate
+
+    return call
+
+
+call_with_thing = _call_with_two(ir.VoidType())
+add_thing = _call_with_two(ir.IntType(8).as_pointer())
+"""As ``call_with_thing``, for a C function that returns what was added."""
 
 
 @in_kernels

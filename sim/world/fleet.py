@@ -91,8 +91,6 @@ class Fleet:
             rover_body(model, self.grounds[lane // sharing], has_shape=bool(obstacles))
             for lane, model in enumerate(models)
         ]
-        for lane, body in enumerate(self.bodies):
-            chipmunk.leave_velocities(self.grounds[lane // sharing].space, body)
         if not obstacles:
             for ground in self.grounds:
                 ground.space.iterations = 1  # there will be no contact to solve
@@ -147,7 +145,7 @@ def place(fleet: FleetArrays, lane: int, x: float, y: float, theta: float) -> No
     chipmunk.store(body + layout.velocity + 8, 0.0)
     chipmunk.store(body + layout.angular_velocity, 0.0)
     if has_shape:
-        chipmunk.call_with_thing(layout.add_shape, space, fleet.shapes[lane])
+        chipmunk.add_thing(layout.add_shape, space, fleet.shapes[lane])
     for axis in range(2):
         fleet.old[axis, lane] = 0.0
         for row in range(len(fleet.due)):

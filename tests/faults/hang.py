@@ -49,7 +49,7 @@ def _time_ns() -> int:
 if __name__ == "__main__":
     # Before anything imports these names from the module time.
     time.time_ns, time.time = _time_ns, lambda: _time_ns() * 1e-9
-    from rover_ncp.cli import main
+    from rover_ncp.entry import main
 
     signal.signal(signal.SIGUSR1, _hang)
     for each in CLOCK_STEPS_S:

@@ -1,13 +1,14 @@
 """Mistakes on the command line, and files that cannot be: an exit code and one line, never a traceback."""
 
 import os
+import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from paths import DATA
+from paths import DATA, ROOT
 from recorded_drives import write_drive
 
 from rover_ncp.cli import run
@@ -54,6 +55,7 @@ READERS = [
     f"watch {ROBOT} --port 0 --zenoh-config {{}}",
     "paper run --task parking --seed 0 --circuit {}",
 ]
+TABLES = ["random-circuits", "policy-gradients", "networks", "claims", "curves"]
 # Where files are written.
 WRITERS = [
     "park --policy parking --out {}",
@@ -84,6 +86,7 @@ TABLE = [
     ("mock --truth file", "file: exists already"),
     ("park --policy parking --out done", "done/run.mcap: exists already"),
     ("park --out done", "done/run.mcap: exists already"),
+    ("park --policy task.yaml --out none", "policy wall"),
     ("park --out trained", "trained/train: exists already"),
     ("train --resume --out done", "done: holds no training run to resume"),
     # YAML and courses
@@ -126,6 +129,37 @@ TABLE = [
     ("identify", "expected either --robot"),
     (f"identify drive.mcap {ROBOT}", "expected either --robot"),
     (f"check {ROBOT}", "put the robot on blocks"),
+    # options without an effect
+    ("mock --namespace bot1", "--namespace: needs --ros2"),
+    ("mock --ros rmw-zenoh", "--ros: needs --ros2"),
+    ("mock --ros2 --model turtlebot4 --gyro", "--gyro"),
+    ("mock --overwrite", "--overwrite: needs --truth"),
+    ("eval course --out new", "--out: needs --live"),
+    ("eval course --range a=1", "--range: needs --task"),
+    ("eval mine.bnn --task mountain-car --out new", "--out: --task goes with"),
+    ("eval mine.bnn --task mountain-car --body mujoco", "--body: --task goes with"),
+    ("eval mine.bnn --task mountain-car --model p3dx --processes 2", "--model, --processes: --task"),
+    ("eval course --stack --camera-hz 2", "--camera-hz"),
+    *((f"paper {table} --task parking", f"--task: has no effect on {table}") for table in TABLES),
+    ("paper claims --budget quick", "--budget: has no effect on claims"),
+    ("paper parameters --runs new", "--runs: has no effect on parameters"),
+    ("paper status --seed 0 --again", "--seed, --again: has no effect on status"),
+    ("paper run --out new.png", "--out: has no effect on run"),
+    ("explain parking --runs new", "--runs: needs --task"),
+    ("explain parking --task mountain-car --runs new", "--runs: needs --task, without a policy"),
+    (f"deploy {ROBOT} --overwrite", "--overwrite: needs --record"),
+    (f"teleop {ROBOT} --overwrite", "--overwrite: needs --record"),
+    (f"identify {ROBOT} --overwrite", "--overwrite: needs --record"),
+    ("identify drive.mcap --fence 0.5 --namespace a", "--fence, --namespace: needs --robot"),
+    ("recover drive.mcap --overwrite", "--overwrite: needs --out"),
+    ("course new poses.csv --out new.yaml --model p3dx", "--model: is for check"),
+    ("course check parking --name mine", "--name: is for new"),
+    ("export parking --to yaml --out new --course bay", "--course: --to yaml needs no course"),
+    (f"bridge {BASE} --no-base-watchdog", "--no-base-watchdog: is for a ROS 2 robot"),
+    (f"bridge {BASE} --state robots.yaml", "--state: is for a ROS 2 robot"),
+    ("bench circuit --seed 3", "--seed: is for search"),
+    ("bench train --seconds 3", "--seconds: is for deploy"),
+    ("bench deploy --iterations 3", "--iterations: is for train and search"),
     # values
     (f"eval course --trials {HUGE}", "--trials"),
     (f"eval course --live {HUGE}", "--live"),
@@ -182,6 +216,8 @@ def folder(tmp_path_factory):
         SHORT.read_text() + "obstacles: [{x: 0.2, y: 0, length: 0.1, width: 0.1}]\n"
     )
     (folder / "empty.mcap").touch()
+    tutorial = (ROOT / "docs/tutorials/own_task.md").read_text()
+    (folder / "task.yaml").write_text(re.search(r'title="wall.yaml"\n(.*?)```', tutorial, re.DOTALL)[1])
     (folder / "zenoh.json5").write_text('{ mode: "client", no_such_key: 1 }')
     for name, limits in {"fast": "v_max: 3.0", "nan": "v_max: .nan", "unknown": "speed: 1"}.items():
         (folder / f"{name}.yaml").write_text(limits)

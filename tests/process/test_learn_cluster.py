@@ -18,7 +18,7 @@ TRAIN = ["train", "--course", str(COURSE), "--agents", "4", "--seed", "3"]
 
 
 def start_train(*arguments):
-    return start("-c", "from rover_ncp.cli import main; main()", *arguments)
+    return start("-c", "from rover_ncp.entry import main; main()", *arguments)
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ NO_GIT = {**os.environ, "PATH": ""}
 
 
 def start(*arguments):
-    command = [sys.executable, "-c", "from rover_ncp.cli import main; main()", *arguments]
+    command = [sys.executable, "-c", "from rover_ncp.entry import main; main()", *arguments]
     return subprocess.Popen(
         command,
         env=NO_GIT,
@@ -213,3 +213,30 @@ def test_resuming_a_folder_of_strangers_imports_no_module_that_it_names(tmp_path
     # The command line names it: then it is imported, and holds no environment.
     assert run(["train", "--out", "run", "--resume", "--task", "evil_task:Env-v0"]) == 2
     assert (tmp_path / "imported").exists()
+
+
+@pytest.mark.parametrize(
+    "mistake", ["--randomize mld", "--randomize mild --worst 99 --rollouts 3", "--course x"]
+)
+def test_mistake_leaves_no_folder(mistake, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(["train", *mistake.split()]) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", [[], ["--randomize", "mild", "--rollouts", "2", "--random-courses", "0"]])
+def test_moved_folder_of_a_run_is_an_error(kind, tmp_path, capsys, monkeypatch):
+    folder, moved = tmp_path / "run", tmp_path / "moved"
+
+    def move(*_, **__):
+        if folder.exists():
+            folder.rename(moved)
+
+    monkeypatch.setattr(TrainProgress, "show", move)
+    monkeypatch.setattr("rich.progress.Progress.update", move)
+    command = ["train", "--course", str(COURSE), "--iterations", "60", "--processes", "1", *kind]
+    assert run([*command, "--out", str(folder), *([] if kind else ["--agents", "2"])]) == 2
+    said = capsys.readouterr().err
+    assert f"rover-ncp: {folder}: was moved or removed during the training" in said
+    assert (moved / "settings.yaml").is_file()
+    assert not folder.exists()

@@ -155,6 +155,17 @@ def test_a_port_in_use_is_one_line(capsys):
     assert "another process listens there" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("options", [[], ["--ros2", "--model", "turtlebot4"]])
+def test_port_in_use_leaves_no_truth_and_keeps_that_of_before(options, tmp_path):
+    before, new = tmp_path / "before.csv", tmp_path / "new.csv"
+    before.write_text("mine")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        command = ["mock", *options, "--listen", f"127.0.0.1:{taken.getsockname()[1]}", "--truth"]
+        assert run([*command, str(before), "--overwrite"]) == 2
+        assert run([*command, str(new)]) == 2
+    assert (before.read_text(), new.exists()) == ("mine", False)
+
+
 def test_running_mock_takes_faults_from_its_input_and_answers_when_they_began(mock, tmp_path):
     truth = tmp_path / "truth.csv"
     process, _ = mock("--fault", "-", "--truth", str(truth), reads_lines=True)

@@ -126,7 +126,7 @@ def test_the_published_budget_is_the_papers(task, iterations, rollouts, worst, s
 
 @pytest.mark.long
 def test_runs_in_processes_are_those_of_one_process_and_an_interrupt_ends_them_all(tmp_path):
-    code = "from rover_ncp.cli import main; main()"
+    code = "from rover_ncp.entry import main; main()"
     runs = ["--runs", str(tmp_path), "--again", "--task", "cart-pole", "--processes", "2"]
     command = [sys.executable, "-c", code, "paper", "run", *runs, "--agent", "mlp"]
     quick = [*command, "--seed", "0", "--seed", "1", "--budget", "quick"]

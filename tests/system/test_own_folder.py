@@ -63,7 +63,7 @@ def script(request, tmp_path):
     (site / "libraries.pth").write_text("\n".join(libraries))
     script = home / "bin" / "rover-ncp"
     script.write_text(
-        f'#!{home}/bin/python\nfrom rover_ncp.cli import main\nif __name__ == "__main__":\n    main()\n'
+        f'#!{home}/bin/python\nfrom rover_ncp.entry import main\nif __name__ == "__main__":\n    main()\n'
     )
     script.chmod(0o755)
     return script

@@ -35,7 +35,7 @@ def blocks(text, kind):
 def printed(command):
     """Return what a command prints of the shipped runs."""
     arguments = [*shlex.split(command)[1:], "--runs", "/nonexistent"]
-    code = "from rover_ncp.cli import main; main()"
+    code = "from rover_ncp.entry import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True, cwd=DOCS.parent
     )

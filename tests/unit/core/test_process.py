@@ -43,7 +43,7 @@ def python(script):
 
 DROPPED = """
 import ctypes, signal, time
-from rover_ncp.core.process import interrupt
+from rover_ncp.core.interruption import interrupt
 
 signal.signal(signal.SIGINT, interrupt)
 library = {"__name__": "llvmlite.binding", "signal": signal}
@@ -65,7 +65,7 @@ def test_interruption_in_a_callback_of_llvm_comes_after_it():
 DROPPED_BY_CHIPMUNK = """
 import signal, time
 import pymunk
-from rover_ncp.core.process import interrupt
+from rover_ncp.core.interruption import interrupt
 
 signal.signal(signal.SIGINT, interrupt)
 space = pymunk.Space()
@@ -89,7 +89,7 @@ DROPPED_BY_NUMPY = """
 import signal, sys, time
 import numpy as np
 from rover_ncp.circuit.circuit import SynapseKind
-from rover_ncp.core.process import interrupt
+from rover_ncp.core.interruption import interrupt
 
 def on_call(frame, event, argument):
     if event == "call" and frame.f_globals["__name__"] == "enum":
@@ -116,7 +116,7 @@ def test_interruption_while_numpy_looks_at_an_enumeration_comes_after_it():
 
 IN_A_NAMESAKE = """
 import signal
-from rover_ncp.core.process import interrupt
+from rover_ncp.core.interruption import interrupt
 
 signal.signal(signal.SIGINT, interrupt)
 module = {"__name__": "enums", "signal": signal}

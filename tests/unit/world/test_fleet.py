@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pymunk
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -158,3 +159,11 @@ def test_another_pymunk_is_refused_rather_than_misread(monkeypatch):
     monkeypatch.setattr(chipmunk, "_SEARCHED", 200)
     with pytest.raises(RoverNcpError, match="a body's contacts elsewhere"):
         chipmunk.find_layout()
+
+
+def test_bodies_keep_chipmunks_own_velocity_function():
+    # The first words of a body are the functions that move it.
+    # Another function in its place would have to be of the same C type, or what happens is undefined.
+    fleet = Fleet(models(1))
+    own = pymunk.Body(1.0, 1.0)
+    assert bytes(chipmunk._memory(fleet.bodies[0]))[:16] == bytes(chipmunk._memory(own))[:16]

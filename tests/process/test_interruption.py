@@ -1,0 +1,186 @@
+"""Signals at any moment of a command, from its first line on: exit code 130 and one line."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from paths import ROOT
+
+from rover_ncp import cli
+from rover_ncp.core.interruption import SIGNALS
+
+SCRIPT = Path(sys.executable).with_name("rover-ncp")
+STEP_S, END_S = 0.03, 3.0
+COMMANDS = {
+    "--help": 0,
+    "check --on-blocks --robot tcp/127.0.0.1:1": 3,
+    "course check parking": 0,
+    "bridge --base tcp/127.0.0.1:1 --listen tcp/127.0.0.1:0": 3,
+    "deploy --robot tcp/127.0.0.1:1": 3,
+    "eval parking --trials 2000": 1,
+    "mock --listen 127.0.0.1:0": 0,
+    "report missing.mcap": 2,
+    "train --agents 2 --iterations 100000": 0,
+}
+"""Commands, and their exit codes where nothing interrupts them; the mock's is the same then."""
+
+# Sends itself a signal when a module is imported for the first time, before Python looks for its file.
+AT_IMPORT = """
+import os, sys
+from importlib.abc import MetaPathFinder
+
+module, number = sys.argv[1:3]
+
+class Interrupting(MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == module:
+            os.kill(os.getpid(), int(number))
+
+sys.meta_path.insert(0, Interrupting())
+from rover_ncp.entry import main
+sys.argv[1:] = sys.argv[3:]
+main()
+"""
+
+
+def at_import(module, number, *arguments):
+    return subprocess.run(
+        [sys.executable, "-c", AT_IMPORT, module, str(int(number)), *arguments],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=100,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("module", "number"), list(zip(["typer", "rich", "rover_ncp.core.console"], SIGNALS, strict=True))
+)
+def test_signal_while_the_command_line_is_imported_is_an_interruption(module, number):
+    done = at_import(module, number, "course", "check", "parking", "--json")
+    assert (done.returncode, done.stderr) == (130, "rover-ncp: interrupted\n")
+    assert json.loads(done.stdout)["exit_code"] == 130
+
+
+@pytest.mark.parametrize(
+    ("module", "command"),
+    [
+        ("numpy", "course check parking"),
+        ("scipy.linalg", "course check parking"),
+        ("numba.core.types", "eval parking"),
+        ("pymunk", "eval parking"),
+    ],
+)
+def test_signal_while_libraries_are_imported_is_an_interruption(module, command):
+    done = at_import(module, signal.SIGINT, *command.split())
+    assert (done.returncode, done.stderr, done.stdout) == (130, "rover-ncp: interrupted\n", "")
+
+
+DROPPED = """
+import sys, time
+from rover_ncp.core import interruption
+class Dropping:
+    def __del__(self):
+        interruption.signal.raise_signal(interruption.signal.SIGINT)
+interruption.handle_signals()
+try:
+    Dropping()
+    time.sleep(20)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_interruption_that_python_drops_is_raised_again():
+    done = subprocess.run(
+        [sys.executable, "-c", DROPPED], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert (done.stdout, done.stderr) == ("interrupted\n", "")
+
+
+def run_command(function, monkeypatch):
+    app = cli.typer.Typer()
+    app.callback()(lambda: None)
+    app.command("it")(function)
+    monkeypatch.setattr(cli, "_app", lambda: app)
+    return cli.run(["it"])
+
+
+def test_end_of_file_in_a_command_is_a_bug_not_an_interruption(monkeypatch):
+    def fail():
+        raise EOFError("pickle")
+
+    with pytest.raises(EOFError, match="pickle"):
+        run_command(fail, monkeypatch)
+
+
+def test_error_that_a_library_makes_of_an_interruption_is_one(monkeypatch, capsys):
+    def fail():
+        raise ValueError("literal validator: KeyboardInterrupt")
+
+    monkeypatch.setattr(cli.Interruption, "raised", True)
+    assert run_command(fail, monkeypatch) == 130
+    assert capsys.readouterr().err == "rover-ncp: interrupted\n"
+
+
+PROGRESS = """
+import sys
+from rich.console import Console
+from rich.progress import Progress
+from rover_ncp.core.console import install, keep
+stdout, stderr = install()
+with Progress(console=Console(stderr=True, force_terminal=True)):
+    keep(sys.stderr, "rover-ncp: interrupted\\n")
+stderr.drained(None)
+"""
+
+
+def test_last_line_is_written_while_rich_shows_progress():
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRESS], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert "rover-ncp: interrupted\n" in done.stderr
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(("command", "result"), COMMANDS.items())
+def test_ctrl_c_at_any_moment_is_exit_code_130_without_a_traceback(command, result, tmp_path):
+    after_s = 0.0
+    while (after_s := after_s + STEP_S) < END_S:
+        process = subprocess.Popen(
+            [SCRIPT, *command.split()],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        _wait_for_handlers(process)
+        time.sleep(after_s)
+        ended_before = process.poll()
+        process.send_signal(signal.SIGINT)
+        try:
+            _, printed = process.communicate(timeout=60)
+        finally:
+            process.kill()
+        assert not re.search("Traceback|ignored", printed), f"after {after_s:.2f} s: {printed}"
+        if ended_before is not None:
+            return
+        # The signal can come after the result.
+        assert process.returncode in {130, result}, f"after {after_s:.2f} s: {printed}"
+
+
+def _wait_for_handlers(process):
+    """Wait until the script handles SIGTERM; before that, the interpreter itself starts."""
+    while process.poll() is None:
+        caught = re.search(r"SigCgt:\s*(\w+)", Path(f"/proc/{process.pid}/status").read_text())[1]
+        if int(caught, 16) & 1 << (signal.SIGTERM - 1):
+            return
+        time.sleep(0.001)

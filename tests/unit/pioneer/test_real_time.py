@@ -1,0 +1,58 @@
+"""Fault lines of a mock that come in parts."""
+
+import io
+import os
+import time
+
+import pytest
+
+from rover_ncp.core.robot_description import load_description
+from sim.pioneer.faults import Faults
+from sim.pioneer.firmware import Firmware
+from sim.pioneer.real_time import RealTimeLoop
+from sim.world.described import default_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
+
+
+class Loop(RealTimeLoop):
+    def send(self):
+        pass
+
+
+@pytest.fixture
+def loop():
+    """A loop that serves for some turns, and a pipe to its fault lines."""
+    reader, writer = os.pipe()
+    said = []
+    firmware = Firmware(
+        load_description("p3at-sh"), PymunkRover(default_rover(), Ground()), Faults(), time.monotonic()
+    )
+    loop = Loop(firmware, said.append)
+
+    def serve(text):
+        if text:
+            os.write(writer, text)
+        turns = iter(range(3))
+        said.clear()
+        with io.FileIO(reader, closefd=False) as lines:
+            loop.serve(lambda: next(turns, None) is None, lines)
+            if lines in {key.fileobj for key in loop.selector.get_map().values()}:
+                loop.selector.unregister(lines)
+        return [line.split()[-1] for line in said]
+
+    def end(text):
+        os.write(writer, text)
+        os.close(writer)
+
+    yield serve, end
+    loop.close()
+    os.close(reader)
+
+
+@pytest.mark.timeout(20)  # it waited for the rest of the line for good
+def test_half_a_fault_line_blocks_nothing_and_counts_once_it_is_whole(loop):
+    serve, end = loop
+    assert serve(b"mu") == []
+    assert serve(b"te\nstall\nde") == ["mute", "stall"]
+    end(b"af")
+    assert serve(b"") == ["deaf"]

@@ -47,7 +47,7 @@ class BenchPeer(Peer):
 
     def __init__(self, port: int, rate_hz: float, ping: bool) -> None:
         self.robot = f"tcp/127.0.0.1:{port}"
-        super().__init__(configured(self.robot, None, False)[0])
+        super().__init__(configured(self.robot, None, False, "cmd_vel")[0])
         self.moments = Moments()
         self._period_ns, self._ping = round(1e9 / rate_hz), ping
         self._leases, self._driven, self._sequence = 0, False, -1

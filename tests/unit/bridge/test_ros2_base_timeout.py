@@ -87,10 +87,10 @@ def test_an_interrupted_measurement_of_a_checked_robot_has_no_result_and_it_may_
     world = World(CHECKED)
     world.run(2.0)
     begin(world)
-    world.leased = False
+    world.lease = 0
     world.run(0.1)
     assert world.base.own_timeout[::2] == ("unknown", "")
-    world.leased = True
+    world.lease = 1
     assert halts(world, 0.4).state == "measured"
 
 
@@ -99,7 +99,7 @@ def test_a_described_robot_that_does_not_halt_any_more_has_a_refusal():
     world.run(2.0)
     assert "--no-base-watchdog" in halts(world, 100.0).refusal
     begin(world)
-    world.leased = False
+    world.lease = 0
     world.run(0.1)
     assert "--no-base-watchdog" in world.base.own_timeout.refusal
 

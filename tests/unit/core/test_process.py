@@ -146,13 +146,13 @@ def test_signal_before_a_command_has_installed_its_own_handler_interrupts_it(nam
     code = f"""
 import os, signal, sys, time
 signal.signal(signal.SIGHUP, signal.SIG_IGN if {ignored} else signal.SIG_DFL)
-from rover_ncp import cli
+from rover_ncp import cli, entry
 def command(**options):
     os.kill(os.getpid(), signal.{name})
     time.sleep(0.1)
     return 0
 cli._app = lambda: command
-cli.main()
+entry.main()
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     expected = 0 if ignored and name == "SIGHUP" else 130

@@ -84,7 +84,7 @@ def test_clock_that_is_set_in_a_drive_changes_no_time_of_its_report(tmp_path, by
     trace = drive.timeline.trace()
     assert trace.times == pytest.approx(run.times[:-1])
     assert drive.timeline.judge() == usual.timeline.judge()
-    assert dict(facts(drive.timeline)) == dict(facts(usual.timeline))
+    assert dict(facts(drive.timeline, None)) == dict(facts(usual.timeline, None))
     rows = dict.fromkeys(drive.timeline.streams, 0)
     for name, stream in columns(drive.timeline, rows).items():
         expected = columns(usual.timeline, rows)[name].get("t", [])

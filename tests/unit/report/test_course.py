@@ -57,7 +57,7 @@ def test_what_cannot_be_driven_is_exit_1_and_says_where_and_why(tmp_path, capsys
         (["new", "POSES", "--out", "x.yaml", "--name", "Big Bay"], "--name Big Bay"),
         (["new", "nowhere.csv", "--out", "x.yaml"], "nowhere.csv: no such file"),
         (["check", "nowhere"], "nowhere: no such file, and none of the shipped"),
-        (["check", "parking", "--name", "other"], "--name is for new"),
+        (["check", "parking", "--name", "other"], "--name: is for new"),
         (["check", "parking", "--out", "x.pdf"], "expected a picture"),
         (["look", "parking"], "look"),
     ],

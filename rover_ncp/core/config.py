@@ -185,6 +185,9 @@ def dump_yaml(data: dict[str, Any]) -> str:
 
 def _lines(errors: Sequence[Any]) -> list[str]:
     """Return a line for each problem, with the path of its value, and the number of those left out."""
+    # pydantic counts only the valid items of a tuple: with an invalid one, a length says nothing.
+    inside = {item["loc"][:length] for item in errors for length in range(len(item["loc"]))}
+    errors = [item for item in errors if item["type"] != "too_short" or item["loc"] not in inside]
     lines = []
     for item in errors[:MAX_PROBLEMS]:
         path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in item["loc"])

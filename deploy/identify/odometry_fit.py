@@ -25,6 +25,8 @@ FloatArray = NDArray[np.float64]
 LEAST_WAY_M = 0.1
 STRAIGHT_RAD = 0.1
 """On a straight way, headings differ by no more from that at its begin."""
+NOISE_SIGMAS = 4.0
+"""Noise alone takes none of some hundred headings farther off than so many standard deviations."""
 LEAST_POSES = 3
 """Of odometry and of external poses in a stand."""
 PUSHED = float(norm.isf(0.0005))
@@ -57,7 +59,7 @@ class Stand(NamedTuple):
     own_variance: FloatArray
     true_variance: FloatArray
     veered: float = 0.0
-    """How far odometry's heading differs from this stand's at most, until the next stand (rad)."""
+    """How far, beyond noise, odometry's heading differs from this stand's until the next stand, rad."""
 
 
 def stands_beside(
@@ -89,7 +91,8 @@ def stands_beside(
             # The mean of reports that do not scatter is still rounded.
             np.maximum(own_noise / len(own), np.where(own_noise > 3.0 * rounding, 0.0, rounding)),
             true_noise / len(true),
-            float(np.abs(headings[(t >= end) & (t <= until)] - own[:, 2].mean()).max()),
+            float(np.abs(headings[(t >= end) & (t <= until)] - own[:, 2].mean()).max())
+            - NOISE_SIGMAS * math.sqrt(own_noise[2]),
         )
         for (begin, end, own, true), until in zip(inside, begins, strict=True)
     ]
@@ -100,7 +103,8 @@ def fit_distance(stands: Sequence[Stand]) -> Fit | None:
     ways, true_ways, directions, rows = [], [], [], []
     for row, (a, b) in enumerate(pairwise(stands)):
         own, true = (b.own - a.own)[:2], (b.true - a.true)[:2]
-        length, veered = math.hypot(*own), max(a.veered, abs(b.own[2] - a.own[2]))
+        length, sigma = math.hypot(*own), math.sqrt(a.own_variance[2] + b.own_variance[2])
+        veered = max(a.veered, abs(b.own[2] - a.own[2]) - NOISE_SIGMAS * sigma)
         if length > LEAST_WAY_M and veered < STRAIGHT_RAD:
             ways.append(length)
             true_ways.append(math.hypot(*true))

@@ -156,10 +156,6 @@ TABLE = [
     ("course check parking --name mine", "--name: is for new"),
     ("export parking --to yaml --out new --course bay", "--course: --to yaml needs no course"),
     (f"bridge {BASE} --no-base-watchdog", "--no-base-watchdog: is for a ROS 2 robot"),
-    (f"bridge {BASE} --state robots.yaml", "--state: is for a ROS 2 robot"),
-    ("bench circuit --seed 3", "--seed: is for search"),
-    ("bench train --seconds 3", "--seconds: is for deploy"),
-    ("bench deploy --iterations 3", "--iterations: is for train and search"),
     # values
     (f"eval course --trials {HUGE}", "--trials"),
     (f"eval course --live {HUGE}", "--live"),

@@ -1,5 +1,6 @@
 """The whole driving process against a bridge that can be made to fail: real Zenoh over loopback TCP."""
 
+import collections
 import math
 import os
 import signal
@@ -83,13 +84,21 @@ def seen_once_driving(bridge, corrupt):
     return odom
 
 
+def late(by_s):
+    """Give odometry as a link that became slow does: in order, later than it was measured."""
+    held = collections.deque()
+
+    def corrupt(pose, velocity, stamp):
+        held.append((time.monotonic(), odometry(pose, velocity, stamp)))
+        return held.popleft()[1] if time.monotonic() - held[0][0] >= by_s else None
+
+    return corrupt
+
+
 BAD_ODOMETRY = {
     "silent": ({"odometry-age"}, lambda pose, velocity, stamp: None),
     "garbled": ({"odometry-age"}, lambda pose, velocity, stamp: b"\x00\x01\x00\x00nonsense"),
-    "old": (
-        {"odometry-age", "estimator"},
-        lambda pose, velocity, stamp: odometry(pose, velocity, stamp - 5_000_000_000),
-    ),
+    "late": ({"odometry-age"}, late(0.5)),
     "nan": ({"estimator"}, lambda pose, velocity, stamp: odometry(pose, Velocity(math.nan, 0), stamp)),
     "nowhere": ({"estimator"}, lambda pose, v, stamp: odometry(Pose(math.inf, 0, 0), v, stamp)),
     "kidnapped": ({"estimator"}, lambda pose, v, stamp: odometry(Pose(pose.x + 0.5, *pose[1:]), v, stamp)),

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from faults.rig import CREEP_M_S, Rig, Scene, Unsafe
+from faults.row import CIRCUIT, Row, braking_s
 from faults.scripted_driver import ScriptedDriver
-from faults.table import CIRCUIT, Row, braking_s
 from sim.live.processes import TimedOut, wait_for
 from sim.live.truth import SAMPLE_S
 

@@ -19,7 +19,8 @@ import zenoh
 from faults.losses import Completeness, Usage, check_recording, usage
 from faults.measure import Measured, measure
 from faults.rig import Rig
-from faults.table import CIRCUIT, MATRIX, Row
+from faults.row import CIRCUIT, Row
+from faults.table import MATRIX
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import write_atomic

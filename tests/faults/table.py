@@ -11,90 +11,22 @@ import math
 import time
 from collections.abc import Callable
 from signal import SIGCONT, SIGKILL, SIGSTOP, SIGUSR1
-from typing import Any, NamedTuple
+from typing import Any
 
+from faults.going_on import CLOCK_ROWS, OWN_ROWS, ROS2_ROWS, SILENT_CLOSE_ROW
 from faults.hang import HANG_S
 from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
 from faults.rig import SPEED_M_S, Scene, Unsafe
-from faults.scripted_driver import NAME
+from faults.row import CIRCUIT, SCRIPTED, Act, Row
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.messages import odometry, text, twist_stamped
 from sim.live.processes import Process, wait_for
 
-STOP_S, WATCHDOG_S = 0.5, 2.0
-"""The first safety requirement, and the base's own watchdog."""
-LOW_BATTERY_S = 2.0
-"""How long the voltage must be low before it counts: it sags when the motors start."""
-BRAKING_M_S2, ALPHA_RAD_S2, DELAY_S = 0.31, 1.25, 0.15
-"""The mock's, as a Pioneer's: what "plus braking" means."""
 LONG_LEASE_S = 30.0
 """With a lease that long, Zenoh itself does not detect a link that is held."""
 LATE_S = 5.0
 FLOOD_S, FLOOD_PER_S = 1.5, 10_000
 NAN_S, NAN_PERIOD_S = 1.0, 0.01
-
-CIRCUIT, SCRIPTED = "circuit", NAME
-"""The drivers."""
-
-
-Act = Callable[[Scene], int | None]
-
-
-class Row(NamedTuple):
-    """A fault of a layer."""
-
-    key: str
-    layer: str
-    fault: str
-    act: Act | None = None
-    """Injects the fault into running processes. Returns when it began, in ns of the monotonic clock, or None
-    for the time of its call."""
-    mend: Callable[[Scene], object] = lambda scene: None
-    """Removes the fault; by default it ends by itself."""
-    ended: str = ""
-    """The reason for which the gate ends the lease, if it always does."""
-    only: str = ""
-    """The only driver under which the fault can be injected, if not both."""
-    requests_lease: bool = True
-    """Whether a scripted driver requests the lease again. False where the gate would grant it at once."""
-    lease_s: float = 1.0
-    """Zenoh lease of a scripted driver."""
-    from_rest: bool = False
-    """Whether the rover stands when the fault begins."""
-    outlet: str = ""
-    """The kind of `Outlet` that takes the bridge's output, which stops just before the fault."""
-
-    @property
-    def drivers(self) -> tuple[str, ...]:
-        """The drivers under which the fault can be injected."""
-        return (self.only,) if self.only else (SCRIPTED, CIRCUIT)
-
-    @property
-    def link_fault(self) -> bool:
-        """Whether the fault is on the driver's own link, which then goes through the proxy."""
-        return self.layer == "link"
-
-    @property
-    def losing(self) -> bool:
-        """Whether the driver may miss messages once the fault has begun."""
-        return self.layer in {"deploy", "link", "bridge"}
-
-    @property
-    def bound_s(self) -> float:
-        """The rover stands within this time plus braking."""
-        if self.layer in {"line", "bridge"}:
-            return WATCHDOG_S
-        return STOP_S + (LOW_BATTERY_S if self.key == "low-battery" else 0.0)
-
-    @property
-    def allowed(self) -> str:
-        """The bound in words."""
-        return f"{WATCHDOG_S:g} s + {STOP_S:g} s" if self.bound_s > WATCHDOG_S else f"{self.bound_s:g} s"
-
-
-def braking_s(v: float, omega: float = 0.0) -> float:
-    """Return how long the base takes to stand, in s, from a speed in m/s and a turn rate in rad/s."""
-    return DELAY_S + max(abs(v) / BRAKING_M_S2, abs(omega) / ALPHA_RAD_S2)
 
 
 # Injections of faults, and their removal.
@@ -289,8 +221,9 @@ def _command(key: str, fault: str, act: Act) -> Row:
     return Row(key, "command", fault, act, only=SCRIPTED)
 
 
-_BUMPER = _base("bumper", "bumper", "bumper@0-1.5", "bumper")
-_STALL = _base("stall", "stall", "stall@0-1.5", "stall")
+# The gate grants a lease to drive away from a bumper or a stall.
+_BUMPER = _base("bumper", "bumper", "bumper@0-1.5", "bumper", requests_lease=False)
+_STALL = _base("stall", "stall", "stall@0-1.5", "stall", requests_lease=False)
 _STOP_BUTTON = _base("stop-button", "stop button", "stop-button@0-1.5", "stop-button")
 
 _ROWS = (
@@ -299,9 +232,12 @@ _ROWS = (
     Row("odometry-nan", "base", _NAN_WORDS, _nan_odometry, only=CIRCUIT),
     _base("mute", "mute (no SIPs)", "mute@0-2", _NO_BASE),
     *(_BUMPER, _STALL, _STOP_BUTTON),
+    _base("bumper-again", "bumper, and the driver asks again and drives on", "bumper@0-1.5", only=SCRIPTED),
     _base("low-battery", "low battery (2 s below 11 V)", "low-battery=10@0-4", "low-battery"),
     _base("restart", "restarts", "reset@0-0.05", _NO_BASE, requests_lease=False),
+    SILENT_CLOSE_ROW,
     Row("wall", "base", "a wall within `sonar_stop_m`"),  # a test of its own: it needs another course
+    *OWN_ROWS,
     Row(
         "line-reset",
         "line",
@@ -349,6 +285,7 @@ _ROWS = (
     _command("clock-back", "stamped an hour ago", _clock_back),
     _command("foreign", "a foreign publisher goes on", _foreign_publisher),
     _command("flood", "a flood of commands", _flood),
+    *CLOCK_ROWS,
     Row("bridge-stopped", "bridge", "stopped (SIGSTOP)", _signal_bridge(SIGSTOP), _resume_bridge),
     Row("bridge-hung", "bridge", _HUNG, lambda scene: _hang(scene.rig.bridge), _outlast_hang),
     Row("bridge-killed", "bridge", "killed (SIGKILL)", _signal_bridge(SIGKILL), _start_bridge),
@@ -380,4 +317,4 @@ MATRIX: tuple[Row, ...] = (
         if row.act is not None
     ),
 )
-ROWS = {row.key: row for row in MATRIX}
+ROWS = {row.key: row for row in (*MATRIX, *ROS2_ROWS)}

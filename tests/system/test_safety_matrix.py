@@ -15,12 +15,21 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
 import pytest
+from faults.going_on import GOES_ON_S
+from faults.hang import CLOCK_STEPS_S
 from faults.measure import in_time, measure
-from faults.rig import SPEED_M_S, Rig
-from faults.table import MATRIX, ROWS, SCRIPTED, braking_s
+from faults.rig import CREEP_M_S, SPEED_M_S, Rig
+from faults.row import SCRIPTED, braking_s
+from faults.table import MATRIX, ROWS
 from paths import DATA, ROOT
 
+from deploy.zenoh_client import client_config
+from rover_ncp.core.geometry import relative, wrap_angle
+from rover_ncp.core.key_table import key
+from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance, read_pose
+from sim.live.peers import Peer
 from sim.live.processes import wait_for
 
 pytestmark = [pytest.mark.timed, pytest.mark.xdist_group("matrix")]
@@ -140,6 +149,94 @@ def test_a_wall_in_the_way(tmp_path):
         assert (driver.gate.held, driver.gate.stops["sonar"]) == ("sonar", 1)
         assert driver.driving
         rig.under_way(driver, -SPEED_M_S)  # and back is free
+
+
+def test_fence_is_lost_when_the_base_restarts(tmp_path):
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("fence: {x_min: -5, x_max: 5, y_min: -5, y_max: 5}\n")
+    with Rig(tmp_path, COURSE, bridge=["--limits", str(limits)]) as rig:
+        driver = rig.under_way(rig.scripted_driver())
+        rig.late_s()
+        began_ns = rig.mock.tell("reset@0-0.05").t_ns
+        v = rig.truth.speed()
+        record(ROWS["fence-lost"], rig.stood(began_ns), braking_s(v), rig.late_s())
+        wait_for(lambda: driver.gate.held == "fence-lost", 10.0, "the base to be connected again")
+        reconnected_ns = time.monotonic_ns()
+        time.sleep(1.0)  # the driver asks for the lease all the time
+        assert not driver.driving
+        assert rig.stood(reconnected_ns) == 0.0
+
+
+@pytest.fixture(scope="module")
+def gyro_rig(tmp_path_factory):
+    with Rig(tmp_path_factory.mktemp("rig"), COURSE, mock=["--gyro"]) as rig:
+        yield rig
+
+
+def ended(rig, key, deploy):
+    """End a driver and record how soon the rover stands; return its result."""
+    rig.late_s()
+    ended_ns, motion = time.monotonic_ns(), rig.truth.read()[-1].velocity
+    deploy.send_signal(signal.SIGTERM)
+    record(ROWS[key], rig.stood(ended_ns), braking_s(*motion), rig.late_s())
+    return deploy.wait(15.0).result
+
+
+@pytest.mark.parametrize("key", ["gyro-standing", "gyro-moving"])
+def test_one_false_reading_of_a_gyro_turns_no_estimate(gyro_rig, key):
+    rig, headings = gyro_rig, []
+
+    def receive(sample):
+        headings.append((read_pose(sample.payload.to_bytes()).pose.theta, rig.truth.read()[-1].pose.theta))
+
+    start = rig.truth.read()[-1].pose.theta
+    subscriber = rig.watcher.session.declare_subscriber("rover/estimate", receive)
+    deploy = rig.drive_course()
+    if key == "gyro-standing":
+        wait_for(lambda: rig.watcher.gate.lease, 30.0, "the lease")
+    else:
+        rig.driven(deploy)
+    rig.mock.tell("gyro=2@0-0.1")
+    rig.driven(deploy)
+    time.sleep(GOES_ON_S)
+    result = ended(rig, key, deploy)
+    subscriber.undeclare()
+    assert result["stopped_by"] is None
+    assert result["gyro"]["rejected"] >= 1
+    # A driver that believed it would be 0.2 rad off. The rover turns by up to 0.02 rad between two estimates.
+    assert abs(wrap_angle(headings[-1][0] - (headings[-1][1] - start))) < 0.06
+
+
+class Localiser(Peer):
+    """Publishes the true pose from where the rover stood; its clock is ``behind_s`` behind."""
+
+    def __init__(self, rig):
+        super().__init__(client_config(rig.robot, None)[0])
+        self._truth, self._start, self.behind_s = rig.truth, rig.truth.read()[-1].pose, 0.0
+
+    def run(self):
+        covariance = np.diag(np.square([0.005, 0.005, 0.01]))
+        while not self.closing.wait(0.1):
+            state = self._truth.read()[-1]
+            stamp_ns = state.wall_ns - round(self.behind_s * 1e9)
+            pose = relative(self._start, state.pose)
+            self.session.put(key("", "pose"), pose_with_covariance(pose, covariance, stamp_ns, COURSE_FRAME))
+
+
+@pytest.mark.parametrize("step_s", CLOCK_STEPS_S.values())
+def test_a_clock_of_a_localiser_that_steps_back_costs_no_drive_and_few_poses(rig, step_s):
+    with Localiser(rig) as localiser:
+        deploy = rig.drive_course("--pose", "required")
+        rig.driven(deploy)
+        localiser.behind_s = step_s
+        time.sleep(2.0 * GOES_ON_S)
+        assert abs(rig.truth.speed()) > CREEP_M_S
+        result = ended(rig, f"localiser-clock-{step_s:g}", deploy)
+    assert result["stopped_by"] is None
+    poses = result["pose"]
+    assert poses["used"] > 20
+    assert poses["refused"] == 0
+    assert poses["doubtful"] + poses["too_late"] <= 1  # the step costs one pose
 
 
 @pytest.mark.short

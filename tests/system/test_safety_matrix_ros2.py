@@ -7,16 +7,21 @@ ROVER_NCP_SAFETY_ROWS=FILE pytest tests/system/test_safety_matrix_ros2.py.
 
 import json
 import os
+import time
 from pathlib import Path
+from signal import SIGINT, SIGKILL
 
 import pytest
+from faults.hang import CLOCK_STEPS_S
 from faults.measure import MOST_LATE_S, measure
 from faults.rig import Rig
-from faults.table import LOW_BATTERY_S, MATRIX, ROWS, STOP_S
+from faults.row import DELAY_S, LOW_BATTERY_S, STOP_S
+from faults.table import MATRIX, ROS2_ROWS, ROWS
 from paths import DATA, ROOT
 
 from rover_ncp.core.robot_description import load_description
 from sim.live.live_run import RMW_ZENOH, ROS2DDS
+from sim.live.processes import Process, wait_for
 from sim.live.truth import SAMPLE_S
 from sim.pioneer.ros2_robot import BATTERY_S
 
@@ -31,10 +36,17 @@ ROWS_FILE = os.environ.get("ROVER_NCP_SAFETY_ROWS")
 WITHOUT = {
     "bumper": "this robot has none",
     "stall": "this robot reports none",
-    "wall": "the description of this robot has no laser",
+    "bumper-again": "this robot has none",
     "line-reset": "Zenoh connects again within 0.2 s, and the drive goes on",
+    **{
+        f"bridge-clock-{step_s:g}": "it ignores commands with old stamps: its clock and the bridge's must agree"
+        for step_s in CLOCK_STEPS_S.values()
+    },
 }
-KEYS = [row.key for row in MATRIX if not row.outlet and row.key not in WITHOUT]
+# Rows without an act are measured with a Pioneer, or below.
+KEYS = [row.key for row in (*MATRIX, *ROS2_ROWS) if row.act and not row.outlet and row.key not in WITHOUT]
+CHECK_S = {"check-interrupted": STOP_S, "check-killed": 1.0}
+"""A check that is killed no longer renews its lease, which lasts 1 s."""
 SHORT = {"bridge-killed"}
 
 
@@ -80,7 +92,37 @@ def test_the_robot_stands_in_time_and_stays(rig, key):
     assert measured.seconds <= allowed + SAMPLE_S + measured.late_s, found
 
 
+def running(session):
+    """Whether the bridge measures the robot's own timeout."""
+    replies = session.get("rover/base", payload=b"{}", timeout=1.0)
+    return any(b'"running"' in reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None)
+
+
+@pytest.mark.parametrize(("key", "number"), [("check-interrupted", SIGINT), ("check-killed", SIGKILL)])
+def test_end_of_a_check_stops_a_robot_whose_timeout_is_measured(tmp_path, key, number):
+    """The robot has no timeout of its own: only the bridge's zeros halt it."""
+    model = ["--model", "turtlebot3-burger"]
+    motion = load_description(model[1]).motion
+    with Rig(tmp_path, COURSE, mock=["--ros2", *model], bridge=model, base_form=ROS2DDS) as rig:
+        check = rig.start_process(lambda: Process("check", ["--robot", rig.robot, "--on-blocks"], tmp_path))
+        wait_for(lambda: running(rig.watcher.session), 60.0, "the measurement")
+        rig.late_s()
+        began_ns, v = time.monotonic_ns(), rig.truth.speed()
+        check.send_signal(number)
+        seconds = rig.stood(began_ns)
+        late_s, allowed = rig.late_s(), CHECK_S[key] + abs(v) / motion.decel + DELAY_S
+    found = {"row": key, "seconds": round(seconds, 2), "allowed_s": round(allowed, 2)}
+    if ROWS_FILE:
+        with Path(ROWS_FILE).open("a") as file:
+            file.write(json.dumps(found) + "\n")
+    assert abs(v) > 0.05
+    assert late_s <= MOST_LATE_S
+    assert seconds <= allowed + SAMPLE_S + late_s, found
+
+
 def test_the_page_shows_every_row():
     page = PAGE.read_text().partition("## With a ROS 2 robot")[2]
     lines = [line for line in page.partition("\n## ")[0].splitlines() if line.startswith("| ")][1:]
-    assert [line.split(" | ")[0].removeprefix("| ") for line in lines] == [ROWS[key].layer for key in KEYS]
+    assert [line.split(" | ")[0].removeprefix("| ") for line in lines] == [
+        ROWS[key].layer for key in (*KEYS, *CHECK_S)
+    ]

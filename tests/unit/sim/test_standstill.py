@@ -2,7 +2,8 @@
 
 import pytest
 from faults.measure import in_time
-from faults.table import ROWS, braking_s
+from faults.row import braking_s
+from faults.table import ROWS
 
 from sim.live.processes import TimedOut
 from sim.live.truth import SAMPLE_S, TruthReader

@@ -1,0 +1,127 @@
+"""Faults that must not end a drive, and faults of a base or a `check` that only some robots have.
+
+The first go on until something else stops the rover: what stops it has to work as before.
+"""
+
+import time
+from collections.abc import Callable
+from signal import SIGKILL, SIGTERM
+from typing import Any
+
+from faults.hang import CLOCK_STEPS_S, SILENT_CLOSE
+from faults.rig import CREEP_M_S, Scene, Unsafe
+from faults.row import CIRCUIT, SCRIPTED, Act, Row
+from sim.live.processes import Process
+
+GOES_ON_S = 1.0
+LARGEST_STEP_S = 1.0
+"""A larger step of a ROS 2 robot's clock counts as its restart."""
+
+
+def _silence(scene: Scene) -> None:
+    scene.scripted.silent = True
+
+
+def _goes_on_until(end: Callable[[Scene], object]) -> Act:
+    """Return an end of the drive that comes when the rover has driven on for `GOES_ON_S`."""
+
+    def act(scene: Scene) -> int:
+        time.sleep(GOES_ON_S)
+        if abs(scene.rig.truth.speed()) < CREEP_M_S:
+            raise Unsafe("the rover stands after a fault that must not end its drive")
+        ended_ns = time.monotonic_ns()
+        end(scene)
+        return ended_ns
+
+    return act
+
+
+def _clock_steps_back(
+    process: Callable[[Scene], Process], number: int, end: Callable[[Scene], object]
+) -> Act:
+    def act(scene: Scene) -> int | None:
+        stepped = process(scene)
+        stepped.answer_to(lambda: stepped.send_signal(number))
+        return _goes_on_until(end)(scene)
+
+    return act
+
+
+def _end_with_silent_close(scene: Scene) -> int:
+    bridge = scene.rig.bridge
+    bridge.answer_to(lambda: bridge.send_signal(SILENT_CLOSE))
+    ended_ns = time.monotonic_ns()
+    bridge.send_signal(SIGTERM)
+    return ended_ns
+
+
+def _robot_clock(step_s: float) -> Row:
+    """A step of the clock that stamps a ROS 2 robot's odometry; a large one is a restart of the robot."""
+    key, fault = f"robot-clock-{step_s:g}", f"clock=-{step_s:g}@0"
+    more: dict[str, Any] = {"only": SCRIPTED, "requests_lease": False}
+    if step_s > LARGEST_STEP_S:
+        words = f"its clock steps back by {step_s:g} s, which counts as a restart"
+        return Row(key, "base", words, lambda scene: scene.rig.mock.tell(fault).t_ns, ended="no-base", **more)
+
+    def act(scene: Scene) -> int | None:
+        scene.rig.mock.tell(fault)
+        return _goes_on_until(_silence)(scene)
+
+    words = f"its clock steps back by {step_s:g} s, then no more commands"
+    return Row(key, "base", words, act, ended="lease-lapsed", **more)
+
+
+SILENT_CLOSE_ROW = Row(
+    "silent-close",
+    "base",
+    "`close` of its driver sends nothing, and the bridge ends",
+    _end_with_silent_close,
+    lambda scene: scene.rig.start_bridge(),
+    only=SCRIPTED,
+)
+# The tests of rows without an act are their own: they need limits, a gyro, a localiser or a check.
+OWN_ROWS = (
+    Row("fence-lost", "base", "restarts, with a fence: no lease until the bridge is restarted"),
+    Row("gyro-standing", "base", "its gyro reads 2 rad/s for 0.1 s while it stands, then deploy ends"),
+    Row("gyro-moving", "base", "its gyro reads 2 rad/s for 0.1 s while it drives, then deploy ends"),
+)
+CLOCK_ROWS = (
+    *(
+        Row(
+            f"bridge-clock-{step_s:g}",
+            "clock",
+            f"the bridge's steps back by {step_s:g} s, then no more commands",
+            _clock_steps_back(lambda scene: scene.rig.bridge, number, _silence),
+            only=SCRIPTED,
+            ended="lease-lapsed",
+            requests_lease=False,
+        )
+        for number, step_s in CLOCK_STEPS_S.items()
+    ),
+    *(
+        Row(
+            f"deploy-clock-{step_s:g}",
+            "clock",
+            f"deploy's steps back by {step_s:g} s, then it is killed",
+            _clock_steps_back(
+                lambda scene: scene.process, number, lambda scene: scene.process.send_signal(SIGKILL)
+            ),
+            only=CIRCUIT,
+        )
+        for number, step_s in CLOCK_STEPS_S.items()
+    ),
+    *(
+        Row(
+            f"localiser-clock-{step_s:g}",
+            "clock",
+            f"a localiser's steps back by {step_s:g} s, then deploy ends",
+        )
+        for step_s in CLOCK_STEPS_S.values()
+    ),
+)
+ROS2_ROWS = (
+    *map(_robot_clock, CLOCK_STEPS_S.values()),
+    Row("check-interrupted", "check", "Ctrl-C while the robot's own timeout is measured"),
+    Row("check-killed", "check", "killed (SIGKILL) while the robot's own timeout is measured"),
+)
+"""Rows that only a ROS 2 robot has."""

@@ -14,6 +14,8 @@ from faults.row import CIRCUIT, SCRIPTED, Act, Row
 from sim.live.processes import Process
 
 GOES_ON_S = 1.0
+BEHIND_S = 3
+"""How long a robot's clock is behind."""
 LARGEST_STEP_S = 1.0
 """A larger step of a ROS 2 robot's clock counts as its restart."""
 
@@ -57,8 +59,9 @@ def _end_with_silent_close(scene: Scene) -> int:
 
 def _robot_clock(step_s: float) -> Row:
     """A step of the clock that stamps a ROS 2 robot's odometry; a large one is a restart of the robot."""
-    key, fault = f"robot-clock-{step_s:g}", f"clock=-{step_s:g}@0"
-    more: dict[str, Any] = {"only": SCRIPTED, "requests_lease": False}
+    key, fault = f"robot-clock-{step_s:g}", f"clock=-{step_s:g}@0-{BEHIND_S}"
+    # The next fault must not find a clock that is about to step forward.
+    more: dict[str, Any] = {"only": SCRIPTED, "requests_lease": False, "mend": lambda _: time.sleep(BEHIND_S)}
     if step_s > LARGEST_STEP_S:
         words = f"its clock steps back by {step_s:g} s, which counts as a restart"
         return Row(key, "base", words, lambda scene: scene.rig.mock.tell(fault).t_ns, ended="no-base", **more)

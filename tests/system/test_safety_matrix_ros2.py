@@ -39,7 +39,7 @@ WITHOUT = {
     "bumper-again": "this robot has none",
     "line-reset": "Zenoh connects again within 0.2 s, and the drive goes on",
     **{
-        f"bridge-clock-{step_s:g}": "it ignores commands with old stamps: its clock and the bridge's must agree"
+        f"bridge-clock-{step_s:g}": "it drops commands with old stamps: both clocks must agree"
         for step_s in CLOCK_STEPS_S.values()
     },
 }

@@ -96,7 +96,7 @@ class _Handover:
 class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
     """Drive a real rover through the checkpoints of a course, each at its time.
 
-    ``signals`` names what is observed (docs/python.md lists the signals); by default the estimated pose in
+    ``signals`` names what is observed (docs/reference/files.md lists the signals); by default the estimated pose in
     the course's frame and the start signal. ``robot``, ``namespace``, ``zenoh_config``, ``model``,
     ``profile`` and ``pose`` are the options of ``rover-ncp deploy``.
 

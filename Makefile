@@ -13,8 +13,7 @@ park: $(STAMP)
 	$(BIN)/rover-ncp park --out runs/park --overwrite
 
 # Unit tests in two workers, as CI has two cores; process tests in three, whose processes do not keep up beside other work
-# if there are more. Then a short set of system tests, alone, because they measure times. All within five minutes on two
-# cores.
+# if there are more. Then a short set of system tests, alone, because they measure times. About seven minutes on two cores.
 test: $(STAMP)
 	$(BIN)/pytest tests/unit -m "not long" --numprocesses 2 --dist worksteal
 	$(BIN)/pytest tests/process -m "not long" --numprocesses 3 --dist worksteal

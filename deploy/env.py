@@ -96,8 +96,8 @@ class _Handover:
 class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
     """Drive a real rover through the checkpoints of a course, each at its time.
 
-    ``signals`` names what is observed (docs/python.md lists the signals); by default the estimated pose in
-    the course's frame and the start signal. ``robot``, ``namespace``, ``zenoh_config``, ``model``,
+    ``signals`` names what is observed, see docs/reference/files.md; by default the estimated pose in the
+    course's frame and the start signal. ``robot``, ``namespace``, ``zenoh_config``, ``model``,
     ``profile`` and ``pose`` are the options of ``rover-ncp deploy``.
 
     `reset` connects, waits until the rover stands still, takes its place there as the course's start and

@@ -51,7 +51,7 @@ def identify(
     same lease and gate as 'rover-ncp deploy'; keep a circle of --fence metres around it free. Ctrl-C stops
     the rover. A recording of another drive determines fewer values: delays, gains and accelerations need
     several steps of the command with pauses between. Each value is shown ± its standard deviation: 1.96 of
-    them on both sides contain the truth 19 times in 20. A value with too large a deviation is left out.
+    them on both sides are a 95 % interval. A value with too large a deviation is left out.
 
         rover-ncp identify --robot tcp/192.168.1.20 --out mine.yaml
         rover-ncp eval course --trials 300 --randomize full --profile mine.yaml

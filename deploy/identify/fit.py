@@ -1,6 +1,6 @@
 """A base's profile from a record of its motion: delays, accelerations, gains, noise and odometry's errors.
 
-Each fitted value has a standard deviation: 1.96 of them on both sides contain the truth 19 times in 20. A
+Each fitted value has a standard deviation: 1.96 of them on both sides are a 95 % interval. A
 value with too large a standard deviation is left out. Gains are those that odometry measures; accelerations
 are true ones. Odometry's own errors (scales, slip, imbalance, centre of rotation) can be measured only with
 external poses. Without them the usual spread of scales and slip is part of the accelerations' deviations.

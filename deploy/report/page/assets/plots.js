@@ -135,7 +135,7 @@ class TimePlot {
 class Lanes extends TimePlot {
   draw() {
     const { circuit, drive: { ticks } } = this.model;
-    const neurons = circuit.neurons.map(({ name, layer }, index) => ({ name, layer, index }));
+    const neurons = circuit.neurons.map((neuron, index) => ({ ...neuron, index }));
     const rows = ["motor", "command", "inter", "sensory"].flatMap((layer) => neurons.filter((neuron) => neuron.layer === layer));
     const height = (mv) => 0.92 * share(mv);
     const traces = rows.flatMap(({ index }, lane) => [

@@ -31,7 +31,7 @@ class Reason(StrEnum):
     FROZEN = "odometry-frozen"
     """Frozen odometry: the base reports the same pose while it reports a speed."""
     FENCE_LOST = "fence-lost"
-    """Odometry restarted, so that the place of the fence is not known until the bridge is restarted."""
+    """Odometry restarted or jumped: the place of the fence is not known until the bridge is restarted."""
     NO_LEASE = "no-lease"
     SILENCE = "silence"
     LEASE_LAPSED = "lease-lapsed"

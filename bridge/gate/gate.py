@@ -224,7 +224,7 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         secret=request.secret if lease is None else lease.secret,
         name=request.name,
         sent_ns=request.sent_ns,
-        granted_s=state.now,
+        granted_s=state.now if lease is None else lease.granted_s,
         expires_s=state.now + limits.lease_s,
         last_sequence=sequence,
         contact=contact,

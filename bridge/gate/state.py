@@ -139,6 +139,7 @@ class Lease:
     sent_ns: int
     """The driver's clock at its request: a command sent before that does not belong to this lease."""
     granted_s: float
+    """When it was granted; renewals do not change that."""
     expires_s: float
     last_sequence: int = -1
     contact: Contact = NO_CONTACT

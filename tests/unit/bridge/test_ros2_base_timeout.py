@@ -112,9 +112,7 @@ def test_a_robot_that_does_not_halt_gets_zeros_after_5_s_and_a_refusal(ready):
     assert last_v(ready) == 0.0
 
 
-@pytest.mark.parametrize(
-    "end", [{"emergency": True}, {"motors": False}, {"lease": 0}], ids=lambda end: next(iter(end))
-)
+@pytest.mark.parametrize("end", [{"emergency": True}, {"motors": False}, {"lease": 0}, {"lease": 2}], ids=str)
 def test_what_ends_a_drive_ends_the_measurement_with_zeros(ready, end):
     begin(ready)
     ready.run(0.3, rate_hz=100.0, v=0.1)

@@ -140,9 +140,9 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._pose, self._due = pose, due_checkpoints(self.course)
         self.observation_space = observation_space(self.signals)
         self.action_space = ACTIONS
-        self._error: RoverNcpError | None = None
+        self._error: Exception | None = None
+        """The exception by which the drive ended."""
         self._thread: threading.Thread | None = None
-        atexit.register(self.close)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -152,7 +152,9 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.close()
         self._closing, self._error = threading.Event(), None
         self._handover, self._tick = _Handover(), 0
-        self._thread = threading.Thread(target=self._run, name="rover drive", daemon=True)
+        drive = self._handover, self._closing
+        self._thread = threading.Thread(target=self._run, args=drive, name="rover drive", daemon=True)
+        atexit.register(self.close)
         self._thread.start()
         observed = self._next()
         if observed is None:
@@ -165,9 +167,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
         """Command (v, omega) in m/s and rad/s, and return what is observed a tick later."""
         if self._thread is None:
             raise gymnasium.error.ResetNeeded("the drive is over: call reset() first")
-        v, omega = np.clip(np.asarray(action, np.float64), ACTIONS.low, ACTIONS.high).tolist()
-        self._handover.actions.put((v, omega))
-        observed = self._next()
+        observed = self._next(action)
         if observed is None:
             return self._ended()
         gain = self._reward(self._tick, observed.tick, Pose(*observed.values[-len(POSE_SIGNALS) :]))
@@ -176,22 +176,25 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     def close(self) -> None:
         """Stop the rover, release the lease and disconnect; return when that is done."""
-        thread, self._thread = self._thread, None
-        if thread is not None:
+        if self._thread is not None:
             self._closing.set()
             self._handover.actions.put((0.0, 0.0))  # a tick may wait for it
-            thread.join()
+            self._thread.join()
+            self._thread = None
+            atexit.unregister(self.close)
 
-    def _run(self) -> None:
+    def _run(self, handover: _Handover, closing: threading.Event) -> None:
         """Drive once, in the drive's thread."""
         try:
-            self._drive()
-        except (RoverNcpError, KeyboardInterrupt) as error:
-            self._error = error if isinstance(error, RoverNcpError) else None
+            self._drive(handover, closing)
+        except KeyboardInterrupt:  # `close` ended it before its first tick
+            pass
+        except Exception as error:
+            self._error = error
         finally:
-            self._handover.observed.put(None)
+            handover.observed.put(None)
 
-    def _drive(self) -> None:
+    def _drive(self, handover: _Handover, closing: threading.Event) -> None:
         config = DriveConfig(
             robot=self._address.robot,
             namespace=self._address.namespace,
@@ -204,22 +207,28 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
             rover=self._profile,
             described=self._robot,
         )
-        controller = Controller(
-            self._policy, self.course, config.estimator, self._profile, runner=self._handover
-        )
+        controller = Controller(self._policy, self.course, config.estimator, self._profile, runner=handover)
         prepare_for_real_time()
         with ZenohLink(self._address, _not_recorded) as link:
             publisher = Publisher(link, _not_recorded, ())
-            drive = Drive(link, controller, publisher, config, self._closing.is_set)
-            self._handover.drive = drive
+            drive = Drive(link, controller, publisher, config, closing.is_set)
+            handover.drive = drive
             drive.wait()
             drive.run({})
             if drive.stop is not None:
                 self._error = drive.stop
 
-    def _next(self) -> _Observed | None:
-        """Wait for the next tick; None when the drive is over. An exception here stops the rover."""
+    def _next(self, action: ArrayLike | None = None) -> _Observed | None:
+        """Give an action and wait for the next tick; None when the drive is over.
+
+        An exception here stops the rover.
+        """
         try:
+            if action is not None:
+                v, omega = np.clip(
+                    np.asarray(action, np.float64).reshape(2), ACTIONS.low, ACTIONS.high
+                ).tolist()
+                self._handover.actions.put((v, omega))
             return self._handover.observed.get()
         except BaseException:
             self.close()
@@ -228,7 +237,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
     def _ended(self) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         drive = self._handover.drive
         self.close()
-        if drive is None or drive.estimate is None:
+        if drive is None or drive.estimate is None or self._error is not drive.stop:
             raise self._error or RoverNcpError("the drive ended before its first tick")
         stop, pose, ticks = drive.stop, drive.estimate.pose, self.course.ticks
         signal = self.course.start_signal(TICK_S * drive.keeper.index)

@@ -2,7 +2,7 @@
 
 import pytest
 from ros2_world import BURGER, World
-from ros_cdr import TwistStamped
+from ros_cdr import TwistStamped, twist
 
 from bridge.base import Lost
 from bridge.ros_base.base_timeout import BaseTimeout
@@ -10,7 +10,7 @@ from deploy.drive.lease import DriverLease
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import shipped_names
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import twist, twist_stamped
+from rover_ncp.core.messages import twist_stamped
 from rover_ncp.core.protocol import (
     BaseReply,
     BaseRequest,

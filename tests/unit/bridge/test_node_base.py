@@ -188,6 +188,15 @@ def test_exception_of_the_base_is_a_lost_base(driving, fails, error):
     assert loop.base.driven[-1].velocity == (0.2, 0.0)
 
 
+@pytest.mark.parametrize("method", ["receive", "drive"])
+def test_base_that_returns_no_events_is_a_lost_base(driving, method, monkeypatch):
+    monkeypatch.setattr(driving.base, method, lambda *_: None)
+    driving.turn(3)
+    assert driving.node.gate.held == "no-base"
+    driving.node.run(lambda: True)
+    assert driving.base.calls[-1] == "close"
+
+
 def test_base_that_takes_no_setpoint_gets_no_driver(driving):
     driving.base.fails["drive"] = OSError("gone")
     driving.turn(100)

@@ -238,6 +238,17 @@ def test_base_that_is_ready_again_has_other_odometry_and_one_that_recovers_the_s
     assert reply.granted or reply.reason == "fence-lost"
 
 
+def test_end_of_a_lease_by_a_base_that_is_ready_again_has_its_own_reason(driving):
+    ready = Ready("x", shape_of(load_description("p3at")))
+    driving.base.reports = [Lost("an earlier reason"), Recovered()]
+    driving.turn(2)
+    driving.lease.end()
+    assert driving.motors().granted
+    driving.base.reports = [ready]
+    driving.turn()
+    assert driving.node.gate.ended_detail == "the base is not connected: its odometry restarted"
+
+
 @pytest.mark.parametrize("name", ["x", "check", "unchecked", ""])
 def test_unchecked_robot_is_granted_to_a_request_that_says_so_whatever_its_name(name):
     loop = Loop()

@@ -47,7 +47,6 @@ from rover_ncp.course.spaces import ACTIONS, observation_space
 ENV_ID = "rover_ncp/Rover-v0"
 ACTION_S = 0.25
 """The longest time for an action. The gate holds the rover 0.3 s after the last command."""
-POSE_SIGNALS = ("x", "y", "theta")
 
 FloatArray = NDArray[np.float64]
 
@@ -57,7 +56,9 @@ class _Observed(NamedTuple):
 
     tick: int
     values: tuple[float, ...]
-    """The signals of the environment, then ``POSE_SIGNALS``."""
+    """The signals of the environment."""
+    pose: Pose
+    """The estimate."""
 
 
 class _Handover:
@@ -65,6 +66,7 @@ class _Handover:
 
     def __init__(self) -> None:
         self.drive: Drive | None = None
+        self.controller: Controller | None = None
         self.observed: queue.Queue[_Observed | None] = queue.Queue()
         """None says that the drive is over."""
         self.actions: queue.Queue[tuple[float, float]] = queue.Queue()
@@ -84,8 +86,9 @@ class _Handover:
         if not self._warm:  # the warm-up, and a tick before it that would compile a circuit
             self._warm = self._started
             return 0.0, 0.0
-        assert self.drive is not None  # ticks belong to a drive
-        self.observed.put(_Observed(self.drive.keeper.index, tuple(observation)))
+        assert self.drive is not None and self.controller is not None  # ticks belong to a drive
+        pose = self.controller.estimate.pose
+        self.observed.put(_Observed(self.drive.keeper.index, tuple(observation), pose))
         try:
             return self.actions.get(timeout=ACTION_S)
         except queue.Empty:
@@ -123,11 +126,10 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
     ) -> None:
         parking = load_policy("parking")
         self.signals = tuple(signals) or parking.sensing.inputs
-        inputs = (*self.signals, *POSE_SIGNALS)
-        sensing = parking.sensing.model_copy(update={"inputs": inputs})
+        sensing = parking.sensing.model_copy(update={"inputs": self.signals})
         # It names the signals; its circuit does not run.
         self._policy = replace(
-            parking, sensing=sensing, input_layer=np.zeros((len(sensing.channels), len(inputs)))
+            parking, sensing=sensing, input_layer=np.zeros((len(sensing.channels), len(self.signals)))
         )
         self._interface = RoverInterface(self._policy)
         self._address = BridgeAddress(robot, namespace, Path(zenoh_config) if zenoh_config else None)
@@ -161,7 +163,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
             self.close()
             raise self._error or RoverNcpError("the drive ended before its first tick")
         self._tick = observed.tick
-        return self._without_pose(observed.values), {"time_s": TICK_S * observed.tick}
+        return np.array(observed.values, np.float64), {"time_s": TICK_S * observed.tick}
 
     def step(self, action: ArrayLike) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         """Command (v, omega) in m/s and rad/s, and return what is observed a tick later."""
@@ -170,9 +172,9 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
         observed = self._next(action)
         if observed is None:
             return self._ended()
-        gain = self._reward(self._tick, observed.tick, Pose(*observed.values[-len(POSE_SIGNALS) :]))
+        gain = self._reward(self._tick, observed.tick, observed.pose)
         self._tick = observed.tick
-        return self._without_pose(observed.values), gain, False, False, {"time_s": TICK_S * self._tick}
+        return np.array(observed.values, np.float64), gain, False, False, {"time_s": TICK_S * self._tick}
 
     def close(self) -> None:
         """Stop the rover, release the lease and disconnect; return when that is done."""
@@ -212,7 +214,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
         with ZenohLink(self._address, _not_recorded) as link:
             publisher = Publisher(link, _not_recorded, ())
             drive = Drive(link, controller, publisher, config, closing.is_set)
-            handover.drive = drive
+            handover.drive, handover.controller = drive, controller
             drive.wait()
             drive.run({})
             if drive.stop is not None:
@@ -250,16 +252,12 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
             "reason": drive.reason,
             "stopped_by": stop.rule if stop else None,
         }
-        return self._without_pose(values), gain, stop is None, stop is not None, info
+        return np.array(values, np.float64), gain, stop is None, stop is not None, info
 
     def _reward(self, begin: int, end: int, pose: Pose) -> float:
         """Return the reward for the checkpoints due in the ticks from ``begin`` to before ``end``."""
         due = [number for number in self._due[begin:end].tolist() if number >= 0]
         return sum(reward(pose, self.course.checkpoints[number].pose) for number in due)
-
-    @staticmethod
-    def _without_pose(values: Sequence[float]) -> FloatArray:
-        return np.array(values[: -len(POSE_SIGNALS)], np.float64)
 
 
 def _not_recorded(_message: Recorded) -> None:

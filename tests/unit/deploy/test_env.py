@@ -2,6 +2,7 @@
 
 import atexit
 import threading
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 from deploy.drive.rate_keeper import RateKeeper
 from deploy.env import RoverEnv
 from rover_ncp.core.errors import RoverNcpError
-from rover_ncp.course.course import TICK_S
+from rover_ncp.core.geometry import Pose
+from rover_ncp.course.course import TICK_S, reward
 
 
 class Drive:
@@ -26,15 +28,16 @@ class Env(RoverEnv):
 
     def __init__(self, ticks, error=None):
         super().__init__("tcp/127.0.0.1:9")
+        self.controller = SimpleNamespace(estimate=SimpleNamespace(pose=Pose(0.0, 0.0, 0.0)))
         self.ticks, self.failure, self.actions, self.ended = ticks, error, [], 0
 
     def _drive(self, handover, closing):
-        handover.drive = Drive()
+        handover.drive, handover.controller = Drive(), self.controller
         handover.reset()
         handover.tick([])  # the warm-up
         try:
             for _ in range(self.ticks):
-                self.actions.append(handover.tick([0.0] * 7))
+                self.actions.append(handover.tick([0.0] * 4))
             if self.failure is not None:
                 raise self.failure
             closing.wait()
@@ -104,3 +107,13 @@ def test_close_that_is_interrupted_can_be_repeated(monkeypatch):
             env.close()
     env.close()
     assert env.ended == 1
+
+
+def test_reward_is_that_of_the_estimate_and_not_of_the_pose_that_is_steered():
+    env = Env(2)
+    env.reset()
+    pose = env.controller.estimate.pose = Pose(1.0, 2.0, 0.3)
+    env._handover.drive.keeper.index = env.course.ticks
+    _, gain, *_ = env.step(np.zeros(2))
+    env.close()
+    assert gain == sum(reward(pose, checkpoint.pose) for checkpoint in env.course.checkpoints)

@@ -73,7 +73,7 @@ class GuardedBase:
 
     def _events(self, call: Callable[[], Sequence[BaseEvent]]) -> Sequence[BaseEvent]:
         try:
-            events = call()
+            events = list(call())
         except Exception as error:
             if not self._was_ready:
                 raise NoRobot(_words(error)) from error

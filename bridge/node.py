@@ -180,7 +180,7 @@ class Node:
                     self._answers.model = robot.name
                     self.reconnects += 1
                     if self.reconnects > 0:
-                        self._judge(BaseLost(restarted=True), arrived_s)
+                        self._judge(BaseLost("its odometry restarted", restarted=True), arrived_s)
                     self._say(f"the base is connected: {hardware}")
                     if self.reconnects == 0:
                         self._ready()

@@ -131,7 +131,9 @@ def prepare_for_real_time() -> None:
     pose_with_covariance(ORIGIN, np.zeros((3, 3)), 0, COURSE_FRAME)
     neurons([0.0], ["-"])
     text("")
-    # Exclude loaded objects from garbage collection: a full pass over them would take 200 ms.
+    # Exclude loaded objects from garbage collection: a full pass over them would take 200 ms. What an earlier
+    # drive of this process excluded is collected first.
+    gc.unfreeze()
     gc.collect()
     gc.freeze()
 

@@ -47,7 +47,6 @@ from rover_ncp.course.spaces import ACTIONS, observation_space
 ENV_ID = "rover_ncp/Rover-v0"
 ACTION_S = 0.25
 """The longest time for an action. The gate holds the rover 0.3 s after the last command."""
-POSE_SIGNALS = ("x", "y", "theta")
 
 FloatArray = NDArray[np.float64]
 
@@ -57,7 +56,9 @@ class _Observed(NamedTuple):
 
     tick: int
     values: tuple[float, ...]
-    """The signals of the environment, then ``POSE_SIGNALS``."""
+    """The signals of the environment."""
+    pose: Pose
+    """The estimate."""
 
 
 class _Handover:
@@ -65,6 +66,7 @@ class _Handover:
 
     def __init__(self) -> None:
         self.drive: Drive | None = None
+        self.controller: Controller | None = None
         self.observed: queue.Queue[_Observed | None] = queue.Queue()
         """None says that the drive is over."""
         self.actions: queue.Queue[tuple[float, float]] = queue.Queue()
@@ -84,8 +86,9 @@ class _Handover:
         if not self._warm:  # the warm-up, and a tick before it that would compile a circuit
             self._warm = self._started
             return 0.0, 0.0
-        assert self.drive is not None  # ticks belong to a drive
-        self.observed.put(_Observed(self.drive.keeper.index, tuple(observation)))
+        assert self.drive is not None and self.controller is not None  # ticks belong to a drive
+        pose = self.controller.estimate.pose
+        self.observed.put(_Observed(self.drive.keeper.index, tuple(observation), pose))
         try:
             return self.actions.get(timeout=ACTION_S)
         except queue.Empty:
@@ -123,11 +126,10 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
     ) -> None:
         parking = load_policy("parking")
         self.signals = tuple(signals) or parking.sensing.inputs
-        inputs = (*self.signals, *POSE_SIGNALS)
-        sensing = parking.sensing.model_copy(update={"inputs": inputs})
+        sensing = parking.sensing.model_copy(update={"inputs": self.signals})
         # It names the signals; its circuit does not run.
         self._policy = replace(
-            parking, sensing=sensing, input_layer=np.zeros((len(sensing.channels), len(inputs)))
+            parking, sensing=sensing, input_layer=np.zeros((len(sensing.channels), len(self.signals)))
         )
         self._interface = RoverInterface(self._policy)
         self._address = BridgeAddress(robot, namespace, Path(zenoh_config) if zenoh_config else None)
@@ -140,9 +142,9 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._pose, self._due = pose, due_checkpoints(self.course)
         self.observation_space = observation_space(self.signals)
         self.action_space = ACTIONS
-        self._error: RoverNcpError | None = None
+        self._error: Exception | None = None
+        """The exception by which the drive ended."""
         self._thread: threading.Thread | None = None
-        atexit.register(self.close)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -152,46 +154,49 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.close()
         self._closing, self._error = threading.Event(), None
         self._handover, self._tick = _Handover(), 0
-        self._thread = threading.Thread(target=self._run, name="rover drive", daemon=True)
+        drive = self._handover, self._closing
+        self._thread = threading.Thread(target=self._run, args=drive, name="rover drive", daemon=True)
+        atexit.register(self.close)
         self._thread.start()
         observed = self._next()
         if observed is None:
             self.close()
             raise self._error or RoverNcpError("the drive ended before its first tick")
         self._tick = observed.tick
-        return self._without_pose(observed.values), {"time_s": TICK_S * observed.tick}
+        return np.array(observed.values, np.float64), {"time_s": TICK_S * observed.tick}
 
     def step(self, action: ArrayLike) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         """Command (v, omega) in m/s and rad/s, and return what is observed a tick later."""
         if self._thread is None:
             raise gymnasium.error.ResetNeeded("the drive is over: call reset() first")
-        v, omega = np.clip(np.asarray(action, np.float64), ACTIONS.low, ACTIONS.high).tolist()
-        self._handover.actions.put((v, omega))
-        observed = self._next()
+        observed = self._next(action)
         if observed is None:
             return self._ended()
-        gain = self._reward(self._tick, observed.tick, Pose(*observed.values[-len(POSE_SIGNALS) :]))
+        gain = self._reward(self._tick, observed.tick, observed.pose)
         self._tick = observed.tick
-        return self._without_pose(observed.values), gain, False, False, {"time_s": TICK_S * self._tick}
+        return np.array(observed.values, np.float64), gain, False, False, {"time_s": TICK_S * self._tick}
 
     def close(self) -> None:
         """Stop the rover, release the lease and disconnect; return when that is done."""
-        thread, self._thread = self._thread, None
-        if thread is not None:
+        if self._thread is not None:
             self._closing.set()
             self._handover.actions.put((0.0, 0.0))  # a tick may wait for it
-            thread.join()
+            self._thread.join()
+            self._thread = None
+            atexit.unregister(self.close)
 
-    def _run(self) -> None:
+    def _run(self, handover: _Handover, closing: threading.Event) -> None:
         """Drive once, in the drive's thread."""
         try:
-            self._drive()
-        except (RoverNcpError, KeyboardInterrupt) as error:
-            self._error = error if isinstance(error, RoverNcpError) else None
+            self._drive(handover, closing)
+        except KeyboardInterrupt:  # `close` ended it before its first tick
+            pass
+        except Exception as error:
+            self._error = error
         finally:
-            self._handover.observed.put(None)
+            handover.observed.put(None)
 
-    def _drive(self) -> None:
+    def _drive(self, handover: _Handover, closing: threading.Event) -> None:
         config = DriveConfig(
             robot=self._address.robot,
             namespace=self._address.namespace,
@@ -204,22 +209,28 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
             rover=self._profile,
             described=self._robot,
         )
-        controller = Controller(
-            self._policy, self.course, config.estimator, self._profile, runner=self._handover
-        )
+        controller = Controller(self._policy, self.course, config.estimator, self._profile, runner=handover)
         prepare_for_real_time()
         with ZenohLink(self._address, _not_recorded) as link:
             publisher = Publisher(link, _not_recorded, ())
-            drive = Drive(link, controller, publisher, config, self._closing.is_set)
-            self._handover.drive = drive
+            drive = Drive(link, controller, publisher, config, closing.is_set)
+            handover.drive, handover.controller = drive, controller
             drive.wait()
             drive.run({})
             if drive.stop is not None:
                 self._error = drive.stop
 
-    def _next(self) -> _Observed | None:
-        """Wait for the next tick; None when the drive is over. An exception here stops the rover."""
+    def _next(self, action: ArrayLike | None = None) -> _Observed | None:
+        """Give an action and wait for the next tick; None when the drive is over.
+
+        An exception here stops the rover.
+        """
         try:
+            if action is not None:
+                v, omega = np.clip(
+                    np.asarray(action, np.float64).reshape(2), ACTIONS.low, ACTIONS.high
+                ).tolist()
+                self._handover.actions.put((v, omega))
             return self._handover.observed.get()
         except BaseException:
             self.close()
@@ -228,7 +239,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
     def _ended(self) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         drive = self._handover.drive
         self.close()
-        if drive is None or drive.estimate is None:
+        if drive is None or drive.estimate is None or self._error is not drive.stop:
             raise self._error or RoverNcpError("the drive ended before its first tick")
         stop, pose, ticks = drive.stop, drive.estimate.pose, self.course.ticks
         signal = self.course.start_signal(TICK_S * drive.keeper.index)
@@ -241,16 +252,12 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
             "reason": drive.reason,
             "stopped_by": stop.rule if stop else None,
         }
-        return self._without_pose(values), gain, stop is None, stop is not None, info
+        return np.array(values, np.float64), gain, stop is None, stop is not None, info
 
     def _reward(self, begin: int, end: int, pose: Pose) -> float:
         """Return the reward for the checkpoints due in the ticks from ``begin`` to before ``end``."""
         due = [number for number in self._due[begin:end].tolist() if number >= 0]
         return sum(reward(pose, self.course.checkpoints[number].pose) for number in due)
-
-    @staticmethod
-    def _without_pose(values: Sequence[float]) -> FloatArray:
-        return np.array(values[: -len(POSE_SIGNALS)], np.float64)
 
 
 def _not_recorded(_message: Recorded) -> None:

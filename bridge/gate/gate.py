@@ -31,7 +31,7 @@ from bridge.gate.contact import (
     stall_direction,
 )
 from bridge.gate.limits import Limits
-from bridge.gate.motion import approach, clear, leaves
+from bridge.gate.motion import approach, clear, jumps, leaves
 from bridge.gate.state import (
     NO_CONTACT,
     ZERO,
@@ -169,10 +169,15 @@ def _odometry_stale(state: GateState, base: BaseReport, limits: Limits) -> bool:
 
 
 def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateState:
-    """Store a base report; update the start of low battery and the distance driven at the same pose."""
+    """Store a base report; update the start of low battery and the distance driven at the same pose.
+
+    With a fence, a pose that jumps shows that odometry restarted.
+    """
     before, low_since_s, repeats, frozen_m, frozen_rad = state.base, None, 0, 0.0, 0.0
+    elapsed, restarted = state.now - state.base_s, state.odometry_restarted
+    if before is not None and limits.fence is not None:
+        restarted = restarted or jumps(before, base, elapsed, limits)
     if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
-        elapsed = state.now - state.base_s
         repeats = state.repeats + 1
         frozen_m = state.frozen_m + _moving(before.v, base.v) * elapsed
         frozen_rad = state.frozen_rad + _moving(before.omega, base.omega) * elapsed
@@ -183,6 +188,7 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
         stalled_v=stall_direction(state, base),
         base=base,
         base_s=state.now,
+        odometry_restarted=restarted,
         low_since_s=low_since_s,
         repeats=repeats,
         frozen_m=frozen_m,
@@ -218,7 +224,7 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         secret=request.secret if lease is None else lease.secret,
         name=request.name,
         sent_ns=request.sent_ns,
-        granted_s=state.now,
+        granted_s=state.now if lease is None else lease.granted_s,
         expires_s=state.now + limits.lease_s,
         last_sequence=sequence,
         contact=contact,

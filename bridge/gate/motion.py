@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from bridge.base import BaseReport
 from bridge.gate.limits import Fence, Limits
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import Velocity, wrap_angle
 
 REACT_S = 0.3
 """Longest time from command to first braking; the fence assumes it besides braking."""
@@ -17,6 +17,10 @@ ARC_RAD = 0.1
 """Largest turn between two points of an arc."""
 CIRCLE = 63
 """With so many steps an arc is a full circle; more of them lead to no new place."""
+JUMP_M, JUMP_RAD = 0.05, 0.1
+"""Poses may differ by this beyond the reported motion: noise, turns about another point than the centre."""
+LATE_S = 0.3
+"""A report may have waited for so much longer than the next one, and reports between them may be lost."""
 
 
 def leaves(fence: Fence, base: BaseReport, target: Velocity, age_s: float, brake: float) -> bool:
@@ -49,6 +53,26 @@ def _outside(fence: Fence, base: BaseReport, velocity: Velocity, time_s: float) 
         x += velocity.v * step_s * math.cos(heading)
         y += velocity.v * step_s * math.sin(heading)
         yield fence.outside(x, y)
+
+
+def jumps(before: BaseReport, base: BaseReport, elapsed_s: float, limits: Limits) -> bool:
+    """Whether a pose is farther from the one before than the rover can have moved.
+
+    It moved at most at the faster of the two reported speeds, or as fast as a command lets a rover get that
+    stood at both times. A finite pose after one that was not finite also jumps.
+    """
+    reached = Velocity(
+        min(limits.accel * elapsed_s, limits.v_max), min(limits.alpha * elapsed_s, limits.omega_max)
+    )
+    v = max(reached.v, *(abs(clamp(report.v, FASTEST.v)) for report in (before, base)))
+    omega = max(reached.omega, *(abs(clamp(report.omega, FASTEST.omega)) for report in (before, base)))
+    moved_m, turned_rad = math.hypot(base.x - before.x, base.y - before.y), base.theta - before.theta
+    time_s = elapsed_s + LATE_S
+    return all(map(math.isfinite, (base.x, base.y, base.theta))) and not (
+        moved_m <= JUMP_M + v * time_s
+        and math.isfinite(turned_rad)
+        and abs(wrap_angle(turned_rad)) <= JUMP_RAD + omega * time_s
+    )
 
 
 def clear(base: BaseReport, v: float, least_m: float) -> bool:

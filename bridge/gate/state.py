@@ -31,7 +31,7 @@ class Reason(StrEnum):
     FROZEN = "odometry-frozen"
     """Frozen odometry: the base reports the same pose while it reports a speed."""
     FENCE_LOST = "fence-lost"
-    """Odometry restarted, so that the place of the fence is not known until the bridge is restarted."""
+    """Odometry restarted or jumped: the place of the fence is not known until the bridge is restarted."""
     NO_LEASE = "no-lease"
     SILENCE = "silence"
     LEASE_LAPSED = "lease-lapsed"
@@ -139,6 +139,7 @@ class Lease:
     sent_ns: int
     """The driver's clock at its request: a command sent before that does not belong to this lease."""
     granted_s: float
+    """When it was granted; renewals do not change that."""
     expires_s: float
     last_sequence: int = -1
     contact: Contact = NO_CONTACT

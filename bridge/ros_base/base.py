@@ -147,6 +147,8 @@ class Ros2Base:
         self._began_s: float | None = None
         self._sent: deque[tuple[float, bytes]] = deque(maxlen=256)
         self._out = ZERO
+        self._lease = 0
+        """Number of the lease of the last setpoint."""
         self._driven_s = self._reported_s = -math.inf
         self._alone_since_s: float | None = None
         self._battery_v = 0.0
@@ -179,7 +181,8 @@ class Ros2Base:
         """See Base."""
         events = self._watch(now)
         velocity = setpoint.velocity if setpoint.motors and self._ready else ZERO
-        ends = setpoint.emergency or not (setpoint.motors and setpoint.lease and self._ready)
+        same_lease, self._lease = setpoint.lease == self._lease, setpoint.lease
+        ends = setpoint.emergency or not (setpoint.motors and setpoint.lease and same_lease and self._ready)
         if ends and self._measurement is not None:  # zeros halt the robot, not its own timeout
             self._measurement, self._timeout = None, replace(self._timeout, interrupted=True)
         measurement = self._measurement
@@ -322,11 +325,8 @@ class Ros2Base:
         return [
             found
             for found in self._tokens
-            if found.topic == name and found.published == published and self._by_others(found)
+            if found.topic == name and found.published == published and found.zid != self._line.zid
         ]
-
-    def _by_others(self, found: Announced) -> bool:
-        return found.zid != self._line.zid
 
     # State.
 
@@ -378,7 +378,7 @@ class Ros2Base:
         if types and types != [ODOMETRY]:
             return f"{where} has the type {', '.join(types)}, expected {ODOMETRY}"
         published = sorted(
-            {found.topic for found in self._tokens if found.published and self._by_others(found)}
+            {found.topic for found in self._tokens if found.published and found.zid != self._line.zid}
         )
         known = f"published there: {', '.join(published[:8])}" if published else "no topic is announced there"
         return f"no {ODOMETRY} arrives on {where}; {known}"

@@ -180,6 +180,11 @@ class Controller:
         return estimate
 
     @property
+    def estimate(self) -> Estimate:
+        """The newest estimate of `look`."""
+        return self._estimates[-1]
+
+    @property
     def plans(self) -> bool:
         """Whether the course's reference is planned, which takes up to a second."""
         return self._reference is not None

@@ -101,7 +101,8 @@ def _application(page: str, feed: Feed, viewer: Viewer) -> Starlette:
                 reply = await run_sync(_news, feed, viewer, place)
             else:
                 return
-            with contextlib.suppress(WebSocketDisconnect):  # the page was closed meanwhile
+            # The page was closed meanwhile; any further answer to it is a RuntimeError.
+            with contextlib.suppress(WebSocketDisconnect, RuntimeError):
                 await socket.send_text(reply)
 
         async with create_task_group() as requests:

@@ -151,11 +151,6 @@ def twist_stamped(velocity: Velocity, stamp_ns: int) -> bytes:
     return encode(TWIST_STAMPED, header=_header(stamp_ns, BASE_FRAME), twist=_twist(velocity))
 
 
-def twist(velocity: Velocity) -> bytes:
-    """Return a Twist."""
-    return encode(TWIST, **_twist(velocity))
-
-
 def read_twist(data: bytes, max_bytes: int = 512) -> TwistSample:
     """Read a Twist or a TwistStamped, which differ in length. Raises FormatError.
 

@@ -224,8 +224,8 @@ REASONS = {
     "motors-off": "the base reports its motors off",
     "odometry": "the base reports no pose, or its odometry is stale",
     "odometry-frozen": "the base reports the same pose while it reports a speed",
-    "fence-lost": "odometry restarted, so the place of the fence is not known: put the rover where odom "
-    "is to begin, and restart the bridge",
+    "fence-lost": "odometry restarted or jumped, so the place of the fence is not known: put the rover where "
+    "odom is to begin, and restart the bridge",
     "silence": "no fresh command arrives",
     "lease-lapsed": "no command arrived for longer than a lease lasts",
     "no-lease": "no driver holds the lease",

@@ -3,6 +3,8 @@
 Digests are verified before the gate: here a command or a request says whether it is signed by the holder.
 """
 
+from dataclasses import replace
+
 from bridge.base import BaseReport
 from bridge.gate.gate import step
 from bridge.gate.limits import Limits
@@ -25,6 +27,11 @@ class Gate:
     def at(self, now, event):
         self.state, verdict = step(self.state, event, now, self.limits, self.accept_ros)
         return verdict
+
+    def place(self, now, base):
+        """Report a base that has driven to its pose since the last report."""
+        self.state = replace(self.state, base=BaseReport(base.x, base.y, base.theta))
+        return self.at(now, base)
 
     def stamp(self, now):
         return round((now + self.ahead_s) * 1e9)

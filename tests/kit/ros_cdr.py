@@ -145,6 +145,11 @@ def header(stamp_s, frame):
     return Header(Time(seconds, round((stamp_s - seconds) * 1e9) % 1_000_000_000), frame)
 
 
+def twist(velocity):
+    """Return a Twist's bytes."""
+    return Twist(Vector3(velocity.v, 0.0, 0.0), Vector3(0.0, 0.0, velocity.omega)).serialize()
+
+
 def odometry(stamp_s, x=0.0, y=0.0, theta=0.0, v=0.0, omega=0.0, frames=("odom", "base_footprint")):
     """Return an Odometry's bytes."""
     turned = Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2))

@@ -125,6 +125,17 @@ while True:
 """
 
 
+def test_end_of_a_program_that_does_not_close_stops_the_rover(run, course):
+    script = SCRIPT.replace("while True:", "for _ in range(8):")
+    command = [sys.executable, "-c", script, run.robot, str(course)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    wait_for(stands(run), what="the rover to stand")
+    again = environment(run, course)
+    again.reset()  # the lease was released
+    again.close()
+
+
 def test_ctrl_c_in_a_program_stops_the_rover(run, course):
     course.write_text(course.read_text().replace("4.0", "30.0"))
     command = [sys.executable, "-c", SCRIPT, run.robot, str(course)]

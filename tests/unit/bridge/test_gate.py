@@ -132,7 +132,7 @@ FENCE = LIMITS.model_copy(
 )
 def test_fence_holds_motion_outward_only(base, velocity, passes):
     gate = Gate(FENCE).driving()
-    gate.at(0.1, base)
+    gate.place(0.1, base)
     verdict = gate.drive(0.1, velocity)
     assert verdict.held is (None if passes else Reason.GEOFENCE)
     if not passes:

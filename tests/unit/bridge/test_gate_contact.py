@@ -227,6 +227,14 @@ def test_stall_must_end_within_exactly_this_time():
     assert (verdict.velocity, verdict.held, gate.state.ended) == (ZERO, Reason.STALL, Reason.STALL)
 
 
+def test_renewals_give_a_stall_no_more_time():
+    gate = stalled_gate()
+    for k in range(4):
+        assert gate.renew(9.95 + 0.05 * k).refusal is None
+    assert gate.at(10.15, gate.report).held is Reason.STALL
+    assert gate.state.ended is Reason.STALL
+
+
 def test_stall_that_ends_and_begins_again_ends_the_lease():
     gate = stalled_gate()
     gate.report = BaseReport(v=-0.1)

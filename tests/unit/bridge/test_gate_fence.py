@@ -81,7 +81,7 @@ def test_age_of_the_report_counts():
     assert not held(BaseReport(x=1.87), Velocity(0.1, 0.0), age_s=0.7)
     assert held(BaseReport(x=1.89), Velocity(0.1, 0.0), age_s=0.7)
     gate = Gate(FENCED).driving()
-    gate.at(0.0, BaseReport(x=1.945))
+    gate.place(0.0, BaseReport(x=1.945))
     assert gate.drive(0.0, Velocity(0.1, 0.0)).held is None
     assert gate.drive(0.2, Velocity(0.1, 0.0)).held is Reason.GEOFENCE
 
@@ -94,7 +94,7 @@ def test_any_finite_report_is_judged(field, value):
 
 def test_speed_limit_bounds_the_way():
     gate = Gate(FENCED).driving()
-    gate.at(0.1, BaseReport(x=1.7))
+    gate.place(0.1, BaseReport(x=1.7))
     assert gate.drive(0.1, Velocity(50.0, 0.0)).held is None
 
 
@@ -134,7 +134,8 @@ def drive_along(y, theta, command, seconds=6.0, delay_s=0.2, turn_braking=1.25):
     worst = y
     while now < begin + seconds:
         if round(now * 50) % 5 == 0:
-            gate.at(now, BaseReport(x=x, y=y, theta=theta, v=v, omega=omega))
+            report = BaseReport(x=x, y=y, theta=theta, v=v, omega=omega)
+            gate.at(now, report) if now > begin else gate.place(now, report)
         gate.drive(now, command(now - begin))
         pending.append((now + delay_s, gate.state.out))
         wanted = ZERO
@@ -173,7 +174,7 @@ def test_rover_at_speed_whose_command_changes_stays_inside(v, omega):
 @pytest.mark.parametrize("omega", [-0.6, -0.2, 0.0])
 def test_rover_drives_on_along_the_fence_and_away_from_it(omega):
     gate = Gate(FENCED).driving()
-    gate.at(0.1, BaseReport(y=0.97, v=0.3, omega=omega))
+    gate.place(0.1, BaseReport(y=0.97, v=0.3, omega=omega))
     assert gate.drive(0.1, Velocity(0.3, omega)).held is None
 
 
@@ -182,7 +183,7 @@ def test_rover_drives_on_along_the_fence_and_away_from_it(omega):
 def test_rover_outside_may_drive_back_and_turn(angle, omega):
     gate = Gate(FENCED).driving()
     for theta, v in ((angle, -0.1), (math.pi + angle, 0.1)):
-        gate.at(0.1, BaseReport(x=2.2, theta=theta, omega=omega, v=0.04))
+        gate.place(0.1, BaseReport(x=2.2, theta=theta, omega=omega, v=0.04))
         assert gate.drive(0.1, Velocity(v, omega)).held is None
         assert gate.drive(0.1, Velocity(0.0, omega)).held is None
         assert gate.drive(0.1, Velocity(-v, omega)).held is Reason.GEOFENCE
@@ -216,3 +217,85 @@ def test_without_a_fence_odometry_may_restart():
     gate.at(0.1, BaseLost(restarted=True))
     gate.at(0.2, BaseReport())
     assert gate.enable(0.2).refusal is None
+
+
+def jumped(base, before=None, elapsed_s=0.1, limits=FENCED):
+    """Whether the fence is lost by a report after another one."""
+    gate = Gate(limits)
+    gate.at(1.0, before or BaseReport())
+    gate.at(1.0 + elapsed_s, base)
+    lost = gate.enable(1.0 + elapsed_s).refusal is Reason.FENCE_LOST
+    gate.at(1.2 + elapsed_s, base)
+    assert (gate.enable(1.2 + elapsed_s).refusal is Reason.FENCE_LOST) is lost
+    return lost
+
+
+@pytest.mark.parametrize(
+    ("pose", "speeds", "elapsed_s", "lost"),
+    [
+        ((0.9, 0.0, 0.0), (0.0, 0.0), 0.1, True),
+        ((0.0, -0.9, 0.0), (0.0, 0.0), 0.1, True),
+        ((0.0, 0.0, 1.5), (0.0, 0.0), 0.1, True),
+        ((0.0, 0.0, -1.5), (0.3, 0.3), 0.1, True),
+        ((0.9, 0.0, 0.0), (0.3, 0.0), 0.1, True),
+        ((0.9, 0.0, 0.0), (1e308, 1e308), 0.1, True),
+        ((0.9, 0.0, 0.0), (math.nan, math.nan), 0.1, True),
+        ((1e308, 0.0, 0.0), (0.3, 0.0), 0.1, True),
+        ((0.0, 0.0, 1e308), (0.0, 0.0), 0.1, True),
+        # A command may get it to 0.1 m/s and 0.4 rad/s in 0.1 s.
+        ((0.089, 0.0, 0.0), (0.0, 0.0), 0.1, False),
+        ((0.091, 0.0, 0.0), (0.0, 0.0), 0.1, True),
+        ((0.0, 0.0, -0.259), (0.0, 0.0), 0.1, False),
+        ((0.0, 0.0, -0.261), (0.0, 0.0), 0.1, True),
+        # The limits bound that.
+        ((0.319, 0.0, 0.0), (0.0, 0.0), 0.6, False),
+        ((0.321, 0.0, 0.0), (0.0, 0.0), 0.6, True),
+        ((0.0, 0.0, 0.639), (0.0, 0.0), 0.6, False),
+        ((0.0, 0.0, 0.641), (0.0, 0.0), 0.6, True),
+        # A speed that is reported counts, up to 1.2 m/s and 3 rad/s.
+        ((-0.249, 0.0, 0.0), (-0.5, 0.0), 0.1, False),
+        ((-0.251, 0.0, 0.0), (-0.5, 0.0), 0.1, True),
+        ((0.529, 0.0, 0.0), (50.0, 0.0), 0.1, False),
+        ((0.0, 0.0, 1.299), (0.0, 50.0), 0.1, False),
+        ((0.0, 0.0, 1.301), (0.0, 50.0), 0.1, True),
+        # A heading need not be wrapped.
+        ((0.0, 0.0, math.tau), (0.0, 0.0), 0.1, False),
+    ],
+)
+def test_fence_is_lost_when_a_pose_jumps_without_a_gap(pose, speeds, elapsed_s, lost):
+    assert jumped(BaseReport(*pose, *speeds), None, elapsed_s) is lost
+    assert jumped(BaseReport(), BaseReport(*pose, *speeds), elapsed_s) is lost
+    assert not jumped(BaseReport(*pose, *speeds), None, elapsed_s, Limits())
+
+
+def test_jump_revokes_the_lease():
+    gate = Gate(FENCED).driving()
+    verdict = gate.at(0.1, BaseReport(x=0.9, v=0.1))
+    assert (verdict.velocity, gate.state.ended) == (ZERO, Reason.FENCE_LOST)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize("field", ["x", "y", "theta"])
+def test_fence_is_lost_when_a_pose_becomes_finite_again(field, value):
+    gate = Gate(FENCED).driving()
+    gate.at(0.1, BaseReport(**{field: value}))
+    assert gate.drive(0.1).held is Reason.ODOMETRY
+    assert gate.at(0.2, BaseReport()).held is Reason.FENCE_LOST
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_driving_with_noise_and_with_late_and_lost_reports_is_no_jump(seed):
+    """Each speed may change at once; 2 % of reports are 0.3 s late and hold up those behind them."""
+    dice, gate = random.Random(seed), Gate(FENCED)
+    x = y = theta = v = omega = arrival = 0.0
+    for k in range(3000):
+        if k % 20 == 0:
+            v, omega = dice.uniform(-0.3, 0.3), dice.uniform(-0.6, 0.6)
+        theta += omega * 0.1
+        x, y = x + v * 0.1 * math.cos(theta), y + v * 0.1 * math.sin(theta)
+        if dice.random() < 0.02:
+            continue
+        arrival = max(arrival, 0.1 * k + dice.uniform(0.0, 0.03) + (0.3 if dice.random() < 0.02 else 0.0))
+        pose = (value + dice.gauss(0.0, 0.005) for value in (x, y, theta))
+        gate.at(arrival, BaseReport(*pose, v + dice.gauss(0.0, 0.02), omega + dice.gauss(0.0, 0.02)))
+        assert not gate.state.odometry_restarted

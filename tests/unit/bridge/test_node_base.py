@@ -188,6 +188,15 @@ def test_exception_of_the_base_is_a_lost_base(driving, fails, error):
     assert loop.base.driven[-1].velocity == (0.2, 0.0)
 
 
+@pytest.mark.parametrize("method", ["receive", "drive"])
+def test_base_that_returns_no_events_is_a_lost_base(driving, method, monkeypatch):
+    monkeypatch.setattr(driving.base, method, lambda *_: None)
+    driving.turn(3)
+    assert driving.node.gate.held == "no-base"
+    driving.node.run(lambda: True)
+    assert driving.base.calls[-1] == "close"
+
+
 def test_base_that_takes_no_setpoint_gets_no_driver(driving):
     driving.base.fails["drive"] = OSError("gone")
     driving.turn(100)
@@ -227,6 +236,17 @@ def test_base_that_is_ready_again_has_other_odometry_and_one_that_recovers_the_s
     reply = loop.motors()
     assert reply.granted is (not fenced or again == "recovered")
     assert reply.granted or reply.reason == "fence-lost"
+
+
+def test_end_of_a_lease_by_a_base_that_is_ready_again_has_its_own_reason(driving):
+    ready = Ready("x", shape_of(load_description("p3at")))
+    driving.base.reports = [Lost("an earlier reason"), Recovered()]
+    driving.turn(2)
+    driving.lease.end()
+    assert driving.motors().granted
+    driving.base.reports = [ready]
+    driving.turn()
+    assert driving.node.gate.ended_detail == "the base is not connected: its odometry restarted"
 
 
 @pytest.mark.parametrize("name", ["x", "check", "unchecked", ""])

@@ -19,6 +19,7 @@ from ros_cdr import (
     TwistStamped,
     Vector3,
     odometry,
+    twist,
 )
 
 from bridge.base import Failed, Lost, Notice, Ready, Recovered
@@ -26,7 +27,6 @@ from bridge.ros.discovery import Announced
 from bridge.ros_base.base import LoopSeen, TokenSeen
 from bridge.ros_base.odometry import RosOdometer
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import twist
 from rover_ncp.core.robot_description import load_description
 
 

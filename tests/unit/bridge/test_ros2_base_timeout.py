@@ -2,7 +2,7 @@
 
 import pytest
 from ros2_world import BURGER, World
-from ros_cdr import TwistStamped
+from ros_cdr import TwistStamped, twist
 
 from bridge.base import Lost
 from bridge.ros_base.base_timeout import BaseTimeout
@@ -10,7 +10,7 @@ from deploy.drive.lease import DriverLease
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import shipped_names
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import twist, twist_stamped
+from rover_ncp.core.messages import twist_stamped
 from rover_ncp.core.protocol import (
     BaseReply,
     BaseRequest,
@@ -112,9 +112,7 @@ def test_a_robot_that_does_not_halt_gets_zeros_after_5_s_and_a_refusal(ready):
     assert last_v(ready) == 0.0
 
 
-@pytest.mark.parametrize(
-    "end", [{"emergency": True}, {"motors": False}, {"lease": 0}], ids=lambda end: next(iter(end))
-)
+@pytest.mark.parametrize("end", [{"emergency": True}, {"motors": False}, {"lease": 0}, {"lease": 2}], ids=str)
 def test_what_ends_a_drive_ends_the_measurement_with_zeros(ready, end):
     begin(ready)
     ready.run(0.3, rate_hz=100.0, v=0.1)

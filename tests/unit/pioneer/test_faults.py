@@ -5,12 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pioneer_bench import Pioneer
+from ros_cdr import twist
 
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import Flag
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import read_imu, read_odometry, twist
+from rover_ncp.core.messages import read_imu, read_odometry
 from rover_ncp.core.robot_description import load_description
 from sim.pioneer.client_commands import MockCommand
 from sim.pioneer.faults import FAULTS, Fault, Faults, parse_fault

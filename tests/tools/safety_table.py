@@ -1,4 +1,4 @@
-"""Run both safety matrices and write their figures into docs/safety.md: ``python tests/tools/safety_table.py``."""
+"""Run both safety matrices and write their figures into docs/safety.md."""
 
 import json
 import os

@@ -57,6 +57,7 @@ class Server(RealTimeLoop):
     def _accept(self) -> None:
         with suppress(OSError):
             client, _ = self._listener.accept()
+            self._receive()  # the selector may report a new client before the end of the old one
             if self._client is not None:
                 client.close()
                 return

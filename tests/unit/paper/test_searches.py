@@ -58,10 +58,10 @@ def test_cma_gets_better_and_gives_the_same_bits_again(agent):
 @pytest.mark.long
 def test_halving_gives_the_same_bits_again():
     budget = replace(budget_for(TASKS["half-cheetah"], BudgetName.QUICK), steps=20_000, starts=20)
-    found = [search_by_halving(*evaluator("half-cheetah", "mlp"), seed, budget) for seed in (3, 3, 4)]
+    found = [search_by_halving(*evaluator("half-cheetah", "mlp"), seed, budget) for seed in (4, 4, 8)]
     assert found[0].vector.tolist() == found[1].vector.tolist() != found[2].vector.tolist()
     assert found[0].curve == found[1].curve
-    assert found[0].curve[-1][1] > 100.0  # an untuned network gets about 0
+    assert min(found[0].curve[-1][1], found[2].curve[-1][1]) > 100.0  # an untuned network gets about 0
 
 
 def test_a_return_that_the_judge_does_not_confirm_is_not_enough(monkeypatch):

@@ -58,7 +58,7 @@ reference: $(STAMP)
 
 # Measures the safety matrix and writes it into docs/safety.md.
 safety: $(STAMP)
-	$(BIN)/python tests/tools/safety_table.py
+	PYTHONPATH=tests $(BIN)/python tests/tools/safety_table.py
 
 # Every fault of the safety matrix at random moments, in processes that keep running; the table in runs/soak.
 SOAK_MINUTES ?= 20

@@ -20,6 +20,7 @@ from faults.rig import SPEED_M_S, Scene, Unsafe
 from faults.row import CIRCUIT, SCRIPTED, Act, Row
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.messages import odometry, text, twist_stamped
+from rover_ncp.core.protocol import CONTACTS
 from sim.live.processes import Process, wait_for
 
 LONG_LEASE_S = 30.0
@@ -205,6 +206,11 @@ _HUNG, _NAN_WORDS = "hung, the interpreter's lock held", "odometry not a number,
 _PULLED = "to the base pulled: nothing comes, nothing goes"
 
 
+def _until_free(scene: Scene) -> None:
+    """Wait for the end of a contact. A lease that is granted before needs a zero command after it."""
+    wait_for(lambda: scene.rig.watcher.gate.held not in CONTACTS, what="the end of the contact")
+
+
 def _base(key: str, fault: str, line: str, ended: str = "", **more: Any) -> Row:
     return Row(key, "base", fault, lambda scene: scene.rig.mock.tell(line).t_ns, ended=ended, **more)
 
@@ -222,8 +228,8 @@ def _command(key: str, fault: str, act: Act) -> Row:
 
 
 # The gate grants a lease to drive away from a bumper or a stall.
-_BUMPER = _base("bumper", "bumper", "bumper@0-1.5", "bumper", requests_lease=False)
-_STALL = _base("stall", "stall", "stall@0-1.5", "stall", requests_lease=False)
+_BUMPER = _base("bumper", "bumper", "bumper@0-1.5", "bumper", requests_lease=False, mend=_until_free)
+_STALL = _base("stall", "stall", "stall@0-1.5", "stall", requests_lease=False, mend=_until_free)
 _STOP_BUTTON = _base("stop-button", "stop button", "stop-button@0-1.5", "stop-button")
 
 _ROWS = (
@@ -232,7 +238,13 @@ _ROWS = (
     Row("odometry-nan", "base", _NAN_WORDS, _nan_odometry, only=CIRCUIT),
     _base("mute", "mute (no SIPs)", "mute@0-2", _NO_BASE),
     *(_BUMPER, _STALL, _STOP_BUTTON),
-    _base("bumper-again", "bumper, and the driver asks again and drives on", "bumper@0-1.5", only=SCRIPTED),
+    _base(
+        "bumper-again",
+        "bumper, and the driver asks again and drives on",
+        "bumper@0-1.5",
+        only=SCRIPTED,
+        mend=_until_free,
+    ),
     _base("low-battery", "low battery (2 s below 11 V)", "low-battery=10@0-4", "low-battery"),
     _base("restart", "restarts", "reset@0-0.05", _NO_BASE, requests_lease=False),
     SILENT_CLOSE_ROW,

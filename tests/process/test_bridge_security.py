@@ -38,7 +38,9 @@ class User(ClosedAtExit):
         self.heard = {}
         self._held = [
             self.session.declare_subscriber(
-                name, lambda sample, name=name: self.heard.update({name: sample.payload.to_bytes()})
+                name,
+                lambda sample, name=name: self.heard.update({name: sample.payload.to_bytes()}),
+                allowed_origin=zenoh.Locality.REMOTE,  # not what this session itself puts on `**`
             )
             for name in HEARD
         ]

@@ -138,6 +138,18 @@ def test_renewal_that_arrives_sooner_than_the_request_counts():
     assert gate.drive(0.3).dropped is Reason.STALE
 
 
+def test_words_for_the_end_of_a_lease_last_until_the_next_lease():
+    gate = Gate().driving()
+    gate.at(0.1, BaseLost("the line is broken"))
+    assert gate.state.ended is Reason.NO_BASE
+    assert gate.state.ended_detail == "the base is not connected: the line is broken"
+    gate.at(0.2, BaseReport())
+    assert gate.enable(0.2).refusal is None
+    assert gate.state.ended_detail == ""
+    gate.release(0.3)
+    assert gate.state.ended_detail == ""
+
+
 def test_smallest_delay_may_come_at_any_time():
     gate = Gate().driving()
     for k in range(1, 120):

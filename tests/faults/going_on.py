@@ -20,7 +20,8 @@ LARGEST_STEP_S = 1.0
 """A larger step of a ROS 2 robot's clock counts as its restart."""
 
 
-def _silence(scene: Scene) -> None:
+def silence(scene: Scene) -> None:
+    """Let a scripted driver send no more commands."""
     scene.scripted.silent = True
 
 
@@ -68,7 +69,7 @@ def _robot_clock(step_s: float) -> Row:
 
     def act(scene: Scene) -> int | None:
         scene.rig.mock.tell(fault)
-        return _goes_on_until(_silence)(scene)
+        return _goes_on_until(silence)(scene)
 
     words = f"its clock steps back by {step_s:g} s, then no more commands"
     return Row(key, "base", words, act, ended="lease-lapsed", **more)
@@ -94,7 +95,7 @@ CLOCK_ROWS = (
             f"bridge-clock-{step_s:g}",
             "clock",
             f"the bridge's steps back by {step_s:g} s, then no more commands",
-            _clock_steps_back(lambda scene: scene.rig.bridge, number, _silence),
+            _clock_steps_back(lambda scene: scene.rig.bridge, number, silence),
             only=SCRIPTED,
             ended="lease-lapsed",
             requests_lease=False,

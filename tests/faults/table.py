@@ -13,7 +13,7 @@ from collections.abc import Callable
 from signal import SIGCONT, SIGKILL, SIGSTOP, SIGUSR1
 from typing import Any
 
-from faults.going_on import CLOCK_ROWS, OWN_ROWS, ROS2_ROWS, SILENT_CLOSE_ROW
+from faults.going_on import CLOCK_ROWS, OWN_ROWS, ROS2_ROWS, SILENT_CLOSE_ROW, silence
 from faults.hang import HANG_S
 from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
 from faults.rig import SPEED_M_S, Scene, Unsafe
@@ -64,10 +64,6 @@ def _clock_back(scene: Scene) -> None:
     scene.scripted.age_s = 3600.0
 
 
-def _silence(scene: Scene) -> None:
-    scene.scripted.silent = True
-
-
 def _nan_odometry(scene: Scene) -> None:
     """Publish odometry that is not a number, ten times as often as the base publishes its own."""
     end = time.monotonic() + NAN_S
@@ -107,7 +103,7 @@ def _deliver_late(scene: Scene) -> None:
     """Release the held commands when the first of them are `LATE_S` old, and wait until all are dropped."""
     time.sleep(LATE_S - 1.0)
     dropped = scene.dropped()
-    _silence(scene)
+    silence(scene)
     _release(scene)
     wait_for(lambda: scene.dropped() - dropped > 70, what="the old commands to arrive")
 
@@ -120,7 +116,7 @@ def _hold_first_commands(scene: Scene) -> int:
     driver.velocity, driver.silent = Velocity(SPEED_M_S, 0.0), False
     time.sleep(0.8)  # the lease is still valid when they arrive
     dropped = scene.dropped()
-    _silence(scene)
+    silence(scene)
     _release(scene)
     wait_for(lambda: scene.dropped() - dropped > 8, what="the old commands to be dropped")
     if any(abs(state.velocity.v) >= SPEED_M_S for state in scene.rig.truth.since(held_ns)):
@@ -132,7 +128,7 @@ def _hold_first_commands(scene: Scene) -> int:
 def _release_slow_link(scene: Scene) -> None:
     wait_for(lambda: scene.scripted.gate.dropped.get("stale", 0), what="a stale command")
     wait_for(lambda: not scene.scripted.gate.lease, what="the lease to lapse")
-    _silence(scene)
+    silence(scene)
     _release(scene)
 
 
@@ -147,7 +143,7 @@ def _foreign_publisher(scene: Scene) -> int:
     if any(omega != 0.0 or abs(v - SPEED_M_S) > 0.02 for v, omega in velocities):
         raise Unsafe("a foreign publisher moved the rover")
     silent_ns = time.monotonic_ns()
-    _silence(scene)
+    silence(scene)
     time.sleep(1.0)
     rig.end(stranger)
     return silent_ns
@@ -159,7 +155,7 @@ def _flood(scene: Scene) -> int:
     stranger.requests_lease, stranger.silent = False, True
     command, sent, began = twist_stamped(Velocity(0.3, 0.0), 0), 0, time.monotonic()
     silent_ns = time.monotonic_ns()
-    _silence(scene)
+    silence(scene)
     while (elapsed := time.monotonic() - began) < FLOOD_S:
         if sent < elapsed * FLOOD_PER_S:
             stranger.send(command)
@@ -310,7 +306,7 @@ _OUTLETS = {
 _WITH_OUTLET = (
     *(_BUMPER, _STALL, _STOP_BUTTON),
     Row("stop-query", "", "`rover/stop`", _request_stop, _release_stop, "stopped"),
-    Row("silence", "", "no more commands", _silence, ended=_LAPSED, requests_lease=False),
+    Row("silence", "", "no more commands", silence, ended=_LAPSED, requests_lease=False),
 )
 
 MATRIX: tuple[Row, ...] = (

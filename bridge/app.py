@@ -7,9 +7,9 @@ from pathlib import Path
 from bridge.bases import choose_base, gate_limits, open_base
 from bridge.inbox import Inbox
 from bridge.node import Node
-from bridge.ros import messages as ros_messages
-from bridge.ros.discovery import Convention
-from bridge.zenoh_link import ZenohLink
+from bridge.ros2 import messages as ros_messages
+from bridge.ros2.discovery import Convention
+from bridge.zenoh.link import ZenohLink
 from rover_ncp.core.console import Output
 from rover_ncp.core.process import Interrupts, require_open_files
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, TypeAlias
 
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.protocol import TimeoutState
-from rover_ncp.core.robot_description import Odometry, RobotDescription
+from rover_ncp.robot.description import Odometry, RobotDescription
+from rover_ncp.wire.protocol import TimeoutState
 
 
 @dataclass(frozen=True)

@@ -11,21 +11,21 @@ from pathlib import Path
 from typing import Protocol
 
 from bridge.base import Base
-from bridge.base_connection import BaseConnection
 from bridge.gate.limits import Limits
 from bridge.inbox import Inbox
 from bridge.pioneer.base import ArcosBase
+from bridge.pioneer.base_connection import BaseConnection
 from bridge.pioneer.robots import ROBOTS, parameters_of
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
-from bridge.ros_base.address import PREFIX, RosAddress, parse_address
-from bridge.ros_base.base import LoopSeen, Ros2Base
-from bridge.ros_base.line import LOOP_KEY, RosLine
-from bridge.zenoh_link import ZenohLink
+from bridge.ros2.address import PREFIX, RosAddress, parse_address
+from bridge.ros2.base import LoopSeen, Ros2Base
+from bridge.ros2.line import LOOP_KEY, RosLine
+from bridge.zenoh.link import ZenohLink
 from rover_ncp.core.config import load_yaml, validated
 from rover_ncp.core.errors import NoRobot, RoverNcpError, UsageError
 from rover_ncp.core.files import shipped_names
-from rover_ncp.core.robot_description import RobotDescription, Topics, load_description
+from rover_ncp.robot.description import RobotDescription, Topics, load_description
 
 DRIVERS = "rover_ncp.bases"
 

@@ -1,12 +1,14 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
+import socket
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from bridge.ros.discovery import Convention
-from rover_ncp.core.console import Json, reject
+from bridge.ros2.discovery import Convention
+from rover_ncp.core.console import Json, Output, reject
+from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import USUAL_ROBOT
 
 
@@ -111,9 +113,49 @@ def urdf(
     Its frames are those that the bridge publishes on tf_static.
     """
     from bridge.base import shape_of
-    from bridge.ros.urdf import urdf as urdf_of
+    from bridge.ros2.urdf import urdf as urdf_of
     from rover_ncp.core.console import Output
-    from rover_ncp.core.robot_description import load_description
+    from rover_ncp.robot.description import load_description
 
     text = urdf_of(shape_of(load_description(model)))
     Output(json).result({"model": model, "urdf": text}, text.rstrip())
+
+
+def keys(
+    *,
+    out: Annotated[Path, typer.Option(help="Folder for the files; it must not hold keys already.")],
+    host: Annotated[
+        list[str] | None,
+        typer.Option(help="Name or IP address of the bridge's machine, as drivers use it; repeat for more."),
+    ] = None,
+    namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
+    json: Json = False,
+) -> None:
+    """Make a certificate authority, and certificates for a bridge and its peers.
+
+    Writes one Zenoh configuration for each end, which holds all that end needs: bridge.json5
+    for 'rover-ncp bridge --zenoh-config', driver.json5 for 'rover-ncp deploy --zenoh-config',
+    viewer.json5 for users who may watch but not drive, localiser.json5 for a localisation system that may
+    only publish the rover's pose. With them both ends prove their identity, all traffic is encrypted, and
+    each role has only the rights that the table of keys grants. ca-key.pem signs certificates: keep it off
+    the robot.
+    """
+    from bridge.zenoh.credentials import make_credentials
+    from rover_ncp.core.files import require_writable, write_atomic
+
+    taken = [name.name for name in out.glob("*") if name.suffix in {".pem", ".json5"}] if out.is_dir() else []
+    if taken:
+        names = ", ".join(sorted(taken))
+        raise UsageError(f"--out {out}: holds keys already ({names}); choose another folder")
+    require_writable(out / "ca.pem")
+    hosts = list(dict.fromkeys([*(host or []), "127.0.0.1", "localhost", socket.gethostname()]))
+    files = make_credentials(hosts, namespace)
+    for name, content in files.items():
+        write_atomic(out / name, content, private=name != "ca.pem")
+    Output(json).result(
+        {"folder": str(out), "files": sorted(files), "hosts": hosts, "namespace": namespace},
+        f"wrote {', '.join(sorted(files))} into {out}\n"
+        f"the bridge may be called {', '.join(hosts)}\n"
+        f"next, on the robot: rover-ncp bridge --base ... --zenoh-config {out}/bridge.json5\n"
+        f"      at the desk:  rover-ncp deploy --robot tls/HOST --zenoh-config {out}/driver.json5",
+    )

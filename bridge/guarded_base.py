@@ -6,7 +6,7 @@ from contextlib import suppress
 from bridge.base import Base, BaseEvent, BaseReport, LinkHealth, Lost, Notice, OwnTimeout, Ready, Setpoint
 from bridge.gate.state import ZERO
 from rover_ncp.core.errors import NoRobot, RoverNcpError
-from rover_ncp.core.protocol import TimeoutState
+from rover_ncp.wire.protocol import TimeoutState
 
 
 class GuardedBase:

@@ -33,12 +33,12 @@ from bridge.gate.state import BaseLost, GateEvent, GateState, Reason, Tick, Velo
 from bridge.guarded_base import GuardedBase
 from bridge.inbox import CommandMessage, Query, ThreadError
 from bridge.queries import Answers
-from bridge.ros import messages as ros
-from bridge.ros.covariance import OdometryErrors
+from bridge.ros2 import messages as ros
+from bridge.ros2.covariance import OdometryErrors
 from rover_ncp.core.errors import FormatError, NoRobot
-from rover_ncp.core.messages import read_twist, text, twist_stamped
 from rover_ncp.core.process import Clock, suspended_s
-from rover_ncp.core.protocol import Signed, dump_json
+from rover_ncp.wire.messages import read_twist, text, twist_stamped
+from rover_ncp.wire.protocol import Signed, dump_json
 
 TICK_S = 0.02
 """How often the loop turns when nothing arrives."""
@@ -58,7 +58,7 @@ class Arrivals(Protocol):
 
 
 class Publisher(Protocol):
-    """A Zenoh session, as `bridge.zenoh_link.ZenohLink`."""
+    """A Zenoh session, as `bridge.zenoh.link.ZenohLink`."""
 
     def key(self, name: str) -> str:
         """Return the key expression of a row of the key table."""

@@ -26,7 +26,7 @@ from bridge.gate.state import (
 from bridge.guarded_base import GuardedBase
 from bridge.inbox import Query
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.protocol import (
+from rover_ncp.wire.protocol import (
     KEY_BYTES,
     PROTOCOL,
     VERSION_REASON,

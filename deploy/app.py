@@ -20,7 +20,12 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output, printable
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import (
+from rover_ncp.core.process import Interrupts
+from rover_ncp.course.course import TICK_S, load_course
+from rover_ncp.course.fit import slowed
+from rover_ncp.robot.description import load_description
+from rover_ncp.robot.profile import load_profile
+from rover_ncp.wire.messages import (
     COURSE_FRAME,
     neurons,
     odometry,
@@ -29,11 +34,6 @@ from rover_ncp.core.messages import (
     text,
     twist_stamped,
 )
-from rover_ncp.core.process import Interrupts
-from rover_ncp.core.robot_description import load_description
-from rover_ncp.core.robot_profile import load_profile
-from rover_ncp.course.course import TICK_S, load_course
-from rover_ncp.course.fit import slowed
 
 SWITCH_INTERVAL_S = 0.0005
 """How long another thread may keep the interpreter from the control loop (Python's default is 5 ms)."""

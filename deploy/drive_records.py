@@ -10,8 +10,8 @@ from pydantic import Field
 
 from deploy.drive.measurements import SampleRef
 from deploy.estimator.estimator import Estimate
-from rover_ncp.core import recording_time
 from rover_ncp.core.config import StrictModel
+from rover_ncp.recording import time as recording_time
 
 START_TOPIC = "deploy/start"
 TICKS_TOPIC = recording_time.TICKS_TOPIC

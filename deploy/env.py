@@ -36,13 +36,13 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.errors import RoverNcpError, SafetyStop
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.recording import Recorded
-from rover_ncp.core.robot_description import load_description
-from rover_ncp.core.robot_profile import load_profile
 from rover_ncp.course.course import TICK_S, Course, due_checkpoints, load_course, reward
 from rover_ncp.course.fit import slowed
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.spaces import ACTIONS, observation_space
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.robot.description import load_description
+from rover_ncp.robot.profile import load_profile
 
 ENV_ID = "rover_ncp/Rover-v0"
 ACTION_S = 0.25

@@ -18,7 +18,7 @@ from typing import Any
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import require_creatable
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.core.recording import Recorded, RecordingWriter
+from rover_ncp.recording.recording import Recorded, RecordingWriter
 
 FLUSH_S = 0.4
 """Leaves a tenth of a second for the queue and the disk: a killed process loses at most 0.5 s."""

@@ -24,9 +24,9 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.messages import OdometrySample, read_neurons, read_text, read_twist
-from rover_ncp.core.protocol import parse_json
-from rover_ncp.core.recording import Recording, read_recording
+from rover_ncp.recording.recording import Recording, read_recording
+from rover_ncp.wire.messages import OdometrySample, read_neurons, read_text, read_twist
+from rover_ncp.wire.protocol import parse_json
 
 ESTIMATE = ("estimate x", "estimate y", "estimate theta", "estimate v", "estimate omega")
 COMMAND = ("command v", "command omega")

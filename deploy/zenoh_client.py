@@ -15,13 +15,13 @@ from typing import Any
 import zenoh
 
 from deploy.drive.sources import INPUTS, Sources
-from rover_ncp.core.certificates import require_valid
 from rover_ncp.core.errors import FileError, NoBridge, NotAuthorised, UnreachableError, UsageError
 from rover_ncp.core.files import existing_file
-from rover_ncp.core.key_table import KEYS, KeySpec, Kind, key
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.core.recording import header_stamp_ns
-from rover_ncp.core.zenoh_settings import CLIENT
+from rover_ncp.recording.recording import header_stamp_ns
+from rover_ncp.wire.certificates import require_valid
+from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, key
+from rover_ncp.wire.zenoh import CLIENT
 
 PORT = 7447
 """Zenoh's own port, where the bridge listens."""

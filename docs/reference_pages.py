@@ -17,12 +17,12 @@ from result_fields import RESULTS, noted, result_fields
 from bridge.gate.limits import Limits
 from rover_ncp import cli
 from rover_ncp.circuit import policy_file
-from rover_ncp.core.key_table import KEYS, Kind, Role
-from rover_ncp.core.robot_description import RobotDescription
-from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course import reference
 from rover_ncp.course.builder import PoseList
 from rover_ncp.course.course import Course
+from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.profile import RoverProfile
+from rover_ncp.wire.key_table import KEYS, Kind, Role
 from sim.world.randomization import Randomization
 
 DOCS = Path(__file__).parent

@@ -45,12 +45,12 @@ RESULTS = {
     "deploy": "deploy.app:_result deploy.drive.control_loop:Drive.measurements_used deploy.app:run "
     "deploy.recorder:Recorder.fields",
     "teleop": "deploy.teleop.teleop:run deploy.recorder:Recorder.fields",
-    "identify": "rover_ncp.core.robot_profile:RoverProfile deploy.identify.run:_write_profile",
+    "identify": "rover_ncp.robot.profile:RoverProfile deploy.identify.run:_write_profile",
     "course": "deploy.report.commands:course problems=rover_ncp.course.feasibility:Problem",
     "replay": "deploy.commands:replay difference=deploy.replay:Difference",
-    "check": "deploy.preflight.command:check findings=deploy.preflight.preflight:Finding",
-    "keys": "rover_ncp.core.commands:keys",
-    "recover": "rover_ncp.core.commands:recover",
+    "check": "deploy.commands:check findings=deploy.check:Finding",
+    "keys": "bridge.commands:keys",
+    "recover": "rover_ncp.recording.commands:recover",
     "explain": "sim.explain.explain:Explanation.fields run=rover_ncp.course.course:Verdict "
     "knock_outs=sim.explain.what_if:Knockout sensitivities=:Sensitivity sim.explain.commands:explain",
     "explain --task": "sim.explain.task:TaskExplanation.fields knock_outs=:TaskKnockout "

@@ -41,9 +41,9 @@ __all__ = [
 def read_arrays(path: str | Path) -> "dict[str, NDArray[np.void]]":
     """Return a recording's topics as structured arrays: ``arrays["odom"]["x"]`` has shape (n,), in m.
 
-    See ``rover_ncp/core/arrays.py`` for the fields. Raises FileError.
+    See ``rover_ncp/recording/arrays.py`` for the fields. Raises FileError.
     """
-    from rover_ncp.core.arrays import read_arrays as read
+    from rover_ncp.recording.arrays import read_arrays as read
 
     return read(Path(path))
 

@@ -51,7 +51,7 @@ from bridge.gate.state import (
 )
 from rover_ncp.core.clock_offset import remember
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.protocol import CommandTag
+from rover_ncp.wire.protocol import CommandTag
 
 ROS_AGE_S = 0.3
 """The gate accepts a stamped command without a tag if its stamp is no farther from our clock than this."""

@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeAlias
 from bridge.base import BaseReport
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.protocol import REASONS, UNNAMED, CommandTag, Signed
+from rover_ncp.wire.protocol import REASONS, UNNAMED, CommandTag, Signed
 
 ZERO = Velocity(0.0, 0.0)
 DETAIL_LENGTH = 200

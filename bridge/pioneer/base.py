@@ -4,17 +4,17 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from bridge.base import BaseEvent, Failed, LinkHealth, OwnTimeout, Ready, Setpoint
-from bridge.base_connection import Broken, Opened, Received
+from bridge.pioneer.base_connection import Broken, Opened, Received
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.protocol import TimeoutState
+from rover_ncp.wire.protocol import TimeoutState
 
 WATCHDOG_S = 2.0
 """The firmware's watchdog (Pioneer 3 operations manual)."""
 
 
 class Connection(Protocol):
-    """A line to the base, as `bridge.base_connection.BaseConnection`, which has the documentation."""
+    """A line to the base, as `bridge.pioneer.base_connection.BaseConnection`, which has the documentation."""
 
     endpoint: str
 

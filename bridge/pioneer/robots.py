@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from bridge.base import RobotShape, shape_of
-from rover_ncp.core.robot_description import RobotDescription, load_description
+from rover_ncp.robot.description import RobotDescription, load_description
 
 
 @dataclass(frozen=True)

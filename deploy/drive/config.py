@@ -12,10 +12,10 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
 from rover_ncp.core.config import dump_yaml, parse_yaml, read_yaml
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.recording import Recording
-from rover_ncp.core.robot_description import RobotDescription
-from rover_ncp.core.robot_profile import OF_THE_GROUND, RoverProfile
 from rover_ncp.course.course import Course
+from rover_ncp.recording.recording import Recording
+from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
 
 POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
 

@@ -28,10 +28,10 @@ from deploy.estimator.estimator import Estimate
 from deploy.estimator.settings import Outcome
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, wrap_angle
-from rover_ncp.core.messages import OdometrySample
 from rover_ncp.core.process import Clock
-from rover_ncp.core.protocol import DriverStatus
 from rover_ncp.course.course import TICK_S, Verdict
+from rover_ncp.wire.messages import OdometrySample
+from rover_ncp.wire.protocol import DriverStatus
 
 POLL_S = 0.02
 

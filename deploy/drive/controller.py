@@ -24,10 +24,10 @@ from deploy.estimator.settings import TURN_GAINS, EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, wrap_angle
-from rover_ncp.core.messages import OdometrySample, PoseSample, TurnSample
-from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import TICK_S, Course, Verdict
 from rover_ncp.course.reference import plan_reference
+from rover_ncp.robot.profile import RoverProfile
+from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 FORECAST_TICKS = 2

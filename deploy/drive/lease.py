@@ -9,7 +9,7 @@ Rules of this file:
 from collections import deque
 
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.protocol import REASONS, CommandTag, GateStatus, MotorsReply, Signed
+from rover_ncp.wire.protocol import REASONS, CommandTag, GateStatus, MotorsReply, Signed
 
 NOT_ACCEPTED = "not-accepted"
 """Name of the rule."""

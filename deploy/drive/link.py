@@ -6,7 +6,7 @@ from deploy.drive.lease import DriverLease
 from deploy.drive.measurements import MeasurementSource
 from deploy.drive.sources import Sources
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.protocol import GateStatus, MotorsReply
+from rover_ncp.wire.protocol import GateStatus, MotorsReply
 
 
 class Link(MeasurementSource, Protocol):

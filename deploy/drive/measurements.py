@@ -12,7 +12,7 @@ from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.messages import (
+from rover_ncp.wire.messages import (
     COURSE_FRAME,
     OdometrySample,
     PoseSample,

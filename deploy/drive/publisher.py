@@ -17,7 +17,9 @@ from deploy.drive.link import Link
 from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.geometry import Pose, compose, inverse
-from rover_ncp.core.messages import (
+from rover_ncp.core.process import Clock
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire.messages import (
     COURSE_FRAME,
     ODOM_FRAME,
     Transform,
@@ -28,9 +30,7 @@ from rover_ncp.core.messages import (
     text,
     transforms,
 )
-from rover_ncp.core.process import Clock
-from rover_ncp.core.protocol import DriverStatus, dump_json
-from rover_ncp.core.recording import Recorded
+from rover_ncp.wire.protocol import DriverStatus, dump_json
 
 FRAMES_TOPIC = "deploy/frames"
 POSE_TOPIC = "deploy/pose"

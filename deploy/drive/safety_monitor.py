@@ -16,8 +16,8 @@ from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import Clock
-from rover_ncp.core.protocol import REASONS, UNNAMED, GateStatus, in_words
 from rover_ncp.course.course import TICK_S
+from rover_ncp.wire.protocol import REASONS, UNNAMED, GateStatus, in_words
 
 POLL_S = 0.002
 

@@ -17,8 +17,8 @@ from deploy.estimator.estimator import completed
 from deploy.estimator.history import SAME_PLACE
 from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.core.messages import OdometrySample, PoseSample
 from rover_ncp.core.process import Clock
+from rover_ncp.wire.messages import OdometrySample, PoseSample
 
 
 class StartDetector:

@@ -23,9 +23,11 @@ from rover_ncp.core.errors import (
     SafetyStop,
 )
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, spec
-from rover_ncp.core.messages import read_bumpers, read_text, twist_stamped
-from rover_ncp.core.protocol import (
+from rover_ncp.recording.recording import Recorded, header_stamp_ns
+from rover_ncp.robot.description import RobotDescription
+from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, spec
+from rover_ncp.wire.messages import read_bumpers, read_text, twist_stamped
+from rover_ncp.wire.protocol import (
     PROTOCOL,
     VERSION_REASON,
     BaseReply,
@@ -38,8 +40,6 @@ from rover_ncp.core.protocol import (
     other_version,
     parse_json,
 )
-from rover_ncp.core.recording import Recorded, header_stamp_ns
-from rover_ncp.core.robot_description import RobotDescription
 
 QUERY_TIMEOUT_S = 2.0
 RELEASE_TIMEOUT_S = 1.0

@@ -70,7 +70,7 @@ def identify(
     from deploy.identify.run import identify_recording, identify_robot
     from deploy.recorder import Recorder
     from deploy.zenoh_client import BridgeAddress
-    from rover_ncp.core.robot_description import load_description
+    from rover_ncp.robot.description import load_description
 
     if robot is None:
         assert recording is not None

@@ -18,9 +18,9 @@ from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance
-from rover_ncp.core.messages import OdometrySample
 from rover_ncp.core.process import Clock
-from rover_ncp.core.robot_description import RobotDescription
+from rover_ncp.robot.description import RobotDescription
+from rover_ncp.wire.messages import OdometrySample
 
 FENCE_M = 0.8
 """How far from its start the rover may come; the steps take it half as far."""

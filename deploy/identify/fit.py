@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
 from deploy.identify.motion_log import MotionLog
 from deploy.identify.odometry_fit import Fit, fit_center, fit_distance, fit_turns, stands_beside
-from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.robot.profile import RoverProfile
 
 FloatArray = NDArray[np.float64]
 

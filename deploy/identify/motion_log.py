@@ -15,8 +15,8 @@ from scipy.optimize import linprog
 
 from deploy.drive.measurements import read_course_pose
 from rover_ncp.core.errors import FileError, FormatError
-from rover_ncp.core.messages import read_odometry, read_twist
-from rover_ncp.core.recording import Recorded
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire.messages import read_odometry, read_twist
 
 FloatArray = NDArray[np.float64]
 

@@ -18,9 +18,9 @@ from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.core.process import Interrupts
-from rover_ncp.core.recording import Recorded, read_recording
-from rover_ncp.core.robot_description import RobotDescription
-from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.recording.recording import Recorded, read_recording
+from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.profile import RoverProfile
 
 SETTINGS_FILE = "identify.yaml"
 

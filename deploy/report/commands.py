@@ -58,10 +58,10 @@ def course(
 
     Ends with 1 if the course cannot be driven; new writes its file all the same.
     """
-    from rover_ncp.core.robot_description import load_description
     from rover_ncp.course.course import load_course
     from rover_ncp.course.feasibility import check_course
     from rover_ncp.course.fit import slowed
+    from rover_ncp.robot.description import load_description
 
     output, pace = Output(json), ""
     if what is What.NEW:

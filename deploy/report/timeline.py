@@ -1,6 +1,6 @@
 """A drive in order, built message by message: from a recording, or from a robot while it drives.
 
-Reads the topics of `rover_ncp.core.key_table`, the true pose that the mock adds, and of the driver's own
+Reads the topics of `rover_ncp.wire.key_table`, the true pose that the mock adds, and of the driver's own
 records only whether a tick ran on prediction. A message that cannot be decoded is counted and left out. Times
 are ns of one clock that is never set: in a recording that of `steady`, live the viewer's monotonic clock.
 """
@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 
 from deploy.report.trace import Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.cdr import decode
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
-from rover_ncp.core.messages import (
+from rover_ncp.course.course import TICK_S, Course, Verdict
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.recording.time import TICKS_TOPIC
+from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.messages import (
     read_bumpers,
     read_neurons,
     read_odometry,
@@ -26,10 +29,7 @@ from rover_ncp.core.messages import (
     read_text,
     read_twist,
 )
-from rover_ncp.core.protocol import DriverStatus, GateStatus, parse_json
-from rover_ncp.core.recording import Recorded
-from rover_ncp.core.recording_time import TICKS_TOPIC
-from rover_ncp.course.course import TICK_S, Course, Verdict
+from rover_ncp.wire.protocol import DriverStatus, GateStatus, parse_json
 
 FloatArray = NDArray[np.float64]
 

@@ -27,7 +27,7 @@ from rover_ncp.core.console import Output, printable
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.core.process import Interrupts
-from rover_ncp.core.protocol import in_words
+from rover_ncp.wire.protocol import in_words
 
 PERIOD_S = 0.05
 LONGEST_LOOP_S = 0.25

@@ -36,8 +36,8 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import PortInUse, UnreachableError
 from rover_ncp.core.process import Interrupts
-from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import load_course
+from rover_ncp.robot.description import load_description
 
 HOST = "127.0.0.1"
 INTERRUPTED = 130

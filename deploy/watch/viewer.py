@@ -8,9 +8,9 @@ import zenoh
 
 from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.core.errors import FormatError, NoBridge, NotAuthorised
-from rover_ncp.core.key_table import KeySpec
-from rover_ncp.core.protocol import StopReply, StopRequest, dump_json, parse_json
-from rover_ncp.core.recording import Recorded
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire.key_table import KeySpec
+from rover_ncp.wire.protocol import StopReply, StopRequest, dump_json, parse_json
 
 STOP_TIMEOUT_S = 1.0
 REASON = "the live page's Stop button"

@@ -17,8 +17,6 @@ from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, validated
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.core.geometry import Pose, distance, relative, wrap_angle
-from rover_ncp.core.messages import OdometrySample, PoseSample, read_odometry, read_pose
-from rover_ncp.core.recording import Recording, read_recording
 from rover_ncp.course.course import (
     MOST_CHECKPOINTS,
     TICK_S,
@@ -30,6 +28,8 @@ from rover_ncp.course.course import (
 )
 from rover_ncp.course.feasibility import Cause, Drivability, check_course
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
+from rover_ncp.recording.recording import Recording, read_recording
+from rover_ncp.wire.messages import OdometrySample, PoseSample, read_odometry, read_pose
 
 EASE = 0.6
 """Share of the motors' limits that the deadlines count on."""

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.core.robot_description import RobotDescription, load_description
 from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Deviation, Reference, deviations, plan_reference
+from rover_ncp.robot.description import RobotDescription, load_description
 
 FloatArray = NDArray[np.float64]
 

@@ -1,9 +1,9 @@
 """Courses for other robots than the one that the shipped ones were made for."""
 
 from rover_ncp.core.files import USUAL_ROBOT
-from rover_ncp.core.robot_description import RobotDescription, load_description
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import COMMAND_MAX
+from rover_ncp.robot.description import RobotDescription, load_description
 
 _DIGITS = 3
 

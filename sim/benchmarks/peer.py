@@ -12,11 +12,11 @@ from typing import Any
 
 import zenoh
 
-from bridge.zenoh_config import configured
+from bridge.zenoh.config import configured
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.messages import odometry, read_twist, text
-from rover_ncp.core.protocol import (
+from rover_ncp.wire.messages import odometry, read_twist, text
+from rover_ncp.wire.protocol import (
     KEY_BYTES,
     CommandTag,
     GateStatus,

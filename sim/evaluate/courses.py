@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from rover_ncp.core.robot_description import RobotDescription, load_description
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.fit import enlarged, slowed
+from rover_ncp.robot.description import RobotDescription, load_description
 from sim.evaluate.commands import EvalOptions
 from sim.evaluate.evaluate import unseen_courses
 

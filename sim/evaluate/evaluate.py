@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import Course, ParkedRule, Verdict
-from rover_ncp.course.random_course import random_course
 from sim.evaluate.driver import Driver
 from sim.learn.evaluator import Outcomes
 from sim.world.described import default_rover
+from sim.world.random_course import random_course
 from sim.world.randomization import Randomization, draw_trials
 from sim.world.rover import RoverModel
 

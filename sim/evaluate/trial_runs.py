@@ -11,7 +11,7 @@ from rich.progress import Progress
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import distance, wrap_angle
-from rover_ncp.core.robot_description import RobotDescription
+from rover_ncp.robot.description import RobotDescription
 from sim.evaluate.commands import EvalOptions, Sensors
 from sim.evaluate.courses import fitted_courses
 from sim.evaluate.driver import CIRCUIT, load_driver

@@ -22,9 +22,9 @@ from rover_ncp.circuit.policy_file import circuit_to_yaml, load_start, policy_da
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.config import StrictModel, dump_yaml
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.fit import slowed
+from rover_ncp.robot.description import load_description
 from sim.learn.search.strategies import SearchName
 from sim.world.described import default_rover, described_rover
 from sim.world.pymunk_rover import require_free_start

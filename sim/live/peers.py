@@ -9,10 +9,10 @@ import zenoh
 
 from deploy.zenoh_client import client_config
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.key_table import key
-from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance, read_text
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.core.protocol import GateStatus, parse_json
+from rover_ncp.wire.key_table import key
+from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance, read_text
+from rover_ncp.wire.protocol import GateStatus, parse_json
 
 KNOWN_M, KNOWN_RAD = 0.001, 0.001
 """Standard deviations of a start pose."""

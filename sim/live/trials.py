@@ -11,7 +11,7 @@ from pathlib import Path
 from deploy.report.recorded_drive import read_drive
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.files import USUAL_ROBOT, write_atomic
-from rover_ncp.core.recording import read_recording, rewrite
+from rover_ncp.recording.recording import read_recording, rewrite
 from sim.evaluate.commands import EvalOptions
 from sim.evaluate.evaluate import cause
 from sim.live.live_run import LiveRun

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.messages import pose_stamped
-from rover_ncp.core.recording import Recorded
 from rover_ncp.course.course import TICK_S, Course, Verdict
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire.messages import pose_stamped
 from sim.live.processes import GrowingFile, TimedOut
 from sim.world.rover import STILL_M_S, STILL_RAD_S
 

@@ -22,10 +22,10 @@ from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import USUAL_ROBOT, require_creatable, write_atomic
-from rover_ncp.core.recording import read_recording, rewrite
-from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.fit import slowed
+from rover_ncp.recording.recording import read_recording, rewrite
+from rover_ncp.robot.description import load_description
 from sim.learn.agents import Snapshot
 from sim.learn.progress import TrainProgress
 from sim.learn.record import TrainSettings, course_of

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from bridge.ros.discovery import Convention
+from bridge.ros2.discovery import Convention
 from rover_ncp.core.console import MOST_SEED, Json, Overwrite, reject
 from rover_ncp.core.files import USUAL_ROBOT
 from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
@@ -87,7 +87,7 @@ def mock(
 
     --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
     """
-    from rover_ncp.core.robot_description import load_description
+    from rover_ncp.robot.description import load_description
     from sim.pioneer.run import Ros2Options, run_mock
     from sim.world.described import ranges_for
 

@@ -25,7 +25,7 @@ from bridge.pioneer.baud import RATES
 from bridge.pioneer.packets import ConfigPac, Kind, encode_names
 from bridge.pioneer.robots import parameters_of
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.robot_description import RobotDescription, load_description
+from rover_ncp.robot.description import RobotDescription, load_description
 from sim.pioneer.client_commands import IGNORED, MockCommand, decode_argument, pair
 from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.faults import Fault, Faults

@@ -9,7 +9,7 @@ import math
 from bridge.base import shape_of
 from bridge.pioneer.packets import ConfigPac
 from bridge.pioneer.robots import RobotParameters, parameters_of
-from rover_ncp.core.robot_description import RobotDescription, load_description
+from rover_ncp.robot.description import RobotDescription, load_description
 from sim.world.described import described_rover
 
 BASE_NAME, BASE_CLASS = "rover-ncp_mock", "Pioneer"

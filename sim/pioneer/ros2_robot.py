@@ -12,13 +12,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rover_ncp.core import messages
-from rover_ncp.core.cdr import encode
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, compose, wrap_angle
-from rover_ncp.core.messages import TWIST_BYTES
-from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.course.course import TICK_S
+from rover_ncp.robot.description import RobotDescription
+from rover_ncp.wire import messages
+from rover_ncp.wire.cdr import encode
+from rover_ncp.wire.messages import TWIST_BYTES
 from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.faults import Fault, Faults
 from sim.pioneer.models import wheel_parameters

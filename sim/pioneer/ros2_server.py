@@ -14,12 +14,12 @@ from typing import Any
 
 import zenoh
 
-from bridge.ros.discovery import Convention, bridge_token, topic_token
-from bridge.ros.rmw import Attachment, Graph, Topic, gid
-from bridge.ros.rmw_node import publisher
-from bridge.zenoh_config import reason
+from bridge.ros2.discovery import Convention, bridge_token, topic_token
+from bridge.ros2.rmw import Attachment, Graph, Topic, gid
+from bridge.ros2.rmw_node import publisher
+from bridge.zenoh.config import reason
 from rover_ncp.core.errors import PortInUse
-from rover_ncp.core.messages import (
+from rover_ncp.wire.messages import (
     BATTERY_STATE,
     BOOL,
     HAZARDS,

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bridge.pioneer.robots import ROBOTS
-from bridge.ros.discovery import Convention
-from bridge.ros.rmw import domain_id
+from bridge.ros2.discovery import Convention
+from bridge.ros2.rmw import domain_id
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import require_creatable
 from rover_ncp.core.process import Interrupts
-from rover_ncp.core.robot_description import load_description
 from rover_ncp.core.streams import Domain, integer_seed
 from rover_ncp.course.course import load_course
+from rover_ncp.robot.description import load_description
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of

@@ -9,8 +9,8 @@ pose in that tick. Quantised commands are not among a trial's errors here: ARCOS
 from typing import NamedTuple
 
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.robot.description import RobotDescription
 from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import (

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance
+from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance
 from sim.stack.virtual import NS, WALL_NS
 from sim.world.rover import Rover
 

@@ -11,7 +11,7 @@ from deploy.drive.config import settings_for
 from deploy.drive.control_loop import Drive, Phase
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose, distance
-from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.robot.profile import RoverProfile
 from sim.world.randomization import Randomization
 from sim.world.skid_robot import SkidRanges
 

@@ -7,9 +7,9 @@ from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify.excitation import FENCE_M, excite
 from deploy.identify.fit import identify
 from deploy.identify.motion_log import motion_log
-from rover_ncp.core.recording import Recorded
-from rover_ncp.core.robot_description import RobotDescription
-from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.profile import RoverProfile
 from sim.pioneer.trial import BaseTrial, Drawn
 from sim.stack.camera import Camera, Localiser
 from sim.stack.lines import simulated_base

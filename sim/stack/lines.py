@@ -7,15 +7,15 @@ from dataclasses import replace
 from typing import Protocol
 
 from bridge.base import Base
-from bridge.base_connection import Opened, Received
 from bridge.bases import gate_limits
 from bridge.gate.limits import Limits
 from bridge.inbox import RobotMessage
 from bridge.pioneer.base import ArcosBase
+from bridge.pioneer.base_connection import Opened, Received
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
-from bridge.ros_base.base import Ros2Base
-from rover_ncp.core.robot_description import RobotDescription
+from bridge.ros2.base import Ros2Base
+from rover_ncp.robot.description import RobotDescription
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of
 from sim.pioneer.ros2_robot import Ros2Robot
@@ -112,7 +112,7 @@ class ArcosLine:
 
 
 class Ros2Line:
-    """The messages between a ROS 2 robot and its base driver, as a `bridge.ros_base.base.Line`."""
+    """The messages between a ROS 2 robot and its base driver, as a `bridge.ros2.base.Line`."""
 
     endpoint, zid = "virtual", "bridge"
     source: bytes | None = None

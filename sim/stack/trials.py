@@ -20,10 +20,10 @@ from deploy.drive.controller import Controller
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.robot_description import RobotDescription, load_description
-from rover_ncp.core.robot_profile import OF_THE_GROUND, RoverProfile
 from rover_ncp.core.streams import Domain, integer_seed, random_stream
 from rover_ncp.course.course import Course, Verdict
+from rover_ncp.robot.description import RobotDescription, load_description
+from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
 from sim.evaluate.commands import Place
 from sim.evaluate.driver import Driver
 from sim.evaluate.evaluate import cause

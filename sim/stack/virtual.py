@@ -21,9 +21,10 @@ from deploy.drive_records import TickRecord
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.key_table import spec
-from rover_ncp.core.messages import read_bumpers, read_text, twist_stamped
-from rover_ncp.core.protocol import (
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire.key_table import spec
+from rover_ncp.wire.messages import read_bumpers, read_text, twist_stamped
+from rover_ncp.wire.protocol import (
     GateStatus,
     MotorsReply,
     MotorsRequest,
@@ -31,7 +32,6 @@ from rover_ncp.core.protocol import (
     dump_json,
     parse_json,
 )
-from rover_ncp.core.recording import Recorded
 from sim.live.peers import known_pose
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.ros2_robot import Ros2Robot

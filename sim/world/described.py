@@ -9,8 +9,8 @@ from pathlib import Path
 
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import USUAL_ROBOT
-from rover_ncp.core.robot_description import RobotDescription, load_description
-from rover_ncp.core.robot_profile import load_profile
+from rover_ncp.robot.description import RobotDescription, load_description
+from rover_ncp.robot.profile import load_profile
 from sim.world.bodies import PRESETS, Body
 from sim.world.randomization import Randomization, load_randomization
 from sim.world.rover import RoverModel

@@ -17,9 +17,9 @@ from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S
+from rover_ncp.robot.profile import RoverProfile
 from sim.world.bodies import PRESETS, Body
 from sim.world.rover import SUBSTEP_S, RoverModel
 from sim.world.skid_robot import SkidRanges

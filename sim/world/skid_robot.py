@@ -5,8 +5,8 @@ import math
 from pydantic import Field
 
 from rover_ncp.core.config import StrictModel
-from rover_ncp.core.robot_description import RobotDescription
 from rover_ncp.core.streams import Domain, random_stream
+from rover_ncp.robot.description import RobotDescription
 
 
 class Contact(StrictModel):

@@ -46,7 +46,7 @@ def _step_clock(number: int, _: object) -> None:
 
 def _silence_close(*_: object) -> None:
     from bridge.pioneer.base import ArcosBase
-    from bridge.ros_base.base import Ros2Base
+    from bridge.ros2.base import Ros2Base
 
     for base in (ArcosBase, Ros2Base):
         base.close = lambda self, now: None

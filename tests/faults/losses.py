@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import psutil
 
-from rover_ncp.core.key_table import spec
-from rover_ncp.core.recording import header_stamp_ns, read_recording, rewrite
+from rover_ncp.recording.recording import header_stamp_ns, read_recording, rewrite
+from rover_ncp.wire.key_table import spec
 
 MEMORY_MB, MEMORY_MB_PER_MIN = 4.0, 0.5
 """Growth above both is a leak: an allocator settles after a while, and a leak goes on."""

@@ -23,7 +23,7 @@ from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 
-from bridge.transport import ABORT
+from bridge.pioneer.transport import ABORT
 from sim.live.processes import Applied, Process
 from sim.pioneer.lateness import Lateness
 

@@ -13,8 +13,8 @@ from deploy.drive.lease import DriverLease
 from deploy.zenoh_client import client_config
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import read_odometry, read_text, twist_stamped
-from rover_ncp.core.protocol import (
+from rover_ncp.wire.messages import read_odometry, read_text, twist_stamped
+from rover_ncp.wire.protocol import (
     GateStatus,
     MotorsReply,
     MotorsRequest,

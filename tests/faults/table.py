@@ -19,8 +19,8 @@ from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
 from faults.rig import SPEED_M_S, Scene, Unsafe
 from faults.row import CIRCUIT, SCRIPTED, Act, Row
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.messages import odometry, text, twist_stamped
-from rover_ncp.core.protocol import CONTACTS
+from rover_ncp.wire.messages import odometry, text, twist_stamped
+from rover_ncp.wire.protocol import CONTACTS
 from sim.live.processes import Process, wait_for
 
 LONG_LEASE_S = 30.0

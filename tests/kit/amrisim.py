@@ -13,7 +13,7 @@ from arcos_captures import CAPTURES
 from bridge.pioneer.arcos import Decoder
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Kind, Sip
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
 from sim.pioneer.firmware import ClientState, Firmware
 from sim.pioneer.server import Server
 from sim.world.described import described_rover

@@ -9,7 +9,7 @@ import time
 from bridge_bench import client
 
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import read_text, twist_stamped
+from rover_ncp.wire.messages import read_text, twist_stamped
 
 VELOCITY = Velocity(-0.25, 0.5)
 """What it wants; no policy of these tests drives backward."""

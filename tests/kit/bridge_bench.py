@@ -6,10 +6,10 @@ from zenoh_session import open_session
 
 from deploy.drive.lease import DriverLease
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.key_table import key
-from rover_ncp.core.messages import read_odometry, read_text, read_twist, twist_stamped
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.core.protocol import (
+from rover_ncp.wire.key_table import key
+from rover_ncp.wire.messages import read_odometry, read_text, read_twist, twist_stamped
+from rover_ncp.wire.protocol import (
     GateStatus,
     MotorsReply,
     MotorsRequest,

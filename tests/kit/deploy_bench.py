@@ -15,9 +15,9 @@ from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.geometry import Pose, Velocity, compose
-from rover_ncp.core.key_table import key
-from rover_ncp.core.messages import odometry, read_twist, text
-from rover_ncp.core.protocol import (
+from rover_ncp.wire.key_table import key
+from rover_ncp.wire.messages import odometry, read_twist, text
+from rover_ncp.wire.protocol import (
     CommandTag,
     GateStatus,
     MotorsReply,

@@ -20,23 +20,27 @@ from bridge.inbox import RobotMessage
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command, encode_frame
 from bridge.pioneer.packets import ConfigPac, GyroPac, Sip, decode_names, encode_names
 from bridge.pioneer.session import Session
-from bridge.ros.discovery import read_topic_token, topic_token
-from bridge.ros.rmw import read_token
-from bridge.ros_base.address import parse_address
-from bridge.ros_base.base import Ros2Base, TokenSeen
+from bridge.ros2.address import parse_address
+from bridge.ros2.base import Ros2Base, TokenSeen
+from bridge.ros2.discovery import read_topic_token, topic_token
+from bridge.ros2.rmw import read_token
 from deploy.drive.config import CONFIG_FILE, COURSE_FILE, POLICY_FILE, DriveConfig
 from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.replay import replay
 from deploy.report.recorded_drive import read_drive
 from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
-from rover_ncp.core import protocol as lease
 from rover_ncp.core.config import dump_yaml, parse_yaml
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import read_bytes, resolve, shipped_names
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.key_table import KEYS, Kind, spec
-from rover_ncp.core.messages import (
+from rover_ncp.course.course import Course
+from rover_ncp.recording.recording import Recorded, RecordingWriter, header_stamp_ns, read_recording
+from rover_ncp.robot.description import RobotDescription, load_description
+from rover_ncp.robot.profile import RoverProfile
+from rover_ncp.wire import protocol as lease
+from rover_ncp.wire.key_table import KEYS, Kind, spec
+from rover_ncp.wire.messages import (
     battery_state,
     decode,
     imu,
@@ -51,10 +55,6 @@ from rover_ncp.core.messages import (
     text,
     twist_stamped,
 )
-from rover_ncp.core.recording import Recorded, RecordingWriter, header_stamp_ns, read_recording
-from rover_ncp.core.robot_description import RobotDescription, load_description
-from rover_ncp.core.robot_profile import RoverProfile
-from rover_ncp.course.course import Course
 from sim.pioneer.client_commands import decode_argument
 from sim.pioneer.firmware import Firmware
 from sim.world.described import default_rover

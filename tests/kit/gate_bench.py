@@ -10,7 +10,7 @@ from bridge.gate.gate import step
 from bridge.gate.limits import Limits
 from bridge.gate.state import Enable, GateState, Release, VelocityCommand
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.protocol import CommandTag
+from rover_ncp.wire.protocol import CommandTag
 
 SECRET = bytes(range(32))
 SLOW = Velocity(0.1, -0.1)

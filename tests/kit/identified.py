@@ -14,10 +14,10 @@ from deploy.identify.fit import identify
 from deploy.identify.motion_log import motion_log
 from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance
-from rover_ncp.core.recording import Recorded
-from rover_ncp.core.robot_profile import OF_THE_GROUND, RoverProfile
 from rover_ncp.core.streams import Domain, random_stream
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
+from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, rover_of
 from sim.stack.virtual import VirtualBridge, VirtualLink

@@ -5,8 +5,8 @@ import struct
 
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command, encode_frame
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
-from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import Obstacle
+from rover_ncp.robot.description import load_description
 from sim.pioneer.client_commands import STRING
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import ClientState, Firmware

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
-from rover_ncp.core import messages
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.geometry import Pose, Velocity, compose
-from rover_ncp.core.key_table import spec
-from rover_ncp.core.protocol import DriverStatus, GateStatus, dump_json
-from rover_ncp.core.recording import Recorded, RecordingWriter
 from rover_ncp.course.course import load_course
+from rover_ncp.recording.recording import Recorded, RecordingWriter
+from rover_ncp.wire import messages
+from rover_ncp.wire.key_table import spec
+from rover_ncp.wire.protocol import DriverStatus, GateStatus, dump_json
 from sim.learn.rollout import rollout
 
 BEGAN_NS = 1_700_000_000_000_000_000

@@ -4,9 +4,9 @@ from ros_cdr import odometry
 
 from bridge.base import BaseReport, Setpoint, TurnRate
 from bridge.inbox import RobotMessage
-from bridge.ros_base.base import Ros2Base
+from bridge.ros2.base import Ros2Base
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
 
 BURGER = load_description("turtlebot3-burger")
 EPOCH_S = 1.7e9

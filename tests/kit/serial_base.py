@@ -13,7 +13,7 @@ from dataclasses import replace
 from bridge.pioneer.arcos import Command, Packet
 from bridge.pioneer.baud import RATES
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of
 from sim.world.described import described_rover

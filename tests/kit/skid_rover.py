@@ -8,7 +8,7 @@ from base_odometry import reported
 
 from deploy.estimator.estimator import Estimator
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
-from rover_ncp.course.random_course import random_course
+from sim.world.random_course import random_course
 
 TICK_S, PARTS = 0.1, 10
 ACCEL = np.array([0.31, 1.25])

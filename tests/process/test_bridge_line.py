@@ -7,11 +7,11 @@ from itertools import pairwise
 
 import pytest
 
-from bridge import base_connection as line_module
-from bridge import transport
-from bridge.base_connection import BaseConnection, Broken, Opened, Received
 from bridge.inbox import MAX_MESSAGES, CommandMessage, Inbox, Query, RobotMessage
-from bridge.transport import TcpTransport
+from bridge.pioneer import base_connection as line_module
+from bridge.pioneer import transport
+from bridge.pioneer.base_connection import BaseConnection, Broken, Opened, Received
+from bridge.pioneer.transport import TcpTransport
 from rover_ncp.core.errors import NoRobot
 
 

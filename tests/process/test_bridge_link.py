@@ -6,9 +6,9 @@ import zenoh
 from bridge_bench import client, wait_for
 
 from bridge.inbox import Inbox
-from bridge.ros.rmw import Attachment
-from bridge.ros.rmw_node import read_command
-from bridge.zenoh_link import ZenohLink
+from bridge.ros2.rmw import Attachment
+from bridge.ros2.rmw_node import read_command
+from bridge.zenoh.link import ZenohLink
 
 
 def test_a_huge_command_reaches_the_loop_as_no_more_than_one_that_is_too_long():

@@ -7,9 +7,9 @@ import pytest
 from bridge_bench import MACHINE_S, Driver, Rig, braking_s, wait_for
 
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.key_table import KEYS, Kind, Role, spec
-from rover_ncp.core.messages import decode, twist_stamped
-from rover_ncp.core.protocol import CommandTag
+from rover_ncp.wire.key_table import KEYS, Kind, Role, spec
+from rover_ncp.wire.messages import decode, twist_stamped
+from rover_ncp.wire.protocol import CommandTag
 from sim.live.live_run import ROS2DDS
 
 STOP_S = 0.5

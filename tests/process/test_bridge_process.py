@@ -14,7 +14,7 @@ import pytest
 from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, wait_for
 
 from rover_ncp import cli
-from rover_ncp.core.protocol import MotorsReply, MotorsRequest, dump_json, parse_json
+from rover_ncp.wire.protocol import MotorsReply, MotorsRequest, dump_json, parse_json
 from sim.live.processes import Process
 from sim.live.truth import TruthReader
 

@@ -11,13 +11,13 @@ from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, client, wa
 from zenoh_session import open_session
 
 from bridge.inbox import CommandMessage, Inbox
-from bridge.ros.discovery import Convention
-from bridge.ros.rmw import Attachment, Graph, Topic, domain_id, gid, read_token
-from bridge.zenoh_link import ZenohLink
+from bridge.ros2.discovery import Convention
+from bridge.ros2.rmw import Attachment, Graph, Topic, domain_id, gid, read_token
+from bridge.zenoh.link import ZenohLink
 from rover_ncp.core.errors import FormatError, UsageError
-from rover_ncp.core.key_table import KEYS, Kind, Role, spec
-from rover_ncp.core.messages import Transform, decode, transforms
 from rover_ncp.core.process import ClosedAtExit
+from rover_ncp.wire.key_table import KEYS, Kind, Role, spec
+from rover_ncp.wire.messages import Transform, decode, transforms
 
 # Type hashes as ROS 2 Jazzy's own packages carry them.
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"

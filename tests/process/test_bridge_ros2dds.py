@@ -2,8 +2,8 @@
 
 from bridge_bench import Rig, client
 
-from bridge.ros.discovery import bridge_token, topic_token
-from rover_ncp.core.key_table import KEYS, Kind, Role
+from bridge.ros2.discovery import bridge_token, topic_token
+from rover_ncp.wire.key_table import KEYS, Kind, Role
 
 
 def test_tokens_have_the_form_that_the_ros_bridge_reads():

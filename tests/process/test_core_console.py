@@ -12,7 +12,7 @@ from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
 
 from deploy.drive_records import TICKS_TOPIC
 from rover_ncp.core.console import ROOM_BYTES, Writer, printable
-from rover_ncp.core.recording import read_recording
+from rover_ncp.recording.recording import read_recording
 
 COMMAND = [sys.executable, "-m", "rover_ncp"]
 SHORT = "tests/data/short_course.yaml"

@@ -3,7 +3,7 @@
 import pytest
 
 from deploy.report.recorded_drive import read_drive
-from rover_ncp.core.messages import bumpers
+from rover_ncp.wire.messages import bumpers
 
 ANYWHERE = """
 name: anywhere

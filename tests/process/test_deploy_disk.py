@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from paths import DATA
 
 from rover_ncp import cli
-from rover_ncp.core.recording import read_recording
+from rover_ncp.recording.recording import read_recording
 from sim.live.processes import compile_driver
 
 COURSE = DATA / "prompt_course.yaml"

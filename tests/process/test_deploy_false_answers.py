@@ -8,7 +8,7 @@ from bridge_bench import Rig, client, wait_for
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.watch.viewer import Viewer
 from deploy.zenoh_client import BridgeAddress
-from rover_ncp.core.protocol import BaseReply, StopReply, TimeoutState, dump_json
+from rover_ncp.wire.protocol import BaseReply, StopReply, TimeoutState, dump_json
 
 FALSE = {
     "rover/stop": dump_json(StopReply(stopped=False, reason="false")),

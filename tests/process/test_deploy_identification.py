@@ -17,10 +17,10 @@ from deploy.identify.motion_log import MotionLog, Track, motion_log
 from rover_ncp.cli import run
 from rover_ncp.core.errors import FileError, SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, distance
-from rover_ncp.core.messages import odometry, twist_stamped
-from rover_ncp.core.recording import Recorded, RecordingWriter
-from rover_ncp.core.robot_description import load_description
-from rover_ncp.core.robot_profile import load_profile
+from rover_ncp.recording.recording import Recorded, RecordingWriter
+from rover_ncp.robot.description import load_description
+from rover_ncp.robot.profile import load_profile
+from rover_ncp.wire.messages import odometry, twist_stamped
 from sim.live.live_run import LiveRun
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.trial import BaseTrial, rover_of

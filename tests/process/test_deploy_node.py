@@ -13,9 +13,9 @@ from deploy_bench import LEASE, ODOM_AT_START, STILL
 from deploy.replay import replay
 from rover_ncp.core.errors import AnotherDriver, NoBridge, NoRobot
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance
-from rover_ncp.core.messages import odometry, read_pose
-from rover_ncp.core.protocol import GateStatus
-from rover_ncp.core.recording import read_recording
+from rover_ncp.recording.recording import read_recording
+from rover_ncp.wire.messages import odometry, read_pose
+from rover_ncp.wire.protocol import GateStatus
 
 
 @pytest.fixture

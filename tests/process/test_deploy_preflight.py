@@ -9,9 +9,9 @@ import pytest
 from bridge_bench import BRAKING_M_S2, Rig, wait_for
 from json_fields import undescribed
 
-from deploy.preflight.preflight import STANDING, Battery, Preflight
+from deploy.check import STANDING, Battery, Preflight
 from rover_ncp import cli
-from rover_ncp.core.protocol import BaseReply
+from rover_ncp.wire.protocol import BaseReply
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import pytest
 
 from deploy.recorder import Recorder
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.messages import read_text, text
-from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording
+from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
+from rover_ncp.wire.messages import read_text, text
 
 
 def note(words, now_ns=None):

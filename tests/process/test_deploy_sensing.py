@@ -10,10 +10,10 @@ from deploy.drive_records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
 from rover_ncp.core.errors import NoPose
 from rover_ncp.core.geometry import Pose, compose, distance, inverse
-from rover_ncp.core.key_table import key
-from rover_ncp.core.messages import imu, odometry, pose_with_covariance, read_pose, read_text
-from rover_ncp.core.protocol import parse_json
-from rover_ncp.core.recording import read_recording, rewrite
+from rover_ncp.recording.recording import read_recording, rewrite
+from rover_ncp.wire.key_table import key
+from rover_ncp.wire.messages import imu, odometry, pose_with_covariance, read_pose, read_text
+from rover_ncp.wire.protocol import parse_json
 
 
 def localised(bridge, course_odom, frame="course"):

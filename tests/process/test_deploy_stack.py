@@ -6,9 +6,9 @@ from paths import DATA
 from deploy.drive_records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
 from rover_ncp.core.geometry import wrap_angle
-from rover_ncp.core.messages import read_text
-from rover_ncp.core.protocol import parse_json
-from rover_ncp.core.recording import read_recording
+from rover_ncp.recording.recording import read_recording
+from rover_ncp.wire.messages import read_text
+from rover_ncp.wire.protocol import parse_json
 from sim.live.live_run import LiveRun
 
 

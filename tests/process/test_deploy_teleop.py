@@ -17,8 +17,8 @@ from json_fields import undescribed
 
 from deploy.teleop.keyboard import HOLD_S, V_M_S
 from rover_ncp import cli
-from rover_ncp.core.recording import read_recording
 from rover_ncp.course.course import load_course
+from rover_ncp.recording.recording import read_recording
 
 REPEAT_S, DELAY_S = 0.033, 0.3
 # As in a shell: the terminal is the process's own, so that Ctrl-C is a signal.

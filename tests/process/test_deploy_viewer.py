@@ -6,8 +6,8 @@ from bridge_bench import wait_for
 from deploy.watch.viewer import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.errors import NotAuthorised
-from rover_ncp.core.messages import read_text
-from rover_ncp.core.protocol import GateStatus, parse_json
+from rover_ncp.wire.messages import read_text
+from rover_ncp.wire.protocol import GateStatus, parse_json
 
 
 def gates(heard):

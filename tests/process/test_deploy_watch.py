@@ -19,12 +19,12 @@ from deploy.report.page.feed import Feed, Place
 from deploy.watch import server
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core import messages
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import NoBridge
-from rover_ncp.core.protocol import DriverStatus, StopReply, dump_json
-from rover_ncp.core.recording import Recorded
 from rover_ncp.course.course import load_course
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire import messages
+from rover_ncp.wire.protocol import DriverStatus, StopReply, dump_json
 from sim.live.live_run import LiveRun
 from sim.live.processes import Process
 

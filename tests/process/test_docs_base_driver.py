@@ -16,7 +16,7 @@ from paths import ROOT
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import read_odometry
+from rover_ncp.wire.messages import read_odometry
 from sim.live.processes import wait_for
 
 PAGE = (ROOT / "docs" / "base_driver.md").read_text()

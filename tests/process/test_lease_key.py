@@ -3,7 +3,7 @@
 import json
 
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.protocol import MotorsReply, parse_json
+from rover_ncp.wire.protocol import MotorsReply, parse_json
 from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.described import default_rover

@@ -12,8 +12,8 @@ from deploy.drive.zenoh_link import ZenohLink
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import text, twist_stamped
-from rover_ncp.core.protocol import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json
+from rover_ncp.wire.messages import text, twist_stamped
+from rover_ncp.wire.protocol import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json
 
 OLD_REQUEST = {"enable": True, "driver": "ab" * 16, "name": "old", "sent_ns": 1}
 BOTH = (

@@ -7,10 +7,10 @@ from attacker import Attacker
 from bridge_bench import wait_for
 
 from deploy.drive_records import TICKS_TOPIC, TickRecord
-from rover_ncp.core.messages import read_text, read_twist
-from rover_ncp.core.protocol import parse_json
-from rover_ncp.core.recording import read_recording
 from rover_ncp.course.course import load_course
+from rover_ncp.recording.recording import read_recording
+from rover_ncp.wire.messages import read_text, read_twist
+from rover_ncp.wire.protocol import parse_json
 from sim.live.live_run import LiveRun
 from sim.live.truth import judge_truth
 

@@ -12,7 +12,7 @@ from pioneer_bench import Pioneer
 from bridge.base import BaseReport
 from bridge.pioneer.session import Session
 from bridge.pioneer.states import SessionState
-from bridge.transport import open_transport
+from bridge.pioneer.transport import open_transport
 from rover_ncp.cli import run
 from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity

@@ -4,9 +4,9 @@ import pytest
 from browser import Watched, chromium
 from recorded_drives import BEGAN_NS, TICK_NS, write_drive
 
-from rover_ncp.core import messages
-from rover_ncp.core.protocol import DriverStatus, dump_json
-from rover_ncp.core.recording import Recorded
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire import messages
+from rover_ncp.wire.protocol import DriverStatus, dump_json
 from sim.explain.report import write_page
 
 pytestmark = pytest.mark.browser

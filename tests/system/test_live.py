@@ -8,8 +8,8 @@ from paths import DATA
 
 from deploy.replay import replay
 from rover_ncp.cli import run
-from rover_ncp.core.recording import read_recording
-from rover_ncp.core.robot_profile import load_profile
+from rover_ncp.recording.recording import read_recording
+from rover_ncp.robot.profile import load_profile
 
 pytestmark = pytest.mark.timed
 

@@ -8,7 +8,7 @@ from json_fields import assert_on_page
 
 from deploy.replay import replay
 from rover_ncp.cli import run
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
 
 FIFTH = """
 name: fifth

@@ -27,8 +27,8 @@ from paths import DATA, ROOT
 
 from deploy.zenoh_client import client_config
 from rover_ncp.core.geometry import relative, wrap_angle
-from rover_ncp.core.key_table import key
-from rover_ncp.core.messages import COURSE_FRAME, pose_with_covariance, read_pose
+from rover_ncp.wire.key_table import key
+from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance, read_pose
 from sim.live.peers import Peer
 from sim.live.processes import wait_for
 

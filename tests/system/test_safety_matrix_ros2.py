@@ -18,7 +18,7 @@ from faults.row import DELAY_S, LOW_BATTERY_S, STOP_S
 from faults.table import MATRIX, ROS2_ROWS, ROWS
 from paths import DATA, ROOT
 
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
 from sim.live.live_run import RMW_ZENOH, ROS2DDS
 from sim.live.processes import Process, wait_for
 from sim.live.truth import SAMPLE_S

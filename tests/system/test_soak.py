@@ -15,8 +15,8 @@ from faults.soak_report import table, verdict
 from faults.table import ROWS
 
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.messages import odometry, twist_stamped
-from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording
+from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
+from rover_ncp.wire.messages import odometry, twist_stamped
 
 pytestmark = pytest.mark.timed
 

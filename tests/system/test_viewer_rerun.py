@@ -11,7 +11,7 @@ from paths import DATA
 from recorded_drives import write_drive
 
 from rover_ncp import cli
-from rover_ncp.core.recording import read_recording
+from rover_ncp.recording.recording import read_recording
 
 pytestmark = pytest.mark.browser
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.core.files import USUAL_ROBOT
-from rover_ncp.core.robot_description import Circle, RobotDescription, load_description
+from rover_ncp.robot.description import Circle, RobotDescription, load_description
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

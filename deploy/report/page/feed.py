@@ -23,9 +23,9 @@ from deploy.report.page.page_data import columns, event_rows
 from deploy.report.recorded_drive import facts
 from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.protocol import in_words
-from rover_ncp.core.recording import Recorded
 from rover_ncp.course.course import Course, Verdict
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire.protocol import in_words
 
 FINAL = frozenset({"parked", "ended", "fault"})
 """States of a driver whose drive has ended."""

@@ -6,11 +6,11 @@ import pytest
 from base_report import STAMP
 
 from bridge.base import BaseReport, shape_of
-from bridge.ros import messages as ros
-from bridge.ros.covariance import OdometryErrors
+from bridge.ros2 import messages as ros
+from bridge.ros2.covariance import OdometryErrors
 from rover_ncp.core.files import shipped_names
-from rover_ncp.core.messages import decode
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
+from rover_ncp.wire.messages import decode
 
 ROBOTS = pytest.mark.parametrize("name", shipped_names("robots"))
 

@@ -21,7 +21,7 @@ from bridge.gate.state import (
     VelocityCommand,
 )
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.protocol import CommandTag
+from rover_ncp.wire.protocol import CommandTag
 
 SECRET = bytes(range(32))
 SLOW = Velocity(0.1, -0.1)

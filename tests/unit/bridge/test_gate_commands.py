@@ -19,7 +19,7 @@ from bridge.gate.state import (
     read_tag,
 )
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.protocol import CommandTag, Signed
+from rover_ncp.wire.protocol import CommandTag, Signed
 
 INVALID = [
     (None, Reason.UNREADABLE),

@@ -8,7 +8,7 @@ from gate_bench import LIMITS, SLOW, Gate
 from bridge.base import BaseReport
 from bridge.gate.limits import Limits
 from bridge.gate.state import ZERO, BaseLost, Reason, Tick, VelocityCommand
-from rover_ncp.core.protocol import CommandTag
+from rover_ncp.wire.protocol import CommandTag
 
 # A pose that stands still
 

@@ -8,8 +8,8 @@ from bridge.gate.limits import Fence, Limits
 from bridge.pioneer.arcos import Command, Decoder
 from deploy.drive.lease import DriverLease
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import read_odometry, read_text, read_twist, twist_stamped
-from rover_ncp.core.protocol import (
+from rover_ncp.wire.messages import read_odometry, read_text, read_twist, twist_stamped
+from rover_ncp.wire.protocol import (
     GateStatus,
     MotorsReply,
     MotorsRequest,

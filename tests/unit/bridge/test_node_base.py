@@ -9,8 +9,9 @@ from bridge.node import Node
 from deploy.drive.lease import DriverLease
 from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import twist_stamped
-from rover_ncp.core.protocol import (
+from rover_ncp.robot.description import load_description
+from rover_ncp.wire.messages import twist_stamped
+from rover_ncp.wire.protocol import (
     BaseReply,
     BaseRequest,
     MotorsReply,
@@ -20,7 +21,6 @@ from rover_ncp.core.protocol import (
     dump_json,
     parse_json,
 )
-from rover_ncp.core.robot_description import load_description
 
 STOP = Setpoint(Velocity(0.0, 0.0), motors=False, emergency=False)
 

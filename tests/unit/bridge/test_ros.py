@@ -10,11 +10,11 @@ from base_report import STAMP, STATE
 from bridge.base import LinkHealth
 from bridge.gate.state import GateState, Lease, Reason
 from bridge.pioneer.robots import ROBOTS
-from bridge.ros import messages as ros
-from bridge.ros.covariance import Variances
-from rover_ncp.core.key_table import spec
-from rover_ncp.core.messages import decode, read_odometry, text
-from rover_ncp.core.protocol import dump_json
+from bridge.ros2 import messages as ros
+from bridge.ros2.covariance import Variances
+from rover_ncp.wire.key_table import spec
+from rover_ncp.wire.messages import decode, read_odometry, text
+from rover_ncp.wire.protocol import dump_json
 
 ROBOT = ROBOTS["p3at-sh"]
 

@@ -3,9 +3,9 @@
 import pytest
 
 from bridge.bases import choose_base
-from bridge.ros.discovery import Announced, read_topic_token, topic_token
-from bridge.ros.rmw import Graph, Topic, read_token
-from bridge.ros_base.address import RosAddress, parse_address
+from bridge.ros2.address import RosAddress, parse_address
+from bridge.ros2.discovery import Announced, read_topic_token, topic_token
+from bridge.ros2.rmw import Graph, Topic, read_token
 from rover_ncp.core.errors import ConfigError, UsageError
 
 

@@ -23,11 +23,11 @@ from ros_cdr import (
 )
 
 from bridge.base import Failed, Lost, Notice, Ready, Recovered
-from bridge.ros.discovery import Announced
-from bridge.ros_base.base import LoopSeen, TokenSeen
-from bridge.ros_base.odometry import RosOdometer
+from bridge.ros2.base import LoopSeen, TokenSeen
+from bridge.ros2.discovery import Announced
+from bridge.ros2.odometry import RosOdometer
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
 
 
 def test_it_is_ready_when_odometry_arrives_evenly(ready):

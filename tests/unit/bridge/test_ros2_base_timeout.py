@@ -5,13 +5,14 @@ from ros2_world import BURGER, World
 from ros_cdr import TwistStamped, twist
 
 from bridge.base import Lost
-from bridge.ros_base.base_timeout import BaseTimeout
+from bridge.ros2.base_timeout import BaseTimeout
 from deploy.drive.lease import DriverLease
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import shipped_names
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import twist_stamped
-from rover_ncp.core.protocol import (
+from rover_ncp.robot.description import load_description
+from rover_ncp.wire.messages import twist_stamped
+from rover_ncp.wire.protocol import (
     BaseReply,
     BaseRequest,
     MotorsReply,
@@ -21,7 +22,6 @@ from rover_ncp.core.protocol import (
     dump_json,
     parse_json,
 )
-from rover_ncp.core.robot_description import load_description
 from sim.pioneer.ros2_robot import Ros2Robot
 from sim.stack.virtual import VirtualBridge
 from sim.world.described import described_rover

@@ -6,7 +6,7 @@ import pytest
 from ros2_world import EPOCH_S, World
 from ros_cdr import LaserScan, header
 
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
 
 
 def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, least_m=0.1):

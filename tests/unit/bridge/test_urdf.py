@@ -9,10 +9,10 @@ import pytest
 from base_report import STAMP, STATE
 
 from bridge.pioneer.robots import ROBOTS
-from bridge.ros import messages as ros
-from bridge.ros.urdf import urdf
+from bridge.ros2 import messages as ros
+from bridge.ros2.urdf import urdf
 from rover_ncp import cli
-from rover_ncp.core.messages import decode
+from rover_ncp.wire.messages import decode
 
 MODELS = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 

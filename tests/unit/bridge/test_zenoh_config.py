@@ -6,10 +6,10 @@ from datetime import datetime
 import pytest
 import zenoh
 
-from bridge.zenoh_config import configured
-from rover_ncp.core.credentials import make_credentials
+from bridge.zenoh.config import configured
+from bridge.zenoh.credentials import make_credentials
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.zenoh_settings import CLIENT
+from rover_ncp.wire.zenoh import CLIENT
 
 DROP_WAIT = "transport/link/tx/queue/congestion_control/drop/wait_before_drop"
 
@@ -76,7 +76,7 @@ def test_own_access_rules_that_include_the_commands_are_accepted(tmp_path, key_e
 
 
 def test_keys_are_refused_while_the_clock_is_wrong(keys, monkeypatch):
-    monkeypatch.setattr("bridge.zenoh_config.datetime", Clock)
+    monkeypatch.setattr("bridge.zenoh.config.datetime", Clock)
     with pytest.raises(FileError, match=r"not yet valid.*clock says 1970-01-01"):
         configured(None, keys(""), False, "cmd_vel")
 

@@ -3,7 +3,7 @@
 import pytest
 
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.key_table import KEYS, Kind, Role, key, spec
+from rover_ncp.wire.key_table import KEYS, Kind, Role, key, spec
 
 
 @pytest.mark.parametrize(

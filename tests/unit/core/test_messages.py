@@ -9,11 +9,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from rover_ncp.core import cdr, messages
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
-from rover_ncp.core.key_table import KEYS, Kind
-from rover_ncp.core.messages import imu, read_imu
+from rover_ncp.wire import cdr, messages
+from rover_ncp.wire.key_table import KEYS, Kind
+from rover_ncp.wire.messages import imu, read_imu
 
 STAMP = 1_700_000_123_456_789_012
 UNKNOWN = 1e6

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import twist_stamped
-from rover_ncp.core.protocol import (
+from rover_ncp.wire.messages import twist_stamped
+from rover_ncp.wire.protocol import (
     KEY_BYTES,
     PROTOCOL,
     VERSION_REASON,

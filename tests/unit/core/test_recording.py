@@ -13,12 +13,11 @@ from mcap.records import Chunk
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
-from rover_ncp.core import mcap_records, recording
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.mcap_records import MAGIC, RECORD_LIMIT
-from rover_ncp.core.messages import Transform, odometry, pose_stamped, text, transforms
-from rover_ncp.core.recording import (
+from rover_ncp.recording import mcap_records, recording
+from rover_ncp.recording.mcap_records import MAGIC, RECORD_LIMIT
+from rover_ncp.recording.recording import (
     Recorded,
     RecordingWriter,
     header_stamp_ns,
@@ -26,6 +25,7 @@ from rover_ncp.core.recording import (
     recover,
     rewrite,
 )
+from rover_ncp.wire.messages import Transform, odometry, pose_stamped, text, transforms
 
 T0 = 1_700_000_000_000_000_000
 POLICY = b"format: 1\n" * 50

@@ -7,11 +7,11 @@ from bridge.base import shape_of
 from bridge.bases import choose_base, gate_limits
 from bridge.pioneer.robots import NAMES
 from bridge.pioneer.setpoints import MotionLimits
-from bridge.ros.urdf import urdf
+from bridge.ros2.urdf import urdf
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.core.files import resolve, shipped_names
-from rover_ncp.core.protocol import BaseReply, parse_json
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
+from rover_ncp.wire.protocol import BaseReply, parse_json
 from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import VirtualBridge
 from sim.world.described import described_rover

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rover_ncp.core.streams import Domain, episode_seeds, integer_seed, random_stream, stream_seed
-from rover_ncp.course.random_course import random_course
 from sim.world.described import default_rover
+from sim.world.random_course import random_course
 from sim.world.randomization import draw_trials, load_randomization
 from sim.world.skid_robot import SkidRanges, draw_robot
 

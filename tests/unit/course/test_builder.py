@@ -8,12 +8,12 @@ import pytest
 from rover_ncp.core.config import parse_yaml
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative
-from rover_ncp.core.messages import odometry
-from rover_ncp.core.recording import Recorded, RecordingWriter
 from rover_ncp.course.builder import Place, PoseList, course_yaml, make_course, read_poses
 from rover_ncp.course.course import Course
 from rover_ncp.course.feasibility import Cause
 from rover_ncp.course.reference import drive_profile
+from rover_ncp.recording.recording import Recorded, RecordingWriter
+from rover_ncp.wire.messages import odometry
 
 START = Pose(2.0, -1.0, 2.5)
 

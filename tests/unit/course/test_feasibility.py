@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import Checkpoint, Course, Obstacle, load_course
 from rover_ncp.course.feasibility import Cause, check_course
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
+from rover_ncp.robot.description import load_description
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, rover_body
 

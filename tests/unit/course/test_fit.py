@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import load_course
 from rover_ncp.course.feasibility import check_course
 from rover_ncp.course.fit import enlarged, slowed
 from rover_ncp.course.reference import COMMAND_MAX, OMEGA_MAX, V_MAX, plan_reference
+from rover_ncp.robot.description import load_description
 
 PARKING, BAY = load_course("parking"), load_course("bay")
 BURGER, HUSKY = load_description("turtlebot3-burger"), load_description("husky-a200")

@@ -10,7 +10,7 @@ from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
 
 DT = 0.1
 STILL = Velocity(0.0, 0.0)

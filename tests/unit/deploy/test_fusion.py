@@ -13,7 +13,7 @@ from deploy.estimator.history import History
 from deploy.estimator.motion import OMEGA, initial, true_motion, turned_without_gain
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
-from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.robot.profile import RoverProfile
 
 DT = 0.1
 SETTINGS = EstimatorSettings()

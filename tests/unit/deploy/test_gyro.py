@@ -11,7 +11,7 @@ from deploy.estimator.estimator import Estimator
 from deploy.estimator.motion import BIAS
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
 
 TRUE_BIAS = 0.1
 NOISE_RAD = 0.0006

@@ -9,7 +9,7 @@ import pytest
 
 from deploy.drive.measurements import NS, Arrival, Inbox, Measurements
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.messages import imu, odometry, pose_with_covariance
+from rover_ncp.wire.messages import imu, odometry, pose_with_covariance
 
 WALL_NS = 1_700_000_000 * NS
 MS = NS // 1000

@@ -9,8 +9,8 @@ from deploy.identify.fit import identify
 from deploy.identify.motion_log import MotionLog, Track, motion_log
 from deploy.identify.odometry_fit import Stand, fit_center, fit_turns
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.messages import COURSE_FRAME, odometry, pose_with_covariance, twist_stamped
-from rover_ncp.core.recording import Recorded
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire.messages import COURSE_FRAME, odometry, pose_with_covariance, twist_stamped
 
 RATES = [0.12, 0.12, 0.3, 0.3, 0.5, 0.5]
 NOISE_RAD = 0.0005

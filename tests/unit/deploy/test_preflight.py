@@ -7,12 +7,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from deploy.check import Battery, Preflight
 from deploy.drive.lease import NOT_ACCEPTED
 from deploy.drive.measurements import NS
-from deploy.preflight.preflight import Battery, Preflight
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.protocol import BaseReply, GateStatus
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
+from rover_ncp.wire.protocol import BaseReply, GateStatus
 
 
 def said(after):

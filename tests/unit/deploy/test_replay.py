@@ -20,10 +20,10 @@ from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml, save_poli
 from rover_ncp.cli import run as shell
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.key_table import spec
-from rover_ncp.core.messages import neurons, read_neurons, read_text, text, twist_stamped
-from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording, rewrite
 from rover_ncp.course.course import load_course
+from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording, rewrite
+from rover_ncp.wire.key_table import spec
+from rover_ncp.wire.messages import neurons, read_neurons, read_text, text, twist_stamped
 from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.described import default_rover

@@ -13,9 +13,9 @@ from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
 from rover_ncp.core.errors import NoPose, SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.messages import COURSE_FRAME, odometry, pose_with_covariance
-from rover_ncp.core.protocol import GateStatus
-from rover_ncp.core.robot_profile import RoverProfile
+from rover_ncp.robot.profile import RoverProfile
+from rover_ncp.wire.messages import COURSE_FRAME, odometry, pose_with_covariance
+from rover_ncp.wire.protocol import GateStatus
 
 NS = 1_000_000_000
 COVARIANCE = np.diag([1e-4, 1e-4, 1e-3])

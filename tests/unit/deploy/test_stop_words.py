@@ -7,7 +7,7 @@ from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.protocol import StopRequest, dump_json
+from rover_ncp.wire.protocol import StopRequest, dump_json
 from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.described import default_rover

@@ -9,10 +9,10 @@ import pytest
 
 from deploy.drive.publisher import ViewerTopics
 from rover_ncp.circuit.tap_withdrawal import PARKING_NEURONS
-from rover_ncp.core.cdr import decode
 from rover_ncp.core.geometry import Pose, compose
-from rover_ncp.core.key_table import KEYS
-from rover_ncp.core.messages import read_neurons
+from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.key_table import KEYS
+from rover_ncp.wire.messages import read_neurons
 from sim.live.truth import TRUTH_TOPIC
 
 NAMES = ("A", "B", "Long_name")

@@ -13,12 +13,12 @@ from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_cir
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import wrap_angle
 from rover_ncp.course.course import Obstacle, due_checkpoints, load_course
-from rover_ncp.course.random_course import mirrored, random_course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.evaluator import Evaluator
 from sim.learn.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.env import ENV_ID
+from sim.world.random_course import mirrored, random_course
 from sim.world.randomization import Sensors, draw_trials, load_randomization
 
 COURSE = load_course("parking")

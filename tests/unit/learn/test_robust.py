@@ -10,12 +10,12 @@ from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
-from rover_ncp.course.random_course import random_course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.evaluator import Evaluator, Outcomes
 from sim.learn.robust import RobustSearch, costs, drive_trials, policy_box, training_courses
 from sim.learn.search.unit_box import reflected
 from sim.world.described import default_rover
+from sim.world.random_course import random_course
 from sim.world.randomization import draw_trials, load_randomization
 
 COURSE, MODEL = load_course("parking"), default_rover()

@@ -11,8 +11,8 @@ from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import Flag
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import read_imu, read_odometry
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
+from rover_ncp.wire.messages import read_imu, read_odometry
 from sim.pioneer.client_commands import MockCommand
 from sim.pioneer.faults import FAULTS, Fault, Faults, parse_fault
 from sim.pioneer.firmware import ClientState

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from rover_ncp.core.robot_description import load_description
+from rover_ncp.robot.description import load_description
 from sim.pioneer.faults import Faults
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.real_time import RealTimeLoop

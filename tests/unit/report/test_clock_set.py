@@ -13,12 +13,13 @@ from deploy.drive_records import TICKS_TOPIC
 from deploy.report.page.page_data import columns
 from deploy.report.recorded_drive import facts, read_drive
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
-from rover_ncp.core import messages, recording
-from rover_ncp.core.arrays import read_arrays
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.geometry import Pose
-from rover_ncp.core.recording import Recorded, RecordingWriter, read_recording, rewrite
 from rover_ncp.course.course import load_course
+from rover_ncp.recording import recording
+from rover_ncp.recording.arrays import read_arrays
+from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording, rewrite
+from rover_ncp.wire import messages
 from sim.live.truth import TrueState, judge_truth, recorded_truth
 
 SHORT = "tests/data/short_course.yaml"

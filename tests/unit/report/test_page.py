@@ -16,11 +16,11 @@ from deploy.report.recorded_drive import read_drive, summarise
 from deploy.report.timeline import Timeline
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
-from rover_ncp.core import messages
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.protocol import DriverStatus, GateStatus, dump_json
-from rover_ncp.core.recording import Recorded
 from rover_ncp.course.course import load_course
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire import messages
+from rover_ncp.wire.protocol import DriverStatus, GateStatus, dump_json
 
 SHORT = "tests/data/short_course.yaml"
 STRING = "std_msgs/msg/String"

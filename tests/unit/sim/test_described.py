@@ -5,8 +5,8 @@ import json
 import pytest
 
 from rover_ncp.cli import run
-from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import load_course
+from rover_ncp.robot.description import load_description
 from sim.evaluate.driver import load_driver
 from sim.stack.trials import Stack
 from sim.world.bodies import Body

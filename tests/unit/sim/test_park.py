@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import pytest
 
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.robot_description import load_description
 from rover_ncp.course.course import load_course
 from rover_ncp.course.fit import slowed
+from rover_ncp.robot.description import load_description
 from sim.learn.record import course_of
 from sim.park import park
 from sim.park.commands import ParkOptions

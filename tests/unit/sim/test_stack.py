@@ -16,8 +16,8 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, distance
-from rover_ncp.core.robot_profile import OF_THE_GROUND, RoverProfile, load_profile
 from rover_ncp.course.course import load_course
+from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile, load_profile
 from sim.evaluate.commands import Place
 from sim.evaluate.driver import Driver, load_driver
 from sim.learn.rollout import rollout

@@ -9,12 +9,12 @@ from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.tap_withdrawal import tap_withdrawal_circuit
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose, compose, inverse
-from rover_ncp.core.robot_profile import RoverProfile
 from rover_ncp.course.course import load_course
-from rover_ncp.course.random_course import random_course
+from rover_ncp.robot.profile import RoverProfile
 from sim.learn.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.world.random_course import random_course
 from sim.world.randomization import (
     BaseErrors,
     OdometryErrors,

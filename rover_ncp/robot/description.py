@@ -1,7 +1,7 @@
 """Robot description: what a model of robot is like, from its makers' figures, with the source of each.
 
 Shipped descriptions and those of users are YAML; ``based_on`` takes all that a file leaves out from another
-one. A measured robot of that model is a `rover_ncp.core.robot_profile`.
+one. A measured robot of that model is a `rover_ncp.robot.profile`.
 """
 
 from datetime import date

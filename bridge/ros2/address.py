@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bridge.ros.discovery import Convention
-from bridge.transport import split_host
+from bridge.pioneer.transport import split_host
+from bridge.ros2.discovery import Convention
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.robot_description import Topics
+from rover_ncp.robot.description import Topics
 
 PREFIX = "ros2/"
 _PORT = 7447

@@ -22,13 +22,13 @@ from typing import IO, NamedTuple, Self
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 from mcap.writer import Writer
 
-from rover_ncp.core.cdr import definition
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import create, write_atomic
-from rover_ncp.core.key_table import KEYS
-from rover_ncp.core.mcap_records import Damaged, read_records
-from rover_ncp.core.recorded import Layout, Recorded, header_stamp_ns
-from rover_ncp.core.recording_time import steady
+from rover_ncp.recording.mcap_records import Damaged, read_records
+from rover_ncp.recording.recorded import Layout, Recorded, header_stamp_ns
+from rover_ncp.recording.time import steady
+from rover_ncp.wire.cdr import definition
+from rover_ncp.wire.key_table import KEYS
 
 __all__ = [
     "Layout",

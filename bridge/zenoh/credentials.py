@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key
+from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, key
 
 PEERS = (Role.DRIVER, Role.VIEWER, Role.LOCALISER)
 """Roles that get a certificate to connect with."""

@@ -1,8 +1,8 @@
 """The ROS messages that this project sends and reads, made from and turned into plain values.
 
 Frames as in REP-105: ``odom`` → ``base_link``, and ``course`` for a course's own; x forward, y left, angles
-counter-clockwise (REP-103). Stamps are ns since the epoch. `rover_ncp.core.key_table` has the keys,
-`rover_ncp.core.protocol` the tags of commands and the JSON of queries, `rover_ncp.core.cdr` the bytes.
+counter-clockwise (REP-103). Stamps are ns since the epoch. `rover_ncp.wire.key_table` has the keys,
+`rover_ncp.wire.protocol` the tags of commands and the JSON of queries, `rover_ncp.wire.cdr` the bytes.
 """
 
 import math
@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rover_ncp.core.cdr import decode, encode
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.wire.cdr import decode, encode
 
 ODOM_FRAME = "odom"
 BASE_FRAME = "base_link"

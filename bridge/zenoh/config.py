@@ -8,9 +8,9 @@ from typing import Any
 
 import zenoh
 
-from rover_ncp.core.certificates import require_valid
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.files import existing_file
+from rover_ncp.wire.certificates import require_valid
 
 LISTEN = "tcp/127.0.0.1:7447"
 """Zenoh's own port, on this machine alone."""

@@ -8,8 +8,8 @@ import math
 from xml.etree import ElementTree
 
 from bridge.base import RobotShape
-from bridge.ros.messages import sensor_frames
-from rover_ncp.core.messages import BASE_FRAME
+from bridge.ros2.messages import sensor_frames
+from rover_ncp.wire.messages import BASE_FRAME
 
 BODY, TYRE = "0.75 0.1 0.1 1", "0.1 0.1 0.1 1"
 """Colours as red, green, blue, opacity."""

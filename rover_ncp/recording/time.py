@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.messages import read_text
-from rover_ncp.core.recorded import Recorded
+from rover_ncp.recording.recorded import Recorded
+from rover_ncp.wire.messages import read_text
 
 TICKS_TOPIC = "deploy/ticks"
 SET_NS = 1_000_000_000

@@ -27,7 +27,7 @@ class Kind(Enum):
 
     MESSAGE = "message"
     QUERYABLE = "queryable"
-    """Senders ask, the one receiver answers; JSON both ways (`rover_ncp.core.protocol`)."""
+    """Senders ask, the one receiver answers; JSON both ways (`rover_ncp.wire.protocol`)."""
     TOKEN = "token"
     """A liveliness token: it exists as long as its sender."""
 

@@ -5,11 +5,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from rover_ncp.core.cdr import decode
 from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.messages import LASER_SCAN
-from rover_ncp.core.robot_description import RobotDescription
+from rover_ncp.robot.description import RobotDescription
+from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.messages import LASER_SCAN
 
 VALID_S = 1.0
 """How long a scan counts from its stamp on, as a sonar's range does."""

@@ -15,15 +15,16 @@ from typing import Any
 import zenoh
 
 from bridge.inbox import Inbox, RobotMessage, ThreadError
-from bridge.ros.discovery import Announced, Convention, bridge_token, read_topic_token, topic_token
-from bridge.ros.rmw import Attachment, Graph, Topic, gid, read_token
-from bridge.ros.rmw_node import publisher
-from bridge.ros_base.address import RosAddress
-from bridge.ros_base.base import TokenSeen
-from bridge.zenoh_config import read_config, reason
-from rover_ncp.core.certificates import require_valid
+from bridge.ros2.address import RosAddress
+from bridge.ros2.base import TokenSeen
+from bridge.ros2.discovery import Announced, Convention, bridge_token, read_topic_token, topic_token
+from bridge.ros2.rmw import Attachment, Graph, Topic, gid, read_token
+from bridge.ros2.rmw_node import publisher
+from bridge.zenoh.config import read_config, reason
 from rover_ncp.core.errors import FormatError, NoRobot
-from rover_ncp.core.messages import (
+from rover_ncp.robot.description import Topics
+from rover_ncp.wire.certificates import require_valid
+from rover_ncp.wire.messages import (
     BATTERY_STATE,
     BOOL,
     HAZARDS,
@@ -33,8 +34,7 @@ from rover_ncp.core.messages import (
     TWIST,
     TWIST_STAMPED,
 )
-from rover_ncp.core.robot_description import Topics
-from rover_ncp.core.zenoh_settings import CLIENT
+from rover_ncp.wire.zenoh import CLIENT
 
 LOOP_KEY = "rover/robot_side"
 MOST_BYTES = 1 << 16

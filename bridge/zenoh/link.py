@@ -14,14 +14,14 @@ from typing import Any
 import zenoh
 
 from bridge.inbox import CommandMessage, Inbox, Query, ThreadError
-from bridge.ros.discovery import Convention, bridge_token, topic_token
-from bridge.ros.rmw import domain_id
-from bridge.ros.rmw_node import RmwNode, command_bytes, publisher, read_command
-from bridge.zenoh_config import any_port, configured, reason
+from bridge.ros2.discovery import Convention, bridge_token, topic_token
+from bridge.ros2.rmw import domain_id
+from bridge.ros2.rmw_node import RmwNode, command_bytes, publisher, read_command
+from bridge.zenoh.config import any_port, configured, reason
 from rover_ncp.core.errors import PortInUse, UsageError
-from rover_ncp.core.key_table import KEYS, KeySpec, Kind, Role, key
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.core.protocol import TAG_BYTES
+from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, key
+from rover_ncp.wire.protocol import TAG_BYTES
 
 
 class ZenohLink(ClosedAtExit):

@@ -12,9 +12,9 @@ from typing import NamedTuple, Self
 
 import xxhash
 
-from bridge.ros.discovery import Announced
-from rover_ncp.core.cdr import type_hash
+from bridge.ros2.discovery import Announced
 from rover_ncp.core.errors import FormatError, UsageError
+from rover_ncp.wire.cdr import type_hash
 
 NODE_NAME = "rover_bridge"
 _DOMAIN_MAX = 232

@@ -9,10 +9,10 @@ import zenoh
 import zenoh.ext
 
 from bridge.inbox import CommandMessage
-from bridge.ros.rmw import Attachment, Graph, Topic, gid
+from bridge.ros2.rmw import Attachment, Graph, Topic, gid
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.key_table import KeySpec, key, spec
-from rover_ncp.core.messages import TWIST, TWIST_STAMPED
+from rover_ncp.wire.key_table import KeySpec, key, spec
+from rover_ncp.wire.messages import TWIST, TWIST_STAMPED
 
 HEARTBEAT_S = 0.5
 """Period of heartbeats, which give a publisher's last sequence number after a change; as in rmw_zenoh."""

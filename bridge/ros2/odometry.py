@@ -11,8 +11,8 @@ from typing import NamedTuple
 from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, distance, relative, wrap_angle
-from rover_ncp.core.messages import OdometrySample, read_odometry
-from rover_ncp.core.robot_description import Motion, Topics
+from rover_ncp.robot.description import Motion, Topics
+from rover_ncp.wire.messages import OdometrySample, read_odometry
 
 RATE_S, LEAST_IN_RATE_S = 1.0, 5
 """At least so many messages must arrive in this time: the gate stops a rover whose odometry is 0.35 s old."""

@@ -5,7 +5,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from rover_ncp.core.cdr import definition
+from rover_ncp.wire.cdr import definition
 
 # A Header begins with its stamp, right behind CDR's own four bytes: int32 seconds, uint32 nanoseconds.
 CDR_ORDERS = (b"\x00\x00", b"\x00\x01")

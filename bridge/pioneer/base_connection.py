@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bridge.inbox import Inbox, ThreadError
-from bridge.transport import Transport, open_transport
+from bridge.pioneer.transport import Transport, open_transport
 from rover_ncp.core.errors import NoRobot
 
 READ_S = 0.1

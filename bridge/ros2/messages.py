@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from bridge.base import BaseReport, LinkHealth, RobotShape
 from bridge.gate.state import GateState, Reason
 from bridge.pioneer.packets import NO_ECHO_MM
-from bridge.ros.covariance import MIN_VARIANCE, Variances
-from rover_ncp.core import messages
+from bridge.ros2.covariance import MIN_VARIANCE, Variances
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.core.messages import BASE_FRAME, ODOM_FRAME, Diagnostic, Transform, imu
-from rover_ncp.core.protocol import GateStatus
+from rover_ncp.wire import messages
+from rover_ncp.wire.messages import BASE_FRAME, ODOM_FRAME, Diagnostic, Transform, imu
+from rover_ncp.wire.protocol import GateStatus
 
 OK, WARNING, ERROR = 0, 1, 2
 

@@ -17,14 +17,14 @@ from deploy.drive.measurements import NS, Measurement, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.zenoh_client import BridgeAddress
-from rover_ncp.core.cdr import decode
 from rover_ncp.core.errors import FormatError, RoverNcpError, SafetyStop
 from rover_ncp.core.geometry import Velocity, relative
-from rover_ncp.core.messages import OdometrySample
 from rover_ncp.core.process import Interrupts
-from rover_ncp.core.protocol import BaseReply, GateStatus, TimeoutState
-from rover_ncp.core.recording import Recorded
-from rover_ncp.core.robot_description import RobotDescription
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.robot.description import RobotDescription
+from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.messages import OdometrySample
+from rover_ncp.wire.protocol import BaseReply, GateStatus, TimeoutState
 
 V_M_S, OMEGA_RAD_S = 0.1, 0.2
 """Slow, and still well above the noise of wheels in the air."""

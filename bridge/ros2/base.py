@@ -30,14 +30,15 @@ from bridge.base import (
     shape_of,
 )
 from bridge.inbox import RobotMessage
-from bridge.ros.discovery import Announced
-from bridge.ros_base.base_timeout import BaseTimeout, TimeoutMeasurement
-from bridge.ros_base.odometry import CLOCK_BACK_S, LEAST_IN_RATE_S, LOSS_S, RATE_S, Moved, RosOdometer
-from bridge.ros_base.scan import ScanRoom
-from rover_ncp.core.cdr import decode, encode
+from bridge.ros2.base_timeout import BaseTimeout, TimeoutMeasurement
+from bridge.ros2.discovery import Announced
+from bridge.ros2.odometry import CLOCK_BACK_S, LEAST_IN_RATE_S, LOSS_S, RATE_S, Moved, RosOdometer
+from bridge.ros2.scan import ScanRoom
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.messages import (
+from rover_ncp.robot.description import RobotDescription, Topics
+from rover_ncp.wire.cdr import decode, encode
+from rover_ncp.wire.messages import (
     BOOL,
     BUMP,
     CLIFF,
@@ -50,8 +51,7 @@ from rover_ncp.core.messages import (
     read_hazards,
     read_imu,
 )
-from rover_ncp.core.protocol import TimeoutState
-from rover_ncp.core.robot_description import RobotDescription, Topics
+from rover_ncp.wire.protocol import TimeoutState
 
 REFRESH_S = 0.05
 """Bases stop without commands after 0.25 s at the earliest (Husky under ROS 1)."""
@@ -96,7 +96,7 @@ class LoopSeen:
 
 
 class Line(Protocol):
-    """The session with the robot, as `bridge.ros_base.line.RosLine`."""
+    """The session with the robot, as `bridge.ros2.line.RosLine`."""
 
     endpoint: str
     zid: str

@@ -3,8 +3,8 @@
 import math
 from dataclasses import dataclass, replace
 
-from rover_ncp.core.protocol import TimeoutState
-from rover_ncp.core.robot_description import MAX_BASE_TIMEOUT_S
+from rover_ncp.robot.description import MAX_BASE_TIMEOUT_S
+from rover_ncp.wire.protocol import TimeoutState
 
 MAX_SILENT_S = 5.0
 """A base that has not halted after this time without commands has no timeout."""

@@ -1,1 +1,0 @@
-"""ROS 2 messages and discovery, robot description."""

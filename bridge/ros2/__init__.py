@@ -1,0 +1,1 @@
+"""ROS 2 robots over Zenoh: their names, messages and odometry, and the base that the bridge drives."""

@@ -1,1 +1,0 @@
-"""A robot whose ROS 2 topics reach Zenoh, as a base."""

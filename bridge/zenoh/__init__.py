@@ -1,0 +1,1 @@
+"""Zenoh at the bridge: sessions, configuration, certificates."""

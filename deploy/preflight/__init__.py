@@ -1,1 +1,0 @@
-"""The pre-flight check of a robot on blocks."""

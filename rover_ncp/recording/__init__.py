@@ -1,0 +1,1 @@
+"""Recordings: MCAP files that survive a crash of their writer."""

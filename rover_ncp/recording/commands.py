@@ -1,0 +1,49 @@
+"""Commands of this package; heavy libraries load only when one runs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rover_ncp.core.console import Json, Output, Overwrite, reject
+
+
+def recover(
+    run: Annotated[Path, typer.Argument(help="A recording whose writer was killed, or whose disk failed.")],
+    *,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the whole recording here instead of in its place.")
+    ] = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
+) -> None:
+    """Make a recording whole that was cut off or damaged: every message before, and the index for viewers.
+
+    Messages that a killed process had not yet written are lost, half a second at most. The file is replaced
+    at once or not at all. A recording that is whole already stays as it is, and so does one that is still
+    being written. Memory does not grow with the length of the recording.
+    """
+    from rover_ncp.core.files import require_creatable
+    from rover_ncp.recording.recording import recover as make_whole
+    from rover_ncp.recording.recording import require_finished
+
+    if out is None:
+        reject("needs --out", overwrite=overwrite)
+    target = out or run
+    if target == run:
+        require_finished(run)
+    require_creatable(target, overwrite=overwrite or target == run)
+    found = make_whole(run, target)
+    said = f"is whole again ({run.name} was {found.damage})" if found.damage else "was whole already"
+    Output(json).result(
+        {
+            "recording": str(target),  #: the file that is whole
+            "was_complete": not found.damage,  #: whether it was already
+            "damage": found.damage or None,  #: where it was cut off or damaged
+            "messages": found.messages,  #: how many
+            "attachments": sorted(found.attachments),  #: their names
+            "seconds": found.seconds,
+        },
+        f"{target} {said}: {found.messages} messages over {found.seconds:.1f} s, "
+        f"{len(found.attachments)} attachments",
+    )

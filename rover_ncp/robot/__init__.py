@@ -1,0 +1,1 @@
+"""Robots: their descriptions, and the profiles that are measured of single robots."""

@@ -15,7 +15,8 @@ import numpy as np
 
 from benchmarks.train import TICKS, median_cpu_s, tick_alone
 from rover_ncp.circuit.policy import PolicyRunner, parking_policy
-from rover_ncp.circuit.tap_withdrawal import parking_circuit, random_circuit
+from rover_ncp.circuit.policy_file import load_circuit
+from sim.learn.random_circuit import random_circuit
 
 SIZES = tuple((neurons, synapses) for neurons in (24, 48, 96, 192) for synapses in (60, 120, 240, 480))
 
@@ -23,7 +24,7 @@ SIZES = tuple((neurons, synapses) for neurons in (24, 48, 96, 192) for synapses 
 def bench_circuit() -> dict[str, Any]:
     """Measure what a tick of a random circuit costs, by its numbers of neurons and synapses."""
     calls: dict[str, Callable[[], object]] = {}
-    own = parking_circuit().neurons
+    own = load_circuit("parking").neurons
     for neurons, synapses in SIZES:
         names = (*own, *(f"N{number}" for number in range(neurons - len(own))))
         runner = PolicyRunner(parking_policy(random_circuit(0, names, synapses)))

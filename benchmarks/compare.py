@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
-from rover_ncp.circuit.sensing import shifted_sensing
-from rover_ncp.circuit.tap_withdrawal import random_circuit
+from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
@@ -40,6 +39,7 @@ from sim.evaluate.evaluate import unseen_courses
 from sim.learn.evaluator import Evaluator
 from sim.learn.laws import LAWS, gain_box, law_commander
 from sim.learn.networks import Net, net_for, network_commander
+from sim.learn.random_circuit import random_circuit
 from sim.learn.record import RobustSettings, made_with
 from sim.learn.robust import RobustSearch, drive_trials, policy_box, training_courses
 from sim.learn.search.unit_box import UnitBox
@@ -71,13 +71,24 @@ def find_agent(name: str, seed: int) -> Agent:
     if name in NETWORKS:
         return _network(net_for(following, *NETWORKS[name]), following, seed)
     if name.startswith("random-"):
-        return _circuit(course_policy(random_circuit(int(name.removeprefix("random-")))), True)
+        number, worm = int(name.removeprefix("random-")), load_circuit("tap_withdrawal")
+        return _circuit(course_policy(random_circuit(number, worm.neurons, worm.synapse_count)), True)
     known: dict[str, Callable[[], Agent]] = {
         CIRCUIT: lambda: _circuit(following, True),
-        "absolute": lambda: _circuit(replace(load_policy("parking"), sensing=shifted_sensing()), False),
+        "absolute": lambda: _circuit(replace(load_policy("parking"), sensing=_shifted_sensing()), False),
         "paper": lambda: _circuit(load_policy("parking"), False),
     }
     return known[name]()
+
+
+def _shifted_sensing() -> Sensing:
+    table = (("x", "PVD", 1.0, -0.15), ("y", "PLM", 1.0, -0.15), ("theta", "ALM", 1.0, -0.25))
+    moved = tuple(
+        Channel(name=name, positive=neuron, maximum=end - origin, origin=origin)
+        for name, neuron, end, origin in table
+    )
+    start = Channel(name="start", positive="AVM", maximum=1.0)
+    return Sensing(name="shifted", inputs=("x", "y", "theta", "start"), channels=(*moved, start))
 
 
 def _circuit(policy: Policy, any_course: bool) -> Agent:

@@ -18,7 +18,6 @@ import re
 import numpy as np
 
 from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, MAXIMUM_NEURONS, Circuit, ParameterKind, SynapseKind
-from rover_ncp.circuit.tap_withdrawal import NEURONS, PARKING_NEURONS
 from rover_ncp.core.errors import ConfigError
 
 _VALUES = {
@@ -38,6 +37,8 @@ _USAGE = {
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _INDEX = re.compile(r"\d{1,6}", re.ASCII)
 _SHOWN_PROBLEMS = 10
+_NEURONS = ("PVD", "PLM", "AVA", "AVD", "PVC", "AVB", "AVM", "ALM", "DVA", "FWD", "REV")
+_PARKING_NEURONS = (*_NEURONS[:9], "LFT", "RGT", "FWD")
 
 
 class _Wrong(Exception):
@@ -103,7 +104,7 @@ class _Statements:
             default = DEFAULTS[_VALUES[word]]
             return [self.values.get((word, i), default) for i in range(self.size)]
 
-        known = NEURONS if self.size <= len(NEURONS) else PARKING_NEURONS
+        known = _NEURONS if self.size <= len(_NEURONS) else _PARKING_NEURONS
         return Circuit(
             name=name,
             neurons=tuple(known[i] if i < len(known) else f"N{i}" for i in range(self.size)),

@@ -146,17 +146,6 @@ def parking_sensing(clamp: bool = True, downward: Collection[str] = ()) -> Sensi
     )
 
 
-def shifted_sensing() -> Sensing:
-    """Return the paper's sensing with ranges in which a rover that starts elsewhere still moves."""
-    table = (("x", "PVD", 1.0, -0.15), ("y", "PLM", 1.0, -0.15), ("theta", "ALM", 1.0, -0.25))
-    moved = tuple(
-        Channel(name=name, positive=neuron, maximum=end - origin, origin=origin)
-        for name, neuron, end, origin in table
-    )
-    start = Channel(name="start", positive="AVM", maximum=1.0)
-    return Sensing(name="shifted", inputs=("x", "y", "theta", "start"), channels=(*moved, start))
-
-
 def course_sensing() -> Sensing:
     """Return the sensing relative to a course: two mixtures of five signals, on the touch neurons in pairs.
 

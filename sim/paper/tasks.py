@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +18,8 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, parking_policy
+from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Channel, Sensing
-from rover_ncp.circuit.tap_withdrawal import four_dof_circuit, parking_circuit, tap_withdrawal_circuit
 from rover_ncp.core.errors import UsageError
 from sim.paper.plants.lanes import CART_POLE, HALF_CHEETAH, MOUNTAIN_CAR, PENDULUM, WRITTEN_PENDULUM
 
@@ -51,6 +52,9 @@ class SearchName(StrEnum):
     """``cma_search.py``."""
 
 
+_TAP_WITHDRAWAL = partial(load_circuit, "tap_withdrawal")
+
+
 @dataclass(frozen=True)
 class Task:
     """One row of the paper's tables."""
@@ -75,7 +79,7 @@ class Task:
     """The paper's horizon, where it is another."""
     published_search: str = "published"
     """The search of its published code."""
-    circuit: Callable[[], Circuit] = tap_withdrawal_circuit
+    circuit: Callable[[], Circuit] = _TAP_WITHDRAWAL
     """The untuned tap-withdrawal circuit with the task's motor neurons."""
 
 
@@ -255,8 +259,8 @@ _ALL = (
         most=500.0,
         environment="CartPole-v1",
     ),
-    _parking("parking", "Parking", parking_circuit),
-    _parking("four-dof", "Parking, four degrees of freedom", four_dof_circuit),
+    _parking("parking", "Parking", partial(load_circuit, "parking")),
+    _parking("four-dof", "Parking, four degrees of freedom", partial(load_circuit, "four_dof")),
 )
 TASKS = {task.name: task for task in _ALL}
 

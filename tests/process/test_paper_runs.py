@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 from json_fields import assert_on_page
 
-from rover_ncp.circuit.policy_file import circuit_to_yaml
-from rover_ncp.circuit.tap_withdrawal import tap_withdrawal_circuit
+from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.cli import run
 from rover_ncp.core.errors import FileError, UsageError
 from sim.paper import BudgetName
@@ -94,7 +93,7 @@ def test_a_command_line_selects_runs(tmp_path):
 @pytest.mark.long
 def test_command_makes_runs_once_and_replays_them(tmp_path, capsys):
     wiring = tmp_path / "mine.yaml"
-    wiring.write_text(circuit_to_yaml(tap_withdrawal_circuit()))
+    wiring.write_text(circuit_to_yaml(load_circuit("tap_withdrawal")))
     common = ["--task", "mountain-car", "--circuit", str(wiring), "--seed", "0", "--json"]
     arguments = [*common, "--runs", str(tmp_path / "runs")]
     assert run(["paper", "run", *arguments, "--processes", "1", "--budget", "quick"]) == 0

@@ -9,8 +9,8 @@ from pydantic import ValidationError
 from rover_ncp.circuit.circuit import build_circuit
 from rover_ncp.circuit.motors import Motors, four_dof_motors, parking_motors
 from rover_ncp.circuit.policy import Policy, PolicyRunner, absolute_policy, course_policy, parking_policy
-from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing, shifted_sensing
-from rover_ncp.circuit.tap_withdrawal import four_dof_circuit, parking_circuit, tap_withdrawal_circuit
+from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import load_course
 
@@ -128,8 +128,8 @@ def test_refuses_a_motor_range_upside_down():
 
 
 def test_a_circuit_with_a_neuron_for_backward_gets_the_motors_for_it():
-    assert parking_policy(four_dof_circuit()).motors == four_dof_motors()
-    assert parking_policy(parking_circuit()).motors == parking_motors()
+    assert parking_policy(load_circuit("four_dof")).motors == four_dof_motors()
+    assert parking_policy(load_circuit("parking")).motors == parking_motors()
 
 
 @pytest.mark.parametrize(
@@ -142,12 +142,12 @@ def test_a_circuit_with_a_neuron_for_backward_gets_the_motors_for_it():
     ],
 )
 def test_sensors_reach_to_the_side_where_the_course_goes(name, downward):
-    policy = absolute_policy(parking_circuit(), load_course(name))
+    policy = absolute_policy(load_circuit("parking"), load_course(name))
     assert policy.courses == (name,)
     assert policy.sensing == parking_sensing(downward=downward)
     seen = {"x": 0.3, "y": 0.2, "theta": 0.5, "start": 1.0}
     flipped = [-value if key in downward else value for key, value in seen.items()]
-    runner, papers = PolicyRunner(policy), PolicyRunner(parking_policy(parking_circuit()))
+    runner, papers = PolicyRunner(policy), PolicyRunner(parking_policy(load_circuit("parking")))
     assert runner.tick(flipped) == papers.tick(list(seen.values()))
     assert (runner.potentials == papers.potentials).all()
 
@@ -155,17 +155,17 @@ def test_sensors_reach_to_the_side_where_the_course_goes(name, downward):
 @pytest.mark.parametrize(
     ("x", "expected"), [(-0.15, -70), (0.0, -70 + 50 * 0.15 / 1.15), (1.0, -20), (2.0, -20)]
 )
-def test_shifted_ranges_begin_at_their_origins(x, expected):
-    policy = replace(parking_policy(parking_circuit()), sensing=shifted_sensing())
-    runner = PolicyRunner(policy)
-    runner.tick([x, -0.15, -0.25, 0.0])
-    potentials = dict(zip(policy.circuit.neurons, runner.potentials, strict=True))
-    assert potentials["PVD"] == pytest.approx(expected)
-    assert potentials["PLM"] == potentials["ALM"] == potentials["AVM"] == pytest.approx(-70)
+def test_a_range_begins_at_its_origin(x, expected):
+    channel = Channel(name="x", positive="alone", maximum=1.15, origin=-0.15)
+    runner = PolicyRunner(
+        Policy(UNCONNECTED, Sensing(name="test", inputs=("x",), channels=(channel,)), MOTORS)
+    )
+    runner.tick([x])
+    assert runner.potentials[2] == pytest.approx(expected)
 
 
 def test_layers_work_on_parts_of_ranges_and_limits():
-    policy = course_policy(tap_withdrawal_circuit())
+    policy = course_policy(load_circuit("tap_withdrawal"))
     runner = PolicyRunner(policy)
     # Of the first mixture: half of longitudinal's range, and of speed's a quarter at weight 0.6.
     runner.tick([0.1, 0.0, 0.0, 0.04, 0.0])
@@ -193,14 +193,14 @@ def test_layers_work_on_parts_of_ranges_and_limits():
     ],
 )
 def test_ranges_and_limits_must_fit(part, changes, expected):
-    policy = course_policy(tap_withdrawal_circuit())
+    policy = course_policy(load_circuit("tap_withdrawal"))
     model = getattr(policy, part)
     with pytest.raises(ValidationError, match=expected):
         type(model).model_validate(model.model_dump(exclude_none=True) | changes)
 
 
 def test_without_layers_there_are_no_ranges_and_limits():
-    policy = course_policy(tap_withdrawal_circuit())
+    policy = course_policy(load_circuit("tap_withdrawal"))
     with pytest.raises(ConfigError, match="without an input layer the channels have the ranges"):
         replace(policy, input_layer=None)
     with pytest.raises(ConfigError, match="without an output layer the channels have the limits"):

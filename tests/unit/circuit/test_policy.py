@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from rover_ncp.circuit.circuit import RESTING_MV, ParameterKind, SynapseKind
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
+from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
-from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
 from rover_ncp.core.errors import ConfigError, UsageError
 
-CIRCUIT = parking_circuit()
+CIRCUIT = load_circuit("parking")
 PARKING = parking_policy(CIRCUIT)
 LAYERED = Policy(
     CIRCUIT,
@@ -80,7 +80,7 @@ def test_refuses_a_vector_of_another_length():
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
-        ({"circuit": tap_withdrawal_circuit()}, "motors.channels[1]: the circuit has no neuron 'LFT'"),
+        ({"circuit": load_circuit("tap_withdrawal")}, "motors.channels[1]: the circuit has no neuron 'LFT'"),
         ({"dt_s": math.nan}, "dt_s: must be above 0 and at most 1 s, got nan"),
         ({"dt_s": 0.0}, "dt_s: must be above 0 and at most 1 s, got 0.0"),
         ({"substeps": 0}, "substeps: must be in 1..10000, got 0"),

@@ -25,15 +25,14 @@ from rover_ncp.circuit.policy_file import (
     save_policy,
 )
 from rover_ncp.circuit.sensing import Sensing, parking_sensing
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError, FileError
 
 GOLDEN = DATA / "golden"
 CIRCUITS = Path(rover_ncp.__file__).parent / "data" / "circuits"
-PLAIN = replace(parking_policy(parking_circuit()), provenance={"seed": 3, "command": "train --seed 3"})
+PLAIN = replace(parking_policy(load_circuit("parking")), provenance={"seed": 3, "command": "train --seed 3"})
 LAYERED = Policy(
-    replace(parking_circuit(), held={11: -33.3}),
+    replace(load_circuit("parking"), held={11: -33.3}),
     Sensing(name="layered", inputs=("a", "b"), channels=parking_sensing(False).channels, clamp=False),
     Motors(outputs=("p", "q", "r"), channels=parking_motors().channels, low_mV=-70.0),
     input_layer=np.zeros((4, 2)),

@@ -15,12 +15,12 @@ from rover_ncp.circuit.circuit import SynapseKind, build_circuit
 from rover_ncp.circuit.compiled import allocate_lanes, fill_lane, make_program, resting_potentials
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
+from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Sensing, parking_sensing
 from rover_ncp.circuit.solver import exp2, tick_lanes
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.kernels.jit import kernel
 
-PARKING = parking_policy(parking_circuit())
+PARKING = parking_policy(load_circuit("parking"))
 SIZE = PARKING.layout().size
 ANY_INPUT = st.floats(allow_nan=False, allow_infinity=False)
 NEAR_INPUT = st.floats(-2, 2)
@@ -89,7 +89,7 @@ def test_clamped_potentials_never_leave_the_reversal_potentials(unit, observatio
 @settings(max_examples=100, deadline=None)
 @given(unit=unit_vectors(SIZE), observation=st.tuples(*[ANY_INPUT] * 4))
 def test_unclamped_sensors_far_out_stay_finite(unit, observation):
-    policy = parking_policy(parking_circuit(), clamp=False)
+    policy = parking_policy(load_circuit("parking"), clamp=False)
     runner = PolicyRunner(policy.with_parameters(in_bounds(policy, unit)))
     for _ in range(3):
         v, omega = runner.tick(observation)
@@ -112,7 +112,7 @@ def run_lanes(policy, vectors, observations):
 
 
 LAYERED = Policy(
-    parking_circuit(),
+    load_circuit("parking"),
     Sensing(name="layered", inputs=tuple("abcde"), channels=parking_sensing().channels),
     Motors(outputs=("p", "q", "r"), channels=parking_motors().channels),
     input_layer=np.zeros((4, 5)),
@@ -155,8 +155,8 @@ def test_a_lane_can_be_set_anew():
 SHORT_RUN = """
 import json
 from rover_ncp.circuit.policy import PolicyRunner, parking_policy
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
-runner = PolicyRunner(parking_policy(parking_circuit()))
+from rover_ncp.circuit.policy_file import load_circuit
+runner = PolicyRunner(parking_policy(load_circuit("parking")))
 commands = [runner.tick([0.01 * k, 0.005 * k, 0.02 * k, float(k > 5)]) for k in range(50)]
 print(json.dumps([commands, runner.potentials.tolist()]))
 """

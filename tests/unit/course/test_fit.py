@@ -1,16 +1,15 @@
-"""Courses for slower and larger robots."""
+"""Courses for slower robots."""
 
 import numpy as np
 import pytest
 
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import load_course
-from rover_ncp.course.feasibility import check_course
-from rover_ncp.course.fit import enlarged, slowed
+from rover_ncp.course.fit import slowed
 from rover_ncp.course.reference import COMMAND_MAX, OMEGA_MAX, V_MAX, plan_reference
 from rover_ncp.robot.description import load_description
 
-PARKING, BAY = load_course("parking"), load_course("bay")
+PARKING = load_course("parking")
 BURGER, HUSKY = load_description("turtlebot3-burger"), load_description("husky-a200")
 
 
@@ -42,18 +41,3 @@ def test_a_robot_that_is_fast_enough_drives_the_course_as_it_is():
 def test_a_robot_that_would_take_hours_is_refused():
     with pytest.raises(ConfigError, match=r"course parking, .* times as long: .*horizon_s"):
         slowed(PARKING, with_limits(BURGER, v_max=0.001))
-
-
-def test_a_course_with_obstacles_is_as_large_as_the_robot_asks_for():
-    room = check_course(BAY).clearance_m
-    assert check_course(BAY, HUSKY).clearance_m < room / 2
-    course, said = enlarged(BAY, HUSKY)
-    assert check_course(course, HUSKY).clearance_m >= room
-    assert np.abs(plan_reference(course).motion[:, 0]).max() <= V_MAX
-    assert "bay is 1.582 times as large for husky-a200" in said
-    assert course.parked == BAY.parked
-
-
-@pytest.mark.parametrize(("course", "robot"), [(PARKING, HUSKY), (BAY, BURGER)])
-def test_what_has_room_stays_as_it_is(course, robot):
-    assert enlarged(course, robot) == (course, "")

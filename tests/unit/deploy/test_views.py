@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deploy.drive.publisher import ViewerTopics
-from rover_ncp.circuit.tap_withdrawal import PARKING_NEURONS
+from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.geometry import Pose, compose
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.key_table import KEYS
@@ -66,7 +66,7 @@ def test_the_path_is_whole_and_there_from_the_start():
 def test_the_layout_shows_topics_that_recordings_have():
     layout = json.loads(LAYOUT.read_text())
     known = {row.name for row in KEYS} | {message.topic for message in recorded()} | {TRUTH_TOPIC}
-    known |= {f"neurons/{name}" for name in PARKING_NEURONS}
+    known |= {f"neurons/{name}" for name in load_circuit("parking").neurons}
     panels = layout["configById"]
     shown, plotted = set(), []
     for name, panel in panels.items():
@@ -79,7 +79,7 @@ def test_the_layout_shows_topics_that_recordings_have():
     assert shown | topics <= known
     # Each neuron of the parking circuit is a named series.
     labels = {p["value"]: p["label"] for panel in panels.values() for p in panel.get("paths", [])}
-    for name in PARKING_NEURONS:
+    for name in load_circuit("parking").neurons:
         assert labels[f"neurons/{name}.data[0]"] == name
     placed = json.dumps(layout["layout"])
     assert all(name in placed for name in panels)

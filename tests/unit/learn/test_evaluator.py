@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rover_ncp.circuit.policy import PolicyRunner, course_policy, parking_policy
-from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
+from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import wrap_angle
 from rover_ncp.course.course import Obstacle, due_checkpoints, load_course
@@ -22,8 +22,8 @@ from sim.world.random_course import mirrored, random_course
 from sim.world.randomization import Sensors, draw_trials, load_randomization
 
 COURSE = load_course("parking")
-POLICY = parking_policy(parking_circuit())
-TRACKER = course_policy(tap_withdrawal_circuit())
+POLICY = parking_policy(load_circuit("parking"))
+TRACKER = course_policy(load_circuit("tap_withdrawal"))
 FENCED = COURSE.model_copy(
     update={
         "obstacles": (
@@ -232,7 +232,7 @@ def test_no_candidates_no_returns():
 
 
 def test_the_untuned_wiring_scores_as_in_the_published_simulator():
-    run = rollout(parking_policy(parking_circuit(), clamp=False), COURSE)
+    run = rollout(parking_policy(load_circuit("parking"), clamp=False), COURSE)
     assert run.total == pytest.approx(-47.06, abs=0.02)
 
 
@@ -255,29 +255,29 @@ def test_a_rollout_shows_what_happened():
 
 
 def test_a_policy_that_cannot_drive_is_refused():
-    bench = tap_withdrawal_circuit()
+    bench = load_circuit("tap_withdrawal")
     odd = POLICY.sensing.model_copy(update={"inputs": ("warmth", "x", "theta", "start")})
     for build in (Evaluator, rollout):
         with pytest.raises(ConfigError, match=r"no neuron 'LFT'"):
             build(parking_policy(bench), COURSE)
         with pytest.raises(ConfigError, match="its sensing asks for warmth; known are x, y, theta, start"):
-            other = parking_policy(parking_circuit())
+            other = parking_policy(load_circuit("parking"))
             object.__setattr__(other, "sensing", odd)
             build(other, COURSE)
         with pytest.raises(ConfigError, match=r"its tick lasts 0.2 s; a control tick lasts 0.1 s"):
-            slow = parking_policy(parking_circuit())
+            slow = parking_policy(load_circuit("parking"))
             object.__setattr__(slow, "substeps", 20)
             build(slow, COURSE)
 
 
 OTHER_PROCESS = """
 from rover_ncp.circuit.policy import parking_policy
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
 from sim.learn.commander import start_circuit, tick_circuits
 from sim.learn.episode import episode_kernel
-policy = parking_policy(parking_circuit())
+policy = parking_policy(load_circuit("parking"))
 returned = Evaluator(policy, load_course("parking")).returns(policy.parameters())[0]
 print(float(returned).hex(), sum(episode_kernel(start_circuit, tick_circuits).stats.cache_hits.values()))
 """

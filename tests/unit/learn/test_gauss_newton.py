@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import parking_policy
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.circuit.policy_file import load_circuit
 from sim.learn.search.base import dump_state
 from sim.learn.search.constants import CONSTANTS
 from sim.learn.search.gauss_newton import GaussNewton
 from sim.learn.search.unit_box import UnitBox
 
-POLICY = parking_policy(parking_circuit())
+POLICY = parking_policy(load_circuit("parking"))
 LAYOUT = POLICY.layout()
 DEFAULTS = POLICY.parameters()
 WIDTH = LAYOUT.upper - LAYOUT.lower

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rover_ncp.circuit.policy import course_policy, parking_policy
-from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
+from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
 from sim.learn.networks import (
@@ -16,7 +16,8 @@ from sim.learn.networks import (
     tick_net_lanes,
 )
 
-PARKING = parking_policy(parking_circuit())
+PARKING = parking_policy(load_circuit("parking"))
+FOLLOWING = course_policy(load_circuit("tap_withdrawal"))
 
 
 def textbook(net, vector, observations):
@@ -42,7 +43,7 @@ def textbook(net, vector, observations):
 
 
 @pytest.mark.parametrize("kind", [NetKind.MLP, NetKind.LSTM])
-@pytest.mark.parametrize("policy", [PARKING, course_policy(tap_withdrawal_circuit())], ids=["pose", "layers"])
+@pytest.mark.parametrize("policy", [PARKING, FOLLOWING], ids=["pose", "layers"])
 def test_every_lane_is_the_textbook_network(kind, policy):
     net, rng, count = net_for(policy, kind), np.random.default_rng(1), 5
     lanes, layout = allocate_net_lanes(net, count), net.layout()
@@ -67,7 +68,13 @@ def test_sizes_ranges_and_limits_are_those_of_the_circuit():
     assert (cfc.layout().size, ltc.layout().size, PARKING.layout().size) == (100, 105, 94)
     assert (mlp.low, mlp.high) == ((0.0, -0.18), (0.16, 0.18))
     assert mlp.most == (1.0,) * 4
-    assert net_for(course_policy(tap_withdrawal_circuit()), NetKind.MLP).scale == (0.2, 0.2, 0.4, 0.16, 0.18)
+    assert net_for(FOLLOWING, NetKind.MLP).scale == (
+        0.2,
+        0.2,
+        0.4,
+        0.16,
+        0.18,
+    )
 
 
 @pytest.mark.parametrize("kind", list(NetKind))

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, parking_policy
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.circuit.policy_file import load_circuit
 from sim.learn.search.algorithm1 import ESTIMATE_AFTER, Algorithm1, Scale
 from sim.learn.search.published import RULES, Caps, Published
 from sim.learn.search.random_search import RandomSearch, shake
 
-POLICY = parking_policy(parking_circuit())
+POLICY = parking_policy(load_circuit("parking"))
 LAYOUT = POLICY.layout()
 DEFAULTS = POLICY.parameters()
 WIDTH = LAYOUT.upper - LAYOUT.lower

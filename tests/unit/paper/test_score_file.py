@@ -7,8 +7,7 @@ import pytest
 from bnn_text import circuit_to_bnn
 from json_fields import assert_on_page
 
-from rover_ncp.circuit.policy_file import circuit_to_yaml
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.cli import run
 from sim.paper.agents import build_agent
 from sim.paper.results import ResultStore, RunName, load_result
@@ -74,6 +73,6 @@ def test_a_users_mistake_is_one_line(options, message, trained, tmp_path, capsys
 
 def test_a_circuit_without_the_tasks_neurons_is_refused(tmp_path, capsys):
     path = tmp_path / "parking.bnn"
-    path.write_text(circuit_to_bnn(parking_circuit()))
+    path.write_text(circuit_to_bnn(load_circuit("parking")))
     assert run(["eval", str(path), "--task", "mountain-car"]) == 2
     assert "'REV'" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from deploy.report.interpretation import (
 )
 from deploy.report.trace import synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
+from rover_ncp.circuit.policy_file import load_circuit
 
 POTENTIAL = st.integers(-9000, 0).map(lambda hundredths: hundredths / 100)
 PAIRS = st.lists(st.tuples(POTENTIAL, POTENTIAL), min_size=2, max_size=40)
@@ -85,7 +85,7 @@ def test_histogram_counts_each_slope_once_and_a_mirrored_potential_swaps_the_cou
 
 
 def test_all_ordered_pairs_have_a_contribution():
-    names = parking_circuit().neurons
+    names = load_circuit("parking").neurons
     potentials = np.random.default_rng(0).uniform(-90, 0, (20, 12))
     found = contributions(names, potentials)
     assert len(found) == 12 * 11
@@ -131,7 +131,7 @@ def test_currents_and_pulls_by_hand():
 
 @given(st.integers(0, 2**32 - 1))
 def test_excitation_never_pulls_down_and_inhibition_never_up(seed):
-    circuit = parking_circuit()
+    circuit = load_circuit("parking")
     potentials = np.random.default_rng(seed).uniform(-90, 0, (3, circuit.size))
     pull = synapse_currents(circuit, potentials).pull
     assert (pull[:, circuit.kind == SynapseKind.EXCITATORY] >= -1e-9).all()

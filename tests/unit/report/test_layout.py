@@ -6,11 +6,11 @@ import pytest
 from deploy.report.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out, layers, name_lines
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
 from rover_ncp.circuit.policy import parking_policy
-from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.circuit.tap_withdrawal import PARKING_NEURONS, parking_circuit
+from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.core.files import shipped_names
 
-PARKING = parking_policy(parking_circuit())
+PARKING = parking_policy(load_circuit("parking"))
+PARKING_NEURONS = PARKING.circuit.neurons
 
 
 def test_layers_of_the_parking_circuit():

@@ -9,8 +9,8 @@ from deploy.report.trace import Trace, motor_outputs, motor_shares
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, course_policy, parking_policy
+from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Channel, Sensing
-from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
 from rover_ncp.course.course import load_course
 from sim.explain.explain import traced
 from sim.learn.rollout import rollout
@@ -95,7 +95,7 @@ def test_short_phase_is_merged_with_its_longer_neighbour():
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("make", [parking_policy, course_policy])
 def test_motor_outputs_are_the_commands_of_the_run(make, seed):
-    policy = make(parking_circuit() if make is parking_policy else tap_withdrawal_circuit())
+    policy = make(load_circuit("parking") if make is parking_policy else load_circuit("tap_withdrawal"))
     layout = policy.layout()
     policy = policy.with_parameters(np.random.default_rng(seed).uniform(layout.lower, layout.upper))
     run = rollout(policy, load_course("parking"))
@@ -166,7 +166,7 @@ def test_neuron_that_alternates_from_tick_to_tick_is_named():
 
 
 def test_mirrored_motors_give_mirrored_phases():
-    policy = parking_policy(parking_circuit())
+    policy = parking_policy(load_circuit("parking"))
     layout = policy.layout()
     policy = policy.with_parameters(np.random.default_rng(3).uniform(layout.lower, layout.upper))
     v, omega = policy.motors.channels

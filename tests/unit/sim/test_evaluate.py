@@ -12,7 +12,6 @@ from bnn_text import circuit_to_bnn
 
 from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
-from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
@@ -37,18 +36,18 @@ checkpoints:
 
 def numb():
     """A circuit without synapses, which does not move."""
-    circuit = parking_circuit()
+    circuit = load_circuit("parking")
     return replace(circuit, weight=np.zeros(circuit.synapse_count))
 
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("untuned.bnn").write_text(circuit_to_bnn(parking_circuit()))
+    Path("untuned.bnn").write_text(circuit_to_bnn(load_circuit("parking")))
     Path("numb.bnn").write_text(circuit_to_bnn(numb()))
-    Path("small.bnn").write_text(circuit_to_bnn(tap_withdrawal_circuit()))
-    Path("damaged.bnn").write_text(circuit_to_bnn(parking_circuit()).replace("size 12", "size twelve"))
-    Path("nan.bnn").write_text(circuit_to_bnn(parking_circuit()) + "cm 3 nan\n")
+    Path("small.bnn").write_text(circuit_to_bnn(load_circuit("tap_withdrawal")))
+    Path("damaged.bnn").write_text(circuit_to_bnn(load_circuit("parking")).replace("size 12", "size twelve"))
+    Path("nan.bnn").write_text(circuit_to_bnn(load_circuit("parking")) + "cm 3 nan\n")
     Path("empty.bnn").write_text("")
     Path("stay.yaml").write_text(STAY)
     Path("typo.yaml").write_text(STAY.replace("horizon_s", "horizon"))
@@ -66,7 +65,7 @@ def test_scores_a_published_circuit_with_sensors_that_are_not_clamped(files):
     )
     assert done.returncode == 1
     fields = json.loads(done.stdout)
-    expected = rollout(parking_policy(parking_circuit(), clamp=False), load_course("parking"))
+    expected = rollout(parking_policy(load_circuit("parking"), clamp=False), load_course("parking"))
     assert fields == {
         "return": expected.total,
         "parked": False,
@@ -94,7 +93,7 @@ def test_a_policy_that_parks_ends_with_0(files, capsys):
 
 
 def test_a_saved_policy_scores_as_the_policy_it_was(files, capsys):
-    policy = parking_policy(parking_circuit())
+    policy = parking_policy(load_circuit("parking"))
     save_policy(Path("saved.yaml"), policy)
     assert run(["eval", "saved.yaml", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["return"] == rollout(policy, load_course("parking")).total

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rover_ncp.circuit.policy import course_policy
-from rover_ncp.circuit.tap_withdrawal import tap_withdrawal_circuit
+from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose, compose, inverse
 from rover_ncp.course.course import load_course
@@ -29,7 +29,7 @@ from sim.world.randomization import (
 )
 
 MODEL = default_rover()
-TRACKER = course_policy(tap_withdrawal_circuit())
+TRACKER = course_policy(load_circuit("tap_withdrawal"))
 TICKS = 320
 N = 400
 

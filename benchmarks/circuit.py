@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.train import TICKS, median_cpu_s, tick_alone
-from rover_ncp.circuit.policy import PolicyRunner, parking_policy
+from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.circuit.runner import Runner
 from sim.learn.random_circuit import random_circuit
 
 SIZES = tuple((neurons, synapses) for neurons in (24, 48, 96, 192) for synapses in (60, 120, 240, 480))
@@ -27,7 +28,7 @@ def bench_circuit() -> dict[str, Any]:
     own = load_circuit("parking").neurons
     for neurons, synapses in SIZES:
         names = (*own, *(f"N{number}" for number in range(neurons - len(own))))
-        runner = PolicyRunner(parking_policy(random_circuit(0, names, synapses)))
+        runner = Runner(parking_policy(random_circuit(0, names, synapses)))
         calls[f"{neurons} {synapses}"] = partial(tick_alone, runner)
     costs = np.array(list(median_cpu_s(calls).values())) * 1e6 / TICKS
     columns = np.column_stack([np.ones(len(SIZES)), SIZES])

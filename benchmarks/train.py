@@ -26,7 +26,8 @@ from typing import Any
 import numpy as np
 
 from rover_ncp.circuit.compiled import allocate_lanes, make_program, resting_potentials
-from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S
@@ -107,7 +108,7 @@ def _parts(task: Task) -> dict[str, Any]:
     """Measure whole episodes and their parts, so that they can be compared: all in turn, again and again."""
     engine, vectors = Evaluator(task.policy, task.course), _candidates(task.policy, _EPISODES)
     alone = [task.policy.with_parameters(vector) for vector in vectors[:2]]
-    runner = PolicyRunner(task.policy)
+    runner = Runner(task.policy)
     rover = PymunkRover(default_rover(), Ground(()), task.course.checkpoints[0].pose)
     rover.command(0.1, 0.1)
     calls: dict[str, Callable[[], object]] = {
@@ -145,7 +146,7 @@ def _parts(task: Task) -> dict[str, Any]:
     }
 
 
-def tick_alone(runner: PolicyRunner) -> None:
+def tick_alone(runner: Runner) -> None:
     """Run a circuit for some ticks."""
     for _ in range(TICKS):
         runner.tick([0.3, 0.3, 0.3, 1.0])

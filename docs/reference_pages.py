@@ -17,7 +17,7 @@ from result_fields import RESULTS, noted, result_fields
 from bridge.gate.limits import Limits
 from rover_ncp import cli
 from rover_ncp.circuit import policy_file
-from rover_ncp.course import reference
+from rover_ncp.course import signals
 from rover_ncp.course.builder import PoseList
 from rover_ncp.course.course import Course
 from rover_ncp.robot.description import RobotDescription
@@ -126,15 +126,9 @@ def files_page() -> str:
 
 
 def _signals() -> str:
-    """Return the section of what a policy may name, from the docstring of ``course/reference.py``."""
-    text = inspect.getdoc(reference) or ""
-    rows = re.findall(r"^    (\S.*?) {2,}(\S.*(?:\n {20,}\S.*)*)$", text, re.MULTILINE)
-    if ", ".join(names for names, _ in rows).split(", ") != list(reference.SIGNALS):
-        raise ValueError(f"the docstring of {reference.__name__} does not list the signals in their order")
-    table = ["| signals | meaning |", "|---|---|"]
-    for names, meaning in rows:
-        quoted = ", ".join(f"`{name}`" for name in names.split(", "))
-        table.append(f"| {quoted} | {_cell(meaning)} |")
+    """Return the section of the signals that a policy may name."""
+    table = ["| signal | meaning |", "|---|---|"]
+    table += [f"| `{signal.name}` | {_cell(signal.meaning)} |" for signal in signals.TABLE]
     return "\n\n".join(
         [
             "### Signals",

@@ -9,9 +9,9 @@ What needs numba (running a policy) loads it when it is used. Errors are those o
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy, save_policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.errors import RoverNcpError
@@ -23,19 +23,29 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from rover_ncp.circuit.runner import Runner
+
 __all__ = [
     "Course",
     "CourseDriver",
     "Policy",
-    "PolicyRunner",
     "Pose",
     "RoverNcpError",
+    "Runner",
     "Velocity",
     "load_course",
     "load_policy",
     "read_arrays",
     "save_policy",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Runner":
+        from rover_ncp.circuit.runner import Runner
+
+        return Runner
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def read_arrays(path: str | Path) -> "dict[str, NDArray[np.void]]":
@@ -55,9 +65,11 @@ class CourseDriver:
     """
 
     def __init__(self, policy: Policy, course: Course) -> None:
+        from rover_ncp.circuit.runner import Runner
+
         self._interface = RoverInterface(policy)
         self.course = course
-        self.runner = PolicyRunner(policy)
+        self.runner = Runner(policy)
         self.index = 0
         """The next tick of the course, from 0."""
         self._reference = plan_reference(course) if self._interface.needs_reference else None

@@ -21,8 +21,9 @@ from scipy.stats import chi2
 
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings, Outcome
-from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course, Verdict
 from rover_ncp.course.reference import plan_reference
@@ -52,8 +53,8 @@ class Tick:
     potentials: NDArray[np.float64]
 
 
-class Runner(Protocol):
-    """What turns observations into commands, tick by tick; `PolicyRunner` is one."""
+class RunnerLike(Protocol):
+    """Turns observations into commands, tick by tick; `Runner` is one."""
 
     @property
     def potentials(self) -> NDArray[np.float64]:
@@ -79,7 +80,7 @@ class Controller:
         course: Course,
         settings: EstimatorSettings,
         rover: RoverProfile | None = None,
-        runner: Runner | None = None,
+        runner: RunnerLike | None = None,
     ) -> None:
         self._interface = RoverInterface(policy)
         self._course = course
@@ -87,7 +88,7 @@ class Controller:
         self._holds = self._rests_turned = False
         self._reference = plan_reference(course) if self._interface.needs_reference else None
         self._last_moving = self._reference.last_moving if self._reference else course.ticks
-        self._runner: Runner = runner or PolicyRunner(policy)
+        self._runner: RunnerLike = runner or Runner(policy)
         self._runner.tick([0.0] * len(policy.sensing.inputs))  # compiles now, before the rover waits for it
         self.estimator = Estimator(settings)
         self._gains = _gains(rover)

@@ -1,10 +1,9 @@
 """A policy: a circuit with its sensing and motors, all that turns an observation into a command.
 
 The parameter vector of a policy holds every number that a search may change, block after block in the order
-of ``ParameterKind``. ``PolicyRunner`` runs one policy tick by tick; many at once run on ``compiled.py``.
+of ``ParameterKind``. ``runner.py`` runs one policy; many at once run on ``compiled.py``.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -12,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rover_ncp.circuit.circuit import BOUNDS, RESTING_MV, Circuit, ParameterKind
+from rover_ncp.circuit.circuit import BOUNDS, Circuit, ParameterKind
 from rover_ncp.circuit.motors import Motors, course_motors, four_dof_motors, parking_motors
 from rover_ncp.circuit.sensing import Sensing, course_sensing, parking_sensing
-from rover_ncp.core.errors import ConfigError, UsageError
+from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import Course
 
 FloatArray = NDArray[np.float64]
@@ -221,47 +220,3 @@ def course_policy(circuit: Circuit) -> Policy:
         input_layer=np.array([[1.0, 0.0, 0.0, 0.6, 0.0], [0.0, 0.8, 1.0, 0.0, 0.6]]),
         output_layer=np.array([[0.5, 0.5], [-1.5, 1.5]]),
     )
-
-
-class PolicyRunner:
-    """One policy, run tick by tick. Starts with every neuron at rest."""
-
-    def __init__(self, policy: Policy) -> None:
-        # Only here, so that policies can be read and judged where numba is not installed.
-        from rover_ncp.circuit.compiled import allocate_lanes, make_program
-        from rover_ncp.circuit.solver import tick_lanes
-
-        self.policy = policy
-        self._tick_lanes = tick_lanes
-        self._program = make_program(policy)
-        self._lanes = allocate_lanes(self._program, policy, 1)
-        self._potentials = np.empty((policy.circuit.size, 1))
-        self._observation = np.empty((len(policy.sensing.inputs), 1))
-        self._command = np.empty((len(policy.motors.outputs), 1))
-        self.reset()
-
-    @property
-    def potentials(self) -> FloatArray:
-        """A copy of all potentials (n,) in mV."""
-        return self._potentials[:, 0].copy()
-
-    def reset(self) -> None:
-        """Put every neuron at rest."""
-        self._potentials[:] = RESTING_MV
-
-    def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:
-        """Run one control tick on an observation (inputs,) and return the outputs.
-
-        For driving: the sensing's signals (``course/reference.py``) to (v, omega) in m/s and rad/s. Raises
-        UsageError for an observation of another length or with a number that is not finite; the state is
-        then unchanged.
-        """
-        inputs = self.policy.sensing.inputs
-        if len(observation) != len(inputs):
-            raise UsageError(f"an observation needs {len(inputs)} values ({', '.join(inputs)})")
-        for name, value in zip(inputs, observation, strict=True):
-            if not math.isfinite(value):
-                raise UsageError(f"the observation {name} is {value}, expected a finite number")
-        self._observation[:, 0] = observation
-        self._tick_lanes(self._program, self._lanes, self._potentials, self._observation, self._command)
-        return tuple(self._command[:, 0].tolist())

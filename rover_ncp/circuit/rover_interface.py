@@ -6,7 +6,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import TICK_S
-from rover_ncp.course.reference import SIGNALS, needs_reference, see
+from rover_ncp.course.signals import SIGNALS, needs_reference, signals
 
 
 class RoverInterface:
@@ -29,5 +29,5 @@ class RoverInterface:
 
     def observe(self, pose: Pose, start: float, reference: tuple[Pose, Velocity] | None) -> list[float]:
         """Return the observation (inputs,) at a pose; ``start`` is the start signal."""
-        seen = see(pose, start, reference)
-        return [seen[place] for place in self.places]
+        values = signals(pose, start, reference)
+        return [values[place] for place in self.places]

@@ -5,14 +5,6 @@ than its motors' and for headings that are not those of the path. The reference 
 v and ω linear between knots 0.5 s apart and within the motors' limits, that comes nearest to the checkpoints
 in the sense of least squares and ends on the goal. So it is smooth and drivable by construction, and how far
 it stays away from a checkpoint says how far the course is from drivable.
-
-A policy observes signals by name, the same numbers in the simulator and on the robot:
-
-    x, y, theta                       the rover's pose in the course's frame, m and rad
-    start                             the start signal, 0 or 1
-    longitudinal, lateral, heading    where the reference is, seen from the rover: m ahead, m to the left,
-                                      rad to the left
-    speed, turn                       the reference's motion, m/s and rad/s
 """
 
 import math
@@ -38,11 +30,6 @@ COMMAND_MAX = Velocity(0.24, 0.36)
 
 KNOT_TICKS = 5
 """Speed and turn of a planned reference are linear between knots so many ticks apart."""
-
-REFERENCE_SIGNALS = ("longitudinal", "lateral", "heading", "speed", "turn")
-"""Signals that need a course's reference."""
-SIGNALS = ("x", "y", "theta", "start", *REFERENCE_SIGNALS)
-"""In the order of ``see``."""
 
 _DECIMALS = 5
 # One unit of the sum of squares: so far off a checkpoint, or so sharp a bend of v or ω between knots.
@@ -258,31 +245,3 @@ def _hat(places: FloatArray, count: int) -> FloatArray:
     matrix[np.arange(len(places)), below] = 1 - (places - below)
     matrix[np.arange(len(places)), below + 1] = places - below
     return matrix
-
-
-def needs_reference(names: tuple[str, ...]) -> bool:
-    """Whether any of these signals comes from the reference."""
-    return any(name in REFERENCE_SIGNALS for name in names)
-
-
-def seen_from(pose: Pose, reference: Pose) -> Pose:
-    """Return the reference's pose in the rover's frame: ahead and to the left in m, turned left in rad.
-
-    Headings are within (−π, π]. Kernels compile this very function: it calls but ``math`` and Pose.
-    """
-    dx, dy = reference.x - pose.x, reference.y - pose.y
-    cos, sin = math.cos(pose.theta), math.sin(pose.theta)
-    turned = reference.theta - pose.theta
-    if turned > math.pi:
-        turned -= math.tau
-    elif turned <= -math.pi:
-        turned += math.tau
-    return Pose(cos * dx + sin * dy, cos * dy - sin * dx, turned)
-
-
-def see(pose: Pose, start: float, reference: tuple[Pose, Velocity] | None) -> tuple[float, ...]:
-    """Return all signals, in the order of ``SIGNALS``; without a reference its signals are 0."""
-    if reference is None:
-        return (*pose, start, 0.0, 0.0, 0.0, 0.0, 0.0)
-    where, motion = reference
-    return (*pose, start, *seen_from(pose, where), *motion)

@@ -12,20 +12,10 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.reference import KNOT_TICKS, Reference
+from rover_ncp.course.signals import TABLE
 from rover_ncp.export.circuit_c import fill, literal
 
 _FIELDS = ("x", "y", "theta", "v", "omega")
-# What C has for each signal of ``course/reference.py``.
-_SIGNALS = {
-    "x": "x",
-    "y": "y",
-    "theta": "theta",
-    "longitudinal": "cosine * dx + sine * dy",
-    "lateral": "cosine * dy - sine * dx",
-    "heading": "turned",
-    "speed": "course->v",
-    "turn": "course->omega",
-}
 
 
 def course_files(
@@ -44,9 +34,9 @@ def course_files(
         fields=f"\n    {name}_real{fields};" if reference else "",
         **common,
     )
-    signals = _SIGNALS | {"start": f"course->tick >= {_start_tick(course)} ? R(1.0) : R(0.0)"}
+    expressions = {signal.name: signal.c.format(start_tick=_start_tick(course)) for signal in TABLE}
     observation = "\n".join(
-        f"    observation[{i}] = {signals[signal]};" for i, signal in enumerate(policy.sensing.inputs)
+        f"    observation[{i}] = {expressions[name]};" for i, name in enumerate(policy.sensing.inputs)
     )
     if reference is None:
         source = fill("course_absolute.c", observation=observation, **common)

@@ -5,7 +5,8 @@ from importlib.metadata import version
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_to_yaml
 from rover_ncp.course.course import Course
-from rover_ncp.course.reference import needs_reference, plan_reference
+from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.signals import needs_reference
 from rover_ncp.export.circuit_c import circuit_files
 from rover_ncp.export.course_c import course_files
 from rover_ncp.export.vectors import check_file, drives, make_vectors

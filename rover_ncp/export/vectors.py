@@ -5,11 +5,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S, Course
-from rover_ncp.course.reference import SIGNALS, Reference, see
+from rover_ncp.course.reference import Reference
+from rover_ncp.course.signals import SIGNALS, signals
 from rover_ncp.export.circuit_c import fill, literal
 
 FloatArray = NDArray[np.float64]
@@ -52,9 +54,9 @@ def make_vectors(policy: Policy, course: Course, reference: Reference | None, se
             if where:
                 poses[k, :2] += where[0][:2]
             signal = 0.0 if k == 0 else course.start_signal(tick * TICK_S)
-            signals = see(Pose(*poses[k].tolist()), signal, where)
-            observations[k] = [signals[i] for i in chosen]
-    runner = PolicyRunner(policy)
+            values = signals(Pose(*poses[k].tolist()), signal, where)
+            observations[k] = [values[i] for i in chosen]
+    runner = Runner(policy)
     commands, potentials = [], []
     for observation in observations:
         commands.append(runner.tick(observation))

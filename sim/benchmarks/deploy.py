@@ -18,8 +18,8 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.policy import PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.files import write_atomic
 from rover_ncp.course.course import TICK_S, load_course
@@ -137,7 +137,7 @@ def latencies(moments: Moments, rate_hz: float) -> dict[str, Any]:
 
 def _circuit_us() -> float:
     """Return the median CPU time of a tick of the shipped circuit, called as the driver calls it."""
-    runner, seen = PolicyRunner(load_policy("parking")), np.array([0.3, 0.3, 0.3, 1.0])
+    runner, seen = Runner(load_policy("parking")), np.array([0.3, 0.3, 0.3, 1.0])
     runner.tick(seen)
     times = []
     for _ in range(CIRCUIT_REPEATS):

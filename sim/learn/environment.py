@@ -16,7 +16,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError, UsageError
 from sim.learn.commander import circuit_commander
 from sim.learn.search.base import Seeds
@@ -137,7 +138,7 @@ class EnvironmentEvaluator:
 
     def play(self, seed: int) -> Play:
         """Play one episode of the policy."""
-        runner, environment = PolicyRunner(self.policy), self._environments[0]
+        runner, environment = Runner(self.policy), self._environments[0]
         observation, _ = environment.reset(seed=_seed(seed))
         seen = self._checked(observation)
         rows: list[tuple[Any, ...]] = []

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.geometry import Pose
-from rover_ncp.course.reference import seen_from
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.course.signals import signals
 from rover_ncp.kernels.jit import borrowed, inlined_kernel, kernel
 from rover_ncp.kernels.vectors import RowArray
 from sim.world.fleet import (
@@ -99,7 +99,7 @@ class Lanes(NamedTuple):
     tracking: FloatArray
     """(2, L) running sums."""
     signals: FloatArray
-    """(9,) work: all signals that a controller may observe."""
+    """(signals,) work: all signals that a controller may observe."""
     before: IntArray
     """(L,) work: the lanes' episodes before a tick."""
 
@@ -133,7 +133,7 @@ class Queue(NamedTuple):
     waiting: Waiting
 
 
-_seen_from = kernel(seen_from)
+_signals = kernel(signals)
 _base_errors, _odometry_errors = inlined_kernel(base_errors), inlined_kernel(odometry_errors)
 _apply_base_errors = kernel(apply_base_errors)
 _dead_reckon = kernel(dead_reckon)
@@ -278,8 +278,8 @@ def observe(
     tick: int,
     signal: float,
 ) -> None:
-    """Show the circuit what it sees at the start of a tick: a pose by odometry, with noise, and the rest."""
-    seen, reference = lanes.signals, tasks.reference[task, tick]
+    """Set the observation at the start of a tick from a pose by odometry, with noise, and the reference."""
+    seen, row = lanes.signals, tasks.reference[task, tick]
     for axis in range(3):
         seen[axis] = lanes.odometry[axis, lane]
         if not trials.exact:
@@ -287,12 +287,13 @@ def observe(
             seen[axis] += trials.noise[trial, tick, axis] - old
     if not trials.exact:
         seen[2] = wrapped(seen[2])
-    seen[3] = signal
+    pose = Pose(seen[0], seen[1], seen[2])
     if tasks.has_reference:
-        seen[4], seen[5], seen[6] = _seen_from(
-            Pose(seen[0], seen[1], seen[2]), Pose(reference[0], reference[1], reference[2])
-        )
-        seen[7], seen[8] = reference[3], reference[4]
+        values = _signals(pose, signal, (Pose(row[0], row[1], row[2]), Velocity(row[3], row[4])))
+    else:
+        values = _signals(pose, signal, None)
+    for i in range(len(values)):
+        seen[i] = values[i]
     for i in range(len(signal_at)):
         lanes.observations[i, lane] = seen[signal_at[i]]
 

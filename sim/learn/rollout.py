@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course, Verdict, due_checkpoints, reward
 from rover_ncp.course.reference import Reference, plan_reference
@@ -101,7 +102,7 @@ def rollout(
     trials: Trials | None = None,
     row: int = 0,
     reference: Reference | None = None,
-    runner: PolicyRunner | CommanderRunner | None = None,
+    runner: Runner | CommanderRunner | None = None,
 ) -> Rollout:
     """Drive a course to its horizon, as the model is or in trial ``row``.
 
@@ -115,7 +116,7 @@ def rollout(
         reference = plan_reference(course)
     start, odometry = Pose(*trials.start[row].tolist()), _Odometry(trials, row)
     rover = PymunkRover(trial_model(model, trials, row), Ground(course.obstacles), start)
-    runner = runner or PolicyRunner(policy)
+    runner = runner or Runner(policy)
 
     def observation(tick: int, signal: float) -> list[float]:
         return interface.observe(odometry.seen(tick), signal, reference.tick(tick) if reference else None)

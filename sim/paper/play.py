@@ -4,7 +4,8 @@ from typing import Self
 
 import numpy as np
 
-from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.runner import Runner
 from sim.learn.environment import Play
 from sim.learn.search.base import Seeds, Vector
 from sim.paper.evaluator import Evaluator, make_plants
@@ -31,7 +32,7 @@ class BenchmarkEpisodes:
     def play(self, seed: int) -> Play:
         """Play one episode of the policy."""
         plants, pool = make_plants(self.task, 1)
-        runner = PolicyRunner(self.policy)
+        runner = Runner(self.policy)
         seen = np.zeros((len(self.policy.sensing.inputs), 1))
         reset_plant(plants, 0, self._evaluator.starts(np.array([seed], np.uint64))[0])
         rows: list[tuple[Vector, Vector, float]] = []

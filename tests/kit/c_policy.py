@@ -21,7 +21,7 @@ def compile_c(files, folder, target, *options):
 
 
 class CPolicy:
-    """What `PolicyRunner` is, on the C code; ``real`` is the type that it was compiled for."""
+    """What `Runner` is, on the C code; ``real`` is the type that it was compiled for."""
 
     def __init__(self, policy, library, name, real=ctypes.c_double):
         self.policy, self._path, self._name, self._real = policy, library, name, real

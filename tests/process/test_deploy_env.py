@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import deploy.env
-from rover_ncp.circuit.policy import PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import NoBridge
 from sim.live.live_run import LiveRun
 from sim.live.processes import wait_for
@@ -112,7 +112,7 @@ def test_spaces_are_those_of_the_simulator(course):
     robot, simulated = deploy.env.RoverEnv("tcp/127.0.0.1:9", course), RoverParkingEnv()
     assert robot.observation_space == simulated.observation_space
     assert robot.action_space == simulated.action_space
-    assert PolicyRunner(load_policy("parking")).tick(simulated.reset()[0]) is not None
+    assert Runner(load_policy("parking")).tick(simulated.reset()[0]) is not None
 
 
 SCRIPT = """

@@ -29,7 +29,7 @@ def drive_in_c(monkeypatch, tmp_path):
     def drive(count, real, *options):
         files = circuit_files(load_policy("course"), "course", "test")
         library = compile_c(files, tmp_path / real.__name__, "p.so", "-shared", "-fPIC", *options)
-        monkeypatch.setattr(controller, "PolicyRunner", lambda p: CPolicy(p, library, "course", real))
+        monkeypatch.setattr(controller, "Runner", lambda p: CPolicy(p, library, "course", real))
         return drive_all(stack(), count, 1)
 
     return drive

@@ -5,8 +5,9 @@ import pytest
 from paths import DATA
 
 from rover_ncp.circuit.motors import Motors, parking_motors
-from rover_ncp.circuit.policy import Policy, PolicyRunner
+from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
 
 GOLDEN = DATA / "golden"
@@ -35,7 +36,7 @@ CASES = [
 @pytest.mark.parametrize(("name", "sensing", "motors", "inputs", "scale"), CASES)
 def test_reproduces_the_published_simulator(name, sensing, motors, inputs, scale):
     circuit = load_circuit(GOLDEN / f"{name}.bnn")
-    runner = PolicyRunner(Policy(circuit, sensing, motors))
+    runner = Runner(Policy(circuit, sensing, motors))
     trace = np.genfromtxt(GOLDEN / f"{name}.csv", delimiter=",", names=True)
     compared = [i for i, neuron in enumerate(circuit.neurons) if neuron not in {"PVD", "PLM", "AVM", "ALM"}]
     assert len(trace) == 500

@@ -8,8 +8,9 @@ from pydantic import ValidationError
 
 from rover_ncp.circuit.circuit import build_circuit
 from rover_ncp.circuit.motors import Motors, four_dof_motors, parking_motors
-from rover_ncp.circuit.policy import Policy, PolicyRunner, absolute_policy, course_policy, parking_policy
+from rover_ncp.circuit.policy import Policy, absolute_policy, course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import load_course
@@ -29,7 +30,7 @@ def potentials_of(clamp, pair, single):
             Channel(name="single", positive="alone", maximum=5.0),
         ),
     )
-    runner = PolicyRunner(Policy(UNCONNECTED, sensing, MOTORS))
+    runner = Runner(Policy(UNCONNECTED, sensing, MOTORS))
     runner.tick([pair, single])
     return tuple(runner.potentials[:3])
 
@@ -61,7 +62,7 @@ def outputs_of(motors, potentials):
     circuit = build_circuit("held", ("S", *MOTOR_NEURONS), ())
     object.__setattr__(circuit, "held", dict(enumerate(map(float, potentials), 1)))
     sensing = Sensing(name="test", inputs=("x",), channels=(Channel(name="x", positive="S", maximum=1.0),))
-    return PolicyRunner(Policy(circuit, sensing, motors)).tick([0.0])
+    return Runner(Policy(circuit, sensing, motors)).tick([0.0])
 
 
 @pytest.mark.parametrize(
@@ -147,7 +148,7 @@ def test_sensors_reach_to_the_side_where_the_course_goes(name, downward):
     assert policy.sensing == parking_sensing(downward=downward)
     seen = {"x": 0.3, "y": 0.2, "theta": 0.5, "start": 1.0}
     flipped = [-value if key in downward else value for key, value in seen.items()]
-    runner, papers = PolicyRunner(policy), PolicyRunner(parking_policy(load_circuit("parking")))
+    runner, papers = Runner(policy), Runner(parking_policy(load_circuit("parking")))
     assert runner.tick(flipped) == papers.tick(list(seen.values()))
     assert (runner.potentials == papers.potentials).all()
 
@@ -157,16 +158,14 @@ def test_sensors_reach_to_the_side_where_the_course_goes(name, downward):
 )
 def test_a_range_begins_at_its_origin(x, expected):
     channel = Channel(name="x", positive="alone", maximum=1.15, origin=-0.15)
-    runner = PolicyRunner(
-        Policy(UNCONNECTED, Sensing(name="test", inputs=("x",), channels=(channel,)), MOTORS)
-    )
+    runner = Runner(Policy(UNCONNECTED, Sensing(name="test", inputs=("x",), channels=(channel,)), MOTORS))
     runner.tick([x])
     assert runner.potentials[2] == pytest.approx(expected)
 
 
 def test_layers_work_on_parts_of_ranges_and_limits():
     policy = course_policy(load_circuit("tap_withdrawal"))
-    runner = PolicyRunner(policy)
+    runner = Runner(policy)
     # Of the first mixture: half of longitudinal's range, and of speed's a quarter at weight 0.6.
     runner.tick([0.1, 0.0, 0.0, 0.04, 0.0])
     potentials = dict(zip(policy.circuit.neurons, runner.potentials, strict=True))
@@ -174,9 +173,9 @@ def test_layers_work_on_parts_of_ranges_and_limits():
     assert potentials["AVM"] == pytest.approx(-70)
     loud = replace(policy, output_layer=np.array([[3.0, 3.0], [-3.0, 3.0]]))
     object.__setattr__(loud.circuit, "held", {9: -20.0, 10: -70.0})
-    assert PolicyRunner(loud).tick([0.0] * 5) == pytest.approx((0.24, -0.36))
+    assert Runner(loud).tick([0.0] * 5) == pytest.approx((0.24, -0.36))
     object.__setattr__(loud.circuit, "held", {9: -56.0, 10: -56.0})
-    assert PolicyRunner(loud).tick([0.0] * 5) == pytest.approx((0.24 * 0.6, 0.0))
+    assert Runner(loud).tick([0.0] * 5) == pytest.approx((0.24 * 0.6, 0.0))
 
 
 @pytest.mark.parametrize(

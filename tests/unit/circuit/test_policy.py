@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from rover_ncp.circuit.circuit import RESTING_MV, ParameterKind, SynapseKind
 from rover_ncp.circuit.motors import Motors, parking_motors
-from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
+from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
 from rover_ncp.core.errors import ConfigError, UsageError
 
@@ -104,7 +105,7 @@ def test_refuses_parts_that_do_not_fit(changes, problem):
     place=st.integers(0, 3),
 )
 def test_runner_rejects_non_finite_observations_and_keeps_its_state(value, place):
-    runner = PolicyRunner(PARKING)
+    runner = Runner(PARKING)
     runner.tick([0.1, 0.2, 0.3, 1.0])
     before = runner.potentials
     observation = [0.1, 0.2, 0.3, 1.0]
@@ -116,11 +117,11 @@ def test_runner_rejects_non_finite_observations_and_keeps_its_state(value, place
 
 def test_runner_refuses_an_observation_of_another_length():
     with pytest.raises(UsageError, match=r"needs 4 values \(x, y, theta, start\)"):
-        PolicyRunner(PARKING).tick([0.0, 0.0, 0.0])
+        Runner(PARKING).tick([0.0, 0.0, 0.0])
 
 
 def test_runner_starts_at_rest_and_returns_to_it():
-    runner = PolicyRunner(PARKING)
+    runner = Runner(PARKING)
     assert (runner.potentials == RESTING_MV).all()
     first = runner.tick([0.5, 0.5, 0.5, 1.0])
     again = runner.tick([0.5, 0.5, 0.5, 1.0])
@@ -137,7 +138,7 @@ def test_neurons_that_sense_nothing_leak():
     # PLM, ALM and AVM are then neurons like any other: they leak towards their own leak potential.
     vector = policy.parameters()
     vector[policy.layout().block(ParameterKind.LEAK_POTENTIAL).slice] = -30.0
-    runner = PolicyRunner(policy.with_parameters(vector))
+    runner = Runner(policy.with_parameters(vector))
     for _ in range(20):
         runner.tick([0.0])
     assert runner.potentials[[1, 6, 7]] == pytest.approx(-30.0, abs=1e-6)

@@ -16,7 +16,7 @@ from paths import DATA
 import rover_ncp
 from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.motors import Motors, parking_motors
-from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
+from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.policy_file import (
     load_circuit,
     load_policy,
@@ -24,6 +24,7 @@ from rover_ncp.circuit.policy_file import (
     policy_to_yaml,
     save_policy,
 )
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.sensing import Sensing, parking_sensing
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError, FileError
@@ -68,7 +69,7 @@ def test_saved_and_loaded_is_the_same_to_the_last_bit(policy, data, tmp_path):
     loaded = load_policy(path)
     same(policy, loaded)
     observation = [0.3] * len(policy.sensing.inputs)
-    assert PolicyRunner(loaded).tick(observation) == PolicyRunner(policy).tick(observation)
+    assert Runner(loaded).tick(observation) == Runner(policy).tick(observation)
 
 
 @given(st.integers(0, 2**32), st.sampled_from([PLAIN, LAYERED]))
@@ -92,7 +93,7 @@ def test_thirteenth_neuron_of_published_files_is_idle(tmp_path):
     text = (GOLDEN / "parking.bnn").read_text()
     path = tmp_path / "thirteen.bnn"
     path.write_text(text.replace("size 12", "size 13"))
-    thirteen, twelve = PolicyRunner(load_policy(path)), PolicyRunner(load_policy(GOLDEN / "parking.bnn"))
+    thirteen, twelve = Runner(load_policy(path)), Runner(load_policy(GOLDEN / "parking.bnn"))
     for _ in range(5):
         assert thirteen.tick([0.2, 0.3, 0.4, 1.0]) == twelve.tick([0.2, 0.3, 0.4, 1.0])
 

@@ -14,8 +14,9 @@ from rover_ncp.circuit import solver_reference as reference
 from rover_ncp.circuit.circuit import SynapseKind, build_circuit
 from rover_ncp.circuit.compiled import allocate_lanes, fill_lane, make_program, resting_potentials
 from rover_ncp.circuit.motors import Motors, parking_motors
-from rover_ncp.circuit.policy import Policy, PolicyRunner, parking_policy
+from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.sensing import Sensing, parking_sensing
 from rover_ncp.circuit.solver import exp2, tick_lanes
 from rover_ncp.kernels.jit import kernel
@@ -54,7 +55,7 @@ def draw_observations(data, policy, most):
 def test_a_step_of_the_kernel_is_the_references(policy, data):
     # From the same potentials each: in ten steps, steep synapses multiply what rounding leaves by a million.
     policy = replace(policy, substeps=1)
-    runner = PolicyRunner(policy)
+    runner = Runner(policy)
     for observation in draw_observations(data, policy, 8):
         before = runner.potentials
         command = runner.tick(observation)
@@ -66,7 +67,7 @@ def test_a_step_of_the_kernel_is_the_references(policy, data):
 @settings(max_examples=100, deadline=None)
 @given(wirings(), st.integers(2, 12), st.data())
 def test_a_tick_is_so_many_steps(policy, substeps, data):
-    whole, stepped = (PolicyRunner(replace(policy, substeps=count)) for count in (substeps, 1))
+    whole, stepped = (Runner(replace(policy, substeps=count)) for count in (substeps, 1))
     for observation in draw_observations(data, policy, 4):
         commands = [stepped.tick(observation) for _ in range(substeps)]
         assert whole.tick(observation) == commands[-1]
@@ -79,7 +80,7 @@ def test_a_tick_is_so_many_steps(policy, substeps, data):
     observations=st.lists(st.tuples(*[ANY_INPUT | NEAR_INPUT] * 4), min_size=1, max_size=8),
 )
 def test_clamped_potentials_never_leave_the_reversal_potentials(unit, observations):
-    runner = PolicyRunner(PARKING.with_parameters(in_bounds(PARKING, unit)))
+    runner = Runner(PARKING.with_parameters(in_bounds(PARKING, unit)))
     for observation in observations:
         runner.tick(observation)
         assert runner.potentials.min() >= -90 - 1e-9
@@ -90,7 +91,7 @@ def test_clamped_potentials_never_leave_the_reversal_potentials(unit, observatio
 @given(unit=unit_vectors(SIZE), observation=st.tuples(*[ANY_INPUT] * 4))
 def test_unclamped_sensors_far_out_stay_finite(unit, observation):
     policy = parking_policy(load_circuit("parking"), clamp=False)
-    runner = PolicyRunner(policy.with_parameters(in_bounds(policy, unit)))
+    runner = Runner(policy.with_parameters(in_bounds(policy, unit)))
     for _ in range(3):
         v, omega = runner.tick(observation)
         assert np.isfinite(runner.potentials).all()
@@ -129,7 +130,7 @@ def test_a_lane_does_not_notice_its_neighbours(policy, width):
     observations = rng.uniform(-0.5, 1.5, (30, len(policy.sensing.inputs), width))
     potentials, commands = run_lanes(policy, vectors, observations)
     for lane in range(width):
-        runner = PolicyRunner(policy.with_parameters(vectors[lane]))
+        runner = Runner(policy.with_parameters(vectors[lane]))
         for observation in observations:
             command = runner.tick(observation[:, lane])
         assert runner.potentials.tobytes() == potentials[:, lane].tobytes()
@@ -154,9 +155,10 @@ def test_a_lane_can_be_set_anew():
 # Prints the bits of a short run, for a processor whose name is in NUMBA_CPU_NAME.
 SHORT_RUN = """
 import json
-from rover_ncp.circuit.policy import PolicyRunner, parking_policy
+from rover_ncp.circuit.policy import parking_policy
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.policy_file import load_circuit
-runner = PolicyRunner(parking_policy(load_circuit("parking")))
+runner = Runner(parking_policy(load_circuit("parking")))
 commands = [runner.tick([0.01 * k, 0.005 * k, 0.02 * k, float(k > 5)]) for k in range(50)]
 print(json.dumps([commands, runner.potentials.tolist()]))
 """

@@ -5,18 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Checkpoint, Course, load_course
-from rover_ncp.course.reference import (
-    OMEGA_MAX,
-    SIGNALS,
-    V_MAX,
-    deviations,
-    drive_profile,
-    plan_reference,
-    see,
-    seen_from,
-)
+from rover_ncp.course.reference import OMEGA_MAX, V_MAX, deviations, drive_profile, plan_reference
+from rover_ncp.course.signals import SIGNALS, signals
 
 
 def course_of(*points, horizon_s=20.0):
@@ -151,7 +143,8 @@ angle = st.floats(-math.pi, math.pi, exclude_min=True)
 
 @given(finite, finite, angle, finite, finite, angle)
 def test_observation_determines_the_pose(x, y, theta, x_r, y_r, theta_r):
-    ahead, left, turn = seen_from(Pose(x, y, theta), Pose(x_r, y_r, theta_r))
+    reference = Pose(x_r, y_r, theta_r), Velocity(0.0, 0.0)
+    ahead, left, turn = signals(Pose(x, y, theta), 0.0, reference)[4:7]
     assert x + ahead * math.cos(theta) - left * math.sin(theta) == pytest.approx(x_r, abs=1e-12)
     assert y + ahead * math.sin(theta) + left * math.cos(theta) == pytest.approx(y_r, abs=1e-12)
     assert abs(wrap_angle(theta + turn - theta_r)) < 1e-12
@@ -160,8 +153,8 @@ def test_observation_determines_the_pose(x, y, theta, x_r, y_r, theta_r):
 
 def test_signals_have_their_names(parking):
     _, reference = parking
-    seen = dict(zip(SIGNALS, see(Pose(0.1, 0.2, 0.3), 1.0, reference.tick(100)), strict=True))
+    seen = dict(zip(SIGNALS, signals(Pose(0.1, 0.2, 0.3), 1.0, reference.tick(100)), strict=True))
     assert (seen["x"], seen["y"], seen["theta"], seen["start"]) == (0.1, 0.2, 0.3, 1.0)
     assert seen["heading"] == pytest.approx(reference.poses[100, 2] - 0.3)
     assert (seen["speed"], seen["turn"]) == tuple(reference.motion[100])
-    assert see(Pose(0.1, 0.2, 0.3), 0.0, None) == (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert signals(Pose(0.1, 0.2, 0.3), 0.0, None) == (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -7,12 +7,14 @@ from base_odometry import reported
 
 from deploy.drive.controller import Controller
 from deploy.estimator.settings import EstimatorSettings, Outcome
-from rover_ncp.circuit.policy import PolicyRunner, course_policy, parking_policy
+from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative, wrap_angle
 from rover_ncp.course.course import load_course
-from rover_ncp.course.reference import SIGNALS, plan_reference, see
+from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.signals import SIGNALS, signals
 from sim.learn.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
@@ -58,7 +60,7 @@ def bits(ticks):
 
 def test_the_circuit_is_run_as_in_the_simulator(policy):
     _, ticks, _ = drive(policy, latency=0.0)
-    runner = PolicyRunner(policy)
+    runner = Runner(policy)
     runner.tick((0.0, 0.0, 0.0, 0.0))
     for tick in ticks:
         start = 1.0 if tick.index >= 30 else 0.0
@@ -72,12 +74,12 @@ def test_a_circuit_that_follows_the_course_sees_its_reference_as_in_the_simulato
     tracker, reference = course_policy(load_circuit("tracking")), plan_reference(COURSE)
     there = Pose(0.06, -0.04, 0.1)
     poses, ticks, _ = drive(tracker, pose=there, report=reported, latency=0.0)
-    runner = PolicyRunner(tracker)
+    runner = Runner(tracker)
     chosen = [SIGNALS.index(name) for name in tracker.sensing.inputs]
 
     def seen(pose, index):
-        signals = see(pose, 0.0, reference.tick(index))
-        return [signals[i] for i in chosen]
+        values = signals(pose, 0.0, reference.tick(index))
+        return [values[i] for i in chosen]
 
     runner.tick(seen(there, 0))
     for tick in ticks:
@@ -94,7 +96,7 @@ def started_at(pose):
 
 
 def test_driven_on_odometry_the_rover_goes_where_exact_poses_take_it(policy):
-    rover, runner, exact = PymunkRover(default_rover(), Ground()), PolicyRunner(policy), []
+    rover, runner, exact = PymunkRover(default_rover(), Ground()), Runner(policy), []
     runner.tick((0.0, 0.0, 0.0, 0.0))
     for index in range(COURSE.ticks):
         exact.append(rover.pose)

@@ -9,8 +9,8 @@ from recorded_drives import write_drive
 
 from deploy.report.charts.circuit import circuit
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
-from rover_ncp.circuit.policy import PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from sim.explain.explain import explain, traced
@@ -27,7 +27,7 @@ def parking():
 
 
 def outputs(policy, ticks=30):
-    runner = PolicyRunner(policy)
+    runner = Runner(policy)
     return [runner.tick([0.3, 0.1, 0.5, 1.0]) for _ in range(ticks)]
 
 
@@ -38,7 +38,7 @@ def test_without_a_motor_neuron_nothing_is_asked_of_it(parking):
 
 def test_without_a_sensory_neuron_what_it_senses_makes_no_difference(parking):
     blind = without_neuron(parking, "PVD")
-    one, other = PolicyRunner(blind), PolicyRunner(blind)
+    one, other = Runner(blind), Runner(blind)
     for _ in range(20):
         assert one.tick([0.9, 0.1, 0.5, 1.0]) == other.tick([0.0, 0.1, 0.5, 1.0])
 

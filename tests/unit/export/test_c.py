@@ -14,13 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wirings import wirings
 
-from rover_ncp.circuit.policy import PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import TICK_S, load_course
-from rover_ncp.course.reference import SIGNALS, plan_reference, see
+from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.signals import SIGNALS, signals
 from rover_ncp.export.circuit_c import circuit_files
 from rover_ncp.export.export import exported
 
@@ -47,7 +48,7 @@ def random_observations(policy, count, seed=3):
 def test_ten_thousand_random_ticks_agree_with_the_solver_to_the_last_bit(shipped, tmp_path):
     policy, name, _ = shipped
     library = compile_c(circuit_files(policy, name, "test"), tmp_path, "p.so", "-shared", "-fPIC")
-    c, solver = CPolicy(policy, library, name), PolicyRunner(policy)
+    c, solver = CPolicy(policy, library, name), Runner(policy)
     for observation in random_observations(policy, 10_000):
         assert c.tick(observation) == solver.tick(observation)
     assert c.potentials.tobytes() == solver.potentials.tobytes()
@@ -58,7 +59,7 @@ def test_ten_thousand_random_ticks_agree_with_the_solver_to_the_last_bit(shipped
 def test_any_wiring_compiles_and_agrees_to_the_last_bit(policy, seed, tmp_path_factory):
     files = circuit_files(policy, "any", "test")
     library = compile_c(files, tmp_path_factory.mktemp("any"), "p.so", "-shared", "-fPIC")
-    c, solver = CPolicy(policy, library, "any"), PolicyRunner(policy)
+    c, solver = CPolicy(policy, library, "any"), Runner(policy)
     for observation in random_observations(policy, 100, seed):
         assert c.tick(observation) == solver.tick(observation)
 
@@ -69,7 +70,7 @@ def test_float_stays_near_the_solver(shipped, tmp_path):
     library = compile_c(
         files, tmp_path, "p.so", "-shared", "-fPIC", "-DROVER_NCP_FLOAT", "-Wdouble-promotion"
     )
-    c, solver = CPolicy(policy, library, name, ctypes.c_float), PolicyRunner(policy)
+    c, solver = CPolicy(policy, library, name, ctypes.c_float), Runner(policy)
     observations = np.clip(random_observations(policy, 10_000), -1e3, 1e3)
     found = np.array([(c.tick(row), solver.tick(row)) for row in observations])
     # A thousandth of the slowest command that a base carries out, 1 mm/s or 1 deg/s.
@@ -101,8 +102,8 @@ def test_the_course_shows_what_a_policy_sees_in_the_simulator(name, course, tmp_
     for tick in range(-1, known.ticks + 20):
         where = reference.tick(max(tick, 0)) if reference else None
         pose = Pose(*generator.normal(0, 1, 2), generator.uniform(-math.pi, math.pi))
-        signals = see(pose, known.start_signal(tick * TICK_S) if tick >= 0 else 0.0, where)
-        np.testing.assert_allclose(c.observe(pose), [signals[i] for i in chosen], rtol=0, atol=1e-9)
+        values = signals(pose, known.start_signal(tick * TICK_S) if tick >= 0 else 0.0, where)
+        np.testing.assert_allclose(c.observe(pose), [values[i] for i in chosen], rtol=0, atol=1e-9)
         c.advance()
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from tutorials import PAGES, write_files
 
-from rover_ncp.circuit.policy import PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError
 from sim import api
@@ -34,7 +34,7 @@ def policy(folder):
 
 def plain_return(policy, environment, seed, choose=lambda outputs: np.array(outputs, np.float32)):
     """The return of one episode, written as Gymnasium's documentation does it."""
-    runner = PolicyRunner(policy)
+    runner = Runner(policy)
     seen, _ = environment.reset(seed=int(seed) % 2**32)
     total, over = 0.0, False
     while not over:

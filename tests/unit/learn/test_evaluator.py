@@ -8,8 +8,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-from rover_ncp.circuit.policy import PolicyRunner, course_policy, parking_policy
+from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import wrap_angle
 from rover_ncp.course.course import Obstacle, due_checkpoints, load_course
@@ -61,7 +62,7 @@ def test_a_lane_returns_what_the_environment_returns():
     vectors = candidates(3, seed=1)
     returns = []
     for vector in vectors:
-        runner = PolicyRunner(POLICY.with_parameters(vector))
+        runner = Runner(POLICY.with_parameters(vector))
         observation, _ = env.reset()
         runner.tick(observation)
         total, terminated = 0.0, False

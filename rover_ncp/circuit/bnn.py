@@ -17,7 +17,7 @@ import re
 
 import numpy as np
 
-from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, MAXIMUM_NEURONS, Circuit, ParameterKind, SynapseKind
+from rover_ncp.circuit.circuit import DEFAULTS, MAX_NEURONS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.core.errors import ConfigError
 
 _VALUES = {
@@ -28,7 +28,6 @@ _VALUES = {
 }
 _SYNAPSES = {"ex": SynapseKind.EXCITATORY, "inh": SynapseKind.INHIBITORY, "gj": SynapseKind.GAP}
 _USAGE = {
-    "size": "N",
     **dict.fromkeys(_VALUES, "neuron value"),
     "ex": "source destination weight [sigma]",
     "inh": "source destination weight [sigma]",
@@ -36,115 +35,107 @@ _USAGE = {
 }
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _INDEX = re.compile(r"\d{1,6}", re.ASCII)
-_SHOWN_PROBLEMS = 10
 _NEURONS = ("PVD", "PLM", "AVA", "AVD", "PVC", "AVB", "AVM", "ALM", "DVA", "FWD", "REV")
 _PARKING_NEURONS = (*_NEURONS[:9], "LFT", "RGT", "FWD")
 
-
-class _Wrong(Exception):
-    """A statement that cannot be."""
-
-
-class _Statements:
-    """The statements read so far."""
-
-    def __init__(self) -> None:
-        self.size = 0
-        self.values: dict[tuple[str, int], float] = {}
-        self.synapses: dict[tuple[str, int, int], tuple[float, float]] = {}
-
-    def read(self, words: list[str]) -> None:
-        """Read one statement. Raises _Wrong."""
-        match words:
-            case ["size", count]:
-                if self.size:
-                    raise _Wrong("a second size statement")
-                if not _INDEX.fullmatch(count) or not 1 <= int(count) <= MAXIMUM_NEURONS:
-                    raise _Wrong(f"size must be in 1..{MAXIMUM_NEURONS}, got {count[:20]!r}")
-                self.size = int(count)
-            case [word, *_] if word != "size" and not self.size:
-                raise _Wrong("a size statement must come first")
-            case ["cm" | "gleak" | "vleak" | "const" as word, neuron, value]:
-                at = word, self._index(neuron)
-                number = _number(word, value, _VALUES[word])
-                if at in self.values:
-                    raise _Wrong(f"{word} {at[1]} appears twice")
-                self.values[at] = number
-            case ["ex" | "inh" as word, source, destination, weight, sigma]:
-                self._add_synapse(word, source, destination, weight, sigma)
-            case ["ex" | "inh" | "gj" as word, source, destination, weight]:
-                self._add_synapse(word, source, destination, weight)
-            case [word, *rest] if word in _USAGE:
-                raise _Wrong(f"expected '{word} {_USAGE[word]}', got {len(rest)} values")
-            case _:
-                expected = ", ".join(_USAGE)
-                raise _Wrong(f"unknown statement {words[0][:20]!r} (expected one of {expected})")
-
-    def _add_synapse(self, word: str, source: str, destination: str, weight: str, sigma: str = "") -> None:
-        ends = word, self._index(source), self._index(destination)
-        conductance, steepness = (
-            _number("weight", weight, ParameterKind.WEIGHT),
-            DEFAULTS[ParameterKind.SIGMA],
-        )
-        if sigma:
-            steepness = _number("sigma", sigma, ParameterKind.SIGMA)
-        if ends in self.synapses:
-            raise _Wrong(f"{word} {ends[1]} {ends[2]} appears twice")
-        self.synapses[ends] = conductance, steepness
-
-    def _index(self, text: str) -> int:
-        if not _INDEX.fullmatch(text) or int(text) >= self.size:
-            raise _Wrong(f"neuron {text[:20]!r} is not in 0..{self.size - 1}")
-        return int(text)
-
-    def circuit(self, name: str) -> Circuit:
-        """Return the circuit that they make."""
-
-        def per_neuron(word: str) -> list[float]:
-            default = DEFAULTS[_VALUES[word]]
-            return [self.values.get((word, i), default) for i in range(self.size)]
-
-        known = _NEURONS if self.size <= len(_NEURONS) else _PARKING_NEURONS
-        return Circuit(
-            name=name,
-            neurons=tuple(known[i] if i < len(known) else f"N{i}" for i in range(self.size)),
-            kind=np.array([_SYNAPSES[word] for word, _, _ in self.synapses], np.int64),
-            source=np.array([source for _, source, _ in self.synapses], np.int64),
-            destination=np.array([destination for _, _, destination in self.synapses], np.int64),
-            weight=np.array([weight for weight, _ in self.synapses.values()]),
-            sigma=np.array([sigma for _, sigma in self.synapses.values()]),
-            leak_potential=np.array(per_neuron("vleak")),
-            leak=np.array(per_neuron("gleak")),
-            capacitance=np.array(per_neuron("cm")),
-            held={i: value for (word, i), value in self.values.items() if word == "const"},
-        )
+_Synapse = tuple[SynapseKind, int, int, float, float]
 
 
 def circuit_from_bnn(text: str, name: str, source: str) -> Circuit:
-    """Read a circuit; raises ConfigError naming ``source`` and the line of every wrong statement."""
-    statements, problems = _Statements(), []
+    """Read a circuit; raises ConfigError naming ``source``, and the line of every unreadable statement."""
+    size, problems = 0, []
+    values: dict[tuple[str, int], float] = {}
+    synapses: list[_Synapse] = []
     for number, line in enumerate(text.splitlines(), start=1):
-        if words := line.partition("#")[0].split():
-            try:
-                statements.read(words)
-            except _Wrong as wrong:
-                problems.append(f"line {number}: {wrong}")
-                if not statements.size:  # nothing after it can be judged
-                    break
-    if not statements.size and not problems:
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        try:
+            if not size:
+                size = _size(words)
+            elif words[0] in _SYNAPSES:
+                synapses.append(_synapse(words, size))
+            else:
+                key, value = _value(words, size)
+                if key in values:
+                    raise ValueError(f"{key[0]} {key[1]} appears twice")
+                values[key] = value
+        except ValueError as error:
+            problems.append(f"line {number}: {error}")
+            if not size:  # no index can be checked without it
+                break
+    if not size and not problems:
         problems.append("no size statement")
-    if len(problems) > _SHOWN_PROBLEMS:
-        problems[_SHOWN_PROBLEMS:] = [f"and {len(problems) - _SHOWN_PROBLEMS} more"]
     if problems:
         raise ConfigError(source, problems)
-    return statements.circuit(name)
+    try:
+        return _circuit(name, size, values, synapses)
+    except ConfigError as error:
+        raise ConfigError(source, error.problems) from error
 
 
-def _number(what: str, text: str, kind: ParameterKind) -> float:
-    bounds = BOUNDS[kind]
+def _circuit(name: str, size: int, values: dict[tuple[str, int], float], synapses: list[_Synapse]) -> Circuit:
+    def per_neuron(word: str) -> list[float]:
+        return [values.get((word, i), DEFAULTS[_VALUES[word]]) for i in range(size)]
+
+    kind, origin, destination, weight, sigma = zip(*synapses, strict=True) if synapses else ((),) * 5
+    known = _NEURONS if size <= len(_NEURONS) else _PARKING_NEURONS
+    return Circuit(
+        name=name,
+        neurons=tuple(known[i] if i < len(known) else f"N{i}" for i in range(size)),
+        kind=np.array(kind, np.int64),
+        source=np.array(origin, np.int64),
+        destination=np.array(destination, np.int64),
+        weight=np.array(weight, np.float64),
+        sigma=np.array(sigma, np.float64),
+        leak_potential=np.array(per_neuron("vleak")),
+        leak=np.array(per_neuron("gleak")),
+        capacitance=np.array(per_neuron("cm")),
+        held={i: value for (word, i), value in values.items() if word == "const"},
+    )
+
+
+def _size(words: list[str]) -> int:
+    if words[0] != "size":
+        raise ValueError("a size statement must come first")
+    count = words[1] if len(words) == 2 else ""
+    if not _INDEX.fullmatch(count) or not 1 <= int(count) <= MAX_NEURONS:
+        raise ValueError(f"expected 'size N', N in 1..{MAX_NEURONS}, got {' '.join(words)[:40]!r}")
+    return int(count)
+
+
+def _value(words: list[str], size: int) -> tuple[tuple[str, int], float]:
+    match words:
+        case [word, neuron, value] if word in _VALUES:
+            return (word, _index(neuron, size)), _number(value)
+    raise _wrong(words)
+
+
+def _synapse(words: list[str], size: int) -> _Synapse:
+    match words:
+        case [word, origin, destination, weight]:
+            sigma = DEFAULTS[ParameterKind.SIGMA]
+        case ["ex" | "inh" as word, origin, destination, weight, text]:
+            sigma = _number(text)
+        case _:
+            raise _wrong(words)
+    return _SYNAPSES[word], _index(origin, size), _index(destination, size), _number(weight), sigma
+
+
+def _wrong(words: list[str]) -> ValueError:
+    word = words[0]
+    if word in _USAGE:
+        return ValueError(f"expected '{word} {_USAGE[word]}', got {len(words) - 1} values")
+    return ValueError(f"unknown statement {word[:20]!r} (expected one of {', '.join(_USAGE)})")
+
+
+def _index(text: str, size: int) -> int:
+    if not _INDEX.fullmatch(text) or int(text) >= size:
+        raise ValueError(f"neuron {text[:20]!r} is not in 0..{size - 1}")
+    return int(text)
+
+
+def _number(text: str) -> float:
     if not _NUMBER.fullmatch(text):
-        raise _Wrong(f"{what} must be a number in {bounds}, got {text[:20]!r}")
-    value = float(text)
-    if not bounds.lower <= value <= bounds.upper:
-        raise _Wrong(f"{what} {text[:20]} is outside {bounds}")
-    return value
+        raise ValueError(f"expected a number, got {text[:20]!r}")
+    return float(text)

@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Item = TypeVar("Item")
 
-MAXIMUM_NEURONS = 256
+MAX_NEURONS = 256
 RESTING_MV = -70.0
 """Every neuron's potential at the start of a run."""
 MIDPOINT_MV = -40.0
@@ -160,8 +160,8 @@ class Circuit:
 
     def _shape_problems(self) -> list[str]:
         n, m = len(self.neurons), len(self.kind)
-        if not 1 <= n <= MAXIMUM_NEURONS:
-            return [f"1..{MAXIMUM_NEURONS} neurons are possible, got {n}"]
+        if not 1 <= n <= MAX_NEURONS:
+            return [f"1..{MAX_NEURONS} neurons are possible, got {n}"]
         problems = [f"two neurons are called {name!r}" for name in _repeated(self.neurons)]
         # What cannot be read from a policy's file is not made.
         problems += [

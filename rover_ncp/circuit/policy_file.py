@@ -5,10 +5,11 @@ number has the same bits, and so has every trajectory.
 """
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, Circuit, ParameterKind, SynapseKind
@@ -20,24 +21,22 @@ from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text, resolve, write_atomic
 
 
-def _bounded(kind: ParameterKind) -> Any:
-    return Field(ge=BOUNDS[kind].lower, le=BOUNDS[kind].upper)
+def _number(kind: ParameterKind, meaning: str) -> Any:
+    """Return the field of a number, whose bounds the circuit checks."""
+    return Field(description=f"{meaning}, {BOUNDS[kind]}")
 
 
 Layer = tuple[tuple[float, ...], ...]
 
 
 class _Neuron(StrictModel):
-    name: Name
-    """Different from those of the other neurons."""
-    capacitance: float = _bounded(ParameterKind.CAPACITANCE)
-    """F."""
-    leak: float = _bounded(ParameterKind.LEAK)
-    """Conductance to the leak potential, S."""
-    leak_potential: float = _bounded(ParameterKind.LEAK_POTENTIAL)
-    """Potential at rest, without synapses, mV."""
-    held_mV: Annotated[float, _bounded(ParameterKind.LEAK_POTENTIAL)] | None = None
-    """Constant potential of a neuron that never changes."""
+    name: str = Field(description="Different from those of the other neurons.")
+    capacitance: float = _number(ParameterKind.CAPACITANCE, "Capacitance")
+    leak: float = _number(ParameterKind.LEAK, "Conductance to the leak potential")
+    leak_potential: float = _number(ParameterKind.LEAK_POTENTIAL, "Potential at rest, without synapses")
+    held_mV: float | None = Field(
+        default=None, description="Constant potential of a neuron that never changes, -90..0 mV"
+    )
 
 
 class _Synapse(StrictModel):
@@ -47,16 +46,22 @@ class _Synapse(StrictModel):
     """Neuron that opens the synapse."""
     destination: str
     """Neuron into which the current flows; a gap junction, too, feeds this one only."""
-    weight: float = _bounded(ParameterKind.WEIGHT)
-    """Conductance when open, S."""
-    sigma: Annotated[float, _bounded(ParameterKind.SIGMA)] | None = None
-    """Steepness of the opening, 1/mV; of chemical synapses only."""
+    weight: float = _number(ParameterKind.WEIGHT, "Conductance when open")
+    sigma: float | None = Field(
+        default=None, description="Steepness of a chemical synapse, 0.05..0.5 1/mV; a gap junction has none"
+    )
+
+    @model_validator(mode="after")
+    def _sigma_fits(self) -> Self:
+        if (self.sigma is None) != (self.kind == "gap"):
+            raise ValueError("a chemical synapse needs sigma, a gap junction has none")
+        return self
 
 
 class _Circuit(StrictModel):
-    name: Name
+    name: str
     """Of the wiring, for messages and reports."""
-    neurons: tuple[_Neuron, ...] = Field(min_length=1)
+    neurons: tuple[_Neuron, ...]
     """Sensory neurons, interneurons and motor neurons."""
     synapses: tuple[_Synapse, ...]
     """At most one of a kind from one neuron to another."""
@@ -186,32 +191,22 @@ def _text(path: Path) -> str:
     return text
 
 
-def _layer(rows: Layer | None, name: str) -> np.ndarray[Any, np.dtype[np.float64]] | None:
-    if rows is None:
-        return None
-    if len({len(row) for row in rows}) != 1 or not rows[0]:
-        raise ConfigError("", [f"{name}: all rows must have the same length, at least 1"])
-    return np.array(rows, np.float64)
+def _layer(rows: Layer | None, name: str) -> NDArray[np.float64] | None:
+    try:
+        return None if rows is None else np.array(rows, np.float64)
+    except ValueError as error:
+        raise ConfigError("", [f"{name}: all rows must have the same length"]) from error
 
 
 def _circuit(file: _Circuit, source: str, where: str) -> Circuit:
     """Turn names into indices; every problem with the path of its value."""
     neurons = [neuron.name for neuron in file.neurons]
     problems = [
-        f"{where}.neurons[{i}].name: {name!r} appears twice"
-        for i, name in enumerate(neurons)
-        if name in neurons[:i]
+        f"{where}.synapses[{s}].{end}: there is no neuron {name!r}"
+        for s, synapse in enumerate(file.synapses)
+        for end, name in (("source", synapse.source), ("destination", synapse.destination))
+        if name not in neurons
     ]
-    for s, synapse in enumerate(file.synapses):
-        path = f"{where}.synapses[{s}]"
-        problems += [
-            f"{path}.{end}: there is no neuron {name!r}"
-            for end, name in (("source", synapse.source), ("destination", synapse.destination))
-            if name not in neurons
-        ]
-        if (synapse.sigma is None) != (synapse.kind == "gap"):
-            what = "a gap junction has none" if synapse.kind == "gap" else "this key is missing"
-            problems.append(f"{path}.sigma: {what}")
     if problems:
         raise ConfigError(source, problems)
     try:

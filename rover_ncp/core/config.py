@@ -46,8 +46,6 @@ def _strict_numbers(schema: Any) -> Any:
     return schema
 
 
-MAX_PROBLEMS = 20
-"""Problems of a file that are shown."""
 MAX_NAME = 64
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$", max_length=MAX_NAME)]
 """Name of a circuit, a neuron or a robot, for files, messages and programs."""
@@ -184,15 +182,15 @@ def dump_yaml(data: dict[str, Any]) -> str:
 
 
 def _lines(errors: Sequence[Any]) -> list[str]:
-    """Return a line for each problem, with the path of its value, and the number of those left out."""
+    """Return a line for each problem, with the path of its value."""
     # pydantic counts only the valid items of a tuple: with an invalid one, a length says nothing.
     inside = {item["loc"][:length] for item in errors for length in range(len(item["loc"]))}
     errors = [item for item in errors if item["type"] != "too_short" or item["loc"] not in inside]
     lines = []
-    for item in errors[:MAX_PROBLEMS]:
+    for item in errors:
         path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in item["loc"])
         lines.append(f"${path}: {_text(item)}")
-    return lines + ([f"and {len(errors) - MAX_PROBLEMS} more"] if len(errors) > MAX_PROBLEMS else [])
+    return lines
 
 
 def _text(item: Any) -> str:

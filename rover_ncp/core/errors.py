@@ -24,13 +24,19 @@ class UsageError(RoverNcpError):
     """The caller asked for something that cannot be: a bad option, file or value."""
 
 
+MAX_PROBLEMS = 20
+"""Problems of a file that its message shows."""
+
+
 class ConfigError(UsageError):
     """A configuration is wrong. ``problems`` holds one line each, with the path of the value."""
 
     def __init__(self, source: str, problems: Sequence[str]) -> None:
         self.source = source
         self.problems = tuple(problems)
-        super().__init__(f"{source}: " + "; ".join(self.problems))
+        more = len(self.problems) - MAX_PROBLEMS
+        shown = [*self.problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
+        super().__init__(f"{source}: " + "; ".join(shown))
 
 
 class FileError(UsageError):

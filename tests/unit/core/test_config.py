@@ -52,7 +52,7 @@ def test_many_problems_are_counted():
         "$.wheels[0].radius_m: this key is missing",
         "$.wheels[0].radius_mm: unknown key",
     )
-    assert caught.value.problems[-1] == "and 80 more"
+    assert str(caught.value).endswith("; and 80 more")
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from llvmlite import ir
 from numba import njit, typeof
 from numba.core import cgutils, types
 from numba.core.compiler_lock import global_compiler_lock
-from numba.extending import intrinsic
+from numba.extending import intrinsic as numba_intrinsic
 
 from rover_ncp.core.errors import UsageError
 from rover_ncp.kernels.machine_code import MachineCode
@@ -25,9 +25,9 @@ if getattr(numba.config, "DISABLE_JIT", False):
     raise UsageError("NUMBA_DISABLE_JIT is set, but kernels run only when they are compiled: unset it")
 
 
-def in_kernels(generator: Callable[..., Any]) -> Any:
+def intrinsic(generator: Callable[..., Any]) -> Any:
     """Make a code generator into a function for kernels, which do not pass its first argument."""
-    return intrinsic(generator)
+    return numba_intrinsic(generator)
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -54,8 +54,8 @@ def bound(kernel: Any, *arguments: Any) -> Callable[[], Any]:
     return functools.partial(kernel.compile(tuple(map(typeof, arguments))), *arguments)
 
 
-@in_kernels
-def borrowed(_context: Any, value: Any) -> Any:
+@intrinsic
+def without_refcounts(_context: Any, value: Any) -> Any:
     """Within a kernel: return an array, or a tuple with the arrays in it, that count no references.
 
     numba counts up and down, by slow atomic operations, whenever an array is taken out of a tuple; in a
@@ -82,7 +82,7 @@ def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     return value
 
 
-@in_kernels
+@intrinsic
 def call_fortran(_context: Any, routine: Any, arguments: Any) -> Any:
     """Within a kernel: call a Fortran subroutine, given its address and a tuple of arguments.
 

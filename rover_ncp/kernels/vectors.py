@@ -20,7 +20,7 @@ from numba.core import types
 from numba.extending import models, overload, register_model
 from numpy.typing import NDArray
 
-from rover_ncp.kernels.jit import in_kernels
+from rover_ncp.kernels.jit import intrinsic
 
 WIDTH = 8
 """Lanes in a vector."""
@@ -75,7 +75,7 @@ def _spread_all(context: Any, builder: Any, signature: Any, arguments: Any) -> l
 
 
 def _define(python_operator: Callable[[Any, Any], Any], instruction: str) -> None:
-    @in_kernels
+    @intrinsic
     def apply(typing_context: Any, a: Any, b: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             return getattr(builder, instruction)(*_spread_all(context, builder, signature, arguments))
@@ -107,7 +107,7 @@ def _pointer(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     return builder.bitcast(first, _DOUBLES.as_pointer())
 
 
-@in_kernels
+@intrinsic
 def load(typing_context: Any, array: Any, block: Any, row: Any) -> Any:
     """Return a row of a C-contiguous (blocks, rows, WIDTH) array as a vector; nothing checks the indices."""
 
@@ -119,7 +119,7 @@ def load(typing_context: Any, array: Any, block: Any, row: Any) -> Any:
     return _vector(array, types.intp, types.intp), generate
 
 
-@in_kernels
+@intrinsic
 def store(typing_context: Any, array: Any, block: Any, row: Any, value: Any) -> Any:
     """Write a vector to a row of a C-contiguous (blocks, rows, WIDTH) array; nothing checks the indices."""
 
@@ -148,7 +148,7 @@ def _place(value: int) -> Any:
     return ir.Constant(ir.IntType(32), value)
 
 
-@in_kernels
+@intrinsic
 def load_lanes(typing_context: Any, array: Any, row: Any, start: Any) -> Any:
     """Return eight lanes of a row of a C-contiguous (rows, L) array as a vector; beyond the last lane, that
     one again. Nothing checks the indices."""
@@ -179,7 +179,7 @@ def load_lanes(typing_context: Any, array: Any, row: Any, start: Any) -> Any:
     return _vector(array, types.intp, types.intp), generate
 
 
-@in_kernels
+@intrinsic
 def store_lanes(typing_context: Any, array: Any, row: Any, start: Any, value: Any) -> Any:
     """Write a vector to eight lanes of a row of a C-contiguous (rows, L) array, as far as there are so many.
     Nothing checks the indices."""
@@ -203,7 +203,7 @@ def store_lanes(typing_context: Any, array: Any, row: Any, start: Any, value: An
     return types.void(array, types.intp, types.intp, value), generate
 
 
-@in_kernels
+@intrinsic
 def everywhere(typing_context: Any, number: Any) -> Any:
     """Return a vector of one number in all eight places."""
 
@@ -223,19 +223,19 @@ def _chosen(a: Any, b: Any, comparison: str) -> Any:
     return _vector(a, b), generate
 
 
-@in_kernels
+@intrinsic
 def larger(typing_context: Any, a: Any, b: Any) -> Any:
     """Return max(a, b), place by place, as Python has it: ``a`` unless ``b`` is greater."""
     return _chosen(a, b, ">")
 
 
-@in_kernels
+@intrinsic
 def smaller(typing_context: Any, a: Any, b: Any) -> Any:
     """Return min(a, b), place by place, as Python has it: ``a`` unless ``b`` is less."""
     return _chosen(a, b, "<")
 
 
-@in_kernels
+@intrinsic
 def where_less(typing_context: Any, a: Any, b: Any, then: Any, otherwise: Any) -> Any:
     """Return ``then`` where ``a`` is less than ``b``, ``otherwise`` elsewhere, place by place."""
 
@@ -256,7 +256,7 @@ def _places(context: Any, builder: Any, signature: Any, arguments: Any) -> list[
     return [builder.inttoptr(builder.add(address, arguments[2]), pointer) for address in addresses]
 
 
-@in_kernels
+@intrinsic
 def gather(typing_context: Any, addresses: Any, start: Any, offset: Any) -> Any:
     """Return the doubles ``offset`` bytes behind eight addresses, those of a contiguous array from ``start``
     on, as a vector; nothing checks any of it."""
@@ -270,7 +270,7 @@ def gather(typing_context: Any, addresses: Any, start: Any, offset: Any) -> Any:
     return _vector(addresses, types.intp, types.intp), generate
 
 
-@in_kernels
+@intrinsic
 def scatter(typing_context: Any, addresses: Any, start: Any, offset: Any, value: Any) -> Any:
     """Write a vector to the doubles ``offset`` bytes behind eight addresses, those of a contiguous array from
     ``start`` on, the first one first; nothing checks any of it."""
@@ -283,7 +283,7 @@ def scatter(typing_context: Any, addresses: Any, start: Any, offset: Any, value:
     return types.void(addresses, types.intp, types.intp, value), generate
 
 
-@in_kernels
+@intrinsic
 def total(typing_context: Any, vector: Any) -> Any:
     """Return the sum of a vector's eight numbers, added from the first to the last."""
 
@@ -294,7 +294,7 @@ def total(typing_context: Any, vector: Any) -> Any:
     return types.float64(_vector), generate
 
 
-@in_kernels
+@intrinsic
 def scale_by_power_of_two(typing_context: Any, value: Any, shifted: Any) -> Any:
     """Return value * 2**n, where n is the integer in the lowest bits of ``shifted`` (see ``solver.exp2``).
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.signals import signals
-from rover_ncp.kernels.jit import borrowed, inlined_kernel, kernel
+from rover_ncp.kernels.jit import inlined_kernel, kernel, without_refcounts
 from rover_ncp.kernels.vectors import RowArray
 from sim.world.fleet import (
     FleetArrays,
@@ -158,8 +158,8 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
 
         ``arrays`` are the commander's; ``signal_at`` (inputs,) gives the signal of each input.
         """
-        arrays, tasks, trials = borrowed(arrays), borrowed(tasks), borrowed(trials)
-        lanes, fleet, queue = borrowed(lanes), borrowed(fleet), borrowed(queue)
+        arrays, tasks, trials = without_refcounts(arrays), without_refcounts(tasks), without_refcounts(trials)
+        lanes, fleet, queue = without_refcounts(lanes), without_refcounts(fleet), without_refcounts(queue)
         episodes, before = lanes.episode, lanes.before
         waiting, ring, left = queue.waiting
         group_size = len(waiting) // len(left)

@@ -21,7 +21,7 @@ from numba import types
 from pymunk._chipmunk_cffi import ffi, lib
 
 from rover_ncp.core.errors import RoverNcpError
-from rover_ncp.kernels.jit import in_kernels
+from rover_ncp.kernels.jit import intrinsic
 
 # Bytes of a body that are searched; the structure is longer in every Chipmunk since version 7.0.
 _SEARCHED = 248
@@ -149,7 +149,7 @@ def _contacts_offset(space: pymunk.Space, body: pymunk.Body) -> int:
     return found[0]
 
 
-@in_kernels
+@intrinsic
 def call_with_number(_context: Any, function: Any, thing: Any, number: Any) -> Any:
     """Within a kernel: call a C function of a pointer and a double; it returns nothing."""
 
@@ -166,7 +166,7 @@ def call_with_number(_context: Any, function: Any, thing: Any, number: Any) -> A
 def _call_with_two(result: ir.Type) -> Any:
     """Return a function for kernels that calls a C function of two pointers; its result is not wanted."""
 
-    @in_kernels
+    @intrinsic
     def call(_context: Any, function: Any, thing: Any, other: Any) -> Any:
         def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             pointer = ir.IntType(8).as_pointer()
@@ -184,7 +184,7 @@ add_thing = _call_with_two(ir.IntType(8).as_pointer())
 """As ``call_with_thing``, for a C function that returns what was added."""
 
 
-@in_kernels
+@intrinsic
 def load(_context: Any, address: Any) -> Any:
     """Within a kernel: read the double at an address."""
 
@@ -194,7 +194,7 @@ def load(_context: Any, address: Any) -> Any:
     return types.float64(types.int64), generate
 
 
-@in_kernels
+@intrinsic
 def load_word(_context: Any, address: Any) -> Any:
     """Within a kernel: read the 64-bit word at an address."""
 
@@ -204,7 +204,7 @@ def load_word(_context: Any, address: Any) -> Any:
     return types.int64(types.int64), generate
 
 
-@in_kernels
+@intrinsic
 def store(_context: Any, address: Any, value: Any) -> Any:
     """Within a kernel: write a double to an address."""
 

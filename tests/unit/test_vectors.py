@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rover_ncp.kernels.jit import borrowed, kernel
+from rover_ncp.kernels.jit import kernel, without_refcounts
 from rover_ncp.kernels.vectors import (
     WIDTH,
     everywhere,
@@ -51,7 +51,7 @@ def swap(addresses, offset):
 
 @kernel
 def add_up(pair, number):
-    pair, number = borrowed(pair), borrowed(number)
+    pair, number = without_refcounts(pair), without_refcounts(number)
     return pair[0][1].sum() + pair[1] + number
 
 
@@ -89,7 +89,7 @@ def test_numbers_behind_addresses_are_gathered_and_scattered():
     assert np.array_equal(memory[:, 1], expected)
 
 
-def test_borrowed_array_is_unchanged():
+def test_array_without_refcounts_is_unchanged():
     row = np.arange(4.0)
     assert add_up(((row, row + 1.0), 5), 0.25) == 15.25
     assert row.tolist() == [0.0, 1.0, 2.0, 3.0]

@@ -11,10 +11,10 @@ from pydantic import Field
 from deploy.drive.measurements import SampleRef
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.config import StrictModel
-from rover_ncp.recording import time as recording_time
+from rover_ncp.recording import recorded
 
 START_TOPIC = "deploy/start"
-TICKS_TOPIC = recording_time.TICKS_TOPIC
+TICKS_TOPIC = recorded.TICKS_TOPIC
 
 
 class StartRecord(StrictModel):

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
-from result_fields import RESULTS, noted, result_fields
+from result_fields import RESULTS, models_in, noted, result_fields
 
 from bridge.gate.limits import Limits
 from rover_ncp import cli
@@ -40,14 +40,6 @@ MODELS: dict[str, tuple[str, type[BaseModel]]] = {
 UNITS = {"rad_m": "rad/m", "rad_s": "rad/s", "per_s": "1/s", "us": "µs", "hz": "Hz", "mb": "MB"}
 UNITS |= {unit: unit for unit in ("m", "rad", "s", "ms", "ns", "mV")}
 """By the end of a field's name."""
-
-
-def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models in the type of a field."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for part in getattr(annotation, "__args__", ()):
-        yield from models_in(part)
 
 
 def reference_pages() -> dict[str, str]:

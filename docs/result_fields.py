@@ -1,10 +1,15 @@
 """The fields of the JSON that commands print, read from the code that makes them."""
 
 import ast
+import importlib
+import inspect
+import textwrap
 from collections.abc import Iterator
 from itertools import chain, pairwise, takewhile
 from pathlib import Path
 from typing import Any
+
+from pydantic import BaseModel
 
 RESULTS = {
     "park": "sim.park.park:run_park train=:_train",
@@ -40,7 +45,7 @@ RESULTS = {
     "paper curves, lesions": "sim.paper.commands:_draw lesions=sim.paper.lesions:lesion_study",
     "mock": "sim.pioneer.run:run_mock :_of_firmware",
     "bridge": "bridge.app:run_bridge",
-    "export": "rover_ncp.export.commands:export",
+    "export": "rover_ncp.export.export:Exported",
     "urdf": "bridge.commands:urdf",
     "deploy": "deploy.app:_result deploy.drive.control_loop:Drive.measurements_used deploy.app:run "
     "deploy.recorder:Recorder.fields",
@@ -50,7 +55,7 @@ RESULTS = {
     "replay": "deploy.commands:replay difference=deploy.replay:Difference",
     "check": "deploy.commands:check findings=deploy.check:Finding",
     "keys": "bridge.commands:keys",
-    "recover": "rover_ncp.recording.commands:recover",
+    "recover": "rover_ncp.recording.recording:Recovery",
     "explain": "sim.explain.explain:Explanation.fields run=rover_ncp.course.course:Verdict "
     "knock_outs=sim.explain.what_if:Knockout sensitivities=:Sensitivity sim.explain.commands:explain",
     "explain --task": "sim.explain.task:TaskExplanation.fields knock_outs=:TaskKnockout "
@@ -64,8 +69,9 @@ RESULTS = {
 }
 """By command: the code of its fields as ``module:name``, of those of an object ``a`` as ``a=module:name``.
 
-A place without a module is in the module of the place before it. A function returns the object, or gives it
-to ``Output.result``. A comment that begins with ``#:``, behind a key or above it, describes the key.
+A place without a module is in the module of the place before it. A pydantic model describes its fields, and
+those of the models within it. A function returns the object, or gives it to ``Output.result``. A comment that
+begins with ``#:``, behind a key or above it, describes the key.
 """
 COMMON = {
     "p50": "median",
@@ -278,11 +284,30 @@ def noted(node: Any) -> dict[str, str]:
     return found
 
 
+def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the models in the type of a field."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in getattr(annotation, "__args__", ()):
+        yield from models_in(part)
+
+
+def model_fields(model: type[BaseModel]) -> Iterator[tuple[str, str]]:
+    """Yield the paths of a model's fields with their descriptions."""
+    texts = noted(ast.parse(textwrap.dedent(inspect.getsource(model))).body[0])
+    for name, field in model.model_fields.items():
+        yield name, field.description or texts.get(name, "")
+        for part in models_in(field.annotation):
+            for path, meaning in model_fields(part):
+                yield f"{name}.{path}", meaning
+
+
 class _Source:
     """A class or a function, found in the file of its module."""
 
     def __init__(self, module: str, name: str) -> None:
         text = (_ROOT / f"{module.replace('.', '/')}.py").read_text()
+        self._module = module
         self._lines, self._node = text.splitlines(), ast.parse(text)
         for part in name.split("."):
             named = (node for node in ast.walk(self._node) if getattr(node, "name", None) == part)
@@ -293,7 +318,11 @@ class _Source:
     def fields(self) -> Iterator[tuple[str, str]]:
         """Yield the paths of all fields with their meanings."""
         if isinstance(self._node, ast.ClassDef):
-            yield from noted(self._node).items()
+            model = getattr(importlib.import_module(self._module), self._node.name)
+            if isinstance(model, type) and issubclass(model, BaseModel):
+                yield from model_fields(model)
+            else:
+                yield from noted(self._node).items()
             return
         calls = [node for node in self._nodes if isinstance(node, ast.Call) and node.args]
         printed = [call.args[0] for call in calls if getattr(call.func, "attr", "") == "result"]

@@ -13,8 +13,8 @@ from rover_ncp.circuit.policy_file import policy_from_yaml
 from rover_ncp.core.config import parse_yaml, read_yaml, validated
 from rover_ncp.core.errors import FileError
 from rover_ncp.course.course import Course, Verdict
+from rover_ncp.recording.recorded import steady
 from rover_ncp.recording.recording import Recording, read_recording
-from rover_ncp.recording.time import steady
 from rover_ncp.robot.description import RobotDescription
 
 Rows = tuple[tuple[str, str], ...]

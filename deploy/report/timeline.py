@@ -18,8 +18,8 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 from rover_ncp.course.course import TICK_S, Course, Verdict
+from rover_ncp.recording.recorded import TICKS_TOPIC
 from rover_ncp.recording.recording import Recorded
-from rover_ncp.recording.time import TICKS_TOPIC
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import (
     read_bumpers,

@@ -45,7 +45,7 @@ def export(
     from rover_ncp.circuit.policy_file import load_policy
     from rover_ncp.core.files import require_writable, write_atomic
     from rover_ncp.course.course import load_course
-    from rover_ncp.export.export import exported
+    from rover_ncp.export.export import Exported, exported
 
     if to is Target.YAML:
         reject("--to yaml needs no course", course=course)
@@ -56,4 +56,5 @@ def export(
     for file, content in files.items():
         write_atomic(out / file, content)
     paths = [str(out / file) for file in files]
-    Output(json).result({"policy": policy, "to": str(to), "name": name, "files": paths}, "\n".join(paths))
+    result = Exported(policy=policy, to=to, name=name, files=paths)
+    Output(json).result(result.model_dump(), "\n".join(paths))

@@ -2,6 +2,8 @@
 
 from importlib.metadata import version
 
+from pydantic import BaseModel, Field
+
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_to_yaml
 from rover_ncp.course.course import Course
@@ -10,6 +12,15 @@ from rover_ncp.course.signals import needs_reference
 from rover_ncp.export.circuit_c import circuit_files
 from rover_ncp.export.course_c import course_files
 from rover_ncp.export.vectors import check_file, drives, make_vectors
+
+
+class Exported(BaseModel):
+    """Result of the command ``export``."""
+
+    policy: str = Field(description="its name or file")
+    to: str = Field(description="the format")
+    name: str = Field(description="with which the names of the files begin")
+    files: list[str] = Field(description="the files that were written")
 
 
 def exported(policy: Policy, to: str, name: str, course: Course) -> dict[str, str]:

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.core.errors import FileError, FormatError
+from rover_ncp.recording.recorded import steady
 from rover_ncp.recording.recording import read_recording
-from rover_ncp.recording.time import steady
 from rover_ncp.wire import messages
 
 _POSE = ("x", "y", "theta")

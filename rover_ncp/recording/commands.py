@@ -36,14 +36,7 @@ def recover(
     found = make_whole(run, target)
     said = f"is whole again ({run.name} was {found.damage})" if found.damage else "was whole already"
     Output(json).result(
-        {
-            "recording": str(target),  #: the file that is whole
-            "was_complete": not found.damage,  #: whether it was already
-            "damage": found.damage or None,  #: where it was cut off or damaged
-            "messages": found.messages,  #: how many
-            "attachments": sorted(found.attachments),  #: their names
-            "seconds": found.seconds,
-        },
+        found.model_dump(),
         f"{target} {said}: {found.messages} messages over {found.seconds:.1f} s, "
         f"{len(found.attachments)} attachments",
     )

@@ -17,16 +17,16 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from types import TracebackType
-from typing import IO, NamedTuple, Self
+from typing import IO, Self
 
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 from mcap.writer import Writer
+from pydantic import BaseModel, Field
 
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import create, write_atomic
 from rover_ncp.recording.mcap_records import Damaged, read_records
-from rover_ncp.recording.recorded import Layout, Recorded, header_stamp_ns
-from rover_ncp.recording.time import steady
+from rover_ncp.recording.recorded import Layout, Recorded, header_stamp_ns, steady
 from rover_ncp.wire.cdr import definition
 from rover_ncp.wire.key_table import KEYS
 
@@ -35,7 +35,7 @@ __all__ = [
     "Recorded",
     "Recording",
     "RecordingWriter",
-    "Recovered",
+    "Recovery",
     "header_stamp_ns",
     "read_recording",
     "recover",
@@ -286,45 +286,53 @@ def rewrite(source: Recording, target: Path, more: Iterable[Recorded] = ()) -> N
     write_atomic(target, lambda file: _fill(file, chain([header, *attachments, *metadata], messages)))
 
 
-class Recovered(NamedTuple):
-    """Result of `recover`: ``damage`` is empty for a recording that was whole."""
+class Recovery(BaseModel):
+    """Result of `recover`."""
 
-    damage: str
-    messages: int
-    seconds: float
-    attachments: tuple[str, ...]
+    recording: str = Field(description="the file that is whole")
+    was_complete: bool = Field(description="whether it was already")
+    damage: str | None = Field(description="where it was cut off or damaged")
+    messages: int = Field(description="how many")
+    attachments: list[str] = Field(description="their names")
+    seconds: float = Field(description="from the first message to the last")
 
 
-def recover(path: Path, target: Path) -> Recovered:
+def recover(path: Path, target: Path) -> Recovery:
     """Write a whole copy of a recording, in its order, unless it is whole and ``target`` is its own file.
 
     Memory does not grow with the length. Raises FileError.
     """
-    damage, count, began_ns, ended_ns = "", 0, 0, 0
+    damage: list[str] = []
     attachments: list[str] = []
 
     def messages() -> Iterator[Recorded]:
-        nonlocal damage
-        try:
-            for item in _contents(path):
-                if isinstance(item, Recorded):
-                    yield item
-                elif isinstance(item, Attachment):
-                    attachments.append(item.name)
-        except Damaged as error:
-            damage = str(error)
+        for item in _before_damage(path, damage):
+            if isinstance(item, Recorded):
+                yield item
+            elif isinstance(item, Attachment):
+                attachments.append(item.name)
 
-    for message in steady(messages()):
-        began_ns, ended_ns = began_ns if count else message.log_ns, message.log_ns
-        count += 1
+    count, began_ns, ended_ns = 0, 0, 0
+    for count, message in enumerate(steady(messages()), 1):
+        began_ns, ended_ns = began_ns if count > 1 else message.log_ns, message.log_ns
     if damage or target != path:
-        write_atomic(target, lambda file: _fill(file, _sound(path)))
-    return Recovered(damage, count, (ended_ns - began_ns) * 1e-9, tuple(attachments))
+        write_atomic(target, lambda file: _fill(file, _before_damage(path, [])))
+    return Recovery(
+        recording=str(target),
+        was_complete=not damage,
+        damage=damage[0] if damage else None,
+        messages=count,
+        attachments=sorted(attachments),
+        seconds=(ended_ns - began_ns) * 1e-9,
+    )
 
 
-def _sound(path: Path) -> Iterator[Content]:
-    with contextlib.suppress(Damaged):
+def _before_damage(path: Path, damage: list[str]) -> Iterator[Content]:
+    """Yield what precedes the damage of a file, and append its description."""
+    try:
         yield from _contents(path)
+    except Damaged as error:
+        damage.append(str(error))
 
 
 def _fill(file: IO[bytes], contents: Iterable[Content]) -> None:

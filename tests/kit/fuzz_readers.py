@@ -92,6 +92,7 @@ def survives(reader: Reader, data: bytes) -> None:
         reader.read(data)
     except RoverNcpError as error:
         assert str(error).strip()
+        assert "\n" not in str(error)
 
 
 # The base's line

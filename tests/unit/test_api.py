@@ -66,22 +66,6 @@ def test_a_setting_that_does_not_exist_is_named(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_policy_of_another_task_is_refused(tmp_path):
-    policy = api.load_policy("parking")
-    sensing = policy.sensing.model_copy(
-        update={
-            "inputs": ("a", *policy.sensing.inputs[1:]),
-            "channels": (
-                policy.sensing.channels[0].model_copy(update={"name": "a"}),
-                *policy.sensing.channels[1:],
-            ),
-        }
-    )
-    other = api.Policy(policy.circuit, sensing, policy.motors)
-    with pytest.raises(ConfigError, match="its sensing asks for a; known are x"):
-        api.CourseDriver(other, api.load_course("parking"))
-
-
 @pytest.mark.parametrize(
     ("line", "heavy"),
     [

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from rover_ncp.circuit.motors import four_dof_motors
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.files import shipped_names
 from rover_ncp.course.course import load_course
 from sim.evaluate.driver import load_driver
 from sim.evaluate.evaluate import evaluate, unseen_courses
+from sim.learn.rollout import rollout
 from sim.world.randomization import load_randomization
 
 
@@ -35,13 +37,20 @@ def test_it_drives_courses_it_never_saw():
     assert found.success_rate >= 0.96
 
 
-def test_policy_contains_the_command_that_reproduces_it():
-    policy = load_policy("course")
-    assert policy.provenance["command"].startswith("rover-ncp train")
-    assert policy.provenance["made_with"]["commit"]
-    assert np.count_nonzero(policy.circuit.weight) <= 28
+def test_reverse_backs_into_the_bay_by_its_pose_alone_and_touches_nothing():
+    policy = load_policy("reverse")
+    assert (policy.motors, policy.courses) == (four_dof_motors(), ("reverse",))
+    run = rollout(policy, load_course("reverse"))
+    assert run.verdict.parked, run.verdict.reason
+    assert run.verdict.error_m < 0.05
+    assert run.commands[:, 0].min() < -0.1
+    assert run.commands[:, 0].max() < 0.05
+    assert np.ptp(run.poses[:, 2]) > 0.9
 
 
 @pytest.mark.parametrize("name", shipped_names("policies"))
-def test_a_shipped_policy_is_shown_under_the_name_by_which_it_is_asked_for(name):
-    assert load_policy(name).circuit.name == name
+def test_a_shipped_policy_has_its_name_and_the_command_that_reproduces_it(name):
+    policy = load_policy(name)
+    assert policy.circuit.name == name
+    assert policy.provenance["command"].startswith("rover-ncp train")
+    assert policy.provenance["made_with"]["commit"]

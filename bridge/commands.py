@@ -9,7 +9,7 @@ import typer
 from bridge.ros2.discovery import Convention
 from rover_ncp.core.console import Json, Output, reject
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.files import DEFAULT_ROBOT
 
 
 def bridge(
@@ -104,7 +104,7 @@ def bridge(
 
 
 def urdf(
-    model: Annotated[str, typer.Argument(help="A robot description: a name or a file.")] = USUAL_ROBOT,
+    model: Annotated[str, typer.Argument(help="A robot description: a name or a file.")] = DEFAULT_ROBOT,
     *,
     json: Json = False,
 ) -> None:

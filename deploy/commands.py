@@ -8,7 +8,7 @@ import typer
 from deploy.options import Namespace, Robot, ZenohConfig
 from rover_ncp.core.console import Json, Output, Overwrite, printable, reject
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.files import DEFAULT_ROBOT
 
 
 def deploy(
@@ -142,7 +142,7 @@ def watch(
     course: Annotated[str, typer.Option(help="The course that is driven, by name or file.")] = "parking",
     model: Annotated[
         str, typer.Option(help="The robot's description, for its outline: a name or a YAML file.")
-    ] = USUAL_ROBOT,
+    ] = DEFAULT_ROBOT,
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Where this machine serves the page; 0 takes a free port.")
     ] = 8080,

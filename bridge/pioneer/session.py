@@ -23,7 +23,7 @@ from bridge.pioneer.packets import SIP_KINDS, ConfigPac, GyroPac, Kind, Sip, dec
 from bridge.pioneer.robots import ROBOTS, RobotParameters
 from bridge.pioneer.setpoints import MotionLimits, Setpoints
 from bridge.pioneer.states import LOSS_S, PATIENCE_S, TABLE, Input, SessionState
-from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Velocity
 
 CONFIG_S, OPEN_S = 1.0, 2.0
@@ -81,7 +81,7 @@ class Session:
         self._chosen = robot
         self._setpoints = Setpoints(limits or MotionLimits(), self._send)
         # Replaced when the base has sent its name.
-        self._odometer = Odometer(robot or ROBOTS[USUAL_ROBOT])
+        self._odometer = Odometer(robot or ROBOTS[DEFAULT_ROBOT])
         self._sip = Sip()
         self._names = ("", "", "")
         self._report: BaseReport | None = None

@@ -9,7 +9,7 @@ import typer
 
 from rover_ncp.core.console import Json, Output, reject
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.files import DEFAULT_ROBOT
 
 
 class What(StrEnum):
@@ -41,7 +41,7 @@ def course(
         str | None,
         typer.Option(
             help="check: the robot's description, for its speeds and outline: a name or a file.",
-            show_default=USUAL_ROBOT,
+            show_default=DEFAULT_ROBOT,
         ),
     ] = None,
     json: Json = False,
@@ -69,7 +69,7 @@ def course(
         made, found = _new(Path(source), out, name)
     else:
         reject("is for new", name=name)
-        robot = load_description(model or USUAL_ROBOT)
+        robot = load_description(model or DEFAULT_ROBOT)
         made, pace = slowed(load_course(source), robot)
         found = check_course(made, robot)
         if out is not None:

@@ -129,21 +129,21 @@ _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 100
 
 
-MOST_CHARACTERS, MOST_DEEP = 1 << 20, 100
+MAX_CHARACTERS, MAX_DEPTH = 1 << 20, 100
 """Limits of a YAML file: characters, and nesting of lists and mappings. libyaml's C code ends the process
 on a nesting of 100,000; our own files have 5."""
 
 
 def read_yaml(text: str, source: str) -> Any:
     """Return the content of YAML text, not validated. Raises ConfigError naming ``source``."""
-    if len(text) > MOST_CHARACTERS:
-        raise ConfigError(source, [f"{len(text)} characters, expected {MOST_CHARACTERS} at most"])
+    if len(text) > MAX_CHARACTERS:
+        raise ConfigError(source, [f"{len(text)} characters, expected {MAX_CHARACTERS} at most"])
     try:
         deep = 0
         for event in yaml.parse(text, Loader=_Loader):
             deep += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if deep > MOST_DEEP:
-                raise ConfigError(source, [f"more than {MOST_DEEP} lists or mappings in each other"])
+            if deep > MAX_DEPTH:
+                raise ConfigError(source, [f"more than {MAX_DEPTH} lists or mappings in each other"])
         return yaml.load(text, Loader=_Loader)  # _Loader is a SafeLoader
     except (yaml.YAMLError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)

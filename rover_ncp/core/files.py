@@ -18,7 +18,7 @@ _RECORDING = b"\x89MCAP0\r\n"
 _DATA = resources.files("rover_ncp") / "data"
 MAX_BYTES = 64 << 20
 """Limit of a file that is read as a whole; recordings have limits of their own."""
-USUAL_ROBOT = "p3at-sh"
+DEFAULT_ROBOT = "p3at-sh"
 """The robot that courses and policies were made for: the description in use unless another is named."""
 
 

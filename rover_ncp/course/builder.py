@@ -18,7 +18,7 @@ from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.core.geometry import Pose, distance, relative, wrap_angle
 from rover_ncp.course.course import (
-    MOST_CHECKPOINTS,
+    MAX_CHECKPOINTS,
     TICK_S,
     Angle,
     Checkpoint,
@@ -51,7 +51,7 @@ _READERS: dict[str, Callable[[bytes], PoseSample | OdometrySample]] = {
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = 60
 
-MOST_POSES = MOST_CHECKPOINTS - 2
+MAX_POSES = MAX_CHECKPOINTS - 2
 """A course has a checkpoint before them, and one after."""
 
 
@@ -66,8 +66,8 @@ class Place(StrictModel):
 class PoseList(StrictModel):
     """The YAML file that `make_course` takes; obstacles are in the same frame as the poses."""
 
-    poses: tuple[Place, ...] = Field(min_length=2, max_length=MOST_POSES)
-    obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=MOST_CHECKPOINTS)
+    poses: tuple[Place, ...] = Field(min_length=2, max_length=MAX_POSES)
+    obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=MAX_CHECKPOINTS)
 
 
 def read_poses(path: Path) -> PoseList:

@@ -21,7 +21,7 @@ from rover_ncp.core.geometry import Pose, distance, wrap_angle
 TICK_S = 0.1
 """Control tick in seconds: the circuit is asked for a command ten times a second."""
 
-MOST_CHECKPOINTS = 1000
+MAX_CHECKPOINTS = 1000
 """Of checkpoints, and of obstacles: the time that planning a course takes grows with both."""
 FAR_M = 1000.0
 """No rover comes farther within the longest horizon, an hour."""
@@ -94,8 +94,8 @@ class Course(StrictModel):
     description: str = ""
     start_signal_s: float = Field(ge=0, description="when the start signal goes from 0 to 1")
     horizon_s: float = Field(gt=0, le=3600, description="how long the run lasts")
-    checkpoints: tuple[Checkpoint, ...] = Field(min_length=1, max_length=MOST_CHECKPOINTS)
-    obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=MOST_CHECKPOINTS)
+    checkpoints: tuple[Checkpoint, ...] = Field(min_length=1, max_length=MAX_CHECKPOINTS)
+    obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=MAX_CHECKPOINTS)
     parked: ParkedRule = ParkedRule()
     slower: float = Field(
         default=1.0,

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Deviation, Reference, deviations, plan_reference
@@ -71,7 +71,7 @@ class Drivability:
 
 def check_course(course: Course, robot: RobotDescription | None = None) -> Drivability:
     """Plan a course's reference and check it, for the outline of ``robot``; None is a Pioneer 3-AT."""
-    robot = load_description(USUAL_ROBOT) if robot is None else robot
+    robot = load_description(DEFAULT_ROBOT) if robot is None else robot
     reference = plan_reference(course)
     misses = tuple(deviations(course, reference))
     problems = [*_start(course), *_missed(course, misses), *_rest(course, reference)]

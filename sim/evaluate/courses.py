@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.fit import rounded_up, slowed
 from rover_ncp.robot.description import RobotDescription, load_description
@@ -35,7 +35,7 @@ def _enlarged(course: Course, robot: RobotDescription) -> tuple[Course, str]:
 
     Speeds stay, so a larger course takes longer.
     """
-    usual = load_description(USUAL_ROBOT)
+    usual = load_description(DEFAULT_ROBOT)
     larger = max(_reach(robot) / _reach(usual), robot.width_m / usual.width_m)
     if not course.obstacles or larger <= 1.0:
         return course, ""

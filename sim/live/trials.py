@@ -10,7 +10,7 @@ from pathlib import Path
 
 from deploy.report.recorded_drive import read_drive
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.files import USUAL_ROBOT, write_atomic
+from rover_ncp.core.files import DEFAULT_ROBOT, write_atomic
 from rover_ncp.recording.recording import read_recording, rewrite
 from sim.evaluate.commands import EvalOptions
 from sim.evaluate.evaluate import cause
@@ -66,7 +66,7 @@ class _LiveTrial(LiveRun):
         if options.profile is not None:
             robot += ["--profile", str(options.profile)]
         super().__init__(
-            self._out / "log", mock=["--model", USUAL_ROBOT, "--course", self._course_file, *robot]
+            self._out / "log", mock=["--model", DEFAULT_ROBOT, "--course", self._course_file, *robot]
         )
 
     def start(self) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from rover_ncp.core.console import MOST_SEED, Json, Overwrite, command
-from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.files import DEFAULT_ROBOT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class ParkOptions:
             help="The mock robot's description, a name or a file. A ROS 2 robot is parked with the policy "
             "course unless --policy names another: only Pioneers are trained for."
         ),
-    ] = USUAL_ROBOT
+    ] = DEFAULT_ROBOT
     seed: Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the training.")] = 0
     out: Annotated[Path, typer.Option(help="Folder for training, recording, picture and logs.")] = Path(
         "runs/park"

@@ -21,7 +21,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import USUAL_ROBOT, require_creatable, write_atomic
+from rover_ncp.core.files import DEFAULT_ROBOT, require_creatable, write_atomic
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.fit import slowed
 from rover_ncp.recording.recording import read_recording, rewrite
@@ -129,7 +129,7 @@ def _train(options: ParkOptions, output: Output) -> tuple[dict[str, Any], str, s
     settings = TrainSettings(
         course=options.course,
         # The shipped settings name no robot for a 3-AT.
-        model=None if options.model == USUAL_ROBOT else options.model,
+        model=None if options.model == DEFAULT_ROBOT else options.model,
         seed=options.seed,
         agents=AGENTS,
         iterations=ITERATIONS,
@@ -195,7 +195,7 @@ def _clear(folder: Path, *, overwrite: bool) -> None:
 def _drive(run: LiveRun, options: ParkOptions, policy: str, horizon_s: float) -> tuple[Finished, Finished]:
     """Drive the course; return how driver and bridge ended. Raises ProcessError."""
     recording = str(options.out / "run.mcap")
-    described = ["--model", options.model] if options.model != USUAL_ROBOT else []
+    described = ["--model", options.model] if options.model != DEFAULT_ROBOT else []
     driver = run.deploy(
         *("--policy", policy, "--course", options.course, "--record", recording),
         *described,

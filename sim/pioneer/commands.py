@@ -7,7 +7,7 @@ import typer
 
 from bridge.ros2.discovery import Convention
 from rover_ncp.core.console import MOST_SEED, Json, Overwrite, reject
-from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.files import DEFAULT_ROBOT
 from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
 
 
@@ -19,7 +19,7 @@ def mock(
     model: Annotated[
         str,
         typer.Option(help="p3at, p3at-sh, p3dx or p3dx-sh; with --ros2 a description: a name or file."),
-    ] = USUAL_ROBOT,
+    ] = DEFAULT_ROBOT,
     ros2: Annotated[
         bool, typer.Option("--ros2", help="Simulate a ROS 2 robot, whose topics are on Zenoh.")
     ] = False,

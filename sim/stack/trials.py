@@ -18,7 +18,7 @@ from deploy.drive.config import DriveConfig, settings_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.estimator.settings import EstimatorSettings
-from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.streams import Domain, integer_seed, random_stream
 from rover_ncp.course.course import Course, Verdict
@@ -83,7 +83,7 @@ class Stack:
     @cached_property
     def description(self) -> RobotDescription:
         """The robot's."""
-        return self.robot or load_description(USUAL_ROBOT)
+        return self.robot or load_description(DEFAULT_ROBOT)
 
     @cached_property
     def model(self) -> RoverModel:

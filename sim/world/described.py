@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import load_profile
 from sim.world.bodies import PRESETS, Body
@@ -24,7 +24,7 @@ CENTER = 0.1
 @cache
 def default_rover(**different: float) -> RoverModel:
     """Return the simulated Pioneer 3-AT, or one with other values."""
-    return described_rover(load_description(USUAL_ROBOT)).model_copy(update=different)
+    return described_rover(load_description(DEFAULT_ROBOT)).model_copy(update=different)
 
 
 def described_rover(description: RobotDescription) -> RoverModel:

@@ -12,7 +12,7 @@ from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify.excitation import FENCE_M, excite
 from deploy.identify.fit import identify
 from deploy.identify.motion_log import motion_log
-from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.recording.recording import Recorded
@@ -47,7 +47,7 @@ def robot(ranges: Randomization, seed: int, number: int) -> Trials:
 def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Recorded]:
     """Drive a robot as `identify` does, through firmware, bridge and driver's code on a virtual clock."""
     rover = rover_of(trials, default_rover(), Ground(()))
-    bridge = VirtualBridge(Firmware(USUAL_ROBOT, rover, trial=BaseTrial(trials)))
+    bridge = VirtualBridge(Firmware(DEFAULT_ROBOT, rover, trial=BaseTrial(trials)))
     received: list[Recorded] = []
     look = _camera(rover, bridge, received, random_stream(seed, Domain.STUDY)) if outside else lambda: None
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.files import USUAL_ROBOT
+from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.robot.description import Circle, RobotDescription, load_description
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def outline_of(robot: RobotDescription) -> FloatArray:
     return np.array([[front, half], [front, -half], [rear, -half], [rear, half], [front, half]])
 
 
-OUTLINE = outline_of(load_description(USUAL_ROBOT))
+OUTLINE = outline_of(load_description(DEFAULT_ROBOT))
 """That of the robot that courses and policies were made for."""
 
 

@@ -29,8 +29,9 @@ IntArray = NDArray[np.int64]
 LOG2_E = 1.4426950408889634
 
 
-class Stepped(NamedTuple):
-    """The d neurons that are not driven; a neuron's place here is its slot. ``*_at``: in the vector."""
+class Integrated(NamedTuple):
+    """The d neurons that the solver integrates, all but sensory and held ones. ``*_at``: indices in the
+    parameter vector."""
 
     neuron: IntArray
     leak_potential_at: IntArray
@@ -39,44 +40,47 @@ class Stepped(NamedTuple):
 
 
 class Chemical(NamedTuple):
-    """Chemical synapses, those of a slot together, its excitatory ones before its inhibitory ones."""
+    """Chemical synapses by destination, the excitatory ones of a neuron before its inhibitory ones."""
 
     source: IntArray
     weight_at: IntArray
     sigma_at: IntArray
     first: RowArray
-    """(d + 1,) where a slot's synapses begin; the next slot's entry is where they end."""
+    """(d + 1,) where the synapses of each integrated neuron begin; the next entry is where they end."""
     first_inhibitory: RowArray
     """(d,) where its inhibitory ones begin."""
 
 
 class Gaps(NamedTuple):
-    """Gap junctions, those of a slot together."""
+    """Gap junctions by destination."""
 
     source: IntArray
     weight_at: IntArray
     first: RowArray
-    """(d + 1,) where a slot's junctions begin."""
+    """(d + 1,) where the junctions of each integrated neuron begin."""
 
 
 class Program(NamedTuple):
-    """The structure that all lanes share. Settled synapses come from driven neurons, active ones do not."""
+    """The structure that all lanes share.
+
+    Input synapses come from sensory neurons, recurrent synapses from integrated neurons.
+    """
 
     dt_s: float
     substeps: int
     sensors: SensorMap
-    stepped: Stepped
-    settled: Chemical
-    active: Chemical
-    settled_gaps: Gaps
-    active_gaps: Gaps
+    integrated: Integrated
+    input_synapses: Chemical
+    recurrent_synapses: Chemical
+    input_gaps: Gaps
+    recurrent_gaps: Gaps
     motors: MotorMap
     motor_low: float
     motor_scale: float
     """1 / (high - low) of the motors, 1/mV."""
     input_layer_at: IntArray
     output_layer_at: IntArray
-    """(channels, inputs) and (outputs, channels): places in the vector; without a layer of shape (0, 0)."""
+    """(channels, inputs) and (outputs, channels): indices in the vector; without a layer of shape (0, 0)."""
     input_range: FloatArray
     """(inputs,) what a layer's inputs are divided by."""
     output_limit: FloatArray
@@ -84,18 +88,18 @@ class Program(NamedTuple):
 
 
 class LaneParameters(NamedTuple):
-    """The numbers of all lanes and room to work in, so: one thread at a time.
+    """The numbers of all lanes, and work arrays: for one thread at a time.
 
     B blocks of WIDTH lanes. The contents of spare lanes in the last block are not used.
     """
 
-    settled_weight: FloatArray
-    settled_slope: FloatArray
-    active_weight: FloatArray
-    active_slope: FloatArray
+    input_weight: FloatArray
+    input_slope: FloatArray
+    recurrent_weight: FloatArray
+    recurrent_slope: FloatArray
     """(B, synapses, WIDTH) each; a slope is -sigma log2 e."""
-    settled_gap: FloatArray
-    active_gap: FloatArray
+    input_gap: FloatArray
+    recurrent_gap: FloatArray
     """(B, junctions, WIDTH) each."""
     rate: FloatArray
     leak_current: FloatArray
@@ -108,10 +112,10 @@ class LaneParameters(NamedTuple):
     """(1, n, WIDTH) the block at work, mV."""
     current: FloatArray
     total: FloatArray
-    stepped: FloatArray
-    """(1, d, WIDTH) each: what is constant over a tick, and the next potentials."""
+    next_potential: FloatArray
+    """(1, d, WIDTH) each: current and conductance that are constant over a tick, and the next potentials."""
     divisor: FloatArray
-    """(1, active synapses, WIDTH) what their weights are divided by."""
+    """(1, recurrent synapses, WIDTH) what their weights are divided by."""
     channel: FloatArray
     """(1, sensory or motor channels, WIDTH)."""
 
@@ -119,33 +123,33 @@ class LaneParameters(NamedTuple):
 def make_program(policy: Policy) -> Program:
     """Return the structure of a policy, shared by all its lanes.
 
-    Synapses into driven neurons drop out: what drives a neuron overrides them.
+    Synapses into sensory neurons have no effect and are left out.
     """
     circuit, layout = policy.circuit, policy.layout()
     sensors = _with_held(policy.sensing.map_onto(circuit), circuit)
-    stepped = np.setdiff1d(np.arange(circuit.size), sensors.neuron)
-    live = np.isin(circuit.destination, stepped)
-    settled = np.isin(circuit.source, sensors.neuron)
+    integrated = np.setdiff1d(np.arange(circuit.size), sensors.neuron)
+    live = np.isin(circuit.destination, integrated)
+    from_sensory = np.isin(circuit.source, sensors.neuron)
     chemical = circuit.chemical
 
     def neurons_at(kind: ParameterKind) -> IntArray:
-        at: IntArray = layout.block(kind).slice.start + stepped
+        at: IntArray = layout.block(kind).slice.start + integrated
         return at
 
     return Program(
         dt_s=policy.dt_s,
         substeps=policy.substeps,
         sensors=sensors,
-        stepped=Stepped(
-            neuron=stepped,
+        integrated=Integrated(
+            neuron=integrated,
             leak_potential_at=neurons_at(ParameterKind.LEAK_POTENTIAL),
             leak_at=neurons_at(ParameterKind.LEAK),
             capacitance_at=neurons_at(ParameterKind.CAPACITANCE),
         ),
-        settled=_chemical(circuit, layout, stepped, live & chemical & settled),
-        active=_chemical(circuit, layout, stepped, live & chemical & ~settled),
-        settled_gaps=_gaps(circuit, stepped, live & ~chemical & settled),
-        active_gaps=_gaps(circuit, stepped, live & ~chemical & ~settled),
+        input_synapses=_chemical(circuit, layout, integrated, live & chemical & from_sensory),
+        recurrent_synapses=_chemical(circuit, layout, integrated, live & chemical & ~from_sensory),
+        input_gaps=_gaps(circuit, integrated, live & ~chemical & from_sensory),
+        recurrent_gaps=_gaps(circuit, integrated, live & ~chemical & ~from_sensory),
         motors=policy.motors.map_from(circuit),
         motor_low=policy.motors.low_mV,
         motor_scale=1.0 / (policy.motors.high_mV - policy.motors.low_mV),
@@ -156,20 +160,20 @@ def make_program(policy: Policy) -> Program:
     )
 
 
-def inert_parameters(policy: Policy) -> NDArray[np.bool_]:
-    """Return which parameters (P,) no run of a policy depends on: those of driven neurons, mostly."""
+def dead_parameters(policy: Policy) -> NDArray[np.bool_]:
+    """Return which parameters (P,) have no effect on the outputs: those of sensory neurons, mostly."""
     program = make_program(policy)
-    chemical = (program.settled, program.active)
+    chemical = (program.input_synapses, program.recurrent_synapses)
     read = [
-        *program.stepped[1:],
+        *program.integrated[1:],
         *(places for synapses in chemical for places in (synapses.weight_at, synapses.sigma_at)),
-        *(gaps.weight_at for gaps in (program.settled_gaps, program.active_gaps)),
+        *(gaps.weight_at for gaps in (program.input_gaps, program.recurrent_gaps)),
         program.input_layer_at.ravel(),
         program.output_layer_at.ravel(),
     ]
-    inert = np.ones(policy.layout().size, bool)
-    inert[np.concatenate(read)] = False
-    return inert
+    dead = np.ones(policy.layout().size, bool)
+    dead[np.concatenate(read)] = False
+    return dead
 
 
 def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParameters:
@@ -177,28 +181,28 @@ def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParamete
 
     The last block's spare lanes keep the policy's, so that they compute nothing but numbers.
     """
-    blocks, slots = -(-count // WIDTH), len(program.stepped.neuron)
+    blocks, count_integrated = -(-count // WIDTH), len(program.integrated.neuron)
 
     def rows(number: int, blocks: int = blocks) -> NDArray[np.float64]:
         return aligned_zeros(blocks, number, WIDTH)
 
     lanes = LaneParameters(
-        settled_weight=rows(len(program.settled.source)),
-        settled_slope=rows(len(program.settled.source)),
-        active_weight=rows(len(program.active.source)),
-        active_slope=rows(len(program.active.source)),
-        settled_gap=rows(len(program.settled_gaps.source)),
-        active_gap=rows(len(program.active_gaps.source)),
-        rate=rows(slots),
-        leak_current=rows(slots),
-        conductance=rows(slots),
+        input_weight=rows(len(program.input_synapses.source)),
+        input_slope=rows(len(program.input_synapses.source)),
+        recurrent_weight=rows(len(program.recurrent_synapses.source)),
+        recurrent_slope=rows(len(program.recurrent_synapses.source)),
+        input_gap=rows(len(program.input_gaps.source)),
+        recurrent_gap=rows(len(program.recurrent_gaps.source)),
+        rate=rows(count_integrated),
+        leak_current=rows(count_integrated),
+        conductance=rows(count_integrated),
         input_layer=rows(program.input_layer_at.size),
         output_layer=rows(program.output_layer_at.size),
         potential=rows(policy.circuit.size, 1),
-        current=rows(slots, 1),
-        total=rows(slots, 1),
-        stepped=rows(slots, 1),
-        divisor=rows(len(program.active.source), 1),
+        current=rows(count_integrated, 1),
+        total=rows(count_integrated, 1),
+        next_potential=rows(count_integrated, 1),
+        divisor=rows(len(program.recurrent_synapses.source), 1),
         channel=rows(len(policy.motors.channels), 1),
     )
     vector = policy.parameters()
@@ -218,9 +222,9 @@ def resting_potentials(policy: Policy, count: int) -> NDArray[np.float64]:
 def fill_lane(program: Program, lanes: LaneParameters, lane: int, vector: FloatArray) -> None:
     """Set the numbers of one lane from a parameter vector (P,), which must lie in bounds."""
     block, place = lane // WIDTH, lane % WIDTH
-    fill_synapses(program.settled, lanes.settled_weight, lanes.settled_slope, vector, lane)
-    fill_synapses(program.active, lanes.active_weight, lanes.active_slope, vector, lane)
-    neurons, leak_potential_at, leak_at, capacitance_at = program.stepped
+    fill_synapses(program.input_synapses, lanes.input_weight, lanes.input_slope, vector, lane)
+    fill_synapses(program.recurrent_synapses, lanes.recurrent_weight, lanes.recurrent_slope, vector, lane)
+    neurons, leak_potential_at, leak_at, capacitance_at = program.integrated
     rates, leak_currents, conductances = lanes.rate, lanes.leak_current, lanes.conductance
     for d in range(len(neurons)):
         rate = vector[capacitance_at[d]] / program.dt_s
@@ -228,8 +232,8 @@ def fill_lane(program: Program, lanes: LaneParameters, lane: int, vector: FloatA
         rates[block, d, place] = rate
         leak_currents[block, d, place] = leak * vector[leak_potential_at[d]]
         conductances[block, d, place] = rate + leak
-    fill_gaps(program.settled_gaps, lanes.settled_gap, lanes.conductance, vector, lane)
-    fill_gaps(program.active_gaps, lanes.active_gap, lanes.conductance, vector, lane)
+    fill_gaps(program.input_gaps, lanes.input_gap, lanes.conductance, vector, lane)
+    fill_gaps(program.recurrent_gaps, lanes.recurrent_gap, lanes.conductance, vector, lane)
     ranges = program.input_range
     for i, at in enumerate(program.input_layer_at.flat):
         lanes.input_layer[block, i, place] = vector[at] / ranges[i % len(ranges)]
@@ -251,7 +255,7 @@ def fill_synapses(
 
 @kernel
 def fill_gaps(gaps: Gaps, weight: FloatArray, total: FloatArray, vector: FloatArray, lane: int) -> None:
-    """Set one lane's gap junctions, and add them to the conductances of their slots."""
+    """Set one lane's gap junctions, and add them to the conductances of their destinations."""
     block, place = lane // WIDTH, lane % WIDTH
     first, weight_at = gaps.first, gaps.weight_at
     for d in range(len(first) - 1):
@@ -276,13 +280,13 @@ def _with_held(sensors: SensorMap, circuit: Circuit) -> SensorMap:
 
 
 def _chemical(
-    circuit: Circuit, layout: ParameterLayout, stepped: IntArray, chosen: NDArray[np.bool_]
+    circuit: Circuit, layout: ParameterLayout, integrated: IntArray, chosen: NDArray[np.bool_]
 ) -> Chemical:
     synapses = np.flatnonzero(chosen)
     inhibitory = circuit.kind[synapses] == SynapseKind.INHIBITORY
     order = np.lexsort((inhibitory, circuit.destination[synapses]))
     synapses, inhibitory = synapses[order], inhibitory[order]
-    first = _first(circuit, stepped, synapses)
+    first = _first(circuit, integrated, synapses)
     excitatory = [np.count_nonzero(~inhibitory[a:b]) for a, b in pairwise(first)]
     sigma_at = np.cumsum(circuit.chemical) - 1
     if len(synapses):
@@ -296,19 +300,19 @@ def _chemical(
     )
 
 
-def _gaps(circuit: Circuit, stepped: IntArray, chosen: NDArray[np.bool_]) -> Gaps:
+def _gaps(circuit: Circuit, integrated: IntArray, chosen: NDArray[np.bool_]) -> Gaps:
     junctions = np.flatnonzero(chosen)
     junctions = junctions[np.argsort(circuit.destination[junctions], kind="stable")]
     return Gaps(
         source=circuit.source[junctions],
         weight_at=junctions,
-        first=_first(circuit, stepped, junctions),
+        first=_first(circuit, integrated, junctions),
     )
 
 
-def _first(circuit: Circuit, stepped: IntArray, synapses: IntArray) -> RowArray:
-    """Return where each slot's synapses begin, and as the last entry where all end."""
-    begin = np.searchsorted(circuit.destination[synapses], stepped)
+def _first(circuit: Circuit, integrated: IntArray, synapses: IntArray) -> RowArray:
+    """Return where the synapses of each integrated neuron begin, and as the last entry where all end."""
+    begin = np.searchsorted(circuit.destination[synapses], integrated)
     return np.append(begin, len(synapses)).astype(np.uint64)
 
 

@@ -1,12 +1,12 @@
-"""The circuit's solver: many circuits of one wiring, one lane each, stepped together.
+"""The circuit's solver: many circuits of one wiring, one lane each, advanced together.
 
 This is the kernel that everything runs: training with many lanes, the rover with one. It computes what
 ``solver_reference.py`` defines, with the same result to the last bit whatever the number of lanes and the
 place of a lane among them: each lane sees the same operations in the same order, and the exponential is our
 own, so neither a library's version nor a machine's vector width shows in a trajectory.
 
-Lanes are worked on in blocks of eight, the width of a vector. Sensory neurons are set, never stepped, and
-constant over a tick: what they do to others is summed up once a tick.
+Lanes are worked on in blocks of eight, the width of a vector. Sensory neurons are set, never integrated, and
+constant over a tick, so their synapses are summed up once a tick.
 """
 
 import numpy as np
@@ -85,7 +85,7 @@ def tick_lanes(
         for neuron in range(neurons):
             store(potential, 0, neuron, load_lanes(potentials, neuron, block * WIDTH))
         set_sensory_neurons(program, lanes, block, observations)
-        sum_settled_synapses(program, lanes, block)
+        sum_input_synapses(program, lanes, block)
         run_substeps(program, lanes, block)
         for neuron in range(neurons):
             store_lanes(potentials, neuron, block * WIDTH, load(potential, 0, neuron))
@@ -96,7 +96,7 @@ def tick_lanes(
 def set_sensory_neurons(
     program: Program, lanes: LaneParameters, block: int, observations: FloatArray
 ) -> None:
-    """Set a block's driven neurons from its observations."""
+    """Set a block's sensory neurons from its observations."""
     neurons, channels, bases, gains, lowers, uppers = program.sensors
     entries, potentials = lanes.input_layer, lanes.potential
     columns = program.input_layer_at.shape[1]
@@ -115,15 +115,15 @@ def set_sensory_neurons(
 
 
 @inlined_kernel
-def sum_settled_synapses(program: Program, lanes: LaneParameters, block: int) -> None:
-    """Sum up what is constant over a tick: leak and the synapses from driven neurons."""
-    synapses, gaps = program.settled, program.settled_gaps
+def sum_input_synapses(program: Program, lanes: LaneParameters, block: int) -> None:
+    """Sum up what is constant over a tick: leak and input synapses."""
+    synapses, gaps = program.input_synapses, program.input_gaps
     first, first_inhibitory, source = synapses.first, synapses.first_inhibitory, synapses.source
     first_gap, gap_source = gaps.first, gaps.source
     leak_current, leak_conductance = lanes.leak_current, lanes.conductance
-    weight, slope, gap = lanes.settled_weight, lanes.settled_slope, lanes.settled_gap
+    weight, slope, gap = lanes.input_weight, lanes.input_slope, lanes.input_gap
     potential, currents, totals = lanes.potential, lanes.current, lanes.total
-    for d in range(len(program.stepped.neuron)):
+    for d in range(len(program.integrated.neuron)):
         current, total = load(leak_current, block, d), load(leak_conductance, block, d)
         for s in range(first[d], first[d + 1]):
             gate = load(weight, block, s) / divisor(load(slope, block, s), load(potential, 0, source[s]))
@@ -138,19 +138,19 @@ def sum_settled_synapses(program: Program, lanes: LaneParameters, block: int) ->
 
 @inlined_kernel
 def run_substeps(program: Program, lanes: LaneParameters, block: int) -> None:
-    """Advance a block's stepped neurons by a tick; in a substep each from the old potentials of all."""
+    """Advance a block's integrated neurons by a tick; in a substep each from the old potentials of all."""
     # Local names: numba counts references whenever an array is taken out of a tuple.
-    synapses, gaps, neurons = program.active, program.active_gaps, program.stepped.neuron
+    synapses, gaps, neurons = program.recurrent_synapses, program.recurrent_gaps, program.integrated.neuron
     first, first_inhibitory, source = synapses.first, synapses.first_inhibitory, synapses.source
     first_gap, gap_source = gaps.first, gaps.source
-    weight, slope, gap, rate = lanes.active_weight, lanes.active_slope, lanes.active_gap, lanes.rate
-    potential, currents, totals, stepped = lanes.potential, lanes.current, lanes.total, lanes.stepped
-    divisors, slots = lanes.divisor, np.uint64(len(neurons))
+    weight, slope, gap, rate = lanes.recurrent_weight, lanes.recurrent_slope, lanes.recurrent_gap, lanes.rate
+    potential, currents, totals, following = lanes.potential, lanes.current, lanes.total, lanes.next_potential
+    divisors, count = lanes.divisor, np.uint64(len(neurons))
     for _ in range(program.substeps):
         known = _ZERO
-        for d in range(slots):
+        for d in range(count):
             # The next neuron's divisors, too: the processor computes them beside the divisions of this one.
-            needed = first[min(d + _ONE + _ONE, slots)]
+            needed = first[min(d + _ONE + _ONE, count)]
             for s in range(known, needed):
                 store(divisors, 0, s, divisor(load(slope, block, s), load(potential, 0, source[s])))
             known = needed
@@ -164,9 +164,9 @@ def run_substeps(program: Program, lanes: LaneParameters, block: int) -> None:
                 current = current + INHIBITORY_MV * gate
             for s in range(first_gap[d], first_gap[d + _ONE]):
                 current = current + load(gap, block, s) * load(potential, 0, gap_source[s])
-            store(stepped, 0, d, current / total)
-        for d in range(slots):
-            store(potential, 0, neurons[d], load(stepped, 0, d))
+            store(following, 0, d, current / total)
+        for d in range(count):
+            store(potential, 0, neurons[d], load(following, 0, d))
 
 
 @inlined_kernel

@@ -68,18 +68,18 @@ class _Writer:
         self._names = policy.circuit.neurons
 
     def source(self, common: dict[str, str]) -> str:
-        slots = len(self._program.stepped.neuron)
-        settled, stepped = self._settled(), self._stepped()
-        chemical = "conductance(" in settled + stepped
-        arrays = f"    real current[{slots}], total[{slots}], next[{slots}];\n" if slots else ""
+        count = len(self._program.integrated.neuron)
+        input_synapses, integrated = self._input_synapses(), self._integrated()
+        chemical = "conductance(" in input_synapses + integrated
+        arrays = f"    real current[{count}], total[{count}], next[{count}];\n" if count else ""
         return fill(
             "circuit.c",
             exponential=_exponential() if chemical else "",
             resting_mV=RESTING_MV,
             locals=f"{arrays}    real value, channel[{len(self._policy.motors.channels)}];",
             sensors=self._sensors(),
-            settled=settled,
-            stepped=stepped,
+            input_synapses=input_synapses,
+            integrated=integrated,
             motors=self._motors(),
             substeps=self._program.substeps,
             dt_s=f"{self._program.dt_s:g}",
@@ -100,31 +100,32 @@ class _Writer:
             lines.append(f"V[{neuron}] = {set_to}; /* {self._names[neuron]} */")
         return _indented(lines, 4)
 
-    def _settled(self) -> str:
+    def _input_synapses(self) -> str:
         lane, lines = self._lane, []
-        for d, neuron in enumerate(self._program.stepped.neuron):
+        for d, neuron in enumerate(self._program.integrated.neuron):
             current, total = f"current[{d}]", f"total[{d}]"
             lines += [
                 f"/* {self._names[neuron]} */",
                 f"{current} = {literal(lane.leak_current[0, d, 0])};",
                 f"{total} = {literal(lane.conductance[0, d, 0])};",
                 *_chemical(
-                    self._program.settled, (lane.settled_weight, lane.settled_slope), d, (current, total)
+                    self._program.input_synapses, (lane.input_weight, lane.input_slope), d, (current, total)
                 ),
-                *_gaps(self._program.settled_gaps, lane.settled_gap, d, current),
+                *_gaps(self._program.input_gaps, lane.input_gap, d, current),
             ]
         return _indented(lines, 4)
 
-    def _stepped(self) -> str:
+    def _integrated(self) -> str:
         lane, lines = self._lane, []
-        neurons = self._program.stepped.neuron
+        neurons = self._program.integrated.neuron
+        numbers = lane.recurrent_weight, lane.recurrent_slope
         for d, neuron in enumerate(neurons):
             lines += [
                 f"/* {self._names[neuron]} */",
                 f"sum = current[{d}] + {literal(lane.rate[0, d, 0])} * V[{neuron}];",
                 f"all = total[{d}];",
-                *_chemical(self._program.active, (lane.active_weight, lane.active_slope), d, ("sum", "all")),
-                *_gaps(self._program.active_gaps, lane.active_gap, d, "sum"),
+                *_chemical(self._program.recurrent_synapses, numbers, d, ("sum", "all")),
+                *_gaps(self._program.recurrent_gaps, lane.recurrent_gap, d, "sum"),
                 f"next[{d}] = sum / all;",
             ]
         if lines:
@@ -160,17 +161,17 @@ class _Writer:
 
 
 def _chemical(
-    synapses: Chemical, numbers: tuple[FloatArray, FloatArray], slot: int, sums: tuple[str, str]
+    synapses: Chemical, numbers: tuple[FloatArray, FloatArray], neuron: int, sums: tuple[str, str]
 ) -> list[str]:
-    """Return the statements that add a slot's chemical synapses, excitatory ones first as in the solver.
+    """Return the statements that add a neuron's chemical synapses, excitatory ones first as in the solver.
 
     ``numbers`` are a lane's weights and slopes, ``sums`` the variables of current and conductance.
     """
     (weight, slope), (current, total), lines = numbers, sums, []
-    for s in range(synapses.first[slot], synapses.first[slot + 1]):
+    for s in range(synapses.first[neuron], synapses.first[neuron + 1]):
         source = f"V[{synapses.source[s]}]"
         opened = f"conductance({literal(weight[0, s, 0])}, {literal(slope[0, s, 0])}, {source})"
-        if s < synapses.first_inhibitory[slot]:
+        if s < synapses.first_inhibitory[neuron]:
             lines.append(f"{total} += {opened};")
         else:
             lines += [
@@ -181,11 +182,11 @@ def _chemical(
     return lines
 
 
-def _gaps(gaps: Gaps, weight: FloatArray, slot: int, current: str) -> list[str]:
-    """Return the statements that add a slot's gap junctions."""
+def _gaps(gaps: Gaps, weight: FloatArray, neuron: int, current: str) -> list[str]:
+    """Return the statements that add a neuron's gap junctions."""
     return [
         f"{current} += {literal(weight[0, s, 0])} * V[{gaps.source[s]}];"
-        for s in range(gaps.first[slot], gaps.first[slot + 1])
+        for s in range(gaps.first[neuron], gaps.first[neuron + 1])
     ]
 
 

@@ -52,9 +52,9 @@ class Plan:
     @cached_property
     def inert(self) -> NDArray[np.bool_]:
         """(P,) which parameters have no effect."""
-        from rover_ncp.circuit.compiled import inert_parameters  # kernels: only for workers
+        from rover_ncp.circuit.compiled import dead_parameters  # kernels: only for workers
 
-        return inert_parameters(self.start)
+        return dead_parameters(self.start)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.compiled import inert_parameters
+from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.streams import Domain, stream_seed
 from rover_ncp.course.course import Course
@@ -88,7 +88,7 @@ class Generation(NamedTuple):
 
 def policy_box(policy: Policy) -> UnitBox:
     """Return the search space of a policy; the parameters of sensory neurons are inert and stay."""
-    return UnitBox.of(policy.layout(), policy.parameters(), inert_parameters(policy))
+    return UnitBox.of(policy.layout(), policy.parameters(), dead_parameters(policy))
 
 
 def costs(found: Outcomes, stage: Stage = _STAGES[0]) -> FloatArray:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.compiled import inert_parameters
+from rover_ncp.circuit import compiled
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import UsageError
@@ -51,7 +51,7 @@ def build_agent(task: Task, agent: str, seed: int, circuit: Path | None = None) 
 
 def dead_parameters(agent: Policy | Net) -> NDArray[np.bool_] | None:
     """Return which parameters (P,) have no effect on the output; None where that is not known."""
-    return inert_parameters(agent) if isinstance(agent, Policy) else None
+    return compiled.dead_parameters(agent) if isinstance(agent, Policy) else None
 
 
 def untuned(agent: Policy | Net, generator: np.random.Generator, count: int) -> Vector:

@@ -46,11 +46,11 @@ $locals
 $sensors
 
     /* Constant over the tick: leak, and synapses from sensory neurons. */
-$settled
+$input_synapses
 
     /* $substeps steps of $dt_s s, each from the old potentials of all. */
     for (i = 0; i < $substeps; i++) {
-$stepped
+$integrated
     }
 
     /* Motor neurons. */

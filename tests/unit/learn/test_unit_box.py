@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rover_ncp.circuit.circuit import ParameterKind
-from rover_ncp.circuit.compiled import inert_parameters
+from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.course.course import load_course
@@ -37,7 +37,7 @@ def test_factors_go_by_their_logarithm_and_all_else_is_linear() -> None:
 
 
 def test_inert_parameters_keep_their_defaults() -> None:
-    inert = inert_parameters(POLICY)
+    inert = dead_parameters(POLICY)
     box = UnitBox.of(LAYOUT, DEFAULTS, inert)
     assert box.size == LAYOUT.size - inert.sum()
     vectors = box.vectors(np.random.default_rng(0).random((5, box.size)))
@@ -53,7 +53,7 @@ def test_inert_parameters_change_no_miss_and_all_others_do() -> None:
     vectors = np.concatenate([base + np.diag(moves), base[None]])
     _, misses = Evaluator(POLICY, load_course("parking")).run(vectors)
     same = np.array([np.array_equal(row, misses[-1]) for row in misses[:-1]])
-    assert same.tolist() == inert_parameters(POLICY).tolist()
+    assert same.tolist() == dead_parameters(POLICY).tolist()
 
 
 def test_walls_reflect() -> None:

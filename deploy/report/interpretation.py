@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rover_ncp.circuit.circuit import Circuit
-from rover_ncp.circuit.solver_reference import time_constants
+from rover_ncp.circuit.circuit import Circuit, time_constants
 
 FloatArray = NDArray[np.float64]
 

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.circuit import REVERSAL_MV, Circuit, SynapseKind
+from rover_ncp.circuit.circuit import REVERSAL_MV, Circuit, SynapseKind, conductances
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.solver_reference import conductances
 
 FloatArray = NDArray[np.float64]
 

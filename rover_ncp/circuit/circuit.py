@@ -1,7 +1,7 @@
 """A circuit of graded neurons and synapses, its parameters and the bounds they may take.
 
-The model is that of Hasani et al. (ICRA 2020), supplement eq. 1-6; what a step computes stands in
-``solver_reference.py``. Potentials are in mV, conductances in S, capacitances in F, sigma in 1/mV.
+The model is that of Hasani et al. (ICRA 2020), supplement eq. 1-6; ``solver.py`` computes its steps.
+Potentials are in mV, conductances in S, capacitances in F, sigma in 1/mV.
 
 A gap junction is a physical, symmetric connection in the paper. Here, as in the published code, one synapse
 is one line that feeds its destination only: published circuits behave the same only so.
@@ -211,27 +211,23 @@ class Circuit:
         ]
 
 
-def build_circuit(
-    name: str,
-    neurons: Sequence[str],
-    synapses: Sequence[tuple[SynapseKind, int, int, float]],
-    sigma: ArrayLike = DEFAULTS[ParameterKind.SIGMA],
-) -> Circuit:
-    """Build a circuit from rows (kind, source, destination, weight in S), everything else at its default."""
-    n, m = len(neurons), len(synapses)
-    columns = [np.array([row[i] for row in synapses], np.int64).reshape(m) for i in range(3)]
-    return Circuit(
-        name=name,
-        neurons=tuple(neurons),
-        kind=columns[0],
-        source=columns[1],
-        destination=columns[2],
-        weight=np.array([row[3] for row in synapses], np.float64).reshape(m),
-        sigma=np.broadcast_to(np.asarray(sigma, np.float64), (m,)),
-        leak_potential=np.full(n, DEFAULTS[ParameterKind.LEAK_POTENTIAL]),
-        leak=np.full(n, DEFAULTS[ParameterKind.LEAK]),
-        capacitance=np.full(n, DEFAULTS[ParameterKind.CAPACITANCE]),
-    )
+def conductances(circuit: Circuit, potentials: FloatArray) -> FloatArray:
+    """Return every synapse's conductance (m,) in S at potentials (n,) in mV.
+
+    A chemical synapse's is w g(V_j), with g(V_j) = 1 / (1 + exp(-sigma (V_j - mu))); a gap junction's is
+    its weight.
+    """
+    presynaptic = potentials[circuit.source]
+    gate = 1.0 / (1.0 + np.exp(-circuit.sigma * (presynaptic - MIDPOINT_MV)))
+    return circuit.weight * np.where(circuit.chemical, gate, 1.0)
+
+
+def time_constants(circuit: Circuit, potentials: FloatArray) -> FloatArray:
+    """Return tau_i = C_i / (G_i + all its synapses' conductances), (n,) in s, at a moment (paper eq. 5)."""
+    total = circuit.leak.copy()
+    np.add.at(total, circuit.destination, conductances(circuit, potentials))
+    tau: FloatArray = circuit.capacitance / total
+    return tau
 
 
 def _frozen(values: ArrayLike, dtype: type) -> NDArray[Any]:

@@ -1,9 +1,8 @@
 """The circuit's solver: many circuits of one wiring, one lane each, advanced together.
 
-This is the kernel that everything runs: training with many lanes, the rover with one. It computes what
-``solver_reference.py`` defines, with the same result to the last bit whatever the number of lanes and the
-place of a lane among them: each lane sees the same operations in the same order, and the exponential is our
-own, so neither a library's version nor a machine's vector width shows in a trajectory.
+Training runs many lanes, the rover one; ``tests/kit/solver_reference.py`` is its definition. A lane has the
+same bits for any number of lanes and any place among them: its operations have a fixed order, and the
+exponential is our own, so neither a library's version nor a machine's vector width changes a trajectory.
 
 Lanes are worked on in blocks of eight, the width of a vector. Sensory neurons are set, never integrated, and
 constant over a tick, so their synapses are summed up once a tick.

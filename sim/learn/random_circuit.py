@@ -1,10 +1,11 @@
-"""Random circuits of the tap-withdrawal circuit's size, the paper's control group."""
+"""Circuits from a table of synapses, and random ones, the paper's control group."""
 
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from rover_ncp.circuit.circuit import Circuit, SynapseKind, build_circuit
+from rover_ncp.circuit.circuit import DEFAULTS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.core.errors import UsageError
 
 SENSORY = ("PVD", "PLM", "AVM", "ALM")
@@ -32,3 +33,26 @@ def random_circuit(seed: int, neurons: Sequence[str], synapses: int) -> Circuit:
         rows.setdefault((kind, source, target), weight)
     table = [(*ends, weight) for ends, weight in rows.items()]
     return build_circuit(f"random-{seed}", neurons, table)
+
+
+def build_circuit(
+    name: str,
+    neurons: Sequence[str],
+    synapses: Sequence[tuple[SynapseKind, int, int, float]],
+    sigma: ArrayLike = DEFAULTS[ParameterKind.SIGMA],
+) -> Circuit:
+    """Build a circuit from rows (kind, source, destination, weight in S), everything else at its default."""
+    n, m = len(neurons), len(synapses)
+    columns = [np.array([row[i] for row in synapses], np.int64).reshape(m) for i in range(3)]
+    return Circuit(
+        name=name,
+        neurons=tuple(neurons),
+        kind=columns[0],
+        source=columns[1],
+        destination=columns[2],
+        weight=np.array([row[3] for row in synapses], np.float64).reshape(m),
+        sigma=np.broadcast_to(np.asarray(sigma, np.float64), (m,)),
+        leak_potential=np.full(n, DEFAULTS[ParameterKind.LEAK_POTENTIAL]),
+        leak=np.full(n, DEFAULTS[ParameterKind.LEAK]),
+        capacitance=np.full(n, DEFAULTS[ParameterKind.CAPACITANCE]),
+    )

@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rover_ncp.circuit.circuit import SynapseKind, build_circuit
+from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import ConfigError
+from sim.learn.random_circuit import build_circuit
 
 # Figure 1 of the paper, transcribed a second time, as "to: from" with ex, in and gap in front.
 FIGURE = {

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from rover_ncp.circuit.circuit import build_circuit
 from rover_ncp.circuit.motors import Motors, four_dof_motors, parking_motors
 from rover_ncp.circuit.policy import Policy, absolute_policy, course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
@@ -14,6 +13,7 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import load_course
+from sim.learn.random_circuit import build_circuit
 
 UNCONNECTED = build_circuit("unconnected", ("up", "down", "alone", "M", "N"), ())
 MOTORS = Motors(outputs=("y",), channels=(Channel(name="y", positive="M", maximum=1.0),))

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import solver_reference as reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from wirings import in_bounds, unit_vectors, wirings
 
-from rover_ncp.circuit import solver_reference as reference
-from rover_ncp.circuit.circuit import SynapseKind, build_circuit
+from rover_ncp.circuit.circuit import SynapseKind, time_constants
 from rover_ncp.circuit.compiled import allocate_lanes, fill_lane, make_program, resting_potentials
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, parking_policy
@@ -20,6 +20,7 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.sensing import Sensing, parking_sensing
 from rover_ncp.circuit.solver import exp2, tick_lanes
 from rover_ncp.kernels.jit import kernel
+from sim.learn.random_circuit import build_circuit
 
 PARKING = parking_policy(load_circuit("parking"))
 SIZE = PARKING.layout().size
@@ -181,7 +182,7 @@ def test_time_constant_is_that_of_the_solver():
     # A neuron with one half open synapse: tau = C / (G + w g); a step divides its distance to rest.
     circuit = build_circuit("two", ("a", "b"), [(SynapseKind.EXCITATORY, 0, 1, 2.0)])
     potentials = np.array([-40.0, -70.0])
-    tau = reference.time_constants(circuit, potentials)
+    tau = time_constants(circuit, potentials)
     assert tau[1] == pytest.approx(0.05 / (1.0 + 2.0 * 0.5))
     rest = 1.0 * -70.0 / 2.0
     after = reference.step(circuit, potentials, 0.01)

@@ -12,8 +12,9 @@ from deploy.report.interpretation import (
     time_constant_ranges,
 )
 from deploy.report.trace import synapse_currents
-from rover_ncp.circuit.circuit import SynapseKind, build_circuit
+from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy_file import load_circuit
+from sim.learn.random_circuit import build_circuit
 
 POTENTIAL = st.integers(-9000, 0).map(lambda hundredths: hundredths / 100)
 PAIRS = st.lists(st.tuples(POTENTIAL, POTENTIAL), min_size=2, max_size=40)

@@ -6,13 +6,14 @@ import pytest
 from deploy.report.findings import analyse
 from deploy.report.phases import explain, phases
 from deploy.report.trace import Trace, motor_outputs, motor_shares
-from rover_ncp.circuit.circuit import SynapseKind, build_circuit
+from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.course.course import load_course
 from sim.explain.explain import traced
+from sim.learn.random_circuit import build_circuit
 from sim.learn.rollout import rollout
 
 EX, IN = SynapseKind.EXCITATORY, SynapseKind.INHIBITORY

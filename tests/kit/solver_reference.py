@@ -1,12 +1,12 @@
 """The solver's definition: one circuit, one equation a line, in plain numpy.
 
-Hasani et al. (ICRA 2020), supplement eq. 1-6. Slow on purpose; the tests hold ``solver.py`` against it.
+Hasani et al. (ICRA 2020), supplement eq. 1-6.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.circuit import MIDPOINT_MV, REVERSAL_MV, Circuit, SynapseKind
+from rover_ncp.circuit.circuit import REVERSAL_MV, Circuit, SynapseKind, conductances
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.sensing import HIGH_MV, LOW_MV, SATURATION_MV, Sensing
@@ -44,17 +44,6 @@ def _with(circuit: Circuit, potentials: FloatArray, driven: dict[str, float]) ->
     return changed
 
 
-def conductances(circuit: Circuit, potentials: FloatArray) -> FloatArray:
-    """Return every synapse's conductance (m,) in S at potentials (n,) in mV.
-
-    A chemical synapse's is w g(V_j), with g(V_j) = 1 / (1 + exp(-sigma (V_j - mu))); a gap junction's is
-    its weight.
-    """
-    presynaptic = potentials[circuit.source]
-    gate = 1.0 / (1.0 + np.exp(-circuit.sigma * (presynaptic - MIDPOINT_MV)))
-    return circuit.weight * np.where(circuit.chemical, gate, 1.0)
-
-
 def step(circuit: Circuit, potentials: FloatArray, dt_s: float) -> FloatArray:
     """Return the potentials (n,) in mV one hybrid Euler step later (supplement eq. 6).
 
@@ -73,14 +62,6 @@ def step(circuit: Circuit, potentials: FloatArray, dt_s: float) -> FloatArray:
     np.add.at(total, circuit.destination, synapse)
     new: FloatArray = current / total
     return new
-
-
-def time_constants(circuit: Circuit, potentials: FloatArray) -> FloatArray:
-    """Return tau_i = C_i / (G_i + all its synapses' conductances), (n,) in s, at a moment (paper eq. 5)."""
-    total = circuit.leak.copy()
-    np.add.at(total, circuit.destination, conductances(circuit, potentials))
-    tau: FloatArray = circuit.capacitance / total
-    return tau
 
 
 def sensory_potentials(sensing: Sensing, channels: FloatArray) -> dict[str, float]:

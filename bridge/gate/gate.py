@@ -49,7 +49,7 @@ from bridge.gate.state import (
     Verdict,
     describe,
 )
-from rover_ncp.core.clock_offset import remember
+from rover_ncp.core.clock_offset import update_clock_offset
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.protocol import CommandTag
 
@@ -238,7 +238,7 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         hazard_since_untagged=state.hazard_since_untagged and granted.secret is not None,
         target=None,
         idle=Reason.SILENCE,
-        minima=remember(() if lease is None else state.minima, state.now, request.sent_ns),
+        minima=update_clock_offset(() if lease is None else state.minima, state.now, request.sent_ns),
         motors=True,
     ), None
 
@@ -330,7 +330,7 @@ def _tagged(state: GateState, tag: CommandTag, signed: bool, limits: Limits) -> 
         return Reason.FOREIGN
     if tag.sequence <= lease.last_sequence:
         return Reason.REPEATED
-    minima = remember(state.minima, state.now, tag.stamp_ns)
+    minima = update_clock_offset(state.minima, state.now, tag.stamp_ns)
     age = state.now - tag.stamp_ns * 1e-9 - min(offset for _, offset in minima)
     if age > limits.stale_s or tag.stamp_ns < lease.sent_ns:
         return Reason.STALE

@@ -74,8 +74,8 @@ def course(
         found = check_course(made, robot)
         if out is not None:
             _draw(out, made, found, robot)
-    miss_m = max(miss.error_m for miss in found.misses)
-    miss_rad = max(miss.error_rad for miss in found.misses)
+    miss_m = max(miss.error_m for miss in found.deviations)
+    miss_rad = max(miss.error_rad for miss in found.deviations)
     fields = {
         "course": made.name,  #: its name
         "drivable": found.drivable,  #: whether there is no problem

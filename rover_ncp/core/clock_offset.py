@@ -1,8 +1,8 @@
 """The offset between a sender's clock and the receiver's, from stamps and arrivals. Pure.
 
-Arrival minus stamp is an unknown constant plus the transit time. Its minimum over the last minute stands for
-the constant and the shortest transit; the excess of a message over it is the message's age. Constant lateness
-never starts the offset anew: on a link that became slow, all messages are old.
+Arrival minus stamp is an unknown constant plus the transit time. Its minimum over the last minute is the
+offset; the excess of a message over it is the message's age. A constant delay does not reset the offset: on a
+link that became slow, all messages are old.
 """
 
 import math
@@ -14,7 +14,7 @@ JUMP_NS = 100_000_000
 """Offsets that differ by more than this are of two clocks, or one of the stamps is bad."""
 
 
-def remember(
+def update_clock_offset(
     minima: tuple[tuple[int, float], ...], now: float, stamp_ns: int
 ) -> tuple[tuple[int, float], ...]:
     """Add (arrival − stamp) to the minima of the last minute, one a second."""
@@ -25,7 +25,7 @@ def remember(
     return (*kept, (second, offset))
 
 
-class _Seen(NamedTuple):
+class _Arrival(NamedTuple):
     stamp_ns: int
     arrival_ns: int
 
@@ -44,11 +44,11 @@ class StampClock:
 
     def __init__(self, in_order: bool = True) -> None:
         self._in_order = in_order
-        self._zero = _Seen(0, 0)
+        self._zero = _Arrival(0, 0)
         """Seconds count from here, so that they are exact to the nanosecond."""
         self._minima: tuple[tuple[int, float], ...] = ()
-        self._last: _Seen | None = None
-        self._doubted: _Seen | None = None
+        self._last: _Arrival | None = None
+        self._doubted: _Arrival | None = None
         self._measured_ns: int | None = None
         self.set_back_s = 0.0
         """By how much the clock was set back, as the newest message shows; else 0."""
@@ -66,7 +66,7 @@ class StampClock:
         For messages in order it is never before the previous one.
         """
         self.set_back_s, self.doubt_s, self.late_ns = 0.0, 0.0, None
-        seen, doubted, self._doubted = _Seen(stamp_ns, arrival_ns), self._doubted, None
+        seen, doubted, self._doubted = _Arrival(stamp_ns, arrival_ns), self._doubted, None
         if doubted is not None and self._last is not None:
             self._decide(seen, doubted, self._last)
         if self._last is not None:
@@ -88,7 +88,7 @@ class StampClock:
             return None
         return moment_ns - self._zero.offset_ns - round(self._offset_s * 1e9)
 
-    def _decide(self, seen: _Seen, doubted: _Seen, last: _Seen) -> None:
+    def _decide(self, seen: _Arrival, doubted: _Arrival, last: _Arrival) -> None:
         from_doubted, from_last = (abs(seen.offset_ns - other.offset_ns) for other in (doubted, last))
         # Messages that waited somewhere arrive in a burst: their offsets are near, whatever their clock.
         stamps_ns, arrivals_ns = seen.stamp_ns - doubted.stamp_ns, seen.arrival_ns - doubted.arrival_ns
@@ -99,17 +99,17 @@ class StampClock:
         elif not self._in_order and doubted.stamp_ns <= last.stamp_ns:
             self.late_ns = doubted.arrival_ns - self._age_ns(doubted)
 
-    def _add(self, seen: _Seen) -> None:
+    def _add(self, seen: _Arrival) -> None:
         if self._last is None:
             self._zero, self._minima = seen, ()
         arrival_s = (seen.arrival_ns - self._zero.arrival_ns) * 1e-9
-        self._minima = remember(self._minima, arrival_s, seen.stamp_ns - self._zero.stamp_ns)
+        self._minima = update_clock_offset(self._minima, arrival_s, seen.stamp_ns - self._zero.stamp_ns)
         self._last = seen
 
     @property
     def _offset_s(self) -> float:
         return min(offset for _, offset in self._minima)
 
-    def _age_ns(self, seen: _Seen) -> int:
+    def _age_ns(self, seen: _Arrival) -> int:
         """Return the excess over the offset; negative if no message came as soon after its stamp."""
         return round(((seen.offset_ns - self._zero.offset_ns) * 1e-9 - self._offset_s) * 1e9)

@@ -1,7 +1,7 @@
 """A course made from poses, or from a drive that was recorded.
 
-The first pose becomes the origin. Deadlines are chosen so that a drive at six tenths of the motors' limits
-meets them, and later where that is still too much; where a recording paused or crept plays no part.
+The first pose becomes the origin. A drive at six tenths of the motors' limits meets the deadlines; they are
+later where that is still too fast. The pace of a recording has no effect.
 """
 
 import csv
@@ -32,14 +32,14 @@ from rover_ncp.recording.recording import Recording, read_recording
 from rover_ncp.wire.messages import OdometrySample, PoseSample, read_odometry, read_pose
 
 EASE = 0.6
-"""Share of the motors' limits that the deadlines count on."""
+"""Speed of a drive that meets the deadlines, as a share of the motors' limits."""
 SLOWER, SLOWER_MAX = 1.3, 4
-"""Deadlines are stretched by this much, so many times, while the course cannot be driven in time."""
+"""Factor by which deadlines are stretched, and how often at most, while the course is too fast."""
 START_S, JOIN_S, REST_S = 3.0, 2.0, 8.0
 """Times in s: start signal; starting and stopping; rest at the end."""
-NO_MATTER_OF_TIME = frozenset({Cause.SIDEWAYS, Cause.OBSTACLE})
+NOT_SOLVED_BY_TIME = frozenset({Cause.SIDEWAYS, Cause.OBSTACLE})
 STEP_M, STEP_RAD = 0.10, 0.20
-"""How far apart the checkpoints of a recorded drive are."""
+"""Distance and turn between the checkpoints of a recorded drive."""
 MOVED_M, MOVED_RAD = 0.01, 0.02
 """Smaller motion counts as standing."""
 _DECIMALS = 4
@@ -52,7 +52,7 @@ _SHORT = reprlib.Repr()
 _SHORT.maxstring = 60
 
 MAX_POSES = MAX_CHECKPOINTS - 2
-"""A course has a checkpoint before them, and one after."""
+"""A course has one checkpoint more before and after the poses."""
 
 
 class Place(StrictModel):
@@ -103,9 +103,8 @@ def make_course(name: str, source: str, places: PoseList) -> tuple[Course, Driva
         }
         course = validated(fields, Course, source)  # it may last too long, or lead too far away
         found = check_course(course)
-        # In time enough a rover can turn on the spot and drive to its side; who asks for a way to the side
-        # means something else.
-        if found.drivable or any(problem.cause in NO_MATTER_OF_TIME for problem in found.problems):
+        # Slowing down does not make a sideways step drivable; stop trying.
+        if found.drivable or any(problem.cause in NOT_SOLVED_BY_TIME for problem in found.problems):
             break
         stretch *= SLOWER
     return course, found
@@ -188,7 +187,7 @@ def _listed(path: Path, poses: Sequence[tuple[float, float, float]]) -> PoseList
 
 
 def _driven(recording: Recording) -> list[Pose]:
-    """Return where the rover was: by the driver's estimate where there is one, else by odometry."""
+    """Return the recorded poses: the driver's estimates, or without any those of odometry."""
     poses = []
     for topic, read in _READERS.items():
         for message in recording.topic(topic):

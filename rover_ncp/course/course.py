@@ -1,4 +1,4 @@
-"""A course: checkpoints with deadlines, the start signal, obstacles, and what counts as parked.
+"""A course: checkpoints with deadlines, the start signal, obstacles, and the conditions for parked.
 
 Poses are those of the base in the course's frame; times count from the run's start. The paper's course and
 its reward are in section VI and the published simulator.
@@ -19,12 +19,12 @@ from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 
 TICK_S = 0.1
-"""Control tick in seconds: the circuit is asked for a command ten times a second."""
+"""Control tick in seconds: the circuit computes ten commands a second."""
 
 MAX_CHECKPOINTS = 1000
-"""Of checkpoints, and of obstacles: the time that planning a course takes grows with both."""
+"""Limit of checkpoints, and of obstacles: planning a course takes longer with each."""
 FAR_M = 1000.0
-"""No rover comes farther within the longest horizon, an hour."""
+"""No rover gets farther within the longest horizon, an hour."""
 
 
 def _radians(angle: float) -> float:
@@ -130,9 +130,9 @@ class Course(StrictModel):
         return self.checkpoints[-1].pose
 
     def scaled(self, size: float, slower: float) -> "Course":
-        """Return the course so many times as large, driven so many times as slowly.
+        """Scale the course in space by ``size`` and in speed by 1 / ``slower``.
 
-        What counts as parked stays as it is. Raises ConfigError if it would take too long.
+        The conditions for parked stay. Raises ConfigError if the course would take more than an hour.
         """
         time = size * slower
         places = {"x": size, "y": size}

@@ -1,8 +1,7 @@
 """Whether a course can be driven, and if not, where and why.
 
-A course is drivable when its reference, the nearest drive within the motors' limits, begins where the rover
-does, comes near every checkpoint, ends on the goal, rests there long enough to count as parked, and touches
-no obstacle on its way. Near means: within what counts as parked; at the goal within a quarter of it.
+The reference of a drivable course starts at the rover's start, passes every checkpoint within the tolerance
+for parked (at the goal within a quarter of it), rests there long enough, and touches no obstacle.
 """
 
 import math
@@ -23,7 +22,7 @@ FloatArray = NDArray[np.float64]
 
 GOAL_SHARE = 0.25
 SIDEWAYS = 0.5
-"""A way whose tangent to the heading exceeds this is sideways, not a bend."""
+"""A step of more than this across, as a share of the step along, is sideways and not a bend."""
 SIDEWAYS_M = 0.02
 _UNIT = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
 
@@ -55,13 +54,13 @@ class Problem:
 
 @dataclass(frozen=True)
 class Drivability:
-    """Result of the check; ``misses`` has one entry for each checkpoint."""
+    """Result of the check; ``deviations`` has one entry for each checkpoint."""
 
     reference: Reference
-    misses: tuple[Deviation, ...]
+    deviations: tuple[Deviation, ...]
     problems: tuple[Problem, ...]
     clearance_m: float | None
-    """The least distance between the rover and an obstacle, 0 if they touch; None without obstacles."""
+    """Smallest distance between the rover and an obstacle, 0 if they touch; None without obstacles."""
 
     @property
     def drivable(self) -> bool:
@@ -73,12 +72,12 @@ def check_course(course: Course, robot: RobotDescription | None = None) -> Driva
     """Plan a course's reference and check it, for the outline of ``robot``; None is a Pioneer 3-AT."""
     robot = load_description(DEFAULT_ROBOT) if robot is None else robot
     reference = plan_reference(course)
-    misses = tuple(deviations(course, reference))
-    problems = [*_start(course), *_missed(course, misses), *_rest(course, reference)]
+    found = tuple(deviations(course, reference))
+    problems = [*_start(course), *_missed(course, found), *_rest(course, reference)]
     clearance, touching = _clearance(course, reference, robot)
     problems += touching
     problems.sort(key=lambda problem: (problem.t, problem.checkpoint))
-    return Drivability(reference, misses, tuple(problems), clearance)
+    return Drivability(reference, found, tuple(problems), clearance)
 
 
 def _start(course: Course) -> list[Problem]:
@@ -90,18 +89,18 @@ def _start(course: Course) -> list[Problem]:
     return [Problem(1, 0.0, Cause.START, detail)]
 
 
-def _missed(course: Course, misses: tuple[Deviation, ...]) -> list[Problem]:
-    rule, last = course.parked, len(misses)
+def _missed(course: Course, found: tuple[Deviation, ...]) -> list[Problem]:
+    rule, last = course.parked, len(found)
     demands = _demands(course)
     problems = []
-    for number, miss in enumerate(misses, 1):
+    for number, miss in enumerate(found, 1):
         share = GOAL_SHARE if number == last else 1.0
         if miss.error_m <= share * rule.position_m and miss.error_rad <= share * rule.heading_rad:
             continue
         missed = f"missed by {miss.error_m:.2f} m and {miss.error_rad:.2f} rad"
         cause, why = Cause.BEND, "the motors cannot follow the way there"
         if demands:
-            # An excessive demand shows at its neighbours, too: the reference spreads the misses.
+            # An excessive demand shows at its neighbours, too: the fit spreads the deviations.
             into, cause, why = min(demands, key=lambda demand: abs(demand[0] - number))
             why += "" if into == number else f" into checkpoint {into}"
         problems.append(Problem(number, miss.t, cause, f"{why}; {missed}"))
@@ -109,7 +108,7 @@ def _missed(course: Course, misses: tuple[Deviation, ...]) -> list[Problem]:
 
 
 def _demands(course: Course) -> list[tuple[int, Cause, str]]:
-    """Return the checkpoints that need more than the motors can, from the previous one."""
+    """Return the checkpoints that the motors cannot reach in time from the previous one."""
     found = []
     v_max, omega_max = V_MAX / course.slower, OMEGA_MAX / course.slower
     points = list(course.checkpoints)
@@ -133,7 +132,7 @@ def _demands(course: Course) -> list[tuple[int, Cause, str]]:
 
 
 def _way(a: Pose, b: Pose) -> tuple[float, float, float]:
-    """Return the way along and across the mean heading, and the turn: no arc has any way across."""
+    """Return the distances along and across the mean heading, and the turn; an arc has none across."""
     turn = wrap_angle(b.theta - a.theta)
     heading = a.theta + 0.5 * turn
     cos, sin = math.cos(heading), math.sin(heading)

@@ -1,10 +1,8 @@
-"""The moving reference of a course: where a rover that can drive no better than ours should be at each tick.
+"""The moving reference of a course: pose and motion that a rover should have at each tick.
 
-Checkpoints are poses with deadlines and need not agree with each other: the paper's ask for a turn quicker
-than its motors' and for headings that are not those of the path. The reference is the drive of a unicycle,
-v and ω linear between knots 0.5 s apart and within the motors' limits, that comes nearest to the checkpoints
-in the sense of least squares and ends on the goal. So it is smooth and drivable by construction, and how far
-it stays away from a checkpoint says how far the course is from drivable.
+The reference is a unicycle's drive, with v and ω linear between knots 0.5 s apart and within the motors'
+limits, that fits the checkpoints best (least squares) and ends on the goal. It is drivable by construction;
+its deviations from the checkpoints show how far the course is from drivable.
 """
 
 import math
@@ -29,18 +27,18 @@ COMMAND_MAX = Velocity(0.24, 0.36)
 """Fastest command of a circuit that follows a reference: it must be able to catch up."""
 
 KNOT_TICKS = 5
-"""Speed and turn of a planned reference are linear between knots so many ticks apart."""
+"""Ticks between two knots of v and ω."""
 
 _DECIMALS = 5
-# One unit of the sum of squares: so far off a checkpoint, or so sharp a bend of v or ω between knots.
+# Scales of the residuals: deviation from a checkpoint, and second difference of v and ω between knots.
 _POSITION_M, _HEADING_RAD = 0.01, 0.02
 _BEND_V, _BEND_OMEGA = 0.05, 0.10
 _GOAL_WEIGHT = 20.0
 _BACKWARD_M = 0.02
 _MARGIN = 0.05
-"""A fit begins so far within its bounds, as a part of them."""
+"""Distance of the fit's start from its bounds, as a share of them."""
 _SAME = 1e-6
-"""Neighbours no farther apart than this in m and rad are the same pose: the rover rests."""
+"""Neighbours at most this far apart in m and rad are one pose, where the rover rests."""
 
 
 class Deviation(NamedTuple):
@@ -106,7 +104,7 @@ def plan_reference(course: Course, v_max: float = V_MAX, omega_max: float = OMEG
     Otherwise it begins at the origin, as the rover does. It goes backward only where the course does.
     """
     v_max, omega_max = v_max / course.slower, omega_max / course.slower
-    # scipy is a matter of half a second, and of those courses that a policy follows by their reference.
+    # scipy takes half a second to import, and only policies that follow a reference need it.
     from scipy.optimize import least_squares
 
     fit = _Fit(course)
@@ -194,8 +192,8 @@ class _Fit:
         path = _sums(np.column_stack([step * np.cos(heading), step * np.sin(heading)]))
         reached = self._due @ np.column_stack([path + self.start[:2], theta])
         v, omega = unknowns.reshape(2, -1)
-        misses = (reached.T - self._targets) / self._scale
-        return np.concatenate([misses.ravel(), self._bend @ v / _BEND_V, self._bend @ omega / _BEND_OMEGA])
+        residuals = (reached.T - self._targets) / self._scale
+        return np.concatenate([residuals.ravel(), self._bend @ v / _BEND_V, self._bend @ omega / _BEND_OMEGA])
 
     def jacobian(self, unknowns: FloatArray) -> FloatArray:
         step, heading, _ = self._drive(unknowns)

@@ -260,8 +260,6 @@ class GateStatus(StrictModel):
     force was cut off.
     """
 
-    driver: str = Field(default="", exclude=True, repr=False)
-    """The driver's id in recordings of protocol version 1; read and not used."""
     lease: int = 0
     driver_name: str = ""
     sequence: int = -1

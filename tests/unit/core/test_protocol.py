@@ -15,7 +15,6 @@ from rover_ncp.wire.protocol import (
     PROTOCOL,
     VERSION_REASON,
     CommandTag,
-    GateStatus,
     MotorsRefusal,
     MotorsReply,
     MotorsRequest,
@@ -121,14 +120,6 @@ def test_the_key_is_in_no_text_about_an_answer():
     with pytest.raises(FormatError) as error:
         parse_json(MotorsReply, b'{"granted": true, "key": "%s"}' % (b"ab" * 5))
     assert "abab" not in str(error.value)
-
-
-def test_the_gate_of_an_older_version_is_read_and_its_drivers_id_is_not_written():
-    status = parse_json(
-        GateStatus, b'{"driver": "%s", "driver_name": "deploy", "accepted": 3}' % (b"ab" * 16)
-    )
-    assert (status.driver_name, status.accepted, status.lease) == ("deploy", 3, 0)
-    assert b"abab" not in dump_json(status)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ later where that is still too fast. The pace of a recording has no effect.
 
 import csv
 import math
+import re
 import reprlib
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -44,6 +45,7 @@ MOVED_M, MOVED_RAD = 0.01, 0.02
 """Smaller motion counts as standing."""
 _DECIMALS = 4
 _POSE = ("x", "y", "theta")
+_NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", re.ASCII)
 _READERS: dict[str, Callable[[bytes], PoseSample | OdometrySample]] = {
     "rover/estimate": read_pose,
     "odom": read_odometry,
@@ -165,18 +167,11 @@ def _from_csv(path: Path) -> PoseList:
 
 
 def _numbers(cells: Sequence[str], where: str) -> tuple[float, float, float]:
-    """Return a pose. Raises FileError: not three finite numbers in decimals with a point."""
-    for cell in cells:
-        if "_" in cell or not cell.isascii():  # float takes 1_0 and digits of other scripts
-            raise FileError(f"{where}: expected three numbers, got {_SHORT.repr(cell)}")
-    try:
-        x, y, theta = map(float, cells)
-    except ValueError as error:
+    """Return a pose. Raises FileError for cells that are not three numbers in decimals with a point."""
+    if not all(map(_NUMBER.fullmatch, cells)):
         found = _SHORT.repr(", ".join(cells))
-        hint = "; write a decimal point, not a comma" if any("," in cell for cell in cells) else ""
-        raise FileError(f"{where}: expected three numbers, got {found}{hint}") from error
-    if not all(map(math.isfinite, (x, y, theta))):
-        raise FileError(f"{where}: expected finite numbers")
+        raise FileError(f"{where}: expected three numbers, with a decimal point and no comma, got {found}")
+    x, y, theta = map(float, cells)
     return x, y, theta
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
-from rover_ncp.wire import cdr, messages
+from rover_ncp.wire import messages
 from rover_ncp.wire.key_table import KEYS, Kind
 from rover_ncp.wire.messages import imu, read_imu
 
@@ -145,32 +145,6 @@ def test_command_and_status_have_the_bytes_of_ros():
     expected = Cdr().header("base_link").vector(0.16, 0.0, 0.0).vector(0.0, 0.0, -0.18)
     assert messages.twist_stamped(Velocity(0.16, -0.18), STAMP) == expected.done()
     assert messages.text('{"held":""}') == Cdr().text('{"held":""}').done()
-
-
-@pytest.mark.parametrize(
-    ("ros_type", "hash_"),
-    [
-        ("std_msgs/msg/String", "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
-        (
-            "geometry_msgs/msg/TwistStamped",
-            "5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
-        ),
-        ("nav_msgs/msg/Odometry", "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
-    ],
-)
-def test_types_are_those_of_ros_2(ros_type, hash_):
-    assert cdr.type_hash(ros_type) == f"RIHS01_{hash_}"
-
-
-def test_a_definition_brings_all_that_a_type_is_made_of():
-    text = cdr.definition("geometry_msgs/msg/TwistStamped")
-    assert text.startswith("std_msgs/Header header\ngeometry_msgs/Twist twist\n")
-    assert [line for line in text.splitlines() if line.startswith("MSG:")] == [
-        "MSG: std_msgs/Header",
-        "MSG: builtin_interfaces/Time",
-        "MSG: geometry_msgs/Twist",
-        "MSG: geometry_msgs/Vector3",
-    ]
 
 
 @given(x=numbers, y=numbers, theta=st.floats(-math.pi, math.pi), v=numbers, omega=numbers, stamp=stamps)

@@ -1,4 +1,4 @@
-"""How the potentials of motor neurons become commands (supplement eq. 3).
+"""The mapping of the potentials of motor neurons to commands (supplement eq. 3).
 
 A channel is y = y_p + y_n. The positive neuron's potential, from ``low_mV`` to ``high_mV``, gives y_p from 0
 to the maximum, the negative neuron's gives y_n from 0 to the minimum; beyond that range they stay at its
@@ -29,8 +29,8 @@ class Motors(StrictModel):
     """The whole mapping: channels, and the named outputs that they are, or that a linear layer makes of them.
 
     Without a layer the channels carry the outputs' names, in the same order. A neuron may drive several
-    channels. With a layer, outputs may be given limits:
-    then the layer says which part of its limit an output is, and no output goes beyond.
+    channels. With a layer, outputs may have limits: the layer then gives an output as a share of its limit,
+    and no output exceeds it.
     """
 
     outputs: tuple[str, ...] = Field(min_length=1)

@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 
 
 class ParameterBlock(NamedTuple):
-    """The parameters of one kind: where they stand in the vector, and the bounds they share."""
+    """The parameters of one kind: their slice of the vector and their bounds."""
 
     kind: ParameterKind
     slice: slice
@@ -65,7 +65,7 @@ class ParameterLayout:
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """A circuit, its mappings and how it is run. Raises ConfigError when the parts do not fit together."""
+    """A circuit, its mappings and its time step. Raises ConfigError when the parts do not fit together."""
 
     circuit: Circuit
     sensing: Sensing
@@ -93,9 +93,9 @@ class Policy:
             *_layer_problems("output_layer", self.output_layer, self.motors.outputs, self._channels[1]),
         ]
         if self.input_layer is None and self.sensing.ranges is not None:
-            problems.append("sensing.ranges: without an input layer the channels have the ranges")
+            problems.append("sensing.ranges: needs an input_layer; without one, channels have ranges")
         if self.output_layer is None and self.motors.limits is not None:
-            problems.append("motors.limits: without an output layer the channels have the limits")
+            problems.append("motors.limits: needs an output_layer; without one, channels have limits")
         if not 0 < self.dt_s <= 1:
             problems.append(f"dt_s: must be above 0 and at most 1 s, got {self.dt_s}")
         if not 1 <= self.substeps <= 10_000:
@@ -109,7 +109,7 @@ class Policy:
         return self.dt_s * self.substeps
 
     def layout(self) -> ParameterLayout:
-        """Return where each kind stands in the parameter vector."""
+        """Return the slice and bounds of each kind in the parameter vector."""
         blocks, start = [], 0
         for kind, values in self._arrays():
             block = slice(start, start + values.size)
@@ -196,7 +196,7 @@ def parking_policy(circuit: Circuit, clamp: bool = True) -> Policy:
 
 
 def absolute_policy(circuit: Circuit, course: Course) -> Policy:
-    """Return a circuit with parking's mappings for a course: the sensors reach to the side where it goes."""
+    """Return a circuit with parking's mappings, the ranges of its sensors on the course's side."""
     poses = np.array([point.pose for point in course.checkpoints])
     downward = [
         name
@@ -210,8 +210,8 @@ def absolute_policy(circuit: Circuit, course: Course) -> Policy:
 def course_policy(circuit: Circuit) -> Policy:
     """Return a circuit with the sensing relative to a course, the neurons FWD and REV as the two tracks.
 
-    To begin with, the first pair of sensors feels what asks for speed, the second what asks for a turn, and
-    more of REV than of FWD turns left.
+    In the initial layers the first pair of sensors carries the error along the course, the second the errors
+    across it and in heading; REV above FWD turns left.
     """
     return Policy(
         circuit,

@@ -1,7 +1,7 @@
 """Circuits and policies as files: our YAML, and the published ``.bnn``.
 
-A policy file holds all that decides what the circuit does, neurons and synapses by name; read back, every
-number has the same bits, and so has every trajectory.
+A policy file determines the circuit's behaviour, with neurons and synapses by name. Read back, every number
+has the same bits, and so has every trajectory.
 """
 
 from pathlib import Path
@@ -60,7 +60,7 @@ class _Synapse(StrictModel):
 
 class _Circuit(StrictModel):
     name: str
-    """Of the wiring, for messages and reports."""
+    """Name of the wiring, for messages and reports."""
     neurons: tuple[_Neuron, ...]
     """Sensory neurons, interneurons and motor neurons."""
     synapses: tuple[_Synapse, ...]

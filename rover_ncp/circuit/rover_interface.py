@@ -1,4 +1,4 @@
-"""How a policy is connected to a rover: the signals that it observes, and its outputs v and omega."""
+"""The connection of a policy to a rover: its signals, and its outputs v and omega; needs no numba."""
 
 import math
 
@@ -16,15 +16,18 @@ class RoverInterface:
         names, outputs = policy.sensing.inputs, policy.motors.outputs
         problems = []
         if unknown := [name for name in names if name not in SIGNALS]:
-            problems.append(f"its sensing asks for {', '.join(unknown)}; known are {', '.join(SIGNALS)}")
+            known = ", ".join(SIGNALS)
+            problems.append(
+                f"unknown signals in its sensing: {', '.join(unknown)} (expected some of {known})"
+            )
         if outputs != Velocity._fields:
             problems.append(f"its outputs are {', '.join(outputs)}; expected {', '.join(Velocity._fields)}")
         if not math.isclose(policy.tick_s, TICK_S):
-            problems.append(f"its tick lasts {policy.tick_s:g} s; a control tick lasts {TICK_S} s")
+            problems.append(f"its tick is {policy.tick_s:g} s, expected {TICK_S} s")
         if problems:
             raise ConfigError(f"policy {policy.circuit.name}", problems)
         self.places = tuple(SIGNALS.index(name) for name in names)
-        """Of the inputs, in the order of ``SIGNALS``."""
+        """Index of each input in ``SIGNALS``."""
         self.needs_reference = needs_reference(names)
 
     def observe(self, pose: Pose, start: float, reference: tuple[Pose, Velocity] | None) -> list[float]:

@@ -1,10 +1,9 @@
-"""How an observation becomes the potentials of sensory neurons (supplement eq. 1-2).
+"""The mapping of an observation to the potentials of sensory neurons (supplement eq. 1-2).
 
 A channel x with range [x_min, x_max] sets its positive neuron to -70 + 50 x / x_max and its negative neuron
 to -70 + 50 x / x_min, in mV, where x counts from the channel's origin. Clamped, both stay within -70..-20
-mV: what lies beyond the range reads as its end. Unclamped, as in the published code (and so for circuits
-trained with it), a single neuron follows its line without end, and of a pair the neuron of x's sign does,
-while the other stays at -70 mV.
+mV. Unclamped, as in the published code (and so for circuits trained with it), a single neuron follows its
+line without end. Of an unclamped pair the neuron of x's sign does, and the other stays at -70 mV.
 """
 
 from collections.abc import Collection, Sequence
@@ -75,7 +74,7 @@ class Sensing(StrictModel):
     """
 
     name: str = Field(min_length=1)
-    """Of the mapping, for messages."""
+    """Name of the mapping, for messages."""
     inputs: tuple[str, ...] = Field(min_length=1)
     ranges: tuple[Annotated[float, Field(gt=0)], ...] | None = None
     """By input, with an input layer: the layer gets the input divided by this."""
@@ -149,8 +148,8 @@ def parking_sensing(clamp: bool = True, downward: Collection[str] = ()) -> Sensi
 def course_sensing() -> Sensing:
     """Return the sensing relative to a course: two mixtures of five signals, on the touch neurons in pairs.
 
-    The pairs are those of the paper's benchmarks (PLM and AVM, ALM and PVD, each ±1). A range is what is
-    large on the way: a fifth of a metre, a fifth of a right angle and more, the motors' speeds.
+    The pairs are those of the paper's benchmarks (PLM and AVM, ALM and PVD, each ±1). A range is a large
+    value on the way: 0.2 m, 0.4 rad, and the motors' speeds.
     """
     return Sensing(
         name="course",

@@ -39,7 +39,7 @@ _C9, _C10, _C11 = 1.0178057087733941e-07, 7.074194297288521e-09, 4.4558179083360
 _ROUNDER = 1.5 * 2.0**52
 
 _ZERO, _ONE = np.uint64(0), np.uint64(1)
-"""Of the type of rows: numba makes a float of their sum with a plain integer."""
+"""Unsigned like rows: numba makes a float of the sum of a row and a signed integer."""
 
 
 @kernel

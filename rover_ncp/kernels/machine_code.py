@@ -1,9 +1,9 @@
 """Machine code of kernels on disk, in place of numba's own cache.
 
-numba's cache trusts its files, and looks only at the file of a function, not at those of the functions that
-were compiled into it. Here the name of a file holds a digest of all that its machine code is made of: the
-sources of the kernel's module and of the modules that this one imports, the free variables of a kernel that a
-factory made, versions and processor. A file begins with the digest of its content.
+numba's cache does not verify its files, and checks only the source of a function, not those of the functions
+that were compiled into it. Here the name of a file has a digest of everything that determines its machine
+code: the sources of the kernel's module and of the modules that it imports, the free variables of a kernel
+that a factory made, versions and processor. A file begins with the digest of its content.
 
 A damaged file is made anew, and a folder that cannot be used is not used; either is one line on stderr.
 """
@@ -34,10 +34,10 @@ from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import write_atomic
 
 WAIT_S = 60.0
-"""How long a process waits for another that compiles the same kernel, before it compiles that one itself."""
+"""Longest wait for another process that compiles the same kernel."""
 POLL_S = 0.02
 MAX_AGE_S = 14 * 24 * 3600.0
-"""A file that was not used for so long is removed."""
+"""A file that was not used for longer is removed."""
 _VERSIONS = f"{platform.python_version()} {numba.__version__} {llvmlite.__version__} {np.__version__}"
 _IMPORTS = re.compile(rb"^(?:from|import) ([\w.]+)", re.MULTILINE)
 _config: Any = numba.config
@@ -47,7 +47,7 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 class MachineCode(NullCache):
-    """The machine code of one kernel: what numba asks for, and hands over."""
+    """The cache of one kernel, as numba calls it."""
 
     def __init__(self, compiled: Any) -> None:
         self._compiled = compiled
@@ -113,14 +113,14 @@ def _with_fields(kind: Any) -> str:
 
 
 def _made_of(function: Callable[..., Any]) -> str:
-    """Return what decides on a kernel's machine code, beside the types of its arguments."""
+    """Return everything that determines a kernel's machine code, except the types of its arguments."""
     free = [_free_variable(cell.cell_contents) for cell in function.__closure__ or ()]
     place = (function.__module__, function.__qualname__, function.__code__.co_firstlineno)
     return repr((place, _sources(function.__module__), free))
 
 
 def _free_variable(value: Any) -> str:
-    """Return what decides on a free variable. TypeError for what cannot be told."""
+    """Return the content of a free variable. TypeError for an unknown type."""
     if hasattr(value, "py_func"):
         return _made_of(value.py_func)
     if isinstance(value, np.ndarray):

@@ -1,9 +1,9 @@
 """Eight lanes as one value inside a numba kernel.
 
-numba leaves vector code to LLVM's loop vectoriser, which for our short loops spends more time on finding out
-at run time that arrays do not overlap than on the arithmetic. ``Vector`` says outright what is meant: ``+``,
-``-``, ``*`` and ``/`` on eight float64 at once, mixed with plain numbers as in numpy. LLVM makes of it
-whatever the machine has: one AVX-512 register, two of AVX2, four of SSE2 or NEON, with the same bits.
+LLVM's loop vectoriser spends more time on our short loops, on checks that arrays do not overlap, than the
+arithmetic takes. A ``Vector`` has ``+``, ``-``, ``*`` and ``/`` on eight float64 at once, mixed with plain
+numbers as in numpy. LLVM compiles it for one AVX-512 register, two of AVX2, four of SSE2 or NEON, with the
+same bits.
 
 Only kernels can use these functions; called from Python they raise NotImplementedError.
 """
@@ -27,7 +27,7 @@ WIDTH = 8
 
 
 RowArray = NDArray[np.uint64]
-"""Of indices that are never negative. Where they may be, each use checks whether to count from the end."""
+"""Indices that are never negative: numba checks every signed index for counting from the end."""
 
 
 def aligned_zeros(*shape: int) -> NDArray[np.float64]:

@@ -54,7 +54,7 @@ _READERS: dict[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.METADATA: Metadata.read,
     Opcode.DATA_END: DataEnd.read,
 }
-"""Parsers of the records that matter; messages have their own. Indices are skipped."""
+"""Parsers of the records in use, messages aside. Indices are skipped."""
 _DAMAGE = (
     McapError,
     ZstdError,
@@ -130,7 +130,7 @@ def _too_large(path: Path, what: str, limit: int) -> FileError:
 
 
 def _parsed(opcode: int, body: bytes) -> McapRecord | None:
-    """Return a record; None for one that does not matter."""
+    """Return a record; None for one that is not in use."""
     if opcode == Opcode.MESSAGE:
         channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(body)
         return Message(channel, log_ns, body[_MESSAGE.size :], publish_ns, sequence)
@@ -169,7 +169,7 @@ def _unpacked(chunk: Chunk) -> bytes:
     elif chunk.compression:
         raise ValueError(f"unknown compression {chunk.compression[:20]!r}")
     if len(data) != size:
-        raise ValueError("a chunk has not the size that it names")
+        raise ValueError("the size of a chunk differs from its header")
     if chunk.uncompressed_crc not in {0, zlib.crc32(data)}:
         raise ValueError("the checksum of a chunk differs")
     return data

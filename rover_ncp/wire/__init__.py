@@ -1,1 +1,1 @@
-"""What goes over the wire: topics, messages, the lease protocol, settings of Zenoh."""
+"""The wire: topics, messages, the lease protocol, settings of Zenoh."""

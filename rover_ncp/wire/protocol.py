@@ -101,8 +101,8 @@ class _Version(BaseModel):
 class MotorsRequest(StrictModel):
     """Request or renewal of the lease, or its release; ``sent_ns`` is the driver's monotonic clock.
 
-    A renewal and a release carry a `CommandTag`; a first request does not. ``unchecked`` also asks for a
-    robot that is not known to halt when the bridge dies, as to measure that.
+    A renewal and a release carry a `CommandTag`; a first request does not. ``unchecked`` also accepts a robot
+    that is not known to halt when the bridge dies, as `check` does to measure it.
     """
 
     version: int = PROTOCOL
@@ -155,7 +155,7 @@ def other_version(bridge: int, driver: int) -> str:
 
 
 class StopRequest(StrictModel):
-    """Stop until released, or release. ``reason`` says who stops, and why: it follows "stopped by"."""
+    """Stop until released, or release. ``reason`` names sender and cause; it follows "stopped by"."""
 
     release: bool = False
     reason: ShortText = ""
@@ -180,7 +180,7 @@ class ResetReply(StrictModel):
 
 
 class BaseRequest(StrictModel):
-    """What is known of the base. ``measure`` begins the measurement of its own timeout.
+    """Query for the base's model and timeout. ``measure`` begins the measurement of its timeout.
 
     The measurement needs the lease, a signature as that of a renewal, and wheels that turn.
     """
@@ -190,7 +190,7 @@ class BaseRequest(StrictModel):
 
 
 class TimeoutState(StrEnum):
-    """What is known of the time after which a base halts without commands."""
+    """Knowledge of the base's timeout, after which it halts without commands."""
 
     PUBLISHED = "published"
     """The base's manual gives it, and nothing has to be measured."""
@@ -202,7 +202,7 @@ class TimeoutState(StrEnum):
 
 
 class BaseReply(StrictModel):
-    """The base's model, the least voltage of its battery, and its own timeout in s; None = not known.
+    """The base's model, the lowest voltage of its battery, and its timeout in s; None = not known.
 
     ``reason`` is why a measurement was refused, "" if it was not.
     """
@@ -238,7 +238,7 @@ REASONS = {
     "geofence": "the rover would leave the geofence",
     "sonar": "an obstacle is near in the commanded direction, or the sonars there report nothing",
 }
-"""The gate's reasons in words."""
+"""Text of each reason of the gate."""
 UNNAMED = "a client that gave no name"
 CONTACTS = frozenset({"bumper", "stall"})
 """The reasons that report that the rover touched something."""

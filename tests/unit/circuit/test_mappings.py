@@ -200,7 +200,7 @@ def test_ranges_and_limits_must_fit(part, changes, expected):
 
 def test_without_layers_there_are_no_ranges_and_limits():
     policy = course_policy(load_circuit("tap_withdrawal"))
-    with pytest.raises(ConfigError, match="without an input layer the channels have the ranges"):
+    with pytest.raises(ConfigError, match=r"sensing\.ranges: needs an input_layer"):
         replace(policy, input_layer=None)
-    with pytest.raises(ConfigError, match="without an output layer the channels have the limits"):
+    with pytest.raises(ConfigError, match=r"motors\.limits: needs an output_layer"):
         replace(policy, output_layer=None)

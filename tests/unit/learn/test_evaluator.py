@@ -261,11 +261,11 @@ def test_a_policy_that_cannot_drive_is_refused():
     for build in (Evaluator, rollout):
         with pytest.raises(ConfigError, match=r"no neuron 'LFT'"):
             build(parking_policy(bench), COURSE)
-        with pytest.raises(ConfigError, match="its sensing asks for warmth; known are x, y, theta, start"):
+        with pytest.raises(ConfigError, match=r"unknown signals in its sensing: warmth"):
             other = parking_policy(load_circuit("parking"))
             object.__setattr__(other, "sensing", odd)
             build(other, COURSE)
-        with pytest.raises(ConfigError, match=r"its tick lasts 0.2 s; a control tick lasts 0.1 s"):
+        with pytest.raises(ConfigError, match=r"its tick is 0.2 s, expected 0.1 s"):
             slow = parking_policy(load_circuit("parking"))
             object.__setattr__(slow, "substeps", 20)
             build(slow, COURSE)

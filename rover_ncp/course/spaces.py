@@ -6,17 +6,19 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-FARTHEST_M = 1000.0
+from rover_ncp.course.course import FAR_M
+from rover_ncp.course.reference import OMEGA_MAX, V_MAX
 
 _RANGES = {
-    "x": (-FARTHEST_M, FARTHEST_M),
-    "y": (-FARTHEST_M, FARTHEST_M),
+    "x": (-FAR_M, FAR_M),
+    "y": (-FAR_M, FAR_M),
     "theta": (-np.pi, np.pi),
     "start": (0.0, 1.0),
 }
-"""Least and greatest value of a signal; the others have no bounds."""
+"""Lower and upper bound of a signal; the others have no bounds."""
 
-ACTIONS: Any = gymnasium.spaces.Box(np.array([-0.16, -0.18]), np.array([0.16, 0.18]), dtype=np.float64)
+_LIMITS = np.array([V_MAX, OMEGA_MAX])
+ACTIONS: Any = gymnasium.spaces.Box(-_LIMITS, _LIMITS, dtype=np.float64)
 """v in m/s and omega in rad/s: the paper's motors."""
 
 

@@ -73,8 +73,8 @@ class _Commands(TyperGroup):
         return get_command(app)
 
 
-def _print_version(asked: bool) -> None:
-    if asked:
+def _print_version(requested: bool) -> None:
+    if requested:
         keep(sys.stdout, f"rover-ncp {distribution('rover-ncp').version}\n")
         raise typer.Exit
 

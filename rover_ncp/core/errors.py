@@ -21,7 +21,7 @@ class RoverNcpError(Exception):
 
 
 class UsageError(RoverNcpError):
-    """The caller asked for something that cannot be: a bad option, file or value."""
+    """A bad option, file or value of the caller."""
 
 
 MAX_PROBLEMS = 20
@@ -44,7 +44,7 @@ class FileError(UsageError):
 
 
 class PortInUse(UsageError):
-    """Another process already listens on the address that was asked for."""
+    """Another process already listens on the address."""
 
 
 class MissingExtra(UsageError):
@@ -63,7 +63,7 @@ class UnreachableError(RoverNcpError):
 
 
 class NoRobot(UnreachableError):
-    """Nothing, or nonsense, answers on the base's line."""
+    """The base does not answer, or not as a base."""
 
 
 class NoBridge(UnreachableError):
@@ -75,7 +75,7 @@ class OtherVersion(UnreachableError):
 
 
 class NotAuthorised(UnreachableError):
-    """The bridge is there but does not let us drive."""
+    """The bridge answers but rejects this driver."""
 
 
 class AnotherDriver(UnreachableError):
@@ -87,13 +87,13 @@ class NoPose(UnreachableError):
 
 
 class FormatError(RoverNcpError):
-    """Bytes or text from a peer are not what their key promises: count it, drop it, go on."""
+    """Bytes or text from a peer do not fit their key: they are counted and dropped."""
 
 
 class SafetyStop(RoverNcpError):
     """A safety rule stopped the rover; ``rule`` is its short name.
 
-    ``by`` is who did, if it was a person or a program: then the message has it in place of the rule.
+    ``by`` names the person or program that stopped it, which the message has in place of the rule.
     """
 
     exit_code = 4

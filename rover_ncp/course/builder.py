@@ -57,7 +57,7 @@ MAX_POSES = MAX_CHECKPOINTS - 2
 """A course has one checkpoint more before and after the poses."""
 
 
-class Place(StrictModel):
+class CoursePose(StrictModel):
     """A pose to drive through: m and rad."""
 
     x: Coordinate
@@ -68,7 +68,7 @@ class Place(StrictModel):
 class PoseList(StrictModel):
     """The YAML file that `make_course` takes; obstacles are in the same frame as the poses."""
 
-    poses: tuple[Place, ...] = Field(min_length=2, max_length=MAX_POSES)
+    poses: tuple[CoursePose, ...] = Field(min_length=2, max_length=MAX_POSES)
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=MAX_CHECKPOINTS)
 
 
@@ -217,7 +217,7 @@ def _thinned(poses: Sequence[Pose]) -> list[Pose]:
     return kept
 
 
-def _pose(place: Place) -> Pose:
+def _pose(place: CoursePose) -> Pose:
     return Pose(place.x, place.y, place.theta)
 
 

@@ -58,7 +58,7 @@ class _VectorModel(models.PrimitiveModel):
 _vector = VectorType()
 
 
-def _spread(context: Any, builder: Any, value: Any, kind: Any) -> Any:
+def _broadcast(context: Any, builder: Any, value: Any, kind: Any) -> Any:
     """Return a vector as it is, and a number in all eight places."""
     if isinstance(kind, VectorType):
         return value
@@ -70,15 +70,15 @@ def _spread(context: Any, builder: Any, value: Any, kind: Any) -> Any:
     return builder.shuffle_vector(first, first, zeros)
 
 
-def _spread_all(context: Any, builder: Any, signature: Any, arguments: Any) -> list[Any]:
-    return [_spread(context, builder, *pair) for pair in zip(arguments, signature.args, strict=True)]
+def _broadcast_all(context: Any, builder: Any, signature: Any, arguments: Any) -> list[Any]:
+    return [_broadcast(context, builder, *pair) for pair in zip(arguments, signature.args, strict=True)]
 
 
 def _define(python_operator: Callable[[Any, Any], Any], instruction: str) -> None:
     @intrinsic
     def apply(typing_context: Any, a: Any, b: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return getattr(builder, instruction)(*_spread_all(context, builder, signature, arguments))
+            return getattr(builder, instruction)(*_broadcast_all(context, builder, signature, arguments))
 
         return _vector(a, b), generate
 
@@ -208,7 +208,7 @@ def everywhere(typing_context: Any, number: Any) -> Any:
     """Return a vector of one number in all eight places."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _spread(context, builder, arguments[0], signature.args[0])
+        return _broadcast(context, builder, arguments[0], signature.args[0])
 
     return _vector(number), generate
 
@@ -217,7 +217,7 @@ def _chosen(a: Any, b: Any, comparison: str) -> Any:
     """Return ``b`` where it compares so with ``a``, else ``a``; each a vector or a number."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        first, second = _spread_all(context, builder, signature, arguments)
+        first, second = _broadcast_all(context, builder, signature, arguments)
         return builder.select(builder.fcmp_ordered(comparison, second, first), second, first)
 
     return _vector(a, b), generate
@@ -240,7 +240,7 @@ def where_less(typing_context: Any, a: Any, b: Any, then: Any, otherwise: Any) -
     """Return ``then`` where ``a`` is less than ``b``, ``otherwise`` elsewhere, place by place."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        first, second, yes, no = _spread_all(context, builder, signature, arguments)
+        first, second, yes, no = _broadcast_all(context, builder, signature, arguments)
         return builder.select(builder.fcmp_ordered("<", first, second), yes, no)
 
     return _vector(a, b, then, otherwise), generate

@@ -27,7 +27,7 @@ class Kind(Enum):
 
     MESSAGE = "message"
     QUERYABLE = "queryable"
-    """Senders ask, the one receiver answers; JSON both ways (`rover_ncp.wire.protocol`)."""
+    """Senders query, the one receiver replies; JSON both ways (`rover_ncp.wire.protocol`)."""
     TOKEN = "token"
     """A liveliness token: it exists as long as its sender."""
 
@@ -60,7 +60,7 @@ def _from_driver(name: str, ros_type: str, max_bytes: int, about: str) -> KeySpe
     return KeySpec(name, Kind.MESSAGE, ros_type, frozenset({Role.DRIVER}), ALL, max_bytes, about)
 
 
-def _asked(name: str, model: str, about: str) -> KeySpec:
+def _query(name: str, model: str, about: str) -> KeySpec:
     return KeySpec(
         name, Kind.QUERYABLE, model, frozenset({Role.DRIVER}), frozenset({Role.BRIDGE}), 4096, about
     )
@@ -109,14 +109,14 @@ KEYS: tuple[KeySpec, ...] = (
     ),
     _from_driver("rover/neurons", "std_msgs/msg/Float64MultiArray", 1 << 16, "potentials in mV, labelled"),
     _from_driver("rover/status", "std_msgs/msg/String", 4096, "DriverStatus as JSON"),
-    _asked(
+    _query(
         "rover/motors",
         "MotorsRequest → MotorsReply",
         "enable, renew or release; grants the lease and its key",
     ),
-    _asked("rover/stop", "StopRequest → StopReply", "stop, latched until released"),
-    _asked("rover/reset_odometry", "ResetRequest → ResetReply", "make the present pose odom's origin"),
-    _asked("rover/base", "BaseRequest → BaseReply", "what is known of the base; measure its own timeout"),
+    _query("rover/stop", "StopRequest → StopReply", "stop, latched until released"),
+    _query("rover/reset_odometry", "ResetRequest → ResetReply", "make the present pose odom's origin"),
+    _query("rover/base", "BaseRequest → BaseReply", "model and timeout of the base; measure the timeout"),
     KeySpec("rover/alive/bridge", Kind.TOKEN, "", frozenset({Role.BRIDGE}), ALL, 0, "the bridge runs"),
     KeySpec("rover/alive/driver", Kind.TOKEN, "", frozenset({Role.DRIVER}), ALL, 0, "a driver runs"),
 )

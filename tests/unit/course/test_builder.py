@@ -6,7 +6,7 @@ import pytest
 from rover_ncp.core.config import parse_yaml
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative
-from rover_ncp.course.builder import Place, PoseList, course_yaml, make_course, read_poses
+from rover_ncp.course.builder import CoursePose, PoseList, course_yaml, make_course, read_poses
 from rover_ncp.course.course import Course
 from rover_ncp.course.feasibility import Cause
 from rover_ncp.course.reference import drive_profile
@@ -17,7 +17,7 @@ START = Pose(2.0, -1.0, 2.5)
 
 
 def places(*poses, obstacles=()):
-    return PoseList(poses=tuple(Place(x=x, y=y, theta=t) for x, y, t in poses), obstacles=obstacles)
+    return PoseList(poses=tuple(CoursePose(x=x, y=y, theta=t) for x, y, t in poses), obstacles=obstacles)
 
 
 def test_deadlines_can_be_met_and_the_first_pose_is_the_origin():

@@ -125,7 +125,6 @@ COMMON = {
     "findings.name": "of the check",
     "knock_outs.name": "of the neuron or synapse",
     "sensitivities.name": "of the neuron or synapse",
-    "name": "with which the names of the files begin",
     "neuron": "its name",
     "p": "of the test",
     "picture": "its file",
@@ -169,7 +168,6 @@ COMMON = {
     "detail": "in words",
     "contributions": "of a neuron to another each",
     "contributions.best": "the contribution in the best circuit",
-    "difference": "the first one",
     "difference.tick": "null if it belongs to none",
     "estimate": "of the driver, against the truth",
     "fastest.cpu_share": "of a core",
@@ -197,7 +195,6 @@ COMMON = {
     "nis.moving": "normalised innovation squared of external poses while moving",
     "nis.standing": "the same while standing",
     "now_mV": "the pull in this phase",
-    "odometry": "messages of odometry in them",
     "other": "the agent beside the circuit",
     "out": "the file",
     "packets": "that were received whole",
@@ -218,7 +215,6 @@ COMMON = {
     "rival": "motor neuron that acts against the output, or null",
     "rival.mean_mV": "its potential",
     "rollouts": "episodes of an estimate",
-    "seconds": "from the first message to the last",
     "sensors": "range of each input, by sensory neuron",
     "simulated": "the drive that is explained",
     "skipped_bytes": "between packets",
@@ -229,7 +225,6 @@ COMMON = {
     "tasks": "the paper's experiments",
     "time_constants_s": "by neuron",
     "times_real_time": "driven time over computing time",
-    "to": "the format",
     "turned_rad": "to the left",
     "unknown_commands": "commands that a Pioneer does not have",
     "urdf": "its text",
@@ -241,8 +236,6 @@ COMMON = {
     "label": "what the rover does",
     "exact": "of them to the last bit",
     "differ": "runs whose verdict or return differs",
-    "iterations_per_s": "by search",
-    "policy": "its name or file",
 }
 """Meanings of fields that are not described where they are made, by their last name or last two names."""
 _ROOT = Path(__file__).parents[1]

@@ -20,8 +20,7 @@ from collections import Counter
 from collections.abc import Callable
 from enum import Enum
 
-from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
-from bridge.pioneer.baud import RATES
+from bridge.pioneer.arcos import HOSTBAUD_RATES, Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import ConfigPac, Kind, encode_names
 from bridge.pioneer.robots import parameters_of
 from rover_ncp.core.geometry import Pose
@@ -89,7 +88,7 @@ class Firmware:
         self._faults = faults or Faults()
         self.observe = observe
         self._home = rover.pose
-        self.baudrate = RATES[0]
+        self.baudrate = HOSTBAUD_RATES[0]
         """The rate of its serial line: HOSTBAUD changes it, the end of a session restores FLASH's."""
         self.client = ClientState.WAITING
         self.due_s = self._measure_due_s = math.inf
@@ -320,7 +319,7 @@ class Firmware:
         self.due_s = self._measure_due_s = math.inf
         self._streams: dict[int, int] = {}
         self._gyro.on = False
-        self.baudrate = RATES[self._config.host_baud]
+        self.baudrate = HOSTBAUD_RATES[self._config.host_baud]
         self.drive.enable(False)
         self.drive.restore_flash()
         self._sonars.restore_flash()
@@ -369,8 +368,8 @@ class Firmware:
             self.drive.set_limit(**{name: math.radians(min(abs(deg_s2), self._config.rot_acc_top))})
 
     def _set_baudrate(self, code: int) -> None:
-        if code < len(RATES):
-            self.baudrate = RATES[code]
+        if code < len(HOSTBAUD_RATES):
+            self.baudrate = HOSTBAUD_RATES[code]
 
     def _test_battery(self, decivolts: int) -> None:
         self._battery_test_dv = decivolts

@@ -8,64 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, TypeAlias
 
-from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.robot.description import Odometry, RobotDescription
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.protocol import TimeoutState
-
-
-@dataclass(frozen=True)
-class Wheels:
-    """Driven wheels, all alike; ``places`` are their (x, y) in the base's frame. Metres."""
-
-    radius_m: float
-    width_m: float
-    places: tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True)
-class RobotShape:
-    """Outline, wheels and sensors of a robot."""
-
-    name: str
-    front_m: float
-    rear_m: float
-    """How far the outline reaches before and behind the centre of rotation, bumpers included."""
-    width_m: float
-    height_m: float
-    sonars: tuple[Pose, ...]
-    """Sonar poses in the base's frame; the index is the sonar's number."""
-    sonar_height_m: float
-    wheels: Wheels
-    odometry: Odometry
-    gyro_rad_s: float
-    """Standard deviation of the gyro's readings; 0 = not known."""
-
-    @property
-    def length_m(self) -> float:
-        """Length of the outline."""
-        return self.front_m + self.rear_m
-
-
-def shape_of(description: RobotDescription) -> RobotShape:
-    """Return the shape of a described robot."""
-    wheels, sonars = description.wheels, description.sonars
-    axles = (wheels.axles_m / 2, -wheels.axles_m / 2) if wheels.axles_m else (0.0,)
-    return RobotShape(
-        description.name,
-        front_m=description.front_m,
-        rear_m=description.rear_m,
-        width_m=description.width_m,
-        height_m=description.height_m,
-        sonars=tuple(Pose(x, y, math.radians(deg)) for x, y, deg in sonars.poses_m_deg) if sonars else (),
-        sonar_height_m=sonars.height_m if sonars else 0.0,
-        wheels=Wheels(
-            wheels.radius_m,
-            wheels.width_m,
-            tuple((x, y) for x in axles for y in (wheels.track_m / 2, -wheels.track_m / 2)),
-        ),
-        odometry=description.odometry,
-        gyro_rad_s=description.gyro.noise_rad_s if description.gyro else 0.0,
-    )
 
 
 class Setpoint(NamedTuple):
@@ -116,10 +61,10 @@ class BaseReport:
 
 @dataclass(frozen=True)
 class Ready:
-    """The base is connected: its own name for itself, and its shape."""
+    """The base is connected: its own name for itself, and what robot it is."""
 
     hardware: str
-    robot: RobotShape
+    robot: RobotDescription
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from bridge.gate.limits import Limits
 from bridge.inbox import Inbox
 from bridge.pioneer.base import ArcosBase
 from bridge.pioneer.base_connection import BaseConnection
-from bridge.pioneer.robots import ROBOTS, parameters_of
+from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros2.address import PREFIX, RosAddress, parse_address
@@ -139,8 +139,7 @@ def open_base(
             raise NoRobot(f"{chosen.address}: the base driver failed: {error}") from error
         return base, base, ""
     if chosen.ros2 is None:
-        robot = parameters_of(chosen.description) if chosen.description else None
-        session = Session(robot, MotionLimits(v=limits.v_max, omega=limits.omega_max))
+        session = Session(chosen.description, MotionLimits(v=limits.v_max, omega=limits.omega_max))
         connection = BaseConnection(chosen.address, inbox)
         return connection, ArcosBase(connection, session), ""
     assert chosen.description is not None and chosen.description.topics is not None  # choose_base checks it

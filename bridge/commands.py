@@ -112,12 +112,11 @@ def urdf(
 
     Its frames are those that the bridge publishes on tf_static.
     """
-    from bridge.base import shape_of
     from bridge.ros2.urdf import urdf as urdf_of
     from rover_ncp.core.console import Output
     from rover_ncp.robot.description import load_description
 
-    text = urdf_of(shape_of(load_description(model)))
+    text = urdf_of(load_description(model))
     Output(json).result({"model": model, "urdf": text}, text.rstrip())
 
 

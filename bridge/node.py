@@ -23,7 +23,6 @@ from bridge.base import (
     Notice,
     Ready,
     Recovered,
-    RobotShape,
     Setpoint,
     TurnRate,
 )
@@ -37,6 +36,7 @@ from bridge.ros2 import messages as ros
 from bridge.ros2.covariance import OdometryErrors
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.process import Clock, suspended_s
+from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.messages import read_twist, text, twist_stamped
 from rover_ncp.wire.protocol import Signed, dump_json
 
@@ -93,7 +93,7 @@ class Node:
         """Number of reconnections of the base; −1 until the first connection."""
         self._verdict = self._sent = Verdict(self.gate.out, motors=False, held=self.gate.held)
         self._report: BaseReport | None = None
-        self._robot: RobotShape | None = None
+        self._robot: RobotDescription | None = None
         self._errors: OdometryErrors | None = None
         self._hardware = ""
         self._act_now = self._commanded = False

@@ -17,13 +17,13 @@ from typing import TypeAlias
 
 from bridge.base import BaseEvent, BaseReport, Failed, Lost, Notice, Ready, Recovered, TurnRate
 from bridge.pioneer.arcos import HOSTBAUD_RATES, Command, Decoder, Packet, encode_command
-from bridge.pioneer.odometry import Odometer
+from bridge.pioneer.odometry import ROBOTS, Odometer
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, GyroPac, Kind, Sip, decode_names
-from bridge.pioneer.robots import ROBOTS, RobotParameters
 from bridge.pioneer.setpoints import MotionLimits, Setpoints
 from bridge.pioneer.states import LOSS_S, PATIENCE_S, TABLE, Input, SessionState
 from rover_ncp.core.files import USUAL_ROBOT
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.robot.description import RobotDescription
 
 CONFIG_S, OPEN_S = 1.0, 2.0
 """How long to wait for a CONFIGpac, which is optional, and for the first SIP, which is not.
@@ -81,7 +81,7 @@ class Session:
     Times are seconds on any clock that does not go back.
     """
 
-    def __init__(self, robot: RobotParameters | None = None, limits: MotionLimits | None = None) -> None:
+    def __init__(self, robot: RobotDescription | None = None, limits: MotionLimits | None = None) -> None:
         self.state = SessionState.IDLE
         self.decoder = Decoder()
         """Its counters show the quality of the link."""
@@ -221,7 +221,7 @@ class Session:
                 self._events.append(TurnRate(rate))
         return _PACKET_INPUTS.get(packet.kind)
 
-    def _robot(self) -> RobotParameters | None:
+    def _robot(self) -> RobotDescription | None:
         return self._chosen or ROBOTS.get(self._names[2].lower())
 
     # Actions.

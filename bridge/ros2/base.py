@@ -27,7 +27,6 @@ from bridge.base import (
     Recovered,
     Setpoint,
     TurnRate,
-    shape_of,
 )
 from bridge.inbox import RobotMessage
 from bridge.ros2.base_timeout import BaseTimeout, TimeoutMeasurement
@@ -343,7 +342,7 @@ class Ros2Base:
             self._ready = self._was_ready = True
             self._known_restarts = self._odometer.restarts
             name = f"{self._description.name} on {self._line.endpoint}"
-            return [Recovered() if again else Ready(name, shape_of(self._description))]
+            return [Recovered() if again else Ready(name, self._description)]
         if problem and not self._was_ready and now - self._began_s > WAIT_S:
             return [Failed(f"{self._line.endpoint}: {problem}")]
         return []

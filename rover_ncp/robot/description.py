@@ -4,6 +4,7 @@ Shipped descriptions and those of users are YAML; ``based_on`` takes all that a 
 one. A measured robot of that model is a `rover_ncp.robot.profile`.
 """
 
+import math
 from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -13,6 +14,7 @@ from pydantic import Field, model_validator
 from rover_ncp.core.config import StrictModel, read_yaml, validated
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import read_text, resolve
+from rover_ncp.core.geometry import Pose
 
 _DEPTH = 4
 """How many files may be based on each other."""
@@ -53,6 +55,12 @@ class Wheels(StrictModel):
     """Between the middles of left and right wheels."""
     axles_m: float = Field(default=0.0, ge=0, le=5)
     """Between the front and the rear axle; 0 for one axle."""
+
+    @property
+    def places(self) -> list[tuple[float, float]]:
+        """Positions (x, y) of the wheels on the base."""
+        axles = (self.axles_m / 2, -self.axles_m / 2) if self.axles_m else (0.0,)
+        return [(x, y) for x in axles for y in (self.track_m / 2, -self.track_m / 2)]
 
 
 class Drive(StrictModel):
@@ -267,6 +275,22 @@ class RobotDescription(StrictModel):
     def track_m(self) -> float:
         """The track by which the base turns a turn rate into wheel speeds."""
         return self.drive.effective_track_m or self.wheels.track_m
+
+    @property
+    def half_track_m(self) -> float:
+        """Half the track; half the difference of wheel speeds over it is the turn rate."""
+        return self.track_m / 2 if self.arcos is None else 0.001 / self.arcos.diff_conv_factor
+
+    @property
+    def sonar_poses(self) -> list[Pose]:
+        """Pose of each sonar on the base, in m and rad; the index is the sonar's number."""
+        poses = () if self.sonars is None else self.sonars.poses_m_deg
+        return [Pose(x, y, math.radians(deg)) for x, y, deg in poses]
+
+    @property
+    def sonar_height_m(self) -> float:
+        """Height of the sonars above the ground; 0 without any."""
+        return 0.0 if self.sonars is None else self.sonars.height_m
 
 
 def load_description(name_or_path: str | Path) -> RobotDescription:

@@ -22,7 +22,6 @@ from enum import Enum
 
 from bridge.pioneer.arcos import HOSTBAUD_RATES, Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import ConfigPac, Kind, encode_names
-from bridge.pioneer.robots import parameters_of
 from rover_ncp.core.geometry import Pose
 from rover_ncp.robot.description import RobotDescription, load_description
 from sim.pioneer.client_commands import IGNORED, MockCommand, decode_argument, pair
@@ -73,7 +72,7 @@ class Firmware:
         trial: BaseTrial | None = None,
         gyro_seed: int = 0,
     ) -> None:
-        self.robot = parameters_of(load_description(model) if isinstance(model, str) else model)
+        self.robot = load_description(model) if isinstance(model, str) else model
         self.decoder = Decoder()
         self._trial = trial or BaseTrial(nominal_trials(rover.model, ticks=1))
         self.drive = DriveTrain(self.robot, rover, self._trial)
@@ -81,7 +80,7 @@ class Firmware:
         """How often each unknown command came."""
         self.bad_arguments: Counter[int] = Counter()
         """How often each command came with an argument that could not be used."""
-        self._config = config or config_of(model)
+        self._config = config or config_of(self.robot)
         self._sonars = Sonars(self.robot, self._config.sonar_cycle / 1000)
         self._reporter = Reporter(self.robot, self._config, self.drive, self._sonars)
         self._gyro = Gyro(rover, gyro_seed)

@@ -21,7 +21,6 @@ from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import TWIST_BYTES
 from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.faults import Fault, Faults
-from sim.pioneer.models import wheel_parameters
 from sim.pioneer.trial import BaseTrial
 from sim.world.randomization import nominal_trials
 from sim.world.rover import SUBSTEP_S, Rover
@@ -53,7 +52,7 @@ class Ros2Robot:
         assert description.topics is not None
         self.description, self.topics = description, description.topics
         self._trial = trial or BaseTrial(nominal_trials(rover.model, ticks=1))
-        self.drive = DriveTrain(wheel_parameters(description), rover, self._trial)
+        self.drive = DriveTrain(description, rover, self._trial)
         self.drive.enable(True)
         self.observe: Callable[[float], None] | None = None
         self.ignored = 0

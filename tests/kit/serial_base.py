@@ -47,7 +47,7 @@ class SerialBase(ClosedAtExit):
         self.port = os.ttyname(self._near)
         self.rover = PymunkRover(described_rover(load_description(model)), Ground())
         self._start_s = time.monotonic()
-        flash = replace(config_of(model), host_baud=HOSTBAUD_RATES.index(rate))
+        flash = replace(config_of(load_description(model)), host_baud=HOSTBAUD_RATES.index(rate))
         self.firmware = Listening(model, self.rover, start_s=self._start_s, config=flash)
         self.rates = []
         """Every rate the base had while bytes went through."""

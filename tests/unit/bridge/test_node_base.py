@@ -2,7 +2,7 @@
 
 import pytest
 
-from bridge.base import BaseReport, LinkHealth, Lost, OwnTimeout, Ready, Recovered, Setpoint, shape_of
+from bridge.base import BaseReport, LinkHealth, Lost, OwnTimeout, Ready, Recovered, Setpoint
 from bridge.gate.limits import Fence, Limits
 from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
@@ -31,7 +31,7 @@ class FailingBase:
     def __init__(self):
         self.fails, self.driven, self.calls = {}, [], []
         self.timeout = OwnTimeout(TimeoutState.PUBLISHED, 1.0)
-        self.reports = [Ready("x", shape_of(load_description("p3at")))]
+        self.reports = [Ready("x", load_description("p3at"))]
 
     def _call(self, name):
         self.calls.append(name)
@@ -239,7 +239,7 @@ def test_base_that_is_ready_again_has_other_odometry_and_one_that_recovers_the_s
 
 
 def test_end_of_a_lease_by_a_base_that_is_ready_again_has_its_own_reason(driving):
-    ready = Ready("x", shape_of(load_description("p3at")))
+    ready = Ready("x", load_description("p3at"))
     driving.base.reports = [Lost("an earlier reason"), Recovered()]
     driving.turn(2)
     driving.lease.end()

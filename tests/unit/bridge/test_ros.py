@@ -9,7 +9,7 @@ from base_report import STAMP, STATE
 
 from bridge.base import LinkHealth
 from bridge.gate.state import GateState, Lease, Reason
-from bridge.pioneer.robots import ROBOTS
+from bridge.pioneer.odometry import ROBOTS
 from bridge.ros2 import messages as ros
 from bridge.ros2.covariance import Variances
 from rover_ncp.wire.key_table import spec

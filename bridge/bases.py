@@ -18,7 +18,7 @@ from bridge.pioneer.base_connection import BaseConnection
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
-from bridge.ros2.address import PREFIX, RosAddress, parse_address
+from bridge.ros2.address import PREFIX, RosAddress, parse_ros_address
 from bridge.ros2.base import LoopSeen, Ros2Base
 from bridge.ros2.line import LOOP_KEY, RosLine
 from bridge.zenoh.link import ZenohLink
@@ -69,7 +69,7 @@ def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> C
 
     Raises UsageError, FileError or ConfigError.
     """
-    ros2 = parse_address(address, zenoh_config) if address.startswith(PREFIX) else None
+    ros2 = parse_ros_address(address, zenoh_config) if address.startswith(PREFIX) else None
     if zenoh_config is not None and ros2 is None:
         raise UsageError(f"--base-zenoh-config: {address} is not a ROS 2 robot (ros2/tcp/HOST)")
     driver = next(iter(entry_points(group=DRIVERS, name=address.partition("/")[0])), None)

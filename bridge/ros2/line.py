@@ -4,11 +4,9 @@ It has nothing in common with the drivers' session: both have keys named ``odom`
 the robot's side, which the drivers' side must not see, shows whether the two networks are connected.
 """
 
-import json
 import secrets
 import time
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +18,8 @@ from bridge.ros2.base import TokenSeen
 from bridge.ros2.discovery import Announced, Convention, bridge_token, read_topic_token, topic_token
 from bridge.ros2.rmw import Attachment, Graph, Topic, gid, read_token
 from bridge.ros2.rmw_node import publisher
-from bridge.zenoh.config import read_config, reason
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.robot.description import Topics
-from rover_ncp.wire.certificates import require_valid
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
     BOOL,
@@ -34,10 +30,10 @@ from rover_ncp.wire.messages import (
     TWIST,
     TWIST_STAMPED,
 )
-from rover_ncp.wire.zenoh import CLIENT
+from rover_ncp.wire.zenoh import client_config, reason
 
 LOOP_KEY = "rover/robot_side"
-MOST_BYTES = 1 << 16
+MAX_BYTES = 1 << 16
 """What is longer than this is cut off, and cannot be read."""
 
 
@@ -121,7 +117,7 @@ class RosLine:
 
     def _subscribe(self, key: str, name: str) -> None:
         def receive(sample: zenoh.Sample) -> None:
-            payload = sample.payload.to_bytes()[:MOST_BYTES]
+            payload = sample.payload.to_bytes()[:MAX_BYTES]
             self.bytes_in += len(payload)
             self._inbox.put(RobotMessage(name, payload, time.monotonic(), _source(sample)))
 
@@ -162,10 +158,7 @@ def _source(sample: zenoh.Sample) -> bytes | None:
 
 
 def _open(endpoint: str, file: Path | None) -> zenoh.Session:
-    config = read_config(file)
-    require_valid(config, "connect", file, datetime.now(UTC))
-    for path, value in {**CLIENT, "connect/endpoints": [endpoint]}.items():
-        config.insert_json5(path, json.dumps(value))
+    config, _ = client_config(endpoint, file)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:

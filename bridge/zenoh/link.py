@@ -17,11 +17,12 @@ from bridge.inbox import CommandMessage, Inbox, Query, ThreadError
 from bridge.ros2.discovery import Convention, bridge_token, topic_token
 from bridge.ros2.rmw import domain_id
 from bridge.ros2.rmw_node import RmwNode, command_bytes, publisher, read_command
-from bridge.zenoh.config import any_port, configured, reason
+from bridge.zenoh.config import any_port, configured
 from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, key
 from rover_ncp.wire.protocol import TAG_BYTES
+from rover_ncp.wire.zenoh import reason
 
 
 class ZenohLink(ClosedAtExit):

@@ -17,7 +17,6 @@ import zenoh
 from bridge.ros2.discovery import Convention, bridge_token, topic_token
 from bridge.ros2.rmw import Attachment, Graph, Topic, gid
 from bridge.ros2.rmw_node import publisher
-from bridge.zenoh.config import reason
 from rover_ncp.core.errors import PortInUse
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
@@ -29,6 +28,7 @@ from rover_ncp.wire.messages import (
     TWIST,
     TWIST_STAMPED,
 )
+from rover_ncp.wire.zenoh import reason
 from sim.pioneer.real_time import RealTimeLoop
 from sim.pioneer.ros2_robot import Ros2Robot
 

@@ -103,7 +103,7 @@ class Notice:
 BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Lost | Recovered | Failed | Notice
 
 
-class OwnTimeout(NamedTuple):
+class BaseTimeout(NamedTuple):
     """What is known of the time in s after which the base halts without commands.
 
     ``refusal`` is why the robot is not driven unless the request says ``unchecked``; "" = it is.
@@ -141,10 +141,10 @@ class Base(Protocol):
         """Return the quality of the line."""
 
     @property
-    def own_timeout(self) -> OwnTimeout:
+    def base_timeout(self) -> BaseTimeout:
         """What is known of its behaviour when this process dies."""
 
-    def measure_timeout(self, now: float) -> str:
+    def measure_base_timeout(self, now: float) -> str:
         """Send nothing until the base halts, for a few seconds at most; return why not, "" if it begins.
 
         The end of the lease, motors off and an emergency end it: the base then gets zeros.

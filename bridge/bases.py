@@ -20,7 +20,7 @@ from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros2.address import PREFIX, RosAddress, parse_ros_address
 from bridge.ros2.base import LoopSeen, Ros2Base
-from bridge.ros2.line import LOOP_KEY, RosLine
+from bridge.ros2.connection import LOOP_KEY, RosConnection
 from bridge.zenoh.link import ZenohLink
 from rover_ncp.core.config import load_yaml, validated
 from rover_ncp.core.errors import NoRobot, RoverNcpError, UsageError
@@ -143,7 +143,7 @@ def open_base(
         connection = BaseConnection(chosen.address, inbox)
         return connection, ArcosBase(connection, session), ""
     assert chosen.description is not None and chosen.description.topics is not None  # choose_base checks it
-    line = RosLine(chosen.ros2, chosen.description.topics, inbox)
+    line = RosConnection(chosen.ros2, chosen.description.topics, inbox)
     link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
     ros2 = Ros2Base(line, chosen.description, unsafe=no_base_watchdog)
     return line, ros2, ros2.note

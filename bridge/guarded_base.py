@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from bridge.base import Base, BaseEvent, BaseReport, LinkHealth, Lost, Notice, OwnTimeout, Ready, Setpoint
+from bridge.base import Base, BaseEvent, BaseReport, BaseTimeout, LinkHealth, Lost, Notice, Ready, Setpoint
 from bridge.gate.state import ZERO
 from rover_ncp.core.errors import NoRobot, RoverNcpError
 from rover_ncp.wire.protocol import TimeoutState
@@ -46,17 +46,17 @@ class GuardedBase:
         return LinkHealth(damaged=True, counters={})
 
     @property
-    def own_timeout(self) -> OwnTimeout:
+    def base_timeout(self) -> BaseTimeout:
         """See Base."""
         try:
-            return self._base.own_timeout
+            return self._base.base_timeout
         except Exception as error:
-            return OwnTimeout(TimeoutState.UNKNOWN, None, _words(error))
+            return BaseTimeout(TimeoutState.UNKNOWN, None, _words(error))
 
-    def measure_timeout(self, now: float) -> str:
+    def measure_base_timeout(self, now: float) -> str:
         """See Base."""
         try:
-            return self._base.measure_timeout(now)
+            return self._base.measure_base_timeout(now)
         except Exception as error:
             return _words(error)
 

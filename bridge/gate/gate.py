@@ -43,8 +43,8 @@ from bridge.gate.state import (
     Lease,
     Reason,
     Release,
+    ReleaseStop,
     Stop,
-    Unlatch,
     VelocityCommand,
     Verdict,
     describe,
@@ -74,7 +74,7 @@ def step(
 ) -> tuple[GateState, Verdict]:
     """Process one event at ``now`` and return the new state and the verdict for the base."""
     elapsed = min(max(now - state.now, 0.0), STEP_MAX_S)
-    state = _lapse(replace(state, now=max(now, state.now)))
+    state = _expire(replace(state, now=max(now, state.now)))
     refusal = dropped = None
     match event:
         case BaseReport():
@@ -88,9 +88,9 @@ def step(
         case Release(sequence) if state.lease is not None and sequence > state.lease.last_sequence:
             state = _end_lease(state, None)
         case Stop(reason):
-            state = replace(state, latched=reason)
-        case Unlatch():
-            state = replace(state, latched=None)
+            state = replace(state, stop_reason=reason)
+        case ReleaseStop():
+            state = replace(state, stop_reason=None)
         case VelocityCommand():
             state, dropped = _command(state, event, limits, accept_ros)
         case _:  # time alone, or a release that was repeated or came after the lease ended
@@ -114,7 +114,7 @@ def step(
 def _hazard(state: GateState, limits: Limits, known: Contact) -> Reason | None:
     """Return the active hazard, if any; ``known`` contact is no hazard."""
     base, low, lease = state.base, state.low_since_s, state.lease
-    if state.latched is not None:
+    if state.stop_reason is not None:
         return Reason.STOPPED
     if base is None:
         return Reason.NO_BASE
@@ -144,7 +144,7 @@ def _hold_reason(state: GateState, limits: Limits) -> Reason | None:
     elif not base.motors_on:
         reason = Reason.MOTORS_OFF
     elif target is None:
-        reason = state.idle
+        reason = state.no_command
     elif state.now > state.target_until_s:
         reason = Reason.SILENCE
     elif limits.fence is not None and leaves(
@@ -233,17 +233,17 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         state,
         lease=granted,
         leases=granted.number,
-        ended=None,
-        ended_detail="",
+        lease_over=None,
+        lease_over_detail="",
         hazard_since_untagged=state.hazard_since_untagged and granted.secret is not None,
         target=None,
-        idle=Reason.SILENCE,
+        no_command=Reason.SILENCE,
         minima=remember(() if lease is None else state.minima, state.now, request.sent_ns),
         motors=True,
     ), None
 
 
-def _lapse(state: GateState) -> GateState:
+def _expire(state: GateState) -> GateState:
     """End a lease whose holder has sent nothing for too long."""
     if state.lease is not None and state.now > state.lease.expires_s:
         return _end_lease(state, Reason.LEASE_LAPSED)
@@ -254,8 +254,8 @@ def _end_lease(state: GateState, reason: Reason | None) -> GateState:
     return replace(
         state,
         lease=None,
-        ended=reason,
-        ended_detail="" if reason is None else describe(reason, state),
+        lease_over=reason,
+        lease_over_detail="" if reason is None else describe(reason, state),
         target=None,
         motors_until_s=state.now + COAST_S,
         untagged_until_s=state.now + UNTAGGED_PAUSE_S,
@@ -298,7 +298,7 @@ def _command(
     state, flaw = admitted.state, _flaw(velocity)
     if flaw is not None:
         # The driver that holds the lease is faulty: the command before this one is not carried out further.
-        return replace(state, target=None, idle=flaw, dropped=_count(state.dropped, flaw)), flaw
+        return replace(state, target=None, no_command=flaw, dropped=_count(state.dropped, flaw)), flaw
     assert velocity is not None  # else it has a flaw
     contact, limited = lasting_contact(state, admitted.lease.contact, velocity), state.limited
     allowed = bounded(contact, velocity, limits)
@@ -310,8 +310,8 @@ def _command(
         state,
         lease=replace(admitted.lease, expires_s=state.now + limits.lease_s, contact=contact),
         target=allowed if leads_away(state, contact, velocity) else None,
-        idle=Reason.BUMPER if contact.front or contact.rear else Reason.STALL,
-        target_until_s=admitted.sent_s + limits.silence_s,
+        no_command=Reason.BUMPER if contact.front or contact.rear else Reason.STALL,
+        target_until_s=admitted.sent_s + limits.command_timeout_s,
         accepted=state.accepted + 1,
         limited=limited,
     ), None

@@ -16,7 +16,7 @@ _UNSAFE = "give the bridge --no-base-watchdog"
 
 
 @dataclass(frozen=True)
-class BaseTimeout:
+class TimeoutRecord:
     """The time after which a robot halts without commands, by its description or a measurement.
 
     Only the description's ``described_s`` shows that every driver may drive. ``unsafe`` is whether every
@@ -31,7 +31,7 @@ class BaseTimeout:
     interrupted: bool = False
     """Whether the last measurement was ended before its result."""
 
-    def after(self, measured_s: float | None) -> "BaseTimeout":
+    def after(self, measured_s: float | None) -> "TimeoutRecord":
         """Return what is known after a measurement; None = it did not halt."""
         return replace(self, measured=True, measured_s=measured_s, interrupted=False)
 

@@ -12,9 +12,9 @@ from bridge.gate.state import (
     ZERO,
     BaseLost,
     Reason,
+    ReleaseStop,
     Stop,
     Tick,
-    Unlatch,
 )
 from rover_ncp.core.geometry import Velocity
 
@@ -96,7 +96,7 @@ def test_speeds_grow_no_faster_than_allowed_and_brake_at_once():
 
 
 def test_delayed_loop_gains_no_acceleration():
-    gate = Gate(LIMITS.model_copy(update={"silence_s": 0.4}))
+    gate = Gate(LIMITS.model_copy(update={"command_timeout_s": 0.4}))
     gate.driving()
     gate.at(0.25, BaseReport())
     gate.state = replace(gate.state, now=0.0, out=ZERO)
@@ -194,7 +194,7 @@ def test_a_hazard_stops_and_ends_the_lease(event, reason):
     verdict = gate.at(0.01, event)
     assert (verdict.velocity, verdict.held) == (ZERO, reason)
     assert gate.state.lease is None
-    assert gate.state.ended is reason
+    assert gate.state.lease_over is reason
     assert gate.state.stops == {reason: 1}
     assert gate.drive(0.02).dropped is reason
     assert gate.enable(0.03).refusal is reason
@@ -231,11 +231,11 @@ def test_only_stop_button_bumper_and_stall_brake_harder(reason, emergency):
 def test_stop_is_latched_until_released_and_needs_a_new_lease():
     gate = Gate().driving()
     assert gate.at(0.0, Stop("child on the floor")).velocity == ZERO
-    assert gate.state.latched == "child on the floor"
+    assert gate.state.stop_reason == "child on the floor"
     gate.at(0.1, BaseReport())
     assert gate.drive(0.1).dropped is Reason.STOPPED
     assert gate.enable(0.2).refusal is Reason.STOPPED
-    assert gate.at(0.2, Unlatch()).velocity == ZERO
+    assert gate.at(0.2, ReleaseStop()).velocity == ZERO
     assert gate.drive(0.2).dropped is Reason.NO_LEASE
     assert gate.enable(0.3).refusal is None
 
@@ -244,7 +244,7 @@ def test_hazard_after_a_release_is_not_its_reason():
     gate = Gate().driving()
     gate.release(0.05)
     assert gate.at(0.1, BaseReport(bumpers=(1, 0))).held is Reason.BUMPER
-    assert gate.state.ended is None
+    assert gate.state.lease_over is None
     assert gate.state.stops == {}
 
 
@@ -273,7 +273,7 @@ def test_motors_that_go_off_by_themselves_end_the_lease():
         gate.drive(0.1 * k)
     verdict = gate.at(1.0, BaseReport(motors_on=False))
     assert (verdict.velocity, verdict.held, verdict.motors) == (ZERO, Reason.MOTORS_OFF, False)
-    assert gate.state.ended is Reason.MOTORS_OFF
+    assert gate.state.lease_over is Reason.MOTORS_OFF
 
 
 def test_motors_that_never_come_on_end_the_lease():
@@ -285,7 +285,7 @@ def test_motors_that_never_come_on_end_the_lease():
         assert gate.drive(0.1 * k).dropped is None
     gate.at(1.05, BaseReport(motors_on=False))
     assert gate.drive(1.05).dropped is Reason.NO_LEASE
-    assert gate.state.ended is Reason.MOTORS_OFF
+    assert gate.state.lease_over is Reason.MOTORS_OFF
 
 
 # Motors

@@ -12,9 +12,9 @@ from bridge.gate.state import (
     BaseLost,
     Enable,
     Reason,
+    ReleaseStop,
     Stop,
     Tick,
-    Unlatch,
     VelocityCommand,
     read_tag,
 )
@@ -56,7 +56,7 @@ def test_the_lease_lapses_without_commands():
         gate.at(0.1 * k, BaseReport())
     assert gate.state.lease is not None
     assert gate.at(1.01, BaseReport()).held is Reason.NO_LEASE
-    assert gate.state.ended is Reason.LEASE_LAPSED
+    assert gate.state.lease_over is Reason.LEASE_LAPSED
     assert gate.enable(1.05).refusal is None
 
 
@@ -141,13 +141,13 @@ def test_renewal_that_arrives_sooner_than_the_request_counts():
 def test_words_for_the_end_of_a_lease_last_until_the_next_lease():
     gate = Gate().driving()
     gate.at(0.1, BaseLost("the line is broken"))
-    assert gate.state.ended is Reason.NO_BASE
-    assert gate.state.ended_detail == "the base is not connected: the line is broken"
+    assert gate.state.lease_over is Reason.NO_BASE
+    assert gate.state.lease_over_detail == "the base is not connected: the line is broken"
     gate.at(0.2, BaseReport())
     assert gate.enable(0.2).refusal is None
-    assert gate.state.ended_detail == ""
+    assert gate.state.lease_over_detail == ""
     gate.release(0.3)
-    assert gate.state.ended_detail == ""
+    assert gate.state.lease_over_detail == ""
 
 
 def test_smallest_delay_may_come_at_any_time():
@@ -202,7 +202,7 @@ def test_a_request_without_the_key_is_refused_while_a_lease_is_held():
     assert gate.state.target_until_s == before.target_until_s
     assert gate.drive(0.15).dropped is None
     assert gate.release(0.2).lease is None
-    assert gate.state.ended is None
+    assert gate.state.lease_over is None
     assert gate.enable(0.25).refusal is None
 
 
@@ -332,8 +332,8 @@ def test_command_is_in_force_for_exactly_the_silence_time():
     gate = Gate(accept_ros=True)
     gate.at(0.0, BaseReport())
     gate.at(0.0, VelocityCommand(SLOW))
-    assert gate.at(LIMITS.silence_s, Tick()).held is None
-    assert gate.at(math.nextafter(LIMITS.silence_s, 1.0), Tick()).held is Reason.SILENCE
+    assert gate.at(LIMITS.command_timeout_s, Tick()).held is None
+    assert gate.at(math.nextafter(LIMITS.command_timeout_s, 1.0), Tick()).held is Reason.SILENCE
 
 
 def test_delayed_plain_command_is_in_force_for_less_time():
@@ -395,7 +395,7 @@ def test_plain_publisher_without_a_pause_does_not_drive_after_a_hazard(hazard, r
     if begin < 1.0:
         assert publish(gate, begin, 1.0).velocity == SLOW
     publish(gate, 1.0, released_s, hazard)
-    gate.at(released_s, Unlatch())
+    gate.at(released_s, ReleaseStop())
     verdict = publish(gate, released_s, 9.0)
     assert (verdict.velocity, verdict.motors, verdict.dropped) == (ZERO, False, Reason.NO_LEASE)
     gate.at(9.9, CLEAR)
@@ -435,7 +435,7 @@ def test_plain_publisher_that_waits_for_the_base_drives_with_its_first_report():
 def test_stop_before_the_first_report_needs_a_pause_of_a_plain_publisher():
     gate = Gate(accept_ros=True)
     publish(gate, 0.0, 1.0, Stop("now"))
-    gate.at(1.0, Unlatch())
+    gate.at(1.0, ReleaseStop())
     assert publish(gate, 1.0, 5.0).dropped is Reason.NO_LEASE
 
 
@@ -465,7 +465,7 @@ def test_plain_publisher_drives_on_after_a_gap_in_the_network():
     gate.at(0.0, VelocityCommand(ZERO))
     publish(gate, 0.1, 0.5)
     gate.at(1.6, BaseReport())
-    assert gate.state.ended is Reason.LEASE_LAPSED
+    assert gate.state.lease_over is Reason.LEASE_LAPSED
     assert publish(gate, 1.7, 2.5).dropped is Reason.NO_LEASE
     assert publish(gate, 2.5, 3.0).velocity == SLOW
 

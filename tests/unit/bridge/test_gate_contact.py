@@ -87,7 +87,7 @@ def test_more_contact_while_driving_away_ends_the_lease(report):
     gate.report = report
     verdict = gate.at(9.72, report)
     reason = Reason.STALL if any(report.stalled) else Reason.BUMPER
-    assert (verdict.velocity, verdict.held, gate.state.ended) == (ZERO, reason, reason)
+    assert (verdict.velocity, verdict.held, gate.state.lease_over) == (ZERO, reason, reason)
 
 
 def test_other_front_segment_than_before_ends_the_lease():
@@ -116,7 +116,7 @@ def test_released_bumper_lifts_the_limits_and_ends_the_lease_when_pressed_again(
     assert gate.keep(9.55, 0.3, AWAY).velocity == AWAY
     gate.report = FRONT
     assert gate.at(9.9, FRONT).held is Reason.BUMPER
-    assert gate.state.ended is Reason.BUMPER
+    assert gate.state.lease_over is Reason.BUMPER
 
 
 def test_one_of_two_segments_that_is_released_is_guarded_again():
@@ -174,7 +174,7 @@ def test_stalled_rover_may_drive_back_from_where_it_was_moving(commanded, report
         gate.at(9.0 + 0.05 * k, BaseReport(x=0.01 * k, v=reported))
         gate.drive(9.0 + 0.05 * k, Velocity(commanded, 0.1))
     assert gate.at(9.22, report).held is Reason.STALL
-    assert gate.state.ended is Reason.STALL
+    assert gate.state.lease_over is Reason.STALL
     assert gate.drive(9.23, AWAY).dropped is Reason.STALL
     gate.at(9.3, report)
     gate.sequence = 0
@@ -224,7 +224,7 @@ def test_stall_must_end_within_exactly_this_time():
     granted_s = gate.state.lease.granted_s
     assert gate.at(granted_s + 1.0, gate.report).held is None
     verdict = gate.at(math.nextafter(granted_s + 1.0, math.inf), gate.report)
-    assert (verdict.velocity, verdict.held, gate.state.ended) == (ZERO, Reason.STALL, Reason.STALL)
+    assert (verdict.velocity, verdict.held, gate.state.lease_over) == (ZERO, Reason.STALL, Reason.STALL)
 
 
 def test_renewals_give_a_stall_no_more_time():
@@ -232,7 +232,7 @@ def test_renewals_give_a_stall_no_more_time():
     for k in range(4):
         assert gate.renew(9.95 + 0.05 * k).refusal is None
     assert gate.at(10.15, gate.report).held is Reason.STALL
-    assert gate.state.ended is Reason.STALL
+    assert gate.state.lease_over is Reason.STALL
 
 
 def test_stall_that_ends_and_begins_again_ends_the_lease():

@@ -20,7 +20,7 @@ def test_frozen_odometry_ends_the_lease(motion):
     assert gate.at(0.2, BaseReport(x=1.0, **motion)).held is None
     verdict = gate.at(0.31, BaseReport(x=1.0, **motion))
     assert (verdict.velocity, verdict.held) == (ZERO, Reason.FROZEN)
-    assert gate.state.ended is Reason.FROZEN
+    assert gate.state.lease_over is Reason.FROZEN
     assert gate.enable(0.35).refusal is Reason.FROZEN
     gate.at(0.4, BaseReport(x=1.001))
     assert gate.enable(0.45).refusal is None
@@ -115,9 +115,9 @@ def test_a_new_request_clears_the_reason_of_the_last_end():
     gate = Gate().driving()
     gate.at(0.1, BaseReport(bumpers=(1, 0)))
     gate.at(0.2, BaseReport())
-    assert gate.state.ended is Reason.BUMPER
+    assert gate.state.lease_over is Reason.BUMPER
     gate.enable(0.3)
-    assert gate.state.ended is None
+    assert gate.state.lease_over is None
 
 
 def test_invalid_command_uses_its_sequence_number():
@@ -134,7 +134,7 @@ def after(moment):
 
 
 def test_odometry_is_stale_after_exactly_this_time():
-    gate = Gate(Limits(silence_s=0.4)).driving()
+    gate = Gate(Limits(command_timeout_s=0.4)).driving()
     assert gate.at(LIMITS.odometry_s, Tick()).held is None
     assert gate.at(after(LIMITS.odometry_s), Tick()).held is Reason.ODOMETRY
 

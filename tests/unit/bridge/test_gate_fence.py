@@ -271,7 +271,7 @@ def test_fence_is_lost_when_a_pose_jumps_without_a_gap(pose, speeds, elapsed_s, 
 def test_jump_revokes_the_lease():
     gate = Gate(FENCED).driving()
     verdict = gate.at(0.1, BaseReport(x=0.9, v=0.1))
-    assert (verdict.velocity, gate.state.ended) == (ZERO, Reason.FENCE_LOST)
+    assert (verdict.velocity, gate.state.lease_over) == (ZERO, Reason.FENCE_LOST)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bridge.base import BaseReport, LinkHealth, Lost, OwnTimeout, Ready, Recovered, Setpoint
+from bridge.base import BaseReport, BaseTimeout, LinkHealth, Lost, Ready, Recovered, Setpoint
 from bridge.gate.limits import Fence, Limits
 from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
@@ -30,7 +30,7 @@ class FailingBase:
 
     def __init__(self):
         self.fails, self.driven, self.calls = {}, [], []
-        self.timeout = OwnTimeout(TimeoutState.PUBLISHED, 1.0)
+        self.timeout = BaseTimeout(TimeoutState.PUBLISHED, 1.0)
         self.reports = [Ready("x", load_description("p3at"))]
 
     def _call(self, name):
@@ -56,12 +56,12 @@ class FailingBase:
         return LinkHealth(damaged=False, counters={})
 
     @property
-    def own_timeout(self):
-        self._call("own_timeout")
+    def base_timeout(self):
+        self._call("base_timeout")
         return self.timeout
 
-    def measure_timeout(self, now):
-        self._call("measure_timeout")
+    def measure_base_timeout(self, now):
+        self._call("measure_base_timeout")
         return "it is published"
 
     def close(self, now):
@@ -212,7 +212,7 @@ def test_base_that_fails_before_it_was_ready_ends_the_bridge_in_one_line():
     assert loop.base.calls[-1] == "close"
 
 
-@pytest.mark.parametrize("fails", ["health", "own_timeout", "reset_odometry", "measure_timeout"])
+@pytest.mark.parametrize("fails", ["health", "base_timeout", "reset_odometry", "measure_base_timeout"])
 def test_exception_of_another_call_of_the_base_ends_nothing(fails):
     loop = Loop(accept_ros=True)
     loop.turn(3)
@@ -220,8 +220,8 @@ def test_exception_of_another_call_of_the_base_ends_nothing(fails):
     loop.turn(60)
     assert b"gone" in loop.ask("rover/reset_odometry", b"{}") or fails != "reset_odometry"
     granted = loop.motors()
-    assert granted.granted is (fails != "own_timeout")
-    assert fails != "own_timeout" or "gone" in granted.detail
+    assert granted.granted is (fails != "base_timeout")
+    assert fails != "base_timeout" or "gone" in granted.detail
 
 
 @pytest.mark.parametrize("fenced", [True, False])
@@ -246,13 +246,13 @@ def test_end_of_a_lease_by_a_base_that_is_ready_again_has_its_own_reason(driving
     assert driving.motors().granted
     driving.base.reports = [ready]
     driving.turn()
-    assert driving.node.gate.ended_detail == "the base is not connected: its odometry restarted"
+    assert driving.node.gate.lease_over_detail == "the base is not connected: its odometry restarted"
 
 
 @pytest.mark.parametrize("name", ["x", "check", "unchecked", ""])
 def test_unchecked_robot_is_granted_to_a_request_that_says_so_whatever_its_name(name):
     loop = Loop()
-    loop.base.timeout = OwnTimeout(TimeoutState.UNKNOWN, None, "it is not known to halt")
+    loop.base.timeout = BaseTimeout(TimeoutState.UNKNOWN, None, "it is not known to halt")
     loop.turn(3)
     reply = loop.motors(name)
     assert (reply.granted, reply.reason, reply.detail) == (False, "unchecked", "it is not known to halt")
@@ -266,6 +266,6 @@ def test_holder_of_the_lease_alone_may_measure_the_timeout(driving):
     for tag in (None, other.sign(Signed.MOTORS, "rover/base", request, driving.now_ns).pack()):
         reply = parse_json(BaseReply, driving.ask("rover/base", request, tag))
         assert "lease" in reply.reason
-        assert "measure_timeout" not in driving.base.calls
+        assert "measure_base_timeout" not in driving.base.calls
     tag = driving.lease.sign(Signed.MOTORS, "rover/base", request, driving.now_ns).pack()
     assert parse_json(BaseReply, driving.ask("rover/base", request, tag)).reason == "it is published"

@@ -37,7 +37,7 @@ MAX_BYTES = 1 << 16
 """What is longer than this is cut off, and cannot be read."""
 
 
-class RosLine:
+class RosConnection:
     """Opens at once: raises NoRobot when no router answers. ``inbox`` gets messages and tokens."""
 
     def __init__(self, address: RosAddress, topics: Topics, inbox: Inbox) -> None:

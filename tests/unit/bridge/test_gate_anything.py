@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+from gate_bench import SECRET, SLOW
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -23,8 +24,6 @@ from bridge.gate.state import (
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.protocol import CommandTag
 
-SECRET = bytes(range(32))
-SLOW = Velocity(0.1, -0.1)
 ROUNDING_S = 1e-9
 """At exactly a time-out, sums of floating-point times may lie on either side of it."""
 

@@ -8,7 +8,7 @@ Rules of this file:
 3. The output is zero unless all of these hold: the base reports in time, no stop is latched, no hazard is
    flagged, the motors are on, there is a lease, and its holder sent a command that is fresh, new and finite.
 4. A hazard revokes the lease: the driver must request it again, and plain ROS commands must pause or be
-   zero. In contact, a new lease allows driving away only (`contact.py`). Stale commands or odometry only
+   zero. In contact, a new lease allows driving away only (`motion.py`). Stale commands or odometry only
    hold the rover. So do fence and sonars: the rover may be driven away from them.
 5. The gate limits only growth of the command, never braking.
 6. A message that is not signed with the key of the current lease changes nothing but a counter. The caller
@@ -21,17 +21,20 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from bridge.base import BaseReport
-from bridge.gate.contact import (
+from bridge.gate.limits import Limits
+from bridge.gate.motion import (
     STANDING,
+    approach,
     bounded,
+    clear,
+    jumps,
     known_contact,
     lasting_contact,
     leads_away,
+    leaves,
     one_sided_contact,
     stall_direction,
 )
-from bridge.gate.limits import Limits
-from bridge.gate.motion import approach, clear, jumps, leaves
 from bridge.gate.state import (
     NO_CONTACT,
     ZERO,

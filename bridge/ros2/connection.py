@@ -12,24 +12,23 @@ from typing import Any
 
 import zenoh
 
-from bridge.inbox import Inbox, RobotMessage, ThreadError
+from bridge.inbox import Inbox, RobotMessage
 from bridge.ros2.address import RosAddress
 from bridge.ros2.base import TokenSeen
-from bridge.ros2.discovery import Announced, Convention, bridge_token, read_topic_token, topic_token
+from bridge.ros2.discovery import (
+    Announced,
+    Convention,
+    bridge_token,
+    command_type,
+    read_topic_token,
+    sensor_topics,
+    topic_token,
+)
 from bridge.ros2.rmw import Attachment, Graph, Topic, gid, read_token
 from bridge.ros2.rmw_node import publisher
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.robot.description import Topics
-from rover_ncp.wire.messages import (
-    BATTERY_STATE,
-    BOOL,
-    HAZARDS,
-    IMU,
-    LASER_SCAN,
-    ODOMETRY,
-    TWIST,
-    TWIST_STAMPED,
-)
+from rover_ncp.wire.messages import TWIST, TWIST_STAMPED
 from rover_ncp.wire.zenoh import client_config, reason
 
 LOOP_KEY = "rover/robot_side"
@@ -48,14 +47,11 @@ class RosConnection:
         self.zid = str(self._session.info.zid())
         self.nonce = secrets.token_hex(8)
         self._held: list[Any] = []
-        wanted = [(topics.odom, ODOMETRY), (topics.imu, IMU), (topics.battery_state, BATTERY_STATE)]
-        wanted += [(topics.scan, LASER_SCAN), (topics.stop, BOOL), (topics.hazards, HAZARDS)]
-        inputs = [(name, ros_type) for name, ros_type in wanted if name is not None]
-        stamped = topics.cmd_vel_type == "TwistStamped"
+        inputs, taken = sensor_topics(topics), command_type(topics)
         if address.convention is Convention.RMW_ZENOH:
-            self._join_graph(inputs, topics.cmd_vel, TWIST_STAMPED if stamped else TWIST)
+            self._join_graph(inputs, topics.cmd_vel, taken)
         else:
-            self._use_plain_keys(inputs, topics.cmd_vel, TWIST_STAMPED if stamped else TWIST)
+            self._use_plain_keys(inputs, topics.cmd_vel, taken)
         self._held.append(self._session.liveliness().declare_token(f"{LOOP_KEY}/{self.nonce}"))
 
     def topic(self, name: str) -> str:
@@ -123,7 +119,7 @@ class RosConnection:
 
         # Our own commands come back only from outside, and then through a loop.
         subscriber = self._session.declare_subscriber(
-            key, self._guard(receive), allowed_origin=zenoh.Locality.REMOTE
+            key, self._inbox.guarded(receive), allowed_origin=zenoh.Locality.REMOTE
         )
         self._held.append(subscriber)
 
@@ -133,18 +129,7 @@ class RosConnection:
                 self._inbox.put(TokenSeen(found, sample.kind == zenoh.SampleKind.PUT))
 
         liveliness = self._session.liveliness()
-        self._held.append(liveliness.declare_subscriber(pattern, self._guard(receive), history=True))
-
-    def _guard(self, callback: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
-        """Hand an error in a callback to the loop; Zenoh would print it and go on."""
-
-        def guarded(sample: zenoh.Sample) -> None:
-            try:
-                callback(sample)
-            except Exception as error:
-                self._inbox.put(ThreadError(error))
-
-        return guarded
+        self._held.append(liveliness.declare_subscriber(pattern, self._inbox.guarded(receive), history=True))
 
 
 def _source(sample: zenoh.Sample) -> bytes | None:

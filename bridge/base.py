@@ -1,7 +1,4 @@
-"""What the bridge needs of a base, independent of its protocol: reports and events out, setpoints in.
-
-`Base` lies above the wire format. `bridge.pioneer.base` implements it for ARCOS.
-"""
+"""Interface of a base, independent of its protocol: reports and events out, setpoints in."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -35,7 +32,7 @@ class BaseReport:
     v: float = 0.0
     omega: float = 0.0
     age_s: float = 0.0
-    """How long before its arrival it was measured, as far as the base tells."""
+    """Age of the measurement at its arrival, as far as the base reports it."""
     battery_v: float = 0.0
     """0 = not reported."""
     charging: bool | None = None
@@ -61,7 +58,7 @@ class BaseReport:
 
 @dataclass(frozen=True)
 class Ready:
-    """The base is connected: its own name for itself, and what robot it is."""
+    """The base is connected: its name, and its description."""
 
     hardware: str
     robot: RobotDescription
@@ -95,7 +92,7 @@ class Failed:
 
 @dataclass(frozen=True)
 class Notice:
-    """A text for the log: what a user has to know of the base, or of what is stored of it."""
+    """A text for the log."""
 
     text: str
 
@@ -104,7 +101,7 @@ BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Lost | Recovered | Failed
 
 
 class BaseTimeout(NamedTuple):
-    """What is known of the time in s after which the base halts without commands.
+    """Time in s after which the base halts without commands, as far as it is known.
 
     ``refusal`` is why the robot is not driven unless the request says ``unchecked``; "" = it is.
     """
@@ -142,7 +139,7 @@ class Base(Protocol):
 
     @property
     def base_timeout(self) -> BaseTimeout:
-        """What is known of its behaviour when this process dies."""
+        """Time after which the base halts when this process dies."""
 
     def measure_base_timeout(self, now: float) -> str:
         """Send nothing until the base halts, for a few seconds at most; return why not, "" if it begins.

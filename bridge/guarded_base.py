@@ -1,4 +1,4 @@
-"""A base whose exceptions count as its loss: whatever a base driver raises, the bridge keeps running."""
+"""A base whose exceptions count as its loss: whatever a base raises, the bridge keeps running."""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -90,4 +90,4 @@ class GuardedBase:
 
 def _words(error: Exception) -> str:
     plain = isinstance(error, OSError | RoverNcpError)
-    return f"the base driver failed: {error if plain else repr(error)}"
+    return f"the base failed: {error if plain else repr(error)}"

@@ -64,7 +64,7 @@ class Answers:
     ) -> None:
         self._limits, self._key, self._judge, self._base = limits, key, judge, base
         self.model = ""
-        """Of the base, once it is ready."""
+        """Model of the base, once it is ready."""
 
     def give(self, query: Query, now: float, gate: GateState) -> None:
         """Answer one query that arrived at ``now``; ``gate`` is the state before it."""

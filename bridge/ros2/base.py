@@ -94,7 +94,7 @@ class LoopSeen:
     there: bool
 
 
-class Line(Protocol):
+class Connection(Protocol):
     """The session with the robot, as `bridge.ros2.connection.RosConnection`."""
 
     endpoint: str
@@ -134,7 +134,7 @@ class Ros2Base:
     ``unsafe`` is whether every driver may drive although the robot is not known to halt without commands.
     """
 
-    def __init__(self, line: Line, description: RobotDescription, unsafe: bool) -> None:
+    def __init__(self, line: Connection, description: RobotDescription, unsafe: bool) -> None:
         assert description.topics is not None
         self._line, self._description, self._topics = line, description, description.topics
         self._odometer = RosOdometer(self._topics, description.motion)
@@ -210,7 +210,7 @@ class Ros2Base:
 
     @property
     def note(self) -> str:
-        """What a user has to know at each start."""
+        """Text for the log at each start."""
         return self._timeout.note
 
     @property

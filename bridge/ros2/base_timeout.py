@@ -1,4 +1,4 @@
-"""What is known of a robot when its commands stop, and its measurement. Pure."""
+"""The base timeout of a ROS 2 robot: what is known of it, and its measurement. Pure."""
 
 import math
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ class TimeoutRecord:
     unsafe: bool = False
     measured: bool = False
     measured_s: float | None = None
-    """What was measured since the bridge's start; None = it did not halt."""
+    """Measured since the bridge's start, in s; None = the robot did not halt."""
     interrupted: bool = False
     """Whether the last measurement was ended before its result."""
 
@@ -62,7 +62,7 @@ class TimeoutRecord:
 
     @property
     def note(self) -> str:
-        """What a user has to know at each start."""
+        """Text for the log at each start."""
         return f"if this bridge dies: {self.refusal or f'the robot {self._known}'}"
 
     @property

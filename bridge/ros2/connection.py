@@ -33,7 +33,7 @@ from rover_ncp.wire.zenoh import client_config, reason
 
 LOOP_KEY = "rover/robot_side"
 MAX_BYTES = 1 << 16
-"""What is longer than this is cut off, and cannot be read."""
+"""Longer messages are cut off and count as unreadable."""
 
 
 class RosConnection:

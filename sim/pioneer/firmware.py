@@ -38,7 +38,7 @@ VEL2_M_S = 0.02
 """Wheel speed per unit of VEL2 (Vel2Divisor 20)."""
 
 SETPOINTS = frozenset({Command.VEL, Command.RVEL})
-"""What does not arrive while a trial loses commands."""
+"""Commands that do not arrive while a trial loses commands."""
 
 BUMPED_SEGMENT = 2
 """The front bumper segment that the fault presses: the middle of five."""

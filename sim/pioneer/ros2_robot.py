@@ -30,9 +30,9 @@ RESTART_S = 1.5
 BATTERY_S = 1.0
 """Time between two reports of the battery."""
 SWITCHES_HZ = 20.0
-"""Of the stop button and of hazards (chosen)."""
+"""Rate of the stop button and of hazards (chosen)."""
 BEAMS = 120
-"""Of the mock's laser, 3 degrees apart."""
+"""Beams of the mock's laser, 3 degrees apart."""
 
 
 class Ros2Robot:

@@ -1,4 +1,4 @@
-"""A ROS 2 base driver on a virtual clock: its line, its robot's odometry, and what came of both."""
+"""A ROS 2 base on a virtual clock: its connection, its robot's odometry, its events."""
 
 from ros_cdr import TwistStamped, odometry
 

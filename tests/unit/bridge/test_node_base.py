@@ -1,4 +1,4 @@
-"""The bridge's loop and its base: exceptions of a base driver, its end, its reconnection, its motors."""
+"""The bridge's loop and its base: exceptions of a base, its end, its reconnection, its motors."""
 
 import pytest
 
@@ -150,7 +150,7 @@ def test_end_of_the_loop_goes_on_after_an_exception_of_the_base(driving, fails):
     driving.base.fails[fails] = BrokenPipeError(32, "Broken pipe")
     driving.node.run(lambda: True)
     assert driving.base.calls[-2:] == ["drive", "close"]
-    assert driving.said[-1] == "the base driver failed: [Errno 32] Broken pipe"
+    assert driving.said[-1] == "the base failed: [Errno 32] Broken pipe"
 
 
 def test_error_of_the_loop_stops_the_base_too(driving):
@@ -170,9 +170,7 @@ def test_exception_of_the_base_is_a_lost_base(driving, fails, error):
     loop, said = driving, len(driving.said)
     loop.base.fails[fails] = error
     loop.drive()
-    lost = [
-        line for line in loop.said[said:] if line.startswith("the base is lost: the base driver failed: ")
-    ]
+    lost = [line for line in loop.said[said:] if line.startswith("the base is lost: the base failed: ")]
     assert len(lost) == 1
     assert (str(error) or "KeyError") in lost[0]
     assert not loop.motors().granted
@@ -207,7 +205,7 @@ def test_base_that_takes_no_setpoint_gets_no_driver(driving):
 def test_base_that_fails_before_it_was_ready_ends_the_bridge_in_one_line():
     loop = Loop()
     loop.base.fails["receive"] = OSError("no such device")
-    with pytest.raises(NoRobot, match="the base driver failed: no such device"):
+    with pytest.raises(NoRobot, match="the base failed: no such device"):
         loop.node.run(lambda: loop.turn() or False)
     assert loop.base.calls[-1] == "close"
 

@@ -1,4 +1,4 @@
-"""The ROS 2 base driver on a virtual clock; its robot encodes and decodes with an independent library."""
+"""The ROS 2 base on a virtual clock; its robot encodes and decodes with an independent library."""
 
 import math
 

@@ -1,22 +1,19 @@
 """What a ROS 2 robot does without commands: the measurement, and what lifts the refusal to serve it."""
 
 import pytest
+from lease_client import LeaseClient
 from ros2_world import BURGER, World
 from ros_cdr import TwistStamped, twist
 
 from bridge.base import Lost
 from bridge.ros2.base_timeout import TimeoutRecord
-from deploy.drive.lease import DriverLease
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import shipped_names
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
-from rover_ncp.wire.messages import twist_stamped
 from rover_ncp.wire.protocol import (
     BaseReply,
     BaseRequest,
-    MotorsReply,
-    MotorsRequest,
     Signed,
     StopRequest,
     dump_json,
@@ -199,28 +196,21 @@ class Checked:
 
     def __init__(self):
         self.robot = Ros2Robot(UNSCANNED, PymunkRover(described_rover(UNSCANNED), Ground(())))
-        self.bridge, self.lease = VirtualBridge(self.robot), DriverLease()
+        self.bridge = VirtualBridge(self.robot)
+        self.driver = LeaseClient(self.bridge)
         self.bridge.sleep(3.0)
-        self.lease.grant(parse_json(MotorsReply, self.motors(enable=True)))
-        for _ in range(20):
-            data = twist_stamped(Velocity(0.1, 0.0), self.bridge.time_ns())
-            self.bridge.command(data, self.tag(Signed.COMMAND, "cmd_vel", data))
-            self.bridge.sleep(0.05)
+        assert self.motors().granted
+        self.driver.drive(Velocity(0.1, 0.0))
         request = dump_json(BaseRequest(measure=True, sent_ns=self.bridge.now_ns))
-        reply = self.bridge.query("rover/base", request, self.tag(Signed.MOTORS, "rover/base", request))
+        reply = self.bridge.query(
+            "rover/base", request, self.driver.tag(Signed.MOTORS, "rover/base", request)
+        )
         assert parse_json(BaseReply, reply).state == "running"
         self.bridge.sleep(0.7)
         assert self.speed == pytest.approx(0.1, abs=0.01)
 
-    def tag(self, kind, name, data):
-        return self.lease.sign(kind, name, data, self.bridge.now_ns).pack()
-
-    def motors(self, enable):
-        request = dump_json(
-            MotorsRequest(enable=enable, name="check", unchecked=True, sent_ns=self.bridge.now_ns)
-        )
-        tag = self.tag(Signed.MOTORS, "rover/motors", request) if self.lease.number else None
-        return self.bridge.query("rover/motors", request, tag)
+    def motors(self, enable=True):
+        return self.driver.motors(enable, "check", unchecked=True)
 
     def stop(self):
         self.bridge.query("rover/stop", dump_json(StopRequest(reason="test")))
@@ -247,7 +237,7 @@ def test_a_check_that_died_halts_a_robot_that_is_measured_with_its_lease():
 def test_a_check_that_renews_its_lease_measures_to_the_end():
     checked = Checked()
     for _ in range(20):
-        checked.motors(enable=True)
+        checked.motors()
         checked.bridge.sleep(0.2)
         assert checked.speed == pytest.approx(0.1, abs=0.01)
     checked.bridge.sleep(0.7)

@@ -59,22 +59,6 @@ def test_base_that_never_completes_the_handshake_is_given_up(stream, period_s):
     assert "no handshake was completed within 15 s" in failed.reason
 
 
-def test_an_old_session_is_sent_zeros_then_close_before_any_sync():
-    bench = Bench().connect()
-    bench.wait(0.1)
-    bench.hear(sip(flags=1))
-    assert bench.sent() == [
-        (Command.VEL, 0),
-        (Command.RVEL, 0),
-        (Command.STOP, None),
-        (Command.CLOSE, None),
-    ]
-    bench.hear(sip(flags=1))  # was under way
-    assert bench.sent() == []
-    bench.wait(0.4)
-    assert bench.commands() == [Command.PULSE]
-
-
 def test_a_late_second_echo_does_not_start_over():
     bench = Bench().go_to(SessionState.SYNC0)
     bench.wait(PATIENCE_S[SessionState.SYNC0])

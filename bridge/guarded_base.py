@@ -33,11 +33,7 @@ class GuardedBase:
 
     def reset_odometry(self) -> str:
         """Make the present pose the origin of odom; return why not, "" if it was requested."""
-        try:
-            self._base.reset_odometry()
-        except Exception as error:
-            return _words(error)
-        return ""
+        return self._text(self._base.reset_odometry)
 
     def health(self) -> LinkHealth:
         """See Base."""
@@ -55,21 +51,22 @@ class GuardedBase:
 
     def measure_base_timeout(self, now: float) -> str:
         """See Base."""
-        try:
-            return self._base.measure_base_timeout(now)
-        except Exception as error:
-            return _words(error)
+        return self._text(lambda: self._base.measure_base_timeout(now))
 
     def shut_down(self, now: float) -> list[str]:
         """Stop the base, switch its motors off, then close it; return what failed."""
-        problems = []
         stop = Setpoint(ZERO, motors=False, emergency=False)
-        for action in (lambda: self._base.drive(stop, now), lambda: self._base.close(now)):
-            try:
-                action()
-            except Exception as error:
-                problems.append(_words(error))
-        return problems
+        found = [self._text(lambda: self._base.drive(stop, now)), self._text(lambda: self._base.close(now))]
+        return [problem for problem in found if problem]
+
+    @staticmethod
+    def _text(call: Callable[[], object]) -> str:
+        """Return a call's text, or why it failed; "" for other results."""
+        try:
+            result = call()
+        except Exception as error:
+            return _words(error)
+        return result if isinstance(result, str) else ""
 
     def _events(self, call: Callable[[], Sequence[BaseEvent]]) -> Sequence[BaseEvent]:
         try:

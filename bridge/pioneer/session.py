@@ -26,10 +26,7 @@ from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import RobotDescription
 
 CONFIG_S, OPEN_S = 1.0, 2.0
-"""How long to wait for a CONFIGpac, which is optional, and for the first SIP, which is not.
-
-A ready base without a CONFIGpac is asked for it again as often as that.
-"""
+"""Time to wait for a CONFIGpac, which a ready base is asked for again as often, and for the first SIP."""
 
 GYRO_CLIENT_SIDE = 1
 """HASGYRO of a base that sends readings when asked; with 2 its headings have the gyro in them already."""
@@ -44,9 +41,9 @@ CONNECT_S = 15.0
 """A base that answers but is not ready after this time is given up: the search of both rates takes 8 s."""
 
 FAST_RATE = 38400
-"""Rate to ask for on a slower serial line, as ARIA does: at 9600 a SIP with 16 sonars fills 93 of its 100 ms.
+"""Rate to ask for on a slower line, as ARIA does: at 9600 a SIP with 16 sonars fills 93 of its 100 ms.
 
-A client that vanished leaves the base at this rate, so it is searched for there too. CLOSE restores FLASH's.
+A client that vanished leaves the base at this rate. CLOSE restores the rate in FLASH.
 """
 CAN_SWITCH = 2
 """AUTOBAUD of a base that takes another rate in a session (ARIA switches only then)."""
@@ -108,11 +105,7 @@ class Session:
     # Calls of the base's owner.
 
     def connect(self, now: float, baudrate: int | None = None) -> None:
-        """Begin to connect; events report the progress.
-
-        `BaudChanged` asks for another rate of a line opened at ``baudrate``; a line without a rate never gets
-        it.
-        """
+        """Begin to connect on a line opened at ``baudrate``, which is None for a line without a rate."""
         self._now = now
         self._rate = self._opened_rate = baudrate
         self._dispatch(Input.CONNECT)

@@ -53,13 +53,9 @@ def last_v(world):
     return TwistStamped.deserialize(world.line.sent[-1]).twist.linear.x
 
 
-def test_a_robot_that_is_not_checked_has_a_refusal(ready):
-    known = ready.base.base_timeout
-    assert known.state == "unknown"
-    assert "rover-ncp check" in known.refusal
-
-
-def test_the_robots_own_timeout_is_measured_while_nothing_is_sent(ready):
+def test_base_timeout_is_measured_while_nothing_is_sent(ready):
+    assert ready.base.base_timeout.state == "unknown"
+    assert "rover-ncp check" in ready.base.base_timeout.refusal
     known = halts(ready, 0.6)
     assert known.state == "measured"
     assert known.timeout_s == pytest.approx(0.65, abs=0.08)  # counted from the last command before
@@ -145,11 +141,8 @@ def test_a_robot_that_another_publishers_zero_halts_is_not_measured(ready):
     assert ready.base.base_timeout.state == "unknown"
 
 
-def test_wheels_that_stand_measure_nothing(ready):
+def test_wheels_that_stand_or_roll_out_after_a_zero_measure_nothing(ready):
     assert ready.base.measure_base_timeout(ready.now) == "the wheels do not turn by a command"
-
-
-def test_wheels_that_roll_out_after_a_zero_measure_nothing(ready):
     ready.setpoint_v = 0.1
     ready.run(0.5)
     ready.setpoint_v = 0.0

@@ -212,6 +212,13 @@ def test_fence_is_lost_when_a_pose_jumps_without_a_gap(pose, speeds, elapsed_s, 
     assert not jumped(BaseReport(*pose, *speeds), None, elapsed_s, Limits())
 
 
+@pytest.mark.parametrize(("pose", "speed", "noise"), [("x", "v", 0.05), ("theta", "omega", 0.1)])
+def test_pose_jumps_beyond_exactly_this_motion(pose, speed, noise):
+    way = noise + 0.7 * (0.5 + 0.3)
+    assert not jumped(BaseReport(**{pose: way, speed: 0.7}), elapsed_s=0.5)
+    assert jumped(BaseReport(**{pose: math.nextafter(way, 1.0), speed: 0.7}), elapsed_s=0.5)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_driving_with_noise_and_with_late_and_lost_reports_is_no_jump(seed):
     """Each speed may change at once; 2 % of reports are 0.3 s late and hold up those behind them."""

@@ -1,71 +1,13 @@
-"""What the bridge needs of a base, independent of its protocol: reports and events out, setpoints in.
-
-`Base` lies above the wire format. `bridge.pioneer.base` implements it for ARCOS.
-"""
+"""Interface of a base, independent of its protocol: reports and events out, setpoints in."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, TypeAlias
 
-from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.robot.description import Odometry, RobotDescription
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.protocol import TimeoutState
-
-
-@dataclass(frozen=True)
-class Wheels:
-    """Driven wheels, all alike; ``places`` are their (x, y) in the base's frame. Metres."""
-
-    radius_m: float
-    width_m: float
-    places: tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True)
-class RobotShape:
-    """Outline, wheels and sensors of a robot."""
-
-    name: str
-    front_m: float
-    rear_m: float
-    """How far the outline reaches before and behind the centre of rotation, bumpers included."""
-    width_m: float
-    height_m: float
-    sonars: tuple[Pose, ...]
-    """Sonar poses in the base's frame; the index is the sonar's number."""
-    sonar_height_m: float
-    wheels: Wheels
-    odometry: Odometry
-    gyro_rad_s: float
-    """Standard deviation of the gyro's readings; 0 = not known."""
-
-    @property
-    def length_m(self) -> float:
-        """Length of the outline."""
-        return self.front_m + self.rear_m
-
-
-def shape_of(description: RobotDescription) -> RobotShape:
-    """Return the shape of a described robot."""
-    wheels, sonars = description.wheels, description.sonars
-    axles = (wheels.axles_m / 2, -wheels.axles_m / 2) if wheels.axles_m else (0.0,)
-    return RobotShape(
-        description.name,
-        front_m=description.front_m,
-        rear_m=description.rear_m,
-        width_m=description.width_m,
-        height_m=description.height_m,
-        sonars=tuple(Pose(x, y, math.radians(deg)) for x, y, deg in sonars.poses_m_deg) if sonars else (),
-        sonar_height_m=sonars.height_m if sonars else 0.0,
-        wheels=Wheels(
-            wheels.radius_m,
-            wheels.width_m,
-            tuple((x, y) for x in axles for y in (wheels.track_m / 2, -wheels.track_m / 2)),
-        ),
-        odometry=description.odometry,
-        gyro_rad_s=description.gyro.noise_rad_s if description.gyro else 0.0,
-    )
 
 
 class Setpoint(NamedTuple):
@@ -90,7 +32,7 @@ class BaseReport:
     v: float = 0.0
     omega: float = 0.0
     age_s: float = 0.0
-    """How long before its arrival it was measured, as far as the base tells."""
+    """Age of the measurement at its arrival, as far as the base reports it."""
     battery_v: float = 0.0
     """0 = not reported."""
     charging: bool | None = None
@@ -116,10 +58,10 @@ class BaseReport:
 
 @dataclass(frozen=True)
 class Ready:
-    """The base is connected: its own name for itself, and its shape."""
+    """The base is connected: its name, and its description."""
 
     hardware: str
-    robot: RobotShape
+    robot: RobotDescription
 
 
 @dataclass(frozen=True)
@@ -150,7 +92,7 @@ class Failed:
 
 @dataclass(frozen=True)
 class Notice:
-    """A text for the log: what a user has to know of the base, or of what is stored of it."""
+    """A text for the log."""
 
     text: str
 
@@ -158,8 +100,8 @@ class Notice:
 BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Lost | Recovered | Failed | Notice
 
 
-class OwnTimeout(NamedTuple):
-    """What is known of the time in s after which the base halts without commands.
+class BaseTimeout(NamedTuple):
+    """Time in s after which the base halts without commands, as far as it is known.
 
     ``refusal`` is why the robot is not driven unless the request says ``unchecked``; "" = it is.
     """
@@ -196,10 +138,10 @@ class Base(Protocol):
         """Return the quality of the line."""
 
     @property
-    def own_timeout(self) -> OwnTimeout:
-        """What is known of its behaviour when this process dies."""
+    def base_timeout(self) -> BaseTimeout:
+        """Time after which the base halts when this process dies."""
 
-    def measure_timeout(self, now: float) -> str:
+    def measure_base_timeout(self, now: float) -> str:
         """Send nothing until the base halts, for a few seconds at most; return why not, "" if it begins.
 
         The end of the lease, motors off and an emergency end it: the base then gets zeros.

@@ -1,7 +1,7 @@
-"""Opens the base that an address and a model name: a Pioneer on a line, a ROS 2 robot over Zenoh, or another.
+"""Opens the base that an address and a model name: a Pioneer, a ROS 2 robot over Zenoh, or another base.
 
-Other base drivers are entry points of the group `DRIVERS`: an address NAME/REST goes to the one that has this
-name, which is called with REST, the robot's description and a function that puts arrivals into the inbox.
+Other bases are entry points of the group `BASES`: an address NAME/REST calls the one with this name. It gets
+REST, the robot's description and a function that puts arrivals into the inbox.
 """
 
 from collections.abc import Callable
@@ -15,19 +15,19 @@ from bridge.gate.limits import Limits
 from bridge.inbox import Inbox
 from bridge.pioneer.base import ArcosBase
 from bridge.pioneer.base_connection import BaseConnection
-from bridge.pioneer.robots import ROBOTS, parameters_of
+from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
-from bridge.ros2.address import PREFIX, RosAddress, parse_address
+from bridge.ros2.address import PREFIX, RosAddress, parse_ros_address
 from bridge.ros2.base import LoopSeen, Ros2Base
-from bridge.ros2.line import LOOP_KEY, RosLine
+from bridge.ros2.connection import LOOP_KEY, RosConnection
 from bridge.zenoh.link import ZenohLink
 from rover_ncp.core.config import load_yaml, validated
 from rover_ncp.core.errors import NoRobot, RoverNcpError, UsageError
 from rover_ncp.core.files import shipped_names
 from rover_ncp.robot.description import RobotDescription, Topics, load_description
 
-DRIVERS = "rover_ncp.bases"
+BASES = "rover_ncp.bases"
 
 
 class ByteCounts(Protocol):
@@ -43,10 +43,10 @@ class ByteCounts(Protocol):
 
 
 class CountedBase(Base, ByteCounts, Protocol):
-    """What a base driver of another package returns."""
+    """A base of another package."""
 
 
-BaseDriver = Callable[[str, RobotDescription, Callable[[object], None]], CountedBase]
+OpenBase = Callable[[str, RobotDescription, Callable[[object], None]], CountedBase]
 """Opens a base. Arrivals may be put from any thread; only `Base.receive` looks at them."""
 
 
@@ -54,14 +54,14 @@ BaseDriver = Callable[[str, RobotDescription, Callable[[object], None]], Counted
 class ChosenBase:
     """``description`` is None for a Pioneer that says itself what it is; ``ros2`` is None for others.
 
-    ``driver`` is that of another package, if one is named.
+    ``entry_point`` is that of a base of another package, if one is named.
     """
 
     address: str
     model: str
     description: RobotDescription | None
     ros2: RosAddress | None = None
-    driver: EntryPoint | None = None
+    entry_point: EntryPoint | None = None
 
 
 def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> ChosenBase:
@@ -69,18 +69,18 @@ def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> C
 
     Raises UsageError, FileError or ConfigError.
     """
-    ros2 = parse_address(address, zenoh_config) if address.startswith(PREFIX) else None
+    ros2 = parse_ros_address(address, zenoh_config) if address.startswith(PREFIX) else None
     if zenoh_config is not None and ros2 is None:
         raise UsageError(f"--base-zenoh-config: {address} is not a ROS 2 robot (ros2/tcp/HOST)")
-    driver = next(iter(entry_points(group=DRIVERS, name=address.partition("/")[0])), None)
+    other = next(iter(entry_points(group=BASES, name=address.partition("/")[0])), None)
     if model == "auto":
-        if ros2 is None and driver is None:
+        if ros2 is None and other is None:
             return ChosenBase(address, model, None)
         known = ", ".join(shipped_names("robots"))
         raise UsageError(f"--model auto: only a Pioneer says what it is; name a file, or {known}")
     description = load_description(model)
-    if driver is not None:
-        return ChosenBase(address, model, description, driver=driver)
+    if other is not None:
+        return ChosenBase(address, model, description, entry_point=other)
     if ros2 is None:
         if description.arcos is None:
             raise UsageError(
@@ -128,31 +128,30 @@ def open_base(
 
     Raises UsageError, FileError, ConfigError or NoRobot.
     """
-    if chosen.driver is not None:
+    if chosen.entry_point is not None:
         assert chosen.description is not None  # choose_base checks it
-        open_driver = _load(chosen.driver)
+        open_other = _load(chosen.entry_point)
         try:
-            base = open_driver(chosen.address.partition("/")[2], chosen.description, inbox.put)
+            base = open_other(chosen.address.partition("/")[2], chosen.description, inbox.put)
         except RoverNcpError:
             raise
         except Exception as error:
-            raise NoRobot(f"{chosen.address}: the base driver failed: {error}") from error
+            raise NoRobot(f"{chosen.address}: the base failed: {error}") from error
         return base, base, ""
     if chosen.ros2 is None:
-        robot = parameters_of(chosen.description) if chosen.description else None
-        session = Session(robot, MotionLimits(v=limits.v_max, omega=limits.omega_max))
+        session = Session(chosen.description, MotionLimits(v=limits.v_max, omega=limits.omega_max))
         connection = BaseConnection(chosen.address, inbox)
         return connection, ArcosBase(connection, session), ""
     assert chosen.description is not None and chosen.description.topics is not None  # choose_base checks it
-    line = RosLine(chosen.ros2, chosen.description.topics, inbox)
+    line = RosConnection(chosen.ros2, chosen.description.topics, inbox)
     link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
     ros2 = Ros2Base(line, chosen.description, unsafe=no_base_watchdog)
     return line, ros2, ros2.note
 
 
-def _load(driver: EntryPoint) -> BaseDriver:
+def _load(found: EntryPoint) -> OpenBase:
     try:
-        loaded: BaseDriver = driver.load()
+        loaded: OpenBase = found.load()
     except Exception as error:
-        raise UsageError(f"base driver {driver.name} ({driver.value}) cannot be loaded: {error}") from error
+        raise UsageError(f"base {found.name} ({found.value}) cannot be loaded: {error}") from error
     return loaded

@@ -17,9 +17,9 @@ def bridge(
     base: Annotated[
         str,
         typer.Option(
-            help="The robot: tcp/HOST[:8101], serial//dev/ttyUSB0 (#baudrate=... is the rate tried first) or "
+            help="The robot: tcp/HOST[:8101], serial//dev/ttyUSB0 (#baudrate=... if not 9600) or "
             "ros2/tcp/HOST[:7447], a ROS 2 robot's Zenoh router (#rmw=zenoh&domain=N for rmw_zenoh, "
-            "&odom=TOPIC for topics of its own); or NAME/... of an installed base driver."
+            "&odom=TOPIC for topics of its own); or NAME/... of another installed base."
         ),
     ],
     listen: Annotated[
@@ -112,12 +112,11 @@ def urdf(
 
     Its frames are those that the bridge publishes on tf_static.
     """
-    from bridge.base import shape_of
     from bridge.ros2.urdf import urdf as urdf_of
     from rover_ncp.core.console import Output
     from rover_ncp.robot.description import load_description
 
-    text = urdf_of(shape_of(load_description(model)))
+    text = urdf_of(load_description(model))
     Output(json).result({"model": model, "urdf": text}, text.rstrip())
 
 

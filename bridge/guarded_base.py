@@ -1,9 +1,9 @@
-"""A base whose exceptions count as its loss: whatever a base driver raises, the bridge keeps running."""
+"""A base whose exceptions count as its loss: whatever a base raises, the bridge keeps running."""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from bridge.base import Base, BaseEvent, BaseReport, LinkHealth, Lost, Notice, OwnTimeout, Ready, Setpoint
+from bridge.base import Base, BaseEvent, BaseReport, BaseTimeout, LinkHealth, Lost, Notice, Ready, Setpoint
 from bridge.gate.state import ZERO
 from rover_ncp.core.errors import NoRobot, RoverNcpError
 from rover_ncp.wire.protocol import TimeoutState
@@ -33,11 +33,7 @@ class GuardedBase:
 
     def reset_odometry(self) -> str:
         """Make the present pose the origin of odom; return why not, "" if it was requested."""
-        try:
-            self._base.reset_odometry()
-        except Exception as error:
-            return _words(error)
-        return ""
+        return self._text(self._base.reset_odometry)
 
     def health(self) -> LinkHealth:
         """See Base."""
@@ -46,30 +42,31 @@ class GuardedBase:
         return LinkHealth(damaged=True, counters={})
 
     @property
-    def own_timeout(self) -> OwnTimeout:
+    def base_timeout(self) -> BaseTimeout:
         """See Base."""
         try:
-            return self._base.own_timeout
+            return self._base.base_timeout
         except Exception as error:
-            return OwnTimeout(TimeoutState.UNKNOWN, None, _words(error))
+            return BaseTimeout(TimeoutState.UNKNOWN, None, _words(error))
 
-    def measure_timeout(self, now: float) -> str:
+    def measure_base_timeout(self, now: float) -> str:
         """See Base."""
-        try:
-            return self._base.measure_timeout(now)
-        except Exception as error:
-            return _words(error)
+        return self._text(lambda: self._base.measure_base_timeout(now))
 
     def shut_down(self, now: float) -> list[str]:
         """Stop the base, switch its motors off, then close it; return what failed."""
-        problems = []
         stop = Setpoint(ZERO, motors=False, emergency=False)
-        for action in (lambda: self._base.drive(stop, now), lambda: self._base.close(now)):
-            try:
-                action()
-            except Exception as error:
-                problems.append(_words(error))
-        return problems
+        found = [self._text(lambda: self._base.drive(stop, now)), self._text(lambda: self._base.close(now))]
+        return [problem for problem in found if problem]
+
+    @staticmethod
+    def _text(call: Callable[[], object]) -> str:
+        """Return a call's text, or why it failed; "" for other results."""
+        try:
+            result = call()
+        except Exception as error:
+            return _words(error)
+        return result if isinstance(result, str) else ""
 
     def _events(self, call: Callable[[], Sequence[BaseEvent]]) -> Sequence[BaseEvent]:
         try:
@@ -90,4 +87,4 @@ class GuardedBase:
 
 def _words(error: Exception) -> str:
     plain = isinstance(error, OSError | RoverNcpError)
-    return f"the base driver failed: {error if plain else repr(error)}"
+    return f"the base failed: {error if plain else repr(error)}"

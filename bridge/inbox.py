@@ -8,6 +8,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 MAX_MESSAGES = 2048
 """Beyond this number, messages of one origin are dropped: 0.1 s of a flood of 20,000 a second."""
@@ -78,6 +79,17 @@ class Inbox:
                 self._waiting[origin] += 1
             self._arrivals.append((time.monotonic(), arrival))
             self._changed.notify()
+
+    def guarded(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return a callback for Zenoh that hands its errors to the loop; Zenoh would print them and go on."""
+
+        def call(item: Any) -> None:
+            try:
+                callback(item)
+            except Exception as error:
+                self.put(ThreadError(error))
+
+        return call
 
     def take(self, timeout_s: float) -> list[tuple[float, object]]:
         """Return all arrivals in order; wait at most ``timeout_s`` for the first."""

@@ -23,7 +23,6 @@ from bridge.base import (
     Notice,
     Ready,
     Recovered,
-    RobotShape,
     Setpoint,
     TurnRate,
 )
@@ -37,6 +36,7 @@ from bridge.ros2 import messages as ros
 from bridge.ros2.covariance import OdometryErrors
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.process import Clock, suspended_s
+from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.messages import read_twist, text, twist_stamped
 from rover_ncp.wire.protocol import Signed, dump_json
 
@@ -93,7 +93,7 @@ class Node:
         """Number of reconnections of the base; −1 until the first connection."""
         self._verdict = self._sent = Verdict(self.gate.out, motors=False, held=self.gate.held)
         self._report: BaseReport | None = None
-        self._robot: RobotShape | None = None
+        self._robot: RobotDescription | None = None
         self._errors: OdometryErrors | None = None
         self._hardware = ""
         self._act_now = self._commanded = False
@@ -214,7 +214,7 @@ class Node:
 
     @property
     def _accepts_ros(self) -> bool:
-        return self._accept_ros and not self._base.own_timeout.refusal
+        return self._accept_ros and not self._base.base_timeout.refusal
 
     def _flush_log(self) -> None:
         for line in self._log:
@@ -285,7 +285,7 @@ class Node:
 
 def _public(gate: GateState) -> tuple[object, ...]:
     """Return the fields whose change is published at once."""
-    return gate.lease.number if gate.lease else None, gate.held, gate.ended, gate.latched
+    return gate.lease.number if gate.lease else None, gate.held, gate.lease_over, gate.stop_reason
 
 
 def _log_lines(before: GateState, after: GateState) -> Iterator[str]:
@@ -295,7 +295,9 @@ def _log_lines(before: GateState, after: GateState) -> Iterator[str]:
         yield f"{new.name or 'a driver without a name'} got the lease"
     if old is not None and new is None:
         yield f"{old.name or 'a driver without a name'} " + (
-            f"lost the lease: {after.ended}, {after.ended_detail}" if after.ended else "released the lease"
+            f"lost the lease: {after.lease_over}, {after.lease_over_detail}"
+            if after.lease_over
+            else "released the lease"
         )
     if before.held is None and after.held not in {None, Reason.NO_LEASE}:
         yield f"stopped: {after.held}"

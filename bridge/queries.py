@@ -17,8 +17,8 @@ from bridge.gate.state import (
     Lease,
     Reason,
     Release,
+    ReleaseStop,
     Stop,
-    Unlatch,
     Verdict,
     describe,
     read_tag,
@@ -64,7 +64,7 @@ class Answers:
     ) -> None:
         self._limits, self._key, self._judge, self._base = limits, key, judge, base
         self.model = ""
-        """Of the base, once it is ready."""
+        """Model of the base, once it is ready."""
 
     def give(self, query: Query, now: float, gate: GateState) -> None:
         """Answer one query that arrived at ``now``; ``gate`` is the state before it."""
@@ -95,7 +95,7 @@ class Answers:
             return MotorsRefusal(reason=VERSION_REASON, detail=other_version(PROTOCOL, version))
         request = parse_json(MotorsRequest, query.payload)
         sequence = tag.sequence if tag is not None and signed else None
-        if request.enable and not request.unchecked and (detail := self._base.own_timeout.refusal):
+        if request.enable and not request.unchecked and (detail := self._base.base_timeout.refusal):
             return MotorsRefusal(reason=UNCHECKED, detail=detail)
         if not request.enable:
             if sequence is not None:
@@ -125,13 +125,13 @@ class Answers:
         )
 
     def _stop(self, request: StopRequest, now: float) -> StopReply:
-        self._judge(Unlatch() if request.release else Stop(request.reason), now)
+        self._judge(ReleaseStop() if request.release else Stop(request.reason), now)
         return StopReply(stopped=not request.release, reason="" if request.release else request.reason)
 
     def _about_base(self, query: Query, now: float, gate: GateState) -> BaseReply:
         request = parse_json(BaseRequest, query.payload)
         reason = self._measure(query, request, now, gate) if request.measure else ""
-        known = self._base.own_timeout
+        known = self._base.base_timeout
         return BaseReply(
             model=self.model,
             battery_min_v=self._limits.battery_min_v,
@@ -153,7 +153,7 @@ class Answers:
         verdict = self._judge(Enable(lease.name, request.sent_ns, lease.secret, tag.sequence), now)
         if verdict.refusal is not None:
             return _refusal(verdict.refusal, gate).detail or str(verdict.refusal)
-        return self._base.measure_timeout(now)
+        return self._base.measure_base_timeout(now)
 
     def _reset(self, gate: GateState) -> ResetReply:
         if gate.base is None:

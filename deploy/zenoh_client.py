@@ -1,36 +1,22 @@
-"""Zenoh session of a client of the bridge: its configuration, its subscriptions, its end.
+"""Zenoh session of a client of the bridge: its subscriptions, the bridge's answers, its end."""
 
-The values of the configuration are measured; see the comments beside them.
-"""
-
-import json
-import re
 import socket
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
 from deploy.drive.sources import INPUTS, Sources
-from rover_ncp.core.errors import FileError, NoBridge, NotAuthorised, UnreachableError, UsageError
-from rover_ncp.core.files import existing_file
+from rover_ncp.core.errors import NoBridge, NotAuthorised, UnreachableError
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.recording.recording import header_stamp_ns
-from rover_ncp.wire.certificates import require_valid
+from rover_ncp.wire.address import parse_address
 from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, key
-from rover_ncp.wire.zenoh import CLIENT
+from rover_ncp.wire.zenoh import PORT, client_config
 
-PORT = 7447
-"""Zenoh's own port, where the bridge listens."""
-MOST_PORT = 65535
 PROBE_S = 1.0
-
-_LOCATOR = re.compile(
-    r"(?P<protocol>[a-z]+)/(?P<host>\[[0-9A-Fa-f:.]+\]|[^/:#?\s]+)(?P<port>:\d+)?(?P<rest>[#?]\S*)?"
-)
 
 
 @dataclass(frozen=True)
@@ -145,43 +131,12 @@ def matches(declared: Any) -> bool:
     return bool(declared.matching_status.matching)
 
 
-def client_config(robot: str, file: Path | None) -> tuple[zenoh.Config, str]:
-    """Return the session's configuration and the bridge's locator.
-
-    ``file`` may hold what a network needs (certificates). It does not change how the client
-    connects, nor how soon the bridge notices its silence. Raises UsageError and FileError.
-    """
-    endpoint = _locator(robot)
-    if file is not None:
-        existing_file(file)
-    try:
-        config = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
-    except zenoh.ZError as error:
-        raise FileError(f"{file}: not a Zenoh configuration: {error}") from error
-    require_valid(config, "connect", file, datetime.now(UTC))
-    for path, value in {**CLIENT, "connect/endpoints": [endpoint]}.items():
-        config.insert_json5(path, json.dumps(value))
-    return config, endpoint
-
-
-def _locator(robot: str) -> str:
-    """Return ``robot`` as a Zenoh locator, with the default port if it has none. Raises UsageError."""
-    match = _LOCATOR.fullmatch(robot)
-    if match is None:
-        raise UsageError(
-            f"--robot {robot}: expected PROTOCOL/HOST[:PORT], for example tcp/192.168.1.20:{PORT}"
-        )
-    if match["port"] is not None and not 1 <= int(match["port"][1:]) <= MOST_PORT:
-        raise UsageError(f"--robot {robot}: expected a port from 1 to {MOST_PORT}")
-    return f"{match['protocol']}/{match['host']}{match['port'] or f':{PORT}'}{match['rest'] or ''}"
-
-
 def _refused(endpoint: str) -> UnreachableError:
     """Return the error for a failed session. Zenoh reports an unused port and a rejection alike."""
-    match = _LOCATOR.fullmatch(endpoint)
-    assert match is not None  # or there would have been no session to open
+    address = parse_address(endpoint, PORT)
+    assert address is not None  # or there would have been no session to open
     try:
-        socket.create_connection((match["host"].strip("[]"), int(match["port"][1:])), PROBE_S).close()
+        socket.create_connection((address.host, address.port), PROBE_S).close()
     except OSError:
         return NoBridge(
             f"nothing answers at {endpoint}: is 'rover-ncp bridge' running there, listening on that address?"

@@ -8,7 +8,7 @@ Rules of this file:
 3. The output is zero unless all of these hold: the base reports in time, no stop is latched, no hazard is
    flagged, the motors are on, there is a lease, and its holder sent a command that is fresh, new and finite.
 4. A hazard revokes the lease: the driver must request it again, and plain ROS commands must pause or be
-   zero. In contact, a new lease allows driving away only (`contact.py`). Stale commands or odometry only
+   zero. In contact, a new lease allows driving away only (`motion.py`). Stale commands or odometry only
    hold the rover. So do fence and sonars: the rover may be driven away from them.
 5. The gate limits only growth of the command, never braking.
 6. A message that is not signed with the key of the current lease changes nothing but a counter. The caller
@@ -21,17 +21,20 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from bridge.base import BaseReport
-from bridge.gate.contact import (
+from bridge.gate.limits import Limits
+from bridge.gate.motion import (
     STANDING,
+    approach,
     bounded,
+    clear,
+    jumps,
     known_contact,
     lasting_contact,
     leads_away,
+    leaves,
     one_sided_contact,
     stall_direction,
 )
-from bridge.gate.limits import Limits
-from bridge.gate.motion import approach, clear, jumps, leaves
 from bridge.gate.state import (
     NO_CONTACT,
     ZERO,
@@ -43,8 +46,8 @@ from bridge.gate.state import (
     Lease,
     Reason,
     Release,
+    ReleaseStop,
     Stop,
-    Unlatch,
     VelocityCommand,
     Verdict,
     describe,
@@ -74,7 +77,7 @@ def step(
 ) -> tuple[GateState, Verdict]:
     """Process one event at ``now`` and return the new state and the verdict for the base."""
     elapsed = min(max(now - state.now, 0.0), STEP_MAX_S)
-    state = _lapse(replace(state, now=max(now, state.now)))
+    state = _expire(replace(state, now=max(now, state.now)))
     refusal = dropped = None
     match event:
         case BaseReport():
@@ -88,9 +91,9 @@ def step(
         case Release(sequence) if state.lease is not None and sequence > state.lease.last_sequence:
             state = _end_lease(state, None)
         case Stop(reason):
-            state = replace(state, latched=reason)
-        case Unlatch():
-            state = replace(state, latched=None)
+            state = replace(state, stop_reason=reason)
+        case ReleaseStop():
+            state = replace(state, stop_reason=None)
         case VelocityCommand():
             state, dropped = _command(state, event, limits, accept_ros)
         case _:  # time alone, or a release that was repeated or came after the lease ended
@@ -114,7 +117,7 @@ def step(
 def _hazard(state: GateState, limits: Limits, known: Contact) -> Reason | None:
     """Return the active hazard, if any; ``known`` contact is no hazard."""
     base, low, lease = state.base, state.low_since_s, state.lease
-    if state.latched is not None:
+    if state.stop_reason is not None:
         return Reason.STOPPED
     if base is None:
         return Reason.NO_BASE
@@ -144,7 +147,7 @@ def _hold_reason(state: GateState, limits: Limits) -> Reason | None:
     elif not base.motors_on:
         reason = Reason.MOTORS_OFF
     elif target is None:
-        reason = state.idle
+        reason = state.no_command
     elif state.now > state.target_until_s:
         reason = Reason.SILENCE
     elif limits.fence is not None and leaves(
@@ -233,17 +236,17 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         state,
         lease=granted,
         leases=granted.number,
-        ended=None,
-        ended_detail="",
+        lease_over=None,
+        lease_over_detail="",
         hazard_since_untagged=state.hazard_since_untagged and granted.secret is not None,
         target=None,
-        idle=Reason.SILENCE,
+        no_command=Reason.SILENCE,
         minima=update_clock_offset(() if lease is None else state.minima, state.now, request.sent_ns),
         motors=True,
     ), None
 
 
-def _lapse(state: GateState) -> GateState:
+def _expire(state: GateState) -> GateState:
     """End a lease whose holder has sent nothing for too long."""
     if state.lease is not None and state.now > state.lease.expires_s:
         return _end_lease(state, Reason.LEASE_LAPSED)
@@ -254,8 +257,8 @@ def _end_lease(state: GateState, reason: Reason | None) -> GateState:
     return replace(
         state,
         lease=None,
-        ended=reason,
-        ended_detail="" if reason is None else describe(reason, state),
+        lease_over=reason,
+        lease_over_detail="" if reason is None else describe(reason, state),
         target=None,
         motors_until_s=state.now + COAST_S,
         untagged_until_s=state.now + UNTAGGED_PAUSE_S,
@@ -298,7 +301,7 @@ def _command(
     state, flaw = admitted.state, _flaw(velocity)
     if flaw is not None:
         # The driver that holds the lease is faulty: the command before this one is not carried out further.
-        return replace(state, target=None, idle=flaw, dropped=_count(state.dropped, flaw)), flaw
+        return replace(state, target=None, no_command=flaw, dropped=_count(state.dropped, flaw)), flaw
     assert velocity is not None  # else it has a flaw
     contact, limited = lasting_contact(state, admitted.lease.contact, velocity), state.limited
     allowed = bounded(contact, velocity, limits)
@@ -310,8 +313,8 @@ def _command(
         state,
         lease=replace(admitted.lease, expires_s=state.now + limits.lease_s, contact=contact),
         target=allowed if leads_away(state, contact, velocity) else None,
-        idle=Reason.BUMPER if contact.front or contact.rear else Reason.STALL,
-        target_until_s=admitted.sent_s + limits.silence_s,
+        no_command=Reason.BUMPER if contact.front or contact.rear else Reason.STALL,
+        target_until_s=admitted.sent_s + limits.command_timeout_s,
         accepted=state.accepted + 1,
         limited=limited,
     ), None

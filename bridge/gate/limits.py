@@ -54,7 +54,7 @@ class Limits(StrictModel):
     Measured from the sonars, which sit up to 7 cm (3-AT) behind the bumper. Sonars do not detect glass, a
     thin leg or the edge of a table.
     """
-    silence_s: float = Field(default=0.3, gt=0, le=0.4)
+    command_timeout_s: float = Field(default=0.3, gt=0, le=0.4)
     """A command is in force for this long after it was sent. The base's own delay comes on top."""
     stale_s: float = Field(default=0.2, gt=0, le=0.3)
     """The gate drops a signed command that is older than this on arrival; one of plain ROS, above 0.3 s."""

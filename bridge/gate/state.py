@@ -109,11 +109,11 @@ class Stop:
 
 
 @dataclass(frozen=True)
-class Unlatch:
+class ReleaseStop:
     """A request to release the stop."""
 
 
-GateEvent: TypeAlias = Tick | BaseReport | BaseLost | VelocityCommand | Enable | Release | Stop | Unlatch
+GateEvent: TypeAlias = Tick | BaseReport | BaseLost | VelocityCommand | Enable | Release | Stop | ReleaseStop
 
 
 class Contact(NamedTuple):
@@ -170,11 +170,11 @@ class GateState:
     lease: Lease | None = None
     leases: int = 0
     """Number of leases granted so far."""
-    ended: Reason | None = None
+    lease_over: Reason | None = None
     """Reason for the end of the last lease; None if its driver released it."""
-    ended_detail: str = ""
+    lease_over_detail: str = ""
     """The words for ``ended``, as it was then."""
-    latched: str | None = None
+    stop_reason: str | None = None
     """The text of the stop request; None without one."""
     base: BaseReport | None = None
     lost: str = ""
@@ -193,7 +193,7 @@ class GateState:
     target: Velocity | None = None
     """The command in force within the speed limits, until ``target_until_s``."""
     target_until_s: float = -math.inf
-    idle: Reason = Reason.SILENCE
+    no_command: Reason = Reason.SILENCE
     """Hold reason while there is no command in force."""
     held: Reason | None = Reason.NO_BASE
     out: Velocity = ZERO
@@ -216,8 +216,8 @@ class GateState:
 
 def describe(reason: Reason, state: GateState) -> str:
     """Return the words for a refusal, or for the end of a lease; who stopped the rover, after a request."""
-    if reason is Reason.STOPPED and state.latched is not None:
-        return state.latched or UNNAMED
+    if reason is Reason.STOPPED and state.stop_reason is not None:
+        return state.stop_reason or UNNAMED
     if reason is Reason.NO_BASE and state.lost:
         return f"{REASONS[reason]}: {state.lost}"[:DETAIL_LENGTH]
     if reason is Reason.ANOTHER_DRIVER and state.lease is not None:

@@ -24,6 +24,9 @@ MAX_MAGNITUDE = 32767
 POSITIVE, NEGATIVE = 0x3B, 0x1B
 """Type bytes of integer arguments."""
 
+HOSTBAUD_RATES = (9600, 19200, 38400, 57600, 115200)
+"""Rates of a serial line by the argument of HOSTBAUD."""
+
 PAUSE_S = 0.05
 """A sender writes each frame at once. One that pauses for longer may have a damaged COUNT (see Decoder)."""
 
@@ -52,7 +55,7 @@ class Command(IntEnum):
     SETRA = 23
     SONAR = 28  # bit 0 on or off, bits 1 to 3 the array, 0 for all
     STOP = 29
-    HOSTBAUD = 50  # 0 to 4: 9600, 19200, 38400, 57600, 115200
+    HOSTBAUD = 50  # index into HOSTBAUD_RATES
     E_STOP = 55
     GYRO = 58
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-from bridge.base import BaseEvent, Failed, LinkHealth, OwnTimeout, Ready, Setpoint
+from bridge.base import BaseEvent, BaseTimeout, Failed, LinkHealth, Ready, Setpoint
 from bridge.pioneer.base_connection import Broken, Opened, Received
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
 from rover_ncp.core.geometry import Velocity
@@ -82,11 +82,11 @@ class ArcosBase:
         return LinkHealth(decoder.bad_checksums > 0, counters)
 
     @property
-    def own_timeout(self) -> OwnTimeout:
+    def base_timeout(self) -> BaseTimeout:
         """See Base."""
-        return OwnTimeout(TimeoutState.PUBLISHED, WATCHDOG_S)
+        return BaseTimeout(TimeoutState.PUBLISHED, WATCHDOG_S)
 
-    def measure_timeout(self, now: float) -> str:
+    def measure_base_timeout(self, now: float) -> str:
         """See Base."""
         return "the manual of a Pioneer gives its timeout"
 

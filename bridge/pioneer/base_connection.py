@@ -50,7 +50,7 @@ class BaseConnection:
         """The line that the loop writes to."""
         self._all: list[Transport] = []
         self._bytes_in = self._bytes_out = 0
-        """Of the lines that are closed."""
+        """Bytes of the lines that are closed."""
         self._broken: NoRobot | None = None
         """Reason for giving up the line although reading does not fail."""
         self._closing, self._dropped = threading.Event(), threading.Event()

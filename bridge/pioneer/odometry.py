@@ -12,9 +12,16 @@ from collections.abc import Iterable
 
 from bridge.base import BaseReport
 from bridge.pioneer.packets import ConfigPac, Flag, Sip
-from bridge.pioneer.robots import HEADING_RAD, WHEEL_SPEED_M_S, RobotParameters
+from rover_ncp.robot.description import RobotDescription, load_description
+
+ROBOTS = {name: load_description(name) for name in ("p3at", "p3at-sh", "p3dx", "p3dx-sh")}
+"""The Pioneers by the subtype that the base reports in SYNC2 (``-sh``: the SH2 controller with ARCOS)."""
 
 COUNTER_BITS, HEADING_BITS = 15, 12
+HEADING_RAD = math.tau / 4096
+"""Radians per unit of THPOS, for every client."""
+WHEEL_SPEED_M_S = 0.001
+"""Metres per second per unit of wheel speed."""
 
 _RESET_NEAR_M, _RESET_NEAR_RAD = 0.1, 0.2
 """A requested reset has happened when the counters are this near to zero."""
@@ -37,10 +44,12 @@ def counter_difference(new: int, old: int, bits: int) -> int:
 
 
 class Odometer:
-    """Accumulates one base's SIPs. Made anew for each connection."""
+    """Accumulates the SIPs of one base, which has ``arcos``. Made anew for each connection."""
 
-    def __init__(self, robot: RobotParameters) -> None:
+    def __init__(self, robot: RobotDescription) -> None:
+        assert robot.arcos is not None
         self.robot = robot
+        self._distance_m, self._half_track_m = robot.arcos.distance_mm / 1000, robot.half_track_m
         self.config: ConfigPac | None = None
         self.reset_pending = False
         """Whether a reset was requested and no SIP has shown it yet."""
@@ -48,7 +57,7 @@ class Odometer:
         # Where the base is and where it was at connect or reset, both in the base's own odometry frame.
         self._x = self._y = self._theta = 0.0
         self._x0 = self._y0 = self._theta0 = 0.0
-        headings = [abs(sonar.theta) for sonar in robot.sonars]
+        headings = [abs(sonar.theta) for sonar in robot.sonar_poses]
         self._ahead = [k for k, heading in enumerate(headings) if heading <= _AHEAD_RAD]
         self._behind = [k for k, heading in enumerate(headings) if heading >= math.pi - _AHEAD_RAD]
         self._ranges: dict[int, tuple[float, float]] = {}
@@ -62,7 +71,7 @@ class Odometer:
         cos, sin = math.cos(self._theta0), math.sin(self._theta0)
         dx, dy = self._x - self._x0, self._y - self._y0
         if sip.rotvel is None:
-            omega = (sip.right - sip.left) / 2 * WHEEL_SPEED_M_S / self.robot.half_track_m
+            omega = (sip.right - sip.left) / 2 * WHEEL_SPEED_M_S / self._half_track_m
         else:
             omega = math.radians(sip.rotvel / 10)
         return BaseReport(
@@ -85,7 +94,7 @@ class Odometer:
         )
 
     def _accumulate(self, sip: Sip) -> None:
-        distance = self.robot.distance_m
+        distance = self._distance_m
         x = counter_difference(sip.x, 0, COUNTER_BITS) * distance
         y = counter_difference(sip.y, 0, COUNTER_BITS) * distance
         theta = counter_difference(sip.theta, 0, HEADING_BITS) * HEADING_RAD

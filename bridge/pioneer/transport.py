@@ -20,6 +20,7 @@ from pathlib import Path
 import serial
 
 from rover_ncp.core.errors import NoRobot, UsageError
+from rover_ncp.wire.address import parse_address
 
 DEFAULT_PORT = 8101
 """TCP port of a base in ARIA, p2os and AMRISim."""
@@ -265,12 +266,11 @@ def open_transport(endpoint: str) -> Transport:
 
     Raises UsageError for another form and NoRobot when nothing answers there.
     """
+    found = parse_address(endpoint, DEFAULT_PORT)
+    if found is not None and found.protocol == "tcp" and found.connectable and not found.settings:
+        return TcpTransport(found.host, found.port)
     kind, _, address = endpoint.partition("/")
     address, _, settings = address.partition("#")
-    if kind == "tcp" and address and not settings:
-        host, port = split_host(address, DEFAULT_PORT)
-        if host and port.isdigit() and 0 < int(port) < 65536:
-            return TcpTransport(host, int(port))
     # A URL of pyserial (socket://) cannot drop the bytes that it holds back.
     if kind == "serial" and address and "://" not in address:
         name, _, value = settings.partition("=")
@@ -279,12 +279,3 @@ def open_transport(endpoint: str) -> Transport:
         if name == "baudrate" and value.isdigit() and int(value) > 0:
             return SerialTransport(address, int(value))
     raise UsageError(f"base {endpoint}: {_FORM}")
-
-
-def split_host(address: str, default_port: int) -> tuple[str, str]:
-    """Return host and port as text; an IPv6 address stands in brackets."""
-    host, bracket, rest = address.rpartition("]")
-    if bracket:
-        return host.removeprefix("["), rest.removeprefix(":") or str(default_port)
-    host, colon, port = address.partition(":")
-    return host, port if colon else str(default_port)

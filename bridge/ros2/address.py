@@ -3,19 +3,18 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bridge.pioneer.transport import split_host
 from bridge.ros2.discovery import Convention
+from bridge.ros2.rmw import read_domain
 from rover_ncp.core.errors import UsageError
 from rover_ncp.robot.description import Topics
+from rover_ncp.wire.address import parse_address
+from rover_ncp.wire.zenoh import PORT
 
 PREFIX = "ros2/"
-_PORT = 7447
 _FORM = (
     "expected ros2/tcp/HOST[:PORT], then #rmw=zenoh&domain=N for rmw_zenoh (&distro=humble for Humble's), "
     "&namespace=NAME for a namespace, and &odom=, &cmd_vel=, &cmd_vel_type= ... for a description's topics"
 )
-_MOST_DOMAIN = 232
-"""The largest ROS_DOMAIN_ID whose ports DDS has."""
 
 
 @dataclass(frozen=True)
@@ -39,36 +38,30 @@ class RosAddress:
         return f"{self.namespace}/{name}" if self.namespace else name
 
 
-def parse_address(text: str, zenoh_config: Path | None = None) -> RosAddress:
+def parse_ros_address(text: str, zenoh_config: Path | None = None) -> RosAddress:
     """Read ``ros2/tcp/HOST[:PORT][#rmw=zenoh&domain=N&namespace=NAME&odom=TOPIC...]``. Raises UsageError."""
-    place, _, settings = text.removeprefix(PREFIX).partition("#")
-    protocol, _, address = place.partition("/")
-    host, port = split_host(address, _PORT)
+    where = parse_address(text.removeprefix(PREFIX), PORT)
+    settings = "" if where is None else where.settings.removeprefix("#")
     found = dict(item.partition("=")[::2] for item in settings.split("&") if item)
-    rmw, domain = found.pop("rmw", "ros2dds"), found.pop("domain", "0")
+    rmw, number = found.pop("rmw", "ros2dds"), found.pop("domain", "0")
     namespace, distro = found.pop("namespace", "").strip("/"), found.pop("distro", "jazzy")
     topics = {name: value.strip("/") for name, value in found.items()}
-    valid = (
+    if not (
         text.startswith(PREFIX)
-        and protocol in {"tcp", "tls", "quic"}
-        and host
-        and port.isdigit()
-        and 0 < int(port) < 65536
+        and where is not None
+        and where.protocol in {"tcp", "tls", "quic"}
+        and where.connectable
         and rmw in {"zenoh", "ros2dds"}
-        and domain.isascii()
-        and domain.isdigit()
-        and int(domain) <= _MOST_DOMAIN
+        and (domain := read_domain(number)) is not None
         and distro in {"jazzy", "humble"}
         and topics.keys() <= Topics.model_fields.keys()
-    )
-    if not valid:
+    ):
         raise UsageError(f"base {text}: {_FORM}")
     convention = Convention.RMW_ZENOH if rmw == "zenoh" else Convention.ROS2DDS
-    where = f"[{host}]" if ":" in host else host
     return RosAddress(
-        f"{protocol}/{where}:{port}",
+        str(where._replace(settings="")),
         convention,
-        int(domain),
+        domain,
         namespace,
         hashed=distro != "humble",
         topics=topics,

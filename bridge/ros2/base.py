@@ -18,21 +18,20 @@ from typing import Protocol
 from bridge.base import (
     BaseEvent,
     BaseReport,
+    BaseTimeout,
     Failed,
     LinkHealth,
     Lost,
     Notice,
-    OwnTimeout,
     Ready,
     Recovered,
     Setpoint,
     TurnRate,
-    shape_of,
 )
 from bridge.inbox import RobotMessage
-from bridge.ros2.base_timeout import BaseTimeout, TimeoutMeasurement
+from bridge.ros2.base_timeout import TimeoutMeasurement, TimeoutRecord
 from bridge.ros2.discovery import Announced
-from bridge.ros2.odometry import CLOCK_BACK_S, LEAST_IN_RATE_S, LOSS_S, RATE_S, Moved, RosOdometer
+from bridge.ros2.odometry import CLOCK_BACK_S, LOSS_S, MIN_IN_RATE, RATE_S, Moved, RosOdometer
 from bridge.ros2.scan import ScanRoom
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
@@ -63,7 +62,7 @@ WAIT_S = 6.0
 """A robot that is not ready after this time cannot be served."""
 CLEAR_S = 2.0
 """How long a contradiction must be over before the base is ready again."""
-MOST_TOKENS = 1000
+MAX_TOKENS = 1000
 """Announced topics beyond this number are not remembered; they only serve to name things."""
 OWN_S = 2.0
 """How long after it was sent a command of ours is recognised."""
@@ -95,8 +94,8 @@ class LoopSeen:
     there: bool
 
 
-class Line(Protocol):
-    """The session with the robot, as `bridge.ros2.line.RosLine`."""
+class Connection(Protocol):
+    """The session with the robot, as `bridge.ros2.connection.RosConnection`."""
 
     endpoint: str
     zid: str
@@ -135,7 +134,7 @@ class Ros2Base:
     ``unsafe`` is whether every driver may drive although the robot is not known to halt without commands.
     """
 
-    def __init__(self, line: Line, description: RobotDescription, unsafe: bool) -> None:
+    def __init__(self, line: Connection, description: RobotDescription, unsafe: bool) -> None:
         assert description.topics is not None
         self._line, self._description, self._topics = line, description, description.topics
         self._odometer = RosOdometer(self._topics, description.motion)
@@ -156,7 +155,7 @@ class Ros2Base:
         self._stop_pressed, self._hazards = False, frozenset[int]()
         self._turns: deque[float] = deque(maxlen=100)
         self._room = ScanRoom(description) if self._topics.scan is not None else None
-        self._timeout = BaseTimeout(description.measured_base_timeout_s, unsafe)
+        self._timeout = TimeoutRecord(description.measured_base_timeout_s, unsafe)
         self._speed = 0.0
         self._measurement: TimeoutMeasurement | None = None
 
@@ -170,7 +169,7 @@ class Ros2Base:
             case TokenSeen(token, there):
                 if not there:
                     self._tokens.pop(token, None)
-                elif len(self._tokens) < MOST_TOKENS:
+                elif len(self._tokens) < MAX_TOKENS:
                     self._tokens[token] = None
             case LoopSeen(there):
                 self._loop = there
@@ -211,18 +210,18 @@ class Ros2Base:
 
     @property
     def note(self) -> str:
-        """What a user has to know at each start."""
+        """Text for the log at each start."""
         return self._timeout.note
 
     @property
-    def own_timeout(self) -> OwnTimeout:
+    def base_timeout(self) -> BaseTimeout:
         """See Base."""
         known = self._timeout
         if self._measurement is not None:
-            return OwnTimeout(TimeoutState.RUNNING, None, known.refusal or _MEASURING)
-        return OwnTimeout(known.state, known.timeout_s, known.refusal)
+            return BaseTimeout(TimeoutState.RUNNING, None, known.refusal or _MEASURING)
+        return BaseTimeout(known.state, known.timeout_s, known.refusal)
 
-    def measure_timeout(self, now: float) -> str:
+    def measure_base_timeout(self, now: float) -> str:
         """See Base."""
         # With a zero already sent, it would measure how the robot obeys and not how it halts by itself.
         if not self._ready or abs(self._speed) < MOVING_M_S or self._out == ZERO:
@@ -343,7 +342,7 @@ class Ros2Base:
             self._ready = self._was_ready = True
             self._known_restarts = self._odometer.restarts
             name = f"{self._description.name} on {self._line.endpoint}"
-            return [Recovered() if again else Ready(name, shape_of(self._description))]
+            return [Recovered() if again else Ready(name, self._description)]
         if problem and not self._was_ready and now - self._began_s > WAIT_S:
             return [Failed(f"{self._line.endpoint}: {problem}")]
         return []
@@ -372,7 +371,7 @@ class Ros2Base:
     def _no_odometry(self, where: str, now: float) -> str:
         rate = self._odometer.rate_hz(now)
         if rate > 0:
-            least = f"expected {LEAST_IN_RATE_S / RATE_S:g} or more, evenly"
+            least = f"expected {MIN_IN_RATE / RATE_S:g} or more, evenly"
             return self._odometer.problem or f"odometry on {where} arrives {rate:.1f} times a second, {least}"
         types = sorted({found.ros_type for found in self._announced(self._topics.odom, published=True)})
         if types and types != [ODOMETRY]:

@@ -1,4 +1,4 @@
-"""What is known of a robot when its commands stop, and its measurement. Pure."""
+"""The base timeout of a ROS 2 robot: what is known of it, and its measurement. Pure."""
 
 import math
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ _UNSAFE = "give the bridge --no-base-watchdog"
 
 
 @dataclass(frozen=True)
-class BaseTimeout:
+class TimeoutRecord:
     """The time after which a robot halts without commands, by its description or a measurement.
 
     Only the description's ``described_s`` shows that every driver may drive. ``unsafe`` is whether every
@@ -27,11 +27,11 @@ class BaseTimeout:
     unsafe: bool = False
     measured: bool = False
     measured_s: float | None = None
-    """What was measured since the bridge's start; None = it did not halt."""
+    """Measured since the bridge's start, in s; None = the robot did not halt."""
     interrupted: bool = False
     """Whether the last measurement was ended before its result."""
 
-    def after(self, measured_s: float | None) -> "BaseTimeout":
+    def after(self, measured_s: float | None) -> "TimeoutRecord":
         """Return what is known after a measurement; None = it did not halt."""
         return replace(self, measured=True, measured_s=measured_s, interrupted=False)
 
@@ -62,7 +62,7 @@ class BaseTimeout:
 
     @property
     def note(self) -> str:
-        """What a user has to know at each start."""
+        """Text for the log at each start."""
         return f"if this bridge dies: {self.refusal or f'the robot {self._known}'}"
 
     @property

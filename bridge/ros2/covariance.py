@@ -7,8 +7,9 @@ origin, and the speeds with each other's size. An error within ± a share counts
 import math
 from typing import NamedTuple
 
-from bridge.base import BaseReport, RobotShape
+from bridge.base import BaseReport
 from rover_ncp.core.geometry import Pose, distance
+from rover_ncp.robot.description import RobotDescription
 
 MIN_VARIANCE = 1e-6
 """Filters of others take a variance of 0 for certainty, or for not known."""
@@ -27,14 +28,14 @@ class Variances(NamedTuple):
 class OdometryErrors:
     """The growing errors of one robot's odometry, from its origin on."""
 
-    def __init__(self, robot: RobotShape) -> None:
+    def __init__(self, robot: RobotDescription) -> None:
         odometry, wheels = robot.odometry, robot.wheels
         self._noise = odometry.noise_m**2, odometry.noise_rad**2
         self._per_m = odometry.distance_error / math.sqrt(3)
         self._per_rad = odometry.turn_error / math.sqrt(3)
-        self._track_m = 2 * max(y for _, y in wheels.places)
+        self._track_m = wheels.track_m
         # A skid-steered robot turns about a point anywhere between its axles, and slides sideways meanwhile.
-        self._lateral_m = max(x for x, _ in wheels.places) / math.sqrt(3)
+        self._lateral_m = wheels.axles_m / 2 / math.sqrt(3)
         self._last = Pose(0.0, 0.0, 0.0)
         self._way_m = self._turned_rad = 0.0
 

@@ -7,11 +7,12 @@ rotation, on the ground. Sonar echoes are points in ``base_link``; where each so
 import math
 from collections.abc import Mapping
 
-from bridge.base import BaseReport, LinkHealth, RobotShape
+from bridge.base import BaseReport, LinkHealth
 from bridge.gate.state import GateState, Reason
 from bridge.pioneer.packets import NO_ECHO_MM
 from bridge.ros2.covariance import MIN_VARIANCE, Variances
 from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire import messages
 from rover_ncp.wire.messages import BASE_FRAME, ODOM_FRAME, Diagnostic, Transform, imu
 from rover_ncp.wire.protocol import GateStatus
@@ -20,7 +21,7 @@ OK, WARNING, ERROR = 0, 1, 2
 
 
 def each_report(
-    report: BaseReport, robot: RobotShape, stamp_ns: int, variances: Variances
+    report: BaseReport, robot: RobotDescription, stamp_ns: int, variances: Variances
 ) -> dict[str, bytes]:
     """Return the messages that go out with each report, by key."""
     pose = Pose(report.x, report.y, report.theta)
@@ -43,17 +44,17 @@ def each_report(
     return sent
 
 
-def _echoes(ranges: Mapping[int, float], robot: RobotShape) -> list[tuple[float, float, float]]:
-    points = []
+def _echoes(ranges: Mapping[int, float], robot: RobotDescription) -> list[tuple[float, float, float]]:
+    points, sonars = [], robot.sonar_poses
     for number, range_m in ranges.items():
-        if number < len(robot.sonars) and 0.0 < range_m < NO_ECHO_MM / 1000:
-            sonar = robot.sonars[number]
+        if number < len(sonars) and 0.0 < range_m < NO_ECHO_MM / 1000:
+            sonar = sonars[number]
             x = sonar.x + range_m * math.cos(sonar.theta)
             points.append((x, sonar.y + range_m * math.sin(sonar.theta), robot.sonar_height_m))
     return points
 
 
-def each_second(report: BaseReport, robot: RobotShape, stamp_ns: int) -> dict[str, bytes]:
+def each_second(report: BaseReport, robot: RobotDescription, stamp_ns: int) -> dict[str, bytes]:
     """Return the messages that go out once a second, by key."""
     return {
         "battery_state": messages.battery_state(report.battery_v, stamp_ns, charging=report.charging),
@@ -62,17 +63,18 @@ def each_second(report: BaseReport, robot: RobotShape, stamp_ns: int) -> dict[st
     }
 
 
-def sensor_frames(robot: RobotShape) -> list[Transform]:
+def sensor_frames(robot: RobotDescription) -> list[Transform]:
     """Return where each sensor sits on the base."""
     return [
         Transform(BASE_FRAME, f"sonar_{number}", sonar.x, sonar.y, robot.sonar_height_m, sonar.theta)
-        for number, sonar in enumerate(robot.sonars)
+        for number, sonar in enumerate(robot.sonar_poses)
     ]
 
 
-def turn_rate(rate: float, robot: RobotShape, stamp_ns: int) -> bytes:
+def turn_rate(rate: float, robot: RobotDescription, stamp_ns: int) -> bytes:
     """Return the gyro's turn rate: rad/s, counter-clockwise."""
-    return imu(rate, max(robot.gyro_rad_s**2, MIN_VARIANCE), stamp_ns)
+    noise_rad_s = robot.gyro.noise_rad_s if robot.gyro else 0.0
+    return imu(rate, max(noise_rad_s**2, MIN_VARIANCE), stamp_ns)
 
 
 def gate_status(state: GateState) -> GateStatus:
@@ -84,9 +86,9 @@ def gate_status(state: GateState) -> GateStatus:
         driver_name=lease.name if lease else "",
         sequence=lease.last_sequence if lease else -1,
         held="" if held in {None, Reason.NO_LEASE} else str(held),
-        ended=str(state.ended or ""),
-        ended_detail=state.ended_detail,
-        stop_reason=state.latched or "",
+        ended=str(state.lease_over or ""),
+        ended_detail=state.lease_over_detail,
+        stop_reason=state.stop_reason or "",
         accepted=state.accepted,
         dropped=_named(state.dropped),
         limited=_named(state.limited),

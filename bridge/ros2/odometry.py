@@ -14,7 +14,7 @@ from rover_ncp.core.geometry import Pose, Velocity, distance, relative, wrap_ang
 from rover_ncp.robot.description import Motion, Topics
 from rover_ncp.wire.messages import OdometrySample, read_odometry
 
-RATE_S, LEAST_IN_RATE_S = 1.0, 5
+RATE_S, MIN_IN_RATE = 1.0, 5
 """At least so many messages must arrive in this time: the gate stops a rover whose odometry is 0.35 s old."""
 BURST_S = 0.08
 """Messages closer than this count as one in that."""
@@ -52,7 +52,7 @@ class RosOdometer:
         self.set_back_s = 0.0
         """By how much the robot's clock was set back, as the last message shows; else 0."""
         self._good_s = -math.inf
-        self._spread: deque[float] = deque(maxlen=LEAST_IN_RATE_S)
+        self._spread: deque[float] = deque(maxlen=MIN_IN_RATE)
         """When messages that count arrived, without those of a burst."""
         self._arrivals: deque[float] = deque(maxlen=64)
         self._sources: dict[bytes, float] = {}
@@ -106,7 +106,7 @@ class RosOdometer:
 
     def enough(self, now: float) -> bool:
         """Whether messages that count arrive often enough."""
-        return len(self._spread) == LEAST_IN_RATE_S and now - self._spread[0] <= RATE_S
+        return len(self._spread) == MIN_IN_RATE and now - self._spread[0] <= RATE_S
 
     def count_anew(self) -> None:
         """Let only messages from now on be `enough`."""

@@ -17,7 +17,7 @@ from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.wire.cdr import type_hash
 
 NODE_NAME = "rover_bridge"
-_DOMAIN_MAX = 232
+MAX_DOMAIN = 232
 """The largest ROS_DOMAIN_ID whose ports DDS has."""
 _NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 # What differs from rmw_zenoh's defaults (reliable, volatile, keep the last 42, no deadlines):
@@ -139,9 +139,15 @@ def gid(token: str) -> bytes:
 def domain_id(environment: Mapping[str, str]) -> int:
     """Return ROS_DOMAIN_ID, 0 without one. Raises UsageError for an invalid one."""
     value = environment.get("ROS_DOMAIN_ID") or "0"
-    if not (value.isascii() and value.isdigit() and int(value) <= _DOMAIN_MAX):
-        raise UsageError(f"ROS_DOMAIN_ID={value}: expected a number from 0 to {_DOMAIN_MAX}")
-    return int(value)
+    domain = read_domain(value)
+    if domain is None:
+        raise UsageError(f"ROS_DOMAIN_ID={value}: expected a number from 0 to {MAX_DOMAIN}")
+    return domain
+
+
+def read_domain(value: str) -> int | None:
+    """Read a domain; None if it is none."""
+    return int(value) if value.isascii() and value.isdigit() and int(value) <= MAX_DOMAIN else None
 
 
 def _mangled(name: str) -> str:

@@ -7,15 +7,15 @@ joints, whose states a node would have to publish.
 import math
 from xml.etree import ElementTree
 
-from bridge.base import RobotShape
 from bridge.ros2.messages import sensor_frames
+from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.messages import BASE_FRAME
 
 BODY, TYRE = "0.75 0.1 0.1 1", "0.1 0.1 0.1 1"
 """Colours as red, green, blue, opacity."""
 
 
-def urdf(robot: RobotShape) -> str:
+def urdf(robot: RobotDescription) -> str:
     """Return the XML text."""
     root = ElementTree.Element("robot", name=robot.name)
     base = ElementTree.SubElement(root, "link", name=BASE_FRAME)
@@ -49,7 +49,7 @@ def _box(link: ElementTree.Element, kind: str, centre: tuple[float, ...], size: 
         _colour(part, "body", BODY)
 
 
-def _wheel(link: ElementTree.Element, centre: tuple[float, ...], robot: RobotShape) -> None:
+def _wheel(link: ElementTree.Element, centre: tuple[float, ...], robot: RobotDescription) -> None:
     part = ElementTree.SubElement(link, "visual")
     _origin(part, centre, (math.pi / 2, 0.0, 0.0))  # a cylinder's axis is z, a wheel's is y
     geometry = ElementTree.SubElement(part, "geometry")

@@ -9,8 +9,9 @@ from typing import Any
 import zenoh
 
 from rover_ncp.core.errors import FileError, UsageError
-from rover_ncp.core.files import existing_file
+from rover_ncp.wire.address import parse_address
 from rover_ncp.wire.certificates import require_valid
+from rover_ncp.wire.zenoh import PORT, read_config
 
 LISTEN = "tcp/127.0.0.1:7447"
 """Zenoh's own port, on this machine alone."""
@@ -65,25 +66,9 @@ def configured(
     return settings, endpoints
 
 
-def read_config(file: Path | None) -> zenoh.Config:
-    """Return the settings in a file, or Zenoh's own. Raises FileError."""
-    if file is None:
-        return zenoh.Config()
-    existing_file(file)
-    try:
-        return zenoh.Config.from_file(str(file))
-    except zenoh.ZError as error:
-        raise FileError(f"{file}: not a Zenoh configuration: {reason(error)}") from error
-
-
 def any_port(endpoints: list[str]) -> bool:
     """Return whether the system is to choose the port of the first endpoint."""
     return endpoints[0].partition("#")[0].endswith(":0")
-
-
-def reason(error: zenoh.ZError) -> str:
-    """Return Zenoh's reason without the places in its source."""
-    return str(error).split(" at /", maxsplit=1)[0].splitlines()[0]
 
 
 def _endpoints(settings: zenoh.Config) -> list[str]:
@@ -139,12 +124,12 @@ def _require_access(settings: zenoh.Config, file: Path | None, command_key: str)
 
 def _local(endpoint: str) -> bool:
     """Whether only this machine can reach the endpoint."""
-    protocol, _, rest = endpoint.partition("/")
-    if protocol in _LOCAL_PROTOCOLS:
+    if endpoint.partition("/")[0] in _LOCAL_PROTOCOLS:
         return True
-    address = rest.partition("#")[0].partition("?")[0]
-    host = (address.rpartition(":")[0] or address).strip("[]")
+    address = parse_address(endpoint, PORT)
+    if address is None:
+        return False
     try:
-        return ipaddress.ip_address(host).is_loopback
+        return ipaddress.ip_address(address.host).is_loopback
     except ValueError:
-        return host == "localhost"
+        return address.host == "localhost"

@@ -13,15 +13,16 @@ from typing import Any
 
 import zenoh
 
-from bridge.inbox import CommandMessage, Inbox, Query, ThreadError
+from bridge.inbox import CommandMessage, Inbox, Query
 from bridge.ros2.discovery import Convention, bridge_token, topic_token
 from bridge.ros2.rmw import domain_id
 from bridge.ros2.rmw_node import RmwNode, command_bytes, publisher, read_command
-from bridge.zenoh.config import any_port, configured, reason
+from bridge.zenoh.config import any_port, configured
 from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, key
 from rover_ncp.wire.protocol import TAG_BYTES
+from rover_ncp.wire.zenoh import reason
 
 
 class ZenohLink(ClosedAtExit):
@@ -74,7 +75,7 @@ class ZenohLink(ClosedAtExit):
 
     def watch_robot_side(self, key: str, seen: Callable[[bool], None]) -> None:
         """Call ``seen`` when a token of the robot's network appears here or goes: the two are connected."""
-        on_token = self._guard(lambda sample: seen(sample.kind == zenoh.SampleKind.PUT))
+        on_token = self._inbox.guarded(lambda sample: seen(sample.kind == zenoh.SampleKind.PUT))
         self._held.append(self._session.liveliness().declare_subscriber(key, on_token, history=True))
 
     def _ros2dds_tokens(self) -> list[str]:
@@ -111,25 +112,16 @@ class ZenohLink(ClosedAtExit):
         }
         # By this id drivers notice others that publish our topics. Latched messages cannot have it.
         self._marked = {row.name for row in ours if not row.latched}
-        self._held.append(self._session.declare_subscriber(self.key("cmd_vel"), self._guard(self._command)))
+        self._held.append(
+            self._session.declare_subscriber(self.key("cmd_vel"), self._inbox.guarded(self._command))
+        )
         for row in KEYS:
             if row.kind is Kind.QUERYABLE:
-                on_query = self._guard(partial(self._query, row))
+                on_query = self._inbox.guarded(partial(self._query, row))
                 self._held.append(self._session.declare_queryable(self.key(row.name), on_query))
         if Convention.RMW_ZENOH in self._ros:
-            commanded = self._guard(lambda sample: self._inbox.put(read_command(sample)))
+            commanded = self._inbox.guarded(lambda sample: self._inbox.put(read_command(sample)))
             self._rmw = RmwNode(self._session, domain_id(os.environ), self._namespace, ours, commanded)
-
-    def _guard(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Hand an error in a callback to the loop; Zenoh would print it and go on."""
-
-        def guarded(item: Any) -> None:
-            try:
-                callback(item)
-            except Exception as error:
-                self._inbox.put(ThreadError(error))
-
-        return guarded
 
     def _command(self, sample: zenoh.Sample) -> None:
         stamp = sample.timestamp

@@ -1,9 +1,10 @@
-"""Robot description: what a model of robot is like, from its makers' figures, with the source of each.
+"""Robot description: properties of a model of robot, with their sources.
 
 Shipped descriptions and those of users are YAML; ``based_on`` takes all that a file leaves out from another
 one. A measured robot of that model is a `rover_ncp.robot.profile`.
 """
 
+import math
 from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -13,12 +14,13 @@ from pydantic import Field, model_validator
 from rover_ncp.core.config import StrictModel, read_yaml, validated
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import read_text, resolve
+from rover_ncp.core.geometry import Pose
 
 _DEPTH = 4
-"""How many files may be based on each other."""
+"""Largest number of files that are based on each other."""
 
 MAX_BASE_TIMEOUT_S = 2.5
-"""A base that takes longer to halt without commands counts as one without a timeout: a Pioneer takes 2 s."""
+"""Longest base timeout that counts: a Pioneer has 2 s."""
 
 Metres = Annotated[float, Field(gt=0, le=5)]
 TopicName = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*(/[A-Za-z_]\w*)*$")]
@@ -28,38 +30,44 @@ class Rectangle(StrictModel):
     """An outline around the centre of rotation, bumpers included."""
 
     front_m: Metres
-    """Its reach before the centre of rotation."""
+    """Distance from the centre of rotation to the front."""
     rear_m: Metres
-    """Its reach behind it."""
+    """Distance from the centre of rotation to the rear."""
     width_m: Metres
-    """From side to side."""
+    """Width, side to side."""
 
 
 class Circle(StrictModel):
     """A round outline; its middle is the centre of rotation."""
 
     radius_m: Metres
-    """With bumpers."""
+    """Radius with bumpers."""
 
 
 class Wheels(StrictModel):
     """Driven wheels, all alike: two, or four with an axle distance."""
 
     radius_m: Metres
-    """Of a wheel with its tyre."""
+    """Radius of a wheel with its tyre."""
     width_m: Metres
-    """Of a tyre."""
+    """Width of a tyre."""
     track_m: Metres
-    """Between the middles of left and right wheels."""
+    """Distance between the middles of left and right wheels."""
     axles_m: float = Field(default=0.0, ge=0, le=5)
-    """Between the front and the rear axle; 0 for one axle."""
+    """Distance between front and rear axle; 0 for one axle."""
+
+    @property
+    def places(self) -> list[tuple[float, float]]:
+        """Positions (x, y) of the wheels on the base."""
+        axles = (self.axles_m / 2, -self.axles_m / 2) if self.axles_m else (0.0,)
+        return [(x, y) for x in axles for y in (self.track_m / 2, -self.track_m / 2)]
 
 
 class Drive(StrictModel):
     """Differential: one axle. Skid: wheels that slip sideways in a turn."""
 
     kind: Literal["differential", "skid"]
-    """How it turns; skid needs `wheels.axles_m`."""
+    """Kind of steering; skid needs `wheels.axles_m`."""
     effective_track_m: Metres | None = None
     """Difference of wheel speeds over turn rate, as its odometry has it; None = the wheels' track."""
 
@@ -68,30 +76,30 @@ class Motion(StrictModel):
     """Limits in m/s, rad/s, m/s² and rad/s² that the base keeps by itself."""
 
     v_max: float = Field(gt=0, le=5)
-    """Of the speed, in both directions."""
+    """Largest speed, in both directions."""
     omega_max: float = Field(gt=0, le=10)
-    """Of the turn rate, to both sides."""
+    """Largest turn rate, to both sides."""
     accel: float = Field(gt=0, le=50)
-    """Of the speed, away from 0."""
+    """Largest acceleration away from zero speed."""
     decel: float = Field(gt=0, le=50)
-    """Of the speed, towards 0."""
+    """Largest deceleration towards zero speed."""
     alpha: float = Field(gt=0, le=100)
-    """Of the turn rate, away from 0."""
+    """Largest turn acceleration away from zero."""
     alpha_decel: float = Field(gt=0, le=100)
-    """Of the turn rate, towards 0."""
+    """Largest turn deceleration towards zero."""
 
 
 class Delays(StrictModel):
     """Times from a command's arrival at the base."""
 
     v_s: float = Field(ge=0, le=2)
-    """Until the speed begins to change."""
+    """Delay until the speed begins to change."""
     omega_s: float = Field(ge=0, le=2)
-    """Until the turn rate begins to change."""
+    """Delay until the turn rate begins to change."""
 
 
 class Odometry(StrictModel):
-    """How often the base reports its pose, and its usual errors before it is measured."""
+    """Rate of the base's reports, and default errors for a robot that is not measured."""
 
     rate_hz: float = Field(gt=0, le=1000)
     """Reports per second."""
@@ -104,9 +112,9 @@ class Odometry(StrictModel):
     noise_rad_s: float = Field(default=0.0, ge=0, le=1)
     """Standard deviation of a reported turn rate."""
     distance_error: float = Field(gt=0, lt=0.5)
-    """Within ± this share of the true distance."""
+    """Distances are right within ± this share."""
     turn_error: float = Field(gt=0, lt=0.5)
-    """The robot turns as much as its wheels say, within ± this share."""
+    """Turns are right within ± this share."""
 
 
 class Gyro(StrictModel):
@@ -119,27 +127,27 @@ class Gyro(StrictModel):
 
 
 class Scan(StrictModel):
-    """A planar laser: its place on the base, and what the mock's is like."""
+    """A planar laser: its pose on the base, and properties of the mock's laser."""
 
     x_m: float = Field(ge=-2, le=2)
-    """Ahead of the centre of rotation."""
+    """Distance ahead of the centre of rotation."""
     y_m: float = Field(default=0.0, ge=-2, le=2)
-    """To the left of it."""
+    """Distance to the left of the centre of rotation."""
     yaw_deg: float = Field(default=0.0, ge=-180, le=180)
     """Direction of its zero angle, to the left of straight ahead."""
     rate_hz: float = Field(default=5.0, gt=0, le=100)
     """Scans per second."""
     range_m: tuple[float, float] = (0.12, 3.5)
-    """The least and the greatest range."""
+    """Smallest and largest range."""
 
 
 class Battery(StrictModel):
     """Voltages of the whole pack."""
 
     nominal_v: float = Field(gt=0, le=100)
-    """Its maker's figure, which the mock reports."""
+    """Nominal voltage, which the mock reports."""
     min_v: float = Field(ge=0, le=100)
-    """The gate stops a robot whose battery stays below this."""
+    """Below this voltage the gate stops the robot."""
 
 
 class Topics(StrictModel):
@@ -148,7 +156,7 @@ class Topics(StrictModel):
     odom: TopicName = "odom"
     """nav_msgs/Odometry."""
     cmd_vel: TopicName = "cmd_vel"
-    """The commands."""
+    """Topic of the commands."""
     cmd_vel_type: Literal["Twist", "TwistStamped"] = "Twist"
     """Type of the commands, of geometry_msgs."""
     imu: TopicName | None = None
@@ -173,7 +181,7 @@ class Sonars(StrictModel):
     """Poses of the sonars on the base, in m and degrees; the index is the sonar's number."""
 
     height_m: Metres
-    """Of all, above the ground."""
+    """Height of all sonars above the ground."""
     poses_m_deg: tuple[tuple[float, float, float], ...]
     """x ahead, y to the left and direction of each."""
 
@@ -195,11 +203,11 @@ class Source(StrictModel):
     """The origin of figures."""
 
     of: tuple[str, ...]
-    """Their paths in the file."""
+    """Paths of the figures in the file."""
     source: str = Field(min_length=1)
     """Document or address."""
     read: date
-    """When they were read there."""
+    """Date of reading."""
 
 
 class RobotDescription(StrictModel):
@@ -211,22 +219,21 @@ class RobotDescription(StrictModel):
     """Name or file of the description that gives what this one leaves out."""
     footprint: Rectangle | Circle
     height_m: Metres
-    """Of its top, above the ground."""
+    """Height of the robot's top above the ground."""
     mass_kg: float = Field(gt=0, le=2000)
-    """With batteries, without load."""
+    """Mass with batteries, without load."""
     wheels: Wheels
-    """The driven ones."""
+    """The driven wheels."""
     drive: Drive
     motion: Motion
     delays: Delays
     odometry: Odometry
     gyro: Gyro | None = None
     battery: Battery
-    """Its voltages."""
     topics: Topics | None = None
     """None for a robot without ROS 2."""
     measured_base_timeout_s: float | None = Field(default=None, gt=0, le=MAX_BASE_TIMEOUT_S)
-    """After so long without commands this very robot halts, as `rover-ncp check` measured and printed it."""
+    """Base timeout of this very robot: `rover-ncp check` measures and prints it."""
     sonars: Sonars | None = None
     """None for a robot without them."""
     scan: Scan | None = None
@@ -245,12 +252,12 @@ class RobotDescription(StrictModel):
 
     @property
     def front_m(self) -> float:
-        """How far the outline reaches before the centre of rotation."""
+        """Distance from the centre of rotation to the front of the outline."""
         return self.footprint.radius_m if isinstance(self.footprint, Circle) else self.footprint.front_m
 
     @property
     def rear_m(self) -> float:
-        """How far the outline reaches behind the centre of rotation."""
+        """Distance from the centre of rotation to the rear of the outline."""
         return self.footprint.radius_m if isinstance(self.footprint, Circle) else self.footprint.rear_m
 
     @property
@@ -267,6 +274,22 @@ class RobotDescription(StrictModel):
     def track_m(self) -> float:
         """The track by which the base turns a turn rate into wheel speeds."""
         return self.drive.effective_track_m or self.wheels.track_m
+
+    @property
+    def half_track_m(self) -> float:
+        """Half the track; half the difference of wheel speeds over it is the turn rate."""
+        return self.track_m / 2 if self.arcos is None else 0.001 / self.arcos.diff_conv_factor
+
+    @property
+    def sonar_poses(self) -> list[Pose]:
+        """Pose of each sonar on the base, in m and rad; the index is the sonar's number."""
+        poses = () if self.sonars is None else self.sonars.poses_m_deg
+        return [Pose(x, y, math.radians(deg)) for x, y, deg in poses]
+
+    @property
+    def sonar_height_m(self) -> float:
+        """Height of the sonars above the ground; 0 without any."""
+        return 0.0 if self.sonars is None else self.sonars.height_m
 
 
 def load_description(name_or_path: str | Path) -> RobotDescription:

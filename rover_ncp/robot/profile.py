@@ -22,11 +22,11 @@ class RoverProfile(StrictModel):
 
     format: Literal[1] = 1
     name: str = Field(min_length=1, max_length=64)
-    """Of this robot, for messages and files."""
+    """Name of this robot in messages and files."""
     delay_v_s: float | None = _Delay
-    """From a command's arrival at the base until the speed begins to change."""
+    """Delay from a command's arrival at the base until the speed begins to change."""
     delay_omega_s: float | None = _Delay
-    """The same of the turn rate."""
+    """Delay from a command's arrival at the base until the turn rate begins to change."""
     accel: float | None = Field(default=None, gt=0, description="m/s², true")
     decel: float | None = Field(
         default=None, gt=0, description="m/s², true, while braking; None: in the description's ratio to accel"
@@ -36,33 +36,33 @@ class RoverProfile(StrictModel):
     gain_v: float | None = _Factor
     """Speed over commanded speed, as odometry reports it."""
     gain_omega: float | None = _Factor
-    """The same of the turn rate."""
+    """Turn rate over commanded turn rate, as odometry reports it."""
     odometry_distance: float | None = _Factor
-    """Odometry's distance over the true one."""
+    """Distance by odometry over true distance."""
     odometry_heading: float | None = _Factor
-    """Odometry's turn over the true one."""
+    """Turn by odometry over true turn."""
     rotation_center_m: float | None = Field(default=None, ge=-0.5, le=0.5)
     """Lateral velocity over turn rate: the rover turns about a point so far behind its middle."""
     imbalance_rad_m: float | None = None
-    """Turn per way that no encoder sees."""
+    """Wheel mismatch: turn per distance that no encoder measures, rad/m."""
     turn_asymmetry: float | None = Field(default=None, ge=-0.5, le=0.5)
-    """On a slope: unseen turn to the left per turned angle."""
+    """On a slope: turn to the left that no encoder measures, per turned angle."""
     downhill_x_m: float | None = Field(default=None, ge=-0.5, le=0.5)
     """On a slope: slide per turned angle (m/rad), along the heading at the start."""
     downhill_y_m: float | None = Field(default=None, ge=-0.5, le=0.5)
-    """The same, to the left of it."""
+    """On a slope: slide per turned angle (m/rad), to the left of the heading at the start."""
     slip_s: float | None = Field(default=None, ge=0)
-    """Share of a turn that slips away unseen, per rad/s."""
+    """Share of a turn lost to slip, which no encoder measures, per rad/s."""
     drift_rad_s: float | None = None
-    """Of odometry's heading."""
+    """Drift of odometry's heading."""
     noise_m: float | None = Field(default=None, ge=0)
     """Standard deviation of reported positions, beyond their rounding."""
     noise_rad: float | None = Field(default=None, ge=0)
-    """The same of reported headings."""
+    """Standard deviation of reported headings, beyond their rounding."""
     std: dict[str, Annotated[float, Field(ge=0)]] = Field(default_factory=dict)
     """Standard deviation of each value above that was fitted, by its name and in its unit."""
     measured: dict[str, Any] = Field(default_factory=dict)
-    """How it was found: by whom, from what, how well it fits."""
+    """Origin of the values: program, recordings, quality of the fit."""
 
 
 OF_THE_GROUND = "turn_asymmetry", "downhill_x_m", "downhill_y_m"

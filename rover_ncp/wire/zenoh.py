@@ -1,6 +1,19 @@
-"""Settings of every Zenoh client in this project; the values are measured."""
+"""Configuration of every Zenoh client in this project; the values are measured."""
 
+import json
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
+
+import zenoh
+
+from rover_ncp.core.errors import FileError, UsageError
+from rover_ncp.core.files import existing_file
+from rover_ncp.wire.address import MAX_PORT, parse_address
+from rover_ncp.wire.certificates import require_valid
+
+PORT = 7447
+"""Zenoh's own port, where bridge and routers listen."""
 
 CLIENT: dict[str, Any] = {
     "mode": "client",
@@ -16,3 +29,39 @@ CLIENT: dict[str, Any] = {
     # The default waits up to 4 s between attempts, which made reconnecting as slow.
     "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
 }
+
+
+def client_config(address: str, file: Path | None) -> tuple[zenoh.Config, str]:
+    """Return the configuration of a client's session and the endpoint that it connects to.
+
+    ``file`` may hold what a network needs (certificates). It does not change how the client connects, nor how
+    soon the other side notices its silence. Raises UsageError and FileError.
+    """
+    found = parse_address(address, PORT)
+    if found is None:
+        raise UsageError(
+            f"--robot {address}: expected PROTOCOL/HOST[:PORT], for example tcp/192.168.1.20:{PORT}"
+        )
+    if not found.connectable:
+        raise UsageError(f"--robot {address}: expected a port from 1 to {MAX_PORT}")
+    config, endpoint = read_config(file), str(found)
+    require_valid(config, "connect", file, datetime.now(UTC))
+    for path, value in {**CLIENT, "connect/endpoints": [endpoint]}.items():
+        config.insert_json5(path, json.dumps(value))
+    return config, endpoint
+
+
+def read_config(file: Path | None) -> zenoh.Config:
+    """Return the settings in a file, or Zenoh's own. Raises FileError."""
+    if file is None:
+        return zenoh.Config()
+    existing_file(file)
+    try:
+        return zenoh.Config.from_file(str(file))
+    except zenoh.ZError as error:
+        raise FileError(f"{file}: not a Zenoh configuration: {reason(error)}") from error
+
+
+def reason(error: zenoh.ZError) -> str:
+    """Return Zenoh's reason without the places in its source."""
+    return str(error).split(" at /", maxsplit=1)[0].splitlines()[0]

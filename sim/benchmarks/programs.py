@@ -14,8 +14,9 @@ from pathlib import Path
 import zenoh
 
 from deploy.app import run
-from deploy.zenoh_client import BridgeAddress, client_config
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.console import Output
+from rover_ncp.wire.zenoh import client_config
 
 PING, PONG = "bench/ping", "bench/pong"
 

@@ -7,12 +7,12 @@ from typing import Any, Self
 import numpy as np
 import zenoh
 
-from deploy.zenoh_client import client_config
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.key_table import key
 from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance, read_text
 from rover_ncp.wire.protocol import GateStatus, parse_json
+from rover_ncp.wire.zenoh import client_config
 
 KNOWN_M, KNOWN_RAD = 0.001, 0.001
 """Standard deviations of a start pose."""

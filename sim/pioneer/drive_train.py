@@ -8,8 +8,8 @@ manual p. 28). Sources: AROS manual p. 44 (which command replaces which), Adept 
 
 import math
 
-from bridge.pioneer.robots import RobotParameters
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
+from rover_ncp.robot.description import RobotDescription
 from sim.pioneer.trial import BaseTrial
 from sim.world.rover import STILL_M_S, SUBSTEP_S, Rover
 
@@ -31,7 +31,7 @@ STALL_WHEEL_M_S, STALL_SHARE, STALL_AFTER_S, STALL_REST_S = 0.02, 0.25, 0.15, 0.
 class DriveTrain:
     """The motors and wheels of one base. Speeds in m/s and rad/s, headings in rad in the odometry's frame."""
 
-    def __init__(self, robot: RobotParameters, rover: Rover, trial: BaseTrial) -> None:
+    def __init__(self, robot: RobotDescription, rover: Rover, trial: BaseTrial) -> None:
         self.rover = rover
         self._trial = trial
         self.enabled = False

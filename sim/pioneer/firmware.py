@@ -20,10 +20,8 @@ from collections import Counter
 from collections.abc import Callable
 from enum import Enum
 
-from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
-from bridge.pioneer.baud import RATES
+from bridge.pioneer.arcos import HOSTBAUD_RATES, Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import ConfigPac, Kind, encode_names
-from bridge.pioneer.robots import parameters_of
 from rover_ncp.core.geometry import Pose
 from rover_ncp.robot.description import RobotDescription, load_description
 from sim.pioneer.client_commands import IGNORED, MockCommand, decode_argument, pair
@@ -40,7 +38,7 @@ VEL2_M_S = 0.02
 """Wheel speed per unit of VEL2 (Vel2Divisor 20)."""
 
 SETPOINTS = frozenset({Command.VEL, Command.RVEL})
-"""What does not arrive while a trial loses commands."""
+"""Commands that do not arrive while a trial loses commands."""
 
 BUMPED_SEGMENT = 2
 """The front bumper segment that the fault presses: the middle of five."""
@@ -74,7 +72,7 @@ class Firmware:
         trial: BaseTrial | None = None,
         gyro_seed: int = 0,
     ) -> None:
-        self.robot = parameters_of(load_description(model) if isinstance(model, str) else model)
+        self.robot = load_description(model) if isinstance(model, str) else model
         self.decoder = Decoder()
         self._trial = trial or BaseTrial(nominal_trials(rover.model, ticks=1))
         self.drive = DriveTrain(self.robot, rover, self._trial)
@@ -82,14 +80,14 @@ class Firmware:
         """How often each unknown command came."""
         self.bad_arguments: Counter[int] = Counter()
         """How often each command came with an argument that could not be used."""
-        self._config = config or config_of(model)
+        self._config = config or config_of(self.robot)
         self._sonars = Sonars(self.robot, self._config.sonar_cycle / 1000)
         self._reporter = Reporter(self.robot, self._config, self.drive, self._sonars)
         self._gyro = Gyro(rover, gyro_seed)
         self._faults = faults or Faults()
         self.observe = observe
         self._home = rover.pose
-        self.baudrate = RATES[0]
+        self.baudrate = HOSTBAUD_RATES[0]
         """The rate of its serial line: HOSTBAUD changes it, the end of a session restores FLASH's."""
         self.client = ClientState.WAITING
         self.due_s = self._measure_due_s = math.inf
@@ -320,7 +318,7 @@ class Firmware:
         self.due_s = self._measure_due_s = math.inf
         self._streams: dict[int, int] = {}
         self._gyro.on = False
-        self.baudrate = RATES[self._config.host_baud]
+        self.baudrate = HOSTBAUD_RATES[self._config.host_baud]
         self.drive.enable(False)
         self.drive.restore_flash()
         self._sonars.restore_flash()
@@ -369,8 +367,8 @@ class Firmware:
             self.drive.set_limit(**{name: math.radians(min(abs(deg_s2), self._config.rot_acc_top))})
 
     def _set_baudrate(self, code: int) -> None:
-        if code < len(RATES):
-            self.baudrate = RATES[code]
+        if code < len(HOSTBAUD_RATES):
+            self.baudrate = HOSTBAUD_RATES[code]
 
     def _test_battery(self, decivolts: int) -> None:
         self._battery_test_dv = decivolts

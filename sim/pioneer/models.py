@@ -6,10 +6,8 @@ Factors, outlines and motion are those of the descriptions; FLASH values from re
 
 import math
 
-from bridge.base import shape_of
 from bridge.pioneer.packets import ConfigPac
-from bridge.pioneer.robots import RobotParameters, parameters_of
-from rover_ncp.robot.description import RobotDescription, load_description
+from rover_ncp.robot.description import RobotDescription
 from sim.world.described import described_rover
 
 BASE_NAME, BASE_CLASS = "rover-ncp_mock", "Pioneer"
@@ -21,29 +19,18 @@ BUMPER_SEGMENTS = 5
 """Front and rear, as ARIA's defaults."""
 
 
-def wheel_parameters(description: RobotDescription) -> RobotParameters:
-    """Return what the drive train needs of a robot that does not speak ARCOS."""
-    return RobotParameters(
-        **vars(shape_of(description)),
-        distance_m=1.0,
-        half_track_m=description.track_m / 2,
-        v_max=description.motion.v_max,
-        omega_max=description.motion.omega_max,
-    )
-
-
-def config_of(model: str | RobotDescription) -> ConfigPac:
+def config_of(robot: RobotDescription) -> ConfigPac:
     """Return the CONFIGpac of a model fresh from power-up. Its COUNT is beyond 127, as a real one's."""
-    described = load_description(model) if isinstance(model, str) else model
-    robot, rover = parameters_of(described), described_rover(described)
+    assert robot.arcos is not None
+    rover = described_rover(robot)
     accel, decel = round(rover.accel * 1000), round(rover.decel * 1000)
     turn_accel, turn_decel = round(math.degrees(rover.alpha)), round(math.degrees(rover.alpha_decel))
     return ConfigPac(
         robot_type=BASE_CLASS,
         subtype=robot.name,
         serial_number="MOCK",
-        rot_vel_top=round(math.degrees(robot.omega_max)),
-        trans_vel_top=round(robot.v_max * 1000),
+        rot_vel_top=robot.arcos.omega_top_deg_s,
+        trans_vel_top=robot.arcos.v_top_mm_s,
         rot_acc_top=300,
         trans_acc_top=2000,
         pwm_max=500,

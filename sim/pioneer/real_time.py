@@ -4,6 +4,7 @@ One thread: it sleeps until something arrives or the base's next message is due,
 present.
 """
 
+import math
 import selectors
 import time
 from collections.abc import Callable
@@ -15,7 +16,6 @@ from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import create
 from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.faults import Fault, parse_fault
-from sim.pioneer.lateness import Lateness
 from sim.world.rover import SUBSTEP_S
 
 PERIOD_S = SUBSTEP_S
@@ -84,6 +84,31 @@ class TruthFile:
         """Write what is left and close."""
         self.flush()
         self._file.close()
+
+
+class Lateness:
+    """The longest delay of a loop's turns since `take`. The turn that is under way counts.
+
+    So a delay before a fault line is reported with the line, and never counts as one after it.
+    """
+
+    def __init__(self) -> None:
+        self._due_s, self._longest_s = math.inf, 0.0
+
+    def begin(self, allowed_s: float) -> None:
+        """Begin a turn that should end within ``allowed_s``."""
+        self._due_s = time.monotonic() + allowed_s
+
+    def end(self) -> None:
+        """End the turn."""
+        self._longest_s = max(self._longest_s, time.monotonic() - self._due_s)
+
+    def take(self) -> float:
+        """Return the longest delay so far in s, and start over."""
+        self.end()
+        longest_s, self._longest_s = self._longest_s, 0.0
+        self._due_s = max(self._due_s, time.monotonic())
+        return longest_s
 
 
 class RealTimeLoop:

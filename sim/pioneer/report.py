@@ -9,9 +9,9 @@ import struct
 from dataclasses import dataclass, replace
 
 from bridge.pioneer.arcos import Packet
-from bridge.pioneer.odometry import COUNTER_BITS, HEADING_BITS
+from bridge.pioneer.odometry import COUNTER_BITS, HEADING_BITS, WHEEL_SPEED_M_S
 from bridge.pioneer.packets import ConfigPac, Flag, Sip
-from bridge.pioneer.robots import WHEEL_SPEED_M_S, RobotParameters
+from rover_ncp.robot.description import RobotDescription
 from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.models import TICKS_PER_MM
 from sim.pioneer.sensors import Sonars
@@ -63,13 +63,14 @@ class Panel:
 class Reporter:
     """Writes the packets of one base."""
 
-    def __init__(self, robot: RobotParameters, config: ConfigPac, drive: DriveTrain, sonars: Sonars) -> None:
+    def __init__(self, robot: RobotDescription, config: ConfigPac, drive: DriveTrain, sonars: Sonars) -> None:
         self.panel = Panel()
         self.odometry_frozen = False
         self.odometry_jump_m = 0.0
         self.noise = ORIGIN
         """Added to the pose."""
-        self._robot = robot
+        assert robot.arcos is not None
+        self._distance_m = robot.arcos.distance_mm / 1000
         self._config = config
         self._drive = drive
         self._sonars = sonars
@@ -93,7 +94,7 @@ class Reporter:
     def sip(self) -> Packet:
         """Return the SIP of the motion last measured; sonar readings are those since the last SIP."""
         panel, pose, noise = self.panel, self._odometry, self.noise
-        distance_m = self._robot.distance_m
+        distance_m = self._distance_m
         stalled = (True, True) if panel.blocked else self._drive.stalled
         return replace(
             self._motion,

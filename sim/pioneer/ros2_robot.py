@@ -21,7 +21,6 @@ from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import TWIST_BYTES
 from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.faults import Fault, Faults
-from sim.pioneer.models import wheel_parameters
 from sim.pioneer.trial import BaseTrial
 from sim.world.randomization import nominal_trials
 from sim.world.rover import SUBSTEP_S, Rover
@@ -31,9 +30,9 @@ RESTART_S = 1.5
 BATTERY_S = 1.0
 """Time between two reports of the battery."""
 SWITCHES_HZ = 20.0
-"""Of the stop button and of hazards (chosen)."""
+"""Rate of the stop button and of hazards (chosen)."""
 BEAMS = 120
-"""Of the mock's laser, 3 degrees apart."""
+"""Beams of the mock's laser, 3 degrees apart."""
 
 
 class Ros2Robot:
@@ -53,7 +52,7 @@ class Ros2Robot:
         assert description.topics is not None
         self.description, self.topics = description, description.topics
         self._trial = trial or BaseTrial(nominal_trials(rover.model, ticks=1))
-        self.drive = DriveTrain(wheel_parameters(description), rover, self._trial)
+        self.drive = DriveTrain(description, rover, self._trial)
         self.drive.enable(True)
         self.observe: Callable[[float], None] | None = None
         self.ignored = 0

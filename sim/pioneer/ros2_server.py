@@ -14,21 +14,11 @@ from typing import Any
 
 import zenoh
 
-from bridge.ros2.discovery import Convention, bridge_token, topic_token
+from bridge.ros2.discovery import Convention, bridge_token, command_type, sensor_topics, topic_token
 from bridge.ros2.rmw import Attachment, Graph, Topic, gid
 from bridge.ros2.rmw_node import publisher
-from bridge.zenoh.config import reason
 from rover_ncp.core.errors import PortInUse
-from rover_ncp.wire.messages import (
-    BATTERY_STATE,
-    BOOL,
-    HAZARDS,
-    IMU,
-    LASER_SCAN,
-    ODOMETRY,
-    TWIST,
-    TWIST_STAMPED,
-)
+from rover_ncp.wire.zenoh import reason
 from sim.pioneer.real_time import RealTimeLoop
 from sim.pioneer.ros2_robot import Ros2Robot
 
@@ -69,10 +59,7 @@ class Ros2Server(RealTimeLoop):
         self._numbers: dict[str, tuple[bytes, int]] = {}
         self._held: list[Any] = []
         topics = robot.topics
-        sent = [(topics.odom, ODOMETRY), (topics.imu, IMU), (topics.battery_state, BATTERY_STATE)]
-        sent += [(topics.scan, LASER_SCAN), (topics.stop, BOOL), (topics.hazards, HAZARDS)]
-        outputs = [(name, ros_type) for name, ros_type in sent if name is not None]
-        taken = TWIST_STAMPED if topics.cmd_vel_type == "TwistStamped" else TWIST
+        outputs, taken = sensor_topics(topics), command_type(topics)
         declare = self._plain if convention is Convention.ROS2DDS else self._graph
         tokens = declare(outputs, topics.cmd_vel, taken)
         self._held += [self._session.liveliness().declare_token(token) for token in tokens]

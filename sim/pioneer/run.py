@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from bridge.pioneer.robots import ROBOTS
+from bridge.pioneer.odometry import ROBOTS
 from bridge.ros2.discovery import Convention
 from bridge.ros2.rmw import domain_id
 from rover_ncp.core.console import Output

@@ -8,8 +8,8 @@ import random
 
 from bridge.pioneer.arcos import Packet
 from bridge.pioneer.packets import GYRO_RAD_S, GYRO_REST, NO_ECHO_MM, Flag, GyroPac
-from bridge.pioneer.robots import RobotParameters
 from rover_ncp.core.geometry import compose
+from rover_ncp.robot.description import RobotDescription
 from sim.world.rover import Rover
 
 ARRAY = 8
@@ -18,8 +18,8 @@ ARRAY = 8
 class Sonars:
     """The sonars of one base."""
 
-    def __init__(self, robot: RobotParameters, cycle_s: float) -> None:
-        self._poses = robot.sonars
+    def __init__(self, robot: RobotDescription, cycle_s: float) -> None:
+        self._poses = robot.sonar_poses
         self._flash_cycle_s = cycle_s
         self.restore_flash()
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from rover_ncp.core.errors import PortInUse, UsageError
+from rover_ncp.wire.address import MAX_PORT, parse_address
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.real_time import RealTimeLoop
 
@@ -19,10 +20,10 @@ BACKLOG_BYTES = 1 << 16
 
 def parse_listen(text: str) -> tuple[str, int]:
     """Read ``HOST:PORT``; port 0 takes a free one. Raises UsageError."""
-    host, colon, port = text.rpartition(":")
-    if not colon or not host or not port.isdigit() or int(port) > 65535:
+    address = parse_address(f"tcp/{text}", MAX_PORT + 1)
+    if address is None or address.settings or address.port > MAX_PORT:
         raise UsageError(f"--listen {text}: expected HOST:PORT, for example 127.0.0.1:8101")
-    return host.removeprefix("[").removesuffix("]"), int(port)
+    return address.host, address.port
 
 
 class Server(RealTimeLoop):

@@ -1,4 +1,4 @@
-"""Simulated robots, and the lines between them and the bridge's base driver, on a virtual clock.
+"""Simulated robots, and the lines between them and the bridge's base, on a virtual clock.
 
 A line carries the bytes or messages of the real one. Time is that of the last ``advance``.
 """
@@ -38,7 +38,7 @@ def simulated_base(
 
 
 class VirtualLine(Protocol):
-    """A robot's line; ``arrivals`` is what its base driver has not taken yet."""
+    """A robot's line; ``arrivals`` is what its base has not taken yet."""
 
     base: Base
     limits: Limits
@@ -112,7 +112,7 @@ class ArcosLine:
 
 
 class Ros2Line:
-    """The messages between a ROS 2 robot and its base driver, as a `bridge.ros2.base.Line`."""
+    """The messages between a ROS 2 robot and its base, as a `bridge.ros2.base.Connection`."""
 
     endpoint, zid = "virtual", "bridge"
     source: bytes | None = None

@@ -10,7 +10,6 @@ from contextlib import suppress
 import zenoh
 
 from deploy.drive.lease import DriverLease
-from deploy.zenoh_client import client_config
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.messages import read_odometry, read_text, twist_stamped
@@ -23,6 +22,7 @@ from rover_ncp.wire.protocol import (
     dump_json,
     parse_json,
 )
+from rover_ncp.wire.zenoh import client_config
 from sim.live.peers import Peer
 
 PERIOD_S = 0.05

@@ -47,7 +47,7 @@ class AmriSim(Firmware):
         packet = RECORDED.get(packet.kind, packet)
         if packet.kind in SIP_KINDS:
             x, y, _ = self.drive.odometry
-            units = self.robot.distance_m
+            units = self.robot.arcos.distance_mm / 1000
             counters = {"x": round(x / units) % 65536, "y": round(y / units) % 65536}
             packet = replace(Sip.decode(packet), **counters, moving=False).encode()
         super()._emit(packet)

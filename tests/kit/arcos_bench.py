@@ -3,8 +3,8 @@
 from typing import Self
 
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
+from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.packets import ConfigPac, Sip, encode_names
-from bridge.pioneer.robots import ROBOTS
 from bridge.pioneer.session import Session, SessionEvent
 from bridge.pioneer.states import PATIENCE_S, Input, SessionState
 from sim.pioneer.client_commands import decode_argument

@@ -20,7 +20,7 @@ from bridge.inbox import RobotMessage
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command, encode_frame
 from bridge.pioneer.packets import ConfigPac, GyroPac, Sip, decode_names, encode_names
 from bridge.pioneer.session import Session
-from bridge.ros2.address import parse_address
+from bridge.ros2.address import parse_ros_address
 from bridge.ros2.base import Ros2Base, TokenSeen
 from bridge.ros2.discovery import read_topic_token, topic_token
 from bridge.ros2.rmw import read_token
@@ -220,7 +220,7 @@ def _robot(data):
                 if isinstance(event, BaseReport):
                     assert all(map(math.isfinite, (event.x, event.y, event.theta, event.v, event.omega)))
         base.drive(Setpoint(STILL, motors=True, emergency=False), now)
-    survives(Reader(parse_address, list), f"ros2/tcp/{words}")
+    survives(Reader(parse_ros_address, list), f"ros2/tcp/{words}")
 
 
 def _robot_messages():

@@ -1,10 +1,11 @@
-"""A ROS 2 base driver on a virtual clock: its line, its robot's odometry, and what came of both."""
+"""A ROS 2 base on a virtual clock: its connection, its robot's odometry, its events."""
 
-from ros_cdr import odometry
+from ros_cdr import TwistStamped, odometry
 
 from bridge.base import BaseReport, Setpoint, TurnRate
 from bridge.inbox import RobotMessage
-from bridge.ros2.base import Ros2Base
+from bridge.ros2.base import Ros2Base, TokenSeen
+from bridge.ros2.discovery import Announced
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
 
@@ -78,3 +79,13 @@ class World:
     @property
     def last(self):
         return self.events[-1] if self.events else None
+
+    @property
+    def stamp_s(self):
+        """The stamp of the last command."""
+        stamp = TwistStamped.deserialize(self.line.sent[-1]).header.stamp
+        return stamp.sec + stamp.nanosec * 1e-9
+
+
+def announced(topic, ros_type, who="robot", published=True):
+    return TokenSeen(Announced("theirs", published, topic, ros_type, who), True)

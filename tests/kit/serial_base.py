@@ -10,8 +10,7 @@ import time
 import tty
 from dataclasses import replace
 
-from bridge.pioneer.arcos import Command, Packet
-from bridge.pioneer.baud import RATES
+from bridge.pioneer.arcos import HOSTBAUD_RATES, Command, Packet
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.robot.description import load_description
 from sim.pioneer.firmware import Firmware
@@ -48,7 +47,7 @@ class SerialBase(ClosedAtExit):
         self.port = os.ttyname(self._near)
         self.rover = PymunkRover(described_rover(load_description(model)), Ground())
         self._start_s = time.monotonic()
-        flash = replace(config_of(model), host_baud=RATES.index(rate))
+        flash = replace(config_of(load_description(model)), host_baud=HOSTBAUD_RATES.index(rate))
         self.firmware = Listening(model, self.rover, start_s=self._start_s, config=flash)
         self.rates = []
         """Every rate the base had while bytes went through."""

@@ -12,13 +12,13 @@ from zenoh_session import open_session
 
 from bridge.zenoh.credentials import access_control
 from deploy.drive.lease import DriverLease
-from deploy.zenoh_client import client_config
 from rover_ncp import cli
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.key_table import KEYS, Kind, Role
 from rover_ncp.wire.messages import read_text, twist_stamped
 from rover_ncp.wire.protocol import GateStatus, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
+from rover_ncp.wire.zenoh import client_config
 from sim.live.processes import Process, compile_driver
 
 HEARD = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.BRIDGE}]

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from deploy.replay import replay
-from deploy.zenoh_client import client_config
 from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
 from rover_ncp.course.course import load_course
 from rover_ncp.wire.key_table import key
 from rover_ncp.wire.messages import pose_with_covariance
+from rover_ncp.wire.zenoh import client_config
 from sim.live.live_run import LiveRun
 from sim.live.peers import Peer
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from bridge_bench import Rig
 
-from deploy.zenoh_client import client_config
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.wire.messages import imu, odometry, pose_with_covariance, read_text
 from rover_ncp.wire.protocol import DriverStatus, parse_json
+from rover_ncp.wire.zenoh import client_config
 from sim.live.peers import Peer
 
 STANDS = Pose(0.0, 0.0, 0.0)

@@ -25,10 +25,10 @@ from faults.row import SCRIPTED, braking_s
 from faults.table import MATRIX, ROWS
 from paths import DATA, ROOT
 
-from deploy.zenoh_client import client_config
 from rover_ncp.core.geometry import relative, wrap_angle
 from rover_ncp.wire.key_table import key
 from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance, read_pose
+from rover_ncp.wire.zenoh import client_config
 from sim.live.peers import Peer
 from sim.live.processes import wait_for
 

@@ -4,9 +4,8 @@ import math
 
 import pytest
 
-from bridge.pioneer.odometry import Odometer
+from bridge.pioneer.odometry import ROBOTS, Odometer
 from bridge.pioneer.packets import Sip
-from bridge.pioneer.robots import ROBOTS
 
 AHEAD, ASIDE, BEHIND = [2, 3, 4, 5], [0, 1, 6, 7, 8, 9, 14, 15], [10, 11, 12, 13]
 ROBOT = ROBOTS["p3at-sh"]

@@ -5,7 +5,7 @@ import math
 import pytest
 from base_report import STAMP
 
-from bridge.base import BaseReport, shape_of
+from bridge.base import BaseReport
 from bridge.ros2 import messages as ros
 from bridge.ros2.covariance import OdometryErrors
 from rover_ncp.core.files import shipped_names
@@ -17,7 +17,7 @@ ROBOTS = pytest.mark.parametrize("name", shipped_names("robots"))
 
 def driven(name, reports):
     """Return the variances of pose and speeds after these reports: x, y and heading of each."""
-    robot = shape_of(load_description(name))
+    robot = load_description(name)
     errors = OdometryErrors(robot)
     for report in reports:
         variances = errors.after(report)
@@ -70,5 +70,5 @@ def test_odometry_that_was_reset_is_sure_again_and_nan_does_not_stay():
 
 def test_the_gyros_variance_is_the_robots():
     for name, variance in (("husky-a200", 0.005**2), ("p3at-sh", 1e-6)):
-        message = decode("sensor_msgs/msg/Imu", ros.turn_rate(0.1, shape_of(load_description(name)), STAMP))
+        message = decode("sensor_msgs/msg/Imu", ros.turn_rate(0.1, load_description(name), STAMP))
         assert message.angular_velocity_covariance[8] == pytest.approx(variance)

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+from gate_bench import SECRET, SLOW
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -15,16 +16,14 @@ from bridge.gate.state import (
     Enable,
     GateState,
     Release,
+    ReleaseStop,
     Stop,
     Tick,
-    Unlatch,
     VelocityCommand,
 )
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.protocol import CommandTag
 
-SECRET = bytes(range(32))
-SLOW = Velocity(0.1, -0.1)
 ROUNDING_S = 1e-9
 """At exactly a time-out, sums of floating-point times may lie on either side of it."""
 
@@ -61,7 +60,7 @@ happenings = st.lists(
             st.tuples(st.just("touch"), st.sampled_from(TOUCHING)),
             st.tuples(st.just("touching"), st.tuples(st.sampled_from(TOUCHING), velocities)),
             st.tuples(st.just("report"), reports),
-            st.tuples(st.just("event"), st.sampled_from([Tick(), BaseLost(), Stop("x"), Unlatch()])),
+            st.tuples(st.just("event"), st.sampled_from([Tick(), BaseLost(), Stop("x"), ReleaseStop()])),
             st.tuples(st.just("enable"), st.tuples(st.none() | sequences, stamp_errors)),
             st.tuples(st.just("release"), sequences),
             st.tuples(
@@ -101,12 +100,12 @@ def events_of(kind, what, now, sequence):
             yield CLEAR
             yield VelocityCommand(SLOW)
         case "start":
-            yield Unlatch()
+            yield ReleaseStop()
             yield CLEAR
             yield Enable("x", stamp, SECRET)
         case "touch":
             yield what
-            yield Unlatch()
+            yield ReleaseStop()
             yield Enable("x", stamp, SECRET)
         case "touching":
             yield what[0]
@@ -139,10 +138,10 @@ def allowed_to_move(history, limits):
         return False
     commanded_s, command, _ = history[counted[-1]]
     last = -1 if command.tag is None else command.tag.sequence
-    latches = [event for _, event, _ in history if isinstance(event, Stop | Unlatch)]
+    latches = [event for _, event, _ in history if isinstance(event, Stop | ReleaseStop)]
     hazards = hazardous(history)
     return (
-        now - commanded_s <= limits.silence_s + ROUNDING_S
+        now - commanded_s <= limits.command_timeout_s + ROUNDING_S
         and report.motors_on
         and all(math.isfinite(getattr(report, name)) for name in ("x", "y", "theta", "v", "omega"))
         and not any(hazards[counted[-1] + 1 :])
@@ -240,7 +239,7 @@ def test_output_is_always_finite_within_limits_and_allowed(happenings, limits, a
                 st.tuples(st.just("plain"), st.tuples(st.just(ZERO), st.none())),
                 st.tuples(
                     st.just("event"),
-                    st.sampled_from([Stop("x"), Unlatch(), BaseLost(), BaseReport(bumpers=(0, 4))]),
+                    st.sampled_from([Stop("x"), ReleaseStop(), BaseLost(), BaseReport(bumpers=(0, 4))]),
                 ),
             ),
         ),

@@ -25,7 +25,7 @@ def test_a_fence_without_an_inside_is_refused(sides):
         Fence(x_min=x_min, x_max=x_max, y_min=y_min, y_max=y_max)
 
 
-@pytest.mark.parametrize("name", ["silence_s", "stale_s", "odometry_s"])
+@pytest.mark.parametrize("name", ["command_timeout_s", "stale_s", "odometry_s"])
 def test_no_timeout_may_be_as_long_as_the_requirement(name):
     with pytest.raises(ValidationError):
         Limits(**{name: STOP_S})

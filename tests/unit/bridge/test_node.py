@@ -3,19 +3,15 @@
 import math
 
 import pytest
+from lease_client import LeaseClient
 
 from bridge.gate.limits import Fence, Limits
 from bridge.pioneer.arcos import Command, Decoder
-from deploy.drive.lease import DriverLease
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.wire.messages import read_odometry, read_text, read_twist, twist_stamped
+from rover_ncp.wire.messages import read_odometry, read_text, read_twist
 from rover_ncp.wire.protocol import (
     GateStatus,
-    MotorsReply,
-    MotorsRequest,
     ResetReply,
-    Signed,
-    dump_json,
     parse_json,
 )
 from sim.pioneer.client_commands import decode_argument
@@ -69,17 +65,11 @@ class Bridge(VirtualBridge):
                 self.enables += decode_argument(packet.kind, packet.payload)
         self._write(data)
 
-    def motors(self, enable=True, lease=None):
-        """A request for the motors, signed with the key of a lease if there is one."""
-        data = dump_json(MotorsRequest(enable=enable, name="x", sent_ns=self.now_ns))
-        tag = lease and lease.sign(Signed.MOTORS, "rover/motors", data, self.now_ns).pack()
-        return parse_json(MotorsReply, self.query("rover/motors", data, tag))
-
 
 @pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS])
 def test_stamps_do_not_step_during_a_lease_and_are_right_again_after_it(step_ns):
     bridge = Bridge()
-    assert bridge.motors().granted
+    assert LeaseClient(bridge).motors().granted
     bridge.set_ns = step_ns
     del bridge.stamps[:]
     bridge.sleep(0.8)
@@ -89,52 +79,45 @@ def test_stamps_do_not_step_during_a_lease_and_are_right_again_after_it(step_ns)
     assert abs(bridge.stamps[-1] - step_ns) < SECOND_NS / 10
 
 
-def drive(bridge, lease, velocity):
-    """Send commands for a second."""
-    for _ in range(20):
-        data = twist_stamped(velocity, bridge.time_ns())
-        bridge.command(data, lease.sign(Signed.COMMAND, "cmd_vel", data, bridge.now_ns).pack())
-        bridge.sleep(0.05)
-
-
 def test_after_a_suspend_no_command_from_before_it_reaches_the_base():
     """The monotonic clock stood still, so by it the last command is fresh and the lease valid."""
-    bridge, lease = Bridge(), DriverLease()
-    lease.grant(bridge.motors())
-    drive(bridge, lease, Velocity(0.2, 0.0))
+    bridge = Bridge()
+    driver = LeaseClient(bridge)
+    driver.motors()
+    driver.drive(Velocity(0.2, 0.0))
     assert bridge.sent[-1] == (Command.RVEL, 0)
     assert bridge.sent[-2] == (Command.VEL, 200)
     bridge.sent.clear()
     bridge.slept_s = 3.0
-    drive(bridge, lease, Velocity(0.2, 0.0))
+    driver.drive(Velocity(0.2, 0.0))
     assert bridge.sent
     assert all(value == 0 for _, value in bridge.sent)
-    lease.end()
-    lease.grant(bridge.motors())
-    drive(bridge, lease, Velocity(0.2, 0.0))
+    driver.lease.end()
+    driver.motors()
+    driver.drive(Velocity(0.2, 0.0))
     assert (Command.VEL, 200) in bridge.sent
 
 
 def test_what_is_no_suspend_changes_nothing():
     """The difference of two clocks is read late once, then grows by less than counts."""
-    bridge, lease = Bridge(), DriverLease()
-    lease.grant(bridge.motors())
+    bridge = Bridge()
+    driver = LeaseClient(bridge)
+    driver.motors()
     for bridge.slept_s in (-1.0, 0.0, 0.09, 0.18):
-        drive(bridge, lease, Velocity(0.2, 0.0))
+        driver.drive(Velocity(0.2, 0.0))
         assert bridge.sent[-2] == (Command.VEL, 200)
 
 
 @pytest.mark.parametrize("wanted", [Velocity(9.0, -9.0), Velocity(-0.1234, 0.0567), Velocity(0.0, 0.59)])
 def test_base_gets_the_published_setpoint_rounded_to_its_units(wanted):
     """The gate has the last word: its output is published, and only rounding changes it."""
-    bridge, lease = Bridge(), DriverLease()
-    lease.grant(bridge.motors())
+    bridge = Bridge()
+    driver = LeaseClient(bridge)
+    driver.motors()
     for _ in range(60):
-        data = twist_stamped(wanted, bridge.time_ns())
-        bridge.command(data, lease.sign(Signed.COMMAND, "cmd_vel", data, bridge.now_ns).pack())
         bridge.published.clear()
         bridge.sent.clear()
-        bridge.sleep(0.1)
+        driver.drive(wanted, times=2)
         for command, value in bridge.sent:
             factor, axis, step = (1000.0, 0, 0.5) if command is Command.VEL else (math.degrees(1.0), 1, 1.0)
             passed = [velocity[axis] * factor for velocity in bridge.published]
@@ -149,33 +132,35 @@ def test_base_gets_the_published_setpoint_rounded_to_its_units(wanted):
 
 
 def test_new_lease_enables_the_motors_of_a_rover_that_still_rolls_after_the_stop_button():
-    bridge, lease = Bridge(), DriverLease()
-    lease.grant(bridge.motors())
-    drive(bridge, lease, Velocity(0.3, 0.0))
+    bridge = Bridge()
+    driver = LeaseClient(bridge)
+    driver.motors()
+    driver.drive(Velocity(0.3, 0.0))
     bridge.firmware.inject(parse_fault("stop-button@0-0.12"))
     bridge.sleep(0.2)
     assert bridge.gate.ended == "stop-button"
     assert bridge.odom.velocity.v > 0.05  # so the gate has not switched the motors off yet
-    lease.grant(bridge.motors())
-    drive(bridge, lease, Velocity(0.2, 0.0))
-    drive(bridge, lease, Velocity(0.2, 0.0))
-    assert (bridge.gate.lease, bridge.gate.held) == (lease.number, "")
+    driver.lease.end()
+    driver.motors()
+    driver.drive(Velocity(0.2, 0.0))
+    driver.drive(Velocity(0.2, 0.0))
+    assert (bridge.gate.lease, bridge.gate.held) == (driver.lease.number, "")
     assert bridge.odom.velocity.v == pytest.approx(0.2, abs=0.02)
 
 
 @pytest.mark.parametrize("wait_s", [0.1, 3.0])  # while it still rolls, and when it stands
 def test_each_new_lease_enables_the_motors_and_a_renewal_does_not(wait_s):
-    bridge, lease = Bridge(), DriverLease()
+    bridge = Bridge()
+    driver = LeaseClient(bridge)
     for number in (1, 2, 3):
         before = bridge.enables
-        lease.grant(bridge.motors())
-        assert lease.number == number
-        drive(bridge, lease, Velocity(0.2, 0.0))
-        bridge.motors(lease=lease)
-        drive(bridge, lease, Velocity(0.2, 0.0))
+        driver.motors()
+        assert driver.lease.number == number
+        driver.drive(Velocity(0.2, 0.0))
+        driver.motors()
+        driver.drive(Velocity(0.2, 0.0))
         assert bridge.enables == before + 1
-        bridge.motors(enable=False, lease=lease)
-        lease.end()
+        driver.motors(enable=False)
         bridge.sleep(wait_s)
 
 
@@ -187,11 +172,12 @@ FENCED = Limits(fence=Fence(x_min=-1.0, x_max=1.0, y_min=-1.0, y_max=1.0))
 
 def fenced_rover(limits=FENCED):
     """A bridge whose rover was driven half a metre ahead and stands."""
-    bridge, lease = Bridge(limits), DriverLease()
-    lease.grant(bridge.motors())
+    bridge = Bridge(limits)
+    driver = LeaseClient(bridge)
+    driver.motors()
     for _ in range(3):
-        drive(bridge, lease, Velocity(0.3, 0.0))
-    bridge.motors(enable=False, lease=lease)
+        driver.drive(Velocity(0.3, 0.0))
+    driver.motors(enable=False)
     bridge.sleep(3.0)
     assert bridge.odom.pose.x > 0.5
     return bridge
@@ -204,7 +190,7 @@ def test_fence_is_lost_when_the_base_is_connected_again(fault):
     bridge.sleep(12.0)
     assert abs(bridge.odom.pose.x) < 0.01
     for _ in range(2):
-        reply = bridge.motors()
+        reply = LeaseClient(bridge).motors()
         assert (reply.granted, reply.reason) == (False, "fence-lost")
         assert "restart the bridge" in reply.detail
         assert bridge.gate.held == "fence-lost"
@@ -216,7 +202,7 @@ def test_fence_is_kept_over_a_gap_in_the_reports():
     bridge.firmware.inject(parse_fault("mute@0-1"))
     bridge.sleep(2.0)
     assert bridge.odom.pose.x > 0.5
-    assert bridge.motors().granted
+    assert LeaseClient(bridge).motors().granted
 
 
 @pytest.mark.parametrize(("limits", "reset"), [(FENCED, False), (Limits(), True)])
@@ -227,11 +213,11 @@ def test_odometry_is_reset_only_without_a_fence(limits, reset):
     assert ("the fence would move with odom" in reply.reason) is not reset
     bridge.sleep(1.0)
     assert (abs(bridge.odom.pose.x) < 0.01) is reset
-    assert bridge.motors().granted
+    assert LeaseClient(bridge).motors().granted
 
 
 def test_without_a_fence_a_base_that_is_connected_again_may_be_driven():
     bridge = fenced_rover(Limits())
     bridge.firmware.inject(parse_fault("reset@0-0.1"))
     bridge.sleep(12.0)
-    assert bridge.motors().granted
+    assert LeaseClient(bridge).motors().granted

@@ -1,8 +1,9 @@
-"""The bridge's loop and its base: exceptions of a base driver, its end, its reconnection, its motors."""
+"""The bridge's loop and its base: exceptions of a base, its end, its reconnection, its motors."""
 
 import pytest
+from lease_client import LeaseClient
 
-from bridge.base import BaseReport, LinkHealth, Lost, OwnTimeout, Ready, Recovered, Setpoint, shape_of
+from bridge.base import BaseReport, BaseTimeout, LinkHealth, Lost, Ready, Recovered, Setpoint
 from bridge.gate.limits import Fence, Limits
 from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
@@ -10,12 +11,10 @@ from deploy.drive.lease import DriverLease
 from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
-from rover_ncp.wire.messages import twist_stamped
 from rover_ncp.wire.protocol import (
     BaseReply,
     BaseRequest,
     MotorsReply,
-    MotorsRequest,
     Signed,
     TimeoutState,
     dump_json,
@@ -30,8 +29,8 @@ class FailingBase:
 
     def __init__(self):
         self.fails, self.driven, self.calls = {}, [], []
-        self.timeout = OwnTimeout(TimeoutState.PUBLISHED, 1.0)
-        self.reports = [Ready("x", shape_of(load_description("p3at")))]
+        self.timeout = BaseTimeout(TimeoutState.PUBLISHED, 1.0)
+        self.reports = [Ready("x", load_description("p3at"))]
 
     def _call(self, name):
         self.calls.append(name)
@@ -56,12 +55,12 @@ class FailingBase:
         return LinkHealth(damaged=False, counters={})
 
     @property
-    def own_timeout(self):
-        self._call("own_timeout")
+    def base_timeout(self):
+        self._call("base_timeout")
         return self.timeout
 
-    def measure_timeout(self, now):
-        self._call("measure_timeout")
+    def measure_base_timeout(self, now):
+        self._call("measure_base_timeout")
         return "it is published"
 
     def close(self, now):
@@ -72,7 +71,7 @@ class Loop:
     """A node with such a base, on a virtual clock: each turn takes 20 ms and brings a report."""
 
     def __init__(self, accept_ros=False, limits=None):
-        self.now_ns, self.base, self.said, self.lease = 10**9, FailingBase(), [], DriverLease()
+        self.now_ns, self.base, self.said, self.driver = 10**9, FailingBase(), [], LeaseClient(self)
         self.arrivals, self.silent = [], False
         self.node = Node(
             self.base,
@@ -109,24 +108,23 @@ class Loop:
             self.now_ns += 20_000_000
             self.node.turn()
 
-    def ask(self, name, payload, tag=None):
+    def query(self, name, payload, tag=None):
         replies = []
         self.arrivals.append(Query(name, payload, tag, replies.append, replies.append))
         self.turn()
         return replies[0]
 
-    def motors(self, name="x", unchecked=False):
-        request = MotorsRequest(enable=True, unchecked=unchecked, name=name, sent_ns=self.now_ns)
-        reply = parse_json(MotorsReply, self.ask("rover/motors", dump_json(request)))
-        self.lease.grant(reply)
-        return reply
+    def command(self, data, tag):
+        self.arrivals.append(CommandMessage(data, tag))
 
-    def drive(self, times=20):
-        for _ in range(times):
-            data = twist_stamped(Velocity(0.2, 0.0), self.now_ns)
-            tag = self.lease.sign(Signed.COMMAND, "cmd_vel", data, self.now_ns)
-            self.arrivals.append(CommandMessage(data, tag.pack()))
-            self.turn()
+    def sleep(self, seconds):
+        self.turn()
+
+    def motors(self, **request):
+        return self.driver.motors(**request)
+
+    def drive(self):
+        self.driver.drive(Velocity(0.2, 0.0))
 
 
 @pytest.fixture
@@ -150,7 +148,7 @@ def test_end_of_the_loop_goes_on_after_an_exception_of_the_base(driving, fails):
     driving.base.fails[fails] = BrokenPipeError(32, "Broken pipe")
     driving.node.run(lambda: True)
     assert driving.base.calls[-2:] == ["drive", "close"]
-    assert driving.said[-1] == "the base driver failed: [Errno 32] Broken pipe"
+    assert driving.said[-1] == "the base failed: [Errno 32] Broken pipe"
 
 
 def test_error_of_the_loop_stops_the_base_too(driving):
@@ -170,9 +168,7 @@ def test_exception_of_the_base_is_a_lost_base(driving, fails, error):
     loop, said = driving, len(driving.said)
     loop.base.fails[fails] = error
     loop.drive()
-    lost = [
-        line for line in loop.said[said:] if line.startswith("the base is lost: the base driver failed: ")
-    ]
+    lost = [line for line in loop.said[said:] if line.startswith("the base is lost: the base failed: ")]
     assert len(lost) == 1
     assert (str(error) or "KeyError") in lost[0]
     assert not loop.motors().granted
@@ -182,7 +178,7 @@ def test_exception_of_the_base_is_a_lost_base(driving, fails, error):
     assert not loop.base.driven[-1].motors
     loop.turn(3)
     assert loop.said[-1] == "the base works again"
-    loop.lease.end()
+    loop.driver.lease.end()
     assert loop.motors().granted
     loop.drive()
     assert loop.base.driven[-1].velocity == (0.2, 0.0)
@@ -200,28 +196,28 @@ def test_base_that_returns_no_events_is_a_lost_base(driving, method, monkeypatch
 def test_base_that_takes_no_setpoint_gets_no_driver(driving):
     driving.base.fails["drive"] = OSError("gone")
     driving.turn(100)
-    driving.lease.end()
+    driving.driver.lease.end()
     assert driving.motors().reason == "no-base"
 
 
 def test_base_that_fails_before_it_was_ready_ends_the_bridge_in_one_line():
     loop = Loop()
     loop.base.fails["receive"] = OSError("no such device")
-    with pytest.raises(NoRobot, match="the base driver failed: no such device"):
+    with pytest.raises(NoRobot, match="the base failed: no such device"):
         loop.node.run(lambda: loop.turn() or False)
     assert loop.base.calls[-1] == "close"
 
 
-@pytest.mark.parametrize("fails", ["health", "own_timeout", "reset_odometry", "measure_timeout"])
+@pytest.mark.parametrize("fails", ["health", "base_timeout", "reset_odometry", "measure_base_timeout"])
 def test_exception_of_another_call_of_the_base_ends_nothing(fails):
     loop = Loop(accept_ros=True)
     loop.turn(3)
     loop.base.fails[fails] = OSError("gone")
     loop.turn(60)
-    assert b"gone" in loop.ask("rover/reset_odometry", b"{}") or fails != "reset_odometry"
+    assert b"gone" in loop.query("rover/reset_odometry", b"{}") or fails != "reset_odometry"
     granted = loop.motors()
-    assert granted.granted is (fails != "own_timeout")
-    assert fails != "own_timeout" or "gone" in granted.detail
+    assert granted.granted is (fails != "base_timeout")
+    assert fails != "base_timeout" or "gone" in granted.detail
 
 
 @pytest.mark.parametrize("fenced", [True, False])
@@ -239,24 +235,24 @@ def test_base_that_is_ready_again_has_other_odometry_and_one_that_recovers_the_s
 
 
 def test_end_of_a_lease_by_a_base_that_is_ready_again_has_its_own_reason(driving):
-    ready = Ready("x", shape_of(load_description("p3at")))
+    ready = Ready("x", load_description("p3at"))
     driving.base.reports = [Lost("an earlier reason"), Recovered()]
     driving.turn(2)
-    driving.lease.end()
+    driving.driver.lease.end()
     assert driving.motors().granted
     driving.base.reports = [ready]
     driving.turn()
-    assert driving.node.gate.ended_detail == "the base is not connected: its odometry restarted"
+    assert driving.node.gate.lease_over_detail == "the base is not connected: its odometry restarted"
 
 
 @pytest.mark.parametrize("name", ["x", "check", "unchecked", ""])
 def test_unchecked_robot_is_granted_to_a_request_that_says_so_whatever_its_name(name):
     loop = Loop()
-    loop.base.timeout = OwnTimeout(TimeoutState.UNKNOWN, None, "it is not known to halt")
+    loop.base.timeout = BaseTimeout(TimeoutState.UNKNOWN, None, "it is not known to halt")
     loop.turn(3)
-    reply = loop.motors(name)
+    reply = loop.motors(name=name)
     assert (reply.granted, reply.reason, reply.detail) == (False, "unchecked", "it is not known to halt")
-    assert loop.motors(name, unchecked=True).granted
+    assert loop.motors(name=name, unchecked=True).granted
 
 
 def test_holder_of_the_lease_alone_may_measure_the_timeout(driving):
@@ -264,8 +260,8 @@ def test_holder_of_the_lease_alone_may_measure_the_timeout(driving):
     other = DriverLease()
     other.grant(MotorsReply(granted=True, lease=1, key="00" * 32))
     for tag in (None, other.sign(Signed.MOTORS, "rover/base", request, driving.now_ns).pack()):
-        reply = parse_json(BaseReply, driving.ask("rover/base", request, tag))
+        reply = parse_json(BaseReply, driving.query("rover/base", request, tag))
         assert "lease" in reply.reason
-        assert "measure_timeout" not in driving.base.calls
-    tag = driving.lease.sign(Signed.MOTORS, "rover/base", request, driving.now_ns).pack()
-    assert parse_json(BaseReply, driving.ask("rover/base", request, tag)).reason == "it is published"
+        assert "measure_base_timeout" not in driving.base.calls
+    tag = driving.driver.tag(Signed.MOTORS, "rover/base", request)
+    assert parse_json(BaseReply, driving.query("rover/base", request, tag)).reason == "it is published"

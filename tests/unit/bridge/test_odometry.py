@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bridge.pioneer.arcos import Command, Decoder
-from bridge.pioneer.odometry import Odometer
+from bridge.pioneer.odometry import ROBOTS, Odometer
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
-from bridge.pioneer.robots import ROBOTS
 from sim.pioneer.client_commands import MockCommand
 
 SPOKEN = [c for c in CAPTURES if c.said(ARIA_LINE) or c.said(PLAYER_LINE)]

@@ -9,7 +9,7 @@ from base_report import STAMP, STATE
 
 from bridge.base import LinkHealth
 from bridge.gate.state import GateState, Lease, Reason
-from bridge.pioneer.robots import ROBOTS
+from bridge.pioneer.odometry import ROBOTS
 from bridge.ros2 import messages as ros
 from bridge.ros2.covariance import Variances
 from rover_ncp.wire.key_table import spec
@@ -88,16 +88,16 @@ def test_gate_status_has_the_driver_and_the_hold_reason():
     status = ros.gate_status(GateState(lease=lease, held=None, accepted=3, dropped={Reason.STALE: 2}))
     assert (status.lease, status.driver_name, status.sequence, status.held) == (7, "deploy", 41, "")
     assert (status.accepted, status.dropped) == (3, {"stale": 2})
-    status = ros.gate_status(GateState(held=Reason.NO_LEASE, ended=Reason.BUMPER))
+    status = ros.gate_status(GateState(held=Reason.NO_LEASE, lease_over=Reason.BUMPER))
     assert (status.lease, status.held, status.ended) == (0, "", "bumper")
-    assert ros.gate_status(GateState(latched="smoke", held=Reason.STOPPED)).stop_reason == "smoke"
+    assert ros.gate_status(GateState(stop_reason="smoke", held=Reason.STOPPED)).stop_reason == "smoke"
 
 
 def test_the_longest_state_of_the_gate_fits_its_key():
     counts = dict.fromkeys(Reason, 2**40)
     state = GateState(
         lease=Lease(2**64 - 1, bytes(32), "ü" * 200, 0, 0.0, 1.0, 2**64 - 1),
-        latched="ü" * 200,
+        stop_reason="ü" * 200,
         dropped=counts,
         limited=counts,
         stops=counts,
@@ -137,7 +137,7 @@ def test_diagnostics_name_the_problems():
     assert found["base"] == (2, "STOP button pressed, stalled, bumper pressed, reports faults")
     assert found["gate"] == (1, "silence")
     assert levels(None)["base"] == (2, "not connected")
-    assert levels(STATE, GateState(held=Reason.NO_LEASE, ended=Reason.STALL))["gate"] == (1, "stall")
+    assert levels(STATE, GateState(held=Reason.NO_LEASE, lease_over=Reason.STALL))["gate"] == (1, "stall")
 
 
 def test_diagnostics_show_damaged_packets():

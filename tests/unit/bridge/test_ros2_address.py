@@ -3,15 +3,15 @@
 import pytest
 
 from bridge.bases import choose_base
-from bridge.ros2.address import RosAddress, parse_address
+from bridge.ros2.address import RosAddress, parse_ros_address
 from bridge.ros2.discovery import Announced, read_topic_token, topic_token
 from bridge.ros2.rmw import Graph, Topic, read_token
 from rover_ncp.core.errors import ConfigError, UsageError
 
 
 def test_addresses():
-    assert parse_address("ros2/tcp/robot") == RosAddress("tcp/robot:7447")
-    found = parse_address("ros2/tcp/[::1]:8000#rmw=zenoh&domain=7&namespace=/a200_0001")
+    assert parse_ros_address("ros2/tcp/robot") == RosAddress("tcp/robot:7447")
+    found = parse_ros_address("ros2/tcp/[::1]:8000#rmw=zenoh&domain=7&namespace=/a200_0001")
     assert (found.endpoint, found.domain, found.topic("odom")) == ("tcp/[::1]:8000", 7, "a200_0001/odom")
     assert found.convention == "rmw-zenoh"
 
@@ -25,7 +25,7 @@ def test_addresses():
 )
 def test_bad_addresses_are_refused(text):
     with pytest.raises(UsageError, match="expected ros2/tcp/HOST"):
-        parse_address(text)
+        parse_ros_address(text)
 
 
 def test_tokens_are_read_as_they_are_written():
@@ -53,4 +53,4 @@ def test_keys_of_humble_have_no_type_hash():
     plain = Topic("odom", "nav_msgs/msg/Odometry", hashed=False)
     assert plain.key(0) == "0/odom/nav_msgs::msg::dds_::Odometry_/TypeHashNotSupported"
     assert "/TypeHashNotSupported/" in Graph(0, "abc").subscriber_token(1, plain)
-    assert not parse_address("ros2/tcp/robot#rmw=zenoh&distro=humble").hashed
+    assert not parse_ros_address("ros2/tcp/robot#rmw=zenoh&distro=humble").hashed

@@ -1,22 +1,19 @@
 """What a ROS 2 robot does without commands: the measurement, and what lifts the refusal to serve it."""
 
 import pytest
+from lease_client import LeaseClient
 from ros2_world import BURGER, World
 from ros_cdr import TwistStamped, twist
 
 from bridge.base import Lost
-from bridge.ros2.base_timeout import BaseTimeout
-from deploy.drive.lease import DriverLease
+from bridge.ros2.base_timeout import TimeoutRecord
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import shipped_names
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
-from rover_ncp.wire.messages import twist_stamped
 from rover_ncp.wire.protocol import (
     BaseReply,
     BaseRequest,
-    MotorsReply,
-    MotorsRequest,
     Signed,
     StopRequest,
     dump_json,
@@ -35,7 +32,7 @@ def begin(world):
     """Begin the measurement of a robot that drives 0.1 m/s."""
     world.setpoint_v = 0.1
     world.run(0.5)
-    assert world.base.measure_timeout(world.now) == ""
+    assert world.base.measure_base_timeout(world.now) == ""
     world.setpoint_v = 0.0
 
 
@@ -43,26 +40,22 @@ def halts(world, after_s):
     """Let a robot that drives 0.1 m/s halt so long after its last command."""
     begin(world)
     sent, began_s = len(world.line.sent), world.now
-    while world.base.own_timeout.state == "running":
+    while world.base.base_timeout.state == "running":
         turns = world.now - began_s < after_s
         world.run(0.01, rate_hz=100.0, v=0.1 if turns else 0.0)
-        if turns and world.base.own_timeout.state == "running":
+        if turns and world.base.base_timeout.state == "running":
             assert len(world.line.sent) == sent
         assert world.now - began_s < 8.0
-    return world.base.own_timeout
+    return world.base.base_timeout
 
 
 def last_v(world):
     return TwistStamped.deserialize(world.line.sent[-1]).twist.linear.x
 
 
-def test_a_robot_that_is_not_checked_has_a_refusal(ready):
-    known = ready.base.own_timeout
-    assert known.state == "unknown"
-    assert "rover-ncp check" in known.refusal
-
-
-def test_the_robots_own_timeout_is_measured_while_nothing_is_sent(ready):
+def test_base_timeout_is_measured_while_nothing_is_sent(ready):
+    assert ready.base.base_timeout.state == "unknown"
+    assert "rover-ncp check" in ready.base.base_timeout.refusal
     known = halts(ready, 0.6)
     assert known.state == "measured"
     assert known.timeout_s == pytest.approx(0.65, abs=0.08)  # counted from the last command before
@@ -72,14 +65,14 @@ def test_the_robots_own_timeout_is_measured_while_nothing_is_sent(ready):
 
 def test_only_the_description_lifts_the_refusal(ready):
     assert "add the line that 'rover-ncp check' printed" in halts(ready, 0.6).refusal
-    assert World(CHECKED).base.own_timeout == ("measured", 0.6, "")
+    assert World(CHECKED).base.base_timeout == ("measured", 0.6, "")
 
 
 def test_no_driver_drives_a_checked_robot_while_it_is_measured_again():
     world = World(CHECKED)
     world.run(2.0)
     begin(world)
-    assert world.base.own_timeout.refusal != ""  # the base would send it neither commands nor zeros
+    assert world.base.base_timeout.refusal != ""  # the base would send it neither commands nor zeros
     assert halts(world, 0.6).refusal == ""
 
 
@@ -89,7 +82,7 @@ def test_an_interrupted_measurement_of_a_checked_robot_has_no_result_and_it_may_
     begin(world)
     world.lease = 0
     world.run(0.1)
-    assert world.base.own_timeout[::2] == ("unknown", "")
+    assert world.base.base_timeout[::2] == ("unknown", "")
     world.lease = 1
     assert halts(world, 0.4).state == "measured"
 
@@ -101,7 +94,7 @@ def test_a_described_robot_that_does_not_halt_any_more_has_a_refusal():
     begin(world)
     world.lease = 0
     world.run(0.1)
-    assert "--no-base-watchdog" in world.base.own_timeout.refusal
+    assert "--no-base-watchdog" in world.base.base_timeout.refusal
 
 
 def test_a_robot_that_does_not_halt_gets_zeros_after_5_s_and_a_refusal(ready):
@@ -119,7 +112,7 @@ def test_what_ends_a_drive_ends_the_measurement_with_zeros(ready, end):
     silent = len(ready.line.sent)
     vars(ready).update(end)
     ready.run(0.2, rate_hz=100.0, v=0.1)
-    assert ready.base.own_timeout.state == "unknown"
+    assert ready.base.base_timeout.state == "unknown"
     assert [TwistStamped.deserialize(data).twist.linear.x for data in ready.line.sent[silent:]] == [0.0] * 4
     assert ready.line.sent[silent:]
 
@@ -136,7 +129,7 @@ def test_a_robot_that_a_stop_halts_is_not_measured(ready, late_s):
     ready.run(0.1, rate_hz=100.0, v=0.0)
     ready.emergency = False
     ready.run(3.0)
-    assert ready.base.own_timeout.state == "unknown"
+    assert ready.base.base_timeout.state == "unknown"
 
 
 def test_a_robot_that_another_publishers_zero_halts_is_not_measured(ready):
@@ -145,19 +138,16 @@ def test_a_robot_that_another_publishers_zero_halts_is_not_measured(ready):
     ready.hear("cmd_vel", twist(Velocity(0.0, 0.0)))
     assert isinstance(ready.last, Lost)
     ready.run(5.0, v=0.0)
-    assert ready.base.own_timeout.state == "unknown"
+    assert ready.base.base_timeout.state == "unknown"
 
 
-def test_wheels_that_stand_measure_nothing(ready):
-    assert ready.base.measure_timeout(ready.now) == "the wheels do not turn by a command"
-
-
-def test_wheels_that_roll_out_after_a_zero_measure_nothing(ready):
+def test_wheels_that_stand_or_roll_out_after_a_zero_measure_nothing(ready):
+    assert ready.base.measure_base_timeout(ready.now) == "the wheels do not turn by a command"
     ready.setpoint_v = 0.1
     ready.run(0.5)
     ready.setpoint_v = 0.0
     ready.run(0.02, v=0.1, rate_hz=100.0)
-    assert ready.base.measure_timeout(ready.now) == "the wheels do not turn by a command"
+    assert ready.base.measure_base_timeout(ready.now) == "the wheels do not turn by a command"
 
 
 @pytest.mark.parametrize("name", shipped_names("robots"))
@@ -184,14 +174,14 @@ def test_a_robot_that_halts_too_late_is_described_as_unchecked(tmp_path):
 @pytest.mark.parametrize(
     ("known", "words"),
     [
-        (BaseTimeout(), "is not known to halt by itself"),
-        (BaseTimeout(0.5), "halts 0.5 s after its last command"),
-        (BaseTimeout().after(None), "does not halt by itself"),
+        (TimeoutRecord(), "is not known to halt by itself"),
+        (TimeoutRecord(0.5), "halts 0.5 s after its last command"),
+        (TimeoutRecord().after(None), "does not halt by itself"),
     ],
 )
 def test_each_start_says_what_is_known(known, words):
     assert words in known.note
-    assert words in BaseTimeout(known.described_s, True, known.measured, known.measured_s).note
+    assert words in TimeoutRecord(known.described_s, True, known.measured, known.measured_s).note
 
 
 class Checked:
@@ -199,28 +189,21 @@ class Checked:
 
     def __init__(self):
         self.robot = Ros2Robot(UNSCANNED, PymunkRover(described_rover(UNSCANNED), Ground(())))
-        self.bridge, self.lease = VirtualBridge(self.robot), DriverLease()
+        self.bridge = VirtualBridge(self.robot)
+        self.driver = LeaseClient(self.bridge)
         self.bridge.sleep(3.0)
-        self.lease.grant(parse_json(MotorsReply, self.motors(enable=True)))
-        for _ in range(20):
-            data = twist_stamped(Velocity(0.1, 0.0), self.bridge.time_ns())
-            self.bridge.command(data, self.tag(Signed.COMMAND, "cmd_vel", data))
-            self.bridge.sleep(0.05)
+        assert self.motors().granted
+        self.driver.drive(Velocity(0.1, 0.0))
         request = dump_json(BaseRequest(measure=True, sent_ns=self.bridge.now_ns))
-        reply = self.bridge.query("rover/base", request, self.tag(Signed.MOTORS, "rover/base", request))
+        reply = self.bridge.query(
+            "rover/base", request, self.driver.tag(Signed.MOTORS, "rover/base", request)
+        )
         assert parse_json(BaseReply, reply).state == "running"
         self.bridge.sleep(0.7)
         assert self.speed == pytest.approx(0.1, abs=0.01)
 
-    def tag(self, kind, name, data):
-        return self.lease.sign(kind, name, data, self.bridge.now_ns).pack()
-
-    def motors(self, enable):
-        request = dump_json(
-            MotorsRequest(enable=enable, name="check", unchecked=True, sent_ns=self.bridge.now_ns)
-        )
-        tag = self.tag(Signed.MOTORS, "rover/motors", request) if self.lease.number else None
-        return self.bridge.query("rover/motors", request, tag)
+    def motors(self, enable=True):
+        return self.driver.motors(enable, "check", unchecked=True)
 
     def stop(self):
         self.bridge.query("rover/stop", dump_json(StopRequest(reason="test")))
@@ -247,9 +230,9 @@ def test_a_check_that_died_halts_a_robot_that_is_measured_with_its_lease():
 def test_a_check_that_renews_its_lease_measures_to_the_end():
     checked = Checked()
     for _ in range(20):
-        checked.motors(enable=True)
+        checked.motors()
         checked.bridge.sleep(0.2)
         assert checked.speed == pytest.approx(0.1, abs=0.01)
     checked.bridge.sleep(0.7)
     assert checked.speed == pytest.approx(0.0, abs=0.01)
-    assert checked.bridge.line.base.own_timeout.state == "none"
+    assert checked.bridge.line.base.base_timeout.state == "none"

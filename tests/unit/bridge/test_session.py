@@ -9,7 +9,7 @@ from arcos_captures import CAPTURES
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.base import BaseReport, Failed, Lost, Notice, Ready, Recovered, TurnRate
+from bridge.base import BaseReport, Failed, Lost, Notice, Ready, Recovered
 from bridge.pioneer.arcos import Command, encode_frame
 from bridge.pioneer.packets import ConfigPac, Flag, GyroPac, Kind
 from bridge.pioneer.session import CONFIG_S, Session
@@ -28,7 +28,6 @@ def test_a_silent_line_is_given_up_after_a_few_seconds_and_close_is_tried():
     assert commands.count(Command.PULSE) == 6
     assert commands[:3] == [Command.PULSE, Command.PULSE, Command.CLOSE]
     (failed,) = bench.events
-    assert isinstance(failed, Failed)
     assert "no answer" in failed.reason
 
 
@@ -38,7 +37,6 @@ def test_invalid_bytes_give_another_reason_than_silence():
         bench.wait(0.05)
         bench.hear(b"\x80\xfe\x00\xfa\xfbz")
     (failed,) = bench.events
-    assert isinstance(failed, Failed)
     assert "baud" in failed.reason
     assert "not one valid packet" in failed.reason
 
@@ -58,24 +56,7 @@ def test_base_that_never_completes_the_handshake_is_given_up(stream, period_s):
         bench.wait(period_s)
         bench.hear(next(pieces))
     (failed,) = bench.events
-    assert isinstance(failed, Failed)
     assert "no handshake was completed within 15 s" in failed.reason
-
-
-def test_an_old_session_is_sent_zeros_then_close_before_any_sync():
-    bench = Bench().connect()
-    bench.wait(0.1)
-    bench.hear(sip(flags=1))
-    assert bench.sent() == [
-        (Command.VEL, 0),
-        (Command.RVEL, 0),
-        (Command.STOP, None),
-        (Command.CLOSE, None),
-    ]
-    bench.hear(sip(flags=1))  # was under way
-    assert bench.sent() == []
-    bench.wait(0.4)
-    assert bench.commands() == [Command.PULSE]
 
 
 def test_a_late_second_echo_does_not_start_over():
@@ -97,7 +78,6 @@ def test_without_a_configpac_the_base_is_ready_after_a_second():
     assert any(isinstance(event, Ready) for event in bench.events)
     bench.hear(sip(stall_right=0xFE))
     state = bench.events[-1]
-    assert isinstance(state, BaseReport)
     assert state.bumpers == (0, 0)
 
 
@@ -117,7 +97,6 @@ def test_a_configpac_that_was_lost_is_asked_for_until_it_comes_and_then_the_bump
     bench.events.clear()
     bench.hear(frame(ConfigPac(front_bumps=5, has_gyro=1).encode()) + sip(stall_right=0xFE))
     (state,) = bench.events
-    assert isinstance(state, BaseReport)
     assert state.bumpers == (0b11111, 0)
     assert bench.commands() == [Command.GYRO]
     for _ in range(20):
@@ -146,18 +125,15 @@ def test_a_base_with_a_gyro_for_its_client_is_asked_to_send_it():
         assert [sent for sent in bench.sent() if sent[0] is Command.GYRO] == asked
     bench.events.clear()
     bench.hear(readings + frame(GyroPac().encode()) + sip())
-    turned, state = bench.events  # nothing before it was ready, nothing of no readings
-    assert isinstance(turned, TurnRate)
+    turned, _ = bench.events  # nothing before it was ready, nothing of no readings
     # 11 below rest, to the left: 11 of 0.954 deg/s (ARIA's factors).
     assert turned.rate == pytest.approx(math.radians(11 * 5 / 1023 * 120 * 1.626))
-    assert isinstance(state, BaseReport)
 
 
 def test_chosen_model_has_precedence_over_the_reported_one():
     bench = Bench("p3dx").go_to(SessionState.SYNC2)
     bench.hear(STRANGER + CONFIG + sip())
     configured = bench.events[-1]
-    assert isinstance(configured, Ready)
     assert configured.robot.name == "p3dx"
 
 
@@ -301,8 +277,7 @@ def test_unanswered_enable_is_repeated_but_motors_that_went_off_stay_off():
     assert (Command.ENABLE, 1) in bench.sent()
 
 
-def test_motors_that_are_on_without_a_request_are_switched_off():
-    """AMRISim reports them on from the start."""
+def test_motors_that_are_on_without_a_request_are_switched_off():  # as AMRISim's are from the start
     bench = Bench().go_to(SessionState.READY)
     bench.hear(sip(flags=Flag.MOTORS))
     bench.wait(0.35)
@@ -310,7 +285,6 @@ def test_motors_that_are_on_without_a_request_are_switched_off():
 
 
 def test_repeated_request_for_motors_is_sent_although_the_last_report_shows_them_on():
-    """They may have gone off since that report."""
     bench = driving()
     bench.session.enable(True)
     assert bench.sent()[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.ENABLE, 1)]
@@ -336,7 +310,6 @@ def test_odometry_reset_is_repeated_until_the_counters_show_it():
     assert asked == 2
     bench.hear(sip())
     state = bench.events[-1]
-    assert isinstance(state, BaseReport)
     assert state.x == 0.0
     bench.sent()
     bench.wait(0.4)

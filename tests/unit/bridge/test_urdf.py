@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 from base_report import STAMP, STATE
 
-from bridge.pioneer.robots import ROBOTS
+from bridge.pioneer.odometry import ROBOTS
 from bridge.ros2 import messages as ros
 from bridge.ros2.urdf import urdf
 from rover_ncp import cli

@@ -12,6 +12,7 @@ from rover_ncp.core.errors import FileError
 from rover_ncp.wire.zenoh import CLIENT
 
 DROP_WAIT = "transport/link/tx/queue/congestion_control/drop/wait_before_drop"
+SHARED_MEMORY = "transport/shared_memory/enabled"
 
 
 @pytest.fixture
@@ -24,18 +25,12 @@ def keys(tmp_path):
     return make
 
 
-def test_full_shared_memory_cannot_keep_the_bridge_from_listening():
+@pytest.mark.parametrize(("name", "value"), [(SHARED_MEMORY, False), (DROP_WAIT, 0)])
+def test_session_uses_no_shared_memory_and_publishing_waits_for_nothing(name, value):
     settings, _ = configured("tcp/127.0.0.1:0", None, False, "cmd_vel")
-    assert json.loads(settings.get_json("transport/shared_memory/enabled")) is False
-    assert CLIENT["transport/shared_memory/enabled"] is False
-
-
-def test_publishing_waits_for_nothing():
-    settings, _ = configured("tcp/127.0.0.1:0", None, False, "cmd_vel")
-    assert json.loads(settings.get_json(DROP_WAIT)) == 0
     client = zenoh.Config()
-    client.insert_json5(DROP_WAIT, json.dumps(CLIENT[DROP_WAIT]))
-    assert json.loads(client.get_json(DROP_WAIT)) == 0
+    client.insert_json5(name, json.dumps(CLIENT[name]))
+    assert json.loads(settings.get_json(name)) == json.loads(client.get_json(name)) == value
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,8 @@
 import pytest
 import yaml
 
-from bridge.base import shape_of
 from bridge.bases import choose_base, gate_limits
-from bridge.pioneer.robots import NAMES
+from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros2.urdf import urdf
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
@@ -31,7 +30,7 @@ def figures(data, path=""):
 
 
 def test_the_models_of_the_issue_are_shipped():
-    wanted = ["husky-a200", "jackal-j100", *NAMES, "turtlebot3-burger", "turtlebot4"]
+    wanted = ["husky-a200", "jackal-j100", *ROBOTS, "turtlebot3-burger", "turtlebot4"]
     assert sorted(wanted) == SHIPPED
 
 
@@ -59,7 +58,7 @@ def test_a_new_robot_takes_one_file(tmp_path):
     assert mine.topics.cmd_vel == "base/cmd_vel"
     assert mine.topics.base_frame == "base_footprint"
     assert gate_limits(None, mine).v_max == 0.18
-    assert 'robot name="mine"' in urdf(shape_of(mine))
+    assert 'robot name="mine"' in urdf(mine)
     assert described_rover(mine).width == 0.3
     assert choose_base("ros2/tcp/robot", str(file)).description == mine
 

@@ -74,7 +74,9 @@ def test_the_page_of_commands_has_every_option():
 
 def test_the_page_of_files_has_the_bounds_and_the_notes_of_the_code():
     page = reference_pages.files_page()
-    assert re.search(r"\| `silence_s` \| number, > 0, ≤ 0\.4 \| `0\.3` \| A command is in force", page)
+    assert re.search(
+        r"\| `command_timeout_s` \| number, > 0, ≤ 0\.4 \| `0\.3` \| A command is in force", page
+    )
     assert re.search(r"\| `kind` \| `excitatory`, `inhibitory`, `gap` \| required", page)
 
 

@@ -10,8 +10,8 @@ from pioneer_bench import Pioneer
 
 import sim.pioneer.firmware
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command, encode_frame
+from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.packets import decode_names
-from bridge.pioneer.robots import ROBOTS
 from sim.pioneer.client_commands import MockCommand, decode_argument, pair
 
 SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]

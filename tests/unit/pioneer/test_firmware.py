@@ -7,9 +7,8 @@ import pytest
 from pioneer_bench import Pioneer
 
 from bridge.pioneer.arcos import Command, Packet, encode_command, encode_frame
-from bridge.pioneer.odometry import Odometer
+from bridge.pioneer.odometry import ROBOTS, Odometer
 from bridge.pioneer.packets import ConfigPac, Flag, decode_names
-from bridge.pioneer.robots import ROBOTS
 from sim.pioneer.client_commands import MockCommand
 from sim.pioneer.firmware import ClientState
 from sim.pioneer.report import ENCODER, IO, SIMSTAT

@@ -11,7 +11,7 @@ from pioneer_bench import Pioneer
 
 from bridge.base import BaseReport, Failed, Lost, Ready, Recovered, TurnRate
 from bridge.pioneer.arcos import Command, encode_command
-from bridge.pioneer.robots import ROBOTS
+from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import Session, SessionEvent
 from bridge.pioneer.states import SessionState
 from rover_ncp.core.geometry import Velocity
@@ -236,7 +236,7 @@ def test_rover_stands_soon_after_any_cut_of_the_line(
 
 @pytest.mark.parametrize(("has_gyro", "sends"), [(0, False), (1, True), (2, False)])
 def test_client_side_gyro_measures_the_true_turn_rate(has_gyro: int, sends: bool) -> None:
-    pair = Pair(Pioneer(config=replace(config_of("p3at-sh"), has_gyro=has_gyro))).ready()
+    pair = Pair(Pioneer(config=replace(config_of(ROBOTS["p3at-sh"]), has_gyro=has_gyro))).ready()
     pair.run(3.0)
     rest = [event.rate for event in pair.of(TurnRate)]
     assert bool(rest) == sends

@@ -4,44 +4,39 @@ It has nothing in common with the drivers' session: both have keys named ``odom`
 the robot's side, which the drivers' side must not see, shows whether the two networks are connected.
 """
 
-import json
 import secrets
 import time
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
-from bridge.inbox import Inbox, RobotMessage, ThreadError
+from bridge.inbox import Inbox, RobotMessage
 from bridge.ros2.address import RosAddress
 from bridge.ros2.base import TokenSeen
-from bridge.ros2.discovery import Announced, Convention, bridge_token, read_topic_token, topic_token
+from bridge.ros2.discovery import (
+    Announced,
+    Convention,
+    bridge_token,
+    command_type,
+    read_topic_token,
+    sensor_topics,
+    topic_token,
+)
 from bridge.ros2.rmw import Attachment, Graph, Topic, gid, read_token
 from bridge.ros2.rmw_node import publisher
-from bridge.zenoh.config import read_config, reason
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.robot.description import Topics
-from rover_ncp.wire.certificates import require_valid
-from rover_ncp.wire.messages import (
-    BATTERY_STATE,
-    BOOL,
-    HAZARDS,
-    IMU,
-    LASER_SCAN,
-    ODOMETRY,
-    TWIST,
-    TWIST_STAMPED,
-)
-from rover_ncp.wire.zenoh import CLIENT
+from rover_ncp.wire.messages import TWIST, TWIST_STAMPED
+from rover_ncp.wire.zenoh import client_config, reason
 
 LOOP_KEY = "rover/robot_side"
-MOST_BYTES = 1 << 16
-"""What is longer than this is cut off, and cannot be read."""
+MAX_BYTES = 1 << 16
+"""Longer messages are cut off and count as unreadable."""
 
 
-class RosLine:
+class RosConnection:
     """Opens at once: raises NoRobot when no router answers. ``inbox`` gets messages and tokens."""
 
     def __init__(self, address: RosAddress, topics: Topics, inbox: Inbox) -> None:
@@ -52,14 +47,11 @@ class RosLine:
         self.zid = str(self._session.info.zid())
         self.nonce = secrets.token_hex(8)
         self._held: list[Any] = []
-        wanted = [(topics.odom, ODOMETRY), (topics.imu, IMU), (topics.battery_state, BATTERY_STATE)]
-        wanted += [(topics.scan, LASER_SCAN), (topics.stop, BOOL), (topics.hazards, HAZARDS)]
-        inputs = [(name, ros_type) for name, ros_type in wanted if name is not None]
-        stamped = topics.cmd_vel_type == "TwistStamped"
+        inputs, taken = sensor_topics(topics), command_type(topics)
         if address.convention is Convention.RMW_ZENOH:
-            self._join_graph(inputs, topics.cmd_vel, TWIST_STAMPED if stamped else TWIST)
+            self._join_graph(inputs, topics.cmd_vel, taken)
         else:
-            self._use_plain_keys(inputs, topics.cmd_vel, TWIST_STAMPED if stamped else TWIST)
+            self._use_plain_keys(inputs, topics.cmd_vel, taken)
         self._held.append(self._session.liveliness().declare_token(f"{LOOP_KEY}/{self.nonce}"))
 
     def topic(self, name: str) -> str:
@@ -121,13 +113,13 @@ class RosLine:
 
     def _subscribe(self, key: str, name: str) -> None:
         def receive(sample: zenoh.Sample) -> None:
-            payload = sample.payload.to_bytes()[:MOST_BYTES]
+            payload = sample.payload.to_bytes()[:MAX_BYTES]
             self.bytes_in += len(payload)
             self._inbox.put(RobotMessage(name, payload, time.monotonic(), _source(sample)))
 
         # Our own commands come back only from outside, and then through a loop.
         subscriber = self._session.declare_subscriber(
-            key, self._guard(receive), allowed_origin=zenoh.Locality.REMOTE
+            key, self._inbox.guarded(receive), allowed_origin=zenoh.Locality.REMOTE
         )
         self._held.append(subscriber)
 
@@ -137,18 +129,7 @@ class RosLine:
                 self._inbox.put(TokenSeen(found, sample.kind == zenoh.SampleKind.PUT))
 
         liveliness = self._session.liveliness()
-        self._held.append(liveliness.declare_subscriber(pattern, self._guard(receive), history=True))
-
-    def _guard(self, callback: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
-        """Hand an error in a callback to the loop; Zenoh would print it and go on."""
-
-        def guarded(sample: zenoh.Sample) -> None:
-            try:
-                callback(sample)
-            except Exception as error:
-                self._inbox.put(ThreadError(error))
-
-        return guarded
+        self._held.append(liveliness.declare_subscriber(pattern, self._inbox.guarded(receive), history=True))
 
 
 def _source(sample: zenoh.Sample) -> bytes | None:
@@ -162,10 +143,7 @@ def _source(sample: zenoh.Sample) -> bytes | None:
 
 
 def _open(endpoint: str, file: Path | None) -> zenoh.Session:
-    config = read_config(file)
-    require_valid(config, "connect", file, datetime.now(UTC))
-    for path, value in {**CLIENT, "connect/endpoints": [endpoint]}.items():
-        config.insert_json5(path, json.dumps(value))
+    config, _ = client_config(endpoint, file)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:

@@ -1,0 +1,216 @@
+"""Odometry of a ROS 2 robot: its rate, its clocks, two publishers, restarts."""
+
+import gc
+import math
+import tracemalloc
+
+import pytest
+from ros2_world import BURGER, EPOCH_S, World, announced
+from ros_cdr import odometry
+
+from bridge.base import Lost, Notice, Ready, Recovered
+from bridge.ros2.odometry import RosOdometer
+
+
+def test_jitter_does_not_lose_it(ready):
+    late = [0.0, 0.06, 0.01, 0.08, 0.03]
+    for k in range(100):
+        stamp_s = EPOCH_S + ready.now
+        ready.run(late[k % 5], odom=False)
+        ready.hear("odom", odometry(stamp_s))
+        ready.run(0.05, odom=False)
+    assert [type(event) for event in ready.events] == [Ready]
+
+
+def test_bursts_of_old_odometry_do_not_count(ready):
+    for _ in range(6):
+        first_s = EPOCH_S + ready.now
+        ready.run(1.0, odom=False)
+        for k in range(20):
+            ready.hear("odom", odometry(first_s + 0.05 * k))
+    assert isinstance(ready.events[1], Lost)
+    assert len(ready.events) == 2  # it does not recover between bursts
+
+
+def test_two_publishers_of_odometry_stop_it(ready):
+    """Two robots on one topic, without any sign of who sent what."""
+
+    def other():
+        ready.hear("odom", odometry(EPOCH_S + ready.now + 0.001, x=3.0, y=2.0))
+
+    ready.run(1.0, each=other)
+    assert ready.last == Lost("two publishers on odom")
+    ready.run(5.0)
+    assert isinstance(ready.last, Ready | Recovered)
+
+
+def test_two_nodes_that_publish_odometry_are_named(ready):
+    ready.tell(announced("odom", "nav_msgs/msg/Odometry", "/ekf"))
+    ready.tell(announced("odom", "nav_msgs/msg/Odometry", "/wheels"))
+
+    def both():
+        ready.odom(source=b"a" * 16)
+        ready.now += 0.001
+        ready.odom(source=b"b" * 16)
+
+    ready.run(0.5, odom=False, each=both)
+    assert ready.last == Lost("two publishers on odom: /ekf and /wheels")
+
+
+def test_publishers_with_ever_new_identities_take_no_memory():
+    """Any peer of the robot's network may choose the 16 bytes of its identity."""
+    odometer, payload = RosOdometer(BURGER.topics, BURGER.motion), odometry(EPOCH_S)
+    held = []
+    tracemalloc.start()
+    for k in range(2000):
+        odometer.take(payload, 0.01 * k, k.to_bytes(16, "little"))
+        if k in {499, 1999}:
+            gc.collect()
+            held.append(tracemalloc.get_traced_memory()[0])
+    grown = held[1] - held[0]
+    tracemalloc.stop()
+    assert grown < 10_000
+    assert odometer.publishers(20.5) > 1
+    assert odometer.publishers(21.5) == 1
+
+
+@pytest.mark.parametrize("hours", [-3, 0, 5])
+def test_the_robots_clock_may_be_hours_off(hours):
+    world = World()
+    world.clock_s = EPOCH_S + 3600 * hours
+    world.run(3.0)
+    assert [type(event) for event in world.events] == [Ready]
+
+
+def test_a_router_that_restarts_loses_the_base_and_the_pose_goes_on(ready):
+    ready.x = 0.5
+    ready.run(0.2)
+    ready.run(3.0, odom=False)
+    assert ready.last == Lost("no odometry on odom for 0.5 s")
+    ready.run(2.0)
+    assert isinstance(ready.last, Recovered)
+    assert ready.reports[-1].x == pytest.approx(0.5)
+
+
+def test_odometry_at_200_hz_is_passed_on_at_50(world):
+    for _ in range(1000):
+        world.now += 0.005
+        world.odom()
+    assert isinstance(world.last, Ready)
+    assert 0.0 < len(world.reports) <= 5.0 * 56
+
+
+# Clocks that are set, stamps that are bad, robots that restart.
+
+
+def gaps_s(world, seconds):
+    """Return the longest time without a report."""
+    seen, longest, last_s = len(world.reports), 0.0, world.now
+    for _ in range(round(seconds * 100)):
+        world.run(0.01, odom=False)
+        if round(world.now * 100) % 5 == 0:
+            world.odom()
+        if len(world.reports) > seen:
+            seen, last_s = len(world.reports), world.now
+        longest = max(longest, world.now - last_s)
+    return longest
+
+
+@pytest.mark.parametrize("back_s", [0.2, 0.3, 0.6, 1.0])
+def test_a_clock_that_is_set_back_a_little_costs_one_message_and_is_named(ready, back_s):
+    ready.x = 0.4
+    ready.run(0.5)
+    ready.clock_s -= back_s
+    assert gaps_s(ready, 3.0) < 0.12
+    notice = Notice(f"the clock that stamps odom was set back by {back_s:.2f} s")
+    assert ready.events[1:] == [notice]
+    assert ready.reports[-1].x == pytest.approx(0.4)
+    assert ready.stamp_s == pytest.approx(ready.clock_s + ready.now, abs=0.06)
+
+
+@pytest.mark.parametrize("back_s", [1.5, 3600.0])
+def test_a_clock_that_is_set_back_far_is_a_restart_that_names_it(ready, back_s):
+    ready.clock_s -= back_s
+    ready.run(3.0)
+    assert ready.events[1] == Lost(f"odometry on odom began again: its clock was set back by {back_s:.2f} s")
+    assert isinstance(ready.last, Ready)
+    assert ready.stamp_s == pytest.approx(ready.clock_s + ready.now, abs=0.06)
+
+
+@pytest.mark.parametrize("ahead_s", [0.2, 0.6, 3600.0])
+def test_a_clock_that_is_set_forward_costs_one_message(ready, ahead_s):
+    ready.clock_s += ahead_s
+    assert gaps_s(ready, 3.0) < 0.12
+    assert len(ready.events) == 1
+
+
+@pytest.mark.parametrize("error_s", [-1.7e9, -3600.0, -0.5, 0.5, 5.0, 4e8])
+def test_a_bad_stamp_costs_one_message(ready, error_s):
+    ready.clock_s += error_s
+    ready.run(0.02)
+    ready.clock_s -= error_s
+    assert gaps_s(ready, 3.0) < 0.12
+    assert len(ready.events) == 1
+    assert ready.base.health().counters["stale"] == 1
+    assert ready.stamp_s == pytest.approx(ready.clock_s + ready.now, abs=0.06)
+
+
+def test_a_link_that_became_slow_stays_lost(ready):
+    stamps = []
+
+    def send_late():
+        stamps.append(EPOCH_S + ready.now)
+        if len(stamps) > 60:
+            ready.hear("odom", odometry(stamps.pop(0)))
+
+    ready.run(20.0, odom=False, each=send_late)
+    assert [type(event) for event in ready.events] == [Ready, Lost]
+    assert ready.base.health().counters["stale"] > 1000
+
+
+def test_two_publishers_with_clocks_apart_stop_it(ready):
+    def other():
+        ready.hear("odom", odometry(EPOCH_S + ready.now - 100.0))
+
+    ready.run(1.0, rate_hz=100.0, each=other)
+    assert ready.last == Lost("two publishers on odom")
+
+
+@pytest.mark.parametrize(
+    "new", [{"x": 0.0}, {"x": 0.6, "theta": 0.5}, {"x": 0.6, "y": 0.3}, {"x": 0.6, "theta": -math.pi}]
+)
+@pytest.mark.parametrize("silent_s", [0.8, 3.5, 60.0])
+def test_a_robot_that_restarts_elsewhere_is_not_taken_for_the_old_one(ready, new, silent_s):
+    """It was sent zeros while it was silent, so it cannot have driven there."""
+    ready.setpoint_v = 0.2
+    ready.run(3.0)
+    assert ready.x == pytest.approx(0.6)
+    ready.setpoint_v = 0.0
+    ready.run(silent_s, odom=False)
+    ready.run(2.0, **new)
+    assert isinstance(ready.last, Ready)
+    assert (ready.reports[-1].x, ready.reports[-1].y, ready.reports[-1].theta) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("coasted_m", [0.0, 0.1])
+def test_a_robot_that_coasts_while_it_is_silent_keeps_its_odometry(ready, coasted_m):
+    ready.setpoint_v = 0.2
+    ready.run(3.0)
+    ready.setpoint_v = 0.0
+    ready.run(3.5, odom=False)
+    ready.x += coasted_m
+    ready.run(2.0)
+    assert isinstance(ready.last, Recovered)
+    assert ready.reports[-1].x == pytest.approx(0.6 + coasted_m)
+
+
+@pytest.mark.parametrize("silent_s", [0.2, 0.7, 3.0])
+def test_a_new_publisher_of_odometry_is_a_restart(world, silent_s):
+    """Its identity is that of rmw_zenoh; the pose is near the old one."""
+    world.run(2.0, source=b"a" * 16)
+    world.x = 0.03
+    world.run(silent_s, odom=False)
+    world.run(5.0, source=b"b" * 16)
+    assert isinstance(world.events[-2], Lost)
+    assert isinstance(world.last, Ready)
+    assert world.reports[-1].x == 0.0

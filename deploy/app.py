@@ -97,7 +97,6 @@ def run(
             publisher,
             config,
             lambda: interrupts.raised,
-            say=output.say,
             period_s=period_s,
         )
         drive.wait()

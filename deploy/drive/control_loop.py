@@ -9,6 +9,7 @@ Rules of this file:
 4. Only while DRIVING may a command other than zero leave this process.
 """
 
+import logging
 import math
 import time
 from collections.abc import Callable
@@ -33,6 +34,7 @@ from rover_ncp.course.course import TICK_S, Verdict
 from rover_ncp.wire.messages import OdometrySample
 from rover_ncp.wire.protocol import DriverStatus
 
+_LOGGER = logging.getLogger("rover_ncp")
 POLL_S = 0.02
 
 
@@ -67,16 +69,15 @@ class Drive:
         config: DriveConfig,
         interrupted: Callable[[], bool],
         *,
-        say: Callable[[str], None] = lambda words: None,
         clock: Clock = time,
         period_s: float = TICK_S,
     ) -> None:
         self._period_ns = round(period_s * NS)
         self._link, self._controller, self._publisher = link, controller, publisher
-        self._config, self._clock, self._say = config, clock, say
+        self._config, self._clock = config, clock
         self._used: list[SampleRef] = []
         """Samples that the estimator got since the last tick."""
-        self.measurements = Measurements(link, say)
+        self.measurements = Measurements(link)
         self._monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
         self._placed = False
         """Whether external poses gave the start pose."""
@@ -224,7 +225,7 @@ class Drive:
         if required is not None and error > required:
             raise SafetyStop("accuracy", f"{words}, expected {required:g} m at most; {advice}")
         if not readings:
-            self._say(f"{words}; {advice}")
+            _LOGGER.info(f"{words}; {advice}")
 
     def _drive(self) -> None:
         """Run all ticks, and look once more at the end of the last."""
@@ -302,7 +303,7 @@ class Drive:
         keeper, warning = self.keeper, self.warning
         if warning != self._warned:
             self._warned = warning
-            self._say(f"warning: {warning}")
+            _LOGGER.info(f"warning: {warning}")
         self._publisher.status(
             DriverStatus(
                 state=self.phase.value,

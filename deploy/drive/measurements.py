@@ -4,6 +4,7 @@ The link stores arrivals in an `Inbox` for each kind: odometry (only the newest)
 `Measurements` takes them out and decodes each once. `replay` uses the same functions to decode.
 """
 
+import logging
 import threading
 import zlib
 from collections import Counter, deque
@@ -22,6 +23,7 @@ from rover_ncp.wire.messages import (
     read_pose,
 )
 
+_LOGGER = logging.getLogger("rover_ncp")
 NS = 1_000_000_000
 """Nanoseconds in a second."""
 INBOX_LENGTH = 1000
@@ -122,13 +124,10 @@ READERS: dict[str, Callable[[bytes], Sample]] = {
 
 
 class Measurements:
-    """Takes the received samples of one link, decodes them and counts them by topic.
+    """Takes the received samples of one link, decodes them and counts them by topic."""
 
-    ``say`` logs for people that a clock was set back, and why the first message of a topic is unreadable.
-    """
-
-    def __init__(self, source: MeasurementSource, say: Callable[[str], None] = lambda words: None) -> None:
-        self._source, self._say = source, say
+    def __init__(self, source: MeasurementSource) -> None:
+        self._source = source
         # External poses may come late, out of order, and stamped by any clock.
         self._clocks = {"odom": StampClock(), "imu": StampClock(), "pose": StampClock(in_order=False)}
         self._before: dict[str, tuple[Arrival, Any]] = {}
@@ -165,7 +164,7 @@ class Measurements:
                 sample = read(arrival.data)
             except FormatError as error:
                 if not self.unreadable[topic]:
-                    self._say(f"a message on '{topic}' cannot be read: {error}")
+                    _LOGGER.info(f"a message on '{topic}' cannot be read: {error}")
                 self.unreadable[topic] += 1
                 continue
             if sample.stamp_ns == 0:  # a publisher without a clock
@@ -173,7 +172,7 @@ class Measurements:
                 continue
             measured_ns = clock.measured_ns(sample.stamp_ns, arrival.arrival_ns)
             if clock.set_back_s:
-                self._say(f"the clock that stamps '{topic}' was set back by {clock.set_back_s:.2f} s")
+                _LOGGER.info(f"the clock that stamps '{topic}' was set back by {clock.set_back_s:.2f} s")
             if clock.late_ns is not None:
                 found.append(_measurement(topic, *self._before[topic], clock.late_ns))
                 self.doubtful[topic] -= 1

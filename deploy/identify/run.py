@@ -74,7 +74,7 @@ def identify_robot(
         recorder.put(message)
 
     with Interrupts() as interrupts, recorder, ZenohLink(address, record) as link:
-        measurements = Measurements(link, output.say)
+        measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: interrupts.raised)
         monitor.wait()
         if robot is not None:

@@ -10,6 +10,7 @@ import contextlib
 import inspect
 import io
 import json
+import logging
 import math
 import os
 import select
@@ -205,8 +206,8 @@ def printable(text: str) -> str:
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 
-class Output:
-    """The two channels of a command. ``controls`` means that a rover depends on this process."""
+class Output(logging.Handler):
+    """The two channels of a command. ``controls`` means that a rover depends on this process: it logs."""
 
     ended = False
     """Whether a command of this process has printed its result; it must not get a second one."""
@@ -214,10 +215,18 @@ class Output:
     """Wait in s at the end of this process for a reader that takes nothing; None is without limit."""
 
     def __init__(self, as_json: bool, *, controls: bool = False) -> None:
+        super().__init__()
         self.as_json = as_json
         self.console = Console(stderr=as_json, highlight=False, soft_wrap=True)
         if controls:
             Output.blocked_s = BLOCKED_S
+            logger = logging.getLogger("rover_ncp")
+            logger.setLevel(logging.INFO)
+            logger.handlers = [self]
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a line of the log."""
+        self.say(record.getMessage())
 
     def say(self, text: str) -> None:
         """Print a line for people, unless it is empty; it is dropped when they read too slowly."""

@@ -59,7 +59,6 @@ class VirtualBridge:
             self,
             limits=self.line.limits,
             accept_ros=False,
-            say=lambda words: None,
             ready=lambda: None,
             clock=self,
             suspended_s=self.suspended_s,

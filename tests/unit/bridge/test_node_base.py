@@ -1,5 +1,7 @@
 """The bridge's loop and its base: exceptions of a base driver, its end, its reconnection, its motors."""
 
+import logging
+
 import pytest
 
 from bridge.base import BaseReport, LinkHealth, Lost, OwnTimeout, Ready, Recovered, Setpoint, shape_of
@@ -72,7 +74,7 @@ class Loop:
     """A node with such a base, on a virtual clock: each turn takes 20 ms and brings a report."""
 
     def __init__(self, accept_ros=False, limits=None):
-        self.now_ns, self.base, self.said, self.lease = 10**9, FailingBase(), [], DriverLease()
+        self.now_ns, self.base, self.lease = 10**9, FailingBase(), DriverLease()
         self.arrivals, self.silent = [], False
         self.node = Node(
             self.base,
@@ -80,7 +82,6 @@ class Loop:
             self,
             limits=limits or Limits(),
             accept_ros=accept_ros,
-            say=self.said.append,
             ready=lambda: None,
             clock=self,
             suspended_s=lambda: 0.0,
@@ -130,7 +131,8 @@ class Loop:
 
 
 @pytest.fixture
-def driving():
+def driving(caplog):
+    caplog.set_level(logging.INFO, "rover_ncp")
     loop = Loop()
     loop.turn(3)
     assert loop.motors().granted
@@ -146,11 +148,11 @@ def test_end_of_the_loop_drives_zero_with_motors_off_before_close(driving):
 
 
 @pytest.mark.parametrize("fails", ["drive", "close"])
-def test_end_of_the_loop_goes_on_after_an_exception_of_the_base(driving, fails):
+def test_end_of_the_loop_goes_on_after_an_exception_of_the_base(driving, fails, caplog):
     driving.base.fails[fails] = BrokenPipeError(32, "Broken pipe")
     driving.node.run(lambda: True)
     assert driving.base.calls[-2:] == ["drive", "close"]
-    assert driving.said[-1] == "the base driver failed: [Errno 32] Broken pipe"
+    assert caplog.messages[-1] == "the base driver failed: [Errno 32] Broken pipe"
 
 
 def test_error_of_the_loop_stops_the_base_too(driving):
@@ -166,13 +168,12 @@ def test_error_of_the_loop_stops_the_base_too(driving):
 @pytest.mark.parametrize(
     "error", [BrokenPipeError(32, "Broken pipe"), ValueError("x"), NoRobot("y"), KeyError()]
 )
-def test_exception_of_the_base_is_a_lost_base(driving, fails, error):
-    loop, said = driving, len(driving.said)
+def test_exception_of_the_base_is_a_lost_base(driving, fails, error, caplog):
+    loop = driving
+    caplog.clear()
     loop.base.fails[fails] = error
     loop.drive()
-    lost = [
-        line for line in loop.said[said:] if line.startswith("the base is lost: the base driver failed: ")
-    ]
+    lost = [line for line in caplog.messages if line.startswith("the base is lost: the base driver failed: ")]
     assert len(lost) == 1
     assert (str(error) or "KeyError") in lost[0]
     assert not loop.motors().granted
@@ -181,7 +182,7 @@ def test_exception_of_the_base_is_a_lost_base(driving, fails, error):
     assert loop.base.driven[-1].velocity == (0.0, 0.0)
     assert not loop.base.driven[-1].motors
     loop.turn(3)
-    assert loop.said[-1] == "the base works again"
+    assert caplog.messages[-1] == "the base works again"
     loop.lease.end()
     assert loop.motors().granted
     loop.drive()

@@ -22,9 +22,9 @@ from deploy.drive.link import Link
 from deploy.drive.measurements import NS, Measurement, Measurements, SampleRef
 from deploy.drive.publisher import Publisher
 from deploy.drive.rate_keeper import RateKeeper
+from deploy.drive.records import StartRecord, TickRecord, numbers
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
-from deploy.drive_records import StartRecord, TickRecord, numbers
 from deploy.estimator.estimator import Estimate
 from deploy.estimator.settings import Outcome
 from rover_ncp.core.errors import SafetyStop

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from deploy.drive.controller import Tick
 from deploy.drive.link import Link
-from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
+from deploy.drive.records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.geometry import Pose, compose, inverse
 from rover_ncp.core.process import Clock

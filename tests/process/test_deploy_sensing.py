@@ -6,7 +6,7 @@ import math
 import pytest
 from deploy_bench import ODOM_AT_START, STILL
 
-from deploy.drive_records import TICKS_TOPIC, TickRecord
+from deploy.drive.records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
 from rover_ncp.core.errors import NoPose
 from rover_ncp.core.geometry import Pose, compose, distance, inverse

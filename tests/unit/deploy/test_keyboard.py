@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from deploy.teleop.keyboard import (
+from deploy.keyboard import (
     HOLD_S,
     KEYS,
     NUDGE,

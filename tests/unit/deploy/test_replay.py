@@ -13,7 +13,7 @@ from deploy.drive.config import CONFIG_FILE, POLICY_FILE, DriveConfig, attachmen
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
-from deploy.drive_records import TICKS_TOPIC
+from deploy.drive.records import TICKS_TOPIC
 from deploy.replay import replay
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml, save_policy

@@ -31,7 +31,7 @@ def teleop(
     robot, not authorised or another driver, 4 stopped by a safety rule, which is named, 130 Ctrl-C.
     """
     from deploy.recorder import Recorder
-    from deploy.teleop.teleop import run
+    from deploy.teleop import run
     from deploy.zenoh_client import BridgeAddress
 
     if record is None:

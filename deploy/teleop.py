@@ -18,9 +18,9 @@ from deploy.drive.link import Link
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
+from deploy.keyboard import HELP, STANDSTILL, Keyboard, KeyReader, Press
 from deploy.recorder import Recorder
-from deploy.teleop.keyboard import HELP, STANDSTILL, Keyboard, KeyReader, Press
-from deploy.teleop.terminal import Terminal
+from deploy.terminal import Terminal
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output, printable

@@ -202,7 +202,6 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
             namespace=self._address.namespace,
             policy="gymnasium",
             course=self.course.name,
-            dry_run=False,
             ticks=self.course.ticks,
             pose=self._pose,
             estimator=settings_for(self._profile, self._robot),

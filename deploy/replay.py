@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from deploy.drive.config import attached
 from deploy.drive.controller import Controller, Tick
 from deploy.drive.measurements import READERS, Sample, SampleRef
 from deploy.drive.publisher import estimate_message
-from deploy.drive.records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, numbers
+from deploy.drive.records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, attached, numbers
 from deploy.estimator.estimator import Estimate
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml

@@ -14,7 +14,7 @@ from typing import Any
 
 import zenoh
 
-from deploy.drive.sources import INPUTS, Sources
+from deploy.drive.link import INPUTS, Sources
 from rover_ncp.core.errors import FileError, NoBridge, NotAuthorised, UnreachableError, UsageError
 from rover_ncp.core.files import existing_file
 from rover_ncp.core.process import ClosedAtExit

@@ -1,4 +1,4 @@
-"""Settings of a drive, and the files that go into its recording."""
+"""Settings of a drive."""
 
 import math
 from importlib.metadata import version
@@ -8,16 +8,8 @@ from pydantic import Field
 
 from deploy.drive.safety_monitor import Timeouts
 from deploy.estimator.settings import GYRO_S, EstimatorSettings
-from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
-from rover_ncp.core.config import dump_yaml, parse_yaml, read_yaml
-from rover_ncp.core.errors import FileError
-from rover_ncp.course.course import Course
-from rover_ncp.recording.recording import Recording
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
-
-POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
 
 STD = {
     "distance_gain": "distance_gain_std",
@@ -43,10 +35,10 @@ class DriveConfig(Timeouts):
     format: int = Field(default=3, ge=3, le=3)
     version: str = Field(default_factory=lambda: version("rover-ncp"))
     robot: str
-    namespace: str
+    namespace: str = ""
     policy: str
     course: str
-    dry_run: bool
+    dry_run: bool = False
     ticks: int = Field(ge=1, description="how many control ticks the drive lasts at most")
     still_wait_s: float = Field(default=10.0, gt=0, description="for the rover to stand still")
     still_s: float = Field(default=1.0, gt=0, description="so long it stands still before the start")
@@ -128,38 +120,3 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
     if robot.drive.kind == "differential":  # it turns about the middle of its axle, and does not slide
         spread |= {"rotation_center_std_m": AXLE_STD_M, "downhill_std_m": AXLE_STD_M}
     return usual.model_copy(update=spread)
-
-
-def attachments(policy: Policy, course: Course, config: DriveConfig) -> dict[str, bytes]:
-    """Return the files that go into the recording, by name."""
-    return {
-        POLICY_FILE: policy_to_yaml(policy).encode(),
-        COURSE_FILE: dump_yaml(course.model_dump(mode="json")).encode(),
-        CONFIG_FILE: dump_yaml(config.model_dump(mode="json")).encode(),
-    }
-
-
-def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
-    """Read policy, course and settings from a recording. Raises FileError and ConfigError."""
-    texts = {}
-    for name in (POLICY_FILE, COURSE_FILE, CONFIG_FILE):
-        try:
-            texts[name] = recording.attachment(name).decode()
-        except UnicodeDecodeError as error:
-            raise FileError(f"{recording.path}: its {name} is not text") from error
-    where = {name: f"{recording.path}, {name}" for name in texts}
-    return (
-        policy_from_yaml(texts[POLICY_FILE], where[POLICY_FILE]),
-        parse_yaml(texts[COURSE_FILE], Course, where[COURSE_FILE]),
-        _drive_config(texts[CONFIG_FILE], where[CONFIG_FILE]),
-    )
-
-
-def _drive_config(text: str, where: str) -> DriveConfig:
-    settings = read_yaml(text, where)
-    if isinstance(settings, dict) and settings.get("format") in {1, 2}:
-        raise FileError(
-            f"{where}: has format {settings['format']}, from before the estimator changed; "
-            f"only the rover-ncp that recorded it can recompute the drive"
-        )
-    return parse_yaml(text, DriveConfig, where)

@@ -1,16 +1,106 @@
-"""The interface of a driver's link to a bridge: `zenoh_link` implements it, and the stack simulation does."""
+"""A driver's link to a bridge, without its transport: `zenoh_link` implements it, and the stack simulation.
 
-from typing import Protocol
+A link stores what arrives in an `Inbox` for each kind of measurement, and watches for a second publisher.
+"""
+
+import threading
+from collections import deque
+from typing import NamedTuple, Protocol
 
 from deploy.drive.lease import DriverLease
-from deploy.drive.measurements import MeasurementSource
-from deploy.drive.sources import Sources
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.protocol import GateStatus, MotorsReply
 
+INBOX_LENGTH = 1000
+OF_BRIDGE = "odom", "imu"
+INPUTS = frozenset({*OF_BRIDGE, "pose"})
+"""The topics whose messages the estimate is made of."""
+REMEMBERED = 16
+"""Ids of each topic that are kept."""
+LAST, STEPS_BACK = 20, 4
+"""In the last so many messages, stamps may go back less often than this: a clock is set once, and a late
+message is an exception."""
 
-class Link(MeasurementSource, Protocol):
+
+class Arrival(NamedTuple):
+    """A message and the moment of its arrival on the monotonic clock."""
+
+    data: bytes
+    arrival_ns: int
+
+
+class Inbox:
+    """Keeps the newest ``length`` arrivals until they are taken, and wakes the thread that waits for one.
+
+    Zenoh's own ring channel cannot be waited for with a limit.
+    """
+
+    def __init__(self, length: int = INBOX_LENGTH) -> None:
+        self._changed = threading.Condition()
+        self._arrivals: deque[Arrival] = deque(maxlen=length)
+
+    def put(self, arrival: Arrival) -> None:
+        """Add an arrival; from any thread."""
+        with self._changed:
+            self._arrivals.append(arrival)
+            self._changed.notify()
+
+    def take(self, timeout_s: float = 0.0) -> list[Arrival]:
+        """Return and remove all arrivals, in order; wait for the first at most ``timeout_s``."""
+        with self._changed:
+            if not self._arrivals and timeout_s > 0:
+                self._changed.wait(timeout_s)
+            arrivals = list(self._arrivals)
+            self._arrivals.clear()
+            return arrivals
+
+
+class Sources:
+    """The publishers of each input; ``second`` describes each input that two publishers send.
+
+    The bridge marks its messages with its id. An id that comes back after another one shows two publishers:
+    a bridge that restarts has a new id and does not go back. Two publishers without an id show only by stamps
+    that go back again and again.
+    """
+
+    def __init__(self) -> None:
+        self.second: dict[str, str] = {}
+        self._seen: dict[str, list[str]] = {}
+        self._stamps: dict[str, tuple[int, deque[bool]]] = {}
+
+    def note(self, topic: str, source: str, stamp_ns: int) -> None:
+        """Take in a message of an input: the id of its publisher ("" without one), and its stamp."""
+        self._note_id(topic, source)
+        if topic in OF_BRIDGE:  # a base without a gyro sends no imu: then a false one is the only one
+            self._note_id(" and ".join(OF_BRIDGE), source)
+        last_ns, backward = self._stamps.get(topic, (stamp_ns, deque[bool](maxlen=LAST)))
+        backward.append(stamp_ns < last_ns)
+        self._stamps[topic] = stamp_ns, backward
+        if sum(backward) >= STEPS_BACK:
+            self.second.setdefault(topic, f"two publishers send {topic}, or one sends it out of order")
+
+    def _note_id(self, what: str, source: str) -> None:
+        seen = self._seen.setdefault(what, [])
+        if source in seen[:-1]:
+            self.second.setdefault(what, f"two publishers send {what}")
+        elif source not in seen:
+            self._seen[what] = [*seen, source][-REMEMBERED:]
+
+
+class Link(Protocol):
     """An open link to one bridge."""
+
+    @property
+    def odometry(self) -> Inbox:
+        """The newest odometry of the base; the inbox has the length 1."""
+
+    @property
+    def gyro(self) -> Inbox:
+        """Readings of the base's gyro."""
+
+    @property
+    def poses(self) -> Inbox:
+        """External poses, in the course's frame."""
 
     @property
     def robot(self) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import zenoh
 
 from deploy.drive.lease import DriverLease
-from deploy.drive.measurements import Arrival, Inbox
+from deploy.drive.link import Arrival, Inbox
 from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.core.errors import (
     AnotherDriver,

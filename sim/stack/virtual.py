@@ -14,10 +14,9 @@ from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
 from deploy.drive.controller import Tick
 from deploy.drive.lease import DriverLease
-from deploy.drive.measurements import Arrival, Inbox
+from deploy.drive.link import Arrival, Inbox, Sources
 from deploy.drive.publisher import Publisher
 from deploy.drive.records import TickRecord
-from deploy.drive.sources import Sources
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deploy.drive.measurements import NS, Arrival, Inbox, Measurements
+from deploy.drive.link import Arrival, Inbox
+from deploy.drive.measurements import NS, Measurements
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.wire.messages import imu, odometry, pose_with_covariance
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from json_fields import assert_on_page
 
-from deploy.drive.config import CONFIG_FILE, POLICY_FILE, DriveConfig, attachments
+from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
-from deploy.drive.records import TICKS_TOPIC
+from deploy.drive.records import CONFIG_FILE, POLICY_FILE, TICKS_TOPIC, attachments
 from deploy.replay import replay
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml, save_policy

@@ -116,7 +116,7 @@ def _compared(
             for ref in wanted:
                 controller.take(samples[_key(ref)], start.sample.seconds_to(ref.measured_ns))
             tick = controller.tick(record.index, now) if record.command is not None else None
-            estimate = tick.estimate if tick else controller.look(record.index, now)
+            estimate = tick.estimate if tick else controller.record_estimate(record.index, now)
         except ValueError as error:  # such as a start that is not finite
             raise FileError(f"{recording.path}: tick {record.index} cannot be recomputed: {error}") from error
         yield record, next(_differences(record, tick, estimate, names, messages), None)

@@ -14,7 +14,7 @@ from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
 STD = {
     "distance_gain": "distance_gain_std",
     "turn_gain": "turn_gain_std",
-    "imbalance_rad_m": "imbalance_std_rad_m",
+    "wheel_mismatch_rad_m": "wheel_mismatch_std_rad_m",
     "rotation_center_m": "rotation_center_std_m",
 }
 """Odometry's errors in the estimator's settings, and their standard deviations."""
@@ -32,7 +32,7 @@ PoseUse = Literal["auto", "required", "none"]
 class DriveConfig(Timeouts):
     """The settings of one drive; times in s."""
 
-    format: int = Field(default=3, ge=3, le=3)
+    format: int = Field(default=4, ge=4, le=4)
     version: str = Field(default_factory=lambda: version("rover-ncp"))
     robot: str
     namespace: str = ""
@@ -68,7 +68,7 @@ def settings_for(rover: RoverProfile | None, described: RobotDescription | None 
     if rover is None:
         return usual
     measured = {
-        "imbalance_rad_m": (rover.imbalance_rad_m, rover.std.get("imbalance_rad_m")),
+        "wheel_mismatch_rad_m": (rover.imbalance_rad_m, rover.std.get("imbalance_rad_m")),
         "rotation_center_m": (rover.rotation_center_m, rover.std.get("rotation_center_m")),
     }
     # A profile has odometry's motion over the true one, the estimator the inverse.

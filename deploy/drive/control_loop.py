@@ -252,7 +252,7 @@ class Drive:
         controller, t = self._controller, self._start.seconds_to(now_ns)
         index = self._config.ticks if last else self.keeper.index
         tick = None if last else controller.tick(index, t)
-        estimate = self.estimate = tick.estimate if tick else controller.look(index, t)
+        estimate = self.estimate = tick.estimate if tick else controller.record_estimate(index, t)
         sequence = None
         if tick is not None and not self._config.dry_run:
             self._monitor.check_command(tick.command, estimate.velocity)

@@ -136,7 +136,7 @@ class Controller:
 
     def tick(self, index: int, t: float) -> Tick:
         """Run tick ``index`` of the course at time ``t``."""
-        estimate = self.look(index, t)
+        estimate = self.record_estimate(index, t)
         start = self._course.start_signal(index * TICK_S)
         v, omega = self._runner.tick(self._observation(self._steered(estimate), index, start))
         turn_gain = float(np.clip(estimate.turn_gain, *TURN_GAINS))
@@ -172,7 +172,7 @@ class Controller:
     def _turned(self, pose: Pose) -> float:
         return abs(wrap_angle(pose.theta - self._course.goal.theta))
 
-    def look(self, index: int, t: float) -> Estimate:
+    def record_estimate(self, index: int, t: float) -> Estimate:
         """Note the estimate at time ``t`` for the verdict, without a tick of the circuit."""
         estimate = self.estimator.at(t)
         self._times.append(index * TICK_S)
@@ -181,7 +181,7 @@ class Controller:
 
     @property
     def estimate(self) -> Estimate:
-        """The newest estimate of `look`."""
+        """The newest estimate of `record_estimate`."""
         return self._estimates[-1]
 
     @property

@@ -93,9 +93,9 @@ def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
 
 def _drive_config(text: str, where: str) -> DriveConfig:
     settings = read_yaml(text, where)
-    if isinstance(settings, dict) and settings.get("format") in {1, 2}:
+    if isinstance(settings, dict) and settings.get("format") in {1, 2, 3}:
         raise FileError(
-            f"{where}: has format {settings['format']}, from before the estimator changed; "
-            f"only the rover-ncp that recorded it can recompute the drive"
+            f"{where}: format {settings['format']}, expected 4: recordings of an older estimator cannot be "
+            "replayed"
         )
     return parse_yaml(text, DriveConfig, where)

@@ -28,8 +28,8 @@ from deploy.estimator.motion import (
     OMEGA,
     OWN,
     POSE,
-    PULL,
     SIZE,
+    WHEEL_MISMATCH,
     Array,
     V,
     true_motion,
@@ -43,9 +43,8 @@ GYRO_GAP_S = 0.25
 GYRO_OFF_RAD_S = 1.0
 """A reading that is further off, beyond five standard deviations of its noise, is rejected by itself."""
 LATE, EARLY = 1.5, 0.5
-"""Odometry may be late after a gap of more than so many usual ones, and the next with it after less than so
-many."""
-USUAL_GAPS = 9
+"""Odometry after a gap of more than 1.5 usual gaps may be delayed, and the next one after less than 0.5."""
+GAPS = 9
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ class _Gyro:
 
     def __init__(self) -> None:
         self._t, self._rad, self._rate = -math.inf, 0.0, 0.0
-        self._torn = True
+        self._gap = True
 
     def measure(self, rate: float, t: float) -> None:
         """Add the mean rate since the previous reading."""
@@ -75,42 +74,38 @@ class _Gyro:
         if 0.0 <= gap <= GYRO_GAP_S:
             self._rad += rate * gap
         else:
-            self._torn = True
+            self._gap = True
         self._t, self._rate = t, rate
 
     def miss(self) -> None:
         """Note a reading that cannot be used."""
-        self._torn = True
+        self._gap = True
 
     def angle(self, t: float) -> float:
         """Return the angle at ``t``, NaN where it is unknown, and once after each gap.
 
         This way angles before and after a gap are never compared.
         """
-        if self._torn or abs(t - self._t) > GYRO_GAP_S:
-            self._torn = abs(t - self._t) > GYRO_GAP_S
+        if self._gap or abs(t - self._t) > GYRO_GAP_S:
+            self._gap = abs(t - self._t) > GYRO_GAP_S
             return math.nan
         return self._rad + self._rate * (t - self._t)
 
 
-class _Due:
-    """When odometry was due that came after a gap.
+class _BurstStamps:
+    """Times at which the samples of a burst were due.
 
-    A bridge or a network that stops for a moment passes on several samples at once, stamped with the moment
-    of their arrival.
+    A network that stops for a moment delivers several samples at once, stamped with their arrival.
     """
 
     def __init__(self) -> None:
-        self._gaps: deque[float] = deque(maxlen=USUAL_GAPS)
+        self._gaps: deque[float] = deque(maxlen=GAPS)
         self._t = self._due = math.nan
 
-    def of(self, t: float) -> float:
-        """Return the latest moment at which the sample of stamp ``t`` was due if none was lost.
-
-        This is ``t`` unless the sample came after a gap, or right behind one that did.
-        """
+    def due(self, t: float) -> float:
+        """Return the latest time at which the sample of stamp ``t`` was due: ``t``, except in a burst."""
         gap, late = t - self._t, self._due < self._t
-        usual = sorted(self._gaps)[USUAL_GAPS // 2] if len(self._gaps) == USUAL_GAPS else math.inf
+        usual = sorted(self._gaps)[GAPS // 2] if len(self._gaps) == GAPS else math.inf
         if not math.isnan(gap):
             self._gaps.append(gap)
         waited = gap > LATE * usual or (late and 0.0 <= gap < EARLY * usual)
@@ -124,7 +119,7 @@ class Estimator:
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
         self._settings = settings or EstimatorSettings()
         self._started: History | None = None
-        self._gyro, self._due = _Gyro(), _Due()
+        self._gyro, self._bursts = _Gyro(), _BurstStamps()
         self._gyro_off_rad_s = GYRO_OFF_RAD_S + 5.0 * self._settings.gyro_rad / GYRO_S
         self.rejected = 0
         """Odometry samples refused so far."""
@@ -163,15 +158,15 @@ class Estimator:
         if not (np.isfinite(z).all() and math.isfinite(t)):
             outcome = Outcome.NOT_FINITE
         else:
-            due = self._due.of(t)
+            due = self._bursts.due(t)
             if due < t and self._history.misfit(z, due) < self._history.misfit(z, t):
                 t = due
             outcome, turn, waited = self._history.odometry(z, self._gyro.angle(t), t)
             self._count_gyro(turn)
         if outcome is Outcome.ACCEPTED:
             self._in_a_row = 0
-            for seen in waited:
-                self._count(seen)
+            for waiting in waited:
+                self._count(waiting)
             return outcome
         self.rejected += 1
         self._in_a_row += 1
@@ -213,7 +208,12 @@ class Estimator:
         rows[:3, POSE] = np.eye(3)
         rows[3, V], rows[3, DISTANCE] = x[DISTANCE], x[V]
         turned, by_omega = turned_without_gain(float(x[OMEGA]), self._settings)
-        rows[4, OMEGA], rows[4, GAIN], rows[4, V], rows[4, PULL] = x[GAIN] * by_omega, turned, x[PULL], x[V]
+        rows[4, OMEGA], rows[4, GAIN], rows[4, V], rows[4, WHEEL_MISMATCH] = (
+            x[GAIN] * by_omega,
+            turned,
+            x[WHEEL_MISMATCH],
+            x[V],
+        )
         pose = Pose(*x[POSE].tolist())
         return Estimate(t, pose, Velocity(ahead, turn), rows @ P @ rows.T, float(x[GAIN]), float(x[CENTER]))
 
@@ -226,7 +226,7 @@ class Estimator:
         has one, and without external poses; changes nothing.
         """
         ahead = copy.deepcopy(self)
-        ahead._due = _Due()
+        ahead._bursts = _BurstStamps()
         x, _ = self._history.at(self._history.t)
         own_path = compose(Pose(*x[OWN].tolist()), inverse(path[0]))
         t = self._history.t

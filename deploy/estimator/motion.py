@@ -6,7 +6,7 @@ errors of odometry and of the sensors, which the filter estimates beside the pos
 
     DISTANCE  true distance over odometry's
     GAIN      true turn over odometry's; a skid-steered robot with its weight off the middle turns more
-    PULL      turn per distance that no encoder sees, rad/m
+    WHEEL_MISMATCH      wheel mismatch: turn per distance beside the encoders', rad/m
     CENTER    lateral velocity over turn rate, m: the centre of rotation lies so far behind the base's middle
     DOWNHILL  slide over turned angle, m/rad, in x and y of the course's frame: on a slope the tyres of a
               skid-steered robot slide sideways as it turns, and gravity then moves it
@@ -17,7 +17,7 @@ errors of odometry and of the sensors, which the filter estimates beside the pos
 v and ω are constant but for white noise of the accelerations; one tick at the base's full acceleration
 (0.31 m/s², 1.25 rad/s²) is one standard deviation. So the filter follows odometry almost without lag: a
 circuit that was trained on exact poses must not get late ones. While the rover stands, only odometry's own
-pose may change, and the heading by a push that a gyro shows. What odometry does not see grows with distance
+pose may change, and the heading by a disturbance that a gyro shows. Errors of odometry grow with distance
 and turn.
 """
 
@@ -31,7 +31,7 @@ from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose, compose, wrap_angle
 
 X, Y, THETA, OWN_X, OWN_Y, OWN_THETA, V, OMEGA, TURN = range(9)
-DISTANCE, GAIN, PULL, CENTER, DOWN_X, DOWN_Y, DRIFT, BIAS, DELAY = range(9, 18)
+DISTANCE, GAIN, WHEEL_MISMATCH, CENTER, DOWN_X, DOWN_Y, DRIFT, BIAS, DELAY = range(9, 18)
 SIZE = 18
 POSE, OWN, MOTION = slice(X, THETA + 1), slice(OWN_X, OWN_THETA + 1), slice(V, OMEGA + 1)
 DOWNHILL = slice(DOWN_X, DOWN_Y + 1)
@@ -61,10 +61,10 @@ def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, 
     x[OWN] = own.x, own.y, wrap_angle(own.theta)
     slide = compose(Pose(0.0, 0.0, pose.theta), Pose(s.downhill_x_m, s.downhill_y_m, 0.0))
     x[DOWNHILL] = slide.x, slide.y
-    x[[DISTANCE, GAIN, PULL, CENTER, DELAY]] = (
+    x[[DISTANCE, GAIN, WHEEL_MISMATCH, CENTER, DELAY]] = (
         s.distance_gain,
         s.turn_gain,
-        s.imbalance_rad_m,
+        s.wheel_mismatch_rad_m,
         s.rotation_center_m,
         s.pose_delay_s,
     )
@@ -72,7 +72,7 @@ def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, 
     deviations[DISTANCE:] = (
         s.distance_gain_std,
         s.turn_gain_std,
-        s.imbalance_std_rad_m,
+        s.wheel_mismatch_std_rad_m,
         s.rotation_center_std_m,
         s.downhill_std_m,
         s.downhill_std_m,
@@ -86,7 +86,7 @@ def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, 
 def true_motion(x: Array, settings: EstimatorSettings) -> tuple[float, float, float]:
     """Return the true speed ahead and to the left (m/s) and the turn rate (rad/s)."""
     v, omega = float(x[V]), float(x[OMEGA])
-    turn = float(x[GAIN]) * turned_without_gain(omega, settings)[0] + float(x[PULL]) * v
+    turn = float(x[GAIN]) * turned_without_gain(omega, settings)[0] + float(x[WHEEL_MISMATCH]) * v
     return float(x[DISTANCE]) * v, float(x[CENTER]) * turn, turn
 
 
@@ -134,7 +134,7 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     by_unseen[POSE] = -0.5 * dy - center * sin, 0.5 * dx + center * cos, 1.0
     by_unseen[[X, Y]] += math.copysign(1.0, turn) * downhill
     by_unseen[TURN] = 1.0
-    by_way += x[PULL] * by_unseen
+    by_way += x[WHEEL_MISMATCH] * by_unseen
     by_way[X] += x[DISTANCE] * cos
     by_way[Y] += x[DISTANCE] * sin
     turned, by_omega = turned_without_gain(omega, s)
@@ -145,7 +145,7 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     jacobian[X, CENTER], jacobian[Y, CENTER] = -turn * sin, turn * cos
     jacobian[X, DOWN_X] = jacobian[Y, DOWN_Y] = abs(turn)
     jacobian[:, GAIN] += turned * dt * by_unseen
-    jacobian[:, PULL] += v * dt * by_unseen
+    jacobian[:, WHEEL_MISMATCH] += v * dt * by_unseen
 
     noise = np.zeros((SIZE, 11))
     noise[:, :4] = _acceleration_noise(by_way, by_turn, dt, s)
@@ -161,7 +161,7 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
 
 
 def turned_without_gain(omega: float, settings: EstimatorSettings) -> tuple[float, float]:
-    """Return the true turn rate over the turn gain, without the pull, and its derivative by ω."""
+    """Return the true turn rate over the turn gain, without wheel mismatch, and its derivative by ω."""
     # Odometry's turn rate over its scale is the true one · (1 − asymmetry · its sign) + slip · the true one².
     without_slip = 1.0 - settings.turn_asymmetry * math.copysign(1.0, omega)
     root = math.sqrt(without_slip**2 + 4.0 * settings.slip_s * abs(omega))

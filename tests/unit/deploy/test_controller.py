@@ -168,7 +168,7 @@ def test_only_a_rover_that_rests_nearly_turned_too_far_is_not_shown_its_error_to
 def test_the_verdict_is_the_courses_on_the_estimates(policy):
     poses, _, controller = drive(policy)
     assert controller.verdict().reason.endswith("(at most 0.1 m)")
-    controller.look(COURSE.ticks, COURSE.ticks * DT)
+    controller.record_estimate(COURSE.ticks, COURSE.ticks * DT)
     assert controller.verdict().error_m == pytest.approx(distance(poses[-1], COURSE.goal), abs=0.03)
 
 

@@ -220,7 +220,7 @@ def test_a_refused_pose_leaves_the_estimate_where_it_is(off_rad, may_be_a_push):
     after = estimator.at(2.0)
     assert after.pose == pytest.approx(before.pose, abs=1e-12)
     grown = np.diag(after.covariance - before.covariance)[:3]
-    push = np.square([SETTINGS.push_m, SETTINGS.push_m, SETTINGS.push_rad])
+    push = np.square([SETTINGS.disturbance_m, SETTINGS.disturbance_m, SETTINGS.disturbance_rad])
     assert grown == pytest.approx(may_be_a_push * push, rel=1e-3, abs=1e-12)
     again = estimator.external(seen, COVARIANCE, 2.0)
     assert again is (Outcome.ACCEPTED if may_be_a_push else Outcome.OUTLIER)

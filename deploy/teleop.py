@@ -48,8 +48,7 @@ _INPUT, _LOCAL, _CHARACTERS = 0, 3, 6
 class Terminal:
     """Standard input as a keyboard, inside a ``with`` block. Raises UsageError when it is no terminal.
 
-    Ctrl-C stays a signal. Ctrl-Z and Ctrl-S are keys: a stopped process and a stopped screen both leave a
-    rover without its driver.
+    Ctrl-C stays a signal. Ctrl-Z and Ctrl-S are keys, because they would stop the driver or its screen.
     """
 
     def __init__(self) -> None:
@@ -67,7 +66,7 @@ class Terminal:
         # Neither may wait: `read` does, with a limit.
         settings[_CHARACTERS][termios.VMIN] = settings[_CHARACTERS][termios.VTIME] = 0
         settings[_CHARACTERS][termios.VSUSP] = os.fpathconf(self._fd, "PC_VDISABLE").to_bytes()
-        # TCSAFLUSH would wait until the terminal has written all output, which a stopped one never does.
+        # TCSAFLUSH would wait for the output of a stopped terminal.
         self.discard()
         termios.tcsetattr(self._fd, termios.TCSANOW, settings)
         self._send(BRACKETED_PASTE)
@@ -76,7 +75,7 @@ class Terminal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # A closed terminal cannot be set back, and need not be. There is no wait for one that is stuck.
+        # A closed terminal cannot be restored. A stuck one is not waited for.
         self._send(NO_BRACKETED_PASTE)
         with contextlib.suppress(termios.error):
             termios.tcflush(self._fd, termios.TCIFLUSH)

@@ -201,9 +201,8 @@ class Drive:
             limits = f"±{config.start_m:g} m and ±{math.degrees(config.start_rad):.0f}°"
             raise SafetyStop(
                 "start-pose",
-                f"external poses show the rover at {found} from the course's start, expected {limits} at "
-                "most, as farther away no rate of parking is known; place it nearer, or give a course that "
-                "starts where it is",
+                f"external poses show the rover at {found} from the course's start (limit {limits}); "
+                "place it nearer, or give a course that starts there",
             )
 
     def _predict_accuracy(self) -> None:
@@ -220,15 +219,15 @@ class Drive:
             return
         words = f"predicted position error of the estimate at the goal: {error:.2f} m in 95 % of drives"
         absent = {"a gyro": not readings, "a profile of 'identify'": self._config.rover is None}
-        ways = ["external poses", *(way for way, missing in absent.items() if missing)]
-        advice = f"{' or '.join(ways)} would make it less"
+        remedies = ["external poses", *(remedy for remedy, missing in absent.items() if missing)]
+        advice = f"{' or '.join(remedies)} would reduce it"
         if required is not None and error > required:
             raise SafetyStop("accuracy", f"{words}, expected {required:g} m at most; {advice}")
         if not readings:
             _LOGGER.info(f"{words}; {advice}")
 
     def _drive(self) -> None:
-        """Run all ticks, and look once more at the end of the last."""
+        """Run all ticks, and record the estimate at the end of the last."""
         first = None
         while first is None:
             first = self._take(POLL_S)

@@ -1,4 +1,4 @@
-"""The measurement path: from received bytes to decoded samples with the moment of their measurement.
+"""The measurement path: from received bytes to decoded samples with their time of measurement.
 
 `Measurements` takes the arrivals out of the link's inboxes and decodes each once. `replay` uses the same
 functions to decode.
@@ -32,7 +32,7 @@ SampleT = TypeVar("SampleT", OdometrySample, TurnSample, PoseSample)
 
 
 class SampleRef(NamedTuple):
-    """Names a sample: stamp, CRC-32 of its bytes, time of measurement on the driver's clock, topic."""
+    """Identifies a sample: stamp, CRC-32 of its bytes, time of measurement on the driver's clock, topic."""
 
     stamp_ns: int
     crc: int
@@ -41,7 +41,7 @@ class SampleRef(NamedTuple):
 
     @classmethod
     def of(cls, stamp_ns: int, data: bytes, measured_ns: int, topic: str = "odom") -> Self:
-        """Name a sample."""
+        """Identify a sample."""
         return cls(stamp_ns, zlib.crc32(data), measured_ns, topic)
 
     def seconds_to(self, moment_ns: int) -> float:

@@ -44,9 +44,8 @@ from rover_ncp.wire.protocol import (
 QUERY_TIMEOUT_S = 2.0
 RELEASE_TIMEOUT_S = 1.0
 ROUND_TRIP_S, REQUEST_TRIES = 0.2, 3
-"""The gate takes the request's transit time as the shortest one. It could not distinguish commands with a
-constant delay from fresh ones. So a driver refuses to drive over a slower link; two slow answers by chance
-are allowed."""
+"""The gate takes the request's transit time as the shortest one, and so would not notice a constant delay. A
+driver does not drive over a slower link; two slow answers by chance are allowed."""
 ANOTHER_DRIVER = "another-driver"
 """The gate's reason when another driver holds the lease."""
 _OWN = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.DRIVER}]
@@ -130,7 +129,7 @@ class ZenohLink(ZenohClient):
         if round_trip_s > ROUND_TRIP_S:
             raise SafetyStop(
                 "slow-link",
-                f"the bridge at {self.robot} takes {round_trip_s:.2f} s to answer (at most {ROUND_TRIP_S} s)",
+                f"the bridge at {self.robot} takes {round_trip_s:.2f} s to answer (limit {ROUND_TRIP_S} s)",
             )
         return reply
 
@@ -140,8 +139,8 @@ class ZenohLink(ZenohClient):
         where, tag = self.key("rover/motors"), None
         if self.lease.number:
             tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
-        # Every peer that would answer is asked, and every answer is read: a peer that relayed the request to
-        # the bridge and passed the answer on would have the key.
+        # The query goes to every peer, and every answer is read: a peer that relays the request to the bridge
+        # would get the key.
         replies = list(
             self._session.get(
                 where,
@@ -199,7 +198,7 @@ class ZenohLink(ZenohClient):
             return ""
         return (
             f"warning: the bridge at {self.robot} drives {base.model}, but --model is {robot.name}: "
-            f"its limits and errors may be others"
+            "its limits and errors may differ"
         )
 
     def release(self) -> None:

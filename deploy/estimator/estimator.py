@@ -39,9 +39,9 @@ from deploy.estimator.settings import GYRO_S, EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 
 GYRO_GAP_S = 0.25
-"""After a longer gap, a gyro gives no turn for the time of the gap."""
+"""After a longer gap the turn of the gap is unknown."""
 GYRO_OFF_RAD_S = 1.0
-"""A reading that is further off, beyond five standard deviations of its noise, is rejected by itself."""
+"""A reading with a larger error, beyond five standard deviations of its noise, is rejected."""
 LATE, EARLY = 1.5, 0.5
 """Odometry after a gap of more than 1.5 usual gaps may be delayed, and the next one after less than 0.5."""
 GAPS = 9
@@ -78,14 +78,11 @@ class _Gyro:
         self._t, self._rate = t, rate
 
     def miss(self) -> None:
-        """Note a reading that cannot be used."""
+        """Record a reading that cannot be used: a gap."""
         self._gap = True
 
     def angle(self, t: float) -> float:
-        """Return the angle at ``t``, NaN where it is unknown, and once after each gap.
-
-        This way angles before and after a gap are never compared.
-        """
+        """Return the angle at ``t``; NaN where it is unknown, and once after each gap."""
         if self._gap or abs(t - self._t) > GYRO_GAP_S:
             self._gap = abs(t - self._t) > GYRO_GAP_S
             return math.nan
@@ -122,15 +119,14 @@ class Estimator:
         self._gyro, self._bursts = _Gyro(), _BurstStamps()
         self._gyro_off_rad_s = GYRO_OFF_RAD_S + 5.0 * self._settings.gyro_rad / GYRO_S
         self.rejected = 0
-        """Odometry samples refused so far."""
+        """Odometry samples rejected so far."""
         self.gyro_rejected = 0
-        """Gyro readings refused so far."""
+        """Gyro readings rejected so far."""
         self.poses = dict.fromkeys(Outcome, 0)
-        """Outcomes of the external poses; waiting ones are counted again when they are evaluated."""
+        """Counts of external poses by outcome; a waiting pose is counted again when it is evaluated."""
         self.fault = ""
-        """Fault of the estimate; empty without one."""
         self.fault_rule = ""
-        """The safety rule of that fault: estimator, gyro or external-pose."""
+        """The fault of the estimate, empty without one, and its safety rule."""
         self._in_a_row = self._poses_in_a_row = self._gyro_in_a_row = 0
         self._gyro_counted = -math.inf
 
@@ -140,7 +136,7 @@ class Estimator:
         """Seed the filter, once: the rover stands at ``pose`` (course frame) at time ``t``.
 
         ``odometry`` is the pose in odometry's own frame, by default the same. ``covariance`` (3, 3) is that
-        of ``pose``; by default the pose defines the course's frame, and so is exact.
+        of ``pose``, which is exact without it.
         """
         if self._started is not None:
             raise RuntimeError("the estimator is seeded once and never again")
@@ -171,7 +167,7 @@ class Estimator:
         self.rejected += 1
         self._in_a_row += 1
         if self._in_a_row >= self._settings.rejected_in_a_row:
-            words = f"{self._in_a_row} odometry samples in a row refused, the last as {outcome.value}"
+            words = f"{self._in_a_row} odometry samples rejected in a row (last: {outcome.value})"
             self._fail("estimator", words)
         return outcome
 
@@ -220,10 +216,9 @@ class Estimator:
     def forecast(
         self, path: Sequence[Pose], motion: Sequence[Velocity], period_s: float, gyro: bool
     ) -> Array:
-        """Return the covariance (3, 3) after a drive along ``path`` (odometry's poses, any frame), from here.
+        """Return the pose's covariance (3, 3) after a drive from here, without external poses.
 
-        ``motion`` is that at each of its poses, ``period_s`` apart. With odometry and the gyro, if the base
-        has one, and without external poses; changes nothing.
+        ``path`` are odometry's poses (any frame), ``period_s`` apart, ``motion`` the velocities there.
         """
         ahead = copy.deepcopy(self)
         ahead._bursts = _BurstStamps()
@@ -260,7 +255,7 @@ class Estimator:
                 self._gyro_counted = self._history.t
                 self._gyro_in_a_row += 1
             if self._gyro_in_a_row >= self._settings.gyro_rejected_in_a_row:
-                words = f"{self._gyro_in_a_row} gyro readings in a row refused, the last as {outcome.value}"
+                words = f"{self._gyro_in_a_row} gyro readings rejected in a row (last: {outcome.value})"
                 self._fail("gyro", words)
 
     def _count(self, outcome: Outcome) -> None:
@@ -270,8 +265,7 @@ class Estimator:
         elif outcome in {Outcome.OUTLIER, Outcome.NOT_FINITE}:
             self._poses_in_a_row += 1
             if self._poses_in_a_row >= self._settings.poses_rejected_in_a_row:
-                count = self._poses_in_a_row
-                words = f"{count} external poses in a row refused, the last as {outcome.value}"
+                words = f"{self._poses_in_a_row} external poses rejected in a row (last: {outcome.value})"
                 self._fail("external-pose", words)
 
     def _fail(self, rule: str, words: str) -> None:

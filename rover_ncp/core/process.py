@@ -1,4 +1,4 @@
-"""A process's clock, its termination signals (recorded, not obeyed), and what a ``with`` block closes."""
+"""Clock, limits and termination signals of a process; resources that a ``with`` block closes."""
 
 import resource
 import signal
@@ -30,10 +30,7 @@ class Clock(Protocol):
 
 
 def suspended_s() -> float:
-    """Return how long this computer has been suspended since its start, in s; 0 if the system is not Linux.
-
-    The monotonic clock stands still meanwhile. A delay between the two readings makes the result smaller.
-    """
+    """Return how long this computer has been suspended since its start, in s; 0 if it is not Linux."""
     if sys.platform != "linux":
         return 0.0
     return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)

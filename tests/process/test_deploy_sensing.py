@@ -53,7 +53,7 @@ def test_a_start_for_which_no_rate_is_known_is_refused_before_the_motors(bridge,
     code, result = drive(duration=0.5, pose=pose)
     assert (code, result["stopped_by"], bridge.requests, bridge.commands) == (4, "start-pose", [], [])
     assert f"x {there.x:.2f} m, y {there.y:.2f} m" in result["reason"]
-    assert "expected ±0.2 m and ±20° at most" in result["reason"]
+    assert "(limit ±0.2 m and ±20°)" in result["reason"]
 
 
 def test_a_gyros_readings_count_are_recorded_and_recomputed(bridge, drive, tmp_path):
@@ -120,7 +120,7 @@ def test_a_rover_that_was_carried_away_is_stopped(bridge, drive, tmp_path):
     bridge.odom = odom
     code, result = drive()
     assert (code, result["stopped_by"]) == (4, "external-pose")
-    assert "5 external poses in a row refused" in result["reason"]
+    assert "5 external poses rejected in a row" in result["reason"]
     assert result["ticks"] < 16
     assert bridge.commands[-1][1] == STILL
     estimates = [
@@ -135,10 +135,10 @@ def test_without_the_required_accuracy_the_rover_is_not_driven(bridge, drive, tm
     assert (code, result["stopped_by"]) == (4, "accuracy")
     assert result["predicted_error_m"] > 0.01
     assert "expected 0.01 m at most" in result["reason"]
-    assert result["reason"].endswith("external poses or a gyro or a profile of 'identify' would make it less")
+    assert result["reason"].endswith("external poses or a gyro or a profile of 'identify' would reduce it")
     (tmp_path / "mine.yaml").write_text("{name: mine, gain_v: 1.0}")
     code, result = drive(require_accuracy=0.01, profile=tmp_path / "mine.yaml")
-    assert result["reason"].endswith("external poses or a gyro would make it less")
+    assert result["reason"].endswith("external poses or a gyro would reduce it")
     assert bridge.requests == []
     bridge.odom = localised(bridge, inverse(ODOM_AT_START))
     code, result = drive(require_accuracy=0.01, duration=0.3)

@@ -132,7 +132,7 @@ def test_a_moved_rover_is_a_fault_that_stays_and_never_a_new_seed():
         assert bool(estimator.fault) == (tick >= 12)
         if tick == 12:
             assert distance(estimator.at(tick * DT).pose, Pose(0, 0, 0)) < 0.001
-    assert "3 odometry samples in a row" in estimator.fault
+    assert "3 odometry samples rejected in a row" in estimator.fault
 
 
 @given(

@@ -279,7 +279,7 @@ def test_one_wrong_pose_is_rejected_and_many_are_a_fault_that_stays():
     for _ in range(5):
         assert estimator.external(wrong, COVARIANCE, 1.0) is Outcome.OUTLIER
     assert estimator.fault_rule == "external-pose"
-    assert estimator.fault == "5 external poses in a row refused, the last as outlier"
+    assert estimator.fault == "5 external poses rejected in a row (last: outlier)"
     assert estimator.at(1.0).pose == pytest.approx(before.pose, abs=1e-12)
     for _ in range(20):
         estimator.external(right, COVARIANCE, 1.0)

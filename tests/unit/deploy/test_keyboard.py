@@ -183,10 +183,3 @@ def test_bytes_without_a_drive_key_move_nothing(data, places):
     cuts = [0, *sorted(min(place, len(data)) for place in places), len(data)]
     chunks = [data[a:b] for a, b in pairwise(cuts)]
     assert not set(read(*chunks)) & set(KEYS)
-
-
-@given(st.text(max_size=20), st.lists(st.integers(0, 20), max_size=4))
-def test_no_text_drives_in_parts_unless_it_has_a_drive_key(text, places):
-    if not (set(text.lower()) & set("uiojlm,.") or _DRIVES.search(text.encode())):
-        cuts = [0, *sorted(places), len(text)]
-        assert not {key for a, b in pairwise(cuts) for key in presses(text[a:b])} & set(KEYS)

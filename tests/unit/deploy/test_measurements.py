@@ -53,7 +53,7 @@ class Driver:
 
 
 @TOPICS
-@pytest.mark.parametrize("step_s", [-3600.0, -1.5, -1.0, -0.6, -0.3, -0.2, 0.6, 3600.0])
+@pytest.mark.parametrize("step_s", [-3600.0, -0.3, 0.6])
 def test_a_publishers_clock_that_is_set_costs_one_sample(topic, step_s, log):
     driver = Driver(topic)
     for number in range(100):
@@ -63,26 +63,6 @@ def test_a_publishers_clock_that_is_set_costs_one_sample(topic, step_s, log):
     back = [f"the clock that stamps '{topic}' was set back by {-step_s:.2f} s"] if step_s < 0 else []
     assert log.messages == back
     assert driver.measurements.doubtful == {topic: 1}
-
-
-@TOPICS
-def test_a_sample_stamped_5_s_ahead_costs_one_sample(topic, log):
-    driver = Driver(topic)
-    for number in range(20):
-        ahead = 5 * NS if number == 10 else 0
-        ages = driver.age_ms(WALL_NS + number * PERIOD + ahead, number * PERIOD + TRANSIT)
-        assert ages == ([] if number == 10 else [0])
-    assert not log.messages
-
-
-@TOPICS
-def test_a_link_that_became_slow_makes_samples_old(topic, log):
-    driver = Driver(topic)
-    for number in range(100):
-        late = 600 * MS if number >= 10 else 0
-        ages = driver.age_ms(WALL_NS + number * PERIOD, number * PERIOD + TRANSIT + late)
-        assert ages == [late // MS]
-    assert not log.messages
 
 
 def test_poses_out_of_order_are_used_for_their_moment():

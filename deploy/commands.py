@@ -310,7 +310,7 @@ def identify(
         rover-ncp deploy --robot tcp/192.168.1.20 --policy course --profile mine.yaml
 
     Gains are those that odometry measures. With external poses on 'pose' during the drive, gains are
-    separated from odometry's own errors, and slip, imbalance and centre of rotation are found too.
+    separated from odometry's own errors, and slip, wheel mismatch and centre of rotation are measured too.
 
     Ends with 0, 1 when a delay or gain could not be determined, 3 no bridge, no robot, not authorised or
     another driver, 4 stopped by a safety rule, which is named, 130 Ctrl-C.

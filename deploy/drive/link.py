@@ -3,13 +3,17 @@
 A link stores what arrives in an `Inbox` for each kind of measurement, and watches for a second publisher.
 """
 
+import contextlib
 import threading
+from abc import ABC, abstractmethod
 from collections import deque
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from deploy.drive.lease import DriverLease
+from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.wire.protocol import GateStatus, MotorsReply
+from rover_ncp.wire.messages import read_bumpers, read_text
+from rover_ncp.wire.protocol import GateStatus, MotorsReply, parse_json
 
 INBOX_LENGTH = 1000
 OF_BRIDGE = "odom", "imu"
@@ -87,63 +91,61 @@ class Sources:
             self._seen[what] = [*seen, source][-REMEMBERED:]
 
 
-class Link(Protocol):
-    """An open link to one bridge."""
+class Link(ABC):
+    """An open link to one bridge: what arrived, and the lease. A subclass has the transport.
 
-    @property
-    def odometry(self) -> Inbox:
-        """The newest odometry of the base; the inbox has the length 1."""
+    ``robot`` is the bridge's address and ``where`` the namespace, both for messages. ``bridge_alive`` tells
+    whether the bridge shows its liveliness token.
+    """
 
-    @property
-    def gyro(self) -> Inbox:
-        """Readings of the base's gyro."""
+    robot: str
+    where: str
+    bridge_alive: bool
+    sources: Sources
 
-    @property
-    def poses(self) -> Inbox:
-        """External poses, in the course's frame."""
-
-    @property
-    def robot(self) -> str:
-        """Address of the bridge, for messages."""
-
-    @property
-    def where(self) -> str:
-        """The namespace as a part of an error message; "" without one."""
-
-    @property
-    def bridge_alive(self) -> bool:
-        """Whether the bridge shows its liveliness token."""
-
-    @property
-    def gate(self) -> GateStatus:
+    def __init__(self) -> None:
+        self.odometry, self.gyro, self.poses = Inbox(1), Inbox(), Inbox()
+        self.gate = GateStatus()
         """The newest gate status."""
+        self.bumped = 0
+        """Number of messages that reported a pressed bumper."""
+        self.lease = DriverLease()
 
-    @property
-    def sources(self) -> Sources:
-        """The publishers of the driver's inputs."""
+    def receive(self, name: str, arrival: Arrival) -> None:
+        """Store a message of the bridge; an unreadable gate status is ignored."""
+        match name:
+            case "odom":
+                self.odometry.put(arrival)
+            case "imu":
+                self.gyro.put(arrival)
+            case "pose":
+                self.poses.put(arrival)
+            case "rover/gate":
+                with contextlib.suppress(FormatError):
+                    self.gate = parse_json(GateStatus, read_text(arrival.data))
+            case "bumpers":
+                with contextlib.suppress(FormatError):
+                    self.bumped += read_bumpers(arrival.data)
 
-    @property
-    def bumped(self) -> int:
-        """How many messages so far reported a pressed bumper."""
-
-    @property
-    def lease(self) -> DriverLease:
-        """The driver's lease."""
-
+    @abstractmethod
     def authorised(self) -> bool:
         """Return whether the bridge takes commands from this driver."""
 
+    @abstractmethod
     def request_motors(self, name: str, unchecked: bool = False) -> MotorsReply:
         """Request the motors and with them the lease. Raises UnreachableError or SafetyStop.
 
-        ``unchecked`` also asks for a robot that is not known to halt when the bridge dies.
+        ``unchecked`` also requests a robot that is not known to halt when the bridge dies.
         """
 
+    @abstractmethod
     def release(self) -> None:
         """Stop the rover and release the lease, if this driver holds it; never raises."""
 
+    @abstractmethod
     def command(self, velocity: Velocity) -> int:
         """Send a command, v in m/s and omega in rad/s, and return its sequence number."""
 
+    @abstractmethod
     def publish(self, name: str, data: bytes, wall_ns: int) -> None:
         """Send one of the driver's own messages."""

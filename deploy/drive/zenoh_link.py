@@ -11,8 +11,7 @@ from typing import Any
 
 import zenoh
 
-from deploy.drive.lease import DriverLease
-from deploy.drive.link import Arrival, Inbox
+from deploy.drive.link import Arrival, Link
 from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.core.errors import (
     AnotherDriver,
@@ -26,13 +25,12 @@ from rover_ncp.core.geometry import Velocity
 from rover_ncp.recording.recording import Recorded, header_stamp_ns
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, spec
-from rover_ncp.wire.messages import read_bumpers, read_text, twist_stamped
+from rover_ncp.wire.messages import twist_stamped
 from rover_ncp.wire.protocol import (
     PROTOCOL,
     VERSION_REASON,
     BaseReply,
     BaseRequest,
-    GateStatus,
     MotorsReply,
     MotorsRequest,
     Signed,
@@ -51,31 +49,14 @@ ANOTHER_DRIVER = "another-driver"
 _OWN = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.DRIVER}]
 
 
-class ZenohLink(ZenohClient):
+class ZenohLink(Link, ZenohClient):
     """The link of one driver; ``record`` gets every message in both directions. Raises as `ZenohClient`."""
 
     def __init__(self, address: BridgeAddress, record: Callable[[Recorded], None]) -> None:
-        self._record = record
-        self.lease = DriverLease()
-        self.odometry = Inbox(1)
-        self.gyro = Inbox()
-        self.poses = Inbox()
-        self.gate = GateStatus()
-        self.bumped = 0
+        Link.__init__(self)
+        self._record, self.where = record, address.where
         self._token: Any = None
-        self._takers: dict[str, Callable[[Arrival], None]] = {
-            "odom": self.odometry.put,
-            "imu": self.gyro.put,
-            "pose": self.poses.put,
-            "rover/gate": self._update_gate,
-            "bumpers": self._count_bumps,
-        }
-        super().__init__(address, self._take, own=_OWN)
-
-    @property
-    def where(self) -> str:
-        """The namespace as a part of an error message."""
-        return self.address.where
+        ZenohClient.__init__(self, address, self._take, own=_OWN)
 
     def _declare(self) -> None:
         self._publishers = {
@@ -95,8 +76,8 @@ class ZenohLink(ZenohClient):
     def request_motors(self, name: str, unchecked: bool = False) -> MotorsReply:
         """Request the motors and with them the lease, or renew the current lease.
 
-        After a slow answer it sends a signed renewal. If the answer was lost, the gate refuses every driver,
-        this one too, until that lease lapses.
+        After a slow answer it sends a signed renewal. If the answer was lost, the gate refuses every driver
+        until that lease expires.
 
         Raises AnotherDriver, NotAuthorised, NoBridge (no answer), OtherVersion, or SafetyStop when the gate
         has a reason or the link is too slow.
@@ -240,14 +221,4 @@ class ZenohLink(ZenohClient):
         stamp_ns = header_stamp_ns(row.type, data) or wall_ns
         # Recorded first, so that a recording has all inputs of its drive.
         self._record(Recorded(row.name, row.type, data, wall_ns, stamp_ns))
-        if row.name in self._takers:
-            self._takers[row.name](arrival)
-
-    def _update_gate(self, arrival: Arrival) -> None:
-        # An unreadable status is ignored: the previous one stays valid.
-        with contextlib.suppress(FormatError):
-            self.gate = parse_json(GateStatus, read_text(arrival.data))
-
-    def _count_bumps(self, arrival: Arrival) -> None:
-        with contextlib.suppress(FormatError):
-            self.bumped += read_bumpers(arrival.data)
+        self.receive(row.name, arrival)

@@ -15,6 +15,10 @@ Robot = Annotated[
 ]
 Namespace = Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")]
 ZenohConfig = Annotated[Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates.")]
+Model = Annotated[
+    str | None, typer.Option(help="The robot's description, a name or a YAML file.", show_default=False)
+]
+Record = Annotated[Path | None, typer.Option(help="Record the drive to this MCAP file.", show_default=False)]
 
 
 def deploy(
@@ -34,9 +38,7 @@ def deploy(
             show_default="p3at-sh, as in the training",
         ),
     ] = None,
-    record: Annotated[
-        Path | None, typer.Option(help="Record the drive to this MCAP file; see 'rover-ncp replay'.")
-    ] = None,
+    record: Record = None,
     overwrite: Overwrite = False,
     duration: Annotated[
         float | None,
@@ -193,13 +195,7 @@ def check(
     on_blocks: Annotated[
         bool, typer.Option("--on-blocks", help="The wheels are off the ground; the check turns them.")
     ] = False,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="The robot's description, a name or a YAML file: what the bridge must drive, at its rate.",
-            show_default=False,
-        ),
-    ] = None,
+    model: Model = None,
     namespace: Namespace = "",
     zenoh_config: ZenohConfig = None,
     json: Json = False,
@@ -207,10 +203,10 @@ def check(
     """Check a robot before it drives: on blocks, its wheels free.
 
     Checks odometry, battery, stop button and bumpers and requests the motors. Turns the wheels forward and
-    then left for a moment and compares the reported motion with the commands. Ends with a test of the stop:
-    it sends no more commands and measures how long the wheels go on. For a ROS 2 robot the bridge then sends
-    nothing either, for 5 s at most, and measures when the robot halts by itself. Ends with 0 for yes, 1 for
-    no, with the reason.
+    then left for a moment and compares the reported motion with the commands. Then it sends no more commands
+    and measures when the wheels stop. For a ROS 2 robot the bridge then sends nothing either, for 5 s at
+    most, and measures when the robot halts by itself. With --model, the bridge must drive that model, and
+    odometry must come at its rate. Ends with 0 for yes, 1 for no, with the reason.
     """
     if not on_blocks:
         raise UsageError("the check turns the wheels: put the robot on blocks and give --on-blocks")
@@ -234,10 +230,7 @@ def check(
 def teleop(
     *,
     robot: Robot,
-    record: Annotated[
-        Path | None,
-        typer.Option(help="Record the drive to this MCAP file; 'rover-ncp course new' makes a course of it."),
-    ] = None,
+    record: Record = None,
     overwrite: Overwrite = False,
     namespace: Namespace = "",
     zenoh_config: ZenohConfig = None,
@@ -249,8 +242,9 @@ def teleop(
     i , j l. A terminal reports a held key only by repeating it, so a key counts for 0.4 s after it was last
     sent. A single press is a small step at half speed. q and Ctrl-C stop the rover and release the lease.
 
-    It drives through the same lease, gate and limits as 'rover-ncp deploy'. Ends with 0, 3 no bridge, no
-    robot, not authorised or another driver, 4 stopped by a safety rule, which is named, 130 Ctrl-C.
+    It drives through the same lease, gate and limits as 'rover-ncp deploy'; 'rover-ncp course new' makes a
+    course of a recording. Ends with 0, 3 no bridge, no robot, not authorised or another driver, 4 stopped by
+    a safety rule, which is named, 130 Ctrl-C.
     """
     from deploy.recorder import Recorder
     from deploy.teleop import run
@@ -275,13 +269,7 @@ def identify(
             show_default=False,
         ),
     ] = None,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="The robot's description, a name or a YAML file: steps are no faster than it drives.",
-            show_default=False,
-        ),
-    ] = None,
+    model: Model = None,
     out: Annotated[Path, typer.Option(help="The rover profile to write (YAML).")] = Path("rover.yaml"),
     fence: Annotated[
         float | None,
@@ -289,9 +277,7 @@ def identify(
             min=0.1, max=5.0, help="How far from its start the rover may come, m.", show_default="0.8"
         ),
     ] = None,
-    record: Annotated[
-        Path | None, typer.Option(help="Record the drive to this MCAP file.", show_default=False)
-    ] = None,
+    record: Record = None,
     overwrite: Overwrite = False,
     namespace: Namespace = "",
     zenoh_config: ZenohConfig = None,
@@ -302,8 +288,8 @@ def identify(
     Drives for a minute, forward and back by half a metre, then left and right, at walking pace, through the
     same lease and gate as 'rover-ncp deploy'; keep a circle of --fence metres around it free. Ctrl-C stops
     the rover. A recording of another drive determines fewer values: delays, gains and accelerations need
-    several steps of the command with pauses between. Each value is shown ± its standard deviation: 1.96 of
-    them on both sides are a 95 % interval. A value with too large a deviation is left out.
+    several steps of the command with pauses between. With --model, steps are no faster than the robot drives.
+    Each value is shown ± its standard deviation. A value with too large a deviation is left out.
 
         rover-ncp identify --robot tcp/192.168.1.20 --out mine.yaml
         rover-ncp eval course --trials 300 --randomize full --profile mine.yaml

@@ -52,23 +52,21 @@ FloatArray = NDArray[np.float64]
 
 
 class _Observed(NamedTuple):
-    """What the drive hands over in a tick."""
+    """The observation of a tick and the estimated pose."""
 
     tick: int
     values: tuple[float, ...]
-    """The signals of the environment."""
     pose: Pose
-    """The estimate."""
 
 
 class _Handover:
-    """The drive's `Runner`: hands each observation to the environment and waits for its action."""
+    """The drive's `Runner`: passes each observation to the environment and waits for its action."""
 
     def __init__(self) -> None:
         self.drive: Drive | None = None
         self.controller: Controller | None = None
         self.observed: queue.Queue[_Observed | None] = queue.Queue()
-        """None says that the drive is over."""
+        """None ends the drive."""
         self.actions: queue.Queue[tuple[float, float]] = queue.Queue()
         self._started = self._warm = False
 
@@ -220,10 +218,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
                 self._error = drive.stop
 
     def _next(self, action: ArrayLike | None = None) -> _Observed | None:
-        """Give an action and wait for the next tick; None when the drive is over.
-
-        An exception here stops the rover.
-        """
+        """Pass an action and wait for the next tick; None when the drive is over. An exception stops it."""
         try:
             if action is not None:
                 v, omega = np.clip(
@@ -260,7 +255,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
 
 
 def _not_recorded(_message: Recorded) -> None:
-    """Drop a message: the environment records nothing."""
+    """Drop a message."""
 
 
 gymnasium.register(id=ENV_ID, entry_point="deploy.env:RoverEnv")

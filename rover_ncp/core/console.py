@@ -2,8 +2,8 @@
 
 With ``--json`` a command prints one JSON object on stdout, and all text for people goes to stderr.
 
-No output delays the process that writes it. `install` replaces ``sys.stdout`` and ``sys.stderr`` of a command
-by streams that end in a `Writer`. That covers all Python code: rich, logging, warnings and tracebacks too.
+`install` replaces ``sys.stdout`` and ``sys.stderr`` by streams that end in a `Writer`, which delays no caller.
+Log lines, rich's displays and tracebacks end there too.
 """
 
 import contextlib
@@ -59,19 +59,18 @@ def reject(reason: str, **options: Any) -> None:
 
 
 ROOM_BYTES = 1 << 16
-"""A `Writer` drops text beyond this."""
+"""Size of a `Writer`'s queue; it drops text beyond."""
 CHUNK_BYTES = 1024
-"""The most that one system call writes: a pipe takes it as a whole, a slow terminal within a second."""
+"""Size of one system call: a pipe takes it as a whole, a slow terminal within a second."""
 _ERRORS = "backslashreplace"
 BLOCKED_S = 0.4
-"""Wait in s at the end of a process for a reader that takes nothing: for stdout and again for stderr."""
+"""Time limit at the end of a process for a blocked reader of stdout, and again of stderr."""
 
 
 class Writer(io.RawIOBase):
-    """Write to a copy of a file descriptor from a separate thread; no caller ever waits or gets an error.
+    """Write to a copy of a file descriptor from a separate thread; no caller waits or gets an error.
 
-    Text that does not fit into the queue, or that the system rejects, is dropped. The number of drops is
-    written as soon as there is room again.
+    Text that does not fit into the queue, or that the system rejects, is dropped and counted.
     """
 
     def __init__(self, fd: int, encoding: str = "utf-8") -> None:
@@ -100,10 +99,7 @@ class Writer(io.RawIOBase):
             self._changed.notify_all()
 
     def drained(self, blocked_s: float | None) -> bool:
-        """Wait for the reader while it takes data; return whether everything has been written.
-
-        Gives up when the reader takes nothing for ``blocked_s``; None waits without a limit.
-        """
+        """Wait until all is written, or the reader takes nothing for ``blocked_s``; return whether all is."""
         with self._changed:
             chunks, since_s = self._chunks, time.monotonic()
             while self._waiting:
@@ -111,7 +107,6 @@ class Writer(io.RawIOBase):
                 if left_s is not None and left_s <= 0.0:
                     return False
                 self._changed.wait(left_s)
-                # Only what the reader took counts: a thread that goes on queueing text does not.
                 if self._chunks != chunks:
                     chunks, since_s = self._chunks, time.monotonic()
             return self.failure is None
@@ -197,10 +192,7 @@ def keep(stream: TextIO, text: str) -> None:
 
 
 def printable(text: str) -> str:
-    """Return text with control characters, line ends included, as escape sequences.
-
-    Text from the network could otherwise clear a terminal or forge a line of ours.
-    """
+    """Return text with control characters as escape sequences: network text must not forge a line of ours."""
     if text.isprintable():
         return text
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)

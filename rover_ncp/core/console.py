@@ -2,7 +2,7 @@
 
 With ``--json`` a command prints one JSON object on stdout, and all text for people goes to stderr.
 
-`install` replaces ``sys.stdout`` and ``sys.stderr`` by streams that end in a `Writer`, which delays no caller.
+`install` replaces ``sys.stdout`` and ``sys.stderr`` by streams that end in a `Writer`. It delays no caller.
 Log lines, rich's displays and tracebacks end there too.
 """
 

@@ -21,7 +21,7 @@ STD = {
 SLIDES = "downhill_x_m", "downhill_y_m"
 
 REJECTED_S = 0.3
-"""So long may odometry be rejected: three reports of a Pioneer, after a push that only a gyro sees."""
+"""Time for which odometry may be rejected: three reports of a Pioneer."""
 AXLE_STD_M = 0.002
 """How well a description knows where the axle of a differential drive is (chosen)."""
 
@@ -42,7 +42,7 @@ class DriveConfig(Timeouts):
     ticks: int = Field(ge=1, description="how many control ticks the drive lasts at most")
     still_wait_s: float = Field(default=10.0, gt=0, description="for the rover to stand still")
     still_s: float = Field(default=1.0, gt=0, description="so long it stands still before the start")
-    still_m: float = Field(default=0.003, gt=0, description="or what odometry's noise makes of rest")
+    still_m: float = Field(default=0.003, gt=0, description="motion that counts as standing")
     still_rad: float = Field(default=0.005, gt=0)
     pose: PoseUse = "auto"
     pose_wait_s: float = Field(default=10.0, gt=0, description="for the first external pose, if required")
@@ -64,9 +64,9 @@ def settings_for(rover: RoverProfile | None, described: RobotDescription | None 
     A measured value and that of an unmeasured robot are weighted by their variances; a value without a
     standard deviation is taken as it is, with that of an unmeasured robot.
     """
-    usual = EstimatorSettings() if described is None else _described(described)
+    default = EstimatorSettings() if described is None else _described(described)
     if rover is None:
-        return usual
+        return default
     measured = {
         "wheel_mismatch_rad_m": (rover.imbalance_rad_m, rover.std.get("imbalance_rad_m")),
         "rotation_center_m": (rover.rotation_center_m, rover.std.get("rotation_center_m")),
@@ -76,8 +76,8 @@ def settings_for(rover: RoverProfile | None, described: RobotDescription | None 
         value, std = getattr(rover, ratio), rover.std.get(ratio)
         measured[name] = (value and 1.0 / value, value and std and std / value**2)
     known: dict[str, float] = {
-        "position_m": max(usual.position_m, rover.noise_m or 0.0),
-        "heading_rad": max(usual.heading_rad, rover.noise_rad or 0.0),
+        "position_m": max(default.position_m, rover.noise_m or 0.0),
+        "heading_rad": max(default.heading_rad, rover.noise_rad or 0.0),
         "slip_s": (rover.slip_s or 0.0) / (rover.odometry_heading or 1.0),
     }
     # Taken as measured: an unmeasured robot's values are those of level ground.
@@ -88,12 +88,12 @@ def settings_for(rover: RoverProfile | None, described: RobotDescription | None 
     for name, (value, std) in measured.items():
         if value is None:
             continue
-        known[name], prior_std = value, getattr(usual, STD[name])
+        known[name], prior_std = value, getattr(default, STD[name])
         if std:
             share = prior_std**2 / (prior_std**2 + std**2)
-            known[name] = share * value + (1.0 - share) * getattr(usual, name)
+            known[name] = share * value + (1.0 - share) * getattr(default, name)
             known[STD[name]] = math.sqrt(share) * std
-    return usual.model_copy(update=known)
+    return default.model_copy(update=known)
 
 
 def _described(robot: RobotDescription) -> EstimatorSettings:
@@ -101,22 +101,22 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
 
     The process noise lets its speed change by what it can change by between two reports.
     """
-    usual, motion, odometry = EstimatorSettings(), robot.motion, robot.odometry
-    spread = {
-        "position_m": max(usual.position_m, odometry.noise_m),
-        "heading_rad": max(usual.heading_rad, odometry.noise_rad),
-        "speed_m_s": math.hypot(usual.speed_m_s, odometry.noise_m_s),
-        "turn_rad_s": math.hypot(usual.turn_rad_s, odometry.noise_rad_s),
+    default, motion, odometry = EstimatorSettings(), robot.motion, robot.odometry
+    changed = {
+        "position_m": max(default.position_m, odometry.noise_m),
+        "heading_rad": max(default.heading_rad, odometry.noise_rad),
+        "speed_m_s": math.hypot(default.speed_m_s, odometry.noise_m_s),
+        "turn_rad_s": math.hypot(default.turn_rad_s, odometry.noise_rad_s),
         "acceleration": max(motion.accel, motion.decel) ** 2 / odometry.rate_hz,
         "angular_acceleration": max(motion.alpha, motion.alpha_decel) ** 2 / odometry.rate_hz,
-        "rejected_in_a_row": max(usual.rejected_in_a_row, math.ceil(REJECTED_S * odometry.rate_hz)),
+        "rejected_in_a_row": max(default.rejected_in_a_row, math.ceil(REJECTED_S * odometry.rate_hz)),
         "distance_gain_std": odometry.distance_error / math.sqrt(3.0),
         "turn_gain_std": odometry.turn_error / math.sqrt(3.0),
     }
     if robot.gyro is not None:
-        # Its readings are averaged over the time of a turn. No less than usual: it is read at other moments.
+        # Its readings are averaged over the time of a turn, and are read at other moments than odometry.
         noise_rad = robot.gyro.noise_rad_s * math.sqrt(GYRO_S / robot.gyro.rate_hz)
-        spread["gyro_rad"] = max(usual.gyro_rad, noise_rad)
+        changed["gyro_rad"] = max(default.gyro_rad, noise_rad)
     if robot.drive.kind == "differential":  # it turns about the middle of its axle, and does not slide
-        spread |= {"rotation_center_std_m": AXLE_STD_M, "downhill_std_m": AXLE_STD_M}
-    return usual.model_copy(update=spread)
+        changed |= {"rotation_center_std_m": AXLE_STD_M, "downhill_std_m": AXLE_STD_M}
+    return default.model_copy(update=changed)

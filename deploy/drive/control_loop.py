@@ -135,7 +135,7 @@ class Drive:
                 "placed": self._placed,  #: whether they gave the start
                 "taken": taken["pose"],
                 "unreadable": unreadable["pose"],
-                "doubtful": doubtful["pose"],  #: the same
+                "doubtful": doubtful["pose"],  #: not used: their stamps contradict those around them
                 "used": outcomes[Outcome.ACCEPTED],  #: by the filter
                 "refused": outcomes[Outcome.OUTLIER] + outcomes[Outcome.NOT_FINITE],
                 "too_late": outcomes[Outcome.TOO_OLD],  #: older than the filter's history

@@ -22,8 +22,7 @@ INPUTS = frozenset({*OF_BRIDGE, "pose"})
 REMEMBERED = 16
 """Ids of each topic that are kept."""
 LAST, STEPS_BACK = 20, 4
-"""In the last so many messages, stamps may go back less often than this: a clock is set once, and a late
-message is an exception."""
+"""Number of the last messages whose stamps are compared, and the steps back that show two publishers."""
 
 
 class Arrival(NamedTuple):

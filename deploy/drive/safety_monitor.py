@@ -36,8 +36,8 @@ FOLLOWED_MIN = 0.1
 class Timeouts(StrictModel):
     """Times in s."""
 
-    bridge_wait_s: float = Field(default=5.0, gt=0, description="for the bridge to show itself")
-    permission_wait_s: float = Field(default=2.0, gt=0, description="for the bridge to want our commands")
+    bridge_wait_s: float = Field(default=5.0, gt=0, description="for the bridge's liveliness token")
+    permission_wait_s: float = Field(default=2.0, gt=0, description="for the bridge's subscription")
     odometry_wait_s: float = Field(default=5.0, gt=0, description="for the first odometry")
     odometry_age_s: float = Field(default=0.4, gt=0, le=0.5, description="older odometry stops the rover")
     lease_wait_s: float = Field(default=1.0, gt=0, description="for the gate to confirm our lease")
@@ -84,7 +84,7 @@ class SafetyMonitor:
         link, wait_s = self._link, self._timeouts.bridge_wait_s
         if not self.until(lambda: link.bridge_alive, wait_s):
             raise NoBridge(
-                f"something answers at {link.robot}, but no bridge shows itself there{link.where} "
+                f"something answers at {link.robot}, but no bridge is announced there{link.where} "
                 f"within {wait_s:g} s"
             )
 

@@ -43,7 +43,7 @@ GYRO_GAP_S = 0.25
 GYRO_OFF_RAD_S = 1.0
 """A reading with a larger error, beyond five standard deviations of its noise, is rejected."""
 LATE, EARLY = 1.5, 0.5
-"""Odometry after a gap of more than 1.5 usual gaps may be delayed, and the next one after less than 0.5."""
+"""Odometry after a gap of more than 1.5 default gaps may be delayed, and the next one after less than 0.5."""
 GAPS = 9
 
 
@@ -102,11 +102,11 @@ class _BurstStamps:
     def due(self, t: float) -> float:
         """Return the latest time at which the sample of stamp ``t`` was due: ``t``, except in a burst."""
         gap, late = t - self._t, self._due < self._t
-        usual = sorted(self._gaps)[GAPS // 2] if len(self._gaps) == GAPS else math.inf
+        typical = sorted(self._gaps)[GAPS // 2] if len(self._gaps) == GAPS else math.inf
         if not math.isnan(gap):
             self._gaps.append(gap)
-        waited = gap > LATE * usual or (late and 0.0 <= gap < EARLY * usual)
-        self._t, self._due = t, min(t, self._due + usual) if waited else t
+        waited = gap > LATE * typical or (late and 0.0 <= gap < EARLY * typical)
+        self._t, self._due = t, min(t, self._due + typical) if waited else t
         return self._due
 
 
@@ -275,10 +275,10 @@ class Estimator:
 
 def completed(covariance: Array, settings: EstimatorSettings) -> Array | None:
     """Return an external pose's covariance with unknown variances filled in; None if it is invalid."""
-    spread = np.array(covariance, dtype=np.float64)
-    if not np.isfinite(spread).all() or (np.diag(spread) < 0).any():
+    matrix = np.array(covariance, dtype=np.float64)
+    if not np.isfinite(matrix).all() or (np.diag(matrix) < 0).any():
         return None
-    usual = np.square([settings.pose_m, settings.pose_m, settings.pose_rad])
-    spread[np.diag_indices(3)] = np.where(np.diag(spread) == 0.0, usual, np.diag(spread))
-    spread = 0.5 * (spread + spread.T)
-    return spread if np.linalg.eigvalsh(spread).min() > 0.0 else None
+    default = np.square([settings.pose_m, settings.pose_m, settings.pose_rad])
+    matrix[np.diag_indices(3)] = np.where(np.diag(matrix) == 0.0, default, np.diag(matrix))
+    matrix = 0.5 * (matrix + matrix.T)
+    return matrix if np.linalg.eigvalsh(matrix).min() > 0.0 else None

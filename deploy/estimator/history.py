@@ -48,9 +48,9 @@ GAP_S = 10.0
 WAITING_MAX = 100
 """Maximum number of poses that wait for odometry."""
 REST_M_S, REST_RAD_S = 0.0005, 0.001
-"""Slower motion counts as none: less than half a step of a Pioneer, whose only noise is rounding."""
+"""Slower motion counts as none: less than half a step of a Pioneer's rounding."""
 SAME_PLACE = 5.0
-"""So many standard deviations of odometry's noise count as the same place, or as no motion."""
+"""Limit for the same place, or for no motion, in standard deviations of odometry's noise."""
 TURN_S = 0.08
 """A gyro's turns are compared with odometry's over no less, so that no rate hides a small one."""
 MAX_DISTURBANCE_RAD = 0.2
@@ -140,8 +140,8 @@ class History:
         P[POSE, POSE] = covariance
         deviations = [s.position_m, s.position_m, s.heading_rad, s.speed_m_s, s.turn_rad_s]
         self._noise = np.diag(np.square(deviations))
-        usual = EstimatorSettings()
-        noisier = np.square(deviations[3:]) - np.square([usual.speed_m_s, usual.turn_rad_s])
+        default = EstimatorSettings()
+        noisier = np.square(deviations[3:]) - np.square([default.speed_m_s, default.turn_rad_s])
         self._rest = np.array([REST_M_S, REST_RAD_S]) + SAME_PLACE * np.sqrt(np.maximum(noisier, 0.0))
         z = np.array([*own, 0.0, 0.0])
         self._entries = [_Entry(t, True, Odometry(z), x, P)]
@@ -170,7 +170,7 @@ class History:
     def odometry(self, z: Array, angle: float, t: float) -> Applied:
         """Apply odometry, and the angle that a gyro has turned from any zero (NaN: not known, a new zero)."""
         began, before = self._turn_began
-        if math.isnan(angle):  # also if this sample is refused: the next is not to be compared across
+        if math.isnan(angle):  # also if this sample is rejected: turns are not compared across a gap
             self._turn_began = began, math.nan
         if t < self.t:
             return Applied(Outcome.OUT_OF_ORDER)
@@ -327,10 +327,10 @@ class History:
         variance = float(row @ P @ row) + turn.noise
         missing = angle - float(row @ x)
         gain = float(x[GAIN] + P[GAIN] @ row / variance * missing)
-        least, most = (limit * s.turn_gain for limit in TURN_GAINS)
+        minimum, maximum = (limit * s.turn_gain for limit in TURN_GAINS)
         gate = DISTURBANCE_END_NIS if self._disturbance_rad else s.gyro_gate
         if missing**2 <= gate * variance and (
-            least <= gain <= most or abs(gain - s.turn_gain) < abs(x[GAIN] - s.turn_gain)
+            minimum <= gain <= maximum or abs(gain - s.turn_gain) < abs(x[GAIN] - s.turn_gain)
         ):
             self._disturbance_rad = 0.0
         else:

@@ -111,11 +111,11 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     moved, jacobian = x.copy(), np.eye(SIZE)
     if new_turn:
         moved[TURN] = jacobian[TURN, TURN] = 0.0
-    # Columns: the derivatives of all poses by distance and turn of the encoders, and by the unseen turn.
-    by_way, by_turn, by_unseen = np.zeros((3, SIZE))
+    # Columns: the derivatives of all poses by distance and turn of the encoders, and by further turn.
+    by_distance, by_turn, by_mismatch = np.zeros((3, SIZE))
     own = x[OWN_THETA] + 0.5 * omega * dt
     c, z = math.cos(own), math.sin(own)
-    by_way[OWN_X], by_way[OWN_Y] = c, z
+    by_distance[OWN_X], by_distance[OWN_Y] = c, z
     by_turn[OWN] = -0.5 * v * dt * z, 0.5 * v * dt * c, 1.0
     moved[OWN_X] += v * dt * c
     moved[OWN_Y] += v * dt * z
@@ -131,30 +131,30 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     moved[THETA] = wrap_angle(x[THETA] + turn)
     moved[TURN] += turn
     jacobian[X, THETA], jacobian[Y, THETA] = -dy, dx
-    by_unseen[POSE] = -0.5 * dy - center * sin, 0.5 * dx + center * cos, 1.0
-    by_unseen[[X, Y]] += math.copysign(1.0, turn) * downhill
-    by_unseen[TURN] = 1.0
-    by_way += x[WHEEL_MISMATCH] * by_unseen
-    by_way[X] += x[DISTANCE] * cos
-    by_way[Y] += x[DISTANCE] * sin
+    by_mismatch[POSE] = -0.5 * dy - center * sin, 0.5 * dx + center * cos, 1.0
+    by_mismatch[[X, Y]] += math.copysign(1.0, turn) * downhill
+    by_mismatch[TURN] = 1.0
+    by_distance += x[WHEEL_MISMATCH] * by_mismatch
+    by_distance[X] += x[DISTANCE] * cos
+    by_distance[Y] += x[DISTANCE] * sin
     turned, by_omega = turned_without_gain(omega, s)
-    by_turn += x[GAIN] * by_omega * by_unseen
-    jacobian[:, V] += dt * by_way
+    by_turn += x[GAIN] * by_omega * by_mismatch
+    jacobian[:, V] += dt * by_distance
     jacobian[:, OMEGA] += dt * by_turn
     jacobian[X, DISTANCE], jacobian[Y, DISTANCE] = v * dt * cos, v * dt * sin
     jacobian[X, CENTER], jacobian[Y, CENTER] = -turn * sin, turn * cos
     jacobian[X, DOWN_X] = jacobian[Y, DOWN_Y] = abs(turn)
-    jacobian[:, GAIN] += turned * dt * by_unseen
-    jacobian[:, WHEEL_MISMATCH] += v * dt * by_unseen
+    jacobian[:, GAIN] += turned * dt * by_mismatch
+    jacobian[:, WHEEL_MISMATCH] += v * dt * by_mismatch
 
     noise = np.zeros((SIZE, 11))
-    noise[:, :4] = _acceleration_noise(by_way, by_turn, dt, s)
+    noise[:, :4] = _acceleration_noise(by_distance, by_turn, dt, s)
     slip = math.sqrt(s.slip * dt)
     noise[[OWN_X, OWN_Y, X, Y], 4] = slip * c, slip * z, slip * cos, slip * sin
     noise[[OWN_X, OWN_Y, X, Y], 5] = -slip * z, slip * c, -slip * sin, slip * cos
     length, angle = abs(ahead), abs(turn)
     noise[X, 6] = noise[Y, 7] = math.sqrt(s.wander_m**2 * length + s.skid_m**2 * angle)
-    noise[:, 8] = math.sqrt(s.wander_rad**2 * length + s.skid_rad**2 * angle) * by_unseen
+    noise[:, 8] = math.sqrt(s.wander_rad**2 * length + s.skid_rad**2 * angle) * by_mismatch
     noise[GAIN, 9] = s.turn_gain_walk * math.sqrt(angle)
     noise[CENTER, 10] = s.rotation_center_walk_m * math.sqrt(angle)
     return Step(moved, jacobian, noise @ noise.T)
@@ -168,11 +168,11 @@ def turned_without_gain(omega: float, settings: EstimatorSettings) -> tuple[floa
     return 2.0 * omega / (without_slip + root), 1.0 / root
 
 
-def _acceleration_noise(by_way: Array, by_turn: Array, dt: float, settings: EstimatorSettings) -> Array:
+def _acceleration_noise(by_distance: Array, by_turn: Array, dt: float, settings: EstimatorSettings) -> Array:
     """Return the effects (18, 4) of white accelerations on speeds and poses, which are correlated."""
     noise = np.zeros((SIZE, 4))
     densities = settings.acceleration, settings.angular_acceleration
-    for column, (by, rate) in enumerate(((by_way, V), (by_turn, OMEGA))):
+    for column, (by, rate) in enumerate(((by_distance, V), (by_turn, OMEGA))):
         root = math.sqrt(densities[column] * dt)
         noise[:, 2 * column] = root * dt / math.sqrt(3.0) * by
         noise[rate, 2 * column : 2 * column + 2] = root * math.sqrt(3.0) / 2.0, root / 2.0

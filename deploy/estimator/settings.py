@@ -23,7 +23,7 @@ class EstimatorSettings(StrictModel):
     angular_acceleration: float = Field(default=0.16, gt=0, description="process noise of ω in (rad/s)²/s")
     slip: float = Field(default=1e-6, gt=0, description="process noise of x and y in m²/s")
     gate: float = Field(default=25.74, gt=0, description="largest NIS: 1 in 10,000 of a χ² with 5 degrees")
-    rejected_in_a_row: int = Field(default=3, ge=1, description="so many rejected in a row are a fault")
+    rejected_in_a_row: int = Field(default=3, ge=1, description="rejections in a row that are a fault")
 
     distance_gain: float = Field(default=1.0, gt=0, description="true distance over odometry's")
     distance_gain_std: float = Field(default=0.025, gt=0, description="±3 %, and slip on slopes")
@@ -31,7 +31,7 @@ class EstimatorSettings(StrictModel):
     turn_gain_std: float = Field(default=0.25, gt=0, description="weight off the middle: up to 1.5")
     slip_s: float = Field(default=0.0, ge=0, description="slipped share of a turn, per rad/s of odometry")
     turn_asymmetry: float = Field(
-        default=0.0, gt=-1, lt=1, description="unseen turn to the left per turned angle"
+        default=0.0, gt=-1, lt=1, description="turn to the left beside the encoders', per angle"
     )
     wheel_mismatch_rad_m: float = Field(default=0.0, description="turn per distance beside the encoders'")
     wheel_mismatch_std_rad_m: float = Field(default=0.025, gt=0, description="±0.03 rad/m, and slopes")
@@ -45,7 +45,7 @@ class EstimatorSettings(StrictModel):
     gyro_rad: float = Field(default=0.0007, gt=0, description="noise of a gyro's turn in 0.1 s")
     gyro_gate: float = Field(default=6.63, gt=0, description="largest NIS: 1 in 100 with 1 degree")
     gyro_disturbance_rad_s: float = Field(default=0.15, gt=0, description="turn rate of a disturbance")
-    gyro_rejected_in_a_row: int = Field(default=10, ge=1, description="so many are a fault")
+    gyro_rejected_in_a_row: int = Field(default=10, ge=1, description="number that is a fault")
 
     wander_m: float = Field(default=0.001, gt=0, description="random, after a metre")
     wander_rad: float = Field(default=0.002, gt=0, description="random, after a metre")
@@ -60,13 +60,13 @@ class EstimatorSettings(StrictModel):
 
     pose_m: float = Field(default=0.02, gt=0, description="external pose without a covariance")
     pose_rad: float = Field(default=0.035, gt=0)
-    pose_delay_s: float = Field(default=0.05, ge=0, description="least delay that all poses have")
+    pose_delay_s: float = Field(default=0.05, ge=0, description="expected delay of all poses")
     pose_delay_std_s: float = Field(default=0.05, gt=0)
     pose_gate: float = Field(default=21.11, gt=0, description="largest NIS: 1 in 10,000 with 3 degrees")
-    poses_rejected_in_a_row: int = Field(default=5, ge=1, description="so many are a fault")
+    poses_rejected_in_a_row: int = Field(default=5, ge=1, description="number that is a fault")
     disturbance_m: float = Field(default=0.02, gt=0, description="x and y of a disturbance, such as a cable")
     disturbance_rad: float = Field(default=0.03, gt=0, description="heading of a disturbance")
-    history_s: float = Field(default=1.0, gt=0, description="how late an external pose may come")
+    history_s: float = Field(default=1.0, gt=0, description="maximum delay of an external pose")
 
 
 class Outcome(Enum):

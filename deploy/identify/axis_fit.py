@@ -32,7 +32,7 @@ SCALES = (0.004, 0.01)
 DEFAULT_ACCELERATIONS = (0.31, 1.25)
 """Accelerations of the paper's simulator, m/s² and rad/s²; the search starts from them."""
 BOUNDS = (0.05, 20.0)
-"""Of the accelerations, as factors on the usual ones."""
+"""Bounds of the accelerations, as factors of the default ones."""
 MIN_MOTION = (0.05, 0.08)
 """An axis whose commands never exceeded this, in m/s and rad/s, is not fitted."""
 PAUSE_S = 0.3
@@ -46,9 +46,9 @@ SINGULAR = 1e12
 NEGLIGIBLE = 1e-3
 """A value is not determined if a unit of it changes all samples by less than this share of SCALES."""
 MISFIT = 1.3
-"""Residuals count as rounding if their mean square is at most so many times that of rounding."""
+"""Limit for residuals that count as rounding: their mean square over that of rounding."""
 OUTLIER = 5.0
-"""A block is left out if its residual is so many times the median block's, and beyond the robust scale."""
+"""Limit for a block's residual, as a factor of the median block's."""
 
 
 class OdometryErrors(NamedTuple):
@@ -79,12 +79,12 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
         return None
     times, values = _changes(log.sent_s, log.sent[:, axis])
     t, reported = log.odometry.t, log.motion[:, axis]
-    scale, usual = SCALES[axis], DEFAULT_ACCELERATIONS[axis]
+    scale, default = SCALES[axis], DEFAULT_ACCELERATIONS[axis]
     weights, groups = _rounding_weights(reported)
     sigma = _step(reported) / math.sqrt(12.0)
 
     def residuals(x: FloatArray, errors: FloatArray = odometry.values) -> FloatArray:
-        motion = _modelled((times + x[0], values), x[1], usual * np.exp(x[2:]), errors, t)
+        motion = _modelled((times + x[0], values), x[1], default * np.exp(x[2:]), errors, t)
         found: FloatArray = motion - reported
         return found
 
@@ -162,7 +162,7 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
     )
     shift = np.zeros((len(x), 2))
     shift[determined] = np.linalg.lstsq(slopes, by_odometry * weights[chosen][:, None])[0]
-    units = np.append(np.ones(2), usual * np.exp(x[2:]))
+    units = np.append(np.ones(2), default * np.exp(x[2:]))
     deviations = units * np.sqrt(np.diag(covariance + shift @ odometry.covariance @ shift.T))
     found = np.append(x[:2], units[2:])
     residual = float(np.sqrt(np.mean(np.square(residuals(x)[chosen]))))

@@ -24,9 +24,9 @@ STEP_M, STEP_RAD = 0.001, math.tau / 4096
 MIN_NOISE_SAMPLES = 20
 
 SCALE_STD = 0.0173
-"""Of odometry's scales without external poses: ±3 %, evenly spread."""
+"""Standard deviation of odometry's scales without external poses: uniform within ±3 %."""
 SLIP_STD_S = 0.17
-"""Of the slip of a turn: 0 to 0.3 s, evenly spread (preset `harsh`), about 0."""
+"""Standard deviation of a turn's slip about 0: uniform from 0 to 0.3 s (preset `harsh`)."""
 
 MAX_DELAY_STD_S = 0.03
 """Largest standard deviation of a delay that is kept."""

@@ -21,11 +21,11 @@ from rover_ncp.wire.messages import read_odometry, read_twist
 FloatArray = NDArray[np.float64]
 
 _MIN_SAMPLES = 50
-"""Least number of odometry samples for a fit."""
+"""Minimum number of odometry samples for a fit."""
 _NEAR = 20
 """Odometry samples before and after a message that show the difference of the clocks there."""
 _LAG = 40
-"""The cycle is first estimated over so many reports; a late one has little influence then."""
+"""Number of reports over which the cycle is first estimated."""
 
 
 class Track(NamedTuple):

@@ -2,9 +2,8 @@
 
 Only poses of a standing rover are compared, so external poses may be late by a third of a second. The
 distance and the turn between one stand and the next contain the noise of both stands' means, and neighbouring
-intervals share a stand. So the fits are generalised least squares with that covariance. A push between two
-stands is an outlier, whose interval is left out. Distances are those of straight ways, as only there both
-kinds of poses show the whole way.
+intervals share a stand. So the fits are generalised least squares with that covariance. An interval with a
+disturbance is an outlier and is left out. Only straight intervals give distances.
 """
 
 import math
@@ -24,7 +23,7 @@ MIN_DISTANCE_M = 0.1
 STRAIGHT_RAD = 0.1
 """On a straight way, headings differ by no more from that at its begin."""
 NOISE_SIGMAS = 4.0
-"""Noise alone takes none of some hundred headings farther off than so many standard deviations."""
+"""Limit for the noise of some hundred headings, in standard deviations."""
 MIN_POSES = 3
 """Of odometry and of external poses in a stand."""
 PUSHED = float(norm.isf(0.0005))
@@ -246,8 +245,8 @@ def _fitted(
         sizes = np.nan_to_num(sizes, posinf=0.0)
         worst = int(np.argmax(sizes))
         if sizes[worst] <= PUSHED or free <= 2:
-            # The noise is known from the scatter of the poses; a small push shows as a misfit beyond it.
-            # Its size is then estimated from few intervals: 1.96 deviations are to be Student's quantile.
+            # A small disturbance is a misfit beyond the noise of the poses. It is estimated from few intervals,
+            # so Student's quantile replaces 1.96.
             misfit = 2.0 * fit.cost / free
             return Fit(
                 x, values * (misfit * (t.ppf(0.975, free) / norm.ppf(0.975)) ** 2 if misfit > 1.0 else 1.0)

@@ -30,7 +30,7 @@ from rover_ncp.core.errors import UsageError
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]
 MOST_SEED = 2**63 - 1
-"""Of a seed, or of the number of a trial."""
+"""Largest seed or trial number."""
 
 
 def command(run: Callable[[Any], int | None]) -> Callable[..., int | None]:
@@ -248,7 +248,7 @@ class Output(logging.Handler):
             yield
 
     def result(self, fields: Mapping[str, Any], text: str) -> None:
-        """End a command: the fields as JSON, or the text, whichever was asked for."""
+        """End a command: the fields as JSON, or the text."""
         Output.ended = True
         if self.as_json:
             keep(sys.stdout, json.dumps(_plain(fields), allow_nan=False) + "\n")

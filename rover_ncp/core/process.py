@@ -20,7 +20,7 @@ class Clock(Protocol):
         """Return s, from any zero."""
 
     def monotonic_ns(self) -> int:
-        """Return the same in ns."""
+        """Return ns, from the same zero."""
 
     def time_ns(self) -> int:
         """Return ns since the epoch."""
@@ -37,7 +37,7 @@ def suspended_s() -> float:
 
 
 def require_open_files(free: int) -> None:
-    """Let this process open so many more files. Raises UsageError if the system's limit is too low."""
+    """Allow ``free`` more open files. Raises UsageError if the system's limit is too low."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     needed = len(list(Path("/dev/fd").iterdir())) + free
     if soft != resource.RLIM_INFINITY and soft < needed:

@@ -150,8 +150,9 @@ class Preflight:
 
     def _check_battery(self) -> tuple[bool, str]:
         base = self._link.about_base()
-        described = base is not None and base.state is not TimeoutState.PUBLISHED
-        minimum = (base.battery_min_v or 0.0) if base is not None and described else BATTERY_V
+        minimum = BATTERY_V
+        if base is not None and base.state is not TimeoutState.PUBLISHED:  # a ROS 2 robot
+            minimum = base.battery_min_v or 0.0
         self._until(lambda: math.isfinite(self._battery.voltage), BATTERY_WAIT_S)
         volts = self._battery.voltage
         if volts <= 0.0:  # as to the gate

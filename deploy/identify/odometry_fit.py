@@ -26,7 +26,7 @@ NOISE_SIGMAS = 4.0
 """Limit for the noise of some hundred headings, in standard deviations."""
 MIN_POSES = 3
 """Of odometry and of external poses in a stand."""
-PUSHED = float(norm.isf(0.0005))
+DISTURBED = float(norm.isf(0.0005))
 """An interval with a larger standardised residual counts as disturbed: one in 1000 by chance."""
 PLAUSIBLE = 0.5, 2.0
 """Plausible scales of odometry; external poses that give others belong to another object."""
@@ -244,9 +244,9 @@ def _fitted(
             sizes = np.abs(weight @ residuals(x, kept)) / np.sqrt(np.diag(weight))
         sizes = np.nan_to_num(sizes, posinf=0.0)
         worst = int(np.argmax(sizes))
-        if sizes[worst] <= PUSHED or free <= 2:
-            # A small disturbance is a misfit beyond the noise of the poses. It is estimated from few intervals,
-            # so Student's quantile replaces 1.96.
+        if sizes[worst] <= DISTURBED or free <= 2:
+            # A small disturbance is a misfit beyond the noise of the poses, estimated from few intervals:
+            # Student's quantile replaces 1.96.
             misfit = 2.0 * fit.cost / free
             return Fit(
                 x, values * (misfit * (t.ppf(0.975, free) / norm.ppf(0.975)) ** 2 if misfit > 1.0 else 1.0)

@@ -6,7 +6,7 @@ bounded.
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import zenoh
@@ -115,27 +115,13 @@ class ZenohLink(Link, ZenohClient):
         return reply
 
     def _motors(self, request: MotorsRequest, timeout_s: float) -> MotorsReply | None:
-        now_ns = time.monotonic_ns()
-        payload = dump_json(request.model_copy(update={"sent_ns": now_ns}))
-        where, tag = self.key("rover/motors"), None
-        if self.lease.number:
-            tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
         # The query goes to every peer, and every answer is read: a peer that relays the request to the bridge
         # would get the key.
-        replies = list(
-            self._session.get(
-                where,
-                payload=payload,
-                attachment=tag,
-                timeout=timeout_s,
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
-            )
-        )
+        replies = list(self._query("rover/motors", request, timeout_s, zenoh.QueryTarget.ALL))
         if len(replies) > 1:
             raise NoBridge(
-                f"{len(replies)} answers on {where} at {self.robot}, expected one: a peer beside the bridge "
-                "answers requests for the motors; keep it out with 'rover-ncp keys'"
+                f"{len(replies)} answers on {self.key('rover/motors')} at {self.robot}, expected one: a peer "
+                "beside the bridge answers requests for the motors; keep it out with 'rover-ncp keys'"
             )
         for reply in replies:
             # A bridge of version 1 reports that it cannot read the request; later ones answer with a refusal.
@@ -150,22 +136,33 @@ class ZenohLink(Link, ZenohClient):
                 raise NoBridge(f"the bridge at {self.robot} sends an unreadable answer: {error}") from error
         return None
 
+    def _query(
+        self,
+        name: str,
+        request: MotorsRequest | BaseRequest,
+        timeout_s: float,
+        target: zenoh.QueryTarget = zenoh.QueryTarget.BEST_MATCHING,
+    ) -> Iterable[zenoh.Reply]:
+        """Send a query, signed if there is a lease."""
+        where, now_ns, tag = self.key(name), time.monotonic_ns(), None
+        payload = dump_json(request.model_copy(update={"sent_ns": now_ns}))
+        if self.lease.number:
+            tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
+        return self._session.get(
+            where,
+            payload=payload,
+            attachment=tag,
+            timeout=timeout_s,
+            target=target,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+
     def about_base(self, measure: bool = False) -> BaseReply | None:
         """Return what the bridge knows of its base; ``measure`` begins the measurement of its own timeout.
 
         None if the bridge does not answer.
         """
-        where, now_ns, tag = self.key("rover/base"), time.monotonic_ns(), None
-        payload = dump_json(BaseRequest(measure=measure, sent_ns=now_ns))
-        if self.lease.number:
-            tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
-        replies = self._session.get(
-            where,
-            payload=payload,
-            attachment=tag,
-            timeout=QUERY_TIMEOUT_S,
-            consolidation=zenoh.ConsolidationMode.NONE,
-        )
+        replies = self._query("rover/base", BaseRequest(measure=measure), QUERY_TIMEOUT_S)
         with contextlib.suppress(FormatError, NoBridge):
             answer = self.bridge_answer(replies)
             if answer is not None:

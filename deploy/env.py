@@ -52,21 +52,23 @@ FloatArray = NDArray[np.float64]
 
 
 class _Observed(NamedTuple):
-    """The observation of a tick and the estimated pose."""
+    """What the drive hands over in a tick."""
 
     tick: int
     values: tuple[float, ...]
+    """The signals of the environment."""
     pose: Pose
+    """The estimate."""
 
 
 class _Handover:
-    """The drive's `Runner`: passes each observation to the environment and waits for its action."""
+    """The drive's `Runner`: hands each observation to the environment and waits for its action."""
 
     def __init__(self) -> None:
         self.drive: Drive | None = None
         self.controller: Controller | None = None
         self.observed: queue.Queue[_Observed | None] = queue.Queue()
-        """None ends the drive."""
+        """None says that the drive is over."""
         self.actions: queue.Queue[tuple[float, float]] = queue.Queue()
         self._started = self._warm = False
 
@@ -200,6 +202,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
             namespace=self._address.namespace,
             policy="gymnasium",
             course=self.course.name,
+            dry_run=False,
             ticks=self.course.ticks,
             pose=self._pose,
             estimator=settings_for(self._profile, self._robot),
@@ -218,7 +221,10 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
                 self._error = drive.stop
 
     def _next(self, action: ArrayLike | None = None) -> _Observed | None:
-        """Pass an action and wait for the next tick; None when the drive is over. An exception stops it."""
+        """Give an action and wait for the next tick; None when the drive is over.
+
+        An exception here stops the rover.
+        """
         try:
             if action is not None:
                 v, omega = np.clip(
@@ -255,7 +261,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
 
 
 def _not_recorded(_message: Recorded) -> None:
-    """Drop a message."""
+    """Drop a message: the environment records nothing."""
 
 
 gymnasium.register(id=ENV_ID, entry_point="deploy.env:RoverEnv")

@@ -52,7 +52,7 @@ class Tick:
 
 
 class Runner(Protocol):
-    """Runs a policy: turns an observation into a command each tick, as `PolicyRunner`."""
+    """What turns observations into commands, tick by tick; `PolicyRunner` is one."""
 
     @property
     def potentials(self) -> NDArray[np.float64]:
@@ -66,10 +66,10 @@ class Runner(Protocol):
 
 
 class Controller:
-    """Estimator and runner of one drive. Times are seconds on one clock, any zero.
+    """Estimator and circuit of one drive. Times are seconds on one clock, any zero.
 
-    Commands are divided by the known gains of a ``rover`` and by the estimated turn gain. A ``runner`` takes
-    the place of the policy's circuit.
+    Commands are divided by the known gains of a ``rover`` and by the turn gain that the estimator finds on
+    the way, so that it moves as the circuit asks. A ``runner`` takes the place of the policy's circuit.
     """
 
     def __init__(

@@ -116,11 +116,6 @@ class KeyReader:
         return _meaning(unit)
 
 
-def presses(text: str) -> list[str]:
-    """Return the keys in a text of its own."""
-    return KeyReader().keys(text)
-
-
 def _meaning(unit: str) -> str:
     if unit in QUIT or (len(unit) == 2 and unit[1] in QUIT):  # also with Alt: to end is safe
         return Press.QUIT

@@ -12,7 +12,7 @@ Rules of this file:
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Any
 
@@ -211,9 +211,7 @@ class Drive:
         if required is None and not self._controller.plans:
             return
         readings = self.measurements.gyro()
-        for sample, ref, _ in readings:
-            self._controller.take(sample, self._start.seconds_to(ref.measured_ns))
-            self._used.append(ref)
+        self._apply(readings)
         error = self.predicted_error_m = self._controller.predicted_error_m(gyro=bool(readings))
         if self._placed:
             return
@@ -282,10 +280,14 @@ class Drive:
         poses = self.measurements.poses()
         if self._placed:
             measured += sorted(poses, key=lambda pose: pose.ref.measured_ns)
+        self._apply(measured)
+        return odometry
+
+    def _apply(self, measured: Sequence[Measurement[Any]]) -> None:
+        """Give measurements to the estimator, in this order."""
         for sample, ref, _ in measured:
             self._controller.take(sample, self._start.seconds_to(ref.measured_ns))
             self._used.append(ref)
-        return odometry
 
     def _check(self) -> None:
         """Raise SafetyStop if a safety rule is broken, KeyboardInterrupt after a termination signal."""

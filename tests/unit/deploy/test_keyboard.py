@@ -18,12 +18,15 @@ from deploy.keyboard import (
     Keyboard,
     KeyReader,
     Press,
-    presses,
 )
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
 
 STILL = Velocity(0.0, 0.0)
+
+
+def presses(text):
+    return KeyReader().keys(text)
 
 
 def held(key, until_s, delay_s, rate_hz, end_s=5.0):

@@ -52,7 +52,7 @@ REST_M_S, REST_RAD_S = 0.0005, 0.001
 SAME_PLACE = 5.0
 """Limit for the same place, or for no motion, in standard deviations of odometry's noise."""
 TURN_S = 0.08
-"""A gyro's turns are compared with odometry's over no less, so that no rate hides a small one."""
+"""Minimum time over which a gyro's turn is compared with odometry's."""
 MAX_DISTURBANCE_RAD = 0.2
 """Largest disturbance that the estimate follows."""
 DISTURBANCE_END_NIS = 1.0
@@ -63,8 +63,8 @@ DISTURBANCE_STD_SHARE = 0.3
 _ALL = np.eye(SIZE)
 REPORTED = slice(OWN.start, MOTION.stop)
 _BLOCKS = (OWN, MOTION)
-"""Odometry's pose and motion are applied one after the other, which is equivalent, as their errors are
-independent. A 5 × 5 inverse for both would use scipy's threads: 50 ms on a busy machine."""
+"""Odometry's pose and motion have independent errors and are applied one after the other: a 5 × 5 inverse
+would use scipy's threads, 50 ms on a busy machine."""
 
 
 class Turn(NamedTuple):

@@ -1,24 +1,23 @@
 """Motion of a skid-steered rover and of its odometry, with Jacobian and process noise.
 
-State: the pose x, y, θ in the course's frame; the pose in odometry's own frame; speed v and turn rate ω as
-the encoders see them; the turn of the true heading since the gyro's was last compared with it; then the
-errors of odometry and of the sensors, which the filter estimates beside the pose:
+State: the pose x, y, θ in the course's frame; the pose in odometry's own frame; the encoders' speed v and
+turn rate ω; the turn of the true heading since its last comparison with the gyro; then errors of odometry
+and of the sensors:
 
-    DISTANCE  true distance over odometry's
-    GAIN      true turn over odometry's; a skid-steered robot with its weight off the middle turns more
-    WHEEL_MISMATCH      wheel mismatch: turn per distance beside the encoders', rad/m
-    CENTER    lateral velocity over turn rate, m: the centre of rotation lies so far behind the base's middle
-    DOWNHILL  slide over turned angle, m/rad, in x and y of the course's frame: on a slope the tyres of a
-              skid-steered robot slide sideways as it turns, and gravity then moves it
-    DRIFT     of odometry's heading, rad/s, also while the rover stands
-    BIAS      of the gyro, rad/s
-    DELAY     of the external poses, s, beyond what their stamps show
+    DISTANCE        true distance over odometry's
+    GAIN            true turn over odometry's; with its weight off the middle, a skid-steered robot turns more
+    WHEEL_MISMATCH  turn per distance beside the encoders', rad/m
+    CENTER          lateral velocity over turn rate, m: distance of the centre of rotation behind the middle
+    DOWNHILL        slide over turned angle, m/rad, in x and y of the course's frame: on a slope, turning
+                    tyres slide and gravity moves the robot
+    DRIFT           drift of odometry's heading, rad/s, also while the rover stands
+    BIAS            bias of the gyro, rad/s
+    DELAY           delay of the external poses, s, beyond their stamps
 
 v and ω are constant but for white noise of the accelerations; one tick at the base's full acceleration
-(0.31 m/s², 1.25 rad/s²) is one standard deviation. So the filter follows odometry almost without lag: a
-circuit that was trained on exact poses must not get late ones. While the rover stands, only odometry's own
-pose may change, and the heading by a disturbance that a gyro shows. Errors of odometry grow with distance
-and turn.
+(0.31 m/s², 1.25 rad/s²) is one standard deviation. So the filter follows odometry almost without delay. While
+the rover stands, only odometry's own pose may change, and the heading by a disturbance that a gyro shows.
+Errors of odometry grow with distance and turn.
 """
 
 import math

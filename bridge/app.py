@@ -57,7 +57,6 @@ def run_bridge(
             inbox,
             limits=allowed,
             accept_ros=accept_ros,
-            say=output.say,
             ready=ready,
         )
         node.run(lambda: interrupts.raised)

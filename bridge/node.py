@@ -9,6 +9,7 @@ Rules of this file:
    base's `close` for that, and an exception of the base is a lost base.
 """
 
+import logging
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -40,6 +41,7 @@ from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.messages import read_twist, text, twist_stamped
 from rover_ncp.wire.protocol import Signed, dump_json
 
+_LOGGER = logging.getLogger("rover_ncp")
 TICK_S = 0.02
 """How often the loop turns when nothing arrives."""
 APART_S = 0.01
@@ -68,7 +70,7 @@ class Publisher(Protocol):
 
 
 class Node:
-    """The loop and its state. ``say`` logs events for people; ``ready`` is called once."""
+    """The loop and its state; ``ready`` is called once."""
 
     def __init__(
         self,
@@ -78,14 +80,13 @@ class Node:
         *,
         limits: Limits,
         accept_ros: bool,
-        say: Callable[[str], None],
         ready: Callable[[], None],
         clock: Clock = time,
         suspended_s: Callable[[], float] = suspended_s,
     ) -> None:
         self._base, self._link, self._inbox, self._clock = GuardedBase(base), link, inbox, clock
         self._total_suspended_s, self._suspended_s = suspended_s, suspended_s()
-        self._limits, self._accept_ros, self._say = limits, accept_ros, say
+        self._limits, self._accept_ros = limits, accept_ros
         self._ready = ready
         self._answers = Answers(limits, link.key, self._judge, self._base)
         self.gate = GateState()
@@ -181,21 +182,21 @@ class Node:
                     self.reconnects += 1
                     if self.reconnects > 0:
                         self._judge(BaseLost("its odometry restarted", restarted=True), arrived_s)
-                    self._say(f"the base is connected: {hardware}")
+                    _LOGGER.info(f"the base is connected: {hardware}")
                     if self.reconnects == 0:
                         self._ready()
                 case Recovered():
-                    self._say("the base sends packets again")
+                    _LOGGER.info("the base sends packets again")
                 case Notice(words):
-                    self._say(words)
+                    _LOGGER.info(words)
                 case Lost(reason):
                     self._report = None
                     self._judge(BaseLost(reason), arrived_s)
-                    self._say(f"the base is lost: {reason}")
+                    _LOGGER.info(f"the base is lost: {reason}")
                 case Failed(reason):
                     if self.reconnects < 0:
                         raise NoRobot(reason)
-                    self._say(
+                    _LOGGER.info(
                         f"{reason}; the bridge closes and reopens the line until the base answers: "
                         "check its power, its cable or its network"
                     )
@@ -218,7 +219,7 @@ class Node:
 
     def _flush_log(self) -> None:
         for line in self._log:
-            self._say(line)
+            _LOGGER.info(line)
         self._log.clear()
 
     # What follows from it.

@@ -1,30 +1,25 @@
 """The driving process: connects policy, link, recorder and drive, and reports the result."""
 
 import gc
-import math
 import sys
 import zlib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deploy.drive.config import DriveConfig, PoseUse, attachments, settings_for
+from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive, Phase
 from deploy.drive.controller import ORIGIN, Controller
 from deploy.drive.publisher import Publisher
+from deploy.drive.records import attachments
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.recorder import Recorder
 from deploy.zenoh_client import BridgeAddress
-from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.console import Output, printable
-from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import Interrupts
-from rover_ncp.course.course import TICK_S, load_course
-from rover_ncp.course.fit import slowed
-from rover_ncp.robot.description import load_description
-from rover_ncp.robot.profile import load_profile
+from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.wire.messages import (
     COURSE_FRAME,
     neurons,
@@ -45,64 +40,25 @@ def run(
     address: BridgeAddress,
     output: Output,
     *,
-    policy: str = "course",
-    course: str = "parking",
-    model: str | None = None,
-    profile: Path | None = None,
-    pose: PoseUse = "auto",
-    require_accuracy_m: float | None = None,
-    duration_s: float | None = None,
-    dry_run: bool = False,
-    record: Path | None = None,
-    overwrite: bool = False,
+    policy: Policy,
+    course: Course,
+    config: DriveConfig,
+    recorder: Recorder,
     period_s: float = TICK_S,
 ) -> int:
     """Drive once, and return the exit code; ``period_s`` is how long a tick lasts by the clock.
 
     Raises RoverNcpError if the drive could not begin.
     """
-    the_policy, the_course = load_policy(policy), load_course(course)
-    rover = load_profile(profile) if profile else None
-    robot = load_description(model) if model else None
-    if robot is not None:
-        the_course, pace = slowed(the_course, robot)
-        output.say(pace)
-    ticks = the_course.ticks
-    if duration_s is not None:
-        if not TICK_S <= duration_s < math.inf:
-            raise UsageError(f"--duration {duration_s:g}: expected seconds, at least {TICK_S}")
-        ticks = min(ticks, round(duration_s / TICK_S))
-    config = DriveConfig(
-        robot=address.robot,
-        namespace=address.namespace,
-        policy=the_policy.circuit.name,
-        course=the_course.name,
-        dry_run=dry_run,
-        ticks=ticks,
-        pose=pose,
-        require_accuracy_m=require_accuracy_m,
-        estimator=settings_for(rover, robot),
-        rover=rover,
-        described=robot,
-    )
-    controller = Controller(the_policy, the_course, config.estimator, rover)
-    files = attachments(the_policy, the_course, config)
-    recorder = Recorder(record, overwrite=overwrite)
+    controller = Controller(policy, course, config.estimator, config.rover)
+    files = attachments(policy, course, config)
     prepare_for_real_time()
     with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:
-        publisher = Publisher(link, recorder.put, the_policy.circuit.neurons)
-        drive = Drive(
-            link,
-            controller,
-            publisher,
-            config,
-            lambda: interrupts.raised,
-            say=output.say,
-            period_s=period_s,
-        )
+        publisher = Publisher(link, recorder.put, policy.circuit.neurons)
+        drive = Drive(link, controller, publisher, config, lambda: interrupts.raised, period_s=period_s)
         drive.wait()
-        if robot is not None:
-            output.say(link.other_model(robot))
+        if config.described is not None:
+            output.say(link.other_model(config.described))
         recorder.open(files)
         with output.live(lambda: drive.progress):
             try:
@@ -111,7 +67,6 @@ def run(
                 if drive.estimate is None:  # no tick: the recording would only be in the way of the next
                     recorder.discard()
     fields = _result(drive, config) | {
-        "policy": policy,  #: its name or file
         **recorder.fields,
         "recording_dropped": recorder.dropped,  #: messages that the recording lacks
     }
@@ -167,6 +122,7 @@ def _result(drive: Drive, config: DriveConfig) -> dict[str, Any]:
             "p99": float(np.percentile(latencies_ms, 99)),
         },
         **drive.measurements_used,
+        "policy": config.policy,  #: its name
         "course": config.course,  #: its name
         "dry_run": config.dry_run,  #: whether no command was sent
         "exit_code": code,

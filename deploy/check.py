@@ -9,10 +9,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import date
-from typing import Protocol
 
 from deploy.drive.lease import ACCEPTED_S, NOT_ACCEPTED
-from deploy.drive.link import Link
 from deploy.drive.measurements import NS, Measurement, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
@@ -24,24 +22,24 @@ from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import OdometrySample
-from rover_ncp.wire.protocol import BaseReply, GateStatus, TimeoutState
+from rover_ncp.wire.protocol import GateStatus, TimeoutState
 
 V_M_S, OMEGA_RAD_S = 0.1, 0.2
 """Slow, and still well above the noise of wheels in the air."""
 MOVE_S, PERIOD_S = 1.5, 0.05
 RATE_HZ, LISTEN_S = 8.0, 2.0
 """A base reports ten times a second; with fewer than eight, packets are lost."""
-LISTENS = 2
-"""Once more if odometry was rare: a busy moment of this computer says nothing of the robot."""
-RATE_SHARE, MOST_HZ = 0.8, 50.0
-"""The same share of a described rate; a bridge passes on 50 reports a second at most."""
+ATTEMPTS = 2
+"""A second attempt, because a stall of this computer is no fault of the robot."""
+RATE_SHARE, MAX_HZ = 0.8, 50.0
+"""Share of a described rate; a bridge passes on 50 reports a second at most."""
 BATTERY_V, BATTERY_WAIT_S = 11.5, 2.0
 """The base's own alarm level (Pioneer manual); below it a drive may end in the middle."""
 STOP_S = 0.5
 """The first safety requirement; braking and the time to the next report come on top."""
 BRAKING_S, REPORT_S = 0.15 + V_M_S / 0.3, 0.1
 MEASURE_TRIES = 3
-"""A request that comes late finds that the gate has stopped the wheels already."""
+"""The gate may have stopped the wheels before a delayed request arrives."""
 MEASURING_S, POLL_S = 8.0, 0.2
 """The bridge sends the base nothing for 5 s at most."""
 SCALE = 0.15
@@ -85,19 +83,12 @@ class Battery:
                 self.voltage = math.nan
 
 
-class CheckedLink(Link, Protocol):
-    """A link that also asks the bridge for its base."""
-
-    def about_base(self, measure: bool = False) -> BaseReply | None:
-        """See ZenohLink."""
-
-
 class Preflight:
     """Checks one robot. At every end, the lease is released."""
 
     def __init__(
         self,
-        link: CheckedLink,
+        link: ZenohLink,
         measurements: Measurements,
         monitor: SafetyMonitor,
         battery: Battery,
@@ -137,7 +128,7 @@ class Preflight:
     def _check_model(self) -> tuple[bool, str]:
         assert self._robot is not None
         base = self._link.about_base()
-        found = base.model if base else "a robot that it does not name"
+        found = base.model if base else "a robot without a name"
         return found == self._robot.name, f"the bridge drives {found}, expected {self._robot.name}"
 
     def _check_inputs(self) -> tuple[bool, str]:
@@ -146,27 +137,27 @@ class Preflight:
         return (False, second) if ok and second else (ok, words)
 
     def _check_odometry(self) -> tuple[bool, str]:
-        least, rate = RATE_HZ, 0.0
+        minimum, rate = RATE_HZ, 0.0
         if self._robot is not None:
-            least = RATE_SHARE * min(self._robot.odometry.rate_hz, MOST_HZ)
-        for _ in range(LISTENS):
+            minimum = RATE_SHARE * min(self._robot.odometry.rate_hz, MAX_HZ)
+        for _ in range(ATTEMPTS):
             before = self._measurements.taken["odom"]
             self._until(lambda: False, LISTEN_S)
             rate = (self._measurements.taken["odom"] - before) / LISTEN_S
-            if rate >= least:
+            if rate >= minimum:
                 break
-        return rate >= least, f"{rate:.1f} reports a second (at least {least:g})"
+        return rate >= minimum, f"{rate:.1f} reports a second (at least {minimum:g})"
 
     def _check_battery(self) -> tuple[bool, str]:
         base = self._link.about_base()
-        least = (
-            BATTERY_V if base is None or base.state is TimeoutState.PUBLISHED else base.battery_min_v or 0.0
-        )
+        minimum = BATTERY_V
+        if base is not None and base.state is not TimeoutState.PUBLISHED:  # a ROS 2 robot
+            minimum = base.battery_min_v or 0.0
         self._until(lambda: math.isfinite(self._battery.voltage), BATTERY_WAIT_S)
         volts = self._battery.voltage
         if volts <= 0.0:  # as to the gate
             return True, "the base reports no voltage"
-        return volts >= least, f"{volts:.1f} V (at least {least} V)"
+        return volts >= minimum, f"{volts:.1f} V (at least {minimum} V)"
 
     def _check_holds(self) -> tuple[bool, str]:
         gate = self._link.gate
@@ -201,7 +192,7 @@ class Preflight:
         return ok, moved if ok else f"{moved}: {self._gate_since(gate)}"
 
     def _check_silence(self) -> tuple[bool, str]:
-        """Test the most important stop: no commands arrive any more."""
+        """Test the stop when no more commands arrive."""
         self._move(Velocity(V_M_S, 0.0))
         silent = time.monotonic()
         braking_s = BRAKING_S
@@ -209,17 +200,17 @@ class Preflight:
             braking_s = max(braking_s, self._robot.delays.v_s + V_M_S / self._robot.motion.decel)
         allowed = STOP_S + braking_s + REPORT_S
         stands = self._until(self._stands, 2 * allowed)
-        took = self._newest.ref.measured_ns / NS - silent  # a busy moment of this computer does not count
+        took = self._newest.ref.measured_ns / NS - silent  # a stall of this process does not count
         words = f"stands {took:.2f} s after the last command" if stands else "does not stop"
         return stands and took <= allowed, f"{words} (at most {allowed:.2f} s)"
 
     def _check_own_timeout(self) -> tuple[bool, str]:
-        """Test the last stop: the bridge sends the base nothing, as if it had died."""
+        """Test the base's own stop: the bridge sends it nothing, as if the bridge had died."""
         base = self._link.about_base()
         if base is None:
-            return False, "the bridge does not say what it knows of the base"
+            return False, "the bridge does not report its base"
         if base.state is TimeoutState.PUBLISHED:
-            return True, f"if it dies, the base halts after {base.timeout_s:g} s by its manual"
+            return True, f"if the bridge dies, the base halts after {base.timeout_s:g} s by its manual"
         for _ in range(MEASURE_TRIES):
             self._link.request_motors("check", unchecked=True)
             self._move(Velocity(V_M_S, 0.0))
@@ -236,10 +227,10 @@ class Preflight:
         if base is not None and base.state is TimeoutState.MEASURED:
             measured_s = math.ceil(100.0 * (base.timeout_s or 0.0)) / 100.0
             line = f"measured_base_timeout_s: {measured_s:g} # {date.today()}"
-            return True, f"if it dies, the base halts; the line for the robot's description: {line}"
+            return True, f"if the bridge dies, the base halts; the line for the robot's description: {line}"
         if base is not None and base.state is TimeoutState.UNKNOWN:
             return False, "the timeout was not measured: a stop or a loss of the base ended the measurement"
-        return False, "if it dies, the base does not halt: the bridge then needs --no-base-watchdog"
+        return False, "if the bridge dies, the base does not halt: the bridge needs --no-base-watchdog"
 
     def _gate_since(self, before: GateStatus) -> str:
         """Return a text on what the gate did to commands since ``before``, with its reasons."""
@@ -265,7 +256,7 @@ class Preflight:
         except SafetyStop as stop:
             if stop.rule != NOT_ACCEPTED:
                 raise
-        # Once more, for the reason of `LISTENS`, when the gate's status has come in.
+        # A second attempt, for the reason of `ATTEMPTS`, after the gate's status has arrived.
         self._link.request_motors("check", unchecked=True)
         self._until(lambda: False, ACCEPTED_S)
         return self._command(velocity)

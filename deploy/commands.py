@@ -1,14 +1,24 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from deploy.options import Namespace, Robot, ZenohConfig
 from rover_ncp.core.console import Json, Output, Overwrite, printable, reject
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
+
+Robot = Annotated[
+    str, typer.Option(help="Where the bridge listens: PROTOCOL/HOST[:PORT], such as tcp/192.168.1.20.")
+]
+Namespace = Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")]
+ZenohConfig = Annotated[Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates.")]
+Model = Annotated[
+    str | None, typer.Option(help="The robot's description, a name or a YAML file.", show_default=False)
+]
+Record = Annotated[Path | None, typer.Option(help="Record the drive to this MCAP file.", show_default=False)]
 
 
 def deploy(
@@ -28,9 +38,7 @@ def deploy(
             show_default="p3at-sh, as in the training",
         ),
     ] = None,
-    record: Annotated[
-        Path | None, typer.Option(help="Record the drive to this MCAP file; see 'rover-ncp replay'.")
-    ] = None,
+    record: Record = None,
     overwrite: Overwrite = False,
     duration: Annotated[
         float | None,
@@ -79,25 +87,42 @@ def deploy(
     bridge, no robot, not authorised or another driver, 4 stopped by a safety rule, which is named, 130
     interrupted.
     """
-    from deploy.app import run
-    from deploy.zenoh_client import BridgeAddress
-
     if record is None:
         reject("needs --record", overwrite=overwrite)
-    return run(
-        BridgeAddress(robot, namespace, zenoh_config),
-        Output(json, controls=True),
-        policy=policy,
-        course=course,
-        model=model,
-        profile=profile,
+    if duration == math.inf:
+        raise UsageError(f"--duration {duration}: expected seconds")
+    from deploy.app import run
+    from deploy.drive.config import DriveConfig, settings_for
+    from deploy.recorder import Recorder
+    from deploy.zenoh_client import BridgeAddress
+    from rover_ncp.circuit.policy_file import load_policy
+    from rover_ncp.course.course import TICK_S, load_course
+    from rover_ncp.course.fit import slowed
+    from rover_ncp.robot.description import load_description
+    from rover_ncp.robot.profile import load_profile
+
+    output = Output(json, controls=True)
+    circuit, goal = load_policy(policy), load_course(course)
+    rover = load_profile(profile) if profile else None
+    described = load_description(model) if model else None
+    if described is not None:
+        goal, pace = slowed(goal, described)
+        output.say(pace)
+    config = DriveConfig(
+        robot=robot,
+        namespace=namespace,
+        policy=circuit.circuit.name,
+        course=goal.name,
+        dry_run=dry_run,
+        ticks=goal.ticks if duration is None else min(goal.ticks, round(duration / TICK_S)),
         pose=pose,
         require_accuracy_m=require_accuracy,
-        duration_s=duration,
-        dry_run=dry_run,
-        record=record,
-        overwrite=overwrite,
+        estimator=settings_for(rover, described),
+        rover=rover,
+        described=described,
     )
+    address, recorder = BridgeAddress(robot, namespace, zenoh_config), Recorder(record, overwrite=overwrite)
+    return run(address, output, policy=circuit, course=goal, config=config, recorder=recorder)
 
 
 def replay(
@@ -170,13 +195,7 @@ def check(
     on_blocks: Annotated[
         bool, typer.Option("--on-blocks", help="The wheels are off the ground; the check turns them.")
     ] = False,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="The robot's description, a name or a YAML file: what the bridge must drive, at its rate.",
-            show_default=False,
-        ),
-    ] = None,
+    model: Model = None,
     namespace: Namespace = "",
     zenoh_config: ZenohConfig = None,
     json: Json = False,
@@ -184,10 +203,10 @@ def check(
     """Check a robot before it drives: on blocks, its wheels free.
 
     Checks odometry, battery, stop button and bumpers and requests the motors. Turns the wheels forward and
-    then left for a moment and compares the reported motion with the commands. Ends with a test of the stop:
-    it sends no more commands and measures how long the wheels go on. For a ROS 2 robot the bridge then sends
-    nothing either, for 5 s at most, and measures when the robot halts by itself. Ends with 0 for yes, 1 for
-    no, with the reason.
+    then left for a moment and compares the reported motion with the commands. Then it sends no more commands
+    and measures when the wheels stop. For a ROS 2 robot the bridge then sends nothing either, for 5 s at
+    most, and measures when the robot halts by itself. With --model, the bridge must drive that model, and
+    odometry must come at its rate. Ends with 0 for yes, 1 for no, with the reason.
     """
     if not on_blocks:
         raise UsageError("the check turns the wheels: put the robot on blocks and give --on-blocks")
@@ -206,3 +225,107 @@ def check(
         "\n".join(map(printable, [*lines, verdict])),
     )
     return 0 if ready else 1
+
+
+def teleop(
+    *,
+    robot: Robot,
+    record: Record = None,
+    overwrite: Overwrite = False,
+    namespace: Namespace = "",
+    zenoh_config: ZenohConfig = None,
+    json: Json = False,
+) -> int:
+    """Drive the robot behind a bridge with the keyboard: hold a key to drive, release it to stop.
+
+    u i o, j k l and m , . drive in the direction in which they lie around k, which stops; the arrows do as
+    i , j l. A terminal reports a held key only by repeating it, so a key counts for 0.4 s after it was last
+    sent. A single press is a small step at half speed. q and Ctrl-C stop the rover and release the lease.
+
+    It drives through the same lease, gate and limits as 'rover-ncp deploy'; 'rover-ncp course new' makes a
+    course of a recording. Ends with 0, 3 no bridge, no robot, not authorised or another driver, 4 stopped by
+    a safety rule, which is named, 130 Ctrl-C.
+    """
+    from deploy.recorder import Recorder
+    from deploy.teleop import run
+    from deploy.zenoh_client import BridgeAddress
+
+    if record is None:
+        reject("needs --record", overwrite=overwrite)
+    address = BridgeAddress(robot, namespace, zenoh_config)
+    return run(address, Recorder(record, overwrite=overwrite), Output(json, controls=True))
+
+
+def identify(
+    recording: Annotated[
+        Path | None,
+        typer.Argument(help="A recording of a drive, instead of driving one.", show_default=False),
+    ] = None,
+    *,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            help="Drive this robot: where its bridge listens, PROTOCOL/HOST[:PORT], tcp/192.168.1.20.",
+            show_default=False,
+        ),
+    ] = None,
+    model: Model = None,
+    out: Annotated[Path, typer.Option(help="The rover profile to write (YAML).")] = Path("rover.yaml"),
+    fence: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1, max=5.0, help="How far from its start the rover may come, m.", show_default="0.8"
+        ),
+    ] = None,
+    record: Record = None,
+    overwrite: Overwrite = False,
+    namespace: Namespace = "",
+    zenoh_config: ZenohConfig = None,
+    json: Json = False,
+) -> int:
+    """Measure a robot: its delays, accelerations, gains and noise, as a profile.
+
+    Drives for a minute, forward and back by half a metre, then left and right, at walking pace, through the
+    same lease and gate as 'rover-ncp deploy'; keep a circle of --fence metres around it free. Ctrl-C stops
+    the rover. A recording of another drive determines fewer values: delays, gains and accelerations need
+    several steps of the command with pauses between. With --model, steps are no faster than the robot drives.
+    Each value is shown ± its standard deviation. A value with too large a deviation is left out.
+
+        rover-ncp identify --robot tcp/192.168.1.20 --out mine.yaml
+        rover-ncp eval course --trials 300 --randomize full --profile mine.yaml
+        rover-ncp deploy --robot tcp/192.168.1.20 --policy course --profile mine.yaml
+
+    Gains are those that odometry measures. With external poses on 'pose' during the drive, gains are
+    separated from odometry's own errors, and slip, wheel mismatch and centre of rotation are measured too.
+
+    Ends with 0, 1 when a delay or gain could not be determined, 3 no bridge, no robot, not authorised or
+    another driver, 4 stopped by a safety rule, which is named, 130 Ctrl-C.
+    """
+    if (recording is None) == (robot is None):
+        raise UsageError("expected either --robot to drive one, or a recording of a drive")
+    output = Output(json, controls=True)
+    from deploy.identify.excitation import FENCE_M
+    from deploy.identify.run import identify_recording, identify_robot
+    from deploy.recorder import Recorder
+    from deploy.zenoh_client import BridgeAddress
+    from rover_ncp.robot.description import load_description
+
+    if robot is None:
+        assert recording is not None
+        reject(
+            "needs --robot",
+            model=model,
+            fence=fence,
+            record=record,
+            overwrite=overwrite,
+            namespace=namespace,
+            zenoh_config=zenoh_config,
+        )
+        return identify_recording(recording, out, output)
+    if record is None:
+        reject("needs --record", overwrite=overwrite)
+    address = BridgeAddress(robot, namespace, zenoh_config)
+    described = load_description(model) if model else None
+    return identify_robot(
+        address, Recorder(record, overwrite=overwrite), fence or FENCE_M, out, output, robot=described
+    )

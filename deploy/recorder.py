@@ -42,7 +42,6 @@ class Recorder(ClosedAtExit):
         self.path, self._overwrite = path, overwrite
         self.failure = ""
         """Reason for an early end of the recording; empty while it works."""
-        self.written = 0
         self.dropped = 0
         self._clocks_ns = time.time_ns() - time.monotonic_ns()
         self._queue: queue.Queue[Recorded | None] = queue.Queue(QUEUE_LENGTH)
@@ -123,7 +122,6 @@ class Recorder(ClosedAtExit):
                 if message is None:
                     return
                 writer.write(message)
-                self.written += 1
             except queue.Empty:
                 pass
             if time.monotonic() >= flushed + FLUSH_S:

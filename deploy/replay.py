@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from deploy.drive.config import attached
 from deploy.drive.controller import Controller, Tick
 from deploy.drive.measurements import READERS, Sample, SampleRef
 from deploy.drive.publisher import estimate_message
-from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, numbers
+from deploy.drive.records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, attached, numbers
 from deploy.estimator.estimator import Estimate
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
@@ -117,7 +116,7 @@ def _compared(
             for ref in wanted:
                 controller.take(samples[_key(ref)], start.sample.seconds_to(ref.measured_ns))
             tick = controller.tick(record.index, now) if record.command is not None else None
-            estimate = tick.estimate if tick else controller.look(record.index, now)
+            estimate = tick.estimate if tick else controller.record_estimate(record.index, now)
         except ValueError as error:  # such as a start that is not finite
             raise FileError(f"{recording.path}: tick {record.index} cannot be recomputed: {error}") from error
         yield record, next(_differences(record, tick, estimate, names, messages), None)

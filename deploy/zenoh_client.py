@@ -8,7 +8,7 @@ from typing import Any
 
 import zenoh
 
-from deploy.drive.sources import INPUTS, Sources
+from deploy.drive.link import INPUTS, Sources
 from rover_ncp.core.errors import NoBridge, NotAuthorised, UnreachableError
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.recording.recording import header_stamp_ns

@@ -49,7 +49,7 @@ RESULTS = {
     "urdf": "bridge.commands:urdf",
     "deploy": "deploy.app:_result deploy.drive.control_loop:Drive.measurements_used deploy.app:run "
     "deploy.recorder:Recorder.fields",
-    "teleop": "deploy.teleop.teleop:run deploy.recorder:Recorder.fields",
+    "teleop": "deploy.teleop:run deploy.recorder:Recorder.fields",
     "identify": "rover_ncp.robot.profile:RoverProfile deploy.identify.run:_write_profile",
     "course": "deploy.report.commands:course problems=rover_ncp.course.feasibility:Problem",
     "replay": "deploy.commands:replay difference=deploy.replay:Difference",

@@ -1,4 +1,4 @@
-"""Settings of a drive, and the files that go into its recording."""
+"""Settings of a drive."""
 
 import math
 from importlib.metadata import version
@@ -8,28 +8,20 @@ from pydantic import Field
 
 from deploy.drive.safety_monitor import Timeouts
 from deploy.estimator.settings import GYRO_S, EstimatorSettings
-from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
-from rover_ncp.core.config import dump_yaml, parse_yaml, read_yaml
-from rover_ncp.core.errors import FileError
-from rover_ncp.course.course import Course
-from rover_ncp.recording.recording import Recording
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
-
-POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
 
 STD = {
     "distance_gain": "distance_gain_std",
     "turn_gain": "turn_gain_std",
-    "imbalance_rad_m": "imbalance_std_rad_m",
+    "wheel_mismatch_rad_m": "wheel_mismatch_std_rad_m",
     "rotation_center_m": "rotation_center_std_m",
 }
 """Odometry's errors in the estimator's settings, and their standard deviations."""
 SLIDES = "downhill_x_m", "downhill_y_m"
 
 REJECTED_S = 0.3
-"""So long may odometry be rejected: three reports of a Pioneer, after a push that only a gyro sees."""
+"""Time for which odometry may be rejected: three reports of a Pioneer."""
 AXLE_STD_M = 0.002
 """How well a description knows where the axle of a differential drive is (chosen)."""
 
@@ -40,17 +32,17 @@ PoseUse = Literal["auto", "required", "none"]
 class DriveConfig(Timeouts):
     """The settings of one drive; times in s."""
 
-    format: int = Field(default=3, ge=3, le=3)
+    format: int = Field(default=4, ge=4, le=4)
     version: str = Field(default_factory=lambda: version("rover-ncp"))
     robot: str
-    namespace: str
+    namespace: str = ""
     policy: str
     course: str
-    dry_run: bool
+    dry_run: bool = False
     ticks: int = Field(ge=1, description="how many control ticks the drive lasts at most")
     still_wait_s: float = Field(default=10.0, gt=0, description="for the rover to stand still")
     still_s: float = Field(default=1.0, gt=0, description="so long it stands still before the start")
-    still_m: float = Field(default=0.003, gt=0, description="or what odometry's noise makes of rest")
+    still_m: float = Field(default=0.003, gt=0, description="motion that counts as standing")
     still_rad: float = Field(default=0.005, gt=0)
     pose: PoseUse = "auto"
     pose_wait_s: float = Field(default=10.0, gt=0, description="for the first external pose, if required")
@@ -72,11 +64,11 @@ def settings_for(rover: RoverProfile | None, described: RobotDescription | None 
     A measured value and that of an unmeasured robot are weighted by their variances; a value without a
     standard deviation is taken as it is, with that of an unmeasured robot.
     """
-    usual = EstimatorSettings() if described is None else _described(described)
+    default = EstimatorSettings() if described is None else _described(described)
     if rover is None:
-        return usual
+        return default
     measured = {
-        "imbalance_rad_m": (rover.imbalance_rad_m, rover.std.get("imbalance_rad_m")),
+        "wheel_mismatch_rad_m": (rover.imbalance_rad_m, rover.std.get("imbalance_rad_m")),
         "rotation_center_m": (rover.rotation_center_m, rover.std.get("rotation_center_m")),
     }
     # A profile has odometry's motion over the true one, the estimator the inverse.
@@ -84,8 +76,8 @@ def settings_for(rover: RoverProfile | None, described: RobotDescription | None 
         value, std = getattr(rover, ratio), rover.std.get(ratio)
         measured[name] = (value and 1.0 / value, value and std and std / value**2)
     known: dict[str, float] = {
-        "position_m": max(usual.position_m, rover.noise_m or 0.0),
-        "heading_rad": max(usual.heading_rad, rover.noise_rad or 0.0),
+        "position_m": max(default.position_m, rover.noise_m or 0.0),
+        "heading_rad": max(default.heading_rad, rover.noise_rad or 0.0),
         "slip_s": (rover.slip_s or 0.0) / (rover.odometry_heading or 1.0),
     }
     # Taken as measured: an unmeasured robot's values are those of level ground.
@@ -96,12 +88,12 @@ def settings_for(rover: RoverProfile | None, described: RobotDescription | None 
     for name, (value, std) in measured.items():
         if value is None:
             continue
-        known[name], prior_std = value, getattr(usual, STD[name])
+        known[name], prior_std = value, getattr(default, STD[name])
         if std:
             share = prior_std**2 / (prior_std**2 + std**2)
-            known[name] = share * value + (1.0 - share) * getattr(usual, name)
+            known[name] = share * value + (1.0 - share) * getattr(default, name)
             known[STD[name]] = math.sqrt(share) * std
-    return usual.model_copy(update=known)
+    return default.model_copy(update=known)
 
 
 def _described(robot: RobotDescription) -> EstimatorSettings:
@@ -109,57 +101,22 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
 
     The process noise lets its speed change by what it can change by between two reports.
     """
-    usual, motion, odometry = EstimatorSettings(), robot.motion, robot.odometry
-    spread = {
-        "position_m": max(usual.position_m, odometry.noise_m),
-        "heading_rad": max(usual.heading_rad, odometry.noise_rad),
-        "speed_m_s": math.hypot(usual.speed_m_s, odometry.noise_m_s),
-        "turn_rad_s": math.hypot(usual.turn_rad_s, odometry.noise_rad_s),
+    default, motion, odometry = EstimatorSettings(), robot.motion, robot.odometry
+    changed = {
+        "position_m": max(default.position_m, odometry.noise_m),
+        "heading_rad": max(default.heading_rad, odometry.noise_rad),
+        "speed_m_s": math.hypot(default.speed_m_s, odometry.noise_m_s),
+        "turn_rad_s": math.hypot(default.turn_rad_s, odometry.noise_rad_s),
         "acceleration": max(motion.accel, motion.decel) ** 2 / odometry.rate_hz,
         "angular_acceleration": max(motion.alpha, motion.alpha_decel) ** 2 / odometry.rate_hz,
-        "rejected_in_a_row": max(usual.rejected_in_a_row, math.ceil(REJECTED_S * odometry.rate_hz)),
+        "rejected_in_a_row": max(default.rejected_in_a_row, math.ceil(REJECTED_S * odometry.rate_hz)),
         "distance_gain_std": odometry.distance_error / math.sqrt(3.0),
         "turn_gain_std": odometry.turn_error / math.sqrt(3.0),
     }
     if robot.gyro is not None:
-        # Its readings are averaged over the time of a turn. No less than usual: it is read at other moments.
+        # Its readings are averaged over the time of a turn, and are read at other moments than odometry.
         noise_rad = robot.gyro.noise_rad_s * math.sqrt(GYRO_S / robot.gyro.rate_hz)
-        spread["gyro_rad"] = max(usual.gyro_rad, noise_rad)
+        changed["gyro_rad"] = max(default.gyro_rad, noise_rad)
     if robot.drive.kind == "differential":  # it turns about the middle of its axle, and does not slide
-        spread |= {"rotation_center_std_m": AXLE_STD_M, "downhill_std_m": AXLE_STD_M}
-    return usual.model_copy(update=spread)
-
-
-def attachments(policy: Policy, course: Course, config: DriveConfig) -> dict[str, bytes]:
-    """Return the files that go into the recording, by name."""
-    return {
-        POLICY_FILE: policy_to_yaml(policy).encode(),
-        COURSE_FILE: dump_yaml(course.model_dump(mode="json")).encode(),
-        CONFIG_FILE: dump_yaml(config.model_dump(mode="json")).encode(),
-    }
-
-
-def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
-    """Read policy, course and settings from a recording. Raises FileError and ConfigError."""
-    texts = {}
-    for name in (POLICY_FILE, COURSE_FILE, CONFIG_FILE):
-        try:
-            texts[name] = recording.attachment(name).decode()
-        except UnicodeDecodeError as error:
-            raise FileError(f"{recording.path}: its {name} is not text") from error
-    where = {name: f"{recording.path}, {name}" for name in texts}
-    return (
-        policy_from_yaml(texts[POLICY_FILE], where[POLICY_FILE]),
-        parse_yaml(texts[COURSE_FILE], Course, where[COURSE_FILE]),
-        _drive_config(texts[CONFIG_FILE], where[CONFIG_FILE]),
-    )
-
-
-def _drive_config(text: str, where: str) -> DriveConfig:
-    settings = read_yaml(text, where)
-    if isinstance(settings, dict) and settings.get("format") in {1, 2}:
-        raise FileError(
-            f"{where}: has format {settings['format']}, from before the estimator changed; "
-            f"only the rover-ncp that recorded it can recompute the drive"
-        )
-    return parse_yaml(text, DriveConfig, where)
+        changed |= {"rotation_center_std_m": AXLE_STD_M, "downhill_std_m": AXLE_STD_M}
+    return default.model_copy(update=changed)

@@ -9,9 +9,10 @@ Rules of this file:
 4. Only while DRIVING may a command other than zero leave this process.
 """
 
+import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Any
 
@@ -21,9 +22,9 @@ from deploy.drive.link import Link
 from deploy.drive.measurements import NS, Measurement, Measurements, SampleRef
 from deploy.drive.publisher import Publisher
 from deploy.drive.rate_keeper import RateKeeper
+from deploy.drive.records import StartRecord, TickRecord, numbers
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
-from deploy.drive_records import StartRecord, TickRecord, numbers
 from deploy.estimator.estimator import Estimate
 from deploy.estimator.settings import Outcome
 from rover_ncp.core.errors import SafetyStop
@@ -33,6 +34,7 @@ from rover_ncp.course.course import TICK_S, Verdict
 from rover_ncp.wire.messages import OdometrySample
 from rover_ncp.wire.protocol import DriverStatus
 
+_LOGGER = logging.getLogger("rover_ncp")
 POLL_S = 0.02
 
 
@@ -67,16 +69,15 @@ class Drive:
         config: DriveConfig,
         interrupted: Callable[[], bool],
         *,
-        say: Callable[[str], None] = lambda words: None,
         clock: Clock = time,
         period_s: float = TICK_S,
     ) -> None:
         self._period_ns = round(period_s * NS)
         self._link, self._controller, self._publisher = link, controller, publisher
-        self._config, self._clock, self._say = config, clock, say
+        self._config, self._clock = config, clock
         self._used: list[SampleRef] = []
         """Samples that the estimator got since the last tick."""
-        self.measurements = Measurements(link, say)
+        self.measurements = Measurements(link)
         self._monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
         self._placed = False
         """Whether external poses gave the start pose."""
@@ -134,7 +135,7 @@ class Drive:
                 "placed": self._placed,  #: whether they gave the start
                 "taken": taken["pose"],
                 "unreadable": unreadable["pose"],
-                "doubtful": doubtful["pose"],  #: the same
+                "doubtful": doubtful["pose"],  #: not used: their stamps contradict those around them
                 "used": outcomes[Outcome.ACCEPTED],  #: by the filter
                 "refused": outcomes[Outcome.OUTLIER] + outcomes[Outcome.NOT_FINITE],
                 "too_late": outcomes[Outcome.TOO_OLD],  #: older than the filter's history
@@ -200,9 +201,8 @@ class Drive:
             limits = f"±{config.start_m:g} m and ±{math.degrees(config.start_rad):.0f}°"
             raise SafetyStop(
                 "start-pose",
-                f"external poses show the rover at {found} from the course's start, expected {limits} at "
-                "most, as farther away no rate of parking is known; place it nearer, or give a course that "
-                "starts where it is",
+                f"external poses show the rover at {found} from the course's start (limit {limits}); "
+                "place it nearer, or give a course that starts there",
             )
 
     def _predict_accuracy(self) -> None:
@@ -211,23 +211,21 @@ class Drive:
         if required is None and not self._controller.plans:
             return
         readings = self.measurements.gyro()
-        for sample, ref, _ in readings:
-            self._controller.take(sample, self._start.seconds_to(ref.measured_ns))
-            self._used.append(ref)
+        self._apply(readings)
         error = self.predicted_error_m = self._controller.predicted_error_m(gyro=bool(readings))
         if self._placed:
             return
         words = f"predicted position error of the estimate at the goal: {error:.2f} m in 95 % of drives"
         absent = {"a gyro": not readings, "a profile of 'identify'": self._config.rover is None}
-        ways = ["external poses", *(way for way, missing in absent.items() if missing)]
-        advice = f"{' or '.join(ways)} would make it less"
+        remedies = ["external poses", *(remedy for remedy, missing in absent.items() if missing)]
+        advice = f"{' or '.join(remedies)} would reduce it"
         if required is not None and error > required:
             raise SafetyStop("accuracy", f"{words}, expected {required:g} m at most; {advice}")
         if not readings:
-            self._say(f"{words}; {advice}")
+            _LOGGER.info(f"{words}; {advice}")
 
     def _drive(self) -> None:
-        """Run all ticks, and look once more at the end of the last."""
+        """Run all ticks, and record the estimate at the end of the last."""
         first = None
         while first is None:
             first = self._take(POLL_S)
@@ -251,7 +249,7 @@ class Drive:
         controller, t = self._controller, self._start.seconds_to(now_ns)
         index = self._config.ticks if last else self.keeper.index
         tick = None if last else controller.tick(index, t)
-        estimate = self.estimate = tick.estimate if tick else controller.look(index, t)
+        estimate = self.estimate = tick.estimate if tick else controller.record_estimate(index, t)
         sequence = None
         if tick is not None and not self._config.dry_run:
             self._monitor.check_command(tick.command, estimate.velocity)
@@ -282,10 +280,14 @@ class Drive:
         poses = self.measurements.poses()
         if self._placed:
             measured += sorted(poses, key=lambda pose: pose.ref.measured_ns)
+        self._apply(measured)
+        return odometry
+
+    def _apply(self, measured: Sequence[Measurement[Any]]) -> None:
+        """Give measurements to the estimator, in this order."""
         for sample, ref, _ in measured:
             self._controller.take(sample, self._start.seconds_to(ref.measured_ns))
             self._used.append(ref)
-        return odometry
 
     def _check(self) -> None:
         """Raise SafetyStop if a safety rule is broken, KeyboardInterrupt after a termination signal."""
@@ -302,7 +304,7 @@ class Drive:
         keeper, warning = self.keeper, self.warning
         if warning != self._warned:
             self._warned = warning
-            self._say(f"warning: {warning}")
+            _LOGGER.info(f"warning: {warning}")
         self._publisher.status(
             DriverStatus(
                 state=self.phase.value,

@@ -34,12 +34,11 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
 HOLD = Velocity(0.004, math.radians(1.0))
-"""A rover whose estimate counts as parked stands when its command is below both: near the end of a course,
-such commands answer the noise of the estimate."""
+"""Near the end of a course, commands below both follow only noise of the estimate: a parked rover holds."""
 COMING_TO_REST_S = 1.0
-"""It holds so long before it must stand for the verdict; until then, small commands correct its pose."""
+"""Time to come to rest before the verdict's standstill; until then, small commands correct the pose."""
 TURNED_SHARE = 0.9
-"""A heading further off than this share of what counts as parked is too near that limit to rest with."""
+"""Heading error, as a share of the parked tolerance, with which the rover must not rest."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ class Controller:
         self._runner.tick(self._observation(pose, 0, 0.0))
 
     def predicted_error_m(self, *, gyro: bool) -> float:
-        """Return within how many metres of the truth the estimate at the goal will be in 95 % of such drives.
+        """Return the predicted position error (m, 95 %) of the estimate at the goal.
 
         After `start`; for a drive along the course's reference without further external poses.
         """
@@ -137,7 +136,7 @@ class Controller:
 
     def tick(self, index: int, t: float) -> Tick:
         """Run tick ``index`` of the course at time ``t``."""
-        estimate = self.look(index, t)
+        estimate = self.record_estimate(index, t)
         start = self._course.start_signal(index * TICK_S)
         v, omega = self._runner.tick(self._observation(self._steered(estimate), index, start))
         turn_gain = float(np.clip(estimate.turn_gain, *TURN_GAINS))
@@ -152,11 +151,10 @@ class Controller:
         return Tick(index, index * TICK_S, estimate, command, self._runner.potentials)
 
     def _steered(self, estimate: Estimate) -> Pose:
-        """Return the pose that the circuit steers: of the centre of rotation, which does not slide in turns.
+        """Return the pose of the centre of rotation, which does not slide in turns, shifted to meet the goal.
 
-        It is shifted by as much as the centre is off the middle at the goal, so that the middle ends there.
-        A rover that rests turned away from the goal is not shown its error to the side: no turn on the spot
-        mends that, and a circuit rests where the two errors make up for each other.
+        For a rover that rests turned away from the goal the lateral error is hidden: no turn on the spot
+        reduces it, and a circuit rests where lateral and heading error balance.
         """
         (x, y, theta), goal, behind = estimate.pose, self._course.goal, estimate.rotation_center_m
         cos, sin = math.cos(goal.theta), math.sin(goal.theta)
@@ -173,8 +171,8 @@ class Controller:
     def _turned(self, pose: Pose) -> float:
         return abs(wrap_angle(pose.theta - self._course.goal.theta))
 
-    def look(self, index: int, t: float) -> Estimate:
-        """Note the estimate at time ``t`` for the verdict, without a tick of the circuit."""
+    def record_estimate(self, index: int, t: float) -> Estimate:
+        """Record the estimate at time ``t`` for the verdict, without a tick of the circuit."""
         estimate = self.estimator.at(t)
         self._times.append(index * TICK_S)
         self._estimates.append(estimate)
@@ -182,7 +180,7 @@ class Controller:
 
     @property
     def estimate(self) -> Estimate:
-        """The newest estimate of `look`."""
+        """The newest estimate of `record_estimate`."""
         return self._estimates[-1]
 
     @property
@@ -193,9 +191,8 @@ class Controller:
     def verdict(self) -> Verdict:
         """Judge the drive so far on the estimate: the last pose, and the motion that led there.
 
-        External poses also correct the estimate of a rover that stands, so the poses before the last are
-        those of its motion alone. Contact is not judged here: the gate stops at the first bump, and the drive
-        ends as a fault.
+        Earlier poses follow from the motion alone, because external poses also move the estimate of a rover
+        that stands. Contact is not judged here.
         """
         if not self._estimates:
             return self._course.judge([], [], touched=False)

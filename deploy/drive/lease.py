@@ -1,4 +1,4 @@
-"""The driver's side of its lease: signs messages, and remembers the commands that the gate has not accepted.
+"""The driver's side of its lease: signs messages, and tracks the commands that the gate has not accepted.
 
 Rules of this file:
 
@@ -14,10 +14,9 @@ from rover_ncp.wire.protocol import REASONS, CommandTag, GateStatus, MotorsReply
 NOT_ACCEPTED = "not-accepted"
 """Name of the rule."""
 ACCEPTED_S = 0.4
-"""A driver stops when the gate has not accepted a command for so long after it was sent. It checks at least
-every 0.1 s, and so stops within 0.5 s."""
-_REMEMBERED = 1000
-"""Most commands to remember: no driver sends so many in `ACCEPTED_S`."""
+"""Time limit for the gate to accept a command. Checked at least every 0.1 s, so a driver stops in 0.5 s."""
+MAX_PENDING = 1000
+"""Maximum number of pending commands: no driver sends so many in `ACCEPTED_S`."""
 
 
 class DriverLease:
@@ -27,7 +26,7 @@ class DriverLease:
         self.number = 0
         self._secret = b""
         self._sequence = 0
-        self._pending: deque[tuple[int, int]] = deque(maxlen=_REMEMBERED)
+        self._pending: deque[tuple[int, int]] = deque(maxlen=MAX_PENDING)
         self._dropped: dict[str, int] = {}
 
     def grant(self, reply: MotorsReply) -> None:
@@ -69,6 +68,6 @@ class DriverLease:
         )
         raise SafetyStop(
             NOT_ACCEPTED,
-            f"the gate accepted no command of this driver for {age_s:.2f} s (at most {ACCEPTED_S} s); "
+            f"the gate accepted no command of this driver for {age_s:.2f} s (limit {ACCEPTED_S} s); "
             + (f"dropped since then: {reasons}" if reasons else "it reports no dropped command"),
         )

@@ -1,59 +1,150 @@
-"""The interface of a driver's link to a bridge: `zenoh_link` implements it, and the stack simulation does."""
+"""A driver's link to a bridge, without its transport: `zenoh_link` implements it, and the stack simulation.
 
-from typing import Protocol
+A link stores what arrives in an `Inbox` for each kind of measurement, and watches for a second publisher.
+"""
+
+import contextlib
+import threading
+from abc import ABC, abstractmethod
+from collections import deque
+from typing import NamedTuple
 
 from deploy.drive.lease import DriverLease
-from deploy.drive.measurements import MeasurementSource
-from deploy.drive.sources import Sources
+from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.wire.protocol import GateStatus, MotorsReply
+from rover_ncp.wire.messages import read_bumpers, read_text
+from rover_ncp.wire.protocol import GateStatus, MotorsReply, parse_json
+
+INBOX_LENGTH = 1000
+OF_BRIDGE = "odom", "imu"
+INPUTS = frozenset({*OF_BRIDGE, "pose"})
+"""The topics whose messages the estimate is made of."""
+REMEMBERED = 16
+"""Ids of each topic that are kept."""
+LAST, STEPS_BACK = 20, 4
+"""Number of the last messages whose stamps are compared, and the steps back that show two publishers."""
 
 
-class Link(MeasurementSource, Protocol):
-    """An open link to one bridge."""
+class Arrival(NamedTuple):
+    """A message and the moment of its arrival on the monotonic clock."""
 
-    @property
-    def robot(self) -> str:
-        """Address of the bridge, for messages."""
+    data: bytes
+    arrival_ns: int
 
-    @property
-    def where(self) -> str:
-        """The namespace as a part of an error message; "" without one."""
 
-    @property
-    def bridge_alive(self) -> bool:
-        """Whether the bridge shows its liveliness token."""
+class Inbox:
+    """Keeps the newest ``length`` arrivals until they are taken, and wakes the thread that waits for one.
 
-    @property
-    def gate(self) -> GateStatus:
+    Zenoh's own ring channel cannot be waited for with a limit.
+    """
+
+    def __init__(self, length: int = INBOX_LENGTH) -> None:
+        self._changed = threading.Condition()
+        self._arrivals: deque[Arrival] = deque(maxlen=length)
+
+    def put(self, arrival: Arrival) -> None:
+        """Add an arrival; from any thread."""
+        with self._changed:
+            self._arrivals.append(arrival)
+            self._changed.notify()
+
+    def take(self, timeout_s: float = 0.0) -> list[Arrival]:
+        """Return and remove all arrivals, in order; wait for the first at most ``timeout_s``."""
+        with self._changed:
+            if not self._arrivals and timeout_s > 0:
+                self._changed.wait(timeout_s)
+            arrivals = list(self._arrivals)
+            self._arrivals.clear()
+            return arrivals
+
+
+class Sources:
+    """The publishers of each input; ``second`` describes each input that two publishers send.
+
+    The bridge marks its messages with its id. An id that comes back after another one shows two publishers:
+    a bridge that restarts has a new id and does not go back. Two publishers without an id show only by stamps
+    that go back again and again.
+    """
+
+    def __init__(self) -> None:
+        self.second: dict[str, str] = {}
+        self._seen: dict[str, list[str]] = {}
+        self._stamps: dict[str, tuple[int, deque[bool]]] = {}
+
+    def note(self, topic: str, source: str, stamp_ns: int) -> None:
+        """Take in a message of an input: the id of its publisher ("" without one), and its stamp."""
+        self._note_id(topic, source)
+        if topic in OF_BRIDGE:  # a base without a gyro sends no imu: then a false one is the only one
+            self._note_id(" and ".join(OF_BRIDGE), source)
+        last_ns, backward = self._stamps.get(topic, (stamp_ns, deque[bool](maxlen=LAST)))
+        backward.append(stamp_ns < last_ns)
+        self._stamps[topic] = stamp_ns, backward
+        if sum(backward) >= STEPS_BACK:
+            self.second.setdefault(topic, f"two publishers send {topic}, or one sends it out of order")
+
+    def _note_id(self, what: str, source: str) -> None:
+        seen = self._seen.setdefault(what, [])
+        if source in seen[:-1]:
+            self.second.setdefault(what, f"two publishers send {what}")
+        elif source not in seen:
+            self._seen[what] = [*seen, source][-REMEMBERED:]
+
+
+class Link(ABC):
+    """An open link to one bridge: what arrived, and the lease. A subclass has the transport.
+
+    ``robot`` is the bridge's address and ``where`` the namespace, both for messages. ``bridge_alive`` tells
+    whether the bridge shows its liveliness token.
+    """
+
+    robot: str
+    where: str
+    bridge_alive: bool
+    sources: Sources
+
+    def __init__(self) -> None:
+        self.odometry, self.gyro, self.poses = Inbox(1), Inbox(), Inbox()
+        self.gate = GateStatus()
         """The newest gate status."""
+        self.bumped = 0
+        """Number of messages that reported a pressed bumper."""
+        self.lease = DriverLease()
 
-    @property
-    def sources(self) -> Sources:
-        """The publishers of the driver's inputs."""
+    def receive(self, name: str, arrival: Arrival) -> None:
+        """Store a message of the bridge; an unreadable gate status is ignored."""
+        match name:
+            case "odom":
+                self.odometry.put(arrival)
+            case "imu":
+                self.gyro.put(arrival)
+            case "pose":
+                self.poses.put(arrival)
+            case "rover/gate":
+                with contextlib.suppress(FormatError):
+                    self.gate = parse_json(GateStatus, read_text(arrival.data))
+            case "bumpers":
+                with contextlib.suppress(FormatError):
+                    self.bumped += read_bumpers(arrival.data)
 
-    @property
-    def bumped(self) -> int:
-        """How many messages so far reported a pressed bumper."""
-
-    @property
-    def lease(self) -> DriverLease:
-        """The driver's lease."""
-
+    @abstractmethod
     def authorised(self) -> bool:
         """Return whether the bridge takes commands from this driver."""
 
+    @abstractmethod
     def request_motors(self, name: str, unchecked: bool = False) -> MotorsReply:
         """Request the motors and with them the lease. Raises UnreachableError or SafetyStop.
 
-        ``unchecked`` also asks for a robot that is not known to halt when the bridge dies.
+        ``unchecked`` also requests a robot that is not known to halt when the bridge dies.
         """
 
+    @abstractmethod
     def release(self) -> None:
         """Stop the rover and release the lease, if this driver holds it; never raises."""
 
+    @abstractmethod
     def command(self, velocity: Velocity) -> int:
         """Send a command, v in m/s and omega in rad/s, and return its sequence number."""
 
+    @abstractmethod
     def publish(self, name: str, data: bytes, wall_ns: int) -> None:
         """Send one of the driver's own messages."""

@@ -1,15 +1,16 @@
-"""The measurement path: from received bytes to decoded samples with the moment of their measurement.
+"""The measurement path: from received bytes to decoded samples with their time of measurement.
 
-The link stores arrivals in an `Inbox` for each kind: odometry (only the newest), gyro, external poses.
-`Measurements` takes them out and decodes each once. `replay` uses the same functions to decode.
+`Measurements` takes the arrivals out of the link's inboxes and decodes each once. `replay` uses the same
+functions to decode.
 """
 
-import threading
+import logging
 import zlib
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
+from deploy.drive.link import Arrival, Link
 from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
 from rover_ncp.wire.messages import (
@@ -22,65 +23,16 @@ from rover_ncp.wire.messages import (
     read_pose,
 )
 
+_LOGGER = logging.getLogger("rover_ncp")
 NS = 1_000_000_000
 """Nanoseconds in a second."""
-INBOX_LENGTH = 1000
 
 Sample = OdometrySample | TurnSample | PoseSample
 SampleT = TypeVar("SampleT", OdometrySample, TurnSample, PoseSample)
 
 
-class Arrival(NamedTuple):
-    """A message and the moment of its arrival on the monotonic clock."""
-
-    data: bytes
-    arrival_ns: int
-
-
-class Inbox:
-    """Keeps the newest ``length`` arrivals until they are taken, and wakes the thread that waits for one.
-
-    Zenoh's own ring channel cannot be waited for with a limit.
-    """
-
-    def __init__(self, length: int = INBOX_LENGTH) -> None:
-        self._changed = threading.Condition()
-        self._arrivals: deque[Arrival] = deque(maxlen=length)
-
-    def put(self, arrival: Arrival) -> None:
-        """Add an arrival; from any thread."""
-        with self._changed:
-            self._arrivals.append(arrival)
-            self._changed.notify()
-
-    def take(self, timeout_s: float = 0.0) -> list[Arrival]:
-        """Return and remove all arrivals, in order; wait for the first at most ``timeout_s``."""
-        with self._changed:
-            if not self._arrivals and timeout_s > 0:
-                self._changed.wait(timeout_s)
-            arrivals = list(self._arrivals)
-            self._arrivals.clear()
-            return arrivals
-
-
-class MeasurementSource(Protocol):
-    """The received messages of a link."""
-
-    @property
-    def odometry(self) -> Inbox:
-        """The newest odometry of the base; the inbox has the length 1."""
-
-    @property
-    def gyro(self) -> Inbox:
-        """Readings of the base's gyro."""
-
-    @property
-    def poses(self) -> Inbox:
-        """External poses, in the course's frame."""
-
-
 class SampleRef(NamedTuple):
-    """Names a sample: stamp, CRC-32 of its bytes, time of measurement on the driver's clock, topic."""
+    """Identifies a sample: stamp, CRC-32 of its bytes, time of measurement on the driver's clock, topic."""
 
     stamp_ns: int
     crc: int
@@ -89,7 +41,7 @@ class SampleRef(NamedTuple):
 
     @classmethod
     def of(cls, stamp_ns: int, data: bytes, measured_ns: int, topic: str = "odom") -> Self:
-        """Name a sample."""
+        """Identify a sample."""
         return cls(stamp_ns, zlib.crc32(data), measured_ns, topic)
 
     def seconds_to(self, moment_ns: int) -> float:
@@ -122,13 +74,10 @@ READERS: dict[str, Callable[[bytes], Sample]] = {
 
 
 class Measurements:
-    """Takes the received samples of one link, decodes them and counts them by topic.
+    """Takes the received samples of one link, decodes them and counts them by topic."""
 
-    ``say`` logs for people that a clock was set back, and why the first message of a topic is unreadable.
-    """
-
-    def __init__(self, source: MeasurementSource, say: Callable[[str], None] = lambda words: None) -> None:
-        self._source, self._say = source, say
+    def __init__(self, link: Link) -> None:
+        self._link = link
         # External poses may come late, out of order, and stamped by any clock.
         self._clocks = {"odom": StampClock(), "imu": StampClock(), "pose": StampClock(in_order=False)}
         self._before: dict[str, tuple[Arrival, Any]] = {}
@@ -142,7 +91,7 @@ class Measurements:
 
     def odometry(self, timeout_s: float) -> Measurement[OdometrySample] | None:
         """Return the newest odometry not yet taken; wait for it at most ``timeout_s``."""
-        found = self._read("odom", read_odometry, self._source.odometry.take(timeout_s))
+        found = self._read("odom", read_odometry, self._link.odometry.take(timeout_s))
         if not found:
             return None
         self.newest = found[-1]
@@ -150,11 +99,11 @@ class Measurements:
 
     def gyro(self) -> list[Measurement[TurnSample]]:
         """Return the gyro readings since the last call; never waits."""
-        return self._read("imu", read_imu, self._source.gyro.take())
+        return self._read("imu", read_imu, self._link.gyro.take())
 
     def poses(self) -> list[Measurement[PoseSample]]:
         """Return the external poses since the last call; never waits."""
-        return self._read("pose", read_course_pose, self._source.poses.take())
+        return self._read("pose", read_course_pose, self._link.poses.take())
 
     def _read(
         self, topic: str, read: Callable[[bytes], SampleT], arrivals: list[Arrival]
@@ -165,7 +114,7 @@ class Measurements:
                 sample = read(arrival.data)
             except FormatError as error:
                 if not self.unreadable[topic]:
-                    self._say(f"a message on '{topic}' cannot be read: {error}")
+                    _LOGGER.info(f"a message on '{topic}' cannot be read: {error}")
                 self.unreadable[topic] += 1
                 continue
             if sample.stamp_ns == 0:  # a publisher without a clock
@@ -173,7 +122,7 @@ class Measurements:
                 continue
             measured_ns = clock.measured_ns(sample.stamp_ns, arrival.arrival_ns)
             if clock.set_back_s:
-                self._say(f"the clock that stamps '{topic}' was set back by {clock.set_back_s:.2f} s")
+                _LOGGER.info(f"the clock that stamps '{topic}' was set back by {clock.set_back_s:.2f} s")
             if clock.late_ns is not None:
                 found.append(_measurement(topic, *self._before[topic], clock.late_ns))
                 self.doubtful[topic] -= 1

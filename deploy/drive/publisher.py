@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from deploy.drive.controller import Tick
 from deploy.drive.link import Link
-from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
+from deploy.drive.records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.geometry import Pose, compose, inverse
 from rover_ncp.core.process import Clock
@@ -110,7 +110,7 @@ class ViewerTopics:
                 self._put(topic, "std_msgs/msg/Float64MultiArray", before + _VALUE.pack(potential), wall_ns)
 
     def finish(self) -> None:
-        """Record the whole path, dated at the start, so that it shows from the first moment of a replay."""
+        """Record the whole path, dated at the start, so that viewers draw it from the beginning."""
         if self._path:
             data = path(self._path, self._began_ns, COURSE_FRAME)
             self._put(PATH_TOPIC, "nav_msgs/msg/Path", data, self._began_ns)

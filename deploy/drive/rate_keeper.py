@@ -1,8 +1,7 @@
 """The absolute schedule of control ticks, without a clock. All times are arguments, in ns.
 
-Tick k is due at ``start + k · period`` whatever happened before, so lateness never accumulates. The first
-odometry measured within half a period of a due time triggers the tick. When that half period is over without
-one, the tick runs on prediction and counts as an overrun.
+Tick k is due at ``start + k · period``, so delays never accumulate. The first odometry measured within half a
+period of the due time triggers the tick. Without any, the tick runs on prediction and counts as an overrun.
 """
 
 from typing import NamedTuple
@@ -60,10 +59,9 @@ class RateKeeper:
         return self.predicted + self.missed
 
     def skip_missed(self, now_ns: int, end: int) -> int:
-        """Give up ticks before ``end`` whose whole successor's window is over too; return how many.
+        """Skip ticks before ``end`` whose successor's window is over too; return their number.
 
-        A delayed process goes on where the schedule stands: old ticks run late in a burst would show the
-        circuit a time that has passed.
+        Old ticks in a burst would give the circuit a time that has passed.
         """
         missed = max(0, min((now_ns - self.deadline_ns) // self._period, end - self.index))
         self.index += missed

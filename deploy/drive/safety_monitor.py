@@ -22,7 +22,7 @@ from rover_ncp.wire.protocol import REASONS, UNNAMED, GateStatus, in_words
 POLL_S = 0.002
 
 PAUSE_S = 0.15
-"""Checks that are so far apart show that the driver did not run; it waits for 0.05 s at most."""
+"""A longer time between two checks is a stall of the driver, which waits for 0.05 s at most."""
 WINDOW_TICKS = round(1.0 / TICK_S)
 LAG_TICKS = round(0.7 / TICK_S)
 SHORTEST_LAG_TICKS = round(0.1 / TICK_S)
@@ -36,8 +36,8 @@ FOLLOWED_MIN = 0.1
 class Timeouts(StrictModel):
     """Times in s."""
 
-    bridge_wait_s: float = Field(default=5.0, gt=0, description="for the bridge to show itself")
-    permission_wait_s: float = Field(default=2.0, gt=0, description="for the bridge to want our commands")
+    bridge_wait_s: float = Field(default=5.0, gt=0, description="for the bridge's liveliness token")
+    permission_wait_s: float = Field(default=2.0, gt=0, description="for the bridge's subscription")
     odometry_wait_s: float = Field(default=5.0, gt=0, description="for the first odometry")
     odometry_age_s: float = Field(default=0.4, gt=0, le=0.5, description="older odometry stops the rover")
     lease_wait_s: float = Field(default=1.0, gt=0, description="for the gate to confirm our lease")
@@ -84,7 +84,7 @@ class SafetyMonitor:
         link, wait_s = self._link, self._timeouts.bridge_wait_s
         if not self.until(lambda: link.bridge_alive, wait_s):
             raise NoBridge(
-                f"something answers at {link.robot}, but no bridge shows itself there{link.where} "
+                f"something answers at {link.robot}, but no bridge is announced there{link.where} "
                 f"within {wait_s:g} s"
             )
 
@@ -114,15 +114,13 @@ class SafetyMonitor:
         now_ns, newest = self._clock.monotonic_ns(), self._measurements.newest
         self._note_pause(now_ns)
         limit_s = self._timeouts.odometry_age_s
-        # A driver that was paused and finds fresh odometry drove by what was there before.
+        # Fresh odometry after a stall does not count: the last command was computed before the stall.
         age_s = max((now_ns - newest.ref.measured_ns) / NS, self._pause_s)
         if age_s > limit_s:
-            busy = f"; this computer was busy: the driver itself did not run for {self._pause_s:.2f} s"
-            raise SafetyStop(
-                "odometry-age",
-                f"the newest odometry that it drove by is {age_s:.2f} s old (at most {limit_s} s)"
-                + (busy if self._pause_s > PAUSE_S else ""),
-            )
+            words = f"odometry is {age_s:.2f} s old (limit {limit_s} s)"
+            if self._pause_s > PAUSE_S:
+                words += f"; the driver process was stalled for {self._pause_s:.2f} s"
+            raise SafetyStop("odometry-age", words)
         if self._granted_ns is not None:
             self._check_lease(self._granted_ns)
 
@@ -167,11 +165,9 @@ def revoked(gate: GateStatus) -> SafetyStop:
 class ResponseCheck:
     """Compares each tick's command with the estimated motion.
 
-    Frozen odometry, blocked wheels that the base does not notice, and a hold of the gate all look the same:
-    the rover does not follow its commands. The check covers a second of commands, after the time for the
-    base's delay and acceleration: 0.15 s and 0.5 s to full speed, or almost none. A short burst of commands
-    may be over long before the end of the longer time. So only motion that was commanded under both
-    assumptions counts.
+    It detects frozen odometry, blocked wheels and a hold of the gate. It covers a second of commands, after
+    the base's delay and acceleration: 0.7 s, or 0.1 s. Only motion that was commanded in both windows counts,
+    because a short burst of commands may be over before the later one begins.
     """
 
     def __init__(self) -> None:
@@ -185,11 +181,11 @@ class ResponseCheck:
         if len(self._commanded) == self._commanded.maxlen:
             commands, latest = list(self._commanded), LAG_TICKS - SHORTEST_LAG_TICKS
             windows = commands[:WINDOW_TICKS], commands[latest : latest + WINDOW_TICKS]
-            for axis, unit, least in ((0, "m", COMMANDED_MIN_M), (1, "rad", COMMANDED_MIN_RAD)):
+            for axis, unit, minimum in ((0, "m", COMMANDED_MIN_M), (1, "rad", COMMANDED_MIN_RAD)):
                 # Commands to and fro may cancel out; motion either way shows that something is followed.
                 wanted = TICK_S * min(abs(sum(command[axis] for command in window)) for window in windows)
                 got = TICK_S * sum(abs(motion[axis]) for motion in self._driven)
-                if wanted >= least and got < FOLLOWED_MIN * wanted:
+                if wanted >= minimum and got < FOLLOWED_MIN * wanted:
                     complaint = f"{got:.3f} {unit} where {wanted:.3f} {unit} were commanded within a second"
         self._commanded.append(command)
         return complaint

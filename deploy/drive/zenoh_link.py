@@ -6,13 +6,12 @@ bounded.
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import zenoh
 
-from deploy.drive.lease import DriverLease
-from deploy.drive.measurements import Arrival, Inbox
+from deploy.drive.link import Arrival, Link
 from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.core.errors import (
     AnotherDriver,
@@ -26,13 +25,12 @@ from rover_ncp.core.geometry import Velocity
 from rover_ncp.recording.recording import Recorded, header_stamp_ns
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, spec
-from rover_ncp.wire.messages import read_bumpers, read_text, twist_stamped
+from rover_ncp.wire.messages import twist_stamped
 from rover_ncp.wire.protocol import (
     PROTOCOL,
     VERSION_REASON,
     BaseReply,
     BaseRequest,
-    GateStatus,
     MotorsReply,
     MotorsRequest,
     Signed,
@@ -44,39 +42,21 @@ from rover_ncp.wire.protocol import (
 QUERY_TIMEOUT_S = 2.0
 RELEASE_TIMEOUT_S = 1.0
 ROUND_TRIP_S, REQUEST_TRIES = 0.2, 3
-"""The gate takes the request's transit time as the shortest one. It could not distinguish commands with a
-constant delay from fresh ones. So a driver refuses to drive over a slower link; two slow answers by chance
-are allowed."""
+"""The gate takes the request's transit time as the shortest one, and so would not notice a constant delay. A
+driver does not drive over a slower link; two slow answers by chance are allowed."""
 ANOTHER_DRIVER = "another-driver"
 """The gate's reason when another driver holds the lease."""
 _OWN = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.DRIVER}]
 
 
-class ZenohLink(ZenohClient):
+class ZenohLink(Link, ZenohClient):
     """The link of one driver; ``record`` gets every message in both directions. Raises as `ZenohClient`."""
 
     def __init__(self, address: BridgeAddress, record: Callable[[Recorded], None]) -> None:
-        self._record = record
-        self.lease = DriverLease()
-        self.odometry = Inbox(1)
-        self.gyro = Inbox()
-        self.poses = Inbox()
-        self.gate = GateStatus()
-        self.bumped = 0
+        Link.__init__(self)
+        self._record, self.where = record, address.where
         self._token: Any = None
-        self._takers: dict[str, Callable[[Arrival], None]] = {
-            "odom": self.odometry.put,
-            "imu": self.gyro.put,
-            "pose": self.poses.put,
-            "rover/gate": self._update_gate,
-            "bumpers": self._count_bumps,
-        }
-        super().__init__(address, self._take, own=_OWN)
-
-    @property
-    def where(self) -> str:
-        """The namespace as a part of an error message."""
-        return self.address.where
+        ZenohClient.__init__(self, address, self._take, own=_OWN)
 
     def _declare(self) -> None:
         self._publishers = {
@@ -96,8 +76,8 @@ class ZenohLink(ZenohClient):
     def request_motors(self, name: str, unchecked: bool = False) -> MotorsReply:
         """Request the motors and with them the lease, or renew the current lease.
 
-        After a slow answer it sends a signed renewal. If the answer was lost, the gate refuses every driver,
-        this one too, until that lease lapses.
+        After a slow answer it sends a signed renewal. If the answer was lost, the gate refuses every driver
+        until that lease expires.
 
         Raises AnotherDriver, NotAuthorised, NoBridge (no answer), OtherVersion, or SafetyStop when the gate
         has a reason or the link is too slow.
@@ -130,32 +110,18 @@ class ZenohLink(ZenohClient):
         if round_trip_s > ROUND_TRIP_S:
             raise SafetyStop(
                 "slow-link",
-                f"the bridge at {self.robot} takes {round_trip_s:.2f} s to answer (at most {ROUND_TRIP_S} s)",
+                f"the bridge at {self.robot} takes {round_trip_s:.2f} s to answer (limit {ROUND_TRIP_S} s)",
             )
         return reply
 
     def _motors(self, request: MotorsRequest, timeout_s: float) -> MotorsReply | None:
-        now_ns = time.monotonic_ns()
-        payload = dump_json(request.model_copy(update={"sent_ns": now_ns}))
-        where, tag = self.key("rover/motors"), None
-        if self.lease.number:
-            tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
-        # Every peer that would answer is asked, and every answer is read: a peer that relayed the request to
-        # the bridge and passed the answer on would have the key.
-        replies = list(
-            self._session.get(
-                where,
-                payload=payload,
-                attachment=tag,
-                timeout=timeout_s,
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
-            )
-        )
+        # The query goes to every peer, and every answer is read: a peer that relays the request to the bridge
+        # would get the key.
+        replies = list(self._query("rover/motors", request, timeout_s, zenoh.QueryTarget.ALL))
         if len(replies) > 1:
             raise NoBridge(
-                f"{len(replies)} answers on {where} at {self.robot}, expected one: a peer beside the bridge "
-                "answers requests for the motors; keep it out with 'rover-ncp keys'"
+                f"{len(replies)} answers on {self.key('rover/motors')} at {self.robot}, expected one: a peer "
+                "beside the bridge answers requests for the motors; keep it out with 'rover-ncp keys'"
             )
         for reply in replies:
             # A bridge of version 1 reports that it cannot read the request; later ones answer with a refusal.
@@ -170,22 +136,33 @@ class ZenohLink(ZenohClient):
                 raise NoBridge(f"the bridge at {self.robot} sends an unreadable answer: {error}") from error
         return None
 
+    def _query(
+        self,
+        name: str,
+        request: MotorsRequest | BaseRequest,
+        timeout_s: float,
+        target: zenoh.QueryTarget = zenoh.QueryTarget.BEST_MATCHING,
+    ) -> Iterable[zenoh.Reply]:
+        """Send a query, signed if there is a lease."""
+        where, now_ns, tag = self.key(name), time.monotonic_ns(), None
+        payload = dump_json(request.model_copy(update={"sent_ns": now_ns}))
+        if self.lease.number:
+            tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
+        return self._session.get(
+            where,
+            payload=payload,
+            attachment=tag,
+            timeout=timeout_s,
+            target=target,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+
     def about_base(self, measure: bool = False) -> BaseReply | None:
         """Return what the bridge knows of its base; ``measure`` begins the measurement of its own timeout.
 
         None if the bridge does not answer.
         """
-        where, now_ns, tag = self.key("rover/base"), time.monotonic_ns(), None
-        payload = dump_json(BaseRequest(measure=measure, sent_ns=now_ns))
-        if self.lease.number:
-            tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
-        replies = self._session.get(
-            where,
-            payload=payload,
-            attachment=tag,
-            timeout=QUERY_TIMEOUT_S,
-            consolidation=zenoh.ConsolidationMode.NONE,
-        )
+        replies = self._query("rover/base", BaseRequest(measure=measure), QUERY_TIMEOUT_S)
         with contextlib.suppress(FormatError, NoBridge):
             answer = self.bridge_answer(replies)
             if answer is not None:
@@ -199,7 +176,7 @@ class ZenohLink(ZenohClient):
             return ""
         return (
             f"warning: the bridge at {self.robot} drives {base.model}, but --model is {robot.name}: "
-            f"its limits and errors may be others"
+            "its limits and errors may differ"
         )
 
     def release(self) -> None:
@@ -241,14 +218,4 @@ class ZenohLink(ZenohClient):
         stamp_ns = header_stamp_ns(row.type, data) or wall_ns
         # Recorded first, so that a recording has all inputs of its drive.
         self._record(Recorded(row.name, row.type, data, wall_ns, stamp_ns))
-        if row.name in self._takers:
-            self._takers[row.name](arrival)
-
-    def _update_gate(self, arrival: Arrival) -> None:
-        # An unreadable status is ignored: the previous one stays valid.
-        with contextlib.suppress(FormatError):
-            self.gate = parse_json(GateStatus, read_text(arrival.data))
-
-    def _count_bumps(self, arrival: Arrival) -> None:
-        with contextlib.suppress(FormatError):
-            self.bumped += read_bumpers(arrival.data)
+        self.receive(row.name, arrival)

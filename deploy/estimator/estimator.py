@@ -28,8 +28,8 @@ from deploy.estimator.motion import (
     OMEGA,
     OWN,
     POSE,
-    PULL,
     SIZE,
+    WHEEL_MISMATCH,
     Array,
     V,
     true_motion,
@@ -39,13 +39,12 @@ from deploy.estimator.settings import GYRO_S, EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 
 GYRO_GAP_S = 0.25
-"""After a longer gap, a gyro gives no turn for the time of the gap."""
+"""After a longer gap the turn of the gap is unknown."""
 GYRO_OFF_RAD_S = 1.0
-"""A reading that is further off, beyond five standard deviations of its noise, is rejected by itself."""
+"""A reading with a larger error, beyond five standard deviations of its noise, is rejected."""
 LATE, EARLY = 1.5, 0.5
-"""Odometry may be late after a gap of more than so many usual ones, and the next with it after less than so
-many."""
-USUAL_GAPS = 9
+"""Odometry after a gap of more than 1.5 default gaps may be delayed, and the next one after less than 0.5."""
+GAPS = 9
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ class _Gyro:
 
     def __init__(self) -> None:
         self._t, self._rad, self._rate = -math.inf, 0.0, 0.0
-        self._torn = True
+        self._gap = True
 
     def measure(self, rate: float, t: float) -> None:
         """Add the mean rate since the previous reading."""
@@ -75,46 +74,39 @@ class _Gyro:
         if 0.0 <= gap <= GYRO_GAP_S:
             self._rad += rate * gap
         else:
-            self._torn = True
+            self._gap = True
         self._t, self._rate = t, rate
 
     def miss(self) -> None:
-        """Note a reading that cannot be used."""
-        self._torn = True
+        """Record a reading that cannot be used: a gap."""
+        self._gap = True
 
     def angle(self, t: float) -> float:
-        """Return the angle at ``t``, NaN where it is unknown, and once after each gap.
-
-        This way angles before and after a gap are never compared.
-        """
-        if self._torn or abs(t - self._t) > GYRO_GAP_S:
-            self._torn = abs(t - self._t) > GYRO_GAP_S
+        """Return the angle at ``t``; NaN where it is unknown, and once after each gap."""
+        if self._gap or abs(t - self._t) > GYRO_GAP_S:
+            self._gap = abs(t - self._t) > GYRO_GAP_S
             return math.nan
         return self._rad + self._rate * (t - self._t)
 
 
-class _Due:
-    """When odometry was due that came after a gap.
+class _BurstStamps:
+    """Times at which the samples of a burst were due.
 
-    A bridge or a network that stops for a moment passes on several samples at once, stamped with the moment
-    of their arrival.
+    A network that stops for a moment delivers several samples at once, stamped with their arrival.
     """
 
     def __init__(self) -> None:
-        self._gaps: deque[float] = deque(maxlen=USUAL_GAPS)
+        self._gaps: deque[float] = deque(maxlen=GAPS)
         self._t = self._due = math.nan
 
-    def of(self, t: float) -> float:
-        """Return the latest moment at which the sample of stamp ``t`` was due if none was lost.
-
-        This is ``t`` unless the sample came after a gap, or right behind one that did.
-        """
+    def due(self, t: float) -> float:
+        """Return the latest time at which the sample of stamp ``t`` was due: ``t``, except in a burst."""
         gap, late = t - self._t, self._due < self._t
-        usual = sorted(self._gaps)[USUAL_GAPS // 2] if len(self._gaps) == USUAL_GAPS else math.inf
+        typical = sorted(self._gaps)[GAPS // 2] if len(self._gaps) == GAPS else math.inf
         if not math.isnan(gap):
             self._gaps.append(gap)
-        waited = gap > LATE * usual or (late and 0.0 <= gap < EARLY * usual)
-        self._t, self._due = t, min(t, self._due + usual) if waited else t
+        waited = gap > LATE * typical or (late and 0.0 <= gap < EARLY * typical)
+        self._t, self._due = t, min(t, self._due + typical) if waited else t
         return self._due
 
 
@@ -124,18 +116,17 @@ class Estimator:
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
         self._settings = settings or EstimatorSettings()
         self._started: History | None = None
-        self._gyro, self._due = _Gyro(), _Due()
+        self._gyro, self._bursts = _Gyro(), _BurstStamps()
         self._gyro_off_rad_s = GYRO_OFF_RAD_S + 5.0 * self._settings.gyro_rad / GYRO_S
         self.rejected = 0
-        """Odometry samples refused so far."""
+        """Odometry samples rejected so far."""
         self.gyro_rejected = 0
-        """Gyro readings refused so far."""
+        """Gyro readings rejected so far."""
         self.poses = dict.fromkeys(Outcome, 0)
-        """Outcomes of the external poses; waiting ones are counted again when they are evaluated."""
+        """Counts of external poses by outcome; a waiting pose is counted again when it is evaluated."""
         self.fault = ""
-        """Fault of the estimate; empty without one."""
         self.fault_rule = ""
-        """The safety rule of that fault: estimator, gyro or external-pose."""
+        """The fault of the estimate, empty without one, and its safety rule."""
         self._in_a_row = self._poses_in_a_row = self._gyro_in_a_row = 0
         self._gyro_counted = -math.inf
 
@@ -145,7 +136,7 @@ class Estimator:
         """Seed the filter, once: the rover stands at ``pose`` (course frame) at time ``t``.
 
         ``odometry`` is the pose in odometry's own frame, by default the same. ``covariance`` (3, 3) is that
-        of ``pose``; by default the pose defines the course's frame, and so is exact.
+        of ``pose``, which is exact without it.
         """
         if self._started is not None:
             raise RuntimeError("the estimator is seeded once and never again")
@@ -163,20 +154,20 @@ class Estimator:
         if not (np.isfinite(z).all() and math.isfinite(t)):
             outcome = Outcome.NOT_FINITE
         else:
-            due = self._due.of(t)
+            due = self._bursts.due(t)
             if due < t and self._history.misfit(z, due) < self._history.misfit(z, t):
                 t = due
             outcome, turn, waited = self._history.odometry(z, self._gyro.angle(t), t)
             self._count_gyro(turn)
         if outcome is Outcome.ACCEPTED:
             self._in_a_row = 0
-            for seen in waited:
-                self._count(seen)
+            for waiting in waited:
+                self._count(waiting)
             return outcome
         self.rejected += 1
         self._in_a_row += 1
         if self._in_a_row >= self._settings.rejected_in_a_row:
-            words = f"{self._in_a_row} odometry samples in a row refused, the last as {outcome.value}"
+            words = f"{self._in_a_row} odometry samples rejected in a row (last: {outcome.value})"
             self._fail("estimator", words)
         return outcome
 
@@ -213,20 +204,24 @@ class Estimator:
         rows[:3, POSE] = np.eye(3)
         rows[3, V], rows[3, DISTANCE] = x[DISTANCE], x[V]
         turned, by_omega = turned_without_gain(float(x[OMEGA]), self._settings)
-        rows[4, OMEGA], rows[4, GAIN], rows[4, V], rows[4, PULL] = x[GAIN] * by_omega, turned, x[PULL], x[V]
+        rows[4, OMEGA], rows[4, GAIN], rows[4, V], rows[4, WHEEL_MISMATCH] = (
+            x[GAIN] * by_omega,
+            turned,
+            x[WHEEL_MISMATCH],
+            x[V],
+        )
         pose = Pose(*x[POSE].tolist())
         return Estimate(t, pose, Velocity(ahead, turn), rows @ P @ rows.T, float(x[GAIN]), float(x[CENTER]))
 
     def forecast(
         self, path: Sequence[Pose], motion: Sequence[Velocity], period_s: float, gyro: bool
     ) -> Array:
-        """Return the covariance (3, 3) after a drive along ``path`` (odometry's poses, any frame), from here.
+        """Return the pose's covariance (3, 3) after a drive from here, without external poses.
 
-        ``motion`` is that at each of its poses, ``period_s`` apart. With odometry and the gyro, if the base
-        has one, and without external poses; changes nothing.
+        ``path`` are odometry's poses (any frame), ``period_s`` apart, ``motion`` the velocities there.
         """
         ahead = copy.deepcopy(self)
-        ahead._due = _Due()
+        ahead._bursts = _BurstStamps()
         x, _ = self._history.at(self._history.t)
         own_path = compose(Pose(*x[OWN].tolist()), inverse(path[0]))
         t = self._history.t
@@ -260,7 +255,7 @@ class Estimator:
                 self._gyro_counted = self._history.t
                 self._gyro_in_a_row += 1
             if self._gyro_in_a_row >= self._settings.gyro_rejected_in_a_row:
-                words = f"{self._gyro_in_a_row} gyro readings in a row refused, the last as {outcome.value}"
+                words = f"{self._gyro_in_a_row} gyro readings rejected in a row (last: {outcome.value})"
                 self._fail("gyro", words)
 
     def _count(self, outcome: Outcome) -> None:
@@ -270,8 +265,7 @@ class Estimator:
         elif outcome in {Outcome.OUTLIER, Outcome.NOT_FINITE}:
             self._poses_in_a_row += 1
             if self._poses_in_a_row >= self._settings.poses_rejected_in_a_row:
-                count = self._poses_in_a_row
-                words = f"{count} external poses in a row refused, the last as {outcome.value}"
+                words = f"{self._poses_in_a_row} external poses rejected in a row (last: {outcome.value})"
                 self._fail("external-pose", words)
 
     def _fail(self, rule: str, words: str) -> None:
@@ -281,10 +275,10 @@ class Estimator:
 
 def completed(covariance: Array, settings: EstimatorSettings) -> Array | None:
     """Return an external pose's covariance with unknown variances filled in; None if it is invalid."""
-    spread = np.array(covariance, dtype=np.float64)
-    if not np.isfinite(spread).all() or (np.diag(spread) < 0).any():
+    matrix = np.array(covariance, dtype=np.float64)
+    if not np.isfinite(matrix).all() or (np.diag(matrix) < 0).any():
         return None
-    usual = np.square([settings.pose_m, settings.pose_m, settings.pose_rad])
-    spread[np.diag_indices(3)] = np.where(np.diag(spread) == 0.0, usual, np.diag(spread))
-    spread = 0.5 * (spread + spread.T)
-    return spread if np.linalg.eigvalsh(spread).min() > 0.0 else None
+    default = np.square([settings.pose_m, settings.pose_m, settings.pose_rad])
+    matrix[np.diag_indices(3)] = np.where(np.diag(matrix) == 0.0, default, np.diag(matrix))
+    matrix = 0.5 * (matrix + matrix.T)
+    return matrix if np.linalg.eigvalsh(matrix).min() > 0.0 else None

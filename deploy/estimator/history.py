@@ -2,18 +2,18 @@
 
 Rules of this file:
 
-1. An external pose belongs to the moment at which it was measured. A late one is inserted into a short
-   history, and later measurements are applied again. One that is newer than odometry waits.
-2. A measurement is accepted or rejected once, when it is first evaluated: by its normalised innovation
+1. An external pose is applied at the moment of its measurement. A late pose is inserted into a short
+   history, and later measurements are applied again. A pose that is newer than odometry waits.
+2. A measurement is accepted or rejected once, when it is first evaluated, by its normalised innovation
    squared (NIS).
-3. A pose that is refused while the rover moves may mean that something pushed it, such as a cable that it
-   drove over. If a push explains the pose, the covariance grows by one, once until a pose is accepted. The
-   estimate stays, and the next pose can correct it. A rover that was carried away was moved by more.
+3. A pose is rejected while the rover moves: if a disturbance explains it, such as a cable that the rover
+   drove over, the covariance grows by one, once until a pose is accepted. The estimate does not change, and
+   the next pose can correct it.
 4. The rover stands between two odometry samples that report no motion and the same place, both within their
    declared noise. Its pose then stays the same, and noise does not move the estimate.
-5. A gyro's turn that does not fit is a push, if one explains it, and else rejected. The heading follows a
-   push, with a standard deviation that also covers a false reading. A turn that would move the turn gain out
-   of its limits is no turn of this rover, and a long push is none either.
+5. A gyro's turn that does not fit is a disturbance, if one explains it, and otherwise rejected. The heading
+   follows a disturbance, with a standard deviation that also covers a false reading. A turn that would move
+   the turn gain out of its limits is rejected, and so is a long disturbance.
 """
 
 import math
@@ -46,34 +46,34 @@ from rover_ncp.core.geometry import Pose, wrap_angle
 GAP_S = 10.0
 """After a longer gap any odometry would fit, so none is accepted."""
 WAITING_MAX = 100
-"""Most poses that wait for odometry; with more than this, their stamps are wrong."""
+"""Maximum number of poses that wait for odometry."""
 REST_M_S, REST_RAD_S = 0.0005, 0.001
-"""Slower motion counts as none: less than half a step of a Pioneer, whose only noise is rounding."""
+"""Slower motion counts as none: less than half a step of a Pioneer's rounding."""
 SAME_PLACE = 5.0
-"""So many standard deviations of odometry's noise count as the same place, or as no motion."""
+"""Limit for the same place, or for no motion, in standard deviations of odometry's noise."""
 TURN_S = 0.08
-"""A gyro's turns are compared with odometry's over no less, so that no rate hides a small one."""
-PUSH_RAD = 0.2
-"""The estimate follows a push so far."""
-IN_A_PUSH = 1.0
-"""Largest NIS that ends a push."""
-PUSH_DOUBT = 0.3
-"""Standard deviation of a push that a gyro shows, as a share of it."""
+"""Minimum time over which a gyro's turn is compared with odometry's."""
+MAX_DISTURBANCE_RAD = 0.2
+"""Largest disturbance that the estimate follows."""
+DISTURBANCE_END_NIS = 1.0
+"""Largest NIS that ends a disturbance."""
+DISTURBANCE_STD_SHARE = 0.3
+"""Standard deviation of a disturbance that a gyro shows, as a share of it."""
 
 _ALL = np.eye(SIZE)
 REPORTED = slice(OWN.start, MOTION.stop)
 _BLOCKS = (OWN, MOTION)
-"""Odometry's pose and motion are applied one after the other, which is equivalent, as their errors are
-independent. A 5 × 5 inverse for both would use scipy's threads: 50 ms on a busy machine."""
+"""Odometry's pose and motion have independent errors and are applied one after the other: a 5 × 5 inverse
+would use scipy's threads, 50 ms on a busy machine."""
 
 
 class Turn(NamedTuple):
-    """The angle that a gyro turned in some seconds, its variance, and that of a push meanwhile (rad²)."""
+    """Angle (rad) that a gyro turned in some seconds, its variance, and that of a disturbance."""
 
     angle: float
     seconds: float
     noise: float
-    push: float = 0.0
+    disturbance: float = 0.0
 
 
 class Odometry(NamedTuple):
@@ -92,16 +92,16 @@ class Applied(NamedTuple):
     poses: tuple[Outcome, ...] = ()
 
 
-class Seen(NamedTuple):
+class PoseMeasurement(NamedTuple):
     """An external pose (x, y, θ) with its covariance (3, 3), and its stamp minus the entry's time in s."""
 
     z: Array
     noise: Array
-    late_s: float
+    delay_s: float
 
 
-class Push(NamedTuple):
-    """A push that no sensor of the base sees, by its covariance (3, 3) in x, y, θ."""
+class Disturbance(NamedTuple):
+    """A motion that no sensor of the base reports, by its covariance (3, 3) in x, y, θ."""
 
     noise: Array
 
@@ -113,13 +113,13 @@ class _Entry:
     t: float
     stood: bool
     """Whether the rover stood since the entry before."""
-    measured: Odometry | Seen | Push
+    measured: Odometry | PoseMeasurement | Disturbance
     x: Array
     P: Array
 
 
 class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy ships no types
-    """filterpy's EKF; the motion is worked out beside its Jacobian."""
+    """filterpy's EKF with the predicted state ``moved``."""
 
     x: Array
     moved: Array
@@ -140,24 +140,25 @@ class History:
         P[POSE, POSE] = covariance
         deviations = [s.position_m, s.position_m, s.heading_rad, s.speed_m_s, s.turn_rad_s]
         self._noise = np.diag(np.square(deviations))
-        usual = EstimatorSettings()
-        noisier = np.square(deviations[3:]) - np.square([usual.speed_m_s, usual.turn_rad_s])
+        default = EstimatorSettings()
+        noisier = np.square(deviations[3:]) - np.square([default.speed_m_s, default.turn_rad_s])
         self._rest = np.array([REST_M_S, REST_RAD_S]) + SAME_PLACE * np.sqrt(np.maximum(noisier, 0.0))
         z = np.array([*own, 0.0, 0.0])
         self._entries = [_Entry(t, True, Odometry(z), x, P)]
-        self._fresh = 1
-        """Number of entries that include all earlier ones. The others are applied again when needed, so many
-        late poses at once cost little more than one."""
-        self._waiting: list[tuple[float, Seen]] = []
+        self._valid = 1
+        """Number of entries that include all earlier ones. Later entries are applied again when needed."""
+        self._waiting: list[tuple[float, PoseMeasurement]] = []
         self._last = t, z
         """Time and numbers of the newest odometry."""
-        self._push = Push(np.diag(np.square([s.push_m, s.push_m, s.push_rad])))
-        self._pushed = False
-        """Whether the covariance has a push since the last accepted pose."""
+        self._disturbance = Disturbance(
+            np.diag(np.square([s.disturbance_m, s.disturbance_m, s.disturbance_rad]))
+        )
+        self._disturbed = False
+        """Whether the covariance grew by a disturbance since the last accepted pose."""
         self._turn_began = t, math.nan
         """Begin of the turn in s, and the gyro's angle there."""
-        self._push_rad = 0.0
-        """Size of the push that the gyro's last turns show."""
+        self._disturbance_rad = 0.0
+        """Size of the disturbance that the gyro's last turns show, rad."""
         self.nis: dict[bool, tuple[int, float]] = {True: (0, 0.0), False: (0, 0.0)}
         """Number and sum of the NIS of external poses, while the rover stood and while it moved."""
 
@@ -169,7 +170,7 @@ class History:
     def odometry(self, z: Array, angle: float, t: float) -> Applied:
         """Apply odometry, and the angle that a gyro has turned from any zero (NaN: not known, a new zero)."""
         began, before = self._turn_began
-        if math.isnan(angle):  # also if this sample is refused: the next is not to be compared across
+        if math.isnan(angle):  # also if this sample is rejected: turns are not compared across a gap
             self._turn_began = began, math.nan
         if t < self.t:
             return Applied(Outcome.OUT_OF_ORDER)
@@ -186,7 +187,7 @@ class History:
             turn_outcome = Outcome.ACCEPTED if turn else Outcome.OUTLIER
         self._entries.append(self._entry(t, stood, Odometry(z, ends_turn, turn)))
         self._last = t, z
-        self._fresh += 1
+        self._valid += 1
         due = bisect_right(self._waiting, t, key=lambda waiting: waiting[0])
         outcomes = tuple(self._insert(*waiting) for waiting in self._waiting[:due])
         del self._waiting[:due]
@@ -195,7 +196,7 @@ class History:
         keep = max(bisect_right(self._entries, oldest, key=lambda entry: entry.t) - 1, 0)
         self._apply_again(keep + 1)
         del self._entries[:keep]
-        self._fresh -= keep
+        self._valid -= keep
         return Applied(Outcome.ACCEPTED, turn_outcome, outcomes)
 
     def misfit(self, z: Array, t: float) -> float:
@@ -217,18 +218,18 @@ class History:
         begin = self._entries[0].t
         if t < begin:
             return Outcome.TOO_OLD
-        at = max(t - max(float(self._entries[self._fresh - 1].x[DELAY]), 0.0), begin)
-        seen = Seen(z, noise, t - at)
+        at = max(t - max(float(self._entries[self._valid - 1].x[DELAY]), 0.0), begin)
+        measured = PoseMeasurement(z, noise, t - at)
         if at <= self.t:
-            return self._insert(at, seen)
+            return self._insert(at, measured)
         if len(self._waiting) >= WAITING_MAX:
             return Outcome.TOO_OLD
-        insort(self._waiting, (at, seen), key=lambda waiting: waiting[0])
+        insort(self._waiting, (at, measured), key=lambda waiting: waiting[0])
         return Outcome.WAITING
 
     def turn_rate(self) -> float:
         """Return the turn rate that a gyro should show."""
-        x = self._entries[self._fresh - 1].x
+        x = self._entries[self._valid - 1].x
         return true_motion(x, self._settings)[2] + float(x[BIAS])
 
     def at(self, t: float) -> tuple[Array, Array]:
@@ -249,34 +250,34 @@ class History:
         still = np.abs([z[3:], before[3:]]).max(axis=0) < self._rest
         return bool(still.all() and (moved < limits).all())
 
-    def _insert(self, t: float, seen: Seen) -> Outcome:
+    def _insert(self, t: float, measured: PoseMeasurement) -> Outcome:
         place = bisect_right(self._entries, t, key=lambda entry: entry.t)
         self._apply_again(place)
         stood = self._entries[min(place, len(self._entries) - 1)].stood
         self._predict(self._entries[place - 1], t, stood)
-        innovation, H = self._innovation(seen)
-        covariance = H @ self._ekf.P @ H.T + seen.noise
+        innovation, H = self._innovation(measured)
+        covariance = H @ self._ekf.P @ H.T + measured.noise
         nis = _nis(innovation, covariance)
         accepted = nis <= self._settings.pose_gate
         if accepted:
             count, total = self.nis[stood]
             self.nis[stood] = count + 1, total + nis
-        push = not (accepted or stood or self._pushed) and (
-            _nis(innovation, covariance + self._push.noise) <= self._settings.pose_gate
+        disturbed = not (accepted or stood or self._disturbed) and (
+            _nis(innovation, covariance + self._disturbance.noise) <= self._settings.pose_gate
         )
-        if accepted or push:
-            self._entries.insert(place, self._updated(t, stood, seen if accepted else self._push))
-            self._fresh = place + 1
-        self._pushed = push or (self._pushed and not accepted)
+        if accepted or disturbed:
+            self._entries.insert(place, self._updated(t, stood, measured if accepted else self._disturbance))
+            self._valid = place + 1
+        self._disturbed = disturbed or (self._disturbed and not accepted)
         return Outcome.ACCEPTED if accepted else Outcome.OUTLIER
 
     def _apply_again(self, count: int) -> None:
         """Bring the first ``count`` entries up to date."""
-        for place in range(self._fresh, count):
+        for place in range(self._valid, count):
             entry = self._entries[place]
             self._predict(self._entries[place - 1], entry.t, entry.stood)
             self._entries[place] = self._updated(entry.t, entry.stood, entry.measured)
-        self._fresh = max(self._fresh, count)
+        self._valid = max(self._valid, count)
 
     def _predict(self, before: _Entry, t: float, stood: bool) -> None:
         """Bring the filter from an entry to time ``t``."""
@@ -287,13 +288,13 @@ class History:
         ekf.moved, ekf.F, ekf.Q = step(before.x, dt, self._settings, new_turn=new_turn)
         ekf.predict()
 
-    def _updated(self, t: float, stood: bool, measured: Odometry | Seen | Push) -> _Entry:
+    def _updated(self, t: float, stood: bool, measured: Odometry | PoseMeasurement | Disturbance) -> _Entry:
         """Apply a measurement to the filter, which is at its time; return its entry."""
         ekf = self._ekf
-        if isinstance(measured, Seen):
+        if isinstance(measured, PoseMeasurement):
             innovation, H = self._innovation(measured)
             self._correct(innovation, H, measured.noise)
-        elif isinstance(measured, Push):
+        elif isinstance(measured, Disturbance):
             ekf.P[POSE, POSE] += measured.noise
         else:
             self._correct_by_odometry(measured.z, stood)
@@ -301,7 +302,7 @@ class History:
                 self._correct_by_turn(measured.turn)
         return self._entry(t, stood, measured)
 
-    def _entry(self, t: float, stood: bool, measured: Odometry | Seen | Push) -> _Entry:
+    def _entry(self, t: float, stood: bool, measured: Odometry | PoseMeasurement | Disturbance) -> _Entry:
         ekf = self._ekf
         for angle in (THETA, OWN.stop - 1):
             ekf.x[angle] = wrap_angle(ekf.x[angle])
@@ -314,7 +315,7 @@ class History:
                 self._correct(_residual(z[part], self._ekf.x[rows]), _ALL[rows], self._noise[part, part])
 
     def _correct_by_turn(self, turn: Turn) -> None:
-        self._ekf.P[np.ix_((THETA, TURN), (THETA, TURN))] += turn.push
+        self._ekf.P[np.ix_((THETA, TURN), (THETA, TURN))] += turn.disturbance
         H = _turn_row(turn.seconds)
         self._correct(turn.angle - H @ self._ekf.x, H, np.array([[turn.noise]]))
 
@@ -326,18 +327,21 @@ class History:
         variance = float(row @ P @ row) + turn.noise
         missing = angle - float(row @ x)
         gain = float(x[GAIN] + P[GAIN] @ row / variance * missing)
-        least, most = (limit * s.turn_gain for limit in TURN_GAINS)
-        gate = IN_A_PUSH if self._push_rad else s.gyro_gate
+        minimum, maximum = (limit * s.turn_gain for limit in TURN_GAINS)
+        gate = DISTURBANCE_END_NIS if self._disturbance_rad else s.gyro_gate
         if missing**2 <= gate * variance and (
-            least <= gain <= most or abs(gain - s.turn_gain) < abs(x[GAIN] - s.turn_gain)
+            minimum <= gain <= maximum or abs(gain - s.turn_gain) < abs(x[GAIN] - s.turn_gain)
         ):
-            self._push_rad = 0.0
+            self._disturbance_rad = 0.0
         else:
-            self._push_rad += abs(missing)
+            self._disturbance_rad += abs(missing)
             turn = turn._replace(
-                noise=turn.noise + (PUSH_DOUBT * missing) ** 2, push=(s.gyro_push_rad_s * seconds) ** 2
+                noise=turn.noise + (DISTURBANCE_STD_SHARE * missing) ** 2,
+                disturbance=(s.gyro_disturbance_rad_s * seconds) ** 2,
             )
-            if self._push_rad > PUSH_RAD or missing**2 > s.gyro_gate * (variance + turn.push):
+            if self._disturbance_rad > MAX_DISTURBANCE_RAD or missing**2 > s.gyro_gate * (
+                variance + turn.disturbance
+            ):
                 return None
         self._correct_by_turn(turn)
         return turn
@@ -345,7 +349,7 @@ class History:
     def _correct(self, innovation: Array, H: Array, noise: Array) -> None:
         self._ekf.update(innovation, lambda _: H, lambda _: 0.0, R=noise)
 
-    def _innovation(self, seen: Seen) -> tuple[Array, Array]:
+    def _innovation(self, measured: PoseMeasurement) -> tuple[Array, Array]:
         """Return an external pose's innovation (3,) and its Jacobian (3, 18).
 
         The pose was measured at its stamp minus the delay, and the rover went on until the entry's time.
@@ -356,7 +360,7 @@ class History:
         velocity = np.array([cos * ahead - sin * left, sin * ahead + cos * left, turn])
         H = _ALL[POSE].copy()
         H[:, DELAY] = -velocity
-        return _residual(seen.z - (seen.late_s - x[DELAY]) * velocity, x[POSE]), H
+        return _residual(measured.z - (measured.delay_s - x[DELAY]) * velocity, x[POSE]), H
 
 
 def _turn_row(seconds: float) -> Array:

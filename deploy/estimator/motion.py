@@ -1,24 +1,23 @@
 """Motion of a skid-steered rover and of its odometry, with Jacobian and process noise.
 
-State: the pose x, y, θ in the course's frame; the pose in odometry's own frame; speed v and turn rate ω as
-the encoders see them; the turn of the true heading since the gyro's was last compared with it; then the
-errors of odometry and of the sensors, which the filter estimates beside the pose:
+State: the pose x, y, θ in the course's frame; the pose in odometry's own frame; the encoders' speed v and
+turn rate ω; the turn of the true heading since its last comparison with the gyro; then errors of odometry
+and of the sensors:
 
-    DISTANCE  true distance over odometry's
-    GAIN      true turn over odometry's; a skid-steered robot with its weight off the middle turns more
-    PULL      turn per distance that no encoder sees, rad/m
-    CENTER    lateral velocity over turn rate, m: the centre of rotation lies so far behind the base's middle
-    DOWNHILL  slide over turned angle, m/rad, in x and y of the course's frame: on a slope the tyres of a
-              skid-steered robot slide sideways as it turns, and gravity then moves it
-    DRIFT     of odometry's heading, rad/s, also while the rover stands
-    BIAS      of the gyro, rad/s
-    DELAY     of the external poses, s, beyond what their stamps show
+    DISTANCE        true distance over odometry's
+    GAIN            true turn over odometry's; with its weight off the middle, a skid-steered robot turns more
+    WHEEL_MISMATCH  turn per distance beside the encoders', rad/m
+    CENTER          lateral velocity over turn rate, m: distance of the centre of rotation behind the middle
+    DOWNHILL        slide over turned angle, m/rad, in x and y of the course's frame: on a slope, turning
+                    tyres slide and gravity moves the robot
+    DRIFT           drift of odometry's heading, rad/s, also while the rover stands
+    BIAS            bias of the gyro, rad/s
+    DELAY           delay of the external poses, s, beyond their stamps
 
 v and ω are constant but for white noise of the accelerations; one tick at the base's full acceleration
-(0.31 m/s², 1.25 rad/s²) is one standard deviation. So the filter follows odometry almost without lag: a
-circuit that was trained on exact poses must not get late ones. While the rover stands, only odometry's own
-pose may change, and the heading by a push that a gyro shows. What odometry does not see grows with distance
-and turn.
+(0.31 m/s², 1.25 rad/s²) is one standard deviation. So the filter follows odometry almost without delay. While
+the rover stands, only odometry's own pose may change, and the heading by a disturbance that a gyro shows.
+Errors of odometry grow with distance and turn.
 """
 
 import math
@@ -31,7 +30,7 @@ from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose, compose, wrap_angle
 
 X, Y, THETA, OWN_X, OWN_Y, OWN_THETA, V, OMEGA, TURN = range(9)
-DISTANCE, GAIN, PULL, CENTER, DOWN_X, DOWN_Y, DRIFT, BIAS, DELAY = range(9, 18)
+DISTANCE, GAIN, WHEEL_MISMATCH, CENTER, DOWN_X, DOWN_Y, DRIFT, BIAS, DELAY = range(9, 18)
 SIZE = 18
 POSE, OWN, MOTION = slice(X, THETA + 1), slice(OWN_X, OWN_THETA + 1), slice(V, OMEGA + 1)
 DOWNHILL = slice(DOWN_X, DOWN_Y + 1)
@@ -61,10 +60,10 @@ def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, 
     x[OWN] = own.x, own.y, wrap_angle(own.theta)
     slide = compose(Pose(0.0, 0.0, pose.theta), Pose(s.downhill_x_m, s.downhill_y_m, 0.0))
     x[DOWNHILL] = slide.x, slide.y
-    x[[DISTANCE, GAIN, PULL, CENTER, DELAY]] = (
+    x[[DISTANCE, GAIN, WHEEL_MISMATCH, CENTER, DELAY]] = (
         s.distance_gain,
         s.turn_gain,
-        s.imbalance_rad_m,
+        s.wheel_mismatch_rad_m,
         s.rotation_center_m,
         s.pose_delay_s,
     )
@@ -72,7 +71,7 @@ def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, 
     deviations[DISTANCE:] = (
         s.distance_gain_std,
         s.turn_gain_std,
-        s.imbalance_std_rad_m,
+        s.wheel_mismatch_std_rad_m,
         s.rotation_center_std_m,
         s.downhill_std_m,
         s.downhill_std_m,
@@ -86,7 +85,7 @@ def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, 
 def true_motion(x: Array, settings: EstimatorSettings) -> tuple[float, float, float]:
     """Return the true speed ahead and to the left (m/s) and the turn rate (rad/s)."""
     v, omega = float(x[V]), float(x[OMEGA])
-    turn = float(x[GAIN]) * turned_without_gain(omega, settings)[0] + float(x[PULL]) * v
+    turn = float(x[GAIN]) * turned_without_gain(omega, settings)[0] + float(x[WHEEL_MISMATCH]) * v
     return float(x[DISTANCE]) * v, float(x[CENTER]) * turn, turn
 
 
@@ -111,11 +110,11 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     moved, jacobian = x.copy(), np.eye(SIZE)
     if new_turn:
         moved[TURN] = jacobian[TURN, TURN] = 0.0
-    # Columns: the derivatives of all poses by distance and turn of the encoders, and by the unseen turn.
-    by_way, by_turn, by_unseen = np.zeros((3, SIZE))
+    # Columns: the derivatives of all poses by distance and turn of the encoders, and by further turn.
+    by_distance, by_turn, by_mismatch = np.zeros((3, SIZE))
     own = x[OWN_THETA] + 0.5 * omega * dt
     c, z = math.cos(own), math.sin(own)
-    by_way[OWN_X], by_way[OWN_Y] = c, z
+    by_distance[OWN_X], by_distance[OWN_Y] = c, z
     by_turn[OWN] = -0.5 * v * dt * z, 0.5 * v * dt * c, 1.0
     moved[OWN_X] += v * dt * c
     moved[OWN_Y] += v * dt * z
@@ -131,48 +130,48 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     moved[THETA] = wrap_angle(x[THETA] + turn)
     moved[TURN] += turn
     jacobian[X, THETA], jacobian[Y, THETA] = -dy, dx
-    by_unseen[POSE] = -0.5 * dy - center * sin, 0.5 * dx + center * cos, 1.0
-    by_unseen[[X, Y]] += math.copysign(1.0, turn) * downhill
-    by_unseen[TURN] = 1.0
-    by_way += x[PULL] * by_unseen
-    by_way[X] += x[DISTANCE] * cos
-    by_way[Y] += x[DISTANCE] * sin
+    by_mismatch[POSE] = -0.5 * dy - center * sin, 0.5 * dx + center * cos, 1.0
+    by_mismatch[[X, Y]] += math.copysign(1.0, turn) * downhill
+    by_mismatch[TURN] = 1.0
+    by_distance += x[WHEEL_MISMATCH] * by_mismatch
+    by_distance[X] += x[DISTANCE] * cos
+    by_distance[Y] += x[DISTANCE] * sin
     turned, by_omega = turned_without_gain(omega, s)
-    by_turn += x[GAIN] * by_omega * by_unseen
-    jacobian[:, V] += dt * by_way
+    by_turn += x[GAIN] * by_omega * by_mismatch
+    jacobian[:, V] += dt * by_distance
     jacobian[:, OMEGA] += dt * by_turn
     jacobian[X, DISTANCE], jacobian[Y, DISTANCE] = v * dt * cos, v * dt * sin
     jacobian[X, CENTER], jacobian[Y, CENTER] = -turn * sin, turn * cos
     jacobian[X, DOWN_X] = jacobian[Y, DOWN_Y] = abs(turn)
-    jacobian[:, GAIN] += turned * dt * by_unseen
-    jacobian[:, PULL] += v * dt * by_unseen
+    jacobian[:, GAIN] += turned * dt * by_mismatch
+    jacobian[:, WHEEL_MISMATCH] += v * dt * by_mismatch
 
     noise = np.zeros((SIZE, 11))
-    noise[:, :4] = _acceleration_noise(by_way, by_turn, dt, s)
+    noise[:, :4] = _acceleration_noise(by_distance, by_turn, dt, s)
     slip = math.sqrt(s.slip * dt)
     noise[[OWN_X, OWN_Y, X, Y], 4] = slip * c, slip * z, slip * cos, slip * sin
     noise[[OWN_X, OWN_Y, X, Y], 5] = -slip * z, slip * c, -slip * sin, slip * cos
     length, angle = abs(ahead), abs(turn)
     noise[X, 6] = noise[Y, 7] = math.sqrt(s.wander_m**2 * length + s.skid_m**2 * angle)
-    noise[:, 8] = math.sqrt(s.wander_rad**2 * length + s.skid_rad**2 * angle) * by_unseen
+    noise[:, 8] = math.sqrt(s.wander_rad**2 * length + s.skid_rad**2 * angle) * by_mismatch
     noise[GAIN, 9] = s.turn_gain_walk * math.sqrt(angle)
     noise[CENTER, 10] = s.rotation_center_walk_m * math.sqrt(angle)
     return Step(moved, jacobian, noise @ noise.T)
 
 
 def turned_without_gain(omega: float, settings: EstimatorSettings) -> tuple[float, float]:
-    """Return the true turn rate over the turn gain, without the pull, and its derivative by ω."""
+    """Return the true turn rate over the turn gain, without wheel mismatch, and its derivative by ω."""
     # Odometry's turn rate over its scale is the true one · (1 − asymmetry · its sign) + slip · the true one².
     without_slip = 1.0 - settings.turn_asymmetry * math.copysign(1.0, omega)
     root = math.sqrt(without_slip**2 + 4.0 * settings.slip_s * abs(omega))
     return 2.0 * omega / (without_slip + root), 1.0 / root
 
 
-def _acceleration_noise(by_way: Array, by_turn: Array, dt: float, settings: EstimatorSettings) -> Array:
+def _acceleration_noise(by_distance: Array, by_turn: Array, dt: float, settings: EstimatorSettings) -> Array:
     """Return the effects (18, 4) of white accelerations on speeds and poses, which are correlated."""
     noise = np.zeros((SIZE, 4))
     densities = settings.acceleration, settings.angular_acceleration
-    for column, (by, rate) in enumerate(((by_way, V), (by_turn, OMEGA))):
+    for column, (by, rate) in enumerate(((by_distance, V), (by_turn, OMEGA))):
         root = math.sqrt(densities[column] * dt)
         noise[:, 2 * column] = root * dt / math.sqrt(3.0) * by
         noise[rate, 2 * column : 2 * column + 2] = root * math.sqrt(3.0) / 2.0, root / 2.0

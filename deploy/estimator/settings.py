@@ -23,7 +23,7 @@ class EstimatorSettings(StrictModel):
     angular_acceleration: float = Field(default=0.16, gt=0, description="process noise of ω in (rad/s)²/s")
     slip: float = Field(default=1e-6, gt=0, description="process noise of x and y in m²/s")
     gate: float = Field(default=25.74, gt=0, description="largest NIS: 1 in 10,000 of a χ² with 5 degrees")
-    rejected_in_a_row: int = Field(default=3, ge=1, description="so many rejected in a row are a fault")
+    rejected_in_a_row: int = Field(default=3, ge=1, description="rejections in a row that are a fault")
 
     distance_gain: float = Field(default=1.0, gt=0, description="true distance over odometry's")
     distance_gain_std: float = Field(default=0.025, gt=0, description="±3 %, and slip on slopes")
@@ -31,23 +31,21 @@ class EstimatorSettings(StrictModel):
     turn_gain_std: float = Field(default=0.25, gt=0, description="weight off the middle: up to 1.5")
     slip_s: float = Field(default=0.0, ge=0, description="slipped share of a turn, per rad/s of odometry")
     turn_asymmetry: float = Field(
-        default=0.0, gt=-1, lt=1, description="unseen turn to the left per turned angle"
+        default=0.0, gt=-1, lt=1, description="turn to the left beside the encoders', per angle"
     )
-    imbalance_rad_m: float = Field(default=0.0, description="unseen turn per way")
-    imbalance_std_rad_m: float = Field(default=0.025, gt=0, description="±0.03 rad/m, and slopes")
+    wheel_mismatch_rad_m: float = Field(default=0.0, description="turn per distance beside the encoders'")
+    wheel_mismatch_std_rad_m: float = Field(default=0.025, gt=0, description="±0.03 rad/m, and slopes")
     rotation_center_m: float = Field(default=0.0, description="lateral velocity over turn rate")
     rotation_center_std_m: float = Field(default=0.06, gt=0)
     downhill_x_m: float = Field(default=0.0, description="slide per turn, along the heading at the start")
-    downhill_y_m: float = Field(default=0.0, description="the same, to the left of it")
+    downhill_y_m: float = Field(default=0.0, description="slide per turn, to the left of it")
     downhill_std_m: float = Field(default=0.004, gt=0, description="slide per turn: a floor of half a degree")
     drift_std_rad_s: float = Field(default=0.0005, gt=0, description="of odometry's heading: ±0.05 °/s")
     gyro_bias_std_rad_s: float = Field(default=0.2, gt=0)
     gyro_rad: float = Field(default=0.0007, gt=0, description="noise of a gyro's turn in 0.1 s")
     gyro_gate: float = Field(default=6.63, gt=0, description="largest NIS: 1 in 100 with 1 degree")
-    gyro_push_rad_s: float = Field(
-        default=0.15, gt=0, description="unseen turn rate by what pushes the rover"
-    )
-    gyro_rejected_in_a_row: int = Field(default=10, ge=1, description="so many are a fault")
+    gyro_disturbance_rad_s: float = Field(default=0.15, gt=0, description="turn rate of a disturbance")
+    gyro_rejected_in_a_row: int = Field(default=10, ge=1, description="number that is a fault")
 
     wander_m: float = Field(default=0.001, gt=0, description="random, after a metre")
     wander_rad: float = Field(default=0.002, gt=0, description="random, after a metre")
@@ -56,17 +54,19 @@ class EstimatorSettings(StrictModel):
     creep_m: float = Field(default=0.0004, gt=0, description="random, after standing for 1 s")
     creep_rad: float = Field(default=0.0003, gt=0, description="random, after standing for 1 s")
     turn_gain_walk: float = Field(default=0.02, gt=0, description="random change after a turn of 1 rad")
-    rotation_center_walk_m: float = Field(default=0.003, gt=0, description="the same")
+    rotation_center_walk_m: float = Field(
+        default=0.003, gt=0, description="random change after a turn of 1 rad"
+    )
 
     pose_m: float = Field(default=0.02, gt=0, description="external pose without a covariance")
     pose_rad: float = Field(default=0.035, gt=0)
-    pose_delay_s: float = Field(default=0.05, ge=0, description="least delay that all poses have")
+    pose_delay_s: float = Field(default=0.05, ge=0, description="expected delay of all poses")
     pose_delay_std_s: float = Field(default=0.05, gt=0)
     pose_gate: float = Field(default=21.11, gt=0, description="largest NIS: 1 in 10,000 with 3 degrees")
-    poses_rejected_in_a_row: int = Field(default=5, ge=1, description="so many are a fault")
-    push_m: float = Field(default=0.02, gt=0, description="unseen, by what the rover drives over: x and y")
-    push_rad: float = Field(default=0.03, gt=0, description="the same; allowed for after a refused pose")
-    history_s: float = Field(default=1.0, gt=0, description="how late an external pose may come")
+    poses_rejected_in_a_row: int = Field(default=5, ge=1, description="number that is a fault")
+    disturbance_m: float = Field(default=0.02, gt=0, description="x and y of a disturbance, such as a cable")
+    disturbance_rad: float = Field(default=0.03, gt=0, description="heading of a disturbance")
+    history_s: float = Field(default=1.0, gt=0, description="maximum delay of an external pose")
 
 
 class Outcome(Enum):

@@ -3,8 +3,7 @@
 The model is the simulator's. A command takes effect after a delay, times a gain, and the motion approaches it
 with at most an acceleration, or a deceleration while its size shrinks, so it is piecewise linear in time.
 Odometry reports the motion times a scale.
-For turns, unseen slip acts on both (`sim.world.randomization`). The uncertainty of scale and slip adds to
-that of the fit.
+For turns, slip acts on both. The uncertainty of scale and slip adds to that of the fit.
 
 Rules of this file:
 
@@ -25,33 +24,31 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from deploy.identify.motion_log import MotionLog
-
-FloatArray = NDArray[np.float64]
+from deploy.identify.motion_log import FloatArray, MotionLog
 
 DELAY_MAX_S = 0.8
 SCALES = (0.004, 0.01)
 """Residuals of v (m/s) and omega (rad/s) beyond which a sample counts less in the first, robust fit."""
-USUAL = (0.31, 1.25)
-"""Accelerations of the paper's simulator, m/s² and rad/s²."""
+DEFAULT_ACCELERATIONS = (0.31, 1.25)
+"""Accelerations of the paper's simulator, m/s² and rad/s²; the search starts from them."""
 BOUNDS = (0.05, 20.0)
-"""Of the accelerations, as factors on the usual ones."""
-LEAST_MOTION = (0.05, 0.08)
+"""Bounds of the accelerations, as factors of the default ones."""
+MIN_MOTION = (0.05, 0.08)
 """An axis whose commands never exceeded this, in m/s and rad/s, is not fitted."""
 PAUSE_S = 0.3
 """A command that changes after so long without a change begins a block."""
 DIFFERENCES = (0.005, 0.002, 0.01, 0.01)
 """Steps of delay, gain and log accelerations for derivatives; commands of a driver are stairs of 20 ms."""
-LEAST_BLOCKS, FEW_BLOCKS = 3, 6
-"""Fewer blocks give no estimate of their spread; with few, Student's quantile replaces 1.96 deviations."""
+MIN_BLOCKS, FEW_BLOCKS = 3, 6
+"""Fewer than 3 blocks give no variance between blocks; below 6, Student's quantile replaces 1.96."""
 SINGULAR = 1e12
 """Condition number beyond which a matrix counts as singular."""
 NEGLIGIBLE = 1e-3
 """A value is not determined if a unit of it changes all samples by less than this share of SCALES."""
 MISFIT = 1.3
-"""Residuals count as rounding if their mean square is at most so many times that of rounding."""
+"""Limit for residuals that count as rounding: their mean square over that of rounding."""
 OUTLIER = 5.0
-"""A block is left out if its residual is so many times the median block's, and beyond the robust scale."""
+"""Limit for a block's residual, as a factor of the median block's."""
 
 
 class OdometryErrors(NamedTuple):
@@ -78,16 +75,16 @@ class Axis(NamedTuple):
 
 def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis | None:
     """Fit axis 0 (v) or 1 (omega); None if its commands were too small, or if nothing fits."""
-    if float(np.abs(log.sent[:, axis]).max()) < LEAST_MOTION[axis]:
+    if float(np.abs(log.sent[:, axis]).max()) < MIN_MOTION[axis]:
         return None
     times, values = _changes(log.sent_s, log.sent[:, axis])
     t, reported = log.odometry.t, log.motion[:, axis]
-    scale, usual = SCALES[axis], USUAL[axis]
+    scale, default = SCALES[axis], DEFAULT_ACCELERATIONS[axis]
     weights, groups = _rounding_weights(reported)
     sigma = _step(reported) / math.sqrt(12.0)
 
-    def misses(x: FloatArray, errors: FloatArray = odometry.values) -> FloatArray:
-        motion = _modelled((times + x[0], values), x[1], usual * np.exp(x[2:]), errors, t)
+    def residuals(x: FloatArray, errors: FloatArray = odometry.values) -> FloatArray:
+        motion = _modelled((times + x[0], values), x[1], default * np.exp(x[2:]), errors, t)
         found: FloatArray = motion - reported
         return found
 
@@ -97,7 +94,7 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
             for delay in np.arange(0.0, DELAY_MAX_S, 0.04)
             for effort in (-0.7, 0.0, 1.5)
         ),
-        key=lambda x: float(np.log1p(np.square(misses(x) / scale / 10.0)).sum()),
+        key=lambda x: float(np.log1p(np.square(residuals(x) / scale / 10.0)).sum()),
     )
     least, most = np.log(BOUNDS).tolist()
     bounds = [0.0, 0.3, least, least], [DELAY_MAX_S, 3.0, most, most]
@@ -105,29 +102,32 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
 
     def jacobian(x: FloatArray) -> FloatArray:
         return np.column_stack(
-            [(misses(x + step) - misses(x - step)) / (2.0 * step.max()) for step in np.diag(DIFFERENCES)]
+            [
+                (residuals(x + step) - residuals(x - step)) / (2.0 * step.max())
+                for step in np.diag(DIFFERENCES)
+            ]
         )
 
-    def robust(ways: FloatArray, start: FloatArray) -> OptimizeResult:
-        """Fit the combinations ``ways`` (4, k) of the parameters from a start (k,)."""
+    def robust(basis: FloatArray, start: FloatArray) -> OptimizeResult:
+        """Fit the parameters in the subspace ``basis`` (4, k) from a start (k,)."""
         count = len(start)
         return least_squares(
-            lambda y: misses(ways @ y) / scale,
+            lambda y: residuals(basis @ y) / scale,
             start,
-            lambda y: jacobian(ways @ y) @ ways / scale,
+            lambda y: jacobian(basis @ y) @ basis / scale,
             bounds=(bounds[0][:count], bounds[1][:count]),
             loss="cauchy",
             x_scale=steps[:count],
         )
 
     # The fit of short ramps has several minima: one of them is near that with one acceleration for both.
-    one = np.eye(4)[:, [0, 1, 2]] + np.eye(4)[:, [3]] * [0.0, 0.0, 1.0]
-    starts = first, one @ robust(one, first[:3]).x
+    equal_limits = np.eye(4)[:, [0, 1, 2]] + np.eye(4)[:, [3]] * [0.0, 0.0, 1.0]
+    starts = first, equal_limits @ robust(equal_limits, first[:3]).x
     x = min((robust(np.eye(4), start) for start in starts), key=lambda fit: float(fit.cost)).x
 
     begins = times[np.diff(times, prepend=-math.inf) > PAUSE_S]
     blocks = np.searchsorted(begins + x[0], t, side="right")
-    kept = ~np.isin(blocks, _outliers(misses(x), blocks, scale))
+    kept = ~np.isin(blocks, _outliers(residuals(x), blocks, scale))
     for _ in range(8):
         chosen = kept
 
@@ -136,7 +136,7 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
             return found
 
         fit = least_squares(
-            lambda x, weighted=weighted: weighted(misses(x)),
+            lambda x, weighted=weighted: weighted(residuals(x)),
             x,
             lambda x, weighted=weighted: weighted(jacobian(x)),
             bounds=bounds,
@@ -145,24 +145,27 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
         x = fit.x
         if (fit.active_mask[1:] != 0).any() or fit.active_mask[0] > 0:
             return None  # the best value is beyond any base's; a delay of 0 at its bound is valid
-        kept = ~np.isin(blocks, _outliers(misses(x), blocks, scale))
+        kept = ~np.isin(blocks, _outliers(residuals(x), blocks, scale))
         if (kept == chosen).all() or not kept.any():
             break
     # Where commands change more slowly than the base could, they do not show an acceleration: it is left out.
-    seen = np.linalg.norm(fit.jac, axis=0) > NEGLIGIBLE * scale
-    slopes, covariance = fit.jac[:, seen], np.diag(np.where(seen, 0.0, np.inf))
-    covariance[np.ix_(seen, seen)] = _covariance(
+    determined = np.linalg.norm(fit.jac, axis=0) > NEGLIGIBLE * scale
+    slopes, covariance = fit.jac[:, determined], np.diag(np.where(determined, 0.0, np.inf))
+    covariance[np.ix_(determined, determined)] = _covariance(
         slopes, fit.fun, blocks[chosen], weights[chosen] * sigma, groups[chosen]
     )
     by_odometry = np.column_stack(
-        [(misses(x, odometry.values + change) - misses(x))[chosen] / 1e-4 for change in 1e-4 * np.eye(2)]
+        [
+            (residuals(x, odometry.values + change) - residuals(x))[chosen] / 1e-4
+            for change in 1e-4 * np.eye(2)
+        ]
     )
     shift = np.zeros((len(x), 2))
-    shift[seen] = np.linalg.lstsq(slopes, by_odometry * weights[chosen][:, None])[0]
-    units = np.append(np.ones(2), usual * np.exp(x[2:]))
+    shift[determined] = np.linalg.lstsq(slopes, by_odometry * weights[chosen][:, None])[0]
+    units = np.append(np.ones(2), default * np.exp(x[2:]))
     deviations = units * np.sqrt(np.diag(covariance + shift @ odometry.covariance @ shift.T))
     found = np.append(x[:2], units[2:])
-    residual = float(np.sqrt(np.mean(np.square(misses(x)[chosen]))))
+    residual = float(np.sqrt(np.mean(np.square(residuals(x)[chosen]))))
     return Axis._make([*found.tolist(), *deviations.tolist(), residual])
 
 
@@ -222,10 +225,10 @@ def _step(reported: FloatArray) -> float:
     return float(gaps.min()) if len(gaps) else 0.0
 
 
-def _outliers(misses: FloatArray, blocks: NDArray[np.intp], scale: float) -> list[int]:
+def _outliers(residuals: FloatArray, blocks: NDArray[np.intp], scale: float) -> list[int]:
     """Return the numbers of the blocks that do not fit."""
     numbers = np.unique(blocks)
-    sizes = np.array([np.sqrt(np.mean(np.square(misses[blocks == number]))) for number in numbers])
+    sizes = np.array([np.sqrt(np.mean(np.square(residuals[blocks == number]))) for number in numbers])
     moved = sizes[sizes > 0.0]
     limit = max(OUTLIER * float(np.median(moved)) if len(moved) else 0.0, 0.3 * scale)
     found: list[int] = numbers[sizes > limit].tolist()
@@ -237,11 +240,11 @@ def _covariance(
     residuals: FloatArray,
     blocks: NDArray[np.intp],
     rounding: FloatArray,
-    shown: FloatArray,
+    reported: FloatArray,
 ) -> FloatArray:
     """Return the parameters' covariance: of rounding, and by blocks if the residuals are larger than it.
 
-    ``rounding`` (n,) is its standard deviation in each row, ``shown`` (n,) the reported number, whose
+    ``rounding`` (n,) is its standard deviation in each row, ``reported`` (n,) the reported number, whose
     rounding error has its sign. Infinite if the record does not determine all parameters.
     """
     size = jacobian.shape[1]
@@ -250,28 +253,28 @@ def _covariance(
         return np.diag(np.full(size, np.inf))
     bread = np.linalg.inv(curvature)
     rounded = np.zeros((size, size))
-    for number in np.unique(np.abs(shown[shown != 0.0])):
-        chosen = np.abs(shown) == number
-        pull = jacobian[chosen].T @ (np.sign(shown) * rounding)[chosen]
-        rounded += np.outer(pull, pull)
+    for number in np.unique(np.abs(reported[reported != 0.0])):
+        chosen = np.abs(reported) == number
+        score = jacobian[chosen].T @ (np.sign(reported) * rounding)[chosen]
+        rounded += np.outer(score, score)
     by_rounding: FloatArray = bread @ rounded @ bread
-    moving = shown != 0.0
+    moving = reported != 0.0
     if np.sum(np.square(residuals[moving])) <= MISFIT * np.sum(np.square(rounding[moving])):
         return by_rounding
     moved = np.unique(blocks[moving])
-    if len(moved) < LEAST_BLOCKS:
+    if len(moved) < MIN_BLOCKS:
         return np.diag(np.full(size, np.inf))
-    seen = np.zeros((size, size))
+    clustered = np.zeros((size, size))
     for block in moved:
-        rows, misses = jacobian[blocks == block], residuals[blocks == block]
+        rows, block_residuals = jacobian[blocks == block], residuals[blocks == block]
         inside = np.eye(len(rows)) - rows @ bread @ rows.T
-        # A parameter that one block alone determines has no spread between blocks.
+        # A parameter that one block alone determines has no variance between blocks.
         if not np.linalg.cond(inside) < SINGULAR:
             return np.diag(np.full(size, np.inf))
-        pull = rows.T @ np.linalg.solve(inside, misses)
-        seen += np.outer(pull, pull)
+        score = rows.T @ np.linalg.solve(inside, block_residuals)
+        clustered += np.outer(score, score)
     if len(moved) < FEW_BLOCKS:
-        seen *= (student.ppf(0.975, len(moved) - 1) / norm.ppf(0.975)) ** 2
-    by_blocks: FloatArray = bread @ seen @ bread
+        clustered *= (student.ppf(0.975, len(moved) - 1) / norm.ppf(0.975)) ** 2
+    by_blocks: FloatArray = bread @ clustered @ bread
     np.fill_diagonal(by_blocks, np.maximum(np.diag(by_blocks), np.diag(by_rounding)))
     return by_blocks

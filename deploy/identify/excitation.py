@@ -1,4 +1,4 @@
-"""A short excitation drive: steps forward and back, left and right, with rests between them.
+"""A short excitation drive: steps forward and back, left and right, with pauses between them.
 
 Rules of this file:
 
@@ -26,7 +26,7 @@ FENCE_M = 0.8
 """How far from its start the rover may come; the steps take it half as far."""
 PERIOD_S = 0.05
 BRAKE_M_S2, REACT_S = 0.2, 0.4
-"""Least deceleration of a base, and its delay; the fence assumes them."""
+"""Minimum deceleration of a base and its maximum delay, for the fence."""
 
 _SPEEDS_M_S = (0.150, -0.150, 0.200, -0.200, 0.100, -0.100)
 _DRIVE_S, _REST_S = 2.13, 2.06

@@ -1,9 +1,8 @@
-"""A base's profile from a record of its motion: delays, accelerations, gains, noise and odometry's errors.
+"""A robot's profile from a record of its motion: delays, accelerations, gains, noise and odometry's errors.
 
-Each fitted value has a standard deviation: 1.96 of them on both sides are a 95 % interval. A
-value with too large a standard deviation is left out. Gains are those that odometry measures; accelerations
-are true ones. Odometry's own errors (scales, slip, imbalance, centre of rotation) can be measured only with
-external poses. Without them the usual spread of scales and slip is part of the accelerations' deviations.
+Each fitted value has a standard deviation; a value with too large a one is left out. Gains are those that
+odometry measures; accelerations are true ones. Odometry's errors (scales, slip, wheel mismatch, centre of
+rotation) need external poses. Without them, default standard deviations of scales and slip are assumed.
 """
 
 import math
@@ -11,30 +10,27 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
 from deploy.identify.motion_log import MotionLog
-from deploy.identify.odometry_fit import Fit, fit_center, fit_distance, fit_turns, stands_beside
+from deploy.identify.odometry_fit import Fit, fit_center, fit_distance, fit_turns, standstills_with_poses
 from rover_ncp.robot.profile import RoverProfile
-
-FloatArray = NDArray[np.float64]
 
 STANDING_M_S, STANDING_RAD_S = 0.004, 0.006
 STANDING_S = 0.35
 """A stand begins this long after the last motion, and lasts at least as long."""
 STEP_M, STEP_RAD = 0.001, math.tau / 4096
 """Resolution of positions and headings."""
-LEAST_NOISE_SAMPLES = 20
+MIN_NOISE_SAMPLES = 20
 
 SCALE_STD = 0.0173
-"""Of odometry's scales without external poses: ±3 %, evenly spread."""
+"""Standard deviation of odometry's scales without external poses: uniform within ±3 %."""
 SLIP_STD_S = 0.17
-"""Of the slip of a turn: 0 to 0.3 s, evenly spread (preset `harsh`), about 0."""
+"""Standard deviation of a turn's slip about 0: uniform from 0 to 0.3 s (preset `harsh`)."""
 
-WIDEST_S = 0.03
+MAX_DELAY_STD_S = 0.03
 """Largest standard deviation of a delay that is kept."""
-WIDEST_SHARE = {
+MAX_STD_SHARE = {
     "gain_v": 0.03,
     "gain_omega": 0.03,
     "accel": 0.15,
@@ -47,9 +43,9 @@ WIDEST_SHARE = {
     "odometry_heading": 0.1,
 }
 """Largest standard deviation that is kept, as a share of the value."""
-WIDEST = {
-    "delay_v_s": WIDEST_S,
-    "delay_omega_s": WIDEST_S,
+MAX_STD = {
+    "delay_v_s": MAX_DELAY_STD_S,
+    "delay_omega_s": MAX_DELAY_STD_S,
     "imbalance_rad_m": 0.03,
     "slip_s": 0.15,
     "turn_asymmetry": 0.05,
@@ -57,7 +53,7 @@ WIDEST = {
     "downhill_y_m": 0.01,
     "rotation_center_m": 0.03,
 }
-"""The same, SI."""
+"""Largest standard deviation of the other values, SI."""
 
 
 _AXES = (
@@ -85,15 +81,15 @@ def identify(log: MotionLog, name: str) -> RoverProfile:
     )
     if len(log.external.t):
         measured["external_poses"] = len(log.external.t)
-        beside = stands_beside(log, stands, (STEP_M, STEP_RAD))
-        if way := fit_distance(beside):
+        standstills = standstills_with_poses(log, stands, (STEP_M, STEP_RAD))
+        if way := fit_distance(standstills):
             found |= _named(("odometry_distance",), way)
             odometry = OdometryErrors(np.append(way.values, 0.0), np.pad(way.covariance, (0, 1))), odometry[1]
-        if turn := fit_turns(log, beside):
+        if turn := fit_turns(log, standstills):
             names = "odometry_heading", "slip_s", "imbalance_rad_m", None, "turn_asymmetry"
             found |= _named(names, turn)
             odometry = odometry[0], OdometryErrors(turn.values[:2], turn.covariance[:2, :2])
-        if center := fit_center(beside):
+        if center := fit_center(standstills):
             found |= _named(("rotation_center_m", "downhill_x_m", "downhill_y_m"), center)
     for axis, keys in enumerate(_AXES):
         fitted = identify_axis(log, axis, odometry[axis])
@@ -120,8 +116,8 @@ def _named(names: Sequence[str | None], fit: Fit) -> dict[str, _Value]:
 
 def _sure(key: str, found: _Value) -> bool:
     """Return whether a value is certain enough to be of use."""
-    widest = WIDEST[key] if key in WIDEST else WIDEST_SHARE[key] * found.value
-    return found.std <= widest
+    max_std = MAX_STD[key] if key in MAX_STD else MAX_STD_SHARE[key] * found.value
+    return found.std <= max_std
 
 
 def _stands(log: MotionLog) -> list[tuple[float, float]]:
@@ -145,7 +141,7 @@ def _noise(log: MotionLog, stands: Sequence[tuple[float, float]]) -> dict[str, _
         poses = log.odometry.poses[inside]
         squares += np.square(poses - poses.mean(axis=0)).sum(axis=0)
         count += len(poses) - 1
-    if count < LEAST_NOISE_SAMPLES:
+    if count < MIN_NOISE_SAMPLES:
         return {}
     variance = squares / count
     found = {}

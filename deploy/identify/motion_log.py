@@ -20,12 +20,12 @@ from rover_ncp.wire.messages import read_odometry, read_twist
 
 FloatArray = NDArray[np.float64]
 
-_LEAST = 50
-"""Least number of odometry samples for a fit."""
+_MIN_SAMPLES = 50
+"""Minimum number of odometry samples for a fit."""
 _NEAR = 20
 """Odometry samples before and after a message that show the difference of the clocks there."""
 _LAG = 40
-"""The cycle is first estimated over so many reports; a late one has little influence then."""
+"""Number of reports over which the cycle is first estimated."""
 
 
 class Track(NamedTuple):
@@ -66,10 +66,10 @@ def motion_log(messages: Iterable[Recorded]) -> MotionLog:
                 external.append(((len(odometry), message.log_ns), read_course_pose(message.data).pose))
         except FormatError:
             continue
-    if len(odometry) < _LEAST or not sent:
+    if len(odometry) < _MIN_SAMPLES or not sent:
         raise FileError(
             f"nothing can be identified from {len(odometry)} odometry samples and {len(sent)} commands "
-            f"(at least {_LEAST} samples, and the commands that the gate accepted, on rover/cmd_out)"
+            f"(at least {_MIN_SAMPLES} samples, and the commands that the gate accepted, on rover/cmd_out)"
         )
 
     def stamp_ns(place: int, arrival_ns: int) -> int:

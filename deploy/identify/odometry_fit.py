@@ -2,9 +2,8 @@
 
 Only poses of a standing rover are compared, so external poses may be late by a third of a second. The
 distance and the turn between one stand and the next contain the noise of both stands' means, and neighbouring
-intervals share a stand. So the fits are generalised least squares with that covariance. A push between two
-stands is an outlier, whose interval is left out. Distances are those of straight ways, as only there both
-kinds of poses show the whole way.
+intervals share a stand. So the fits are generalised least squares with that covariance. An interval with a
+disturbance is an outlier and is left out. Only straight intervals give distances.
 """
 
 import math
@@ -18,18 +17,16 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 from scipy.stats import norm, t
 
-from deploy.identify.motion_log import MotionLog
+from deploy.identify.motion_log import FloatArray, MotionLog
 
-FloatArray = NDArray[np.float64]
-
-LEAST_WAY_M = 0.1
+MIN_DISTANCE_M = 0.1
 STRAIGHT_RAD = 0.1
 """On a straight way, headings differ by no more from that at its begin."""
 NOISE_SIGMAS = 4.0
-"""Noise alone takes none of some hundred headings farther off than so many standard deviations."""
-LEAST_POSES = 3
+"""Limit for the noise of some hundred headings, in standard deviations."""
+MIN_POSES = 3
 """Of odometry and of external poses in a stand."""
-PUSHED = float(norm.isf(0.0005))
+DISTURBED = float(norm.isf(0.0005))
 """An interval with a larger standardised residual counts as disturbed: one in 1000 by chance."""
 PLAUSIBLE = 0.5, 2.0
 """Plausible scales of odometry; external poses that give others belong to another object."""
@@ -38,7 +35,7 @@ CENTER_MAX_M = 0.5
 ASYMMETRY_MAX = 0.5
 EXACT_M = 1e-4
 """External poses are no more exact than this, even if they do not scatter."""
-SPOT_M, LEAST_TURN_RAD = 0.03, 0.1
+SPOT_M, MIN_TURN_RAD = 0.03, 0.1
 """On less way and with more turn than this, the rover turned on the spot."""
 
 
@@ -62,7 +59,7 @@ class Stand(NamedTuple):
     """How far, beyond noise, odometry's heading differs from this stand's until the next stand, rad."""
 
 
-def stands_beside(
+def standstills_with_poses(
     log: MotionLog, spans: Sequence[tuple[float, float]], steps: tuple[float, float]
 ) -> list[Stand]:
     """Return the stands with both kinds of poses; their noise is pooled over all stands.
@@ -74,7 +71,7 @@ def stands_beside(
         own, true = (
             track.poses[(track.t >= begin) & (track.t <= end)] for track in (log.odometry, log.external)
         )
-        if min(len(own), len(true)) >= LEAST_POSES:
+        if min(len(own), len(true)) >= MIN_POSES:
             inside.append((begin, end, own, true))
     if not inside:
         return []
@@ -99,37 +96,35 @@ def stands_beside(
 
 
 def fit_distance(stands: Sequence[Stand]) -> Fit | None:
-    """Fit odometry's way = scale · true way over the straight intervals; None from fewer than three."""
-    ways, true_ways, directions, rows = [], [], [], []
+    """Fit odometry's distance = scale · true distance over straight intervals; None from fewer than three."""
+    lengths, true_lengths, directions, rows = [], [], [], []
     for row, (a, b) in enumerate(pairwise(stands)):
         own, true = (b.own - a.own)[:2], (b.true - a.true)[:2]
         length, sigma = math.hypot(*own), math.sqrt(a.own_variance[2] + b.own_variance[2])
         veered = max(a.veered, abs(b.own[2] - a.own[2]) - NOISE_SIGMAS * sigma)
-        if length > LEAST_WAY_M and veered < STRAIGHT_RAD:
-            ways.append(length)
-            true_ways.append(math.hypot(*true))
+        if length > MIN_DISTANCE_M and veered < STRAIGHT_RAD:
+            lengths.append(length)
+            true_lengths.append(math.hypot(*true))
             directions.append(own / length)
             rows.append(row)
-    if len(ways) < 3:
+    if len(lengths) < 3:
         return None
-    way, true_way = np.array(ways), np.array(true_ways)
+    measured, true_length = np.array(lengths), np.array(true_lengths)
     variances = np.array([(stand.own_variance + stand.true_variance)[:2].mean() for stand in stands])
-    covariance = np.diag(variances[rows] + variances[np.array(rows) + 1])
-    for i in range(len(rows) - 1):
-        if rows[i + 1] == rows[i] + 1:
-            shared = -float(directions[i] @ directions[i + 1]) * variances[rows[i + 1]]
-            covariance[i, i + 1] = covariance[i + 1, i] = shared
-    return _fitted(lambda x, kept: (x[0] * true_way - way)[kept], [1.0], covariance, [(0.0, math.inf)])
+    covariance = _difference_covariance(rows, variances, [float(a @ b) for a, b in pairwise(directions)])
+    return _fitted(
+        lambda x, kept: (x[0] * true_length - measured)[kept], [1.0], covariance, [(0.0, math.inf)]
+    )
 
 
 def fit_turns(log: MotionLog, stands: Sequence[Stand]) -> Fit | None:
-    """Fit heading scale, slip (s), imbalance (rad/m), drift (rad/s) and asymmetry, in this order.
+    """Fit heading scale, slip (s), wheel mismatch (rad/m), drift (rad/s) and asymmetry, in this order.
 
-    turn = scale · (true turn + slip · ∫|ω|ω dt − imbalance · way − asymmetry · |true turn|) + drift · time.
-    On a slope, gravity turns a rover with its weight off the middle to one side as its tyres slide: the
-    asymmetry, which belongs to the ground and the heading. None if intervals are few.
+    turn = scale · (true turn + slip · ∫|ω|ω dt − mismatch · distance − asymmetry · |true turn|)
+    + drift · time. The asymmetry belongs to the ground: on a slope, gravity turns a rover with its weight off
+    the middle to one side as its tyres slide. None from fewer than seven intervals.
     """
-    turns, true_turns, motions, ways, seconds = [], [], [], [], []
+    turns, true_turns, motions, distances, seconds = [], [], [], [], []
     times, (v, omega) = log.odometry.t, log.motion.T
     for a, b in pairwise(stands):
         turn, true_turn = b.own[2] - a.own[2], b.true[2] - a.true[2]
@@ -137,31 +132,30 @@ def fit_turns(log: MotionLog, stands: Sequence[Stand]) -> Fit | None:
         true_turns.append(true_turn + math.tau * round((turn - true_turn) / math.tau))
         span = (times >= a.begin_s) & (times <= b.end_s)
         motions.append((times[span], omega[span]))
-        ways.append(float(np.trapezoid(v[span], times[span])))
+        distances.append(float(np.trapezoid(v[span], times[span])))
         seconds.append((b.begin_s + b.end_s - a.begin_s - a.end_s) / 2.0)
     if len(turns) < 7:
         return None
-    turn, true_turn, way, second = (np.array(column) for column in (turns, true_turns, ways, seconds))
+    columns = turns, true_turns, distances, seconds
+    turn, true_turn, distance, second = (np.array(column) for column in columns)
 
     def residuals(x: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
-        scale, slip, imbalance, drift, asymmetry = x
+        scale, slip, mismatch, drift, asymmetry = x
         slipped = np.array([_slipped(times, rate / scale, slip, asymmetry) for times, rate in motions])
-        unseen = imbalance * way + asymmetry * np.abs(true_turn)
-        found: FloatArray = scale * (true_turn + slip * slipped - unseen) + drift * second - turn
+        missing = mismatch * distance + asymmetry * np.abs(true_turn)
+        found: FloatArray = scale * (true_turn + slip * slipped - missing) + drift * second - turn
         return found[kept]
 
     variances = np.array([(stand.own_variance + stand.true_variance)[2] for stand in stands])
-    covariance = np.diag(variances[:-1] + variances[1:])
-    beside = np.arange(len(turn) - 1)
-    covariance[beside, beside + 1] = covariance[beside + 1, beside] = -variances[1:-1]
+    covariance = _difference_covariance(range(len(turn)), variances, np.ones(len(turn) - 1))
     free = -math.inf, math.inf
     limits = [(0.0, math.inf), (0.0, SLIP_MAX_S), free, free, (-ASYMMETRY_MAX, ASYMMETRY_MAX)]
     # From the fit without slip, which is linear: from elsewhere, the fit may end where slip takes all.
-    design = np.column_stack([true_turn, -way, second, -np.abs(true_turn)])
-    scale, pull, drift, to_left = np.linalg.lstsq(design, turn, rcond=None)[0].tolist()
+    design = np.column_stack([true_turn, -distance, second, -np.abs(true_turn)])
+    scale, mismatch, drift, to_left = np.linalg.lstsq(design, turn, rcond=None)[0].tolist()
     if scale <= 0.0 or abs(to_left) >= ASYMMETRY_MAX * scale:
         return None
-    return _fitted(residuals, [scale, 0.01, pull / scale, drift, to_left / scale], covariance, limits)
+    return _fitted(residuals, [scale, 0.01, mismatch / scale, drift, to_left / scale], covariance, limits)
 
 
 def fit_center(stands: Sequence[Stand]) -> Fit | None:
@@ -175,7 +169,7 @@ def fit_center(stands: Sequence[Stand]) -> Fit | None:
     moves, arcs, rows = [], [], []
     for row, (a, b) in enumerate(pairwise(stands)):
         spot = math.hypot(*(b.own - a.own)[:2]) < SPOT_M
-        if spot and abs(b.own[2] - a.own[2]) > LEAST_TURN_RAD:
+        if spot and abs(b.own[2] - a.own[2]) > MIN_TURN_RAD:
             moves.append((b.true - a.true)[:2])
             arc = math.cos(b.true[2]) - math.cos(a.true[2]), math.sin(b.true[2]) - math.sin(a.true[2])
             angle = abs(b.true[2] - a.true[2])
@@ -184,14 +178,22 @@ def fit_center(stands: Sequence[Stand]) -> Fit | None:
     if len(rows) < 3:
         return None
     variances = np.array([max(stand.true_variance[:2].mean(), EXACT_M**2) for stand in stands])
-    covariance = np.diag(variances[rows] + variances[np.array(rows) + 1])
-    for i in range(len(rows) - 1):
-        if rows[i + 1] == rows[i] + 1:
-            covariance[i, i + 1] = covariance[i + 1, i] = -variances[rows[i + 1]]
+    covariance = _difference_covariance(rows, variances, np.ones(len(rows) - 1))
     both = np.kron(covariance, np.eye(2)).astype(np.float64)
     move, design = np.ravel(moves), np.array(arcs)
     limits = -CENTER_MAX_M, CENTER_MAX_M
     return _fitted(lambda x, kept: (design @ x - move)[kept], [0.0] * 3, both, [limits] * 3, limits)
+
+
+def _difference_covariance(
+    rows: Sequence[int], variances: FloatArray, alignment: Sequence[float] | FloatArray
+) -> FloatArray:
+    """Return the covariance of differences between stands ``rows`` and the next; neighbours share a stand."""
+    first = np.array(rows)
+    covariance = np.diag(variances[first] + variances[first + 1])
+    for i in np.flatnonzero(np.diff(first) == 1).tolist():
+        covariance[i, i + 1] = covariance[i + 1, i] = -alignment[i] * variances[first[i + 1]]
+    return covariance
 
 
 def _slipped(times: FloatArray, rate: FloatArray, slip: float, asymmetry: float) -> float:
@@ -242,9 +244,9 @@ def _fitted(
             sizes = np.abs(weight @ residuals(x, kept)) / np.sqrt(np.diag(weight))
         sizes = np.nan_to_num(sizes, posinf=0.0)
         worst = int(np.argmax(sizes))
-        if sizes[worst] <= PUSHED or free <= 2:
-            # The noise is known from the scatter of the poses; a small push shows as a misfit beyond it.
-            # Its size is then estimated from few intervals: 1.96 deviations are to be Student's quantile.
+        if sizes[worst] <= DISTURBED or free <= 2:
+            # A small disturbance is a misfit beyond the noise of the poses, estimated from few intervals:
+            # Student's quantile replaces 1.96.
             misfit = 2.0 * fit.cost / free
             return Fit(
                 x, values * (misfit * (t.ppf(0.975, free) / norm.ppf(0.975)) ** 2 if misfit > 1.0 else 1.0)

@@ -37,9 +37,9 @@ _WORDS: dict[str, tuple[str, float, str]] = {
     "noise_rad": ("noise of headings", 1000.0, "mrad"),
     "odometry_distance": ("odometry's distance over the true one", 1.0, ""),
     "odometry_heading": ("odometry's turn over the true one", 1.0, ""),
-    "imbalance_rad_m": ("unseen turn on the way", 1000.0, "mrad/m"),
+    "imbalance_rad_m": ("wheel mismatch", 1000.0, "mrad/m"),
     "rotation_center_m": ("centre of rotation behind the middle", 1000.0, "mm"),
-    "turn_asymmetry": ("unseen turn to the left, on this ground", 1000.0, "mrad/rad"),
+    "turn_asymmetry": ("asymmetry of turns, on this ground", 1000.0, "mrad/rad"),
     "downhill_x_m": ("slide ahead on a turn, on this ground", 1000.0, "mm/rad"),
     "downhill_y_m": ("slide to the left on a turn, on this ground", 1000.0, "mm/rad"),
     "slip_s": ("share of a turn that slips away", 1.0, "per rad/s"),
@@ -74,7 +74,7 @@ def identify_robot(
         recorder.put(message)
 
     with Interrupts() as interrupts, recorder, ZenohLink(address, record) as link:
-        measurements = Measurements(link, output.say)
+        measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: interrupts.raised)
         monitor.wait()
         if robot is not None:

@@ -2,14 +2,15 @@
 
 With ``--json`` a command prints one JSON object on stdout, and all text for people goes to stderr.
 
-No output delays the process that writes it. `install` replaces ``sys.stdout`` and ``sys.stderr`` of a command
-by streams that end in a `Writer`. That covers all Python code: rich, logging, warnings and tracebacks too.
+`install` replaces ``sys.stdout`` and ``sys.stderr`` by streams that end in a `Writer`. It delays no caller.
+Log lines, rich's displays and tracebacks end there too.
 """
 
 import contextlib
 import inspect
 import io
 import json
+import logging
 import math
 import os
 import select
@@ -29,7 +30,7 @@ from rover_ncp.core.errors import UsageError
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]
 MOST_SEED = 2**63 - 1
-"""Of a seed, or of the number of a trial."""
+"""Largest seed or trial number."""
 
 
 def command(run: Callable[[Any], int | None]) -> Callable[..., int | None]:
@@ -58,19 +59,18 @@ def reject(reason: str, **options: Any) -> None:
 
 
 ROOM_BYTES = 1 << 16
-"""A `Writer` drops text beyond this."""
+"""Size of a `Writer`'s queue; it drops text beyond."""
 CHUNK_BYTES = 1024
-"""The most that one system call writes: a pipe takes it as a whole, a slow terminal within a second."""
+"""Size of one system call: a pipe takes it as a whole, a slow terminal within a second."""
 _ERRORS = "backslashreplace"
 BLOCKED_S = 0.4
-"""Wait in s at the end of a process for a reader that takes nothing: for stdout and again for stderr."""
+"""Time limit at the end of a process for a blocked reader of stdout, and again of stderr."""
 
 
 class Writer(io.RawIOBase):
-    """Write to a copy of a file descriptor from a separate thread; no caller ever waits or gets an error.
+    """Write to a copy of a file descriptor from a separate thread; no caller waits or gets an error.
 
-    Text that does not fit into the queue, or that the system rejects, is dropped. The number of drops is
-    written as soon as there is room again.
+    Text that does not fit into the queue, or that the system rejects, is dropped and counted.
     """
 
     def __init__(self, fd: int, encoding: str = "utf-8") -> None:
@@ -99,10 +99,7 @@ class Writer(io.RawIOBase):
             self._changed.notify_all()
 
     def drained(self, blocked_s: float | None) -> bool:
-        """Wait for the reader while it takes data; return whether everything has been written.
-
-        Gives up when the reader takes nothing for ``blocked_s``; None waits without a limit.
-        """
+        """Wait until all is written, or the reader takes nothing for ``blocked_s``; return whether all is."""
         with self._changed:
             chunks, since_s = self._chunks, time.monotonic()
             while self._waiting:
@@ -110,7 +107,6 @@ class Writer(io.RawIOBase):
                 if left_s is not None and left_s <= 0.0:
                     return False
                 self._changed.wait(left_s)
-                # Only what the reader took counts: a thread that goes on queueing text does not.
                 if self._chunks != chunks:
                     chunks, since_s = self._chunks, time.monotonic()
             return self.failure is None
@@ -196,17 +192,14 @@ def keep(stream: TextIO, text: str) -> None:
 
 
 def printable(text: str) -> str:
-    """Return text with control characters, line ends included, as escape sequences.
-
-    Text from the network could otherwise clear a terminal or forge a line of ours.
-    """
+    """Return text with control characters as escape sequences: network text must not forge a line of ours."""
     if text.isprintable():
         return text
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 
-class Output:
-    """The two channels of a command. ``controls`` means that a rover depends on this process."""
+class Output(logging.Handler):
+    """The two channels of a command. ``controls`` means that a rover depends on this process: it logs."""
 
     ended = False
     """Whether a command of this process has printed its result; it must not get a second one."""
@@ -214,10 +207,18 @@ class Output:
     """Wait in s at the end of this process for a reader that takes nothing; None is without limit."""
 
     def __init__(self, as_json: bool, *, controls: bool = False) -> None:
+        super().__init__()
         self.as_json = as_json
         self.console = Console(stderr=as_json, highlight=False, soft_wrap=True)
         if controls:
             Output.blocked_s = BLOCKED_S
+            logger = logging.getLogger("rover_ncp")
+            logger.setLevel(logging.INFO)
+            logger.handlers = [self]
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a line of the log."""
+        self.say(record.getMessage())
 
     def say(self, text: str) -> None:
         """Print a line for people, unless it is empty; it is dropped when they read too slowly."""
@@ -247,7 +248,7 @@ class Output:
             yield
 
     def result(self, fields: Mapping[str, Any], text: str) -> None:
-        """End a command: the fields as JSON, or the text, whichever was asked for."""
+        """End a command: the fields as JSON, or the text."""
         Output.ended = True
         if self.as_json:
             keep(sys.stdout, json.dumps(_plain(fields), allow_nan=False) + "\n")

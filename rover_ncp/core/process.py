@@ -1,4 +1,4 @@
-"""A process's clock, its termination signals (recorded, not obeyed), and what a ``with`` block closes."""
+"""Clock, limits and termination signals of a process; resources that a ``with`` block closes."""
 
 import resource
 import signal
@@ -20,7 +20,7 @@ class Clock(Protocol):
         """Return s, from any zero."""
 
     def monotonic_ns(self) -> int:
-        """Return the same in ns."""
+        """Return ns, from the same zero."""
 
     def time_ns(self) -> int:
         """Return ns since the epoch."""
@@ -30,17 +30,14 @@ class Clock(Protocol):
 
 
 def suspended_s() -> float:
-    """Return how long this computer has been suspended since its start, in s; 0 if the system is not Linux.
-
-    The monotonic clock stands still meanwhile. A delay between the two readings makes the result smaller.
-    """
+    """Return how long this computer has been suspended since its start, in s; 0 if it is not Linux."""
     if sys.platform != "linux":
         return 0.0
     return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
 
 
 def require_open_files(free: int) -> None:
-    """Let this process open so many more files. Raises UsageError if the system's limit is too low."""
+    """Allow ``free`` more open files. Raises UsageError if the system's limit is too low."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     needed = len(list(Path("/dev/fd").iterdir())) + free
     if soft != resource.RLIM_INFINITY and soft < needed:

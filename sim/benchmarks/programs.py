@@ -14,8 +14,12 @@ from pathlib import Path
 import zenoh
 
 from deploy.app import run
+from deploy.drive.config import DriveConfig
+from deploy.recorder import Recorder
 from deploy.zenoh_client import BridgeAddress
+from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
+from rover_ncp.course.course import load_course
 from rover_ncp.wire.zenoh import client_config
 
 PING, PONG = "bench/ping", "bench/pong"
@@ -34,8 +38,17 @@ def _echo(robot: str) -> int:
 
 
 def _deploy(robot: str, course: str, recording: str, period_s: str) -> int:
-    address, output, period = BridgeAddress(robot), Output(True), float(period_s)
-    return run(address, output, policy="parking", course=course, record=Path(recording), period_s=period)
+    policy, goal = load_policy("parking"), load_course(course)
+    config = DriveConfig(robot=robot, policy="parking", course=goal.name, ticks=goal.ticks)
+    return run(
+        BridgeAddress(robot),
+        Output(True),
+        policy=policy,
+        course=goal,
+        config=config,
+        recorder=Recorder(Path(recording)),
+        period_s=float(period_s),
+    )
 
 
 if __name__ == "__main__":

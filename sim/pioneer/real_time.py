@@ -4,6 +4,7 @@ One thread: it sleeps until something arrives or the base's next message is due,
 present.
 """
 
+import logging
 import math
 import selectors
 import time
@@ -18,6 +19,7 @@ from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.faults import Fault, parse_fault
 from sim.world.rover import SUBSTEP_S
 
+_LOGGER = logging.getLogger("rover_ncp")
 PERIOD_S = SUBSTEP_S
 """The mock sleeps no longer than a step, so a turn that ends later shows how long it had no CPU."""
 
@@ -114,7 +116,7 @@ class Lateness:
 class RealTimeLoop:
     """Advances ``base``, whose clock is the machine's monotonic clock; subclasses connect it to a line."""
 
-    def __init__(self, base: SimulatedBase, say: Callable[[str], None] = print) -> None:
+    def __init__(self, base: SimulatedBase) -> None:
         self.truth: TruthFile | None = None
         """Where the true pose is written from now on."""
         self.touched = False
@@ -122,7 +124,6 @@ class RealTimeLoop:
         # Not epoll, which takes no files: fault lines may come from one, or from /dev/null.
         self.selector = selectors.PollSelector()
         """Calls the data of each key when there is something to read."""
-        self._say = say
         self._unfinished = b""
         self._lateness = Lateness()
         self._base, self._start_s = base, base.now
@@ -170,13 +171,13 @@ class RealTimeLoop:
         try:
             fault = parse_fault(text) if text else None
         except UsageError as error:
-            self._say(str(error))
+            _LOGGER.info(str(error))
             return
         self._base.advance(time.monotonic())
         if fault is not None:
             self._base.inject(fault)
         late_ns = clock_ns(self._lateness.take())
-        self._say(f"applied t_ns={clock_ns(self._base.now)} late_ns={late_ns} {text}".rstrip())
+        _LOGGER.info(f"applied t_ns={clock_ns(self._base.now)} late_ns={late_ns} {text}".rstrip())
 
     def _observe(self, now: float) -> None:
         contact = self._base.drive.rover.in_contact

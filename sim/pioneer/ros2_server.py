@@ -8,7 +8,6 @@ import queue
 import selectors
 import socket
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -39,13 +38,12 @@ class Ros2Server(RealTimeLoop):
         host: str,
         port: int,
         robot: Ros2Robot,
-        say: Callable[[str], None] = print,
         *,
         convention: Convention = Convention.ROS2DDS,
         domain: int = 0,
         namespace: str = "",
     ) -> None:
-        super().__init__(robot, say)
+        super().__init__(robot)
         self.host, self.port, self.robot = host, port or free_port(host), robot
         self.bytes_in = self.bytes_out = 0
         self._namespace, self._domain = namespace.strip("/"), domain

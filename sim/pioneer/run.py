@@ -78,7 +78,7 @@ def run_mock(
         firmware = Firmware(
             description, rover, injected, now, config=flash, trial=base_trial, gyro_seed=base_seed
         )
-        server = Server(host, port, firmware, output.say)
+        server = Server(host, port, firmware)
     else:
         epoch_s = time.time() - now
         robot = Ros2Robot(
@@ -88,7 +88,6 @@ def run_mock(
             host,
             port,
             robot,
-            output.say,
             convention=ros2.convention,
             domain=domain_id(os.environ),
             namespace=ros2.namespace,

@@ -4,7 +4,6 @@ import errno
 import selectors
 import socket
 import time
-from collections.abc import Callable
 from contextlib import suppress
 
 from rover_ncp.core.errors import PortInUse, UsageError
@@ -37,9 +36,8 @@ class Server(RealTimeLoop):
         host: str,
         port: int,
         firmware: Firmware,
-        say: Callable[[str], None] = print,
     ) -> None:
-        super().__init__(firmware, say)
+        super().__init__(firmware)
         self._listener = _listen(host, port)
         name = self._listener.getsockname()
         self.host, self.port = str(name[0]), int(name[1])

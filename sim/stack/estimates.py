@@ -86,7 +86,7 @@ def _of_plane(ranges: Randomization) -> dict[str, float]:
     return {
         "distance_gain_std": scale,
         "turn_gain_std": math.hypot(scale, slip),
-        "imbalance_std_rad_m": ranges.imbalance_rad_m / math.sqrt(3.0),
+        "wheel_mismatch_std_rad_m": ranges.imbalance_rad_m / math.sqrt(3.0),
         "drift_std_rad_s": ranges.drift_rad_s / math.sqrt(3.0),
         # Their errors stay the same during a drive.
         "turn_gain_walk": 0.0,

@@ -13,19 +13,16 @@ from bridge.gate.limits import Limits
 from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
 from deploy.drive.controller import Tick
-from deploy.drive.lease import DriverLease
-from deploy.drive.measurements import Arrival, Inbox
+from deploy.drive.link import Arrival, Inbox, Link, Sources
 from deploy.drive.publisher import Publisher
-from deploy.drive.sources import Sources
-from deploy.drive_records import TickRecord
+from deploy.drive.records import TickRecord
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.key_table import spec
-from rover_ncp.wire.messages import read_bumpers, read_text, twist_stamped
+from rover_ncp.wire.messages import twist_stamped
 from rover_ncp.wire.protocol import (
-    GateStatus,
     MotorsReply,
     MotorsRequest,
     Signed,
@@ -59,7 +56,6 @@ class VirtualBridge:
             self,
             limits=self.line.limits,
             accept_ros=False,
-            say=lambda words: None,
             ready=lambda: None,
             clock=self,
             suspended_s=self.suspended_s,
@@ -154,8 +150,8 @@ class SilentPublisher(Publisher):
         """Do nothing."""
 
 
-class VirtualLink:
-    """A driver's `deploy.drive.link.Link` on the virtual clock.
+class VirtualLink(Link):
+    """A driver's link on the virtual clock.
 
     Until the driver requests the lease, external localisation reports that the rover stands at ``start``.
     Received messages go to ``record``.
@@ -167,13 +163,11 @@ class VirtualLink:
     def __init__(
         self, bridge: VirtualBridge, start: Pose, record: Callable[[Recorded], None] = lambda message: None
     ) -> None:
+        super().__init__()
         self._bridge, self._start, self._record = bridge, start, record
-        self.odometry, self.poses, self.gyro = _OdometryInbox(bridge), Inbox(), Inbox()
-        self.gate = GateStatus()
-        self.bumped, self.sources = 0, Sources()
+        self.odometry, self.sources = _OdometryInbox(bridge), Sources()
         self.first_command_ns: int | None = None
         """When the first command was sent."""
-        self.lease = DriverLease()
         self._requested = False
         bridge.deliver = self._receive
 
@@ -220,22 +214,12 @@ class VirtualLink:
     def _receive(self, name: str, data: bytes) -> None:
         wall_ns = self._bridge.time_ns()
         self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
-        if name == "odom":
-            self.odometry.put(self._arrival(data))
-            if not self._requested:
-                self.poses.put(self._arrival(known_pose(self._start, wall_ns)))
-        elif name == "imu":
-            self.gyro.put(self._arrival(data))
-        elif name == "rover/gate":
-            self.gate = parse_json(GateStatus, read_text(data))
-        elif name == "bumpers":
-            self.bumped += read_bumpers(data)
+        self.receive(name, Arrival(data, self._bridge.now_ns))
+        if name == "odom" and not self._requested:
+            self.poses.put(Arrival(known_pose(self._start, wall_ns), self._bridge.now_ns))
 
     def localise(self, data: bytes, now_ns: int) -> None:
         """Deliver an external pose that arrives now."""
         wall_ns = WALL_NS + now_ns
         self._record(Recorded("pose", spec("pose").type, data, wall_ns, wall_ns))
         self.poses.put(Arrival(data, now_ns))
-
-    def _arrival(self, data: bytes) -> Arrival:
-        return Arrival(data, self._bridge.now_ns)

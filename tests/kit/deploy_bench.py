@@ -7,13 +7,11 @@ import time
 
 from zenoh_session import open_session
 
-from deploy import app as node
-from deploy.app import run
+from deploy.commands import deploy
+from deploy.drive import config
 from deploy.drive.config import DriveConfig
-from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
-from rover_ncp.core.console import Output
 from rover_ncp.core.geometry import Pose, Velocity, compose
 from rover_ncp.wire.key_table import key
 from rover_ncp.wire.messages import odometry, read_twist, text
@@ -156,16 +154,19 @@ def driver(bridge, folder, capsys, monkeypatch):
     """Return what drives once with shorter waits, and returns exit code and result."""
     policy, course = untuned_policy(folder), short_course(folder)
 
-    def drive(namespace=bridge.namespace, as_json=True, waits=(), **changes):
+    def drive(as_json=True, waits=(), **changes):
         waits = {"still_s": 0.15, **dict(waits)}
-        monkeypatch.setattr(node, "DriveConfig", functools.partial(DriveConfig, **waits))
+        monkeypatch.setattr(config, "DriveConfig", functools.partial(DriveConfig, **waits))
         options = {
+            "robot": bridge.robot,
+            "namespace": bridge.namespace,
             "policy": str(policy),
             "course": str(course),
             "record": folder / "run.mcap",
             "overwrite": True,
+            "json": as_json,
         }
-        code = run(BridgeAddress(bridge.robot, namespace), Output(as_json), **options | changes)
+        code = deploy(**options | changes)
         said = capsys.readouterr().out
         return code, json.loads(said) if as_json else said
 

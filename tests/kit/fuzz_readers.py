@@ -24,8 +24,16 @@ from bridge.ros2.address import parse_ros_address
 from bridge.ros2.base import Ros2Base, TokenSeen
 from bridge.ros2.discovery import read_topic_token, topic_token
 from bridge.ros2.rmw import read_token
-from deploy.drive.config import CONFIG_FILE, COURSE_FILE, POLICY_FILE, DriveConfig
-from deploy.drive_records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
+from deploy.drive.config import DriveConfig
+from deploy.drive.records import (
+    CONFIG_FILE,
+    COURSE_FILE,
+    POLICY_FILE,
+    START_TOPIC,
+    TICKS_TOPIC,
+    StartRecord,
+    TickRecord,
+)
 from deploy.replay import replay
 from deploy.report.recorded_drive import read_drive
 from rover_ncp.circuit.bnn import circuit_from_bnn

@@ -37,7 +37,7 @@ class SkidDrive:
         draw = lambda mean, std: mean + std * rng.normal()  # noqa: E731
         self.distance = draw(s.distance_gain, s.distance_gain_std)
         self.gain = draw(s.turn_gain, s.turn_gain_std)
-        self.pull = draw(s.imbalance_rad_m, s.imbalance_std_rad_m)
+        self.pull = draw(s.wheel_mismatch_rad_m, s.wheel_mismatch_std_rad_m)
         self.center = draw(s.rotation_center_m, s.rotation_center_std_m)
         self.drift = draw(0.0, s.drift_std_rad_s)
         self.bias = gyro_bias * rng.normal()

@@ -10,7 +10,7 @@ import time
 import pytest
 from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
 
-from deploy.drive_records import TICKS_TOPIC
+from deploy.drive.records import TICKS_TOPIC
 from rover_ncp.core.console import ROOM_BYTES, Writer, printable
 from rover_ncp.recording.recording import read_recording
 

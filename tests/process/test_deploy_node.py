@@ -206,7 +206,7 @@ def test_a_second_driver_gets_the_reason(bridge, drive, tmp_path):
 
 
 def test_a_dry_run_commands_nothing_and_is_done_with_0(bridge, drive, tmp_path):
-    code, result = drive(dry_run=True, duration_s=0.5)
+    code, result = drive(dry_run=True, duration=0.5)
     assert code == 0
     assert result["dry_run"]
     assert result["ticks"] + result["missed"] == 5
@@ -215,7 +215,7 @@ def test_a_dry_run_commands_nothing_and_is_done_with_0(bridge, drive, tmp_path):
 
 
 def test_a_router_without_a_bridge_in_our_namespace_is_no_bridge(drive):
-    with pytest.raises(NoBridge, match="no bridge shows itself there in namespace bot7"):
+    with pytest.raises(NoBridge, match="no bridge is announced there in namespace bot7"):
         drive(namespace="bot7", waits={"bridge_wait_s": 0.3})
 
 

@@ -70,7 +70,10 @@ def test_rare_odometry_is_listened_to_once_more(reports, ok):
 
 @pytest.mark.parametrize(
     ("state", "words"),
-    [("unknown", "the timeout was not measured: a stop"), ("none", "if it dies, the base does not halt")],
+    [
+        ("unknown", "the timeout was not measured: a stop"),
+        ("none", "if the bridge dies, the base does not"),
+    ],
 )
 def test_a_measurement_that_a_stop_ended_is_not_called_a_missing_timeout(monkeypatch, state, words):
     replies = (BaseReply(model="husky-a200", state=state) for state in ("unknown", "running", state))

@@ -6,7 +6,7 @@ import math
 import pytest
 from deploy_bench import ODOM_AT_START, STILL
 
-from deploy.drive_records import TICKS_TOPIC, TickRecord
+from deploy.drive.records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
 from rover_ncp.core.errors import NoPose
 from rover_ncp.core.geometry import Pose, compose, distance, inverse
@@ -32,7 +32,7 @@ def localised(bridge, course_odom, frame="course"):
 def test_an_external_pose_places_the_rover_on_the_course(bridge, drive, tmp_path):
     there = Pose(0.2, 0.1, 0.3)
     bridge.odom = localised(bridge, compose(there, inverse(ODOM_AT_START)))
-    code, result = drive(duration_s=0.5, pose="required")
+    code, result = drive(duration=0.5, pose="required")
     assert code == 1
     assert result["pose"]["placed"]
     assert result["pose"]["used"] >= 3
@@ -50,10 +50,10 @@ def test_an_external_pose_places_the_rover_on_the_course(bridge, drive, tmp_path
 @pytest.mark.parametrize("pose", ["required", "auto"])
 def test_a_start_for_which_no_rate_is_known_is_refused_before_the_motors(bridge, drive, there, pose):
     bridge.odom = localised(bridge, compose(there, inverse(ODOM_AT_START)))
-    code, result = drive(duration_s=0.5, pose=pose)
+    code, result = drive(duration=0.5, pose=pose)
     assert (code, result["stopped_by"], bridge.requests, bridge.commands) == (4, "start-pose", [], [])
     assert f"x {there.x:.2f} m, y {there.y:.2f} m" in result["reason"]
-    assert "expected ±0.2 m and ±20° at most" in result["reason"]
+    assert "(limit ±0.2 m and ±20°)" in result["reason"]
 
 
 def test_a_gyros_readings_count_are_recorded_and_recomputed(bridge, drive, tmp_path):
@@ -83,7 +83,7 @@ def test_without_external_poses_the_start_is_the_origin_or_an_error(bridge, driv
     assert caught.value.exit_code == 3
     assert bridge.requests == []
     bridge.odom = localised(bridge, Pose(9.0, 9.0, 1.0))
-    drive(duration_s=0.3, pose="none")
+    drive(duration=0.3, pose="none")
     first = read_pose(read_recording(tmp_path / "run.mcap").topic("rover/estimate")[0].data).pose
     assert distance(first, Pose(0, 0, 0)) < 1e-6
 
@@ -95,7 +95,7 @@ def test_poses_that_come_only_after_the_start_are_not_used_and_that_is_said(brid
         return there(*sample) if bridge.commands else odometry(*sample)
 
     bridge.odom = odom
-    code, said = drive(as_json=False, duration_s=0.6)
+    code, said = drive(as_json=False, duration=0.6)
     assert code == 1
     words = " ".join(said.split())
     assert "external poses came, but none while the rover stood at the start: none was used" in words
@@ -104,7 +104,7 @@ def test_poses_that_come_only_after_the_start_are_not_used_and_that_is_said(brid
 def test_poses_in_another_frame_and_garbled_ones_count_for_nothing(bridge, drive, tmp_path):
     bridge.odom = localised(bridge, Pose(9.0, 9.0, 1.0), frame="map")
     bridge.after_commands(1, lambda: bridge.publish_pose(b"nonsense"))
-    code, result = drive(duration_s=0.5)
+    code, result = drive(duration=0.5)
     assert code == 1
     assert result["pose"]["unreadable"] > 3
     assert result["pose"]["taken"] == 0
@@ -120,7 +120,7 @@ def test_a_rover_that_was_carried_away_is_stopped(bridge, drive, tmp_path):
     bridge.odom = odom
     code, result = drive()
     assert (code, result["stopped_by"]) == (4, "external-pose")
-    assert "5 external poses in a row refused" in result["reason"]
+    assert "5 external poses rejected in a row" in result["reason"]
     assert result["ticks"] < 16
     assert bridge.commands[-1][1] == STILL
     estimates = [
@@ -131,15 +131,15 @@ def test_a_rover_that_was_carried_away_is_stopped(bridge, drive, tmp_path):
 
 
 def test_without_the_required_accuracy_the_rover_is_not_driven(bridge, drive, tmp_path):
-    code, result = drive(require_accuracy_m=0.01)
+    code, result = drive(require_accuracy=0.01)
     assert (code, result["stopped_by"]) == (4, "accuracy")
     assert result["predicted_error_m"] > 0.01
     assert "expected 0.01 m at most" in result["reason"]
-    assert result["reason"].endswith("external poses or a gyro or a profile of 'identify' would make it less")
+    assert result["reason"].endswith("external poses or a gyro or a profile of 'identify' would reduce it")
     (tmp_path / "mine.yaml").write_text("{name: mine, gain_v: 1.0}")
-    code, result = drive(require_accuracy_m=0.01, profile=tmp_path / "mine.yaml")
-    assert result["reason"].endswith("external poses or a gyro would make it less")
+    code, result = drive(require_accuracy=0.01, profile=tmp_path / "mine.yaml")
+    assert result["reason"].endswith("external poses or a gyro would reduce it")
     assert bridge.requests == []
     bridge.odom = localised(bridge, inverse(ODOM_AT_START))
-    code, result = drive(require_accuracy_m=0.01, duration_s=0.3)
+    code, result = drive(require_accuracy=0.01, duration=0.3)
     assert (code, result["stopped_by"]) == (1, None)

@@ -3,7 +3,7 @@
 import numpy as np
 from paths import DATA
 
-from deploy.drive_records import TICKS_TOPIC, TickRecord
+from deploy.drive.records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
 from rover_ncp.core.geometry import wrap_angle
 from rover_ncp.recording.recording import read_recording

@@ -15,7 +15,7 @@ import pytest
 from bridge_bench import MACHINE_S, Rig, braking_s, wait_for
 from json_fields import undescribed
 
-from deploy.teleop.keyboard import HOLD_S, V_M_S
+from deploy.keyboard import HOLD_S, V_M_S
 from rover_ncp import cli
 from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import read_recording

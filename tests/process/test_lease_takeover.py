@@ -6,7 +6,7 @@ import pytest
 from attacker import Attacker
 from bridge_bench import wait_for
 
-from deploy.drive_records import TICKS_TOPIC, TickRecord
+from deploy.drive.records import TICKS_TOPIC, TickRecord
 from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import read_recording
 from rover_ncp.wire.messages import read_text, read_twist

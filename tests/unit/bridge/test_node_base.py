@@ -1,5 +1,7 @@
 """The bridge's loop and its base: exceptions of a base, its end, its reconnection, its motors."""
 
+import logging
+
 import pytest
 from lease_client import LeaseClient
 
@@ -71,7 +73,7 @@ class Loop:
     """A node with such a base, on a virtual clock: each turn takes 20 ms and brings a report."""
 
     def __init__(self, accept_ros=False, limits=None):
-        self.now_ns, self.base, self.said, self.driver = 10**9, FailingBase(), [], LeaseClient(self)
+        self.now_ns, self.base, self.driver = 10**9, FailingBase(), LeaseClient(self)
         self.arrivals, self.silent = [], False
         self.node = Node(
             self.base,
@@ -79,7 +81,6 @@ class Loop:
             self,
             limits=limits or Limits(),
             accept_ros=accept_ros,
-            say=self.said.append,
             ready=lambda: None,
             clock=self,
             suspended_s=lambda: 0.0,
@@ -128,7 +129,8 @@ class Loop:
 
 
 @pytest.fixture
-def driving():
+def driving(caplog):
+    caplog.set_level(logging.INFO, "rover_ncp")
     loop = Loop()
     loop.turn(3)
     assert loop.motors().granted
@@ -144,11 +146,11 @@ def test_end_of_the_loop_drives_zero_with_motors_off_before_close(driving):
 
 
 @pytest.mark.parametrize("fails", ["drive", "close"])
-def test_end_of_the_loop_goes_on_after_an_exception_of_the_base(driving, fails):
+def test_end_of_the_loop_goes_on_after_an_exception_of_the_base(driving, fails, caplog):
     driving.base.fails[fails] = BrokenPipeError(32, "Broken pipe")
     driving.node.run(lambda: True)
     assert driving.base.calls[-2:] == ["drive", "close"]
-    assert driving.said[-1] == "the base failed: [Errno 32] Broken pipe"
+    assert caplog.messages[-1] == "the base failed: [Errno 32] Broken pipe"
 
 
 def test_error_of_the_loop_stops_the_base_too(driving):
@@ -164,11 +166,12 @@ def test_error_of_the_loop_stops_the_base_too(driving):
 @pytest.mark.parametrize(
     "error", [BrokenPipeError(32, "Broken pipe"), ValueError("x"), NoRobot("y"), KeyError()]
 )
-def test_exception_of_the_base_is_a_lost_base(driving, fails, error):
-    loop, said = driving, len(driving.said)
+def test_exception_of_the_base_is_a_lost_base(driving, fails, error, caplog):
+    loop = driving
+    caplog.clear()
     loop.base.fails[fails] = error
     loop.drive()
-    lost = [line for line in loop.said[said:] if line.startswith("the base is lost: the base failed: ")]
+    lost = [line for line in caplog.messages if line.startswith("the base is lost: the base failed: ")]
     assert len(lost) == 1
     assert (str(error) or "KeyError") in lost[0]
     assert not loop.motors().granted
@@ -177,7 +180,7 @@ def test_exception_of_the_base_is_a_lost_base(driving, fails, error):
     assert loop.base.driven[-1].velocity == (0.0, 0.0)
     assert not loop.base.driven[-1].motors
     loop.turn(3)
-    assert loop.said[-1] == "the base works again"
+    assert caplog.messages[-1] == "the base works again"
     loop.driver.lease.end()
     assert loop.motors().granted
     loop.drive()

@@ -90,7 +90,7 @@ def test_the_errors_of_odometry_are_learned_from_poses(drives, runs):
 def test_a_delay_that_all_poses_have_is_found(drives):
     for delay_s in (0.0, 0.15):
         camera = Camera(delay_s=delay_s, sigma=(0.002, 0.002, 0.003))
-        runs = [drive.follow(camera=camera)[0] for drive in drives[:10]]
+        runs = [drive.follow(camera=camera)[0] for drive in drives[:5]]
         assert max(math.hypot(*errors[-1, :2]) for errors in runs) < 0.004
         later = np.concatenate([errors[len(errors) // 2 :, :2] for errors in runs])
         assert np.sqrt(np.mean(np.square(later))) < 0.003  # not known, 0.15 s would be 15 mm
@@ -175,6 +175,8 @@ def test_the_slope_that_was_measured_enters_the_estimate(asymmetry):
     )
     settings = settings_for(profile)
     assert settings.downhill_std_m == 0.002
+    removed = profile.model_copy(update={"downhill_x_m": None, "downhill_y_m": None})
+    assert settings_for(removed).downhill_std_m == SETTINGS.downhill_std_m
     ends = []
     for side in (1.0, -1.0):
         estimator = Estimator(settings)
@@ -194,7 +196,7 @@ def test_the_slope_that_was_measured_enters_the_estimate(asymmetry):
 
 @pytest.mark.parametrize("carried", [(0.3, 0.0, 0.0), (0.0, -0.3, 0.0), (0.0, 0.0, 0.3)])
 def test_a_rover_that_was_carried_or_turned_is_stopped_within_two_seconds(drives, carried):
-    for drive in drives:
+    for drive in drives[:8]:
         tick = round(0.6 * drive.ticks)
         _, _, estimator = drive.follow(camera=Camera(), carried=(tick, np.array(carried)))
         assert estimator.fault_rule == "external-pose"
@@ -202,8 +204,8 @@ def test_a_rover_that_was_carried_or_turned_is_stopped_within_two_seconds(drives
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_rover_that_a_cable_turns_unseen_is_found_again(drives, side):
-    for drive in drives:
+def test_a_rover_that_a_cable_turns_is_found_again(drives, side):
+    for drive in drives[:8]:
         tick = round(0.5 * drive.ticks)
         errors, _, estimator = drive.follow(
             camera=Camera(), carried=(tick, np.array([0.02, 0.0, side * 0.11]))
@@ -220,7 +222,7 @@ def test_a_refused_pose_leaves_the_estimate_where_it_is(off_rad, may_be_a_push):
     after = estimator.at(2.0)
     assert after.pose == pytest.approx(before.pose, abs=1e-12)
     grown = np.diag(after.covariance - before.covariance)[:3]
-    push = np.square([SETTINGS.push_m, SETTINGS.push_m, SETTINGS.push_rad])
+    push = np.square([SETTINGS.disturbance_m, SETTINGS.disturbance_m, SETTINGS.disturbance_rad])
     assert grown == pytest.approx(may_be_a_push * push, rel=1e-3, abs=1e-12)
     again = estimator.external(seen, COVARIANCE, 2.0)
     assert again is (Outcome.ACCEPTED if may_be_a_push else Outcome.OUTLIER)
@@ -279,7 +281,7 @@ def test_one_wrong_pose_is_rejected_and_many_are_a_fault_that_stays():
     for _ in range(5):
         assert estimator.external(wrong, COVARIANCE, 1.0) is Outcome.OUTLIER
     assert estimator.fault_rule == "external-pose"
-    assert estimator.fault == "5 external poses in a row refused, the last as outlier"
+    assert estimator.fault == "5 external poses rejected in a row (last: outlier)"
     assert estimator.at(1.0).pose == pytest.approx(before.pose, abs=1e-12)
     for _ in range(20):
         estimator.external(right, COVARIANCE, 1.0)
@@ -356,15 +358,6 @@ def test_the_turn_of_a_profile_is_that_which_its_encoders_would_report(asymmetry
     step = 1e-6
     change = turned_without_gain(odometry + step, settings)[0] - turned
     assert by_omega == pytest.approx(change / step, rel=1e-4)
-
-
-def test_a_slide_that_was_removed_from_a_profile_is_unknown_again():
-    profile = RoverProfile(
-        name="moved", downhill_x_m=0.02, std={"downhill_x_m": 0.0003, "downhill_y_m": 0.0003}
-    )
-    assert settings_for(profile).downhill_std_m == 0.0003
-    removed = profile.model_copy(update={"downhill_x_m": None})
-    assert settings_for(removed).downhill_std_m == SETTINGS.downhill_std_m
 
 
 def test_poses_show_how_a_slope_moves_a_turning_rover():

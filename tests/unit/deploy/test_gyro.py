@@ -121,7 +121,7 @@ def test_push_turns_the_estimate_and_is_no_bias(omega, degrees, seconds, period)
 def test_gyro_that_stays_wrong_is_a_fault(reading, period):
     estimator, error = drive(turning, reading, period, until=12.0)
     assert estimator.fault_rule == "gyro"
-    assert estimator.fault.startswith("10 gyro readings in a row refused")
+    assert estimator.fault.startswith("10 gyro readings rejected in a row")
     assert abs(error) < 0.8
 
 

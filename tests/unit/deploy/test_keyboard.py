@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from deploy.teleop.keyboard import (
+from deploy.keyboard import (
     HOLD_S,
     KEYS,
     NUDGE,
@@ -18,12 +18,15 @@ from deploy.teleop.keyboard import (
     Keyboard,
     KeyReader,
     Press,
-    presses,
 )
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
 
 STILL = Velocity(0.0, 0.0)
+
+
+def presses(text):
+    return KeyReader().keys(text)
 
 
 def held(key, until_s, delay_s, rate_hz, end_s=5.0):
@@ -183,10 +186,3 @@ def test_bytes_without_a_drive_key_move_nothing(data, places):
     cuts = [0, *sorted(min(place, len(data)) for place in places), len(data)]
     chunks = [data[a:b] for a, b in pairwise(cuts)]
     assert not set(read(*chunks)) & set(KEYS)
-
-
-@given(st.text(max_size=20), st.lists(st.integers(0, 20), max_size=4))
-def test_no_text_drives_in_parts_unless_it_has_a_drive_key(text, places):
-    if not (set(text.lower()) & set("uiojlm,.") or _DRIVES.search(text.encode())):
-        cuts = [0, *sorted(places), len(text)]
-        assert not {key for a, b in pairwise(cuts) for key in presses(text[a:b])} & set(KEYS)

@@ -47,8 +47,8 @@ def record(scale, slip, imbalance, asymmetry):
     return MotionLog(np.zeros(0), np.zeros((0, 2)), track, np.array(motions), track), stands
 
 
-@pytest.mark.parametrize("scale", [0.714, 0.87, 1.0])
-@pytest.mark.parametrize("asymmetry", [-0.15, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15])
+@pytest.mark.parametrize("scale", [0.714, 1.0])
+@pytest.mark.parametrize("asymmetry", [-0.15, 0.0, 0.1])
 @pytest.mark.parametrize("slip", [0.0, 0.3])
 def test_errors_of_a_turn_are_found_to_both_sides(scale, asymmetry, slip):
     fit = fit_turns(*record(scale, slip, -0.02, asymmetry))
@@ -57,7 +57,7 @@ def test_errors_of_a_turn_are_found_to_both_sides(scale, asymmetry, slip):
     assert (np.abs(fit.values - true) <= 4.0 * np.sqrt(np.diag(fit.covariance)) + 0.002).all()
 
 
-@pytest.mark.parametrize("slide", [0.6, -0.6, 0.03, -0.03])
+@pytest.mark.parametrize("slide", [0.6, -0.03])
 def test_a_slide_beyond_what_can_be_is_not_found(slide):
     variance = np.full(3, 1e-6)
     headings = [0.0, 0.5, 1.0, 0.4, -0.2, -0.8, 0.0]
@@ -116,15 +116,7 @@ def messages_of(ways, *, scale=1.0, turn_scale=1.0, skew_s=lambda t: 0.0, second
 
 @pytest.mark.parametrize(
     "skew_s",
-    [
-        lambda t: 0.3,
-        lambda t: 0.5,
-        lambda t: -0.5,
-        lambda t: 3600.0,
-        lambda t: 0.01 * t,
-        lambda t: -0.01 * t,
-        lambda t: 0.5 if t > 20.0 else 0.0,
-    ],
+    [lambda t: 3600.0, lambda t: 0.01 * t, lambda t: -0.01 * t, lambda t: 0.5 if t > 20.0 else 0.0],
 )
 def test_clocks_of_driver_and_bridge_may_differ(skew_s):
     messages = messages_of([[way] for way in 3 * STRAIGHT], scale=1.05, skew_s=skew_s)
@@ -136,7 +128,7 @@ def test_clocks_of_driver_and_bridge_may_differ(skew_s):
     assert abs(found.odometry_distance - 1.05) < 4.0 * found.std["odometry_distance"]
 
 
-@pytest.mark.parametrize("turn_scale", [0.9, 1.0, 1.2])
+@pytest.mark.parametrize("turn_scale", [0.9, 1.2])
 @pytest.mark.parametrize("curve", [HALF_CIRCLE, SLALOM], ids=["half circles", "slalom"])
 def test_distance_is_not_taken_from_curves(curve, turn_scale):
     ways = [[part] for part in 2 * HALF_CIRCLE] if curve is HALF_CIRCLE else 4 * [curve]

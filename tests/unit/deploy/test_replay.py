@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from json_fields import assert_on_page
 
-from deploy.drive.config import CONFIG_FILE, POLICY_FILE, DriveConfig, attachments
+from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
-from deploy.drive_records import TICKS_TOPIC
+from deploy.drive.records import CONFIG_FILE, POLICY_FILE, TICKS_TOPIC, attachments
 from deploy.replay import replay
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml, save_policy
@@ -264,12 +264,12 @@ def test_the_command_says_same_or_different_by_its_exit_code(recorded, policy, t
 
 def test_recording_of_an_earlier_estimator_is_one_line_and_exit_code_2(recorded, tmp_path, capsys):
     source, path = read_recording(recorded), tmp_path / "earlier.mcap"
-    for number in (1, 2):
-        earlier = source.attachments[CONFIG_FILE].replace(b"format: 3", b"format: %d" % number)
+    for number in (1, 3):
+        earlier = source.attachments[CONFIG_FILE].replace(b"format: 4", b"format: %d" % number)
         rewrite(replace(source, attachments={**source.attachments, CONFIG_FILE: earlier}), path)
         assert shell(["replay", str(path)]) == 2
         error = capsys.readouterr().err
-        assert f"has format {number}, from before the estimator changed" in error
+        assert f"format {number}, expected 4: recordings of an older estimator cannot be replayed" in error
         assert error.count("\n") == 1
 
 

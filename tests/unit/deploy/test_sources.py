@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from deploy.drive.sources import STEPS_BACK, Sources
+from deploy.drive.link import STEPS_BACK, Sources
 
 S = 10**9
 

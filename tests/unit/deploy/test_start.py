@@ -8,7 +8,8 @@ import pytest
 
 from deploy.drive import start
 from deploy.drive.config import DriveConfig, settings_for
-from deploy.drive.measurements import Arrival, Inbox, Measurements
+from deploy.drive.link import Arrival, Inbox
+from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
 from rover_ncp.core.errors import NoPose, SafetyStop

@@ -1,12 +1,9 @@
-"""The schedule of ticks, and the moments of measurements, on virtual time."""
+"""The schedule of ticks on virtual time."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from deploy.drive.measurements import NS
 from deploy.drive.rate_keeper import RateKeeper
-from rover_ncp.core.clock_offset import StampClock
 
 MS = 1_000_000
 PERIOD = 100 * MS
@@ -47,81 +44,3 @@ def test_no_tick_beyond_the_end_of_the_course_is_missed():
     assert keeper.skip_missed(keeper.deadline_ns + 30 * PERIOD, 10) == 10
     assert (keeper.index, keeper.missed) == (10, 10)
     assert keeper.skip_missed(keeper.deadline_ns + 5 * PERIOD, 10) == 0
-
-
-delays = st.lists(st.integers(0, 300 * MS), min_size=1, max_size=50)
-
-
-@given(delays=delays, zero=st.integers(-(10**18), 10**18))
-def test_a_measurement_is_before_its_arrival_and_never_runs_backwards(delays, zero):
-    clock, last, arrival = StampClock(), None, 0
-    for number, delay in enumerate(delays):
-        taken = NS + number * PERIOD
-        arrival = max(arrival, taken + delay)  # one link: samples keep their order
-        measured = clock.measured_ns(taken + zero, arrival)
-        assert measured <= arrival
-        assert last is None or measured >= last
-        last = measured
-
-
-@given(delays=delays)
-def test_after_a_fast_sample_every_moment_is_exact(delays):
-    clock = StampClock()
-    clock.measured_ns(0, 1 * MS)  # the shortest transit takes 1 ms
-    arrival = 1 * MS
-    for number, delay in enumerate([*delays, 5 * NS], 1):
-        taken = number * PERIOD
-        arrival = max(arrival, taken + 1 * MS + delay)
-        assert clock.measured_ns(taken, arrival) == taken + 1 * MS
-
-
-@pytest.mark.parametrize("step_s", [-3600.0, -1.5, -1.0, -0.6, -0.3, -0.2, 0.2, 0.6, 5.0, 3600.0])
-@pytest.mark.parametrize("period", [PERIOD // 2, PERIOD, 2 * PERIOD])
-def test_a_clock_that_is_set_costs_one_sample(step_s, period):
-    clock, shown = StampClock(), []
-    for number in range(10):
-        stamp = number * period + (round(step_s * NS) if number >= 5 else 0)
-        measured = clock.measured_ns(NS + stamp, number * period + MS)
-        assert measured == (None if number == 5 else number * period + MS)
-        shown.append(clock.set_back_s)
-    assert shown[6] == pytest.approx(max(-step_s, 0.0))
-    assert not any(shown[:6] + shown[7:])
-
-
-@pytest.mark.parametrize("error_s", [-1e9, -3600.0, -5.0, -0.3, 0.3, 5.0, 1e9])
-@pytest.mark.parametrize("bad", [0, 5])
-def test_a_bad_stamp_costs_one_sample(error_s, bad):
-    clock = StampClock()
-    stamps = [number * PERIOD + (round(error_s * NS) if number == bad else 0) for number in range(10)]
-    measured = [clock.measured_ns(stamp, n * PERIOD + MS) for n, stamp in enumerate(stamps)]
-    for number in range(2 if bad == 0 else 0, 10):
-        assert measured[number] == (None if number == bad else number * PERIOD + MS)
-
-
-def test_a_link_that_became_slow_stays_late():
-    """Neither constant lateness nor a bad stamp on a slow link starts the offset anew."""
-    clock, late = StampClock(), 500 * MS
-    clock.measured_ns(0, MS)
-    for number in range(20, 500):
-        stamp = number * PERIOD - (5 * NS if number % 50 == 0 else 0)
-        measured = clock.measured_ns(stamp, number * PERIOD + MS + late)
-        assert measured == (None if number % 50 == 0 else number * PERIOD + MS)
-        assert clock.set_back_s == 0.0
-
-
-def test_a_message_out_of_order_is_old_and_not_of_another_clock():
-    clock = StampClock(in_order=False)
-    clock.measured_ns(0, MS)
-    assert clock.measured_ns(10 * PERIOD, 10 * PERIOD + MS) == 10 * PERIOD + MS
-    assert clock.measured_ns(3 * PERIOD, 10 * PERIOD + 2 * MS) is None
-    assert clock.measured_ns(11 * PERIOD, 11 * PERIOD + MS) == 11 * PERIOD + MS
-    assert clock.late_ns == 3 * PERIOD + MS
-
-
-def test_a_drifting_clock_is_followed_over_hours():
-    clock, worst = StampClock(), 0
-    for number in range(0, 36000, 7):  # an hour at 10 Hz, the sender slow by 100 ppm
-        arrival = number * PERIOD + MS
-        stamp = round(number * PERIOD * (1 - 1e-4))
-        worst = max(worst, arrival - clock.measured_ns(stamp, arrival))
-    assert worst <= 60 * NS * 1e-4 + MS

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from recorded_drives import BEGAN_NS, TICK_NS, drive_messages
 
-from deploy.drive.config import COURSE_FILE, POLICY_FILE
-from deploy.drive_records import TICKS_TOPIC
+from deploy.drive.records import COURSE_FILE, POLICY_FILE, TICKS_TOPIC
 from deploy.report.page.page_data import columns
 from deploy.report.recorded_drive import facts, read_drive
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml

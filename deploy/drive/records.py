@@ -8,11 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from deploy.drive.config import DriveConfig
 from deploy.drive.measurements import SampleRef
 from deploy.estimator.estimator import Estimate
-from rover_ncp.core.config import StrictModel
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
+from rover_ncp.core.config import StrictModel, dump_yaml, parse_yaml, read_yaml
+from rover_ncp.core.errors import FileError
+from rover_ncp.course.course import Course
 from rover_ncp.recording import recorded
+from rover_ncp.recording.recording import Recording
 
+POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
 START_TOPIC = "deploy/start"
 TICKS_TOPIC = recorded.TICKS_TOPIC
 
@@ -57,3 +64,38 @@ class TickRecord(StrictModel):
 def numbers(estimate: Estimate) -> tuple[float, float, float, float, float]:
     """Return an estimate as its record keeps it."""
     return (*estimate.pose, *estimate.velocity)
+
+
+def attachments(policy: Policy, course: Course, config: DriveConfig) -> dict[str, bytes]:
+    """Return the files that go into the recording, by name."""
+    return {
+        POLICY_FILE: policy_to_yaml(policy).encode(),
+        COURSE_FILE: dump_yaml(course.model_dump(mode="json")).encode(),
+        CONFIG_FILE: dump_yaml(config.model_dump(mode="json")).encode(),
+    }
+
+
+def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
+    """Read policy, course and settings from a recording. Raises FileError and ConfigError."""
+    texts = {}
+    for name in (POLICY_FILE, COURSE_FILE, CONFIG_FILE):
+        try:
+            texts[name] = recording.attachment(name).decode()
+        except UnicodeDecodeError as error:
+            raise FileError(f"{recording.path}: its {name} is not text") from error
+    where = {name: f"{recording.path}, {name}" for name in texts}
+    return (
+        policy_from_yaml(texts[POLICY_FILE], where[POLICY_FILE]),
+        parse_yaml(texts[COURSE_FILE], Course, where[COURSE_FILE]),
+        _drive_config(texts[CONFIG_FILE], where[CONFIG_FILE]),
+    )
+
+
+def _drive_config(text: str, where: str) -> DriveConfig:
+    settings = read_yaml(text, where)
+    if isinstance(settings, dict) and settings.get("format") in {1, 2, 3}:
+        raise FileError(
+            f"{where}: format {settings['format']}, expected 4: recordings of an older estimator cannot be "
+            "replayed"
+        )
+    return parse_yaml(text, DriveConfig, where)

@@ -8,23 +8,29 @@ Rules of this file:
 3. After a delay, the loop discards the keys that arrived meanwhile and commands zero.
 """
 
+import codecs
+import contextlib
 import math
+import os
+import select
+import sys
+import termios
 import time
 from collections.abc import Callable
 from importlib.metadata import version
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from deploy.drive.link import Link
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
+from deploy.keyboard import HELP, STANDSTILL, Keyboard, KeyReader, Press
 from deploy.recorder import Recorder
-from deploy.teleop.keyboard import HELP, STANDSTILL, Keyboard, KeyReader, Press
-from deploy.teleop.terminal import Terminal
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output, printable
-from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.errors import SafetyStop, UsageError
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.core.process import Interrupts
 from rover_ncp.wire.protocol import in_words
@@ -33,6 +39,71 @@ PERIOD_S = 0.05
 LONGEST_LOOP_S = 0.25
 INTERRUPTED = 130
 TELEOP_FILE = "teleop.yaml"
+READ_BYTES = 1024
+BRACKETED_PASTE, NO_BRACKETED_PASTE = b"\x1b[?2004h", b"\x1b[?2004l"
+"""Makes a terminal mark the beginning and the end of pasted text."""
+_INPUT, _LOCAL, _CHARACTERS = 0, 3, 6
+
+
+class Terminal:
+    """Standard input as a keyboard, inside a ``with`` block. Raises UsageError when it is no terminal.
+
+    Ctrl-C stays a signal. Ctrl-Z and Ctrl-S are keys, because they would stop the driver or its screen.
+    """
+
+    def __init__(self) -> None:
+        # Bytes that are no UTF-8 stay distinct: some of them begin a sequence.
+        self._decoder = codecs.getincrementaldecoder("utf-8")("surrogateescape")
+        self._fd = sys.stdin.fileno() if sys.stdin is not None else -1
+        if self._fd < 0 or not os.isatty(self._fd):
+            raise UsageError("teleop reads keys: expected a terminal as standard input")
+
+    def __enter__(self) -> Self:
+        self._before = termios.tcgetattr(self._fd)
+        settings = termios.tcgetattr(self._fd)
+        settings[_INPUT] &= ~(termios.IXON | termios.IXOFF)
+        settings[_LOCAL] &= ~(termios.ICANON | termios.ECHO)
+        # Neither may wait: `read` does, with a limit.
+        settings[_CHARACTERS][termios.VMIN] = settings[_CHARACTERS][termios.VTIME] = 0
+        settings[_CHARACTERS][termios.VSUSP] = os.fpathconf(self._fd, "PC_VDISABLE").to_bytes()
+        # TCSAFLUSH would wait for the output of a stopped terminal.
+        self.discard()
+        termios.tcsetattr(self._fd, termios.TCSANOW, settings)
+        self._send(BRACKETED_PASTE)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        # A closed terminal cannot be restored. A stuck one is not waited for.
+        self._send(NO_BRACKETED_PASTE)
+        with contextlib.suppress(termios.error):
+            termios.tcflush(self._fd, termios.TCIFLUSH)
+            termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
+
+    def read(self, timeout_s: float) -> str | None:
+        """Return the keys that came; wait for the first at most so long. None once the terminal is gone."""
+        ready, _, _ = select.select([self._fd], [], [], timeout_s)
+        if not ready:
+            return ""
+        try:
+            data = os.read(self._fd, READ_BYTES)
+        except OSError:
+            return None
+        return self._decoder.decode(data) if data else None
+
+    def discard(self) -> None:
+        """Discard unread keys."""
+        termios.tcflush(self._fd, termios.TCIFLUSH)
+
+    def _send(self, data: bytes) -> None:
+        """Write to the terminal, unless it takes nothing at once."""
+        with contextlib.suppress(OSError):
+            fd = os.open(os.ttyname(self._fd), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+            try:
+                os.write(fd, data)
+            finally:
+                os.close(fd)
 
 
 class Teleop:

@@ -1,19 +1,14 @@
 """Driving by keyboard, with a dead-man's switch: no key held means stop. No I/O, no clock.
 
-A terminal reports a held key only by sending it again: once, then nothing for a quarter to two thirds of a
-second, then again 10 to 30 times a second. It never reports the release of a key. So:
+A terminal reports a held key only by repeating it, after a quarter to two thirds of a second, 10 to 30 times
+a second. It never reports the release of a key. Rules of this file:
 
-1. A key counts for `HOLD_S` from the moment it was last read, and no longer. Then the command is zero.
-2. A single key drives at `NUDGE` of the speed: a short press is a small step. From its first repeat on it
-   drives at full speed. Where a terminal waits longer than `HOLD_S` before it repeats, the rover stands until
-   then.
-3. Any other key stops the rover at once.
-4. Keys that were read late are stale and discarded (`teleop.py`).
-
-A key is one character or one whole sequence, which may arrive in parts. A part of a sequence is no key:
-Shift+Enter is ``ESC [ 1 3 ; 2 u`` in many terminals, and that u does not drive. Sequences are those of
-ECMA-48 in 7 and 8 bits, mouse reports, function keys of the Linux console, a key after ESC (that key with
-Alt), and pasted text.
+1. A key counts for `HOLD_S` after it was last read. Then the command is zero.
+2. A single key drives at `NUDGE` of the speed, and at full speed from its first repeat on.
+3. Any other key stops the rover at once. `teleop.py` discards stale keys.
+4. A key is one character or one whole sequence, which may arrive in parts. A part of a sequence is no key:
+   Shift+Enter is ``ESC [ 1 3 ; 2 u`` in many terminals, and that u does not drive. Sequences are those of
+   ECMA-48 in 7 and 8 bits, mouse reports, function keys of the Linux console, Alt with a key, pasted text.
 """
 
 import re
@@ -89,8 +84,8 @@ class KeyReader:
     def keys(self, text: str) -> list[str]:
         """Return the keys in the terminal's next text: `KEYS`, or what they mean by `Press`.
 
-        Keys in one text with others that stop do not drive: text was pasted into a terminal that does not
-        mark it. The beginning of a sequence stops, too.
+        Keys in one text with keys that stop do not drive: it may be pasted text that the terminal does not
+        mark. The beginning of a sequence stops, too.
         """
         found: list[str] = []
         self._rest += text
@@ -119,11 +114,6 @@ class KeyReader:
         unit = sequence[0] if sequence else rest[0]
         self._rest = rest[len(unit) :]
         return _meaning(unit)
-
-
-def presses(text: str) -> list[str]:
-    """Return the keys in a text of its own."""
-    return KeyReader().keys(text)
 
 
 def _meaning(unit: str) -> str:

@@ -1,1 +1,0 @@
-"""Driving by keyboard through the same lease and gate."""

@@ -36,7 +36,7 @@ from sim.learn.robust import (
 )
 from sim.learn.run_folder import open_folder, require_run
 from sim.learn.train import find_workers
-from sim.learn.workers import MadeOnce, Workers, available_processes
+from sim.learn.workers import Workers, available_processes, made_in_each_process
 from sim.world.described import ranges_for
 from sim.world.randomization import Randomization, draw_trials
 
@@ -142,7 +142,7 @@ class SearchRun:
         """Search to the end with what ``make`` makes in each process."""
         if self.search.number < self._iterations:
             with find_workers(min(processes or available_processes(), self.search.population)) as workers:
-                self.advance(partial(_drive_parts, workers, MadeOnce(make)), on_generation)
+                self.advance(partial(_drive_parts, workers, made_in_each_process(make)), on_generation)
         return RobustResult(self.save(), self.policy_path, self.last)
 
     def advance(self, drive: Drive, on_generation: Callable[[Generation], None]) -> None:

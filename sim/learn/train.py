@@ -4,20 +4,18 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import RoverNcpError
-from rover_ncp.course.course import Course, Verdict
+from rover_ncp.course.course import Verdict
 from sim.learn.agents import Plan, Snapshot, run_rounds
 from sim.learn.cluster import DaskCluster
+from sim.learn.evaluator import Evaluator
 from sim.learn.record import Task, TrainSettings
+from sim.learn.rollout import rollout
 from sim.learn.run_folder import RunFolder, open_run
-from sim.learn.workers import Inline, LocalProcesses, available_processes
-from sim.world.rover import RoverModel
-
-if TYPE_CHECKING:
-    from sim.learn.evaluator import Evaluator
+from sim.learn.workers import Inline, ProcessPool, available_processes, local_workers
 
 # Checkpoints take at most this share of the time, so a short run saves often and a slow disk seldom.
 _CHECKPOINT_SHARE = 0.02
@@ -43,20 +41,8 @@ def training_plan(settings: TrainSettings, task: Task) -> Plan:
         root_seed=settings.seed,
         strategy=settings.search,
         start=task.policy,
-        build_evaluator=partial(_build_evaluator, task, settings.rover),
+        build_evaluator=partial(Evaluator, task.policy, task.course, settings.rover),
     )
-
-
-def _build_evaluator(task: Task, model: RoverModel) -> "Evaluator":
-    from sim.learn.evaluator import Evaluator  # here and below: kernels, only for workers
-
-    return Evaluator(task.policy, task.course, model)
-
-
-def _judge(policy: Policy, course: Course, model: RoverModel) -> Verdict:
-    from sim.learn.rollout import rollout
-
-    return rollout(policy, course, model).verdict
 
 
 def train(
@@ -90,11 +76,11 @@ def train(
             with find_workers(count, cluster) as workers:
                 run_rounds(workers, plan, rounds.snapshot, settings.iterations, rounds.after_round)
                 policy = folder.policy(rounds.snapshot.best, rounds.snapshot)
-                verdict = workers.submit(_judge, policy, folder.task.course, settings.rover).result()
         except (KeyboardInterrupt, RoverNcpError):
             if rounds.snapshot.arrived(0):
                 folder.save_progress(rounds.snapshot)
             raise
+        verdict = rollout(policy, folder.task.course, settings.rover).verdict
         folder.finish(rounds.snapshot)
         return TrainResult(
             policy=policy,
@@ -106,11 +92,9 @@ def train(
         )
 
 
-def find_workers(count: int, cluster: str | None = None) -> Inline | LocalProcesses | DaskCluster:
+def find_workers(count: int, cluster: str | None = None) -> Inline | ProcessPool | DaskCluster:
     """Return so many workers on this machine, or those of a cluster."""
-    if cluster is not None:
-        return DaskCluster(cluster)
-    return Inline() if count == 1 else LocalProcesses(count)
+    return local_workers(count) if cluster is None else DaskCluster(cluster)
 
 
 class _Rounds:

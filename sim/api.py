@@ -67,8 +67,6 @@ def train_robust(
     from sim.learn.record import RobustSettings
     from sim.learn.robust_run import train_robust as run
 
-    if "rollouts" in settings:
-        settings.setdefault("worst", settings["rollouts"])
     asked = validated(settings, RobustSettings, "train_robust")
     return run(asked, Path(out), resume=resume, processes=processes, on_generation=on_generation)
 
@@ -87,13 +85,11 @@ def train_task(
     file), seed, iterations and rollouts. Raises as `train` does.
     """
     from rover_ncp.core.config import validated
-    from sim.learn.environment_run import start_of
     from sim.learn.environment_run import train_task as run
     from sim.learn.record import TaskSettings
 
     asked = validated(settings, TaskSettings, "train_task")
-    start = start_of(asked)
-    return run(asked, start, Path(out), resume=resume, processes=processes, on_generation=on_generation)
+    return run(asked, Path(out), resume=resume, processes=processes, on_generation=on_generation)
 
 
 def evaluate(

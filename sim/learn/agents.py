@@ -113,6 +113,11 @@ class Snapshot:
         """The median of the agents' returns."""
         return float(median(self.returns))
 
+    @property
+    def summary(self) -> str:
+        """The returns in a few words."""
+        return f"best {self.best.value:.4f}  median {self.median_return:.4f}"
+
 
 def curve_point(iteration: int) -> int:
     """Return the first point of a learning curve from ``iteration`` on: at most two significant digits."""

@@ -12,10 +12,10 @@ from dataclasses import replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, NamedTuple, Self, TypeVar
+from typing import Annotated, Any, Generic, Literal, NamedTuple, Self, TypeAlias, TypeVar
 
 import yaml
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from rover_ncp.circuit.policy import Policy, absolute_policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_start, policy_data
@@ -87,6 +87,19 @@ class RobustSettings(_CourseSettings):
         default=None, exclude_if=lambda path: path is None, description="what is known of the rover"
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _all_rollouts(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "rollouts" in data:
+            return {"worst": data["rollouts"], **data}
+        return data
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.worst > self.rollouts:
+            raise ValueError(f"the worst {self.worst} of {self.rollouts} rollouts cannot be taken")
+        return self
+
 
 class TaskSettings(_Settings):
     """Settings that decide the result of a training on a Gymnasium environment."""
@@ -105,6 +118,7 @@ class Task(NamedTuple):
     policy: Policy
 
 
+Settings: TypeAlias = TrainSettings | RobustSettings | TaskSettings
 SettingsT = TypeVar("SettingsT", TrainSettings, RobustSettings, TaskSettings)
 
 

@@ -158,7 +158,7 @@ def test_with_more_rollouts_the_spread_may_shrink_further(number, least):
     going = searching()
     going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number, "spread": 1e-4}})
     last = going.advance(lambda vectors, first, count, stage: np.zeros((len(vectors), count)))
-    assert last.spread == least
+    assert last.sigma == least
 
 
 def at_generation(going, number):
@@ -230,8 +230,8 @@ def test_the_command_leaves_a_policy_that_says_how_it_was_made(tmp_path, monkeyp
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["--rollouts", "3"], "need --randomize"),
-        (["--randomize", "full", "--agents", "3"], "goes with neither"),
+        (["--rollouts", "3"], "--rollouts needs --randomize or --task"),
+        (["--randomize", "full", "--agents", "3"], "--randomize and --agents do not go together"),
         (["--randomize", "wild"], "none of the shipped randomizations"),
         (["--randomize", "full", "--rollouts", "3", "--worst", "4"], "the worst 4 of 3 rollouts"),
         (["--randomize", "full", "--circuit", "parking"], "no neuron 'REV'"),

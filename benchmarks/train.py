@@ -32,9 +32,9 @@ from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S
 from rover_ncp.kernels.jit import kernel
 from sim.learn.agents import AgentState, Batch, Plan, split
-from sim.learn.evaluator import STREAM_LANES, Answer, Evaluator, Stream
+from sim.learn.engine.evaluator import STREAM_LANES, Answer, Evaluator, Stream
+from sim.learn.engine.rollout import rollout
 from sim.learn.record import Task, TrainSettings, resolve_task
-from sim.learn.rollout import rollout
 from sim.learn.search.strategies import SearchName
 from sim.learn.train import training_plan
 from sim.learn.workers import ProcessPool, available_processes, made_in_each_process

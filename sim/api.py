@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from sim.explain.explain import Explanation
     from sim.explain.task import TaskExplanation
     from sim.learn.agents import Snapshot
+    from sim.learn.engine.rollout import Rollout
     from sim.learn.robust import Generation
     from sim.learn.robust_run import RobustResult
-    from sim.learn.rollout import Rollout
     from sim.learn.train import TrainResult
 
 __all__ = ["evaluate", "explain", "explain_task", "rollout", "train", "train_robust", "train_task"]
@@ -114,7 +114,7 @@ def evaluate(
 
 def rollout(policy: "Policy | str | Path", course: "Course | str | Path" = "parking") -> "Rollout":
     """Drive a course once and return the trace of poses, commands and potentials; a law has none."""
-    from sim.learn.rollout import rollout as run
+    from sim.learn.engine.rollout import rollout as run
 
     driver = _driver(policy)
     return run(driver.policy, _course(course), runner=driver.runner())

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.streams import Domain, random_stream
-from sim.learn.evaluator import Evaluator, Stream
+from sim.learn.engine.evaluator import Evaluator, Stream
 from sim.learn.search.base import SearchState, Strategy, Vector
 from sim.learn.search.strategies import start_search
 from sim.learn.workers import Workers, made_in_each_process

@@ -17,7 +17,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_start
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.streams import Domain, episode_seeds
-from sim.learn.environment import Environment, EnvironmentEvaluator, make_environment, require_fit
+from sim.learn.engine.environment import Environment, EnvironmentEvaluator, make_environment, require_fit
 from sim.learn.record import Record, TaskSettings
 from sim.learn.robust import Drive, Generation, RobustSearch, Stage, policy_box
 from sim.learn.robust_run import RobustResult, SearchRun

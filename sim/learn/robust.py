@@ -21,7 +21,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.streams import Domain, stream_seed
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import Reference
-from sim.learn.evaluator import Evaluator, Outcomes
+from sim.learn.engine.evaluator import Evaluator, Outcomes
 from sim.learn.search.cma import Cma, default_population
 from sim.learn.search.unit_box import UnitBox, reflected
 from sim.world.random_course import mirrored, mirrored_reference, random_course

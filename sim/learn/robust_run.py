@@ -17,7 +17,7 @@ from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import plan_reference
-from sim.learn.evaluator import Evaluator
+from sim.learn.engine.evaluator import Evaluator
 from sim.learn.record import Record, RobustSettings, TaskSettings, course_of
 from sim.learn.robust import (
     Drive,

@@ -19,9 +19,9 @@ from rover_ncp.course.course import Verdict
 from sim.learn.agents import AgentState, Plan, Snapshot, revive, run_rounds
 from sim.learn.cluster import DaskCluster
 from sim.learn.curve import curve_csv, curve_png
-from sim.learn.evaluator import Evaluator
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.rollout import rollout
 from sim.learn.record import Record, Task, TrainSettings, resolve_task
-from sim.learn.rollout import rollout
 from sim.learn.run_folder import RunFolder, checkpoints, open_run
 from sim.learn.search.base import dump_state
 from sim.learn.workers import available_processes, local_workers

@@ -19,7 +19,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.tap_withdrawal import random_circuit
 from rover_ncp.core.errors import UsageError
-from sim.learn.networks import Net, NetKind, net_for
+from sim.learn.engine.networks import Net, NetKind, net_for
 from sim.learn.search.base import Vector
 from sim.learn.search.random_search import shake
 from sim.paper.tasks import Task

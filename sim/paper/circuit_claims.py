@@ -11,7 +11,7 @@ from deploy.report.interpretation import PUBLISHED_SIGNS, contributions
 from rover_ncp.circuit.circuit import BOUNDS, Bounds, ParameterKind, SynapseKind
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.tap_withdrawal import random_circuit
-from sim.learn.rollout import Rollout
+from sim.learn.engine.rollout import Rollout
 from sim.paper.agents import build_agent
 from sim.paper.claims import Claim, Finding, share_finding
 from sim.paper.interpretation import (

@@ -13,8 +13,8 @@ import numpy as np
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import load_course
-from sim.learn.evaluator import Evaluator
-from sim.learn.networks import Net, network_commander
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.networks import Net, network_commander
 from sim.learn.search.base import Vector
 from sim.learn.search.strategies import start_search
 from sim.paper.agents import dead_parameters

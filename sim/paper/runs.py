@@ -16,7 +16,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.core.errors import UsageError
 from sim.learn.cluster import DaskCluster
-from sim.learn.networks import Net
+from sim.learn.engine.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector, draw_seeds
 from sim.learn.workers import ProcessPool

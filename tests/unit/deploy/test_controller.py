@@ -13,7 +13,7 @@ from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative, wrap_angle
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import SIGNALS, plan_reference, see
-from sim.learn.rollout import rollout
+from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import nominal_trials

@@ -20,7 +20,7 @@ from rover_ncp.course.course import load_course
 from sim.learn import agents as agents_module
 from sim.learn.agents import AgentState, Batch, Plan, Snapshot, run_rounds
 from sim.learn.curve import curve_iterations
-from sim.learn.evaluator import Answer, Evaluator, Stream
+from sim.learn.engine.evaluator import Answer, Evaluator, Stream
 from sim.learn.record import Task, TrainSettings
 from sim.learn.search.base import dump_state
 from sim.learn.train import training_plan

@@ -12,7 +12,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError
 from sim import api
-from sim.learn.environment import MOST_STEPS, EnvironmentEvaluator
+from sim.learn.engine.environment import MOST_STEPS, EnvironmentEvaluator
 from sim.learn.search.base import draw_seeds
 
 [PAGE] = [page for page in PAGES if page.stem == "own_task"]
@@ -115,7 +115,7 @@ class Endless(gymnasium.Env):
 
 
 def test_an_environment_that_goes_wrong_is_named(policy, monkeypatch):
-    monkeypatch.setattr("sim.learn.environment.MOST_STEPS", 50)
+    monkeypatch.setattr("sim.learn.engine.environment.MOST_STEPS", 50)
     for name, shown, words in (
         ("Endless-v0", 0.0, "has not ended after 50 steps"),
         ("Nan-v0", np.nan, "not finite"),

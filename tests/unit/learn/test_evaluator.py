@@ -14,8 +14,8 @@ from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import wrap_angle
 from rover_ncp.course.course import Obstacle, due_checkpoints, load_course
 from rover_ncp.course.reference import plan_reference
-from sim.learn.evaluator import Evaluator
-from sim.learn.rollout import rollout
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.env import ENV_ID
 from sim.world.random_course import mirrored, random_course
@@ -274,9 +274,9 @@ OTHER_PROCESS = """
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.course.course import load_course
-from sim.learn.evaluator import Evaluator
-from sim.learn.commander import start_circuit, tick_circuits
-from sim.learn.episode import episode_kernel
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.commander import start_circuit, tick_circuits
+from sim.learn.engine.episode import episode_kernel
 policy = parking_policy(parking_circuit())
 returned = Evaluator(policy, load_course("parking")).returns(policy.parameters())[0]
 print(float(returned).hex(), sum(episode_kernel(start_circuit, tick_circuits).stats.cache_hits.values()))

@@ -19,7 +19,7 @@ from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.course.course import load_course
 from sim.learn.agents import AgentState, Snapshot
 from sim.learn.curve import curve_csv, curve_iterations, curve_png
-from sim.learn.evaluator import Evaluator
+from sim.learn.engine.evaluator import Evaluator
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.train import TrainResult, train, training_plan
 

@@ -10,7 +10,7 @@ from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from rover_ncp.course.course import load_course
-from sim.learn.evaluator import Evaluator
+from sim.learn.engine.evaluator import Evaluator
 from sim.learn.search.unit_box import UnitBox, reflected
 
 POLICY = parking_policy(parking_circuit())

@@ -13,7 +13,7 @@ from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.circuit.tap_withdrawal import parking_circuit, tap_withdrawal_circuit
 from rover_ncp.course.course import load_course
 from sim.explain.explain import traced
-from sim.learn.rollout import rollout
+from sim.learn.engine.rollout import rollout
 
 EX, IN = SynapseKind.EXCITATORY, SynapseKind.INHIBITORY
 

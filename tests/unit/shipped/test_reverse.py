@@ -5,7 +5,7 @@ import numpy as np
 from rover_ncp.circuit.motors import four_dof_motors
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import load_course
-from sim.learn.rollout import rollout
+from sim.learn.engine.rollout import rollout
 
 
 def test_it_backs_into_the_bay_and_touches_nothing():

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.policy import Policy, PolicyRunner
 from rover_ncp.core.errors import ConfigError, UsageError
-from sim.learn.commander import circuit_commander
+from sim.learn.engine.commander import circuit_commander
 from sim.learn.search.base import Seeds
 
 Environment: TypeAlias = gymnasium.Env[Any, Any]

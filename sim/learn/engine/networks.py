@@ -27,8 +27,8 @@ from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy
 from rover_ncp.circuit.solver import exp2
 from rover_ncp.kernels.jit import inlined_kernel, kernel
-from sim.learn.commander import Commander
-from sim.learn.liquid import BACKBONE, Part, cfc_parts, ltc_parts, tick_cfc, tick_ltc
+from sim.learn.engine.commander import Commander
+from sim.learn.engine.liquid import BACKBONE, Part, cfc_parts, ltc_parts, tick_cfc, tick_ltc
 
 FloatArray = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.kernels.jit import kernel
-from sim.learn.commander import Commander
+from sim.learn.engine.commander import Commander
 from sim.learn.search.unit_box import UnitBox
 from sim.world.fleet import wrapped
 

@@ -19,7 +19,7 @@ from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course, Verdict, due_checkpoints, reward
 from rover_ncp.course.reference import Reference, plan_reference
-from sim.learn.commander import CommanderRunner
+from sim.learn.engine.commander import CommanderRunner
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.randomization import (

@@ -19,8 +19,8 @@ from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.course.course import TICK_S, Course, due_checkpoints
 from rover_ncp.course.reference import SIGNALS, Reference, plan_reference
 from rover_ncp.kernels.jit import bound
-from sim.learn.commander import Commander, circuit_commander
-from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, Waiting, enqueue, episode_kernel
+from sim.learn.engine.commander import Commander, circuit_commander
+from sim.learn.engine.episode import IDLE, RESULTS, Lanes, Queue, Tasks, Waiting, enqueue, episode_kernel
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet
 from sim.world.pymunk_rover import require_free_start

@@ -20,15 +20,13 @@ from rover_ncp.course.course import TICK_S, Course, due_checkpoints
 from rover_ncp.course.reference import SIGNALS, Reference, plan_reference
 from rover_ncp.kernels.jit import bound
 from sim.learn.engine.commander import Commander, circuit_commander
-from sim.learn.engine.episode import IDLE, RESULTS, Lanes, Queue, Tasks, Waiting, enqueue, episode_kernel
+from sim.learn.engine.episode import enqueue, episode_kernel
+from sim.learn.engine.lanes import IDLE, RESULTS, FloatArray, IntArray, Lanes, Queue, Tasks, Waiting
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet
 from sim.world.pymunk_rover import require_free_start
 from sim.world.randomization import Trials, nominal_trials
 from sim.world.rover import SUBSTEP_S, RoverModel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _LEAST_LANES, _MOST_LANES = 8, 24
 """Fewer leave vectors half empty; more gain nothing: all numbers should stay in a core's first cache."""

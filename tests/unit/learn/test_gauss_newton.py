@@ -6,8 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.compiled import inert_parameters
@@ -86,16 +84,21 @@ def batch(search: GaussNewton, toy: Toy = sphere) -> np.ndarray:
 # -- the search --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("toy", [sphere, valley])
-def test_search_beats_random_sampling(toy: Toy) -> None:
+def test_narrow_valley_beats_random_sampling() -> None:
     samples = LAYOUT.lower + WIDTH * np.random.default_rng(5).random((2000, LAYOUT.size))
-    at_random = float(returns(toy(samples)).max())
     for seed in range(3):
         search = begin(seed)
-        advance(search, 2000, toy)
+        advance(search, 2000, valley)
         assert search.value is not None
-        assert search.value > 0.25 * at_random  # returns are negative: a quarter of the loss
-        assert search.value == returns(toy(search.incumbent[None]))[0]
+        # Returns are negative: a quarter of the loss.
+        assert search.value > 0.25 * float(returns(valley(samples)).max())
+
+
+def test_misses_are_needed() -> None:
+    search = begin()
+    search.ask()
+    with pytest.raises(ValueError, match="needs the misses"):
+        search.tell([1.0])
 
 
 def test_one_descent_reaches_the_goal_of_linear_misses() -> None:
@@ -115,35 +118,6 @@ def test_one_descent_reaches_the_goal_of_linear_misses() -> None:
     search = begin()
     advance(search, 1 + SAMPLES + box.size + 60, linear)
     assert search.incumbent == pytest.approx(box.vectors(target[None])[0], rel=1e-4, abs=1e-4)
-
-
-def test_same_seed_gives_same_search() -> None:
-    runs = [begin(seed) for seed in (7, 7, 8)]
-    for run in runs:
-        advance(run, 400, valley)
-    assert dump_state(runs[0].state()) == dump_state(runs[1].state())
-    assert runs[0].value != runs[2].value
-
-
-@given(cuts=st.sets(st.integers(1, 499), min_size=1, max_size=8))
-@settings(max_examples=15, deadline=None)
-def test_portions_and_json_change_nothing(cuts: set[int]) -> None:
-    whole, search = begin(), begin()
-    advance(whole, 500, valley)
-    for end in [*sorted(cuts), 500]:
-        advance(search, end, valley)
-        resumed = begin(seed=55)
-        resumed.restore(json.loads(dump_state(search.state())))
-        search = resumed
-    assert dump_state(search.state()) == dump_state(whole.state())
-
-
-def test_untuned_start_is_evaluated_first_and_is_no_iteration() -> None:
-    search = begin()
-    [first] = batch(search)
-    assert first == pytest.approx(DEFAULTS, rel=1e-12)
-    assert (search.iterations, search.evaluations) == (0, 1)
-    assert search.value == returns(sphere(first[None]))[0]
 
 
 def test_samples_come_first_then_all_slopes_then_steps_with_a_probe() -> None:
@@ -267,54 +241,6 @@ def test_truncating_lost_episodes_changes_no_candidate() -> None:
         whole.tell(returns(misses), misses)
         raced.tell(values, short)
     assert min(lost.values()) > 20
-
-
-def test_wrong_calls_are_rejected() -> None:
-    search = begin()
-    with pytest.raises(ValueError, match="0 candidates wait"):
-        search.tell([1.0], np.zeros((1, 1, CHECKPOINTS, 3)))
-    vectors = search.ask(5)
-    for values, misses, message in (
-        ([1.0], None, "needs the misses"),
-        ([1.0, 2.0], np.zeros((2, 1, CHECKPOINTS, 3)), "1 candidates wait"),
-        ([math.nan], sphere(vectors), "not a number"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            search.tell(values, misses)
-    for call in (search.ask, search.state):
-        with pytest.raises(RuntimeError, match="ask"):
-            call()
-    with pytest.raises(ValueError, match="at least one"):
-        begin().ask(0)
-
-
-@pytest.mark.parametrize("done", [0, 30, 100, 151])
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("incumbent", [0.0]),
-        ("best", [0.0] * 3),
-        ("best", "zz"),
-        ("value", math.nan),
-        ("value", "best"),
-        ("evaluations", "many"),
-        ("phase", "lunch"),
-        ("batch", [[]]),
-        ("values", [1.0] * 90),
-        ("misses", [0.0]),
-        ("descent", {}),
-        ("origin", {"point": [0.0], "value": -1.0}),
-        ("race", {"batches": 1}),
-        ("generator", {"bit_generator": "MT19937"}),
-    ],
-)
-def test_damaged_state_is_rejected(done: int, key: str, value: object) -> None:
-    search = begin()
-    advance(search, done)
-    good = dump_state(search.state())
-    with pytest.raises((ValueError, KeyError, TypeError)):
-        search.restore({**json.loads(good), key: value})
-    assert dump_state(search.state()) == good
 
 
 def test_race_continues_from_its_state() -> None:

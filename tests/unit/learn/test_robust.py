@@ -122,45 +122,6 @@ def test_no_more_than_the_last_100_means_count_and_are_kept():
     assert last.winner == pytest.approx(vector(kept.mean(axis=0)), rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("number", "count", "weight", "rounded"),
-    [
-        (0, 8, 6.0, False),
-        (149, 8, 6.0, False),
-        (150, 16, 6.0, False),
-        (899, 16, 6.0, False),
-        (900, 32, 6.0, False),
-        (1749, 32, 6.0, False),
-        (1750, 32, 20.0, False),
-        (1999, 32, 20.0, False),
-        (2000, 128, 20.0, False),
-        (2399, 128, 20.0, False),
-        (2400, 128, 20.0, False),
-        (2401, 128, 20.0, True),
-    ],
-)
-def test_later_generations_drive_more_trials_count_failures_more_and_round(number, count, weight, rounded):
-    seen, going = [], searching()
-    going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number}})
-
-    def drive(vectors, first, count, stage):
-        seen.append((len(vectors), first, count, stage.failure, stage.rounded))
-        return np.zeros((len(vectors), count))
-
-    before = going.episodes
-    going.advance(drive)
-    assert seen == [(31, 128 * number, count, weight, rounded)]
-    assert going.episodes - before == 31 * count
-
-
-@pytest.mark.parametrize(("number", "least"), [(1999, 0.01), (2000, 0.004)])
-def test_with_more_rollouts_the_spread_may_shrink_further(number, least):
-    going = searching()
-    going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number, "spread": 1e-4}})
-    last = going.advance(lambda vectors, first, count, stage: np.zeros((len(vectors), count)))
-    assert last.sigma == least
-
-
 def at_generation(going, number):
     going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number}})
     return going
@@ -195,6 +156,9 @@ def test_all_courses_take_their_turn_once_all_rollouts_are_driven(number, count,
     for generation in (number, number + 1):
         at_generation(going, generation).advance(
             lambda vectors, *which: np.repeat(drive(vectors[:1], *which), len(vectors), axis=0)
+        )
+        assert at_generation(going, generation + 1).episodes - at_generation(going, generation).episodes == (
+            going.population * count
         )
     assert seen == [(count, (number + i) * 128 if turning else 0) for i in range(2)]
 

@@ -161,8 +161,8 @@ class Batch:
             answers = stream.collect()
             if not answers:
                 return [runner.at_targets for runner in runners]
-            for index, returns, misses in answers:
-                runners[index].tell(returns, misses)
+            for index, returns, residuals in answers:
+                runners[index].tell(returns, residuals)
                 iterations[index] = runners[index].search.iterations
                 idle.add(index)
 
@@ -183,13 +183,13 @@ class _Runner:
         search = self.search
         left = 1 if search.value is None else self.targets[0] - search.iterations
         room = stream.enough if search.speculates else stream.room
-        vectors = search.ask(min(left, search.most_ahead, room))
+        vectors = search.ask(min(left, search.max_ahead, room))
         stream.submit(index, vectors, search.to_beat)
 
-    def tell(self, returns: Vector, misses: Vector | None) -> None:
+    def tell(self, returns: Vector, residuals: Vector | None) -> None:
         """Pass returns to the search, and note where its incumbent's return changed."""
         search, value, first = self.search, self.search.value, self.search.evaluations
-        for number in range(search.tell(returns, misses)):
+        for number in range(search.tell(returns, residuals)):
             if value is None or returns[number] > value:
                 value = float(returns[number])
                 self._note_change(first + number, value)

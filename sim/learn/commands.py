@@ -62,8 +62,8 @@ def train(
     search: Annotated[
         SearchName | None,
         typer.Option(
-            help="gauss-newton: descents on the misses of all checkpoints. published: a few random entries "
-            "change. algorithm1: all change, by an adapting scale.",
+            help="gauss-newton: descents on the residuals of all checkpoints. published: a few random "
+            "entries change. algorithm1: all change, by an adapting scale.",
             show_default="gauss-newton",
         ),
     ] = None,
@@ -125,8 +125,8 @@ def train(
     """Train circuits in simulation until one drives a course.
 
     Agents start from the same untuned wiring, slightly perturbed, and search independently. Each keeps the
-    best parameters found so far and tries others near them. A return is minus the sum of the squared misses
-    of the checkpoints (1 rad counts as 1 m): 0 would be perfect, about -0.1 parks.
+    best parameters found so far and tries others near them. A return is minus the sum of the squared errors
+    at the checkpoints (1 rad counts as 1 m): 0 would be perfect, about -0.1 parks.
 
     In the folder: policy.yaml (the best agent's circuit, ready for deploy and eval), curve.csv and curve.png
     (best return so far of each agent), settings.yaml, agents/. The same settings give the same bytes, for

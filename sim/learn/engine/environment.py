@@ -24,7 +24,7 @@ from sim.learn.search.base import Seeds
 Environment: TypeAlias = gymnasium.Env[Any, Any]
 FloatArray = NDArray[np.float64]
 
-MOST_STEPS = 100_000
+MAX_STEPS = 100_000
 _LANES = 32
 
 
@@ -159,8 +159,8 @@ class EnvironmentEvaluator:
             action = np.clip(outputs, space.low, space.high).astype(space.dtype)
         seen, reward, terminated, truncated, _ = environment.step(action)
         self.steps += 1
-        if step + 1 == MOST_STEPS and not (terminated or truncated):
-            problem = f"an episode has not ended after {MOST_STEPS} steps; register it with max_episode_steps"
+        if step + 1 == MAX_STEPS and not (terminated or truncated):
+            problem = f"an episode has not ended after {MAX_STEPS} steps; register it with max_episode_steps"
             raise ConfigError(f"environment {self.name}", [problem])
         return self._checked(seen), float(reward), bool(terminated or truncated)
 

@@ -106,7 +106,7 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
 def enqueue(
     vectors: FloatArray,
     stop_below: FloatArray,
-    misses: FloatArray,
+    residuals: FloatArray,
     episodes: IntArray,
     ring: IntArray,
     left: IntArray,
@@ -123,7 +123,7 @@ def enqueue(
         episode = first + i
         vectors[episode] = added[i]
         stop_below[episode] = thresholds[i]
-        misses[episode] = 0.0
+        residuals[episode] = 0.0
         episodes[(ring[0] + ring[1]) % len(episodes)] = episode
         ring[1] += 1
     left[group] = len(added)
@@ -181,7 +181,7 @@ def observe(
     tick: int,
     signal: float,
 ) -> None:
-    """Show the circuit what it sees at the start of a tick: a pose by odometry, with noise, and the rest."""
+    """Write a lane's observation at the start of a tick: the noisy pose of odometry and the rest."""
     seen, reference = lanes.signals, tasks.reference[task, tick]
     for axis in range(3):
         seen[axis] = lanes.odometry[axis, lane]
@@ -225,7 +225,13 @@ def finish_tick(
 ) -> int:
     """Judge what a tick led to, and observe; return how many episodes ended."""
     # Local names: numba counts references whenever an array is taken out of a tuple.
-    episodes, ticks, total, poses, misses = lanes.episode, lanes.tick, lanes.total, lanes.poses, queue.misses
+    episodes, ticks, total, poses, residuals = (
+        lanes.episode,
+        lanes.tick,
+        lanes.total,
+        lanes.poses,
+        queue.residuals,
+    )
     due, checkpoints, reference = tasks.due, tasks.checkpoints, tasks.reference
     ended = 0
     for lane in range(len(episodes)):
@@ -246,9 +252,9 @@ def finish_tick(
             dy = poses[1, lane] - checkpoints[task, target, 1]
             dtheta = wrapped(poses[2, lane] - checkpoints[task, target, 2])
             total[lane] -= dx * dx + dy * dy + dtheta * dtheta
-            misses[episode, target, 0] = dx
-            misses[episode, target, 1] = dy
-            misses[episode, target, 2] = dtheta
+            residuals[episode, target, 0] = dx
+            residuals[episode, target, 1] = dy
+            residuals[episode, target, 2] = dtheta
         if tasks.has_reference:
             where = reference[task, next_tick]
             dx, dy = poses[0, lane] - where[0], poses[1, lane] - where[1]

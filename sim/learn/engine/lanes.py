@@ -98,6 +98,6 @@ class Queue(NamedTuple):
     """(E,) an episode is truncated as soon as its running return is below."""
     results: FloatArray
     """(E, RESULTS)."""
-    misses: FloatArray
+    residuals: FloatArray
     """(E, checkpoints, 3) x, y and heading from each checkpoint when it was judged; 0 where none was."""
     waiting: Waiting

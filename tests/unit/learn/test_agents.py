@@ -156,7 +156,7 @@ def test_improvements_are_the_whole_curve(last):
 class Climbing:
     """A search whose every candidate is a little better than all before."""
 
-    needs_misses, most_ahead, speculates = False, 100, False
+    needs_misses, max_ahead, speculates = False, 100, False
 
     def __init__(self):
         self.value, self.evaluations = None, 0
@@ -165,7 +165,7 @@ class Climbing:
     def ask(self, count=1):
         return np.zeros((count, 1))
 
-    def tell(self, values, misses=None):
+    def tell(self, values, residuals=None):
         self.value, self.evaluations = float(values[-1]), self.evaluations + len(values)
         self.iterations = self.evaluations - 1
         return len(values)
@@ -310,10 +310,10 @@ def test_answers_of_a_stream_are_those_of_a_batch(evaluator):
         expected[agent] = evaluator.run(vectors)
         stream.submit(agent, vectors, np.full(len(vectors), -np.inf))
     while answers := stream.collect():
-        for agent, returns, misses in answers:
+        for agent, returns, residuals in answers:
             seen.append(agent)
             assert returns.tolist() == expected[agent][0].tolist()
-            assert np.array_equal(misses, expected[agent][1])
+            assert np.array_equal(residuals, expected[agent][1])
     assert sorted(seen) == [0, 1, 2, 3]
 
 

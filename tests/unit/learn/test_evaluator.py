@@ -74,10 +74,10 @@ def test_a_lane_returns_what_the_environment_returns():
 
 def test_misses_are_those_of_a_rover_alone_and_make_up_the_return():
     vectors = candidates(10, seed=8)
-    returns, misses = Evaluator(POLICY, FENCED).run(vectors)
+    returns, residuals = Evaluator(POLICY, FENCED).run(vectors)
     due = due_checkpoints(FENCED)
-    assert misses.shape == (10, 1, len(FENCED.checkpoints), 3)
-    for vector, total, episode in zip(vectors, returns, misses[:, 0], strict=True):
+    assert residuals.shape == (10, 1, len(FENCED.checkpoints), 3)
+    for vector, total, episode in zip(vectors, returns, residuals[:, 0], strict=True):
         run = alone(vector, FENCED)
         expected = np.zeros_like(episode)
         for tick in np.flatnonzero(due >= 0):
@@ -243,12 +243,12 @@ def test_a_rollout_shows_what_happened():
     assert run.commands.shape == (320, 2)
     assert run.potentials.shape == (320, 12)
     assert not run.poses[0].any()
-    misses = [
+    residuals = [
         np.hypot(*(run.poses[np.flatnonzero(run.times >= point.t - 1e-9)[0], :2] - (point.x, point.y)))
         for point in COURSE.checkpoints[1:]
     ]
     # The checkpoint at 0 s is judged at the first tick's end, where the rover still stands on it.
-    assert run.rms_m == pytest.approx(np.sqrt(np.sum(np.square(misses)) / len(COURSE.checkpoints)))
+    assert run.rms_m == pytest.approx(np.sqrt(np.sum(np.square(residuals)) / len(COURSE.checkpoints)))
     assert run.touched
     assert run.verdict.reason == "touched an obstacle"
     assert run.verdict.error_m == pytest.approx(np.hypot(*(run.poses[-1, :2] - COURSE.goal[:2])))

@@ -30,22 +30,22 @@ Toy = Callable[[np.ndarray], np.ndarray]
 
 
 def sphere(vectors: np.ndarray) -> np.ndarray:
-    """Misses (n, 1, C, 3): how far each parameter is from the goal, as a fraction of its range."""
-    misses = np.zeros((len(vectors), CHECKPOINTS * 3))
-    misses[:, : LAYOUT.size] = (vectors - GOAL) / WIDTH
-    return misses.reshape(len(vectors), 1, CHECKPOINTS, 3)
+    """Residuals (n, 1, C, 3): how far each parameter is from the goal, as a fraction of its range."""
+    residuals = np.zeros((len(vectors), CHECKPOINTS * 3))
+    residuals[:, : LAYOUT.size] = (vectors - GOAL) / WIDTH
+    return residuals.reshape(len(vectors), 1, CHECKPOINTS, 3)
 
 
 def valley(vectors: np.ndarray) -> np.ndarray:
-    """Misses of a bent, narrow valley (Rosenbrock's) between each two parameters, with other hollows."""
+    """Residuals of a bent, narrow valley (Rosenbrock's) between each two parameters, with other hollows."""
     unit = 3.0 * (vectors - LAYOUT.lower) / WIDTH - 1.0
     unit[:, INERT] = 1.0
-    misses = np.zeros((len(vectors), CHECKPOINTS, 3))
+    residuals = np.zeros((len(vectors), CHECKPOINTS, 3))
     a, b = unit[:, 0 : 2 * CHECKPOINTS : 2], unit[:, 1 : 2 * CHECKPOINTS : 2]
-    misses[:, : a.shape[1], 0] = 1.0 - a
-    misses[:, : b.shape[1], 1] = 3.0 * (b - a[:, : b.shape[1]] ** 2)
-    misses[:, : a.shape[1], 2] = 0.2 * np.sin(5.0 * (a - 1.0))
-    return misses[:, None]
+    residuals[:, : a.shape[1], 0] = 1.0 - a
+    residuals[:, : b.shape[1], 1] = 3.0 * (b - a[:, : b.shape[1]] ** 2)
+    residuals[:, : a.shape[1], 2] = 0.2 * np.sin(5.0 * (a - 1.0))
+    return residuals[:, None]
 
 
 def hollow(depths: dict[int, float]) -> Toy:
@@ -59,8 +59,8 @@ def hollow(depths: dict[int, float]) -> Toy:
     return toy
 
 
-def returns(misses: np.ndarray) -> np.ndarray:
-    return -np.sum(misses**2, axis=(1, 2, 3))
+def returns(residuals: np.ndarray) -> np.ndarray:
+    return -np.sum(residuals**2, axis=(1, 2, 3))
 
 
 def begin(seed: int = 0) -> GaussNewton:
@@ -69,15 +69,15 @@ def begin(seed: int = 0) -> GaussNewton:
 
 def advance(search: GaussNewton, evaluations: int, toy: Toy = sphere) -> None:
     while search.evaluations < evaluations:
-        misses = toy(search.ask(evaluations - search.evaluations))
-        search.tell(returns(misses), misses)
+        residuals = toy(search.ask(evaluations - search.evaluations))
+        search.tell(returns(residuals), residuals)
 
 
 def batch(search: GaussNewton, toy: Toy = sphere) -> np.ndarray:
     """Evaluate all that a search asks for; return the candidates (n, P)."""
     vectors = search.ask(1000)
-    misses = toy(vectors)
-    assert search.tell(returns(misses), misses) == len(vectors)
+    residuals = toy(vectors)
+    assert search.tell(returns(residuals), residuals) == len(vectors)
     return vectors
 
 
@@ -97,7 +97,7 @@ def test_narrow_valley_beats_random_sampling() -> None:
 def test_misses_are_needed() -> None:
     search = begin()
     search.ask()
-    with pytest.raises(ValueError, match="needs the misses"):
+    with pytest.raises(ValueError, match="needs the residuals"):
         search.tell([1.0])
 
 
@@ -111,9 +111,9 @@ def test_one_descent_reaches_the_goal_of_linear_misses() -> None:
             at = LAYOUT.block(kind).slice
             lower, upper = LAYOUT.lower[at], LAYOUT.upper[at]
             unit[:, at] = np.log(vectors[:, at] / lower) / np.log(upper / lower)
-        misses = np.zeros((len(vectors), CHECKPOINTS * 3))
-        misses[:, : box.size] = unit[:, box.free] - target
-        return misses.reshape(len(vectors), 1, CHECKPOINTS, 3)
+        residuals = np.zeros((len(vectors), CHECKPOINTS * 3))
+        residuals[:, : box.size] = unit[:, box.free] - target
+        return residuals.reshape(len(vectors), 1, CHECKPOINTS, 3)
 
     search = begin()
     advance(search, 1 + SAMPLES + box.size + 60, linear)
@@ -150,18 +150,18 @@ def test_descent_without_gain_tries_to_revive_and_then_gives_way_to_new_samples(
     sizes = [len(batch(search, hopeless)) for _ in range(CONSTANTS.window + 6)]
     revival = sizes.pop(CONSTANTS.window + 3)
     assert sizes == [1, SAMPLES, len(FREE), *[2] * CONSTANTS.window, SAMPLES, len(FREE)]
-    assert CONSTANTS.most_dead <= revival <= CONSTANTS.most_dead * 2 * len(CONSTANTS.revival_moves)
+    assert CONSTANTS.max_dead <= revival <= CONSTANTS.max_dead * 2 * len(CONSTANTS.revival_moves)
 
 
 def test_dead_motor_neuron_is_revived() -> None:
     def motor(vectors: np.ndarray) -> np.ndarray:
-        """Misses that eight parameters could end, each from 3.5 deviations of the samples on."""
+        """Residuals that eight parameters could end, each from 3.5 deviations of the samples on."""
         away = (vectors - DEFAULTS) / WIDTH
         acts = np.maximum(away[:, FREE[:8]] - 0.35, 0.0).sum(axis=1)
-        misses = np.zeros((len(vectors), CHECKPOINTS, 3))
-        misses[:, :4, 0] = (1.0 - 3.0 * acts)[:, None]
-        misses[:, :, 1] = away[:, FREE[20:21]] - 0.01
-        return misses[:, None]
+        residuals = np.zeros((len(vectors), CHECKPOINTS, 3))
+        residuals[:, :4, 0] = (1.0 - 3.0 * acts)[:, None]
+        residuals[:, :, 1] = away[:, FREE[20:21]] - 0.01
+        return residuals[:, None]
 
     search = begin()
     sizes = []
@@ -190,7 +190,7 @@ def test_restarts_take_more_turns_the_better_the_best_is(loss: float, expected: 
 
 
 def distance(vectors: np.ndarray) -> np.ndarray:
-    """Misses that grow with the distance (n,) from the untuned start, where the best is good."""
+    """Residuals that grow with the distance (n,) from the untuned start, where the best is good."""
     away = np.abs((vectors - DEFAULTS) / WIDTH).sum(axis=1)
     return np.ones((len(vectors), 1, CHECKPOINTS, 3)) * (0.01 * (1.0 + away))[:, None, None, None]
 
@@ -204,9 +204,9 @@ def test_restarts_from_a_good_point_are_wide_and_race_against_the_best_of_them()
         candidates = search.ask(1000)
         assert len(candidates) == RESTARTS
         assert search.to_beat.tolist() == [max(found) if number else -math.inf] * RESTARTS
-        misses = distance(candidates)
-        search.tell(returns(misses), misses)
-        found += returns(misses).tolist()
+        residuals = distance(candidates)
+        search.tell(returns(residuals), residuals)
+        found += returns(residuals).tolist()
         shares.append((np.abs(candidates - DEFAULTS) > 1e-9).mean())
     wide = CONSTANTS.wide_restart_share * (1.0 - INERT.mean())
     assert np.mean(shares) == pytest.approx(wide, rel=0.05)
@@ -217,14 +217,14 @@ def test_restarts_from_a_good_point_are_wide_and_race_against_the_best_of_them()
     assert returns(distance(start[None]))[0] == max(found)
 
 
-def truncated(misses: np.ndarray, to_beat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return values and misses (n, 1, C, 3) of episodes that end where they are lost."""
-    running = -np.cumsum((misses[:, 0] ** 2).sum(axis=2), axis=1)
-    values, misses = returns(misses), misses.copy()
+def truncated(residuals: np.ndarray, to_beat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return values and residuals (n, 1, C, 3) of episodes that end where they are lost."""
+    running = -np.cumsum((residuals[:, 0] ** 2).sum(axis=2), axis=1)
+    values, residuals = returns(residuals), residuals.copy()
     for row in np.flatnonzero((running < to_beat[:, None]).any(axis=1)):
         at = int(np.argmax(running[row] < to_beat[row]))
-        values[row], misses[row, 0, at + 1 :] = running[row, at], 0.0
-    return values, misses
+        values[row], residuals[row, 0, at + 1 :] = running[row, at], 0.0
+    return values, residuals
 
 
 def test_truncating_lost_episodes_changes_no_candidate() -> None:
@@ -232,13 +232,13 @@ def test_truncating_lost_episodes_changes_no_candidate() -> None:
     lost = {"steps": 0, "restarts": 0}
     while whole.evaluations < 9000:
         phase = whole.state()["phase"]
-        misses = valley(whole.ask(1000))
-        assert np.array_equal(valley(raced.ask(1000)), misses)
-        values, short = truncated(misses, raced.to_beat)
-        if (short != misses).any():
+        residuals = valley(whole.ask(1000))
+        assert np.array_equal(valley(raced.ask(1000)), residuals)
+        values, short = truncated(residuals, raced.to_beat)
+        if (short != residuals).any():
             lost[phase] += 1
             assert phase == "restarts" or np.isneginf(raced.to_beat[-1])  # a probe is wanted whole
-        whole.tell(returns(misses), misses)
+        whole.tell(returns(residuals), residuals)
         raced.tell(values, short)
     assert min(lost.values()) > 20
 

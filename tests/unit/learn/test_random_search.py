@@ -13,7 +13,7 @@ from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, parking_po
 from rover_ncp.circuit.tap_withdrawal import parking_circuit
 from sim.learn.search.algorithm1 import ESTIMATE_AFTER, Algorithm1, Scale
 from sim.learn.search.published import RULES, Caps, Published
-from sim.learn.search.random_search import RandomSearch, shake
+from sim.learn.search.random_search import RandomSearch, perturb
 
 POLICY = parking_policy(parking_circuit())
 LAYOUT = POLICY.layout()
@@ -146,8 +146,8 @@ def test_published_changes_have_published_numbers_and_sizes() -> None:
         assert np.std(noise[i]) == pytest.approx(expected, rel=0.08)
 
 
-def test_start_is_shaken_within_bounds_and_differs_between_agents() -> None:
-    starts = [shake(LAYOUT, DEFAULTS, np.random.default_rng(seed)) for seed in range(20)]
+def test_start_is_perturbed_within_bounds_and_differs_between_agents() -> None:
+    starts = [perturb(LAYOUT, DEFAULTS, np.random.default_rng(seed)) for seed in range(20)]
     for start in starts:
         assert np.all((start >= LAYOUT.lower) & (start <= LAYOUT.upper))
         for block in LAYOUT.blocks:

@@ -26,15 +26,15 @@ CHECKPOINTS = -(-LAYOUT.size // 3)
 every = pytest.mark.parametrize("name", list(SearchName))
 
 
-def misses_of(vectors: np.ndarray) -> np.ndarray:
-    """Misses (n, 1, C, 3): the distance of each parameter from the goal, as a fraction of its range."""
-    misses = np.zeros((len(vectors), CHECKPOINTS * 3))
-    misses[:, : LAYOUT.size] = (vectors - GOAL) / WIDTH
-    return misses.reshape(len(vectors), 1, CHECKPOINTS, 3)
+def residuals_of(vectors: np.ndarray) -> np.ndarray:
+    """Residuals (n, 1, C, 3): the distance of each parameter from the goal, as a fraction of its range."""
+    residuals = np.zeros((len(vectors), CHECKPOINTS * 3))
+    residuals[:, : LAYOUT.size] = (vectors - GOAL) / WIDTH
+    return residuals.reshape(len(vectors), 1, CHECKPOINTS, 3)
 
 
 def returns_of(vectors: np.ndarray) -> np.ndarray:
-    return -np.sum(misses_of(vectors) ** 2, axis=(1, 2, 3))
+    return -np.sum(residuals_of(vectors) ** 2, axis=(1, 2, 3))
 
 
 def begin(name: str, seed: int = 0) -> Strategy:
@@ -45,9 +45,9 @@ def advance(search: Strategy, evaluations: int, ahead: int = 1000) -> np.ndarray
     """Evaluate so many candidates; return all that were asked for (n, P)."""
     asked = [np.empty((0, LAYOUT.size))]
     while search.evaluations < evaluations:
-        asked.append(search.ask(min(evaluations - search.evaluations, ahead, search.most_ahead)))
+        asked.append(search.ask(min(evaluations - search.evaluations, ahead, search.max_ahead)))
         assert len(search.to_beat) == len(asked[-1])
-        search.tell(returns_of(asked[-1]), misses_of(asked[-1]))
+        search.tell(returns_of(asked[-1]), residuals_of(asked[-1]))
     return np.concatenate(asked)
 
 
@@ -104,7 +104,7 @@ def test_start_is_evaluated_first_and_is_no_iteration(name: str) -> None:
     assert search.value is None
     assert np.array_equal(search.ask(5), start[None])
     assert np.isneginf(search.to_beat).all()
-    assert search.tell(returns_of(start[None]), misses_of(start[None])) == 1
+    assert search.tell(returns_of(start[None]), residuals_of(start[None])) == 1
     assert (search.iterations, search.evaluations) == (0, 1)
     assert search.value == returns_of(start[None])[0]
 
@@ -113,14 +113,14 @@ def test_start_is_evaluated_first_and_is_no_iteration(name: str) -> None:
 def test_ask_and_tell_must_alternate(name: str) -> None:
     search = begin(name)
     with pytest.raises(ValueError, match="0 candidates wait"):
-        search.tell([1.0], misses_of(DEFAULTS[None]))
+        search.tell([1.0], residuals_of(DEFAULTS[None]))
     with pytest.raises(ValueError, match="at least one"):
         search.ask(0)
     search.ask()
     with pytest.raises(ValueError, match="1 candidates wait"):
-        search.tell([1.0, 2.0], misses_of(np.array([DEFAULTS, DEFAULTS])))
+        search.tell([1.0, 2.0], residuals_of(np.array([DEFAULTS, DEFAULTS])))
     with pytest.raises(ValueError, match=r"no candidate could be compared|not a number"):
-        begin_asked(name).tell([math.nan], misses_of(DEFAULTS[None]))
+        begin_asked(name).tell([math.nan], residuals_of(DEFAULTS[None]))
     for call in (search.ask, search.state):
         with pytest.raises(RuntimeError, match="ask"):
             call()
@@ -152,7 +152,7 @@ OF_GAUSS_NEWTON: list[tuple[str, Any]] = [
     ("phase", "lunch"),
     ("batch", [[]]),
     ("values", [1.0] * 90),
-    ("misses", [0.0]),
+    ("residuals", [0.0]),
     ("descent", {}),
     ("origin", {"point": [0.0], "value": -1.0}),
     ("race", {"batches": 1}),

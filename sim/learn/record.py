@@ -81,10 +81,10 @@ class RobustSettings(_CourseSettings):
     seed: int = Field(default=0, ge=0)
     iterations: int = Field(default=2600, ge=1, description="generations")
     rollouts: int = Field(default=144, ge=1, description="trials of a candidate")
-    worst: int = Field(default=144, ge=1, description="of which so many worst are averaged")
-    random_courses: int = Field(default=400, ge=0, description="that are driven beside the course")
+    worst: int = Field(default=144, ge=1, description="number of worst rollouts in the average")
+    random_courses: int = Field(default=400, ge=0, description="random courses beside the given one")
     profile: str | None = Field(
-        default=None, exclude_if=lambda path: path is None, description="what is known of the rover"
+        default=None, exclude_if=lambda path: path is None, description="rover profile"
     )
 
     @model_validator(mode="before")

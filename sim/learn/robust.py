@@ -222,7 +222,7 @@ class RobustSearch:
         values = np.array([-mean_of_worst((-row).tolist(), max(worst, 1)) for row in found])
         self._cma.tell(values)
         self._means = [*self._means, self._cma.mean.tolist()][-_AVERAGED:]
-        return Generation(self.number, self.winner, self._cma.spread, float(values.min()))
+        return Generation(self.number, self.winner, self._cma.sigma, float(values.min()))
 
     def _stage(self, number: int) -> Stage:
         stage = [stage for stage in self._stages if stage.since <= number][-1]

@@ -156,7 +156,7 @@ def test_improvements_are_the_whole_curve(last):
 class Climbing:
     """A search whose every candidate is a little better than all before."""
 
-    needs_misses, max_ahead, speculates = False, 100, False
+    max_ahead, speculates = 100, False
 
     def __init__(self):
         self.value, self.evaluations = None, 0

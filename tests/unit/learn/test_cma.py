@@ -39,12 +39,12 @@ def test_search_continues_from_its_state_to_the_last_bit(separable: bool) -> Non
     assert search.state() == later.state()
 
 
-@pytest.mark.parametrize(("values", "spread"), [(ellipsoid, 0.2), (lambda places: -places[:, 0], 0.7)])
-def test_spread_stays_within_its_limits(values: Callable[[np.ndarray], np.ndarray], spread: float) -> None:
+@pytest.mark.parametrize(("values", "sigma"), [(ellipsoid, 0.2), (lambda places: -places[:, 0], 0.7)])
+def test_sigma_stays_within_its_limits(values: Callable[[np.ndarray], np.ndarray], sigma: float) -> None:
     search = Cma(np.ones(SIZE), 0.5, seed=1, population=10, limits=(0.2, 0.7))
     for _ in range(300):
         search.tell(values(search.ask()))
-    assert search.spread == spread
+    assert search.sigma == sigma
 
 
 def test_wrong_calls_and_states_are_rejected() -> None:

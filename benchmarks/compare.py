@@ -36,9 +36,9 @@ from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate.driver import CIRCUIT, NETWORKS
 from sim.evaluate.evaluate import unseen_courses
-from sim.learn.evaluator import Evaluator
-from sim.learn.laws import LAWS, gain_box, law_commander
-from sim.learn.networks import Net, net_for, network_commander
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.laws import LAWS, gain_box, law_commander
+from sim.learn.engine.networks import Net, net_for, network_commander
 from sim.learn.random_circuit import random_circuit
 from sim.learn.record import RobustSettings, made_with
 from sim.learn.robust import RobustSearch, drive_trials, policy_box, training_courses

@@ -18,8 +18,8 @@ from typing import Any
 from sim.learn.agents import AgentState, Snapshot, run_rounds
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.search.strategies import SearchName
-from sim.learn.train import find_workers, training_plan
-from sim.learn.workers import available_processes
+from sim.learn.train import training_plan
+from sim.learn.workers import available_processes, local_workers
 
 MARKS = (1000, 2000, 5000, 10_000, 20_000)
 """Iterations at which returns are looked at."""
@@ -43,8 +43,7 @@ def bench_search(
         )
         plan = training_plan(settings, resolve_task(settings))
         start = Snapshot(tuple(AgentState(number) for number in range(agents)))
-        count = min(available_processes(), agents)
-        with find_workers(count) as workers:
+        with local_workers(min(available_processes(), agents)) as workers:
             trained[strategy] = run_rounds(workers, plan, start, iterations, lambda _: False).agents
         say(_line(strategy, [agent.value for agent in trained[strategy]]))
     fields = {

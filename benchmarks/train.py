@@ -32,14 +32,13 @@ from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S
 from rover_ncp.kernels.jit import kernel
-from sim.learn.agents import AgentState, Plan, split
-from sim.learn.evaluator import STREAM_LANES, Answer, Evaluator, Stream
+from sim.learn.agents import AgentState, Batch, Plan, split
+from sim.learn.engine.evaluator import STREAM_LANES, Answer, Evaluator, Stream
+from sim.learn.engine.rollout import rollout
 from sim.learn.record import Task, TrainSettings, resolve_task
-from sim.learn.rollout import rollout
 from sim.learn.search.strategies import SearchName
-from sim.learn.team import Team
 from sim.learn.train import training_plan
-from sim.learn.workers import LocalProcesses, MadeOnce, available_processes
+from sim.learn.workers import ProcessPool, available_processes, made_in_each_process
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet, advance, send
 from sim.world.pymunk_rover import Ground, PymunkRover
@@ -57,14 +56,13 @@ _NS = 1e9
 
 _COMPILE_SCRIPT = """
 import time
-from sim.learn.agents import AgentState
+from sim.learn.agents import AgentState, Batch
 from sim.learn.record import TrainSettings, resolve_task
-from sim.learn.team import Team
 from sim.learn.train import training_plan
 settings = TrainSettings()
-team = Team(training_plan(settings, resolve_task(settings)))
+batch = Batch(training_plan(settings, resolve_task(settings)))
 began = time.process_time()
-team.advance([AgentState(0)], [[200]])
+batch.advance([AgentState(0)], [200])
 print(time.process_time() - began)
 """
 
@@ -191,11 +189,11 @@ class _TimedEvaluator(Evaluator):
         return stream
 
 
-def _advance(team: Team, agents: Sequence[AgentState], iterations: int) -> tuple[list[AgentState], float]:
+def _advance(batch: Batch, agents: Sequence[AgentState], iterations: int) -> tuple[list[AgentState], float]:
     """Return agents after so many iterations, and the CPU time that this took."""
     began = time.process_time()
-    done = team.advance(agents, [[iterations]] * len(agents))
-    return [progress.last for progress in done], time.process_time() - began
+    done = batch.advance(agents, [iterations])
+    return [states[-1] for states in done], time.process_time() - began
 
 
 def _iterations_per_cpu_s(plan: Plan, task: Task, iterations: int) -> tuple[float, float]:
@@ -205,27 +203,26 @@ def _iterations_per_cpu_s(plan: Plan, task: Task, iterations: int) -> tuple[floa
     kernels are compiled or loaded on their first calls.
     """
     evaluator = _TimedEvaluator(task.policy, task.course)
-    team = Team(replace(plan, build_evaluator=lambda: evaluator))
-    agents, _ = _advance(team, [AgentState(number) for number in range(_AGENTS)], _WARM_ITERATIONS)
+    batch = Batch(replace(plan, build_evaluator=lambda: evaluator))
+    agents, _ = _advance(batch, [AgentState(number) for number in range(_AGENTS)], _WARM_ITERATIONS)
     for _ in range(2):
         evaluator.cpu_s = 0.0
-        _, cpu_s = _advance(team, agents, _WARM_ITERATIONS + iterations)
+        _, cpu_s = _advance(batch, agents, _WARM_ITERATIONS + iterations)
     return _AGENTS * iterations / cpu_s, evaluator.cpu_s / cpu_s
 
 
 def _advance_in_process(plan: Plan) -> Callable[..., tuple[list[AgentState], float]]:
-    return partial(_advance, Team(plan))
+    return partial(_advance, Batch(plan))
 
 
 def _iterations_on_all_cores(plan: Plan, iterations: int, cores: int) -> tuple[float, float]:
     """Return the iterations per second of CPU time, as it would be on idle cores, and of wall time."""
     agents = [AgentState(number) for number in range(_AGENTS)]
-    groups = split(range(_AGENTS), cores)
-    advance = MadeOnce(partial(_advance_in_process, plan))
-    with LocalProcesses(cores) as workers:
+    advance = made_in_each_process(partial(_advance_in_process, plan))
+    with ProcessPool(cores) as workers:
 
         def run(agents: Sequence[AgentState], until: int) -> tuple[list[AgentState], float]:
-            futures = [workers.submit(advance, [agents[i] for i in group], until) for group in groups]
+            futures = [workers.submit(advance, group, until) for group in split(agents, cores)]
             parts = [future.result() for future in futures]
             return [agent for part, _ in parts for agent in part], max(cpu_s for _, cpu_s in parts)
 

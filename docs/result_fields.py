@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 RESULTS = {
     "park": "sim.park.park:run_park train=:_train",
-    "train": "sim.learn.commands:train rover_ncp.course.course:Verdict",
+    "train": "sim.learn.commands:_train_ensemble rover_ncp.course.course:Verdict",
     "train --randomize": "sim.learn.commands:_train_robust sim.learn.record:_CourseSettings :RobustSettings",
     "train --task": "sim.learn.commands:_train_task sim.learn.record:TaskSettings",
     "eval": "sim.evaluate.commands:_drive_once rover_ncp.course.course:Verdict "

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from sim.explain.explain import Explanation
     from sim.explain.task import TaskExplanation
     from sim.learn.agents import Snapshot
+    from sim.learn.engine.rollout import Rollout
     from sim.learn.robust import Generation
     from sim.learn.robust_run import RobustResult
-    from sim.learn.rollout import Rollout
     from sim.learn.train import TrainResult
 
 __all__ = ["evaluate", "explain", "explain_task", "rollout", "train", "train_robust", "train_task"]
@@ -67,8 +67,6 @@ def train_robust(
     from sim.learn.record import RobustSettings
     from sim.learn.robust_run import train_robust as run
 
-    if "rollouts" in settings:
-        settings.setdefault("worst", settings["rollouts"])
     asked = validated(settings, RobustSettings, "train_robust")
     return run(asked, Path(out), resume=resume, processes=processes, on_generation=on_generation)
 
@@ -87,13 +85,11 @@ def train_task(
     file), seed, iterations and rollouts. Raises as `train` does.
     """
     from rover_ncp.core.config import validated
-    from sim.learn.environment_run import start_of
     from sim.learn.environment_run import train_task as run
     from sim.learn.record import TaskSettings
 
     asked = validated(settings, TaskSettings, "train_task")
-    start = start_of(asked)
-    return run(asked, start, Path(out), resume=resume, processes=processes, on_generation=on_generation)
+    return run(asked, Path(out), resume=resume, processes=processes, on_generation=on_generation)
 
 
 def evaluate(
@@ -118,7 +114,7 @@ def evaluate(
 
 def rollout(policy: "Policy | str | Path", course: "Course | str | Path" = "parking") -> "Rollout":
     """Drive a course once and return the trace of poses, commands and potentials; a law has none."""
-    from sim.learn.rollout import rollout as run
+    from sim.learn.engine.rollout import rollout as run
 
     driver = _driver(policy)
     return run(driver.policy, _course(course), runner=driver.runner())

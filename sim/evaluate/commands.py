@@ -234,7 +234,7 @@ def _drive_once(options: EvalOptions) -> int:
     """Drive once on the nominal rover model."""
     from sim.evaluate.courses import fitted_courses
     from sim.evaluate.driver import load_driver
-    from sim.learn.rollout import rollout
+    from sim.learn.engine.rollout import rollout
     from sim.world.described import described_rover
 
     (course,), robot, fitted = fitted_courses(options)
@@ -259,7 +259,7 @@ def _drive_once(options: EvalOptions) -> int:
 
 def _play_task(options: EvalOptions, task: str) -> int:
     """Play a task; return 1 if a single episode was played and no success."""
-    from sim.learn.laws import LAWS
+    from sim.learn.engine.laws import LAWS
     from sim.paper.score_file import EPISODES, score_circuit
     from sim.paper.tasks import TASKS
 
@@ -288,7 +288,7 @@ def _play_task(options: EvalOptions, task: str) -> int:
 def _play_environment(options: EvalOptions, task: str, trials: int) -> int:
     """Play a Gymnasium environment; return 1 if a single episode was played and no success."""
     from rover_ncp.circuit.policy_file import load_policy
-    from sim.learn.environment import make_environment
+    from sim.learn.engine.environment import make_environment
     from sim.learn.environment_run import score_task
     from sim.paper.tasks import TASKS
 

@@ -15,10 +15,10 @@ from rover_ncp.core.config import validated
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.course.course import Course
-from sim.learn.commander import Commander, CommanderRunner, circuit_commander
-from sim.learn.evaluator import Evaluator
-from sim.learn.laws import LAWS, law_commander
-from sim.learn.networks import CELLS, LIQUID_CELLS, NetKind, net_for, network_commander
+from sim.learn.engine.commander import Commander, CommanderRunner, circuit_commander
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.laws import LAWS, law_commander
+from sim.learn.engine.networks import CELLS, LIQUID_CELLS, NetKind, net_for, network_commander
 from sim.world.randomization import Trials
 from sim.world.rover import RoverModel
 

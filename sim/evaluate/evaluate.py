@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import Course, ParkedRule, Verdict
 from sim.evaluate.driver import Driver
-from sim.learn.evaluator import Outcomes
+from sim.learn.engine.evaluator import Outcomes
 from sim.world.described import default_rover
 from sim.world.random_course import random_course
 from sim.world.randomization import Randomization, draw_trials

@@ -18,7 +18,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import Course, Verdict, load_course
 from sim.explain.what_if import Knockout, Sensitivity, knock_outs, sensitivities
-from sim.learn.rollout import Rollout, rollout
+from sim.learn.engine.rollout import Rollout, rollout
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from rover_ncp.core.errors import UsageError
 from rover_ncp.core.streams import Domain, episode_seeds
 from sim.explain.explain import Explanation, command_line, explain_stored
 from sim.explain.what_if import Sensitivity, damaged, part_title, sensitivities_of
-from sim.learn.environment import EnvironmentEvaluator, Play
+from sim.learn.engine.environment import EnvironmentEvaluator, Play
 from sim.learn.search.base import Seeds
 from sim.paper.agents import build_agent
 from sim.paper.play import BenchmarkEpisodes

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import Course
-from sim.learn.evaluator import Evaluator
-from sim.learn.rollout import Rollout, rollout
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.rollout import Rollout, rollout
 
 FloatArray = NDArray[np.float64]
 

@@ -1,42 +1,39 @@
-"""Independent agents: each searches with its own random stream, and all of them share the evaluator's lanes.
+"""Independent agents: each searches with its own random stream, and a batch of them shares an evaluator.
 
 The path of an agent depends on the root seed and its number alone. It depends neither on the agents that
-share a team or a process with it, nor on the number of iterations that are done at a time.
+share an evaluator or a process with it, nor on the number of iterations that are done at a time.
 
 Rounds of 100 iterations are what the rest of a training sees: progress, checkpoints and the stop condition
-see all agents at the same iteration. The agents do not wait for each other in between.
+see all agents at the same iteration.
 """
 
 import math
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
 from statistics import median
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.streams import Domain, random_stream
-from sim.learn.search.base import SearchState, Strategy
+from sim.learn.engine.evaluator import Evaluator, Stream
+from sim.learn.search.base import SearchState, Strategy, Vector
 from sim.learn.search.strategies import start_search
-from sim.learn.workers import MadeOnce, Result, Workers
-
-if TYPE_CHECKING:
-    from sim.learn.evaluator import Evaluator
+from sim.learn.workers import Workers, made_in_each_process
 
 ROUND_ITERATIONS = 100
 """Short enough for a live display."""
-_MAX_ROUNDS_AHEAD = 40
-"""Rounds that an agent may be ahead of the slowest: their states are kept until all agents have done them."""
-_PORTION_S = 0.5
-"""CPU time for which a worker advances agents: lanes run empty at its end, and a display waits for it. Not
-wall time, in which a busy machine may do too little to be worth handing the agents over."""
+_MAX_AHEAD = 4 * ROUND_ITERATIONS
+"""Iterations that an agent may be ahead of the slowest of its batch: waiting agents leave lanes idle."""
+_CALL_ITERATIONS = 3000
+"""Iterations of a worker in one call, about half a second: lanes run empty at its end, and workers wait for
+each other."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +44,11 @@ class Plan:
     strategy: str
     start: Policy
     """Its parameters are the defaults of the search."""
-    build_evaluator: "Callable[[], Evaluator]"
+    build_evaluator: Callable[[], Evaluator]
 
     @cached_property
     def inert(self) -> NDArray[np.bool_]:
         """(P,) which parameters have no effect."""
-        from rover_ncp.circuit.compiled import dead_parameters  # kernels: only for workers
-
         return dead_parameters(self.start)
 
 
@@ -78,7 +73,7 @@ class AgentState:
         return float(self.search["value"]) if self.search else -math.inf
 
     def value_at(self, iteration: int) -> float:
-        """Return the incumbent's return as it stood after ``iteration``, a `curve_point` or the last one."""
+        """Return the incumbent's return after ``iteration``, a `curve_point` or the last one."""
         known = bisect_right(self.improvements, iteration, key=lambda change: change[0])
         return self.improvements[known - 1][1] if known else -math.inf
 
@@ -118,6 +113,11 @@ class Snapshot:
         """The median of the agents' returns."""
         return float(median(self.returns))
 
+    @property
+    def summary(self) -> str:
+        """The returns in a few words."""
+        return f"best {self.best.value:.4f}  median {self.median_return:.4f}"
+
 
 def curve_point(iteration: int) -> int:
     """Return the first point of a learning curve from ``iteration`` on: at most two significant digits."""
@@ -125,15 +125,8 @@ def curve_point(iteration: int) -> int:
     return -(-iteration // step) * step
 
 
-class Progress(NamedTuple):
-    """What an agent did: its states at the targets that it reached, and its last one."""
-
-    at_targets: list[AgentState]
-    last: AgentState
-
-
 def revive(plan: Plan, agent: AgentState) -> Strategy:
-    """Return the agent's search as it stood. Raises ValueError, KeyError or TypeError for a damaged state."""
+    """Return the agent's search. Raises ValueError, KeyError or TypeError for a damaged state."""
     generator = random_stream(plan.root_seed, Domain.AGENT, agent.number)
     search = start_search(plan.strategy, plan.start.layout(), plan.start.parameters(), generator, plan.inert)
     if agent.search is not None:
@@ -141,57 +134,100 @@ def revive(plan: Plan, agent: AgentState) -> Strategy:
     return search
 
 
-def _team(plan: Plan) -> Callable[..., list[Progress]]:
-    from sim.learn.team import Team  # the engine, which a process that only hands out work never loads
+class Batch:
+    """Advances agents side by side in the lanes of one evaluator."""
 
-    return Team(plan).advance
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._evaluator = plan.build_evaluator()
+        self._streams: dict[int, Stream] = {}
 
-
-def rounds(
-    workers: Workers, plan: Plan, agents: Sequence[AgentState], targets: Sequence[int]
-) -> Generator[list[AgentState], None, None]:
-    """Yield all agents after each of these numbers of iterations, which rise.
-
-    The workers go on while the consumer has a round. Memory does not grow with the number of targets.
-    """
-    advance = MadeOnce(partial(_team, plan))
-    last, reached = list(agents), [0] * len(agents)
-    waiting: list[deque[AgentState]] = [deque() for _ in agents]
-
-    def following(index: int) -> Sequence[int]:
-        return targets[reached[index] : reached[index] + _MAX_ROUNDS_AHEAD]
-
-    def submit() -> list[tuple[list[int], Result]]:
-        behind = [
-            index
-            for index, count in enumerate(reached)
-            if count < len(targets) and len(waiting[index]) < _MAX_ROUNDS_AHEAD
-        ]
-        return [
-            (
-                group,
-                workers.submit(advance, [last[i] for i in group], [following(i) for i in group], _PORTION_S),
-            )
-            for group in split(behind, workers.count)
-        ]
-
-    pending = submit()
-    for _ in targets:
-        while not all(waiting):
-            for group, future in pending:
-                for index, progress in zip(group, future.result(), strict=True):
-                    last[index] = progress.last
-                    reached[index] += len(progress.at_targets)
-                    waiting[index].extend(progress.at_targets)
-            pending = submit()
-        yield [states.popleft() for states in waiting]
+    def advance(self, agents: Sequence[AgentState], targets: Sequence[int]) -> list[list[AgentState]]:
+        """Advance agents to the last of some rising numbers of iterations; return their states at each."""
+        runners = [_Runner(self._plan, agent, targets) for agent in agents]
+        if len(runners) not in self._streams:
+            self._streams[len(runners)] = self._evaluator.stream(len(runners))
+        stream = self._streams[len(runners)]
+        iterations = [runner.search.iterations for runner in runners]
+        idle = set(range(len(runners)))
+        while True:
+            furthest = min(iterations) + _MAX_AHEAD
+            # The slowest first: agents far ahead wait for it, and leave lanes idle.
+            for index in sorted(idle, key=iterations.__getitem__):
+                runner = runners[index]
+                if runner.targets and iterations[index] <= furthest:
+                    runner.submit(stream, index)
+                    idle.remove(index)
+            answers = stream.collect()
+            if not answers:
+                return [runner.at_targets for runner in runners]
+            for index, returns, residuals in answers:
+                runners[index].tell(returns, residuals)
+                iterations[index] = runners[index].search.iterations
+                idle.add(index)
 
 
-def split(indices: Sequence[int], count: int) -> list[list[int]]:
+class _Runner:
+    """An agent on its way to its targets."""
+
+    def __init__(self, plan: Plan, agent: AgentState, targets: Sequence[int]) -> None:
+        self.search = revive(plan, agent)
+        self.targets = deque(targets)
+        self.at_targets: list[AgentState] = []
+        self._number = agent.number
+        self._improvements = list(agent.improvements)
+        self._note_targets()
+
+    def submit(self, stream: Stream, index: int) -> None:
+        """Let new candidates be evaluated, up to the next target."""
+        search = self.search
+        left = 1 if search.value is None else self.targets[0] - search.iterations
+        room = stream.enough if search.speculates else stream.room
+        vectors = search.ask(min(left, search.max_ahead, room))
+        stream.submit(index, vectors, search.to_beat)
+
+    def tell(self, returns: Vector, residuals: Vector | None) -> None:
+        """Pass returns to the search, and note where its incumbent's return changed."""
+        search, value, first = self.search, self.search.value, self.search.evaluations
+        for number in range(search.tell(returns, residuals)):
+            if value is None or returns[number] > value:
+                value = float(returns[number])
+                self._note_change(first + number, value)
+        if search.value is not None and search.value != value:  # a new estimate of the incumbent is lower
+            self._note_change(search.iterations, search.value)
+        self._note_targets()
+
+    def _note_change(self, iteration: int, value: float) -> None:
+        """Keep only the last change before each point of the curve: so many do not fill the memory."""
+        if self._improvements and curve_point(self._improvements[-1][0]) == curve_point(iteration):
+            self._improvements.pop()
+        self._improvements.append((iteration, value))
+
+    def _note_targets(self) -> None:
+        while self.targets and self.search.value is not None and self.search.iterations >= self.targets[0]:
+            self.targets.popleft()
+            state = AgentState(self._number, self.search.state(), tuple(self._improvements))
+            self.at_targets.append(state)
+
+
+def _batch(plan: Plan) -> Callable[..., list[list[AgentState]]]:
+    return Batch(plan).advance
+
+
+def split(agents: Sequence[AgentState], count: int) -> list[Sequence[AgentState]]:
     """Return up to ``count`` groups of neighbours whose sizes differ by at most one."""
-    count = min(count, len(indices))
-    bounds = [len(indices) * i // count for i in range(count + 1)] if count else []
-    return [list(indices[a:b]) for a, b in pairwise(bounds)]
+    count = min(count, len(agents))
+    bounds = [len(agents) * i // count for i in range(count + 1)]
+    return [agents[a:b] for a, b in pairwise(bounds)]
+
+
+def _next_targets(snapshot: Snapshot, iterations: int, count: int) -> list[int]:
+    """Return the ends of the next rounds, of up to ``count``: the first round is the start alone."""
+    if not snapshot.arrived(0):
+        return [0]
+    first = snapshot.iterations // ROUND_ITERATIONS + 1
+    ends = [ROUND_ITERATIONS * number for number in range(first, first + count)]
+    return [end for end in ends if end < iterations] + [iterations] * (ends[-1] >= iterations)
 
 
 def run_rounds(
@@ -202,16 +238,16 @@ def run_rounds(
     Agents that are ahead (of a run that was killed while it saved them) wait for the others. If all have
     arrived, nothing is done and ``after_round`` is not called.
     """
+    advance = made_in_each_process(partial(_batch, plan))
     snapshot = start
-    if snapshot.arrived(iterations):
-        return snapshot
-    # First the starts alone: a first picture, and early news of an evaluator that fails.
-    first = snapshot.iterations // ROUND_ITERATIONS + 1 if snapshot.arrived(0) else 0
-    whole = range(first * ROUND_ITERATIONS, iterations + 1, ROUND_ITERATIONS)
-    for targets in (whole, [iterations] if iterations % ROUND_ITERATIONS else []):
-        with closing(rounds(workers, plan, snapshot.agents, targets)) as found:
-            for agents in found:
-                snapshot = Snapshot(tuple(agents))
-                if after_round(snapshot):
-                    return snapshot
+    while not snapshot.arrived(iterations):
+        groups = split(snapshot.agents, workers.count)
+        rounds = max(_CALL_ITERATIONS // (ROUND_ITERATIONS * len(groups[-1])), 1)
+        targets = _next_targets(snapshot, iterations, rounds)
+        calls = [workers.submit(advance, group, targets) for group in groups]
+        states = [agent for call in calls for agent in call.result()]
+        for agents in zip(*states, strict=True):
+            snapshot = Snapshot(agents)
+            if after_round(snapshot):
+                return snapshot
     return snapshot

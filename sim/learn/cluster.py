@@ -1,4 +1,4 @@
-"""Workers on a Dask cluster, with the interface of local processes.
+"""Workers on a Dask cluster, with the interface of `ProcessPool`.
 
 A task depends on nothing but what it carries, so Dask may give the tasks of a worker that died to another
 one. Every worker must have the same versions of what decides a result.

@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -13,8 +13,8 @@ from rover_ncp.core.errors import UsageError
 from sim.learn.search.strategies import SearchName
 
 if TYPE_CHECKING:
-    from sim.learn.record import RobustSettings
-    from sim.learn.robust import Generation
+    from sim.learn.progress import Progressing
+    from sim.learn.record import RobustSettings, Settings, TaskSettings, TrainSettings
 
 
 def train(
@@ -62,8 +62,8 @@ def train(
     search: Annotated[
         SearchName | None,
         typer.Option(
-            help="gauss-newton: descents on the misses of all checkpoints. published: a few random entries "
-            "change. algorithm1: all change, by an adapting scale.",
+            help="gauss-newton: descents on the residuals of all checkpoints. published: a few random "
+            "entries change. algorithm1: all change, by an adapting scale.",
             show_default="gauss-newton",
         ),
     ] = None,
@@ -125,8 +125,8 @@ def train(
     """Train circuits in simulation until one drives a course.
 
     Agents start from the same untuned wiring, slightly perturbed, and search independently. Each keeps the
-    best parameters found so far and tries others near them. A return is minus the sum of the squared misses
-    of the checkpoints (1 rad counts as 1 m): 0 would be perfect, about -0.1 parks.
+    best parameters found so far and tries others near them. A return is minus the sum of the squared errors
+    at the checkpoints (1 rad counts as 1 m): 0 would be perfect, about -0.1 parks.
 
     In the folder: policy.yaml (the best agent's circuit, ready for deploy and eval), curve.csv and curve.png
     (best return so far of each agent), settings.yaml, agents/. The same settings give the same bytes, for
@@ -155,82 +155,110 @@ def train(
 
         rover-ncp train --task my_task:Reach-v0 --circuit reach.yaml --out runs/reach
     """
-    from sim.learn.progress import TrainProgress
-    from sim.learn.record import RobustSettings, TaskSettings, TrainSettings, resolve_task
-    from sim.learn.robust_run import start_of as check_settings
-    from sim.learn.run_folder import new_run_path, saved_settings
-    from sim.learn.train import train as run_training
-    from sim.learn.workers import WorkerDied
+    from sim.learn.record import RobustSettings, TaskSettings
 
     output = Output(json)
     options: dict[str, Any] = {
         "course": course,
         "circuit": circuit,
         "model": model,
-        "seed": seed,  #: root seed
-        "agents": agents,  #: how many
-        "iterations": iterations,  #: of each agent
-        "search": search,
-    }
-    given = {name: value for name, value in options.items() if value is not None}
-    robust = {
+        "seed": seed,
+        "agents": agents,
+        "iterations": iterations,
+        "task": task,
+        "search": None if search is None else search.value,
         "randomize": randomize,
         "rollouts": rollouts,
         "worst": worst,
         "random_courses": random_courses,
         "profile": None if profile is None else str(profile),
     }
+    settings = _settings({name: value for name, value in options.items() if value is not None}, out, resume)
+    run = _Run(output, out, resume, processes, cluster)
+    if cluster is not None and (processes is not None or isinstance(settings, RobustSettings | TaskSettings)):
+        other = "--processes" if processes is not None else f"--{_NAMED_BY[type(settings).__name__]}"
+        raise UsageError(f"{other} and --cluster do not go together")
+    if isinstance(settings, TaskSettings):
+        _train_task(run, settings)
+    elif isinstance(settings, RobustSettings):
+        _train_robust(run, settings)
+    else:
+        _train_ensemble(run, settings)
+
+
+_NAMED_BY = {"TaskSettings": "task", "RobustSettings": "randomize"}
+"""The option that chooses each kind of training; without one it is an ensemble on a course."""
+
+
+def _settings(given: dict[str, Any], out: Path | None, resume: bool) -> "Settings":
+    """Return the settings of a command's options, and of the run to go on with."""
+    from rover_ncp.core.config import validated
+    from sim.learn.record import RobustSettings, TaskSettings, TrainSettings
+    from sim.learn.run_folder import saved_settings
+
     if resume and out is None:
         raise UsageError("--resume needs --out, the folder of the run to go on with")
     saved = saved_settings(out) if resume and out is not None else None
-    if task is not None or isinstance(saved, TaskSettings):
-        if {course, model, agents, search, randomize, worst, random_courses, profile, cluster} != {None}:
-            raise UsageError("--task goes with --circuit, --seed, --iterations, --rollouts and --processes")
-        before = saved.model_dump() if isinstance(saved, TaskSettings) else {}
-        if task is None and ":" in before["task"]:
-            # The folder may come from others, and its module would run: only the command line names code.
-            raise UsageError(
-                f"--resume: the task of {out} imports a module; name it again with --task, as MODULE:ID"
-            )
-        asked = {"task": task, "rollouts": rollouts, **options}
-        _train_task(
-            output, before | {k: v for k, v in asked.items() if v is not None}, out, resume, processes
-        )
-        return
-    if randomize is not None or isinstance(saved, RobustSettings):
-        if not {agents, search} <= {None}:
-            raise UsageError("--randomize goes with neither --agents nor --search")
-        if cluster is not None:
-            raise UsageError("--randomize trains on this machine: it does not go with --cluster")
-        before = saved.model_dump() if isinstance(saved, RobustSettings) else {}
-        asked = {name: value for name, value in (options | robust).items() if value is not None}
-        if "rollouts" in asked:
-            asked.setdefault("worst", asked["rollouts"])
-        settings = RobustSettings(**(before | asked))
-        check_settings(settings)  # before a folder is made, so that a typo leaves none behind
-        _train_robust(output, settings, out or new_run_path(), resume, processes)
-        return
-    if processes is not None and cluster is not None:
-        raise UsageError("--processes and --cluster do not go together: a cluster has its own workers")
-    if any(value is not None for value in robust.values()):
-        raise UsageError("--rollouts, --worst, --random-courses and --profile need --randomize")
-    plain = TrainSettings(**((saved.model_dump() if saved else {}) | given))
-    resolve_task(plain)  # before a folder is made, so that a typo leaves none behind
-    folder = out or new_run_path()
-    try:
-        with TrainProgress(plain.iterations) as progress:
-            result = run_training(
-                plain,
-                folder,
-                resume=resume,
-                processes=processes,
-                cluster=cluster,
-                on_progress=progress.show,
-            )
-    except (KeyboardInterrupt, WorkerDied):
-        output.say(f"Go on with: rover-ncp train --out {folder} --resume")
-        raise
+    if "task" not in given and isinstance(saved, TaskSettings) and ":" in saved.task:
+        # The folder may come from others, and its module would run: only the command line names code.
+        problem = f"the task of {out} imports a module; name it again with --task, as MODULE:ID"
+        raise UsageError(f"--resume: {problem}")
+    kind: type[Settings] = type(saved) if saved is not None else TrainSettings
+    if "task" in given or "randomize" in given:
+        kind = TaskSettings if "task" in given else RobustSettings
+    if foreign := [name for name in given if name not in kind.model_fields]:
+        option = f"--{foreign[0].replace('_', '-')}"
+        if kind is TrainSettings:
+            raise UsageError(f"{option} needs --randomize{' or --task' * (foreign[0] == 'rollouts')}")
+        raise UsageError(f"--{_NAMED_BY[kind.__name__]} and {option} do not go together")
+    before = saved.model_dump() if isinstance(saved, kind) else {}
+    if kind is TaskSettings and "circuit" not in before | given:
+        raise UsageError("--task needs --circuit, a policy file with the task's inputs and outputs")
+    return validated(before | given, kind, "train")
 
+
+class _Run(NamedTuple):
+    """Where and how a training runs."""
+
+    output: Output
+    out: Path | None
+    resume: bool
+    processes: int | None
+    cluster: str | None
+
+    @contextmanager
+    def progress(self, settings: "Settings") -> "Iterator[tuple[Path, Callable[[Progressing], None]]]":
+        """Give the folder and a function that shows progress; say how to go on after an interruption."""
+        from sim.learn.progress import TrainProgress
+        from sim.learn.run_folder import new_run_path
+        from sim.learn.workers import WorkerDied
+
+        out = self.out or new_run_path()
+        task = getattr(settings, "task", "")
+        again = f" --task {shlex.quote(task)}" if ":" in task else ""
+        try:
+            with TrainProgress(settings.iterations) as progress:
+                yield out, progress.show
+        except (KeyboardInterrupt, WorkerDied):
+            self.output.say(f"Go on with: rover-ncp train --out {out} --resume{again}")
+            raise
+
+
+def _train_ensemble(run: _Run, settings: "TrainSettings") -> None:
+    """Train agents on one course."""
+    from sim.learn.record import resolve_task
+    from sim.learn.train import train as run_training
+
+    resolve_task(settings)  # before a folder is made, so that a typo leaves none behind
+    with run.progress(settings) as (out, show):
+        result = run_training(
+            settings,
+            out,
+            resume=run.resume,
+            processes=run.processes,
+            cluster=run.cluster,
+            on_progress=show,
+        )
     fields = {
         "returns": result.agents.returns,  #: by agent
         "best_return": result.agents.best.value,  #: of all agents
@@ -238,56 +266,44 @@ def train(
         **vars(result.verdict),
         "wall_s": result.wall_s,  #: how long it took
         "iterations_per_s": result.iterations_per_s,  #: of all agents together, without start-up
-        "seed": plain.seed,
-        "agents": plain.agents,
-        "iterations": result.agents.iterations,
-        "out": str(folder),  #: the folder
+        "seed": settings.seed,  #: root seed
+        "agents": settings.agents,  #: how many
+        "iterations": result.agents.iterations,  #: of each agent
+        "out": str(out),  #: the folder
         "policy": str(result.policy_path),  #: the best agent's file
     }
     how = "parks" if result.verdict.parked else f"does not park: {result.verdict.reason}"
-    output.result(
+    run.output.result(
         fields,
-        f"best of {plain.agents} agents: return {result.agents.best.value:.4f}, {how} "
+        f"best of {settings.agents} agents: return {result.agents.best.value:.4f}, {how} "
         f"(median {result.agents.median_return:.4f}; {result.wall_s:.1f} s)\n{result.policy_path}",
     )
 
 
-def _train_robust(
-    output: Output, settings: "RobustSettings", out: Path, resume: bool, processes: int | None
-) -> None:
+def _train_robust(run: _Run, settings: "RobustSettings") -> None:
     """Train on random trials."""
-    from sim.learn.robust_run import train_robust
+    from sim.learn.robust_run import start_of, train_robust
 
-    with _generations(output, settings.iterations, out) as on_generation:
-        result = train_robust(settings, out, resume=resume, processes=processes, on_generation=on_generation)
+    start_of(settings)  # before a folder is made, so that a typo leaves none behind
+    with run.progress(settings) as (out, show):
+        result = train_robust(settings, out, resume=run.resume, processes=run.processes, on_generation=show)
     fields = settings.model_dump() | {
         "generations": result.last.number,  #: how many were made
         "cost": result.last.best,  #: lowest of the last generation
         "policy": str(result.path),  #: its file
     }
-    output.result(
+    run.output.result(
         fields, f"cost {result.last.best:.3f} after {result.last.number} generations\n{result.path}"
     )
 
 
-def _train_task(
-    output: Output, asked: dict[str, Any], out: Path | None, resume: bool, processes: int | None
-) -> None:
+def _train_task(run: _Run, settings: "TaskSettings") -> None:
     """Train on a Gymnasium environment, and score the policy in fresh episodes."""
     from sim.learn.environment_run import score_task, start_of, train_task
-    from sim.learn.record import TaskSettings
-    from sim.learn.run_folder import new_run_path
 
-    if "circuit" not in asked:
-        raise UsageError("--task needs --circuit, a policy file with the task's inputs and outputs")
-    settings = TaskSettings(**asked)
-    start = start_of(settings)  # before a folder is made, so that a typo leaves none behind
-    out = out or new_run_path()
-    again = f" --task {shlex.quote(settings.task)}" if ":" in settings.task else ""
-    with _generations(output, settings.iterations, out, again) as on_generation:
-        result = train_task(
-            settings, start, out, resume=resume, processes=processes, on_generation=on_generation
-        )
+    start_of(settings)  # before a folder is made, so that a typo leaves none behind
+    with run.progress(settings) as (out, show):
+        result = train_task(settings, out, resume=run.resume, processes=run.processes, on_generation=show)
     score = score_task(settings.task, result.policy)
     fields = settings.model_dump() | {
         "generations": result.last.number,  #: how many were made
@@ -297,24 +313,4 @@ def _train_task(
         "successes": score.successes,  #: episodes that reach the environment's threshold; null without one
         "policy": str(result.path),  #: its file
     }
-    output.result(fields, f"{score} after {result.last.number} generations\n{result.path}")
-
-
-@contextmanager
-def _generations(
-    output: Output, total: int, out: Path, again: str = ""
-) -> "Iterator[Callable[[Generation], None]]":
-    """Show the progress of a search by generations, and how to go on after an interruption."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from sim.learn.workers import WorkerDied
-
-    console = Console(stderr=True)
-    try:
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            bar = progress.add_task("generations", total=total)
-            yield lambda last: progress.update(bar, completed=last.number)
-    except (KeyboardInterrupt, WorkerDied):
-        output.say(f"Go on with: rover-ncp train --out {out} --resume{again}")
-        raise
+    run.output.result(fields, f"{score} after {result.last.number} generations\n{result.path}")

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.learn.agents import AgentState, curve_point
 
-_LEAST_LOSS = 1e-4
+_MIN_LOSS = 1e-4
 
 
 def curve_iterations(last: int) -> list[int]:
@@ -37,7 +37,7 @@ def curve_png(agents: Sequence[AgentState], last: int, title: str) -> bytes:
 
     iterations = curve_iterations(last)
     losses = -np.array([[agent.value_at(i) for i in iterations] for agent in agents])
-    losses = np.maximum(losses, _LEAST_LOSS)
+    losses = np.maximum(losses, _MIN_LOSS)
     best = int(np.argmin(losses[:, -1]))
     figure = Figure(figsize=(8, 5), dpi=120)
     axes = figure.add_axes((0.1, 0.11, 0.88, 0.81))

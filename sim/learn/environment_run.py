@@ -1,6 +1,6 @@
 """Training on a Gymnasium environment: what ``rover-ncp train --task`` does.
 
-The folder is that of a training on random trials (``robust_run.py``); a cost is minus a return. Each
+A cost is minus a return. Each
 generation plays other episodes, the same for all its candidates.
 """
 
@@ -17,18 +17,18 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_start
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.streams import Domain, episode_seeds
-from sim.learn.environment import Environment, EnvironmentEvaluator, make_environment, require_fit
+from sim.learn.engine.environment import Environment, EnvironmentEvaluator, make_environment, require_fit
 from sim.learn.record import Record, TaskSettings
 from sim.learn.robust import Drive, Generation, RobustSearch, Stage, policy_box
 from sim.learn.robust_run import RobustResult, SearchRun
-from sim.learn.run_folder import open_folder
+from sim.learn.run_folder import open_run
 
 FloatArray = NDArray[np.float64]
 
 EPISODES = 100
 """Fresh episodes that score a policy."""
 _STAGES = (Stage(0, 1, 0.005, 0.0, 0.0, 0.0, False),)
-_SPREADS = (0.15, 0.3)
+_SIGMAS = (0.15, 0.3)
 """A circuit of one's own begins far from any solution."""
 
 
@@ -68,17 +68,17 @@ def start_of(settings: TaskSettings) -> Policy:
 
 def train_task(
     settings: TaskSettings,
-    start: Policy,
     out: Path,
     *,
     resume: bool = False,
     processes: int | None = None,
     on_generation: Callable[[Generation], None] = lambda _: None,
 ) -> RobustResult:
-    """Train the policy of `start_of` and leave the run in the folder ``out``, as `train_robust` does.
+    """Train a policy on an environment and leave the run in the folder ``out``.
 
-    Raises as that does.
+    Behaves as `train_robust`, and raises the same errors.
     """
+    start = start_of(settings)
     record = Record[TaskSettings].of(settings, start, None)
     search = RobustSearch(
         policy_box(start),
@@ -86,11 +86,11 @@ def train_task(
         rollouts=settings.rollouts,
         worst=settings.rollouts,
         stages=_STAGES,
-        spreads=_SPREADS,
+        sigmas=_SIGMAS,
     )
-    with open_folder(out, record, resume) as began:
-        run = SearchRun(out, began, start, search)
-        return run.finished(partial(_episodes, settings.task, start, settings.seed), processes, on_generation)
+    with open_run(out, record, resume) as folder:
+        run = SearchRun(folder, start, search)
+        return run.finish(partial(_episodes, settings.task, start, settings.seed), processes, on_generation)
 
 
 def score_task(

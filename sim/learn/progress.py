@@ -1,29 +1,38 @@
-"""A training run's progress bar; on a terminal only, always on stderr."""
+"""A training's progress bar; on a terminal only, always on stderr."""
 
 from types import TracebackType
-from typing import Self
+from typing import Protocol, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sim.learn.agents import Snapshot
+
+class Progressing(Protocol):
+    """A search between two iterations."""
+
+    @property
+    def iterations(self) -> int:
+        """Iterations done."""
+
+    @property
+    def summary(self) -> str:
+        """Its results in a few words."""
 
 
 class TrainProgress:
-    """Shows iterations, the best and the median return, and the speed, while its context is open."""
+    """Shows iterations, the results so far and the speed, while its context is open."""
 
     def __init__(self, iterations: int) -> None:
         console = Console(stderr=True)
         self._bar = Progress(
             BarColumn(),
             MofNCompleteColumn(),
-            TextColumn("best {task.fields[best]}  median {task.fields[median]}  {task.fields[speed]}"),
+            TextColumn("{task.fields[summary]}  {task.fields[speed]}"),
             TimeRemainingColumn(),
             console=console,
             disable=not console.is_terminal,
         )
-        self._task = self._bar.add_task("", total=iterations, best="-", median="-", speed="starting")
-        self._agents = 0
+        self._task = self._bar.add_task("", total=iterations, summary="", speed="starting")
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -34,13 +43,8 @@ class TrainProgress:
     ) -> None:
         self._bar.stop()
 
-    def show(self, snapshot: Snapshot) -> None:
-        """Show the agents as they stand."""
+    def show(self, now: Progressing) -> None:
+        """Show the search as it is now."""
         speed = self._bar.tasks[0].speed
-        self._bar.update(
-            self._task,
-            completed=snapshot.iterations,
-            best=f"{snapshot.best.value:.4f}",
-            median=f"{snapshot.median_return:.4f}",
-            speed=f"{speed * len(snapshot.agents):.0f} iterations/s" if speed else "",
-        )
+        text = f"{speed:.3g} iterations/s" if speed else ""
+        self._bar.update(self._task, completed=now.iterations, summary=now.summary, speed=text)

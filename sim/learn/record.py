@@ -12,10 +12,10 @@ from dataclasses import replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, NamedTuple, Self, TypeVar
+from typing import Annotated, Any, Generic, Literal, NamedTuple, Self, TypeAlias, TypeVar
 
 import yaml
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from rover_ncp.circuit.policy import Policy, absolute_policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_start, policy_data
@@ -81,11 +81,24 @@ class RobustSettings(_CourseSettings):
     seed: int = Field(default=0, ge=0)
     iterations: int = Field(default=2600, ge=1, description="generations")
     rollouts: int = Field(default=144, ge=1, description="trials of a candidate")
-    worst: int = Field(default=144, ge=1, description="of which so many worst are averaged")
-    random_courses: int = Field(default=400, ge=0, description="that are driven beside the course")
+    worst: int = Field(default=144, ge=1, description="number of worst rollouts in the average")
+    random_courses: int = Field(default=400, ge=0, description="random courses beside the given one")
     profile: str | None = Field(
-        default=None, exclude_if=lambda path: path is None, description="what is known of the rover"
+        default=None, exclude_if=lambda path: path is None, description="rover profile"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _all_rollouts(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "rollouts" in data:
+            return {"worst": data["rollouts"], **data}
+        return data
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.worst > self.rollouts:
+            raise ValueError(f"the worst {self.worst} of {self.rollouts} rollouts cannot be taken")
+        return self
 
 
 class TaskSettings(_Settings):
@@ -105,6 +118,7 @@ class Task(NamedTuple):
     policy: Policy
 
 
+Settings: TypeAlias = TrainSettings | RobustSettings | TaskSettings
 SettingsT = TypeVar("SettingsT", TrainSettings, RobustSettings, TaskSettings)
 
 

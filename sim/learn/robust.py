@@ -21,7 +21,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.streams import Domain, stream_seed
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import Reference
-from sim.learn.evaluator import Evaluator, Outcomes
+from sim.learn.engine.evaluator import Evaluator, Outcomes
 from sim.learn.search.cma import Cma, default_population
 from sim.learn.search.unit_box import UnitBox, reflected
 from sim.world.random_course import mirrored, mirrored_reference, random_course
@@ -37,8 +37,8 @@ class Stage(NamedTuple):
     since: int
     divisor: int
     """Candidates drive the rollouts divided by this."""
-    least_spread: float
-    """Noise lets a spread shrink before its time."""
+    min_sigma: float
+    """Lower bound of sigma: with noisy costs CMA-ES shrinks it too early."""
     failure: float
     limit: float
     blur: float
@@ -63,8 +63,8 @@ nothing else twitches on bases without quantisation."""
 Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stage: the costs (k, trials)."""
 
-_FIRST_SPREAD, _MOST_SPREAD = 0.04, 0.1
-"""First and greatest spread. Where all costs are equal, noise would let it grow beyond the box."""
+_FIRST_SIGMA, _MAX_SIGMA = 0.04, 0.1
+"""First and greatest sigma. Where all costs are equal, noise would let it grow beyond the box."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
 _STILL = (0.003, 0.0006)
@@ -78,12 +78,25 @@ _RANDOM_BETWEEN = 2
 
 
 class Generation(NamedTuple):
-    """State of a search: the number of generations, the winner (P,), the spread, the best cost."""
+    """State of a search after ``number`` generations."""
 
     number: int
     winner: FloatArray
-    spread: float
+    """(P,)."""
+    sigma: float
+    """Step size of CMA-ES."""
     best: float
+    """Lowest cost of the generation."""
+
+    @property
+    def iterations(self) -> int:
+        """Generations done."""
+        return self.number
+
+    @property
+    def summary(self) -> str:
+        """The state in a few words."""
+        return f"cost {self.best:.4g}"
 
 
 def policy_box(policy: Policy) -> UnitBox:
@@ -174,7 +187,7 @@ def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, se
 class RobustSearch:
     """A search from the box's start, generation by generation. The same seed gives the same search.
 
-    ``spreads`` are the first and the greatest.
+    ``sigmas`` are the first step size and the greatest.
     """
 
     def __init__(
@@ -185,13 +198,13 @@ class RobustSearch:
         rollouts: int,
         worst: int,
         stages: Sequence[Stage] = _STAGES,
-        spreads: tuple[float, float] = (_FIRST_SPREAD, _MOST_SPREAD),
+        sigmas: tuple[float, float] = (_FIRST_SIGMA, _MAX_SIGMA),
     ) -> None:
-        self._box, self._stages, self._most_spread = box, stages, spreads[1]
+        self._box, self._stages, self._max_sigma = box, stages, sigmas[1]
         self._rollouts, self._worst = rollouts, worst
         start = box.start
         self.population = round(_POPULATION * default_population(len(start)))
-        self._cma = Cma(start, spreads[0], seed=seed, population=self.population)
+        self._cma = Cma(start, sigmas[0], seed=seed, population=self.population)
         self._means: list[list[float]] = []
 
     @property
@@ -202,14 +215,14 @@ class RobustSearch:
     def advance(self, drive: Drive) -> Generation:
         """Do one generation, whose trials are driven by ``drive``."""
         stage = self._stage(self.number)
-        self._cma.limits = stage.least_spread, self._most_spread
+        self._cma.limits = stage.min_sigma, self._max_sigma
         vectors = self._box.vectors(reflected(self._cma.ask()))
         count, worst = self._rollouts // stage.divisor, self._worst // stage.divisor
         found = drive(vectors, self.number * self._rollouts, max(count, 1), stage)
         values = np.array([-mean_of_worst((-row).tolist(), max(worst, 1)) for row in found])
         self._cma.tell(values)
         self._means = [*self._means, self._cma.mean.tolist()][-_AVERAGED:]
-        return Generation(self.number, self.winner, self._cma.spread, float(values.min()))
+        return Generation(self.number, self.winner, self._cma.sigma, float(values.min()))
 
     def _stage(self, number: int) -> Stage:
         stage = [stage for stage in self._stages if stage.since <= number][-1]

@@ -1,13 +1,6 @@
-"""A robust training from settings to files: what ``rover-ncp train --randomize`` does.
-
-settings.yaml      the record, written first
-search.json        the search between two generations, and the curve so far: all that resuming needs
-policy.yaml        the winner, with the command that makes it again
-curve.csv          generation, best cost in it, spread of the search
-"""
+"""Trainings by generations: on random trials here, on Gymnasium environments in ``environment_run.py``."""
 
 import json
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -18,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy, course_policy
-from rover_ncp.circuit.policy_file import load_start, save_policy
+from rover_ncp.circuit.policy_file import load_start
 from rover_ncp.circuit.rover_interface import RoverInterface
-from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
-from rover_ncp.core.files import read_text, write_atomic
+from rover_ncp.core.errors import FileError
+from rover_ncp.core.files import read_text
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import plan_reference
-from sim.learn.evaluator import Evaluator
+from sim.learn.engine.evaluator import Evaluator
 from sim.learn.record import Record, RobustSettings, TaskSettings, course_of
 from sim.learn.robust import (
     Drive,
@@ -34,16 +27,12 @@ from sim.learn.robust import (
     policy_box,
     training_courses,
 )
-from sim.learn.run_folder import open_folder, require_run
-from sim.learn.train import find_workers
-from sim.learn.workers import MadeOnce, Workers, available_processes
+from sim.learn.run_folder import RunFolder, checkpoints, open_run
+from sim.learn.workers import Workers, available_processes, local_workers, made_in_each_process
 from sim.world.described import ranges_for
 from sim.world.randomization import Randomization, draw_trials
 
 FloatArray = NDArray[np.float64]
-
-# Checkpoints take at most this share of the time.
-_CHECKPOINT_SHARE = 0.02
 
 
 class RobustResult(NamedTuple):
@@ -73,9 +62,7 @@ def _drive_parts(workers: Workers, drive: Drive, vectors: FloatArray, *which: An
 
 
 def start_of(settings: RobustSettings) -> tuple[Policy, Course, Randomization]:
-    """Return the untuned policy, the course and the trials' ranges. Raises UsageError or FileError."""
-    if settings.worst > settings.rollouts:
-        raise UsageError(f"the worst {settings.worst} of {settings.rollouts} rollouts cannot be taken")
+    """Return the untuned policy, the course and the randomization. Raises ConfigError or FileError."""
     ranges = ranges_for(settings.randomize, Path(settings.profile) if settings.profile else None)
     loaded = load_start(settings.circuit)
     start = loaded if isinstance(loaded, Policy) else course_policy(loaded)
@@ -104,91 +91,80 @@ def train_robust(
         policy_box(start), seed=settings.seed, rollouts=settings.rollouts, worst=settings.worst
     )
     courses = (course.name, *(["random"] if settings.random_courses else []))
-    with open_folder(out, record, resume) as began:
-        run = SearchRun(out, began, replace(start, courses=courses), search)
-        return run.finished(make, processes, on_generation)
+    with open_run(out, record, resume) as folder:
+        run = SearchRun(folder, replace(start, courses=courses), search)
+        return run.finish(make, processes, on_generation)
 
 
 class SearchRun:
-    """A search and its folder. ``start`` is the untuned policy."""
+    """A search, which begins where its folder says, and its files. ``start`` is the untuned policy."""
 
     def __init__(
         self,
-        path: Path,
-        record: Record[RobustSettings] | Record[TaskSettings],
+        folder: RunFolder[RobustSettings] | RunFolder[TaskSettings],
         start: Policy,
         search: RobustSearch,
     ) -> None:
-        self.policy_path = path / "policy.yaml"
-        self._saved, self._curve_path = path / "search.json", path / "curve.csv"
-        self._record, self._start, self._iterations = record, start, record.settings.iterations
-        self.search = search
+        self._folder, self._start, self.search = folder, start, search
         self._curve: list[tuple[float, float]] = []
-        if self._saved.is_file():
-            self._load()
+        saved = folder.path / "search.json"
+        if saved.is_file():
+            self._load(saved)
+        # An interrupt in the middle of a generation leaves a search that cannot be saved.
+        self._state = search.state()
 
     @property
     def last(self) -> Generation:
         """The newest generation."""
-        best, spread = self._curve[-1]
-        return Generation(self.search.number, self.search.winner, spread, best)
+        best, sigma = self._curve[-1]
+        return Generation(len(self._curve), self.search.winner, sigma, best)
 
-    def finished(
+    def finish(
         self,
         make: Callable[[], Drive],
         processes: int | None,
         on_generation: Callable[[Generation], None],
     ) -> RobustResult:
-        """Search to the end with what ``make`` makes in each process."""
-        if self.search.number < self._iterations:
-            with find_workers(min(processes or available_processes(), self.search.population)) as workers:
-                self.advance(partial(_drive_parts, workers, MadeOnce(make)), on_generation)
-        return RobustResult(self.save(), self.policy_path, self.last)
+        """Search to the end with the function that ``make`` makes in each process."""
+        iterations = self._folder.record.settings.iterations
+        if self.search.number < iterations:
+            count = min(processes or available_processes(), self.search.population)
+            with checkpoints(self.save) as checkpoint, local_workers(count) as workers:
+                drive = partial(_drive_parts, workers, made_in_each_process(make))
+                while self.search.number < iterations:
+                    last = self.search.advance(drive)
+                    self._curve.append((last.best, last.sigma))
+                    self._state = self.search.state()
+                    on_generation(last)
+                    checkpoint()
+        self.save()
+        return RobustResult(self.policy(), self._folder.policy_path, self.last)
 
-    def advance(self, drive: Drive, on_generation: Callable[[Generation], None]) -> None:
-        """Search to the end; save the state if the run ends early."""
-        saved_s = save_cost_s = 0.0
-        # What an interrupt in the middle of a generation leaves is no state to go on from.
-        state = self.search.state()
-        try:
-            while self.search.number < self._iterations:
-                last = self.search.advance(drive)
-                self._curve.append((last.best, last.spread))
-                state = self.search.state()
-                on_generation(last)
-                now = time.monotonic()
-                if now - saved_s > save_cost_s / _CHECKPOINT_SHARE:
-                    self.save()
-                    saved_s = time.monotonic()
-                    save_cost_s = saved_s - now
-        except (KeyboardInterrupt, RoverNcpError):
-            self.search.restore(state)
-            del self._curve[self.search.number :]
-            if self._curve:
-                self.save()
-            raise
+    def save(self) -> None:
+        """Write what resuming needs, then the winner and the curve, if there is a generation."""
+        self.search.restore(self._state)
+        del self._curve[self.search.number :]
+        if not self._curve:
+            return
+        write = self._folder.write
+        state = {"format": 1, "search": self._state, "curve": self._curve}
+        write("search.json", json.dumps(state, allow_nan=False) + "\n")
+        write("policy.yaml", self.policy())
+        rows = [f"{number},{best!r},{sigma!r}" for number, (best, sigma) in enumerate(self._curve, 1)]
+        write("curve.csv", "\n".join(["generation,cost,spread", *rows, ""]))
 
-    def save(self) -> Policy:
-        """Write what resuming needs, then the winner and the curve. Raises FileError."""
-        require_run(self.policy_path.parent)
-        state = {"format": 1, "search": self.search.state(), "curve": self._curve}
-        write_atomic(self._saved, json.dumps(state, allow_nan=False) + "\n")
+    def policy(self) -> Policy:
+        """Return the winner with its provenance."""
         last = self.last
-        policy = replace(
-            self._start.with_parameters(last.winner),
-            provenance=self._record.provenance(last.number, cost=last.best),
-        )
-        save_policy(self.policy_path, policy)
-        rows = [f"{number},{best!r},{spread!r}" for number, (best, spread) in enumerate(self._curve, 1)]
-        write_atomic(self._curve_path, "\n".join(["generation,cost,spread", *rows, ""]))
-        return policy
+        provenance = self._folder.record.provenance(last.number, cost=last.best)
+        return replace(self._start.with_parameters(last.winner), provenance=provenance)
 
-    def _load(self) -> None:
+    def _load(self, saved: Path) -> None:
         try:
-            data = json.loads(read_text(self._saved))
+            data = json.loads(read_text(saved))
             self.search.restore(data["search"])
-            self._curve = [(float(best), float(spread)) for best, spread in data["curve"]]
+            self._curve = [(float(best), float(sigma)) for best, sigma in data["curve"]]
             if data["format"] != 1 or len(self._curve) != self.search.number:
                 raise ValueError("it does not fit together")
         except (ValueError, KeyError, TypeError, RecursionError) as error:
-            raise FileError(f"{self._saved}: damaged; delete it to begin again") from error
+            raise FileError(f"{saved}: damaged; delete it to begin again") from error

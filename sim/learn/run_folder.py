@@ -1,44 +1,35 @@
-"""A training run on disk. Every file is written whole or not at all, so a run may be killed at any moment.
+"""The folder of a training run. Every file is written whole or not at all, so a run may be killed any time.
 
 settings.yaml   the record, written first
-policy.yaml     the best agent's policy
-curve.csv       each agent's best return so far, see ``curve.py``
-curve.png       the same as a picture, at the end
-agents/NN.json  an agent between two iterations: all that resuming needs
+policy.yaml     the best policy
+curve.csv       the learning curve
+agents/NN.json  an agent between two iterations: all that resuming needs (``train.py``)
 agents/NN.yaml  its policy, at the end
+curve.png       the curve as a picture, at the end
+search.json     a search by generations: all that resuming needs (``robust_run.py``)
 """
 
 import fcntl
 import os
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic
 
-import numpy as np
 from pydantic import BaseModel
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.policy_file import save_policy
+from rover_ncp.circuit.policy_file import policy_to_yaml
 from rover_ncp.core.config import dump_yaml, load_yaml
-from rover_ncp.core.errors import FileError, UsageError
+from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import write_atomic
-from sim.learn.agent_file import load_agent, save_agent
-from sim.learn.agents import AgentState, Plan, Snapshot
-from sim.learn.curve import curve_csv, curve_png
-from sim.learn.record import (
-    Record,
-    RobustSettings,
-    SettingsT,
-    Task,
-    TaskSettings,
-    TrainSettings,
-    resolve_task,
-)
+from sim.learn.record import Record, RobustSettings, Settings, SettingsT, TaskSettings, TrainSettings
 
 _RUNS = Path("runs")
 _RECORD = "settings.yaml"
+_CHECKPOINT_SHARE = 0.02
+"""Checkpoints take at most this share of the time: a short run saves often, and a slow disk seldom."""
 # What ``write_atomic`` calls its temporary files, for those a killed run can have been writing.
 _TEMPORARY = (
     ".settings.yaml.",
@@ -71,7 +62,7 @@ class _Kind(BaseModel):
     settings: dict[str, Any]
 
 
-def saved_settings(path: Path) -> TrainSettings | RobustSettings | TaskSettings:
+def saved_settings(path: Path) -> Settings:
     """Return the settings of the run in a folder. Raises UsageError (none), FileError, ConfigError."""
     saved = path / _RECORD
     if not saved.exists():
@@ -84,67 +75,30 @@ def saved_settings(path: Path) -> TrainSettings | RobustSettings | TaskSettings:
     return load_yaml(saved, Record[TrainSettings]).settings
 
 
-class RunFolder:
+class RunFolder(Generic[SettingsT]):
     """The folder of one run, open while this process holds its lock; made by ``open_run``."""
 
-    def __init__(self, path: Path, record: Record[TrainSettings], task: Task) -> None:
+    def __init__(self, path: Path, record: Record[SettingsT]) -> None:
         self.path = path
+        self.record: Record[SettingsT] = record
         self.policy_path = path / "policy.yaml"
-        self._agents = path / "agents"
-        self._record = record
-        self.task = task
 
-    def load_agents(self, plan: Plan) -> Snapshot:
-        """Read the agents as they were saved last; one without a file has not begun. Raises FileError."""
-        agents = []
-        for number in range(self._record.settings.agents):
-            path = self._agents / f"{number:02}.json"
-            agents.append(load_agent(path, number, plan) if path.is_file() else AgentState(number))
-        return Snapshot(tuple(agents))
-
-    def save_progress(self, snapshot: Snapshot) -> None:
-        """Write the agents, the best policy and the table of the curves. Raises FileError."""
-        require_run(self.path)
-        for agent in snapshot.agents:
-            save_agent(self._agents / f"{agent.number:02}.json", agent)
-        save_policy(self.policy_path, self.policy(snapshot.best, snapshot))
-        write_atomic(self.path / "curve.csv", curve_csv(snapshot.agents, snapshot.iterations))
-
-    def finish(self, snapshot: Snapshot) -> None:
-        """Write everything, with each agent's policy and the picture. Raises FileError."""
-        self.save_progress(snapshot)
-        for agent in snapshot.agents:
-            save_policy(self._agents / f"{agent.number:02}.yaml", self.policy(agent, snapshot))
-        settings = self._record.settings
-        title = f"{self.task.course.name}, {settings.search} search, seed {settings.seed}"
-        write_atomic(self.path / "curve.png", curve_png(snapshot.agents, snapshot.iterations, title))
-
-    def policy(self, agent: AgentState, snapshot: Snapshot) -> Policy:
-        """Return an agent's incumbent as a policy with its provenance."""
-        if agent.search is None:
-            raise ValueError(f"agent {agent.number} has not begun")
-        provenance = self._record.provenance(
-            snapshot.iterations, **{"agent": agent.number, "return": agent.value}
-        )
-        policy = self.task.policy.with_parameters(np.array(agent.search["incumbent"]))
-        return replace(policy, provenance=provenance)
+    def write(self, name: str, content: str | bytes | Policy) -> None:
+        """Write a file. Raises FileError, also if the folder was moved: a new one would lack its settings."""
+        if not (self.path / _RECORD).is_file():
+            problem = "was moved or removed during the training; go on with --resume where it is"
+            raise FileError(f"{self.path}: {problem}")
+        text = policy_to_yaml(content) if isinstance(content, Policy) else content
+        write_atomic(self.path / name, text)
 
 
 @contextmanager
-def open_run(path: Path, settings: TrainSettings, resume: bool) -> Iterator[RunFolder]:
-    """Begin a run, or go on with one, as ``open_folder`` does."""
-    task = resolve_task(settings)
-    with open_folder(path, Record[TrainSettings].of(settings, task.policy, task.course), resume) as record:
-        yield RunFolder(path, record, task)
-
-
-@contextmanager
-def open_folder(path: Path, record: Record[SettingsT], resume: bool) -> Iterator[Record[SettingsT]]:
+def open_run(path: Path, record: Record[SettingsT], resume: bool) -> Iterator[RunFolder[SettingsT]]:
     """Begin a run in an empty or missing folder or, if ``resume``, go on with the one it holds.
 
-    Gives the record that the run began with. Raises UsageError or ConfigError if the folder holds something
-    else, nothing to resume, or a run of other settings. A folder whose run was killed before it wrote
-    anything counts as empty.
+    The folder has the record that the run began with. Raises UsageError or ConfigError if the folder holds
+    something else, nothing to resume, or a run of other settings. A folder whose run was killed before it
+    wrote anything counts as empty.
     """
     saved = path / _RECORD
     try:
@@ -169,15 +123,29 @@ def open_folder(path: Path, record: Record[SettingsT], resume: bool) -> Iterator
             raise UsageError(f"{path}: is not empty ({min(foreign)}) and holds no training run")
         _sweep(path)
         write_atomic(saved, dump_yaml(record.model_dump()))
-        yield record
+        yield RunFolder(path, record)
     finally:
         os.close(handle)
 
 
-def require_run(path: Path) -> None:
-    """Raise FileError if the folder of a run was moved or removed: a new one would lack its settings."""
-    if not (path / _RECORD).is_file():
-        raise FileError(f"{path}: was moved or removed during the training; go on with --resume where it is")
+@contextmanager
+def checkpoints(save: Callable[[], None]) -> Iterator[Callable[[], None]]:
+    """Give a function to call after each step, which saves now and then. Save if the block is interrupted."""
+    saved_s = cost_s = 0.0
+
+    def checkpoint() -> None:
+        nonlocal saved_s, cost_s
+        now = time.monotonic()
+        if now - saved_s > cost_s / _CHECKPOINT_SHARE:
+            save()
+            saved_s = time.monotonic()
+            cost_s = saved_s - now
+
+    try:
+        yield checkpoint
+    except (KeyboardInterrupt, RoverNcpError):
+        save()
+        raise
 
 
 def _nothing_to_resume(path: Path) -> UsageError:

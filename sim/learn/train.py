@@ -1,26 +1,30 @@
-"""Training from settings to files: the ensemble, its engine and its folder brought together."""
+"""Training of an ensemble of agents on one course: what ``rover-ncp train`` does."""
 
+import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import Field
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.errors import RoverNcpError
-from rover_ncp.course.course import Course, Verdict
-from sim.learn.agents import Plan, Snapshot, run_rounds
+from rover_ncp.core.config import StrictModel
+from rover_ncp.core.errors import FileError
+from rover_ncp.core.files import read_text
+from rover_ncp.course.course import Verdict
+from sim.learn.agents import AgentState, Plan, Snapshot, revive, run_rounds
 from sim.learn.cluster import DaskCluster
-from sim.learn.record import Task, TrainSettings
-from sim.learn.run_folder import RunFolder, open_run
-from sim.learn.workers import Inline, LocalProcesses, available_processes
-from sim.world.rover import RoverModel
-
-if TYPE_CHECKING:
-    from sim.learn.evaluator import Evaluator
-
-# Checkpoints take at most this share of the time, so a short run saves often and a slow disk seldom.
-_CHECKPOINT_SHARE = 0.02
+from sim.learn.curve import curve_csv, curve_png
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.rollout import rollout
+from sim.learn.record import Record, Task, TrainSettings, resolve_task
+from sim.learn.run_folder import RunFolder, checkpoints, open_run
+from sim.learn.search.base import dump_state
+from sim.learn.workers import available_processes, local_workers
 
 
 class TrainResult(NamedTuple):
@@ -43,20 +47,8 @@ def training_plan(settings: TrainSettings, task: Task) -> Plan:
         root_seed=settings.seed,
         strategy=settings.search,
         start=task.policy,
-        build_evaluator=partial(_build_evaluator, task, settings.rover),
+        build_evaluator=partial(Evaluator, task.policy, task.course, settings.rover),
     )
-
-
-def _build_evaluator(task: Task, model: RoverModel) -> "Evaluator":
-    from sim.learn.evaluator import Evaluator  # here and below: kernels, only for workers
-
-    return Evaluator(task.policy, task.course, model)
-
-
-def _judge(policy: Policy, course: Course, model: RoverModel) -> Verdict:
-    from sim.learn.rollout import rollout
-
-    return rollout(policy, course, model).verdict
 
 
 def train(
@@ -72,77 +64,120 @@ def train(
     """Train ``settings.agents`` agents and leave the run in the folder ``out``.
 
     ``processes`` defaults to one for each core; ``cluster`` is the address of a Dask scheduler, whose workers
-    then do the work. Both change the speed, never the result. After every round
-    ``on_progress`` sees the agents, and ``stop_when``, which also gets the best one's policy, may end the
-    training there. A run that is interrupted, however it dies, can be resumed and ends in the same files.
+    then do the work. Both change the speed, never the result. After every round ``on_progress`` gets the
+    agents, and ``stop_when``, which also gets the best one's policy, may end the training there. A run that
+    is interrupted, however it dies, can be resumed and ends in the same files.
 
     Raises UsageError, ConfigError or FileError for settings or a folder that cannot be, WorkerDied if one
     of its processes was killed, KeyboardInterrupt.
     """
     began = time.monotonic()
-    with open_run(out, settings, resume) as folder:
-        plan = training_plan(settings, folder.task)
-        rounds = _Rounds(folder, folder.load_agents(plan), on_progress, stop_when)
+    task = resolve_task(settings)
+    plan = training_plan(settings, task)
+    with open_run(out, Record[TrainSettings].of(settings, task.policy, task.course), resume) as folder:
+        run = _Ensemble(folder, task, plan)
         count = min(processes or available_processes(), settings.agents)
-        if rounds.snapshot.arrived(settings.iterations):
+        if run.snapshot.arrived(settings.iterations):
             count, cluster = 1, None
-        try:
-            with find_workers(count, cluster) as workers:
-                run_rounds(workers, plan, rounds.snapshot, settings.iterations, rounds.after_round)
-                policy = folder.policy(rounds.snapshot.best, rounds.snapshot)
-                verdict = workers.submit(_judge, policy, folder.task.course, settings.rover).result()
-        except (KeyboardInterrupt, RoverNcpError):
-            if rounds.snapshot.arrived(0):
-                folder.save_progress(rounds.snapshot)
-            raise
-        folder.finish(rounds.snapshot)
+        workers = local_workers(count) if cluster is None else DaskCluster(cluster)
+        with checkpoints(run.save) as checkpoint, workers:
+
+            def after_round(snapshot: Snapshot) -> bool:
+                run.take(snapshot)
+                on_progress(snapshot)
+                checkpoint()
+                return stop_when(snapshot, run.policy(snapshot.best))
+
+            run_rounds(workers, plan, run.snapshot, settings.iterations, after_round)
+        policy = run.policy(run.snapshot.best)
+        verdict = rollout(policy, task.course, settings.rover).verdict
+        run.finish()
         return TrainResult(
             policy=policy,
             policy_path=folder.policy_path,
             verdict=verdict,
-            agents=rounds.snapshot,
+            agents=run.snapshot,
             wall_s=time.monotonic() - began,
-            iterations_per_s=rounds.iterations_per_s,
+            iterations_per_s=run.iterations_per_s,
         )
 
 
-def find_workers(count: int, cluster: str | None = None) -> Inline | LocalProcesses | DaskCluster:
-    """Return so many workers on this machine, or those of a cluster."""
-    if cluster is not None:
-        return DaskCluster(cluster)
-    return Inline() if count == 1 else LocalProcesses(count)
+class _AgentFile(StrictModel):
+    """An agent between two iterations as a JSON file: numbers read back to the same bits."""
+
+    format: int = Field(default=1, ge=1, le=1)
+    agent: int = Field(ge=0)
+    improvements: tuple[tuple[int, float], ...]
+    search: dict[str, Any]
 
 
-class _Rounds:
-    """Actions at the end of each round: display, checkpoint, stop condition."""
+class _Ensemble:
+    """The agents of a run, which begin where their files say, and these files."""
 
-    def __init__(
-        self,
-        folder: RunFolder,
-        start: Snapshot,
-        on_progress: Callable[[Snapshot], None],
-        stop_when: Callable[[Snapshot, Policy], bool],
-    ) -> None:
-        self.snapshot = start
+    def __init__(self, folder: RunFolder[TrainSettings], task: Task, plan: Plan) -> None:
+        self._folder, self._task = folder, task
+        agents = range(folder.record.settings.agents)
+        self.snapshot = Snapshot(tuple(self._load(number, plan) for number in agents))
         self.iterations_per_s: float | None = None
-        self._folder = folder
-        self._on_progress = on_progress
-        self._stop_when = stop_when
-        self._saved_s = self._save_cost_s = 0.0
         self._clock: tuple[float, int] | None = None
 
-    def after_round(self, snapshot: Snapshot) -> bool:
-        """Display, save, and return whether to stop."""
-        now = time.monotonic()
+    def _load(self, number: int, plan: Plan) -> AgentState:
+        """Read an agent; one without a file has not begun. Raises FileError for a damaged or foreign file."""
+        path = self._folder.path / _file_of(number)
+        if not path.is_file():
+            return AgentState(number)
+        try:
+            data = _AgentFile.model_validate(json.loads(read_text(path)))
+            agent = AgentState(number, data.search, data.improvements)
+            search = revive(plan, agent)
+            last = agent.improvements[-1] if agent.improvements else (search.iterations, search.value)
+            if data.agent != number or last[0] > search.iterations or last[1] != search.value:
+                raise ValueError("it does not fit together")
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            problem = f"damaged, or not agent {number} of this run; delete it to redo it"
+            raise FileError(f"{path}: {problem}") from error
+        return agent
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Take the agents at the end of a round."""
         self.snapshot = snapshot
         if self._clock is None:
             # The first round holds the start of the processes and the compilation.
-            self._clock = (now, snapshot.total_iterations)
+            self._clock = time.monotonic(), snapshot.total_iterations
         else:
-            self.iterations_per_s = (snapshot.total_iterations - self._clock[1]) / (now - self._clock[0])
-        self._on_progress(snapshot)
-        if now - self._saved_s > self._save_cost_s / _CHECKPOINT_SHARE:
-            self._folder.save_progress(snapshot)
-            self._saved_s = time.monotonic()
-            self._save_cost_s = self._saved_s - now
-        return self._stop_when(snapshot, self._folder.policy(snapshot.best, snapshot))
+            began, iterations = self._clock
+            self.iterations_per_s = (snapshot.total_iterations - iterations) / (time.monotonic() - began)
+
+    def save(self) -> None:
+        """Write the agents, the best policy and the table of the curves, if all have begun."""
+        now, write = self.snapshot, self._folder.write
+        if not now.arrived(0):
+            return
+        for agent in now.agents:
+            data = {"format": 1, "agent": agent.number, "improvements": agent.improvements}
+            write(_file_of(agent.number), dump_state(data | {"search": agent.search}) + "\n")
+        write("policy.yaml", self.policy(now.best))
+        write("curve.csv", curve_csv(now.agents, now.iterations))
+
+    def finish(self) -> None:
+        """Write everything, with each agent's policy and the picture."""
+        self.save()
+        now, settings = self.snapshot, self._folder.record.settings
+        for agent in now.agents:
+            self._folder.write(f"agents/{agent.number:02}.yaml", self.policy(agent))
+        title = f"{self._task.course.name}, {settings.search} search, seed {settings.seed}"
+        self._folder.write("curve.png", curve_png(now.agents, now.iterations, title))
+
+    def policy(self, agent: AgentState) -> Policy:
+        """Return an agent's incumbent as a policy with its provenance."""
+        if agent.search is None:
+            raise ValueError(f"agent {agent.number} has not begun")
+        provenance = self._folder.record.provenance(
+            self.snapshot.iterations, **{"agent": agent.number, "return": agent.value}
+        )
+        policy = self._task.policy.with_parameters(np.array(agent.search["incumbent"]))
+        return replace(policy, provenance=provenance)
+
+
+def _file_of(number: int) -> str:
+    return f"agents/{number:02}.json"

@@ -1,7 +1,6 @@
-"""Executors of the trainings: this process, processes on this machine, or a Dask cluster (``cluster.py``).
+"""Workers of a training: this process, processes on this machine, or a Dask cluster (``cluster.py``).
 
-All take calls and give results as an executor of ``concurrent.futures`` does, and know how many calls they
-run at the same time. Processes are spawned, never forked: numba and cffi do not survive a fork.
+Processes are spawned, never forked: numba and cffi do not survive a fork.
 """
 
 import gc
@@ -10,33 +9,21 @@ import os
 import pickle
 import signal
 import threading
-import traceback
-from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
-from functools import lru_cache
+from contextlib import contextmanager
+from functools import lru_cache, partial
 from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
-from multiprocessing.process import BaseProcess
+from types import TracebackType
 from typing import Any, Protocol, Self
 
 from rover_ncp.core.errors import RoverNcpError, UsageError
 
-_JOIN_S = 5.0
-
 
 class WorkerDied(RoverNcpError):
-    """A process that had work ended without being asked to."""
-
-
-class Result(Protocol):
-    """The part of a future of ``concurrent.futures`` that trainings need."""
-
-    def result(self) -> Any:
-        """Wait for the result, and return it or raise the error of the call."""
+    """A worker process ended while it had work."""
 
 
 class Workers(Protocol):
@@ -46,7 +33,7 @@ class Workers(Protocol):
     def count(self) -> int:
         """Tasks that run at the same time."""
 
-    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Result:
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
         """Call a function in a worker."""
 
 
@@ -68,110 +55,6 @@ class Inline:
         return future
 
 
-class LocalProcesses:
-    """Processes on this machine, which take calls in turn. Leaving its context ends them at once.
-
-    A process whose parent has died finds its pipe closed and ends. No thread waits for the answers: the main
-    thread receives them itself, where Ctrl-C interrupts it.
-    """
-
-    def __init__(self, count: int) -> None:
-        self.count = count
-        self._calls: deque[_Call] = deque()
-        """The last call of each process, the one of longest ago first."""
-
-    def __enter__(self) -> Self:
-        context = multiprocessing.get_context("spawn")
-        try:
-            with starting_processes():
-                for number in range(self.count):
-                    ours, theirs = context.Pipe()
-                    process = context.Process(
-                        target=_serve, args=(theirs,), name=f"worker-{number}", daemon=True
-                    )
-                    process.start()
-                    theirs.close()
-                    self._calls.append(_Call(process, ours, (None, None)))
-        except BaseException:
-            self.__exit__()
-            raise
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        for call in self._calls:
-            call.process.kill()  # it holds nothing that could be left half-done
-            call.process.join()
-            call.process.close()
-            call.connection.close()
-
-    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> "_Call":
-        """Call a function in the process that has been without a new call for longest.
-
-        Waits until that one is idle. Raises WorkerDied if it has died.
-        """
-        last = self._calls[0]
-        last.receive()
-        call = _Call(last.process, last.connection)
-        try:
-            call.connection.send((function, arguments))
-        except OSError as error:
-            raise _death(call.process) from error
-        self._calls.rotate(-1)
-        self._calls[-1] = call
-        return call
-
-
-class _Call:
-    """A call of a function in a process, with the result like that of a future."""
-
-    def __init__(
-        self,
-        process: BaseProcess,
-        connection: Connection,
-        answer: tuple[Any, Exception | None] | None = None,
-    ) -> None:
-        self.process, self.connection = process, connection
-        self._answer = answer
-
-    def receive(self) -> tuple[Any, Exception | None]:
-        """Wait for the answer: a value, or an error."""
-        if self._answer is None:
-            try:
-                self._answer = self.connection.recv()
-            except (EOFError, OSError) as error:
-                raise _death(self.process) from error
-        return self._answer
-
-    def result(self) -> Any:
-        """Return what the function returned. Raises WorkerDied, or RuntimeError for a programming error."""
-        value, error = self.receive()
-        if error is not None:
-            raise error
-        return value
-
-
-def _death(process: BaseProcess) -> WorkerDied:
-    process.join(_JOIN_S)
-    code = process.exitcode
-    how = f"by {signal.Signals(-code).name}" if code is not None and code < 0 else f"with exit code {code}"
-    return WorkerDied(f"process {process.name} (pid {process.pid}) ended {how}")
-
-
-def _serve(connection: Connection) -> None:
-    """Call what a parent asks for, until its end of the pipe closes."""
-    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
-        while True:
-            function, arguments = connection.recv()
-            answer: tuple[Any, Exception | None]
-            try:
-                answer = function(*arguments), None
-            except RoverNcpError as error:  # of which not all survive a pipe
-                answer = None, UsageError(str(error))
-            except Exception:
-                answer = None, RuntimeError(f"a worker failed:\n{traceback.format_exc()}")
-            connection.send(answer)
-
-
 class _Spawning(SpawnContext):
     """Starts processes for one pool, and knows them."""
 
@@ -185,51 +68,89 @@ class _Spawning(SpawnContext):
         return self.started[-1]
 
 
-@contextmanager
-def process_pool(
-    count: int, death: str, initializer: Callable[..., object] | None = None, *arguments: Any
-) -> Iterator[ProcessPoolExecutor]:
-    """Give an executor. An error in the block ends its processes at once, and no others of this program.
+class ProcessPool:
+    """Processes on this machine. An error in its context kills them at once, and no others of this program.
 
-    Raises WorkerDied with the words of ``death`` if one of them dies.
+    Raises WorkerDied, with some advice, if one of them dies. They end when this process dies.
     """
-    context = _Spawning()
-    with ProcessPoolExecutor(count, context, initializer, arguments) as pool:
-        try:
-            yield pool
-        except BaseException as error:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in context.started:
+
+    def __init__(self, count: int, advice: str = "") -> None:
+        self.count = count
+        self._advice = advice
+        self._context = _Spawning()
+        self._executor = ProcessPoolExecutor(count, self._context, _end_with_parent)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        """Call a function in the next idle process; errors of this project arrive as UsageError."""
+        with starting_processes():  # the executor starts a process where none is idle
+            return self._executor.submit(_call, function, *arguments)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        broken = isinstance(error, BrokenProcessPool)  # then the executor ends the other processes
+        if error is not None and not broken:
+            self._executor.shutdown(wait=False, cancel_futures=True)
+            for process in self._context.started:
                 process.kill()  # it holds nothing that could be left half-done
-            if isinstance(error, BrokenProcessPool):
-                raise WorkerDied(death) from error
-            raise
+        self._executor.shutdown()
+        if broken:
+            raise WorkerDied(f"a worker process {self._ending()} unexpectedly{self._advice}") from error
+
+    def _ending(self) -> str:
+        """Return how the process ended that the executor did not end."""
+        for process in self._context.started:
+            code = process.exitcode
+            if code is not None and code not in {0, -signal.SIGTERM}:
+                how = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+                return f"ended {how}"
+        return "ended"
 
 
-class MadeOnce:
-    """A function that each process makes for itself, on the first call: ``MadeOnce(make)(*arguments)``.
+def _call(function: Callable[..., Any], *arguments: Any) -> Any:
+    try:
+        return function(*arguments)
+    except RoverNcpError as error:  # not all of them can be unpickled
+        raise UsageError(str(error)) from None
 
-    ``make`` must be picklable if the calls run in other processes. These keep the last function they made.
+
+def _end_with_parent() -> None:
+    """End this process when its parent dies: it would wait for work for ever."""
+
+    def wait() -> None:
+        if (parent := multiprocessing.parent_process()) is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def local_workers(count: int) -> Inline | ProcessPool:
+    """Return so many workers on this machine; one is this process."""
+    return Inline() if count == 1 else ProcessPool(count)
+
+
+def made_in_each_process(make: Callable[[], Callable[..., Any]]) -> Callable[..., Any]:
+    """Return a function that each process makes with ``make``, which must be picklable, on its first call.
+
+    A process keeps the last function that it made.
     """
+    return partial(_call_made, pickle.dumps(make))
 
-    def __init__(self, make: Callable[[], Callable[..., Any]]) -> None:
-        self._make = make
-        self._function: Callable[..., Any] | None = None
 
-    def __call__(self, *arguments: Any) -> Any:
-        """Call the function."""
-        if self._function is None:
-            self._function = self._make()
-        return self._function(*arguments)
-
-    def __reduce__(self) -> tuple[Callable[[bytes], "MadeOnce"], tuple[bytes]]:
-        return _made_here, (pickle.dumps(self._make),)
+def _call_made(make: bytes, *arguments: Any) -> Any:
+    return _made(make)(*arguments)
 
 
 @lru_cache(maxsize=1)
-def _made_here(make: bytes) -> MadeOnce:
-    gc.freeze()  # imports leave a million objects, which need not be gone through again
-    return MadeOnce(pickle.loads(make))
+def _made(make: bytes) -> Callable[..., Any]:
+    made: Callable[..., Any] = pickle.loads(make)()
+    if multiprocessing.parent_process() is not None:
+        gc.freeze()  # imports leave a million objects, which need not be gone through again
+    return made
 
 
 def available_processes() -> int:

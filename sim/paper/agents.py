@@ -18,10 +18,10 @@ from rover_ncp.circuit import compiled
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import UsageError
-from sim.learn.networks import Net, NetKind, net_for
+from sim.learn.engine.networks import Net, NetKind, net_for
 from sim.learn.random_circuit import random_circuit
 from sim.learn.search.base import Vector
-from sim.learn.search.random_search import shake
+from sim.learn.search.random_search import perturb
 from sim.paper.tasks import Task
 
 GRADIENTS = ("ppo", "a2c")
@@ -29,7 +29,7 @@ GRADIENTS = ("ppo", "a2c")
 PAPERS = ("circuit", "random", "mlp", "lstm")
 LIQUID = ("cfc", "ltc")
 AGENTS = (*PAPERS, *LIQUID, *GRADIENTS)
-_MOST_SHAKES = 6
+_MAX_PERTURBATIONS = 6
 
 
 def build_agent(task: Task, agent: str, seed: int, circuit: Path | None = None) -> Policy | Net:
@@ -55,15 +55,15 @@ def dead_parameters(agent: Policy | Net) -> NDArray[np.bool_] | None:
 
 
 def untuned(agent: Policy | Net, generator: np.random.Generator, count: int) -> Vector:
-    """Draw ``count`` starts (n, P): the first shaken once, the next twice, and so on to six times, again.
+    """Draw ``count`` starts (n, P): the first perturbed once, the next twice, and so on to six times, again.
 
-    The published code starts from one shake, which leaves most circuits without effect on the world.
+    The published code starts from one perturbation, which leaves most circuits without effect on the world.
     """
     layout = agent.layout()
     rows = []
     for number in range(count):
         row = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
-        for _ in range(1 + number % _MOST_SHAKES):
-            row = shake(layout, row, generator)
+        for _ in range(1 + number % _MAX_PERTURBATIONS):
+            row = perturb(layout, row, generator)
         rows.append(row)
     return np.array(rows)

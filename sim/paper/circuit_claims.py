@@ -10,8 +10,8 @@ import numpy as np
 from deploy.report.interpretation import PUBLISHED_SIGNS, contributions
 from rover_ncp.circuit.circuit import BOUNDS, Bounds, ParameterKind, SynapseKind
 from rover_ncp.circuit.policy import Policy
+from sim.learn.engine.rollout import Rollout
 from sim.learn.random_circuit import random_circuit
-from sim.learn.rollout import Rollout
 from sim.paper.agents import build_agent
 from sim.paper.claims import Claim, Finding, share_finding
 from sim.paper.interpretation import (

@@ -20,7 +20,7 @@ import numpy as np
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import Policy
-from sim.learn.networks import Net
+from sim.learn.engine.networks import Net
 from sim.learn.search.base import Seeds, Vector, draw_seeds
 from sim.learn.search.cma import Cma
 from sim.learn.search.unit_box import UnitBox, reflected

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH
-from sim.learn.commander import Commander, circuit_commander
-from sim.learn.networks import Net, network_commander
+from sim.learn.engine.commander import Commander, circuit_commander
+from sim.learn.engine.networks import Net, network_commander
 from sim.learn.search.base import Seeds
 from sim.paper.plants.lanes import NO_MUJOCO, Plants, observe, reset_plant, step_plant
 from sim.paper.tasks import Benchmark

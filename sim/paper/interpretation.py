@@ -12,7 +12,7 @@ from deploy.report.interpretation import (
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import load_course
-from sim.learn.rollout import Rollout, rollout
+from sim.learn.engine.rollout import Rollout, rollout
 from sim.paper.agents import build_agent
 from sim.paper.play import BenchmarkEpisodes
 from sim.paper.results import ResultStore

@@ -13,8 +13,8 @@ import numpy as np
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import load_course
-from sim.learn.evaluator import Evaluator
-from sim.learn.networks import Net, network_commander
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.networks import Net, network_commander
 from sim.learn.search.base import Vector
 from sim.learn.search.strategies import start_search
 from sim.paper.agents import dead_parameters
@@ -43,15 +43,15 @@ class ParkingEvaluator:
         return float(found.total[0, 0]), bool(found.parked[0, 0])
 
     def traces(self, vectors: Vector) -> tuple[Vector, Vector, Vector]:
-        """Return the returns (k,) of vectors (k, P), and the return and misses that the search climbs.
+        """Return the returns (k,) of vectors (k, P), and the return and residuals that the search climbs.
 
         Creeping counts as one more miss.
         """
         self.steps += len(vectors) * self.task.horizon
-        values, misses = self.engine.run(vectors)
-        creep = _CREEP * (misses[:, :, -1:] - misses[:, :, -2:-1])
+        values, residuals = self.engine.run(vectors)
+        creep = _CREEP * (residuals[:, :, -1:] - residuals[:, :, -2:-1])
         counted = values - np.sum(creep**2, axis=(1, 2, 3))
-        return values, counted, np.concatenate([misses, creep], axis=2)
+        return values, counted, np.concatenate([residuals, creep], axis=2)
 
     def estimate(self, vectors: Vector, number: int, to_beat: Vector) -> Vector:
         """Return the returns (k,) of vectors (k, P), exact only above ``to_beat`` (k,).
@@ -77,10 +77,10 @@ def search_parking(evaluator: ParkingEvaluator, agent: Policy | Net, seed: int, 
         if evaluator.steps >= budget.steps:
             ended = "steps"
             break
-        ahead = min(search.most_ahead, budget.evaluations - search.evaluations)
+        ahead = min(search.max_ahead, budget.evaluations - search.evaluations)
         vectors, before = search.ask(ahead), search.value
-        values, counted, misses = evaluator.traces(vectors)
-        search.tell(counted, misses)
+        values, counted, residuals = evaluator.traces(vectors)
+        search.tell(counted, residuals)
         if search.value == before:
             continue
         best = float(values[int(np.argmax(counted))])

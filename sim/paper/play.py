@@ -6,7 +6,7 @@ import numpy as np
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.runner import Runner
-from sim.learn.environment import Play
+from sim.learn.engine.environment import Play
 from sim.learn.search.base import Seeds, Vector
 from sim.paper.evaluator import Evaluator, make_plants
 from sim.paper.plants.lanes import observe, reset_plant, step_plant

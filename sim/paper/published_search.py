@@ -27,7 +27,7 @@ from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
-from sim.learn.networks import Net
+from sim.learn.engine.networks import Net
 from sim.learn.search.base import Strategy, Vector, draw_seeds, dump_state
 from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, Caps, KindRule, Published
 from sim.learn.search.strategies import start_search

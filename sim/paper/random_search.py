@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rover_ncp.circuit.policy import Policy
-from sim.learn.networks import Net
+from sim.learn.engine.networks import Net
 from sim.learn.search.base import Seeds, Vector, draw_seeds
 from sim.learn.search.published import FAILURES_TO_WIDEN, Caps, Published
 from sim.paper.agents import untuned

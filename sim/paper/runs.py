@@ -16,10 +16,10 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.core.errors import UsageError
 from sim.learn.cluster import DaskCluster
-from sim.learn.networks import Net
+from sim.learn.engine.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector, draw_seeds
-from sim.learn.workers import process_pool, starting_processes
+from sim.learn.workers import ProcessPool
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import GRADIENTS, build_agent
 from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
@@ -231,11 +231,8 @@ def make_runs(
             for run in as_completed([workers.submit(train_run, name) for name in names]):
                 keep(run)
         return
-    death = "the process of a run ended; repeat the command to continue"
-    with process_pool(min(processes, len(names)), death) as pool:
-        with starting_processes():  # the pool starts them as work is handed in
-            places = [(name, circuit, store.unfinished(name)) for name in names]
-            runs = [pool.submit(train_run, *place) for place in places]
+    with ProcessPool(min(processes, len(names)), "; repeat the command to continue") as pool:
+        runs = [pool.submit(train_run, name, circuit, store.unfinished(name)) for name in names]
         for run in as_completed(runs):
             keep(run)
 

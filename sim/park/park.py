@@ -27,9 +27,9 @@ from rover_ncp.course.fit import slowed
 from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.description import load_description
 from sim.learn.agents import Snapshot
+from sim.learn.engine.rollout import rollout
 from sim.learn.progress import TrainProgress
 from sim.learn.record import TrainSettings, course_of
-from sim.learn.rollout import rollout
 from sim.learn.train import train
 from sim.live.live_run import PIONEER, ROS2DDS, LiveRun
 from sim.live.processes import Finished, ProcessError

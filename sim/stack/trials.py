@@ -11,7 +11,7 @@ from bisect import bisect_right
 from collections.abc import Callable
 from concurrent.futures import as_completed
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 from deploy.drive.config import DriveConfig, settings_for
@@ -27,7 +27,7 @@ from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
 from sim.evaluate.commands import Place
 from sim.evaluate.driver import Driver
 from sim.evaluate.evaluate import cause
-from sim.learn.workers import available_processes, process_pool, starting_processes
+from sim.learn.workers import ProcessPool, available_processes, made_in_each_process
 from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
 from sim.stack.camera import Camera, Localiser
 from sim.stack.estimates import Belief, belief_of, settings_of
@@ -221,10 +221,6 @@ class _Truth:
         return course.judge(times, self._poses[first:last], self._touched)
 
 
-_stack: Stack | None = None
-"""The stack of a pool's process."""
-
-
 def drive_all(
     stack: Stack, count: int, processes: int | None, on_done: Callable[[], None] = lambda: None
 ) -> list[Driven]:
@@ -239,20 +235,14 @@ def drive_all(
             found[number] = stack.drive(number)
             on_done()
         return list(found.values())
-    with process_pool(workers, "a process that drove trials ended unexpectedly", _set_stack, stack) as pool:
-        with starting_processes():  # the pool starts them as work is handed in
-            waiting = {pool.submit(_drive, number): number for number in range(count)}
+    drive = made_in_each_process(partial(_driver, stack))
+    with ProcessPool(workers) as pool:
+        waiting = {pool.submit(drive, number): number for number in range(count)}
         for done in as_completed(waiting):
             found[waiting[done]] = done.result()
             on_done()
     return [found[number] for number in range(count)]
 
 
-def _set_stack(stack: Stack) -> None:
-    global _stack  # noqa: PLW0603  # a pool hands on what all its tasks share in no other way
-    _stack = stack
-
-
-def _drive(number: int) -> Driven:
-    assert _stack is not None  # set by the pool
-    return _stack.drive(number)
+def _driver(stack: Stack) -> Callable[[int], Driven]:
+    return stack.drive

@@ -19,7 +19,7 @@ from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.cli import run
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.course.course import load_course
-from sim.learn.evaluator import Evaluator
+from sim.learn.engine.evaluator import Evaluator
 from sim.learn.progress import TrainProgress
 from sim.live.processes import wait_for
 

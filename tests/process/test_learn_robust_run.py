@@ -11,7 +11,7 @@ from folders import content
 
 from rover_ncp.cli import run as shell
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
-from sim.learn import robust_run
+from sim.learn import run_folder
 from sim.learn.record import RobustSettings
 from sim.learn.robust_run import train_robust
 
@@ -44,10 +44,10 @@ class _Died(BaseException):
     """Stands for a kill: no handler of the code under test knows it."""
 
 
-@pytest.mark.parametrize("writes", range(8))
+@pytest.mark.parametrize("writes", range(13))
 def test_dying_before_any_write_changes_nothing(reference, tmp_path, monkeypatch, writes):
-    monkeypatch.setattr(robust_run, "_CHECKPOINT_SHARE", float("inf"))  # a checkpoint each generation
-    left, write = writes, robust_run.write_atomic
+    monkeypatch.setattr(run_folder, "_CHECKPOINT_SHARE", float("inf"))  # a checkpoint each generation
+    left, write = writes, run_folder.write_atomic
 
     def dying_write(path, data):
         nonlocal left
@@ -57,10 +57,10 @@ def test_dying_before_any_write_changes_nothing(reference, tmp_path, monkeypatch
         write(path, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr(robust_run, "write_atomic", dying_write)
+        patch.setattr(run_folder, "write_atomic", dying_write)
         with pytest.raises(_Died):
             train_robust(SETTINGS, tmp_path, processes=1)
-    train_robust(SETTINGS, tmp_path, resume=True, processes=1)
+    train_robust(SETTINGS, tmp_path, resume=(tmp_path / "settings.yaml").exists(), processes=1)
     assert content(tmp_path) == content(reference)
 
 

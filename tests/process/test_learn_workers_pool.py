@@ -3,11 +3,16 @@
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
-from sim.learn.workers import WorkerDied, process_pool, starting_processes
+from rover_ncp.core.errors import ConfigError, UsageError
+from sim.learn.workers import ProcessPool, WorkerDied
+from sim.live.processes import wait_for
 
 
 @pytest.fixture
@@ -21,9 +26,8 @@ def child():
 
 
 def test_failing_pool_ends_its_own_processes_alone(child):
-    with pytest.raises(KeyboardInterrupt), process_pool(2, "died") as pool:
-        with starting_processes():
-            waiting = [pool.submit(time.sleep, 600.0) for _ in range(2)]
+    with pytest.raises(KeyboardInterrupt), ProcessPool(2) as pool:
+        waiting = [pool.submit(time.sleep, 600.0) for _ in range(2)]
         own = set(multiprocessing.active_children()) - {child}
         raise KeyboardInterrupt
     assert len(waiting) == 2
@@ -33,7 +37,45 @@ def test_failing_pool_ends_its_own_processes_alone(child):
     assert child.is_alive()
 
 
-def test_process_that_dies_is_named(child):
-    with pytest.raises(WorkerDied, match="it died"), process_pool(1, "it died") as pool:
-        pool.submit(os._exit, 3).result()
+@pytest.mark.parametrize(
+    ("function", "argument", "ending"),
+    [
+        (os._exit, 3, "ended with exit code 3 unexpectedly; repeat"),
+        (signal.raise_signal, signal.SIGKILL, "ended by SIGKILL unexpectedly; repeat"),
+    ],
+)
+def test_process_that_dies_is_reported(child, function, argument, ending):
+    with pytest.raises(WorkerDied, match=f"^a worker process {ending}$"), ProcessPool(1, "; repeat") as pool:
+        pool.submit(function, argument).result()
     assert child.is_alive()
+    assert multiprocessing.active_children() == [child]
+
+
+def refuse():
+    raise ConfigError("mine.yaml", ["wrong"])
+
+
+def test_error_of_a_worker_arrives():
+    with pytest.raises(UsageError, match=r"mine\.yaml: wrong"), ProcessPool(1) as pool:
+        pool.submit(refuse).result()
+
+
+def test_processes_end_with_their_parent():
+    script = (
+        "import os, time\nfrom sim.learn.workers import ProcessPool\n"
+        "if __name__ == '__main__':\n"
+        "    with ProcessPool(1) as pool:\n"
+        "        print(pool.submit(os.getpid).result(), flush=True)\n        time.sleep(600)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as parent:
+        worker = int(parent.stdout.readline())
+        os.kill(worker, 0)
+        parent.kill()
+
+    def ended():
+        try:
+            return Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+        except FileNotFoundError:
+            return True
+
+    wait_for(ended, 10.0)

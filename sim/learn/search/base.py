@@ -34,7 +34,7 @@ def dump_state(state: SearchState) -> str:
 class Strategy(Protocol):
     """A search that maximises a return."""
 
-    most_ahead: ClassVar[int]
+    max_ahead: ClassVar[int]
     """How many candidates to ask for at once, at most."""
     speculates: ClassVar[bool]
     """Whether ``tell`` discards those after the first success, of several asked for at once."""
@@ -72,8 +72,8 @@ class Strategy(Protocol):
     def ask(self, count: int = 1) -> Vector:
         """Return candidates (n, P), 1 <= n <= count."""
 
-    def tell(self, values: Sequence[float] | Vector, misses: Vector | None = None) -> int:
-        """Take the returns (n,), and misses (n, 1, C, 3) if needed; return how many of them counted."""
+    def tell(self, values: Sequence[float] | Vector, residuals: Vector | None = None) -> int:
+        """Take the returns (n,), and residuals (n, 1, C, 3) if needed; return how many of them counted."""
 
     def state(self) -> SearchState:
         """Return all that the next ``ask`` depends on."""

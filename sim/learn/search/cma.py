@@ -1,7 +1,7 @@
 """CMA-ES of the ``cmaes`` package with what a training needs: an exact state, limits and whole populations.
 
 Every generation draws from its own random stream. A search that is restored from its ``state`` therefore
-continues as if it had never stopped.
+continues with the same bits.
 """
 
 import math
@@ -28,21 +28,21 @@ _STATE = {
 
 
 def default_population(dimension: int) -> int:
-    """Return the usual number of candidates (Hansen 2016, arXiv:1604.00772, eq. 48)."""
+    """Return the default number of candidates (Hansen 2016, arXiv:1604.00772, eq. 48)."""
     return 4 + math.floor(3.0 * math.log(dimension))
 
 
 class Cma:
     """Minimises a noisy function of a vector (n,), n > 1, without bounds.
 
-    ``spread``, the step size sigma, is kept within ``limits``, which may be changed between generations. With
+    ``sigma``, the step size, is kept within ``limits``, which may be changed between generations. With
     ``separable`` the covariance is a diagonal (Ros and Hansen 2008), for which a generation costs O(n).
     """
 
     def __init__(
         self,
         mean: FloatArray,
-        spread: float,
+        sigma: float,
         *,
         seed: int,
         population: int,
@@ -53,7 +53,7 @@ class Cma:
         self.limits = limits
         self._seed = seed
         optimizer = SepCMA if separable else CMA
-        self._cma = optimizer(np.array(mean, np.float64), spread, population_size=population)
+        self._cma = optimizer(np.array(mean, np.float64), sigma, population_size=population)
         self._asked: FloatArray | None = None
 
     @property
@@ -68,7 +68,7 @@ class Cma:
         return mean
 
     @property
-    def spread(self) -> float:
+    def sigma(self) -> float:
         """Step size sigma."""
         return float(self._cma._sigma)
 
@@ -84,7 +84,7 @@ class Cma:
             raise ValueError(f"tell needs the values of all {self.population} candidates, after ask")
         ranked = np.where(np.isnan(values), math.inf, values)
         self._cma.tell(list(zip(self._asked, ranked.tolist(), strict=True)))
-        self._cma._sigma = min(max(self.spread, self.limits[0]), self.limits[1])
+        self._cma._sigma = min(max(self.sigma, self.limits[0]), self.limits[1])
         self._asked = None
 
     def state(self) -> dict[str, Any]:
@@ -100,7 +100,7 @@ class Cma:
             if found[name].shape != kept.shape:
                 raise ValueError(f"no state of a search in {self._cma.dim} dimensions")
         if found["_g"] < 0 or not 0.0 < found["_sigma"] < math.inf:
-            raise ValueError("no generation and spread of a search")
+            raise ValueError("no generation and sigma of a search")
         for name, value in found.items():
             setattr(self._cma, name, value if value.ndim else value.item())
         # The eigenvalues are those of another covariance.

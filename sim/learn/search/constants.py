@@ -46,8 +46,8 @@ class GaussNewtonConstants:
     step_dampings: tuple[float, ...] = (0.2, 10.0)
     """Dampings of a batch's steps as factors of the damping that worked last; far from the goal the first."""
     first_damping: float = 0.1
-    least_damping: float = 1e-7
-    most_damping: float = 1e4
+    min_damping: float = 1e-7
+    max_damping: float = 1e4
     damping_after_failure: float = 10.0
     """Factor of the damping when no step of a batch gained."""
 
@@ -62,10 +62,10 @@ class GaussNewtonConstants:
     """Loss below which a climb of the return may be slow."""
     window: int = 80
     """Steps over which the gain of a descent is measured."""
-    least_gain: float = 0.01
+    min_gain: float = 0.01
     """Share of what is left to gain that a window must gain."""
-    least_gain_of_return: float = 0.05
-    """The same for a return that is not near: at ``least_gain`` a crawl takes half an agent's candidates."""
+    min_gain_of_return: float = 0.05
+    """The same for a return that is not near: at ``min_gain`` a crawl takes half an agent's candidates."""
     overtaking_window: int = 30
     overtaking_windows: float = 4.0
     """A climb of the return ends if, at the pace of the last ``overtaking_window`` steps, so many times as
@@ -73,10 +73,10 @@ class GaussNewtonConstants:
 
     # -- dead parameters --
     dead_effect: float = 0.01
-    """Change of a miss (m, rad) that counts as none."""
+    """Change of a residual (m, rad) that counts as none."""
     revival_moves: tuple[float, ...] = (0.05, 0.15, 0.4)
     """How far dead parameters are moved, up and down."""
-    most_dead: int = 16
+    max_dead: int = 16
     """The most parameters that are moved: those with the smallest slopes."""
     revival_price: float = 0.1
     """Share of the checkpoints not yet survived that may be lost for an effect."""

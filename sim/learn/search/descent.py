@@ -1,4 +1,4 @@
-"""One descent: damped Gauss-Newton steps on the misses, and the revival of dead parameters.
+"""One descent: damped Gauss-Newton steps on the residuals, and the revival of dead parameters.
 
 A step minimises what the slopes predict (``damped_steps``); its outcome corrects them. Far from the goal a
 descent climbs how far the rover gets before it goes astray (``survival``), close to it the return.
@@ -26,7 +26,7 @@ from sim.learn.search.constants import CONSTANTS
 from sim.learn.search.least_squares import correct_slopes, damped_steps, measure_slopes
 
 # The exponential of less underflows, and all weights would be 0.
-_LEAST_EXPONENT = -690.0
+_MIN_EXPONENT = -690.0
 
 
 def _array(value: Any) -> Vector:
@@ -39,40 +39,40 @@ Array = Annotated[Vector, PlainValidator(_array), PlainSerializer(np.ndarray.cop
 
 @dataclass
 class Outcome:
-    """A point (D,), its return, and its misses (C, 3)."""
+    """A point (D,), its return, and its residuals (C, 3)."""
 
     point: Array
     value: float
-    misses: Array
+    residuals: Array
 
 
 @kernel
-def survival(misses: Vector, lifetime: float) -> float:
-    """Return how far along an episode of ``misses`` (C, 3) stays on course: C if it never misses.
+def survival(residuals: Vector, lifetime: float) -> float:
+    """Return how far along an episode of ``residuals`` (C, 3) stays on course: C if there is no error.
 
     The sum over checkpoints of exp(-L / lifetime), L being the loss up to that checkpoint.
     """
     loss, survived = 0.0, 0.0
-    for checkpoint in range(len(misses)):
-        loss += (misses[checkpoint] ** 2).sum()
-        survived += math.exp(max(-loss / lifetime, _LEAST_EXPONENT))
+    for checkpoint in range(len(residuals)):
+        loss += (residuals[checkpoint] ** 2).sum()
+        survived += math.exp(max(-loss / lifetime, _MIN_EXPONENT))
     return survived
 
 
 @kernel
-def survival_weights(misses: Vector, lifetime: float) -> Vector:
+def survival_weights(residuals: Vector, lifetime: float) -> Vector:
     """Return the weights (3 C,) under which least squares climb ``survival``; their mean square is 1.
 
-    A squared miss at a checkpoint lowers the terms of this checkpoint and of all later ones: the weight of
-    the squares is the sum of these terms, that of the misses its root.
+    A squared residual at a checkpoint lowers the terms of this checkpoint and of all later ones: the weight
+    of the squares is the sum of these terms, that of the residuals its root.
     """
     loss, later = 0.0, 0.0
-    terms = np.empty(len(misses))
-    for checkpoint in range(len(misses)):
-        loss += (misses[checkpoint] ** 2).sum()
-        terms[checkpoint] = math.exp(max(-loss / lifetime, _LEAST_EXPONENT))
-    squares = np.empty(misses.size)
-    for checkpoint in range(len(misses) - 1, -1, -1):
+    terms = np.empty(len(residuals))
+    for checkpoint in range(len(residuals)):
+        loss += (residuals[checkpoint] ** 2).sum()
+        terms[checkpoint] = math.exp(max(-loss / lifetime, _MIN_EXPONENT))
+    squares = np.empty(residuals.size)
+    for checkpoint in range(len(residuals) - 1, -1, -1):
         later += terms[checkpoint]
         squares[3 * checkpoint : 3 * checkpoint + 3] = later
     weights: Vector = np.sqrt(squares / squares.mean())
@@ -80,19 +80,19 @@ def survival_weights(misses: Vector, lifetime: float) -> Vector:
 
 
 @kernel
-def known_checkpoints(misses: Vector, to_beat: float) -> int:
-    """Return after how many checkpoints the return of ``misses`` (C, 3) is below ``to_beat``, C if never.
+def known_checkpoints(residuals: Vector, to_beat: float) -> int:
+    """Return after how many checkpoints the return of ``residuals`` (C, 3) is below ``to_beat``, C if never.
 
-    An episode may be truncated there; the misses behind it are not to be looked at. The sum is that of the
+    An episode may be truncated there; the residuals behind it are not to be looked at. The sum is that of the
     episode kernel, to the last bit.
     """
     total = 0.0
-    for checkpoint in range(len(misses)):
-        dx, dy, dtheta = misses[checkpoint]
+    for checkpoint in range(len(residuals)):
+        dx, dy, dtheta = residuals[checkpoint]
         total -= dx * dx + dy * dy + dtheta * dtheta
         if total < to_beat:
             return checkpoint + 1
-    return len(misses)
+    return len(residuals)
 
 
 @dataclass
@@ -105,7 +105,7 @@ class Descent:
     restarted: bool
     """Whether it began at a restart, not at a sample."""
     slopes: Array
-    """(D, R) of all misses."""
+    """(D, R) of all residuals."""
     damping: float
     scores: list[float]
     """After the last steps, at most the window and one."""
@@ -119,24 +119,26 @@ class Descent:
 
     @property
     def to_beat(self) -> float:
-        """What a step's return must exceed, at each checkpoint; minus infinity if its misses count anyhow."""
+        """What a step's return must exceed, at each checkpoint; minus infinity if they always count."""
         return -math.inf if self.survives else self.at.value
 
     def score(self, outcome: Outcome) -> float:
         """Return what is climbed."""
-        return float(survival(outcome.misses, CONSTANTS.lifetime)) if self.survives else outcome.value
+        return float(survival(outcome.residuals, CONSTANTS.lifetime)) if self.survives else outcome.value
 
     def targets(self) -> Vector:
         """Return where the n steps of a batch lead, and the point that they start from: (n + 1, D)."""
-        misses = self.at.misses
-        weights = survival_weights(misses, CONSTANTS.lifetime) if self.survives else np.ones(misses.size)
+        residuals = self.at.residuals
+        weights = (
+            survival_weights(residuals, CONSTANTS.lifetime) if self.survives else np.ones(residuals.size)
+        )
         dampings = np.array([self.damping * factor for factor in self.step_dampings])
-        targets: Vector = damped_steps(self.slopes, misses.ravel(), weights, self.at.point, dampings)
+        targets: Vector = damped_steps(self.slopes, residuals.ravel(), weights, self.at.point, dampings)
         return targets
 
     def measure(self, probe: Outcome) -> None:
         """Take the slopes of the one parameter in which a probe differs."""
-        measure_slopes(self.slopes, self.at.point, self.at.misses, probe.point, probe.misses)
+        measure_slopes(self.slopes, self.at.point, self.at.residuals, probe.point, probe.residuals)
 
     def take(self, steps: Sequence[Outcome]) -> bool:
         """Move to the best step if it is higher; return whether the descent continues."""
@@ -151,18 +153,18 @@ class Descent:
             self._learn(steps[-1])  # the careful one: there the slopes are most nearly right
             damping = self.damping * CONSTANTS.damping_after_failure
             self.scores.append(self.scores[-1])
-        self.damping = min(max(damping, CONSTANTS.least_damping), CONSTANTS.most_damping)
+        self.damping = min(max(damping, CONSTANTS.min_damping), CONSTANTS.max_damping)
         del self.scores[: -CONSTANTS.window - 1]
         return self._continues()
 
     def _learn(self, step: Outcome) -> None:
-        known = known_checkpoints(step.misses, self.to_beat)
+        known = known_checkpoints(step.residuals, self.to_beat)
         at = self.at
-        correct_slopes(self.slopes, at.point, at.misses, step.point, step.misses[:known])
+        correct_slopes(self.slopes, at.point, at.residuals, step.point, step.residuals[:known])
 
     def _continues(self) -> bool:
         """Return whether recent steps gained enough; a climb of the survival may become one of the return."""
-        checkpoints = len(self.at.misses)
+        checkpoints = len(self.at.residuals)
         loss = -self.at.value / checkpoints
         if self.survives and loss < CONSTANTS.close_loss:
             self._climb_return()
@@ -170,7 +172,7 @@ class Descent:
             return True
         left = checkpoints - self.scores[-1] if self.survives else -self.scores[-1]
         slow = self.survives or loss < CONSTANTS.near_loss
-        least = CONSTANTS.least_gain if slow else CONSTANTS.least_gain_of_return
+        least = CONSTANTS.min_gain if slow else CONSTANTS.min_gain_of_return
         if self.scores[-1] - self.scores[0] >= least * left:
             return True
         if self.survives and loss < CONSTANTS.stalled_loss:
@@ -195,10 +197,10 @@ class Descent:
         return self.survives and self.revivals < CONSTANTS.revivals and len(self._dead()) > 0
 
     def _dead(self) -> NDArray[np.int64]:
-        """Return the parameters that, by their slopes, move no miss by much anywhere in their range."""
+        """Return the parameters that, by their slopes, change no residual by much anywhere in their range."""
         effects = np.abs(self.slopes).max(axis=1)
         dead: NDArray[np.int64] = effects.argsort(kind="stable")[: (effects < CONSTANTS.dead_effect).sum()]
-        return dead[: CONSTANTS.most_dead]
+        return dead[: CONSTANTS.max_dead]
 
     def revival_probes(self) -> Vector:
         """Return the point with each dead parameter moved far, alone: (n, D)."""
@@ -214,8 +216,8 @@ class Descent:
     def revive_dead_parameters(self, probes: Sequence[Outcome]) -> bool:
         """Move to the probe with the most effect at a fair price, if any; then measure all slopes again."""
         self.revivals += 1
-        price = CONSTANTS.revival_price * (len(self.at.misses) - self.scores[-1])
-        effects = [float(np.abs(probe.misses - self.at.misses).max()) for probe in probes]
+        price = CONSTANTS.revival_price * (len(self.at.residuals) - self.scores[-1])
+        effects = [float(np.abs(probe.residuals - self.at.residuals).max()) for probe in probes]
         alive = [
             number
             for number, probe in enumerate(probes)

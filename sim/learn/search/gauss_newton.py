@@ -1,15 +1,15 @@
-"""Damped Gauss-Newton descents on the misses of every checkpoint, from many starts.
+"""Damped Gauss-Newton descents on the residuals of every checkpoint, from many starts.
 
-A return is one number. Its misses are three numbers for each checkpoint; they show the search the direction
-of each error. The search draws samples around the untuned start, takes the best, measures how every parameter
-moves the misses (finite differences), and descends by damped Gauss-Newton steps. From then on every batch
+A return is one number. Its residuals are three numbers for each checkpoint: they show the direction of each
+error. The search draws samples around the untuned start, takes the best, measures how every parameter
+changes them (finite differences), and descends by damped Gauss-Newton steps. From then on every batch
 holds a bold step, close to the goal also a careful one, and the finite difference of one parameter, each in
 its turn. The outcome of a step corrects the other slopes (Broyden). Damping follows success and failure
 (Levenberg, Marquardt).
 
 Three rules get it past the local optima of a course:
   * Far from the goal it does not climb the return but how far the rover gets before it goes astray
-    (``survival``). Misses behind a lost turn say nothing about what comes before it, and pull the wrong way.
+    (``survival``). Residuals behind a lost turn say nothing about what comes before it, and mislead.
   * A descent that stalls there looks for dead parameters and revives them (``descent``).
   * A descent ends when it gains little over a window of steps, or too slowly to overtake the best. Then come
     restarts: the point reached, with some parameters moved far. After restarts without gain, the next descent
@@ -23,7 +23,7 @@ Rules of this file
   * All candidates count, those that measure slopes too. They are handed out in batches, a batch in any
     portions, and only a whole batch decides anything. ``state`` may be taken within a batch.
   * A step or a candidate of a race whose return is lost may be truncated there: no decision depends on the
-    misses behind that checkpoint.
+    residuals behind that checkpoint.
 """
 
 import math
@@ -86,7 +86,7 @@ class _Progress:
     evaluations: int = 0
     values: list[float] = field(default_factory=list)
     """Returns of the first candidates of the batch."""
-    misses: list[Array] = field(default_factory=list)
+    residuals: list[Array] = field(default_factory=list)
     """(C, 3) each."""
     descent: Descent | None = None
     origin: _Origin | None = None
@@ -97,9 +97,9 @@ _PROGRESS = TypeAdapter(_Progress)
 
 
 class GaussNewton:
-    """A search that maximises a return made of misses: minus the sum of their squares."""
+    """A search that maximises a return made of residuals: minus the sum of their squares."""
 
-    most_ahead: ClassVar[int] = 1000  # a batch is less
+    max_ahead: ClassVar[int] = 1000  # a batch is less
     speculates: ClassVar[bool] = False
 
     def __init__(self, box: UnitBox, generator: np.random.Generator) -> None:
@@ -163,11 +163,11 @@ class GaussNewton:
         self._asked = len(points)
         return self._box.vectors(points)
 
-    def tell(self, values: Sequence[float] | Vector, misses: Vector | None = None) -> int:
-        """Take the returns (n,) and misses (n, 1, C, 3) of what ``ask`` gave; return n, as all count."""
-        if misses is None:
-            raise ValueError("this search needs the misses")
-        if not len(values) == len(misses) == self._asked:
+    def tell(self, values: Sequence[float] | Vector, residuals: Vector | None = None) -> int:
+        """Take the returns (n,) and residuals (n, 1, C, 3) of what ``ask`` gave; return n, as all count."""
+        if residuals is None:
+            raise ValueError("this search needs the residuals")
+        if not len(values) == len(residuals) == self._asked:
             raise ValueError(f"{self._asked} candidates wait for their returns, got {len(values)}")
         numbers = np.asarray(values, np.float64).tolist()
         if math.isnan(sum(numbers)):
@@ -179,12 +179,12 @@ class GaussNewton:
             now.best = now.batch[len(now.values) + numbers.index(highest)]
         now.values += numbers
         # A copy, because an evaluator may use its array again.
-        now.misses.extend(misses.reshape(len(numbers), -1, 3).copy())
+        now.residuals.extend(residuals.reshape(len(numbers), -1, 3).copy())
         now.evaluations += len(numbers)
         asked, self._asked = self._asked, 0
         if len(now.values) == len(now.batch):
-            outcomes = list(map(Outcome, now.batch, now.values, now.misses))
-            now.values, now.misses = [], []
+            outcomes = list(map(Outcome, now.batch, now.values, now.residuals))
+            now.values, now.residuals = [], []
             self._decide(outcomes)
         return asked
 
@@ -243,7 +243,7 @@ class GaussNewton:
 
     def _restarts_after(self, last: Outcome, restarted: bool) -> bool:
         """Choose the origin of restarts; return whether the next descent is one, and not from samples."""
-        now, checkpoints = self._progress, len(last.misses)
+        now, checkpoints = self._progress, len(last.residuals)
         best = _Origin(now.best, self._best_value)
         ended = _Origin(last.point, last.value)
         if not restarted or now.origin is None:
@@ -263,7 +263,7 @@ class GaussNewton:
 
     def _is_good(self, outcome: Outcome) -> bool:
         """Return whether the best is good, for as many checkpoints as an outcome has."""
-        return -self._best_value < CONSTANTS.good_loss * len(outcome.misses)
+        return -self._best_value < CONSTANTS.good_loss * len(outcome.residuals)
 
     def _draw_restarts(self, wide: bool) -> None:
         now = self._progress
@@ -292,7 +292,7 @@ class GaussNewton:
         """Begin a descent from the best sample."""
         now = self._progress
         restarted = now.phase is _Phase.RESTARTS
-        slopes = np.zeros((self._box.size, samples[0].misses.size))
+        slopes = np.zeros((self._box.size, samples[0].residuals.size))
         now.descent = Descent(samples[0], not restarted, restarted, slopes, CONSTANTS.first_damping, [])
         scores = [now.descent.score(sample) for sample in samples]
         now.descent.at, now.descent.scores = samples[scores.index(max(scores))], [max(scores)]
@@ -354,11 +354,11 @@ class GaussNewton:
             all(point.shape == (size,) for point in points)
             and found.batch.ndim == 2
             and found.batch.shape == (expected.get(found.phase, len(found.batch)), size)
-            and len(found.misses) == len(found.values) < len(found.batch)
-            and all(misses.ndim == 2 for misses in found.misses)
+            and len(found.residuals) == len(found.values) < len(found.batch)
+            and all(residuals.ndim == 2 for residuals in found.residuals)
             and (found.value is None) == (found.origin is None) == (found.evaluations == 0)
             and (descent is None) == (found.phase in {_Phase.START, _Phase.SAMPLES, _Phase.RESTARTS})
-            and (descent is None or descent.slopes.shape == (size, descent.at.misses.size))
+            and (descent is None or descent.slopes.shape == (size, descent.at.residuals.size))
             and (descent is None or len(descent.scores) > 0)
             and (race is None or found.phase is _Phase.RESTARTS)
         )

@@ -12,7 +12,7 @@ from numba.extending import get_cython_function_address
 from rover_ncp.kernels.jit import call_fortran, kernel
 from sim.learn.search.base import Vector
 
-_LEAST_SHARE = 1e-12
+_MIN_SHARE = 1e-12
 
 
 def damped_steps(
@@ -60,7 +60,7 @@ def _damped_steps(  # noqa: PLR0917  # those of damped_steps, and the routines' 
         for j in range(i):
             products[i, j] = products[j, i]
     # With less damping than that, rounding could make the matrix negative.
-    least = _LEAST_SHARE * largest
+    least = _MIN_SHARE * largest
     targets = np.empty((len(dampings) + 1, size))
     targets[-1] = point
     for n in range(len(dampings)):
@@ -104,27 +104,27 @@ def _solution(lower: Vector, right: Vector) -> Vector:
 
 
 @kernel
-def measure_slopes(slopes: Vector, point: Vector, misses: Vector, there: Vector, found: Vector) -> None:
+def measure_slopes(slopes: Vector, point: Vector, residuals: Vector, there: Vector, found: Vector) -> None:
     """Set the slopes of the one parameter in which ``there`` (D,) differs from ``point`` (D,).
 
-    ``misses`` and ``found`` hold the R residuals at these points.
+    ``residuals`` and ``found`` hold the R residuals at these points.
     """
     parameter = np.abs(there - point).argmax()
-    slopes[parameter] = (found - misses).ravel() / (there[parameter] - point[parameter])
+    slopes[parameter] = (found - residuals).ravel() / (there[parameter] - point[parameter])
 
 
 @kernel
-def correct_slopes(slopes: Vector, point: Vector, misses: Vector, there: Vector, found: Vector) -> None:
+def correct_slopes(slopes: Vector, point: Vector, residuals: Vector, there: Vector, found: Vector) -> None:
     """Correct the slopes by the least that makes a step explain how residuals changed (Broyden 1965).
 
-    The step leads from ``point`` to ``there``, (D,) each; ``misses`` hold the R residuals at the one and
+    The step leads from ``point`` to ``there``, (D,) each; ``residuals`` hold the R residuals at the one and
     ``found`` the first r of those at the other. The slopes of the others stay.
     """
     step = there - point
     length = np.dot(step, step)
     if length == 0.0:
         return
-    unexplained = (found - misses[: len(found)]).ravel()
+    unexplained = (found - residuals[: len(found)]).ravel()
     for d in range(len(step)):
         for i in range(len(unexplained)):
             unexplained[i] -= step[d] * slopes[d, i]

@@ -33,7 +33,7 @@ _START_NOISE: Mapping[ParameterKind, tuple[int, float]] = {
 """Changes of each kind at the start and their standard deviation; the published parking search."""
 
 
-def shake(layout: ParameterLayout, defaults: Vector, generator: np.random.Generator) -> Vector:
+def perturb(layout: ParameterLayout, defaults: Vector, generator: np.random.Generator) -> Vector:
     """Return the defaults (P,) with noise on some entries of each kind, so that no two agents start alike."""
     vector = np.array(defaults, dtype=np.float64)
     for block in layout.blocks:
@@ -75,7 +75,7 @@ class RandomSearch(ABC, Generic[AdaptationT]):
     """A search that maximises a return from one incumbent; the start (P,) is the first."""
 
     # A lane or two for each agent, and one candidate that waits: more would be drawn and discarded.
-    most_ahead: ClassVar[int] = 3
+    max_ahead: ClassVar[int] = 3
     speculates: ClassVar[bool] = True
 
     def __init__(self, layout: ParameterLayout, start: Vector, generator: np.random.Generator) -> None:
@@ -95,8 +95,8 @@ class RandomSearch(ABC, Generic[AdaptationT]):
         generator: np.random.Generator,
         inert: NDArray[np.bool_] | None = None,
     ) -> Self:
-        """Begin at the shaken defaults (P,); inert parameters are changed like all others."""
-        return cls(layout, shake(layout, defaults, generator), generator)
+        """Begin at the perturbed defaults (P,); inert parameters are changed like all others."""
+        return cls(layout, perturb(layout, defaults, generator), generator)
 
     @abstractmethod
     def first_adaptation(self, layout: ParameterLayout) -> AdaptationT:
@@ -152,7 +152,7 @@ class RandomSearch(ABC, Generic[AdaptationT]):
                 break
         return np.array([draw.vector for draw in self._pending])
 
-    def tell(self, values: Sequence[float] | Vector, misses: Vector | None = None) -> int:
+    def tell(self, values: Sequence[float] | Vector, residuals: Vector | None = None) -> int:
         """Take the returns (n,) of what ``ask`` gave, in its order; return how many of them counted.
 
         Only a return strictly greater than the incumbent's counts as a success. Any value that is not

@@ -13,7 +13,7 @@ from rover_ncp import api
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose
 from sim import api as sim_api
-from sim.learn.evaluator import Evaluator
+from sim.learn.engine.evaluator import Evaluator
 
 SHORT = str(DATA / "short_course.yaml")
 

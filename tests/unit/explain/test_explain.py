@@ -15,8 +15,8 @@ from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from sim.explain.explain import explain, traced
 from sim.explain.what_if import knock_outs, parameter_names, sensitivities, without_neuron, without_synapse
-from sim.learn.evaluator import Evaluator
-from sim.learn.rollout import rollout
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.rollout import rollout
 
 SHORT = "tests/data/short_course.yaml"
 

@@ -14,7 +14,7 @@ from sim.explain.explain import Explanation
 from sim.explain.files import markdown
 from sim.explain.task import EPISODES, TaskExplanation, explain_task, stored_policy
 from sim.explain.what_if import without_neuron
-from sim.learn.environment import EnvironmentEvaluator
+from sim.learn.engine.environment import EnvironmentEvaluator
 from sim.paper.play import BenchmarkEpisodes
 from sim.paper.tasks import TASKS
 

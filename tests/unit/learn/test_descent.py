@@ -14,9 +14,9 @@ from sim.learn.search.least_squares import correct_slopes, damped_steps, measure
 
 def descent_at(value: float, gain: float, steps: int) -> Descent:
     """A climb of the return of 22 checkpoints that gained so much before its last ``steps`` steps."""
-    misses = np.zeros((22, 3))
-    misses[0, 0] = math.sqrt(-value)
-    at = Outcome(np.zeros(4), value, misses)
+    residuals = np.zeros((22, 3))
+    residuals[0, 0] = math.sqrt(-value)
+    at = Outcome(np.zeros(4), value, residuals)
     return Descent(at, False, False, np.zeros((4, 66)), 0.1, [value - gain] + [value] * steps)
 
 
@@ -24,7 +24,7 @@ def descent_at(value: float, gain: float, steps: int) -> Descent:
 def test_slow_descent_ends_sooner_far_from_the_goal(value: float, share: float) -> None:
     for factor, continues in ((0.97, False), (1.03, True)):
         descent = descent_at(value, -share * factor * value, CONSTANTS.window - 1)
-        worse = Outcome(np.full(4, 0.01), value - 1.0, descent.at.misses * 2.0)
+        worse = Outcome(np.full(4, 0.01), value - 1.0, descent.at.residuals * 2.0)
         assert descent.take([worse]) == continues
 
 
@@ -64,9 +64,9 @@ def test_revival_takes_the_largest_effect_at_a_fair_price() -> None:
     descent = stalled()
 
     def probe(miss: float) -> Outcome:
-        misses = descent.at.misses.copy()
-        misses[1, 2] += miss
-        return Outcome(np.full(4, miss), -float((misses**2).sum()), misses)
+        residuals = descent.at.residuals.copy()
+        residuals[1, 2] += miss
+        return Outcome(np.full(4, miss), -float((residuals**2).sum()), residuals)
 
     dear, fair, slight, none = probe(3.0), probe(0.02), probe(-0.011), probe(CONSTANTS.dead_effect / 2)
     assert not descent.revive_dead_parameters([dear, none])
@@ -82,27 +82,27 @@ def test_revival_takes_the_largest_effect_at_a_fair_price() -> None:
 
 @given(
     parameters=st.integers(1, 30),
-    residuals=st.integers(1, 30),
+    count=st.integers(1, 30),
     damping=st.floats(1e-2, 1e3),
     seed=st.integers(0, 10**6),
 )
 @settings(max_examples=60, deadline=None)
 def test_steps_solve_the_damped_normal_equations(
-    parameters: int, residuals: int, damping: float, seed: int
+    parameters: int, count: int, damping: float, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    slopes, misses = rng.standard_normal((parameters, residuals)), rng.standard_normal(residuals)
+    slopes, residuals = rng.standard_normal((parameters, count)), rng.standard_normal(count)
     point = np.where(rng.random(parameters) < 0.3, np.round(rng.random(parameters)), rng.random(parameters))
-    weights = np.where(rng.random(residuals) < 0.5, 1.0, rng.random(residuals))
+    weights = np.where(rng.random(count) < 0.5, 1.0, rng.random(count))
     dampings = np.array([damping, 10 * damping])
-    *targets, start = damped_steps(slopes, misses, weights, point, dampings)
+    *targets, start = damped_steps(slopes, residuals, weights, point, dampings)
     assert start.tolist() == point.tolist()
-    slopes, misses = slopes * weights, misses * weights
-    gradient = slopes @ misses
+    slopes, residuals = slopes * weights, residuals * weights
+    gradient = slopes @ residuals
     held = ((point == 0) & (gradient > 0)) | ((point == 1) & (gradient < 0))
     free = np.where(held[:, None], 0.0, slopes)
     for target, lam in zip(targets, dampings, strict=True):
-        step = np.linalg.solve(free @ free.T + lam * np.eye(parameters), -free @ misses)
+        step = np.linalg.solve(free @ free.T + lam * np.eye(parameters), -free @ residuals)
         assert target == pytest.approx(np.clip(point + step, 0, 1), abs=1e-8)
 
 
@@ -121,48 +121,48 @@ def test_slope_that_is_not_a_number_is_an_error() -> None:
 
 def test_correction_explains_the_step_and_changes_nothing_across_it() -> None:
     rng = np.random.default_rng(0)
-    slopes, misses, found = rng.normal(size=(7, 12)), rng.normal(size=(4, 3)), rng.normal(size=(2, 3))
+    slopes, residuals, found = rng.normal(size=(7, 12)), rng.normal(size=(4, 3)), rng.normal(size=(2, 3))
     point, step = rng.normal(size=7), rng.normal(size=7)
     before = slopes.copy()
-    # Of a truncated step the first misses are known.
-    correct_slopes(slopes, point, misses, point + step, found)
-    assert step @ slopes[:, :6] == pytest.approx((found - misses[:2]).ravel())
+    # Of a truncated step the first residuals are known.
+    correct_slopes(slopes, point, residuals, point + step, found)
+    assert step @ slopes[:, :6] == pytest.approx((found - residuals[:2]).ravel())
     assert slopes[:, 6:].tolist() == before[:, 6:].tolist()
     across = rng.normal(size=7)
     across -= step * (across @ step) / (step @ step)
     assert across @ slopes == pytest.approx(across @ before)
     once = slopes.copy()
-    correct_slopes(slopes, point, misses, point, found)
+    correct_slopes(slopes, point, residuals, point, found)
     assert slopes.tolist() == once.tolist()
 
 
 def test_probe_measures_the_slopes_of_the_parameter_that_it_moved() -> None:
     rng = np.random.default_rng(1)
-    slopes, misses, found = rng.normal(size=(5, 6)), rng.normal(size=(2, 3)), rng.normal(size=(2, 3))
+    slopes, residuals, found = rng.normal(size=(5, 6)), rng.normal(size=(2, 3)), rng.normal(size=(2, 3))
     before, point = slopes.copy(), rng.normal(size=5)
     there = point.copy()
     there[3] -= 0.25
-    measure_slopes(slopes, point, misses, there, found)
-    assert slopes[3] == pytest.approx(-4.0 * (found - misses).ravel())
+    measure_slopes(slopes, point, residuals, there, found)
+    assert slopes[3] == pytest.approx(-4.0 * (found - residuals).ravel())
     assert np.delete(slopes, 3, axis=0).tolist() == np.delete(before, 3, axis=0).tolist()
 
 
 def test_survival_counts_checkpoints_and_its_weights_are_its_slopes() -> None:
     rng = np.random.default_rng(2)
-    misses, lifetime = rng.normal(size=(6, 3)), 5.0
+    residuals, lifetime = rng.normal(size=(6, 3)), 5.0
     assert survival(np.zeros((6, 3)), lifetime) == 6.0
     assert survival(np.full((6, 3), 1e6), lifetime) == pytest.approx(0.0, abs=1e-200)
-    loss = np.cumsum((misses**2).sum(axis=1))
-    assert survival(misses, lifetime) == pytest.approx(np.exp(-loss / lifetime).sum())
-    weights = survival_weights(misses, lifetime).reshape(misses.shape)
+    loss = np.cumsum((residuals**2).sum(axis=1))
+    assert survival(residuals, lifetime) == pytest.approx(np.exp(-loss / lifetime).sum())
+    weights = survival_weights(residuals, lifetime).reshape(residuals.shape)
     assert np.mean(weights**2) == pytest.approx(1.0)
     # The gradient of survival is that of the weighted squares, but for sign and scale.
-    step, slopes = 1e-6, np.empty_like(misses)
-    for at in np.ndindex(*misses.shape):
-        moved = misses.copy()
+    step, slopes = 1e-6, np.empty_like(residuals)
+    for at in np.ndindex(*residuals.shape):
+        moved = residuals.copy()
         moved[at] += step
-        slopes[at] = (survival(moved, lifetime) - survival(misses, lifetime)) / step
-    ratio = slopes / (weights**2 * misses)
+        slopes[at] = (survival(moved, lifetime) - survival(residuals, lifetime)) / step
+    ratio = slopes / (weights**2 * residuals)
     assert ratio == pytest.approx(np.full_like(ratio, ratio.flat[0]), rel=1e-3)
     assert ratio.flat[0] < 0
 
@@ -171,5 +171,5 @@ def test_survival_counts_checkpoints_and_its_weights_are_its_slopes() -> None:
     ("to_beat", "known"), [(-0.05, 1), (-0.1001, 2), (-0.7, 3), (-0.9, 3), (-math.inf, 3)]
 )
 def test_misses_are_known_up_to_the_checkpoint_where_the_return_is_lost(to_beat: float, known: int) -> None:
-    misses = np.sqrt(np.array([[0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.0, 0.5]]))
-    assert known_checkpoints(misses, to_beat) == known
+    residuals = np.sqrt(np.array([[0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.0, 0.5]]))
+    assert known_checkpoints(residuals, to_beat) == known

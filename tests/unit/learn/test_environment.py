@@ -12,7 +12,7 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError
 from sim import api
-from sim.learn.environment import MOST_STEPS, EnvironmentEvaluator
+from sim.learn.engine.environment import MAX_STEPS, EnvironmentEvaluator
 from sim.learn.search.base import draw_seeds
 
 [PAGE] = [page for page in PAGES if page.stem == "own_task"]
@@ -115,7 +115,7 @@ class Endless(gymnasium.Env):
 
 
 def test_an_environment_that_goes_wrong_is_named(policy, monkeypatch):
-    monkeypatch.setattr("sim.learn.environment.MOST_STEPS", 50)
+    monkeypatch.setattr("sim.learn.engine.environment.MAX_STEPS", 50)
     for name, shown, words in (
         ("Endless-v0", 0.0, "has not ended after 50 steps"),
         ("Nan-v0", np.nan, "not finite"),
@@ -123,7 +123,7 @@ def test_an_environment_that_goes_wrong_is_named(policy, monkeypatch):
         gymnasium.register(name, Endless, kwargs={"shown": shown}, disable_env_checker=True)
         with pytest.raises(ConfigError, match=words):
             EnvironmentEvaluator(name, policy).returns(policy.parameters(), draw_seeds(0, (), 1))
-    assert MOST_STEPS > 1000
+    assert MAX_STEPS > 1000
 
 
 def test_training_is_the_same_after_an_interruption_and_for_any_number_of_processes(folder):

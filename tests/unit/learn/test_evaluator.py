@@ -15,8 +15,8 @@ from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import wrap_angle
 from rover_ncp.course.course import Obstacle, due_checkpoints, load_course
 from rover_ncp.course.reference import plan_reference
-from sim.learn.evaluator import Evaluator
-from sim.learn.rollout import rollout
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.env import ENV_ID
 from sim.world.random_course import mirrored, random_course
@@ -75,10 +75,10 @@ def test_a_lane_returns_what_the_environment_returns():
 
 def test_misses_are_those_of_a_rover_alone_and_make_up_the_return():
     vectors = candidates(10, seed=8)
-    returns, misses = Evaluator(POLICY, FENCED).run(vectors)
+    returns, residuals = Evaluator(POLICY, FENCED).run(vectors)
     due = due_checkpoints(FENCED)
-    assert misses.shape == (10, 1, len(FENCED.checkpoints), 3)
-    for vector, total, episode in zip(vectors, returns, misses[:, 0], strict=True):
+    assert residuals.shape == (10, 1, len(FENCED.checkpoints), 3)
+    for vector, total, episode in zip(vectors, returns, residuals[:, 0], strict=True):
         run = alone(vector, FENCED)
         expected = np.zeros_like(episode)
         for tick in np.flatnonzero(due >= 0):
@@ -244,12 +244,12 @@ def test_a_rollout_shows_what_happened():
     assert run.commands.shape == (320, 2)
     assert run.potentials.shape == (320, 12)
     assert not run.poses[0].any()
-    misses = [
+    residuals = [
         np.hypot(*(run.poses[np.flatnonzero(run.times >= point.t - 1e-9)[0], :2] - (point.x, point.y)))
         for point in COURSE.checkpoints[1:]
     ]
     # The checkpoint at 0 s is judged at the first tick's end, where the rover still stands on it.
-    assert run.rms_m == pytest.approx(np.sqrt(np.sum(np.square(misses)) / len(COURSE.checkpoints)))
+    assert run.rms_m == pytest.approx(np.sqrt(np.sum(np.square(residuals)) / len(COURSE.checkpoints)))
     assert run.touched
     assert run.verdict.reason == "touched an obstacle"
     assert run.verdict.error_m == pytest.approx(np.hypot(*(run.poses[-1, :2] - COURSE.goal[:2])))
@@ -275,9 +275,9 @@ OTHER_PROCESS = """
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.course.course import load_course
-from sim.learn.evaluator import Evaluator
-from sim.learn.commander import start_circuit, tick_circuits
-from sim.learn.episode import episode_kernel
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.commander import start_circuit, tick_circuits
+from sim.learn.engine.episode import episode_kernel
 policy = parking_policy(load_circuit("parking"))
 returned = Evaluator(policy, load_course("parking")).returns(policy.parameters())[0]
 print(float(returned).hex(), sum(episode_kernel(start_circuit, tick_circuits).stats.cache_hits.values()))

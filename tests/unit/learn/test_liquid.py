@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from sim.learn.commander import CommanderRunner
-from sim.learn.liquid import BACKBONE
-from sim.learn.networks import NetKind, network_commander
+from sim.learn.engine.commander import CommanderRunner
+from sim.learn.engine.liquid import BACKBONE
+from sim.learn.engine.networks import NetKind, network_commander
 from sim.paper.agents import build_agent, untuned
 from sim.paper.tasks import TASKS
 

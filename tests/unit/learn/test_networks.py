@@ -6,8 +6,8 @@ import pytest
 from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.course.course import load_course
-from sim.learn.evaluator import Evaluator
-from sim.learn.networks import (
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.networks import (
     NetKind,
     allocate_net_lanes,
     fill_net_lane,

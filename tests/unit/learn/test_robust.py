@@ -11,7 +11,7 @@ from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
-from sim.learn.evaluator import Evaluator, Outcomes
+from sim.learn.engine.evaluator import Evaluator, Outcomes
 from sim.learn.robust import RobustSearch, costs, drive_trials, policy_box, training_courses
 from sim.learn.search.unit_box import reflected
 from sim.world.described import default_rover
@@ -122,45 +122,6 @@ def test_no_more_than_the_last_100_means_count_and_are_kept():
     assert last.winner == pytest.approx(vector(kept.mean(axis=0)), rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("number", "count", "weight", "rounded"),
-    [
-        (0, 8, 6.0, False),
-        (149, 8, 6.0, False),
-        (150, 16, 6.0, False),
-        (899, 16, 6.0, False),
-        (900, 32, 6.0, False),
-        (1749, 32, 6.0, False),
-        (1750, 32, 20.0, False),
-        (1999, 32, 20.0, False),
-        (2000, 128, 20.0, False),
-        (2399, 128, 20.0, False),
-        (2400, 128, 20.0, False),
-        (2401, 128, 20.0, True),
-    ],
-)
-def test_later_generations_drive_more_trials_count_failures_more_and_round(number, count, weight, rounded):
-    seen, going = [], searching()
-    going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number}})
-
-    def drive(vectors, first, count, stage):
-        seen.append((len(vectors), first, count, stage.failure, stage.rounded))
-        return np.zeros((len(vectors), count))
-
-    before = going.episodes
-    going.advance(drive)
-    assert seen == [(31, 128 * number, count, weight, rounded)]
-    assert going.episodes - before == 31 * count
-
-
-@pytest.mark.parametrize(("number", "least"), [(1999, 0.01), (2000, 0.004)])
-def test_with_more_rollouts_the_spread_may_shrink_further(number, least):
-    going = searching()
-    going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number, "spread": 1e-4}})
-    last = going.advance(lambda vectors, first, count, stage: np.zeros((len(vectors), count)))
-    assert last.spread == least
-
-
 def at_generation(going, number):
     going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number}})
     return going
@@ -196,6 +157,9 @@ def test_all_courses_take_their_turn_once_all_rollouts_are_driven(number, count,
         at_generation(going, generation).advance(
             lambda vectors, *which: np.repeat(drive(vectors[:1], *which), len(vectors), axis=0)
         )
+        assert at_generation(going, generation + 1).episodes - at_generation(going, generation).episodes == (
+            going.population * count
+        )
     assert seen == [(count, (number + i) * 128 if turning else 0) for i in range(2)]
 
 
@@ -230,8 +194,8 @@ def test_the_command_leaves_a_policy_that_says_how_it_was_made(tmp_path, monkeyp
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["--rollouts", "3"], "need --randomize"),
-        (["--randomize", "full", "--agents", "3"], "goes with neither"),
+        (["--rollouts", "3"], "--rollouts needs --randomize or --task"),
+        (["--randomize", "full", "--agents", "3"], "--randomize and --agents do not go together"),
         (["--randomize", "wild"], "none of the shipped randomizations"),
         (["--randomize", "full", "--rollouts", "3", "--worst", "4"], "the worst 4 of 3 rollouts"),
         (["--randomize", "full", "--circuit", "parking"], "no neuron 'REV'"),

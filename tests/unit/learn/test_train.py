@@ -19,7 +19,7 @@ from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.course.course import load_course
 from sim.learn.agents import AgentState, Snapshot
 from sim.learn.curve import curve_csv, curve_iterations, curve_png
-from sim.learn.evaluator import Evaluator
+from sim.learn.engine.evaluator import Evaluator
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.train import TrainResult, train, training_plan
 
@@ -125,8 +125,8 @@ def test_dying_before_any_single_write_changes_nothing(
     reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a checkpoint every round: the death comes before the first write, the second, ... the last."""
-    monkeypatch.setattr("sim.learn.train._CHECKPOINT_SHARE", float("inf"))
-    monkeypatch.setattr("sim.learn.run_folder.curve_png", lambda *_: b"drawing takes longest")
+    monkeypatch.setattr("sim.learn.run_folder._CHECKPOINT_SHARE", float("inf"))
+    monkeypatch.setattr("sim.learn.train.curve_png", lambda *_: b"drawing takes longest")
     left = 0
 
     def dying_write(path: Path, data: bytes | str) -> None:
@@ -136,8 +136,7 @@ def test_dying_before_any_single_write_changes_nothing(
             raise _Died
         files.write_atomic(path, data)
 
-    for module in ("sim.learn.agent_file", "sim.learn.run_folder", "rover_ncp.circuit.policy_file"):
-        monkeypatch.setattr(f"{module}.write_atomic", dying_write)
+    monkeypatch.setattr("sim.learn.run_folder.write_atomic", dying_write)
     expected, deaths = content(reference) | {"curve.png": b"drawing takes longest"}, 0
     while True:
         out, left = tmp_path / str(deaths), deaths
@@ -160,7 +159,7 @@ def test_dying_before_any_single_write_changes_nothing(
 def test_an_interrupted_run_saves_its_last_round(
     reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.learn.train._CHECKPOINT_SHARE", 1e-9)
+    monkeypatch.setattr("sim.learn.run_folder._CHECKPOINT_SHARE", 1e-9)
 
     def interrupt(snapshot: Snapshot) -> None:
         if snapshot.iterations == 100:

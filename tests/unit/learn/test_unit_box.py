@@ -10,7 +10,7 @@ from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.course.course import load_course
-from sim.learn.evaluator import Evaluator
+from sim.learn.engine.evaluator import Evaluator
 from sim.learn.search.unit_box import UnitBox, reflected
 
 POLICY = parking_policy(load_circuit("parking"))
@@ -51,8 +51,8 @@ def test_inert_parameters_change_no_miss_and_all_others_do() -> None:
     base = np.clip(DEFAULTS + 0.05 * width * rng.standard_normal(LAYOUT.size), LAYOUT.lower, LAYOUT.upper)
     moves = np.where(base < LAYOUT.upper - 0.02 * width, 0.01, -0.01) * width
     vectors = np.concatenate([base + np.diag(moves), base[None]])
-    _, misses = Evaluator(POLICY, load_course("parking")).run(vectors)
-    same = np.array([np.array_equal(row, misses[-1]) for row in misses[:-1]])
+    _, residuals = Evaluator(POLICY, load_course("parking")).run(vectors)
+    same = np.array([np.array_equal(row, residuals[-1]) for row in residuals[:-1]])
     assert same.tolist() == dead_parameters(POLICY).tolist()
 
 

@@ -13,8 +13,8 @@ from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.course.course import load_course
 from sim.explain.explain import traced
+from sim.learn.engine.rollout import rollout
 from sim.learn.random_circuit import build_circuit
-from sim.learn.rollout import rollout
 
 EX, IN = SynapseKind.EXCITATORY, SynapseKind.INHIBITORY
 

@@ -11,11 +11,10 @@ from benchmarks import search as bench_search
 from benchmarks import train as bench_train
 from rover_ncp.cli import run as run_command
 from sim.benchmarks import deploy as bench_deploy
-from sim.learn.agents import AgentState
+from sim.learn.agents import AgentState, Batch
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.search import descent
 from sim.learn.search.strategies import SearchName
-from sim.learn.team import Team
 from sim.learn.train import training_plan
 from sim.live.processes import ProcessError
 
@@ -33,9 +32,9 @@ def test_the_searches_are_compared_by_what_training_gives(monkeypatch: pytest.Mo
     rows = list(csv.DictReader(io.StringIO(table)))
     for strategy, summary in found["strategies"].items():
         settings = TrainSettings.model_validate({"seed": 4, "search": strategy})
-        team = Team(training_plan(settings, resolve_task(settings)))
-        done = team.advance([AgentState(number) for number in range(3)], [[ITERATIONS]] * 3)
-        agents = [progress.last for progress in done]
+        batch = Batch(training_plan(settings, resolve_task(settings)))
+        done = batch.advance([AgentState(number) for number in range(3)], [ITERATIONS])
+        agents = [states[-1] for states in done]
         for mark in found["iterations"]:
             expected = [agent.value_at(mark) for agent in agents]
             assert summary["returns"][mark] == expected

@@ -19,7 +19,7 @@ from sim import api as sim_api
 from sim.evaluate import evaluate
 from sim.evaluate.driver import Driver
 from sim.evaluate.evaluate import unseen_courses
-from sim.learn.rollout import rollout
+from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
 

@@ -8,7 +8,7 @@ import pytest
 from rover_ncp.course.course import load_course
 from sim.evaluate.driver import load_driver
 from sim.evaluate.evaluate import evaluate
-from sim.learn.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, gain_box, law_command
+from sim.learn.engine.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, gain_box, law_command
 from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
 

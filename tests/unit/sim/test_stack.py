@@ -20,7 +20,7 @@ from rover_ncp.course.course import load_course
 from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile, load_profile
 from sim.evaluate.commands import Place
 from sim.evaluate.driver import Driver, load_driver
-from sim.learn.rollout import rollout
+from sim.learn.engine.rollout import rollout
 from sim.pioneer.trial import BaseTrial
 from sim.stack.camera import Camera
 from sim.stack.estimates import summary

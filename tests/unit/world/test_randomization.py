@@ -11,7 +11,7 @@ from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose, compose, inverse
 from rover_ncp.course.course import load_course
 from rover_ncp.robot.profile import RoverProfile
-from sim.learn.rollout import rollout
+from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.random_course import random_course

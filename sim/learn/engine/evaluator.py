@@ -1,8 +1,8 @@
 """The evaluator: scores parameter vectors by episodes, on one course or several, with or without trials.
 
     vectors = search.ask(count)
-    returns, misses = evaluator.run(vectors, thresholds)
-    search.tell(returns, misses)
+    returns, residuals = evaluator.run(vectors, thresholds)
+    search.tell(returns, residuals)
 
 A return only falls, because no reward is positive. An episode whose running return is below its threshold may
 therefore be truncated without any effect on a comparison with that threshold.
@@ -20,26 +20,24 @@ from rover_ncp.course.course import TICK_S, Course, due_checkpoints
 from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.signals import SIGNALS
 from rover_ncp.kernels.jit import bound
-from sim.learn.commander import Commander, circuit_commander
-from sim.learn.episode import IDLE, RESULTS, Lanes, Queue, Tasks, Waiting, enqueue, episode_kernel
+from sim.learn.engine.commander import Commander, circuit_commander
+from sim.learn.engine.episode import enqueue, episode_kernel
+from sim.learn.engine.lanes import IDLE, RESULTS, FloatArray, IntArray, Lanes, Queue, Tasks, Waiting
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet
 from sim.world.pymunk_rover import require_free_start
 from sim.world.randomization import Trials, nominal_trials
 from sim.world.rover import SUBSTEP_S, RoverModel
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-_LEAST_LANES, _MOST_LANES = 8, 24
+_MIN_LANES, _MAX_LANES = 8, 24
 """Fewer leave vectors half empty; more gain nothing: all numbers should stay in a core's first cache."""
 _TRUNCATED_PER_LANE = 6
 
 STREAM_LANES = 8
-"""One vector; with more, lanes stand idle while agents wait for their last episode."""
+"""One vector; with more, lanes idle while agents wait for their last episode."""
 _IN_FLIGHT = 24
-"""Most wait, so that a free lane need not: an agent of a small team waits for the last of its candidates."""
-_LEAST_ROOM, _ROOM = 8, 64
+"""Queued episodes, so that no lane idles: an agent of a small batch waits for the last of its candidates."""
+_MIN_ROOM, _ROOM = 8, 64
 
 
 class Outcomes(NamedTuple):
@@ -57,12 +55,12 @@ class Outcomes(NamedTuple):
     tracking_rad2: FloatArray
     """Mean squared distance and angle to the reference; of no meaning without one."""
     parked: NDArray[np.bool_]
-    misses: FloatArray
+    residuals: FloatArray
     """(candidates, trials, checkpoints, 3) x, y and heading from each checkpoint when it was judged, 0 where
     a course has fewer: a return is minus the sum of their squares."""
 
 
-class _Team(NamedTuple):
+class _LaneSet(NamedTuple):
     """Lanes, their rovers and their controllers, for one set of obstacles."""
 
     arrays: Any
@@ -104,7 +102,7 @@ class Evaluator:
         self._kernel = episode_kernel(self._commander.start_lane, self._commander.tick_lanes)
         self._signal_at = np.array(interface.places)
         self._tasks = _tasks(courses, references, self.model)
-        self._teams: dict[tuple[int, int], _Team] = {}
+        self._lane_sets: dict[tuple[int, int], _LaneSet] = {}
         self._delays = (0.0, 0.0)
         self._nominal = trials is None
         self.change_trials(trials or nominal_trials(self.model, int(self._tasks.ticks.max())))
@@ -118,18 +116,18 @@ class Evaluator:
         longest = tuple(map(max, delays, self._delays))
         if longest != self._delays:
             # Commands wait longer than the fleets made so far have room for.
-            self._delays, self._teams = longest, {}
+            self._delays, self._lane_sets = longest, {}
 
     def run(self, vectors: ArrayLike, thresholds: ArrayLike | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the returns (k,) of parameter vectors (k, P) in bounds, and their misses (k, E, C, 3).
+        """Return the returns (k,) of parameter vectors (k, P) in bounds, and their residuals (k, E, C, 3).
 
-        A return is the mean over the E trials, or courses, of minus the sum of the squared misses of C
+        A return is the mean over the E trials, or courses, of minus the sum of the squared residuals of C
         checkpoints. With ``thresholds`` (k,) an episode is truncated as soon as its running return is below.
         Its return is then below the threshold, and at least that of the whole episode. A mean over several
         episodes has no such bound: ValueError.
         """
-        _, results, misses = self._drive(vectors, thresholds)
-        return results[:, :, 0].mean(axis=1), misses
+        _, results, residuals = self._drive(vectors, thresholds)
+        return results[:, :, 0].mean(axis=1), residuals
 
     def returns(self, vectors: ArrayLike, thresholds: ArrayLike | None = None) -> FloatArray:
         """Return the returns of ``run`` alone."""
@@ -137,7 +135,7 @@ class Evaluator:
 
     def outcomes(self, vectors: ArrayLike) -> Outcomes:
         """Return how the episodes of parameter vectors (k, P) in bounds end."""
-        tasks, found, misses = self._drive(vectors)
+        tasks, found, residuals = self._drive(vectors)
         total, error_m, error_rad, moved_m, turned_rad, touches, tracking_m2, tracking_rad2 = np.moveaxis(
             found, 2, 0
         )
@@ -158,22 +156,22 @@ class Evaluator:
             tracking_m2=tracking_m2,
             tracking_rad2=tracking_rad2,
             parked=parked,
-            misses=misses,
+            residuals=residuals,
         )
 
     def stream(self, agents: int) -> "Stream":
         """Return a stream of the first trial on the first course for so many agents."""
-        size, team = self._commander.size, self._build_team(STREAM_LANES, 0)
+        size, lane_set = self._commander.size, self._build_lanes(STREAM_LANES, 0)
 
         def bind(queue: Queue) -> Callable[[], None]:
-            return bound(self._kernel, *self._arguments(team, queue))
+            return bound(self._kernel, *self._arguments(lane_set, queue))
 
         return Stream(agents, size, self._tasks.checkpoints.shape[1], bind)
 
     def _drive(
         self, vectors: ArrayLike, thresholds: ArrayLike | None = None
     ) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return the courses (E,), results (k, E, RESULTS) and misses (k, E, C, 3) of vectors (k, P)."""
+        """Return the courses (E,), results (k, E, RESULTS) and residuals (k, E, C, 3) of vectors (k, P)."""
         rows = np.ascontiguousarray(np.atleast_2d(np.asarray(vectors, np.float64)))
         stop = np.full(len(rows), -np.inf) if thresholds is None else np.array(thresholds, np.float64)
         if stop.shape != (len(rows),):
@@ -189,7 +187,7 @@ class Evaluator:
             tasks = (self._first_course + trials) % len(self.courses)
         shape = len(rows), len(tasks)
         results = np.zeros((*shape, RESULTS))
-        misses = np.zeros((*shape, *self._tasks.checkpoints.shape[1:]))
+        residuals = np.zeros((*shape, *self._tasks.checkpoints.shape[1:]))
         for ground in range(len(self._grounds)):
             (chosen,) = np.nonzero(self._ground[tasks] == ground)
             count = len(rows) * len(chosen)
@@ -202,23 +200,23 @@ class Evaluator:
                 trial=np.tile(trials[chosen], len(rows)),
                 stop_below=np.repeat(stop, len(chosen)),
                 results=np.zeros((count, RESULTS)),
-                misses=np.zeros((count, *misses.shape[2:])),
+                residuals=np.zeros((count, *residuals.shape[2:])),
                 waiting=Waiting(np.arange(count), np.array([0, count]), np.array([count])),
             )
             width = _width(count, may_truncate=bool((stop > -np.inf).any()))
-            if (width, ground) not in self._teams:
-                self._teams[width, ground] = self._build_team(width, ground)
-            self._kernel(*self._arguments(self._teams[width, ground], queue))
+            if (width, ground) not in self._lane_sets:
+                self._lane_sets[width, ground] = self._build_lanes(width, ground)
+            self._kernel(*self._arguments(self._lane_sets[width, ground], queue))
             results[:, chosen] = queue.results.reshape(len(rows), len(chosen), RESULTS)
-            misses[:, chosen] = queue.misses.reshape(len(rows), len(chosen), *misses.shape[2:])
-        return tasks, results, misses
+            residuals[:, chosen] = queue.residuals.reshape(len(rows), len(chosen), *residuals.shape[2:])
+        return tasks, results, residuals
 
-    def _arguments(self, team: _Team, queue: Queue) -> tuple[Any, ...]:
+    def _arguments(self, lane_set: _LaneSet, queue: Queue) -> tuple[Any, ...]:
         """Return those of the kernel."""
-        arrays, lanes, fleet = team
+        arrays, lanes, fleet = lane_set
         return arrays, self._signal_at, self._tasks, self._trials, lanes, fleet.arrays, queue
 
-    def _build_team(self, width: int, ground: int) -> _Team:
+    def _build_lanes(self, width: int, ground: int) -> _LaneSet:
         lanes = Lanes(
             observations=np.zeros((len(self._signal_at), width)),
             commands=np.zeros((2, width)),
@@ -240,7 +238,9 @@ class Evaluator:
         )
         delay_v, delay_omega = self._delays
         slowest = self.model.model_copy(update={"delay_v_s": delay_v, "delay_omega_s": delay_omega})
-        return _Team(self._commander.allocate(width), lanes, Fleet([slowest] * width, self._grounds[ground]))
+        return _LaneSet(
+            self._commander.allocate(width), lanes, Fleet([slowest] * width, self._grounds[ground])
+        )
 
 
 class Answer(NamedTuple):
@@ -249,14 +249,14 @@ class Answer(NamedTuple):
     agent: int
     returns: FloatArray
     """(n,)."""
-    misses: FloatArray
+    residuals: FloatArray
     """(n, 1, C, 3), complete for episodes that were not truncated."""
 
 
 class Stream:
     """Episodes of many agents that share the lanes of one kernel without a pause.
 
-    In batches, lanes would stand idle until the last episode of a batch ends. Here a free lane takes the next
+    In batches, lanes would idle until the last episode of a batch ends. Here a free lane takes the next
     waiting episode of any agent, and an agent gets its answer as soon as its own episodes have ended. The
     returns are those of ``Evaluator.run``.
     """
@@ -264,7 +264,7 @@ class Stream:
     def __init__(
         self, agents: int, size: int, checkpoints: int, bind: Callable[[Queue], Callable[[], None]]
     ) -> None:
-        self.room = max(_LEAST_ROOM, -(-_ROOM // agents))
+        self.room = max(_MIN_ROOM, -(-_ROOM // agents))
         """The most candidates that an agent may submit at once."""
         self.enough = -(-_IN_FLIGHT // agents)
         """The number of candidates of each agent that keeps all lanes busy."""
@@ -277,7 +277,7 @@ class Stream:
             trial=zeros,
             stop_below=np.zeros(episodes),
             results=np.zeros((episodes, RESULTS)),
-            misses=np.zeros((episodes, checkpoints, 3)),
+            residuals=np.zeros((episodes, checkpoints, 3)),
             waiting=Waiting(zeros.copy(), np.zeros(2, np.int64), np.zeros(agents, np.int64)),
         )
         self._bind = bind  # it keeps the rovers, of which the arguments have no more than addresses
@@ -289,7 +289,7 @@ class Stream:
         count, queue = len(vectors), self._queue
         if self._submitted[agent] or not 0 < count <= self.room:
             raise ValueError(f"agent {agent} cannot submit {count} candidates now")
-        enqueue(queue.vectors, queue.stop_below, queue.misses, *queue.waiting, agent, vectors, thresholds)
+        enqueue(queue.vectors, queue.stop_below, queue.residuals, *queue.waiting, agent, vectors, thresholds)
         self._submitted[agent] = count
 
     def collect(self) -> list[Answer]:
@@ -302,7 +302,7 @@ class Stream:
                 continue
             own = slice(agent * self.room, agent * self.room + count)
             self._submitted[agent] = 0
-            answers.append(Answer(agent, self._queue.results[own, 0], self._queue.misses[own, None]))
+            answers.append(Answer(agent, self._queue.results[own, 0], self._queue.residuals[own, None]))
         return answers
 
 
@@ -338,6 +338,6 @@ def _width(count: int, *, may_truncate: bool) -> int:
     Episodes of the same length go in as few rounds as can be, evenly full. Truncated ones end at all times,
     so fewer lanes with a queue behind them do more than many that stand idle at the end.
     """
-    most = min(_MOST_LANES, count // _TRUNCATED_PER_LANE) if may_truncate else _MOST_LANES
-    rounds = -(-count // max(most, _LEAST_LANES))
+    most = min(_MAX_LANES, count // _TRUNCATED_PER_LANE) if may_truncate else _MAX_LANES
+    rounds = -(-count // max(most, _MIN_LANES))
     return -(-count // rounds)

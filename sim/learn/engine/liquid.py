@@ -122,17 +122,17 @@ def tick_ltc(
     rest = 4 * synapses
     leak, capacity, at = rest + cells, rest + 2 * cells, rest + 3 * cells
     inputs[:] = inputs * weight[at : at + given] + weight[at + given : at + 2 * given]
-    settled, sums = work[: 2 * cells], work[2 * cells : 4 * cells]
+    from_inputs, sums = work[: 2 * cells], work[2 * cells : 4 * cells]
     for d in range(cells):
-        settled[2 * d] = weight[leak + d] * weight[rest + d]
-        settled[2 * d + 1] = weight[leak + d] + _EPSILON
+        from_inputs[2 * d] = weight[leak + d] * weight[rest + d]
+        from_inputs[2 * d + 1] = weight[leak + d] + _EPSILON
         for i in range(given):
-            add_synapse(weight, synapses, (cells + i) * cells + d, inputs[i], settled[2 * d : 2 * d + 2])
+            add_synapse(weight, synapses, (cells + i) * cells + d, inputs[i], from_inputs[2 * d : 2 * d + 2])
     for _ in range(UNFOLDS):
         for d in range(cells):
             rate = UNFOLDS * weight[capacity + d]
-            sums[2 * d] = settled[2 * d] + rate * hidden[d]
-            sums[2 * d + 1] = settled[2 * d + 1] + rate
+            sums[2 * d] = from_inputs[2 * d] + rate * hidden[d]
+            sums[2 * d + 1] = from_inputs[2 * d + 1] + rate
             for s in range(cells):
                 add_synapse(weight, synapses, s * cells + d, hidden[s], sums[2 * d : 2 * d + 2])
         for d in range(cells):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.kernels.jit import kernel
-from sim.learn.commander import Commander
+from sim.learn.engine.commander import Commander
 from sim.learn.search.unit_box import UnitBox
 from sim.world.fleet import wrapped
 
@@ -56,7 +56,7 @@ LAWS = {
     ),
 }
 
-_LEAST_AHEAD_M = 0.02
+_MIN_AHEAD_M = 0.02
 """Least distance to the carrot for which its direction is used."""
 
 
@@ -70,7 +70,7 @@ def law_command(law: int, gains: FloatArray, seen: FloatArray) -> tuple[float, f
     # What follows leads to a point ahead, by driving forward.
     v = max(v, 0.0)
     x, y = ahead + gains[1] * math.cos(heading), left + gains[1] * math.sin(heading)
-    distance = max(math.hypot(x, y), _LEAST_AHEAD_M)
+    distance = max(math.hypot(x, y), _MIN_AHEAD_M)
     if law == PURE_PURSUIT:
         return v, gains[2] * turn + v * 2.0 * y / distance**2
     # Both angles are measured from the line of sight: the rover's heading, and the carrot's.

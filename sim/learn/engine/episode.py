@@ -7,15 +7,14 @@ lane nor on the other episodes. ``rollout.py`` defines an episode; the tests com
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.signals import signals
 from rover_ncp.kernels.jit import inlined_kernel, kernel, without_refcounts
-from rover_ncp.kernels.vectors import RowArray
+from sim.learn.engine.lanes import IDLE, WARMING_UP, FloatArray, IntArray, Lanes, Queue, Tasks
 from sim.world.fleet import (
     FleetArrays,
     advance,
@@ -36,102 +35,6 @@ from sim.world.randomization import (
     quantise,
 )
 from sim.world.rover import SUBSTEP_S
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-IDLE = -1
-WARMING_UP = -1
-
-RESULTS = 8
-"""Numbers an episode ends in, in this order: return; distance (m) and angle (rad) to the goal; the farthest
-that pose and heading were, in the time to be still, from where they ended (m, rad); touched (0 or 1); means
-over all ticks of the squared distance (m²) and angle (rad²) to the reference."""
-
-
-class Tasks(NamedTuple):
-    """C courses as the kernel sees them; up to T ticks, up to W ticks to be still."""
-
-    ticks: IntArray
-    still: IntArray
-    """(C,) each."""
-    signal: FloatArray
-    """(C, T + 1) start signal at the start of each tick."""
-    due: IntArray
-    """(C, T) checkpoint judged at the end of each tick, or -1."""
-    checkpoints: FloatArray
-    """(C, checkpoints, 3) poses, the last one the goal."""
-    goal: FloatArray
-    """(C, 3)."""
-    has_reference: bool
-    reference: FloatArray
-    """(C, T + 1, 5): x, y, theta, v, omega at the start of each tick; 0 where no policy asks for it."""
-    limits: FloatArray
-    """(4,) the model's accel, decel, alpha, alpha_decel."""
-
-
-class Lanes(NamedTuple):
-    """L lanes at work, beside the commander's own arrays and the fleet."""
-
-    observations: FloatArray
-    commands: FloatArray
-    poses: FloatArray
-    """(inputs, L), (2, L), (3, L)."""
-    held: FloatArray
-    driven: FloatArray
-    """(2, L) each: the command that arrived last, and the motion that the base makes of it."""
-    odometry: FloatArray
-    earlier: FloatArray
-    """(3, L) each: the pose by odometry, heading not wrapped, now and a tick ago."""
-    episode: IntArray
-    """(L,) or IDLE."""
-    task: RowArray
-    trial: RowArray
-    """(L,) of its episode."""
-    tick: IntArray
-    """(L,) or WARMING_UP."""
-    total: FloatArray
-    """(L,) running return."""
-    tail: FloatArray
-    """(L, W + 1, 3) ring of the last poses."""
-    latest: RowArray
-    """(L,) where the last of them is."""
-    tracking: FloatArray
-    """(2, L) running sums."""
-    signals: FloatArray
-    """(signals,) work: all signals that a controller may observe."""
-    before: IntArray
-    """(L,) work: the lanes' episodes before a tick."""
-
-
-class Waiting(NamedTuple):
-    """The E episodes of a queue in G groups of equal size, group by group."""
-
-    episodes: IntArray
-    """(E,) ring of episodes that wait for a lane."""
-    ring: IntArray
-    """(2,) where the ring begins, and how many wait."""
-    left: IntArray
-    """(G,) episodes of each group that have not ended."""
-
-
-class Queue(NamedTuple):
-    """E episodes and their results."""
-
-    vectors: FloatArray
-    """(V, P)."""
-    vector: IntArray
-    task: IntArray
-    trial: IntArray
-    """(E,) each: rows of vectors, tasks and trials."""
-    stop_below: FloatArray
-    """(E,) an episode is truncated as soon as its running return is below."""
-    results: FloatArray
-    """(E, RESULTS)."""
-    misses: FloatArray
-    """(E, checkpoints, 3) x, y and heading from each checkpoint when it was judged; 0 where none was."""
-    waiting: Waiting
-
 
 _signals = kernel(signals)
 _base_errors, _odometry_errors = inlined_kernel(base_errors), inlined_kernel(odometry_errors)
@@ -203,7 +106,7 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
 def enqueue(
     vectors: FloatArray,
     stop_below: FloatArray,
-    misses: FloatArray,
+    residuals: FloatArray,
     episodes: IntArray,
     ring: IntArray,
     left: IntArray,
@@ -220,7 +123,7 @@ def enqueue(
         episode = first + i
         vectors[episode] = added[i]
         stop_below[episode] = thresholds[i]
-        misses[episode] = 0.0
+        residuals[episode] = 0.0
         episodes[(ring[0] + ring[1]) % len(episodes)] = episode
         ring[1] += 1
     left[group] = len(added)
@@ -278,7 +181,7 @@ def observe(
     tick: int,
     signal: float,
 ) -> None:
-    """Set the observation at the start of a tick from a pose by odometry, with noise, and the reference."""
+    """Write a lane's observation at the start of a tick: the noisy pose of odometry and the rest."""
     seen, row = lanes.signals, tasks.reference[task, tick]
     for axis in range(3):
         seen[axis] = lanes.odometry[axis, lane]
@@ -323,7 +226,13 @@ def finish_tick(
 ) -> int:
     """Judge what a tick led to, and observe; return how many episodes ended."""
     # Local names: numba counts references whenever an array is taken out of a tuple.
-    episodes, ticks, total, poses, misses = lanes.episode, lanes.tick, lanes.total, lanes.poses, queue.misses
+    episodes, ticks, total, poses, residuals = (
+        lanes.episode,
+        lanes.tick,
+        lanes.total,
+        lanes.poses,
+        queue.residuals,
+    )
     due, checkpoints, reference = tasks.due, tasks.checkpoints, tasks.reference
     ended = 0
     for lane in range(len(episodes)):
@@ -344,9 +253,9 @@ def finish_tick(
             dy = poses[1, lane] - checkpoints[task, target, 1]
             dtheta = wrapped(poses[2, lane] - checkpoints[task, target, 2])
             total[lane] -= dx * dx + dy * dy + dtheta * dtheta
-            misses[episode, target, 0] = dx
-            misses[episode, target, 1] = dy
-            misses[episode, target, 2] = dtheta
+            residuals[episode, target, 0] = dx
+            residuals[episode, target, 1] = dy
+            residuals[episode, target, 2] = dtheta
         if tasks.has_reference:
             where = reference[task, next_tick]
             dx, dy = poses[0, lane] - where[0], poses[1, lane] - where[1]

@@ -20,7 +20,7 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course, Verdict, due_checkpoints, reward
 from rover_ncp.course.reference import Reference, plan_reference
-from sim.learn.commander import CommanderRunner
+from sim.learn.engine.commander import CommanderRunner
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.randomization import (
@@ -124,7 +124,7 @@ def rollout(
     runner.tick(observation(0, 0.0))
     base = base_errors(trials, row)
     held = (0.0, 0.0)
-    poses, seen, commands, potentials, misses = [rover.pose], [], [], [], []
+    poses, seen, commands, potentials, distances = [rover.pose], [], [], [], []
     touched, total = False, 0.0
     for tick, checkpoint in enumerate(due_checkpoints(course)):
         seen.append(odometry.seen(tick))
@@ -138,7 +138,7 @@ def rollout(
         if checkpoint >= 0:
             target = course.checkpoints[checkpoint].pose
             total += reward(rover.pose, target)
-            misses.append(distance(rover.pose, target))
+            distances.append(distance(rover.pose, target))
         odometry.moved(rover.pose)
         if tick + 1 == trials.bump[row, 0] and not trials.exact:
             push = Pose(*trials.bump[row, 1:].tolist())
@@ -156,6 +156,6 @@ def rollout(
         potentials=np.array(potentials),
         touched=touched,
         total=total,
-        rms_m=math.sqrt(sum(miss * miss for miss in misses) / len(misses)),
+        rms_m=math.sqrt(sum(error * error for error in distances) / len(distances)),
         verdict=course.judge(times, poses, touched),
     )

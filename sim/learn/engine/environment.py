@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError, UsageError
-from sim.learn.commander import circuit_commander
+from sim.learn.engine.commander import circuit_commander
 from sim.learn.search.base import Seeds
 
 Environment: TypeAlias = gymnasium.Env[Any, Any]
 FloatArray = NDArray[np.float64]
 
-MOST_STEPS = 100_000
+MAX_STEPS = 100_000
 _LANES = 32
 
 
@@ -160,8 +160,8 @@ class EnvironmentEvaluator:
             action = np.clip(outputs, space.low, space.high).astype(space.dtype)
         seen, reward, terminated, truncated, _ = environment.step(action)
         self.steps += 1
-        if step + 1 == MOST_STEPS and not (terminated or truncated):
-            problem = f"an episode has not ended after {MOST_STEPS} steps; register it with max_episode_steps"
+        if step + 1 == MAX_STEPS and not (terminated or truncated):
+            problem = f"an episode has not ended after {MAX_STEPS} steps; register it with max_episode_steps"
             raise ConfigError(f"environment {self.name}", [problem])
         return self._checked(seen), float(reward), bool(terminated or truncated)
 

@@ -27,8 +27,8 @@ from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy
 from rover_ncp.circuit.solver import exp2
 from rover_ncp.kernels.jit import inlined_kernel, kernel
-from sim.learn.commander import Commander
-from sim.learn.liquid import BACKBONE, Part, cfc_parts, ltc_parts, tick_cfc, tick_ltc
+from sim.learn.engine.commander import Commander
+from sim.learn.engine.liquid import BACKBONE, Part, cfc_parts, ltc_parts, tick_cfc, tick_ltc
 
 FloatArray = NDArray[np.float64]
 
@@ -267,12 +267,12 @@ def update_cells(program: NetProgram, lanes: NetLanes, count: int) -> None:
     for c in range(cells):
         for lane in range(count):
             # A logistic gate is half a tanh of half its argument, plus a half.
-            taken = 0.5 + 0.5 * tanh(0.5 * sums[c, lane])
-            kept = 0.5 + 0.5 * tanh(0.5 * sums[cells + c, lane])
-            shown = 0.5 + 0.5 * tanh(0.5 * sums[3 * cells + c, lane])
-            value = kept * cell[c, lane] + taken * tanh(sums[2 * cells + c, lane])
+            input_gate = 0.5 + 0.5 * tanh(0.5 * sums[c, lane])
+            forget_gate = 0.5 + 0.5 * tanh(0.5 * sums[cells + c, lane])
+            output_gate = 0.5 + 0.5 * tanh(0.5 * sums[3 * cells + c, lane])
+            value = forget_gate * cell[c, lane] + input_gate * tanh(sums[2 * cells + c, lane])
             cell[c, lane] = value
-            hidden[c, lane] = shown * tanh(value)
+            hidden[c, lane] = output_gate * tanh(value)
 
 
 class NetworkLanes(NamedTuple):

@@ -27,13 +27,13 @@ RESULTS = {
     "rates.tick_jitter_ms=:quantiles",
     "paper run": "sim.paper.commands:paper made=sim.paper.results:RunName made=sim.paper.commands:_make",
     "paper status": "groups=sim.paper.selection:coverage "
-    "groups.unfinished=sim.paper.published_search:read_partial",
+    "groups.unfinished=sim.paper.search.published:read_partial",
     "paper replay": "sim.paper.commands:_replay differ=sim.paper.results:RunName",
     "paper random-circuits, policy-gradients, networks": "sim.paper.tables:table_fields cells=:Row "
     "cells=:Row.fields cells.published=:Published",
     "paper claims": "claims=sim.paper.claims:Claim",
     "paper comparisons": "comparisons=sim.paper.comparison:Comparison.fields "
-    "comparisons=sim.paper.significance:Effect",
+    "comparisons=sim.paper.statistics:Effect",
     "paper parameters": "tasks=sim.paper.tables:parameters tasks=sim.paper.tasks:Settings",
     "paper time-constants": "sim.paper.interpretation:parking_time_constants",
     "paper contributions": "sim.paper.interpretation:parking_contributions",

@@ -14,7 +14,7 @@ import numpy as np
 from sim.paper import BudgetName
 from sim.paper.comparison import OTHERS, compare_agents
 from sim.paper.results import Result, ResultStore
-from sim.paper.significance import LEVEL, NO_GAP, fisher, mean_text, measure
+from sim.paper.statistics import LEVEL, NO_GAP, fisher, mean_text, measure
 from sim.paper.tasks import TASKS
 
 FAST = 5000

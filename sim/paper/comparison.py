@@ -18,7 +18,7 @@ from rover_ncp.core.errors import UsageError
 from sim.paper import BudgetName
 from sim.paper.agents import AGENTS
 from sim.paper.results import Result, ResultStore
-from sim.paper.significance import LEVEL, Effect, holm, interval_text, mean_text, measure
+from sim.paper.statistics import LEVEL, Effect, holm, interval_text, mean_text, measure
 from sim.paper.tables import markdown
 from sim.paper.tasks import TASKS
 

@@ -15,9 +15,9 @@ from rover_ncp.circuit.policy import Policy
 from sim.learn.curve import png_of
 from sim.learn.search.base import Vector, draw_seeds
 from sim.paper.evaluator import Evaluator
-from sim.paper.parking import ParkingEvaluator
+from sim.paper.search.parking import ParkingEvaluator
 from sim.paper.results import ResultStore
-from sim.paper.significance import mean_text
+from sim.paper.statistics import mean_text
 from sim.paper.tables import markdown
 from sim.paper.tasks import TASKS, Benchmark, Task
 

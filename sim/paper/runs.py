@@ -22,11 +22,11 @@ from sim.learn.search.base import Vector, draw_seeds
 from sim.learn.workers import process_pool, starting_processes
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import GRADIENTS, build_agent
-from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
+from sim.paper.search.cma import CMA, HALVING, search_by_cma, search_by_halving
 from sim.paper.evaluator import Evaluator
-from sim.paper.parking import ParkingEvaluator, search_parking
-from sim.paper.published_search import BenchmarkEstimator, Partial, search_as_published
-from sim.paper.random_search import Budget, Found, search_randomly
+from sim.paper.search.parking import ParkingEvaluator, search_parking
+from sim.paper.search.published import BenchmarkEstimator, Partial, search_as_published
+from sim.paper.search.random import Budget, Found, search_randomly
 from sim.paper.results import Packed, Result, ResultStore, RunName
 from sim.paper.tasks import Benchmark, SearchName, Task, find_task
 
@@ -136,7 +136,7 @@ def _search(
 
 
 def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, None, int, dict[str, Any]]:
-    from sim.paper.gradients import CELLS, train_actor, training_of  # an extra that other agents do without
+    from sim.paper.search.gradients import CELLS, train_actor, training_of  # an extra that other agents do without
 
     if name.budget in FAITHFUL:
         raise UsageError(f"the paper states no budget for {name.agent}")
@@ -167,7 +167,7 @@ def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, epi
         return {"episodes": 1, "mean": total, "std": 0.0, "plain_mean": total, "success": success}
     seeds = draw_seeds(seed, (_FINAL,), episodes)
     if agent is None:
-        from sim.paper.gradients import score_actor
+        from sim.paper.search.gradients import score_actor
 
         returns, plain = score_actor(task, vector, seeds)
     else:

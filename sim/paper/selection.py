@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from rover_ncp.core.errors import UsageError
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import AGENTS, GRADIENTS, LIQUID, PAPERS
-from sim.paper.published_search import read_partial
+from sim.paper.search.published import read_partial
 from sim.paper.results import Result, ResultStore, RunName, load_result
 from sim.paper.tasks import TASKS, Benchmark, find_task
 

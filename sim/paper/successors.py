@@ -8,7 +8,7 @@ from typing import Any
 from rover_ncp.core.files import read_text
 from sim.paper.agents import LIQUID
 from sim.paper.claims import Claim, Finding
-from sim.paper.significance import LEVEL, NO_GAP, fisher
+from sim.paper.statistics import LEVEL, NO_GAP, fisher
 
 _RANGES = {"harsh": "robots of `harsh`", "unseen": "robots of `full` on courses of no training"}
 _TRIALS = 1000

@@ -17,7 +17,7 @@ from sim.paper.agents import GRADIENTS
 from sim.paper.results import Result, ResultStore
 from sim.paper.runs import budget_for
 from sim.paper.selection import Group, grid
-from sim.paper.significance import LEVEL, Difference, Summary, holm, interval_text, mean_text, welch
+from sim.paper.statistics import LEVEL, Difference, Summary, holm, interval_text, mean_text, welch
 from sim.paper.tasks import TASKS
 
 

@@ -10,7 +10,7 @@ from sim.paper import BudgetName
 from sim.paper.agents import GRADIENTS
 from sim.paper.claims import ENOUGH_RUNS, Claim, Finding, budget_option, too_few
 from sim.paper.results import Result, ResultStore
-from sim.paper.significance import LEVEL, NO_GAP, Summary, mean_text, welch
+from sim.paper.statistics import LEVEL, NO_GAP, Summary, mean_text, welch
 from sim.paper.tables import TABLES, Row, Verdict, corrected, published_value, table
 from sim.paper.tasks import TASKS
 

@@ -10,7 +10,7 @@ from rover_ncp.cli import run
 from sim.paper import BudgetName
 from sim.paper.comparison import compare_agents
 from sim.paper.results import ResultStore
-from sim.paper.significance import fisher, holm, measure
+from sim.paper.statistics import fisher, holm, measure
 
 
 def test_holms_correction_is_that_of_the_textbook():

@@ -10,8 +10,8 @@ from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.core.errors import FileError
 from sim.paper import BudgetName, published_search
 from sim.paper.agents import build_agent
-from sim.paper.parking import ParkingEvaluator
-from sim.paper.published_search import BenchmarkEstimator, Partial, read_partial, search_as_published
+from sim.paper.search.parking import ParkingEvaluator
+from sim.paper.search.published import BenchmarkEstimator, Partial, read_partial, search_as_published
 from sim.paper.results import ResultStore, RunName
 from sim.paper.runs import budget_for
 from sim.paper.selection import coverage

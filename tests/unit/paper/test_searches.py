@@ -8,10 +8,10 @@ import pytest
 from sim.learn.search.base import draw_seeds
 from sim.paper import BudgetName, cma_search
 from sim.paper.agents import build_agent
-from sim.paper.cma_search import search_by_cma, search_by_halving, spread_seeds
+from sim.paper.search.cma import search_by_cma, search_by_halving, spread_seeds
 from sim.paper.evaluator import Evaluator
-from sim.paper.parking import ParkingEvaluator, search_parking
-from sim.paper.random_search import estimate
+from sim.paper.search.parking import ParkingEvaluator, search_parking
+from sim.paper.search.random import estimate
 from sim.paper.runs import budget_for
 from sim.paper.tasks import TASKS
 

@@ -12,7 +12,7 @@ from sim.paper.curves import curves_png
 from sim.paper.results import SHIPPED, Packed, Result, ResultStore, RunName
 from sim.paper.runs import agrees, train_run
 from sim.paper.selection import coverage, grid
-from sim.paper.significance import Summary, welch
+from sim.paper.statistics import Summary, welch
 from sim.paper.tables import TABLES, Published, Verdict, corrected, parameters, table
 from sim.paper.tasks import TASKS
 

@@ -32,7 +32,7 @@ from sim.learn.search.base import Strategy, Vector, draw_seeds, dump_state
 from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, Caps, KindRule, Published
 from sim.learn.search.strategies import start_search
 from sim.paper.evaluator import Evaluator
-from sim.paper.random_search import Budget, Found
+from sim.paper.search.random import Budget, Found
 from sim.paper.tasks import Benchmark
 
 _CAR_WEIGHTS, _CAR_WEIGHTS_AGAIN = 16, 12

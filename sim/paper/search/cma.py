@@ -26,7 +26,7 @@ from sim.learn.search.cma import Cma
 from sim.learn.search.unit_box import UnitBox, reflected
 from sim.paper.agents import dead_parameters, untuned
 from sim.paper.evaluator import Evaluator
-from sim.paper.random_search import Budget, Found, best_starts, confirmed
+from sim.paper.search.random import Budget, Found, best_starts, confirmed
 
 # Streams of random numbers; others are those of ``random_search.py``.
 _DRAW, _SEARCH, _TRIALS, _CHECKS, _FINALS = range(10, 15)

@@ -26,9 +26,9 @@ from sim.learn.search.cma import Cma
 from sim.learn.search.unit_box import UnitBox, reflected
 from sim.paper.agents import dead_parameters, untuned
 from sim.paper.evaluator import Evaluator
-from sim.paper.search.random import Budget, Found, best_starts, confirmed
+from sim.paper.search.random import Budget, Found, Point, best_starts, confirmed
 
-# Streams of random numbers; others are those of ``random_search.py``.
+# Streams of random numbers; others are those of ``random.py``.
 _DRAW, _SEARCH, _TRIALS, _CHECKS, _FINALS = range(10, 15)
 _SPREADS = (0.003, 0.2)
 _LARGEST_COVARIANCE = 200
@@ -117,7 +117,7 @@ def search_by_cma(
     explored = min(CMA["explored"], len(firsts))
     checks = spread_seeds(evaluator, seed, CMA["checked_from"])
     trials = checks[: CMA["tried_from"]]
-    curve: list[tuple[int, float]] = []
+    curve: list[Point] = []
     winner, value, evaluations, searches = firsts[0], -np.inf, 0, 0
     while evaluator.steps < budget.steps:
         explores = searches < explored
@@ -142,7 +142,7 @@ def search_by_cma(
             winner, value = vectors[best], checked
             if value >= evaluator.task.enough:
                 value = confirmed(judge, winner, seed, evaluations)
-            curve.append((evaluator.steps, value))
+            curve.append(Point(evaluations, evaluator.steps, value))
             if value >= evaluator.task.enough:
                 return Found(winner, evaluations, tuple(curve), "enough")
     return Found(winner, evaluations, tuple(curve), "steps")
@@ -196,7 +196,7 @@ def search_by_halving(evaluator: Evaluator, agent: Policy | Net, seed: int, budg
     starts = _draw_starts(agent, seed, budget.starts)
     starts = best_starts(evaluator, starts, seed, keep=STAGES[0].searches, horizon=_START_TICKS)
     left = [Contender(agent, start, seed, number) for number, start in enumerate(starts)]
-    curve: list[tuple[int, float]] = []
+    curve: list[Point] = []
     evaluations = budget.starts
     for stage in STAGES:
         left = sorted(left, key=lambda contender: -contender.standing)[: stage.searches]
@@ -206,8 +206,8 @@ def search_by_halving(evaluator: Evaluator, agent: Policy | Net, seed: int, budg
             contender = left[turn % len(left)]
             evaluations += contender.advance(evaluator, stage)
             value = contender.check(evaluator)
-            if not curve or value > curve[-1][1]:
-                curve.append((evaluator.steps, value))
+            if not curve or value > curve[-1].value:
+                curve.append(Point(evaluations, evaluator.steps, value))
     [winner] = left
     finalists = sorted(winner.checked, key=lambda pair: -pair[0])[:_FINALISTS]
     vectors = np.array([vector for _, vector in finalists])

@@ -18,7 +18,7 @@ from sim.learn.networks import Net, network_commander
 from sim.learn.search.base import Vector
 from sim.learn.search.strategies import start_search
 from sim.paper.agents import dead_parameters
-from sim.paper.search.random import Budget, Found
+from sim.paper.search.random import Budget, Found, Point
 from sim.paper.tasks import Task
 
 _CREEP = 5.0
@@ -71,7 +71,7 @@ def search_parking(evaluator: ParkingEvaluator, agent: Policy | Net, seed: int, 
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(0,))))
     first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
     search = start_search("gauss-newton", agent.layout(), first, generator, dead_parameters(agent))
-    curve: list[tuple[int, float]] = []
+    curve: list[Point] = []
     ended, parks, best = "evaluations", None, -math.inf
     while search.evaluations < budget.evaluations:
         if evaluator.steps >= budget.steps:
@@ -84,7 +84,7 @@ def search_parking(evaluator: ParkingEvaluator, agent: Policy | Net, seed: int, 
         if search.value == before:
             continue
         best = float(values[int(np.argmax(counted))])
-        curve.append((evaluator.steps, best))
+        curve.append(Point(search.evaluations, evaluator.steps, best))
         if best >= evaluator.task.success and evaluator.outcome(search.incumbent)[1]:
             parks = search.incumbent
             if best >= evaluator.task.enough:

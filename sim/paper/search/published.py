@@ -1,38 +1,36 @@
-"""The paper's own searches with their budget: Algorithm 1 as printed, and that of the published code.
+"""The paper's own searches with their budget: Algorithm 1 as printed, and those of the published code.
 
-Every iteration of the paper's is done, and every decision is that of its estimates: all N rollouts, of which
-the worst k count. Two things cost less than in the paper and change no decision. Candidates are drawn ahead,
+``reference.py`` has them literally; these make the same decisions in less time. Candidates are drawn ahead,
 as if those before them had failed (``sim/learn/search/random_search.py``). Rollouts stop where even the best
 possible rest would leave a candidate below its incumbent.
 
 The published code has a search for each task. On parking, which has no chance, it is that of
-``sim/learn/search/published.py``; the others also estimate the incumbent anew. Cart-pole has no published
-code and gets the pendulum's. A new estimate counts as an iteration here, at most one in 52.
-
-A run takes seconds to hours, so it saves its state every few seconds; a run that continues from there gives
-the same bits.
+``sim/learn/search/published.py``; the others also estimate the incumbent anew, which counts as an iteration.
+Cart-pole has no published code and gets the pendulum's. MLP and LSTM have a search of their own.
 """
 
 import json
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.networks import Net
+from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
 from sim.learn.search.base import Strategy, Vector, draw_seeds, dump_state
 from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, Caps, KindRule, Published
-from sim.learn.search.strategies import start_search
+from sim.learn.search.random_search import RandomSearch
 from sim.paper.evaluator import Evaluator
-from sim.paper.search.random import Budget, Found
+from sim.paper.search.random import Budget, Found, Point
 from sim.paper.tasks import Benchmark
 
 _CAR_WEIGHTS, _CAR_WEIGHTS_AGAIN = 16, 12
@@ -48,8 +46,9 @@ _CAR_RULES: Mapping[ParameterKind, KindRule] = {
 _LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
 # Streams of random numbers.
 _SEARCH, _ROLLOUTS = range(2)
-_LEAST_AHEAD, _MOST_AHEAD = 3, 48
-_SAVE_EVERY_S = 10.0
+_MIN_AHEAD, _MAX_AHEAD = 3, 48
+_AMPLITUDES = (0.01, 1.0)
+"""Smallest and largest amplitude of a network's noise."""
 _STOPS = (1, 3, 9)
 """Rollouts after which candidates may be rejected."""
 
@@ -120,9 +119,123 @@ class PublishedOnMountainCar(PublishedOnBenchmarks):
     caps: ClassVar[type[Caps]] = CarCaps
 
 
-_OWN_SEARCHES: Mapping[str, type[Strategy]] = {
+@dataclass(frozen=True)
+class Sigma:
+    """Algorithm 1's sigma, as a share of each parameter's range, and its counters."""
+
+    sigma: float = START_SCALE
+    i: int = 0
+    due: bool = False
+    """Whether the incumbent is to be estimated before the next candidate."""
+    iterations: int = 0
+
+    def after_success(self) -> Self:
+        """Return a larger sigma."""
+        return type(self)(self.sigma * ALPHA, 1, ESTIMATE_AFTER < 1, self.iterations + 1)
+
+    def after_failure(self) -> Self:
+        """Return a smaller sigma."""
+        return type(self)(self.sigma / ALPHA, self.i + 1, self.i + 1 > ESTIMATE_AFTER, self.iterations + 1)
+
+    def restored(self, fields: Mapping[str, Any]) -> Self:
+        """Return the value of saved fields."""
+        return type(self)(
+            float(fields["sigma"]), int(fields["i"]), bool(fields["due"]), int(fields["iterations"])
+        )
+
+
+class Printed(RandomSearch[Sigma]):
+    """Algorithm 1 as printed: sigma without limits, an exact start, estimates that take no iteration."""
+
+    @classmethod
+    def begin(
+        cls,
+        layout: ParameterLayout,
+        defaults: Vector,
+        generator: np.random.Generator,
+        inert: NDArray[np.bool_] | None = None,
+    ) -> Self:
+        """Begin at the defaults (P,)."""
+        return cls(layout, defaults, generator)
+
+    @property
+    def iterations(self) -> int:
+        """Candidates evaluated."""
+        return self.adaptation.iterations
+
+    def first_adaptation(self, layout: ParameterLayout) -> Sigma:
+        """Return the first sigma."""
+        return Sigma()
+
+    def propose(self, adaptation: Sigma, generator: np.random.Generator) -> Vector:
+        """Add noise to every entry."""
+        noise = adaptation.sigma * (self.upper - self.lower) * generator.standard_normal(len(self.upper))
+        return self.clip(self.incumbent + noise)
+
+    def wants_estimate(self, adaptation: Sigma) -> bool:
+        """Estimate after each iteration with i > N."""
+        return adaptation.due
+
+    def after_estimate(self, adaptation: Sigma) -> Sigma:
+        """Go on; i stays."""
+        return replace(adaptation, due=False)
+
+
+@dataclass(frozen=True)
+class Amplitude:
+    """The amplitude of a network's noise, and the failures since it last grew."""
+
+    amplitude: float = 0.01
+    failures: int = 0
+
+    def after_success(self) -> Self:
+        """Halve the amplitude."""
+        return type(self)(max(self.amplitude / 2.0, _AMPLITUDES[0]))
+
+    def after_failure(self) -> Self:
+        """Count a failure; the 51st makes the amplitude five times as large."""
+        if self.failures + 1 < FAILURES_TO_WIDEN:
+            return type(self)(self.amplitude, self.failures + 1)
+        return type(self)(min(self.amplitude * 5.0, _AMPLITUDES[1]))
+
+    def restored(self, fields: Mapping[str, Any]) -> Self:
+        """Return the value of saved fields."""
+        return type(self)(float(fields["amplitude"]), int(fields["failures"]))
+
+
+class PublishedOnNetworks(RandomSearch[Amplitude]):
+    """The published search of MLP and LSTM: noise of one amplitude on all weights, which have no bounds."""
+
+    def __init__(self, layout: ParameterLayout, start: Vector, generator: np.random.Generator) -> None:
+        blocks = (block._replace(lower=-math.inf, upper=math.inf) for block in layout.blocks)
+        super().__init__(ParameterLayout(tuple(blocks)), start, generator)
+
+    @classmethod
+    def begin(
+        cls,
+        layout: ParameterLayout,
+        defaults: Vector,
+        generator: np.random.Generator,
+        inert: NDArray[np.bool_] | None = None,
+    ) -> Self:
+        """Begin near zero."""
+        return cls(layout, _AMPLITUDES[0] * generator.standard_normal(layout.size), generator)
+
+    def first_adaptation(self, layout: ParameterLayout) -> Amplitude:
+        """Return the first amplitude."""
+        return Amplitude()
+
+    def propose(self, adaptation: Amplitude, generator: np.random.Generator) -> Vector:
+        """Add noise to every weight."""
+        return self.incumbent + adaptation.amplitude * generator.standard_normal(len(self.incumbent))
+
+
+SEARCHES: Mapping[str, type[Strategy]] = {
+    "published-parking": Published,
     "published-benchmarks": PublishedOnBenchmarks,
     "published-mountain-car": PublishedOnMountainCar,
+    "published-network": PublishedOnNetworks,
+    "algorithm1": Printed,
 }
 
 
@@ -138,11 +251,11 @@ class Estimator(Protocol):
         """
 
 
-class Partial:
-    """The file of a run that has not ended, or none; it holds all that a continued run depends on."""
+class Checkpoint:
+    """The saved state of an unfinished run, or none; it holds all that a continued run depends on."""
 
-    def __init__(self, path: Path | None, settings: dict[str, Any]) -> None:
-        self._path, self._settings = path, json.loads(json.dumps(settings))
+    def __init__(self, path: Path | None, settings: dict[str, Any], every_s: float = 300.0) -> None:
+        self._path, self._settings, self._every_s = path, json.loads(json.dumps(settings)), every_s
         self._began, self._worked, self._saved = time.monotonic(), time.process_time(), time.monotonic()
         self._before = (0.0, 0.0)
 
@@ -150,11 +263,15 @@ class Partial:
         """Return the state that was saved last. Raises FileError for a damaged file, or other settings."""
         if self._path is None or not self._path.is_file():
             return None
-        data = _read(self._path)
-        if data["settings"] != self._settings:
-            raise FileError(f"{self._path}: a run with other settings; delete it to begin anew")
-        self._before = float(data["wall_s"]), float(data["cpu_s"])
-        return dict(data["state"])
+        try:
+            data = json.loads(read_text(self._path))
+            settings, state = data["settings"], dict(data["state"])
+            self._before = float(data["wall_s"]), float(data["cpu_s"])
+        except (ValueError, TypeError, KeyError) as error:
+            raise FileError(f"{self._path}: damaged; delete it to start the run again") from error
+        if settings != self._settings:
+            raise FileError(f"{self._path}: a run with other settings; delete it to start the run again")
+        return state
 
     def times(self) -> tuple[float, float]:
         """Return wall time and CPU time in s, those before an interruption included."""
@@ -163,7 +280,7 @@ class Partial:
 
     def save(self, state: Callable[[], dict[str, Any]]) -> None:
         """Write a state if the last one is old. Raises FileError."""
-        if self._path is None or time.monotonic() - self._saved < _SAVE_EVERY_S:
+        if self._path is None or time.monotonic() - self._saved < self._every_s:
             return
         wall_s, cpu_s = self.times()
         data = {"settings": self._settings, "wall_s": wall_s, "cpu_s": cpu_s, "state": state()}
@@ -172,7 +289,7 @@ class Partial:
 
 
 def search_as_published(
-    evaluator: Estimator, agent: Policy | Net, seed: int, budget: Budget, partial: Partial
+    evaluator: Estimator, agent: Policy | Net, seed: int, budget: Budget, checkpoint: Checkpoint
 ) -> Found:
     """Search an agent's parameters to the last iteration. The same arguments give the same bits.
 
@@ -180,17 +297,14 @@ def search_as_published(
     """
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_SEARCH,))))
     first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
-    own = _OWN_SEARCHES.get(budget.strategy)
-    search: Strategy = (
-        start_search(budget.strategy, agent.layout(), first, generator)
-        if own is None
-        else own.begin(agent.layout(), first, generator)
-    )
-    curve: list[tuple[int, float]] = []
-    ahead = _LEAST_AHEAD
-    if saved := partial.load():
+    search = SEARCHES[budget.strategy].begin(agent.layout(), first, generator)
+    curve: list[Point] = []
+    ahead = _MIN_AHEAD
+    if saved := checkpoint.load():
         search.restore(saved["search"])
-        curve = [(int(iteration), float(value)) for iteration, value in saved["curve"]]
+        curve = [
+            Point(int(iteration), int(steps), float(value)) for iteration, steps, value in saved["curve"]
+        ]
         ahead, evaluator.steps = int(saved["ahead"]), int(saved["steps"])
 
     def state() -> dict[str, Any]:
@@ -202,43 +316,17 @@ def search_as_published(
         search.tell(evaluator.estimate(vectors, number, search.to_beat))
         assert search.value is not None
         if search.value != before:
-            curve.append((search.iterations, search.value))
-        ahead = min(2 * ahead, _MOST_AHEAD) if search.value == before else _LEAST_AHEAD
-        partial.save(state)
+            curve.append(Point(search.iterations, evaluator.steps, search.value))
+        ahead = min(2 * ahead, _MAX_AHEAD) if search.value == before else _MIN_AHEAD
+        checkpoint.save(state)
     return Found(search.incumbent, search.evaluations, tuple(curve), "evaluations")
-
-
-def read_partial(path: Path) -> dict[str, Any]:
-    """Return how far a run that has not ended has come: iterations of how many, estimate, CPU time in s."""
-    data = _read(path)
-    iterations, of = data["state"]["search"]["evaluations"] - 1, data["settings"]["evaluations"]
-    return {
-        "iterations": iterations,  #: that were made
-        "of": of,  #: of how many
-        "estimate": data["state"]["curve"][-1][1],  #: of the incumbent
-        "cpu_s": data["cpu_s"],  #: so far
-        "hours_to_run": data["cpu_s"] / max(iterations, 1) * of / 3600.0,  #: of a whole run, on one core
-    }
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """Read a partial run. Raises FileError for a damaged file."""
-    try:
-        data: dict[str, Any] = json.loads(read_text(path))
-        if {"settings", "wall_s", "cpu_s", "state"} <= set(data) and {"search", "curve"} <= set(
-            data["state"]
-        ):
-            return data
-        raise ValueError("keys are missing")
-    except (ValueError, TypeError) as error:
-        raise FileError(f"{path}: damaged; delete it to begin the run anew") from error
 
 
 class BenchmarkEstimator(Evaluator):
     """The paper's estimate on a benchmark: the mean of the worst k of N rollouts."""
 
     def __init__(self, task: Benchmark, agent: Policy | Net, seed: int, budget: Budget) -> None:
-        super().__init__(task, agent, for_search=True)
+        super().__init__(task, agent, for_search=True, warm_up=budget.warm_up)
         self._seed, self._rollouts, self._worst = seed, budget.rollouts, budget.worst
         # Without an upper bound of a return no candidate can be rejected early.
         early = [stop for stop in _STOPS if stop < budget.rollouts and math.isfinite(task.most)]

@@ -1,7 +1,7 @@
 """The published random search on a benchmark, from the best of many starts, with pruned estimates.
 
 The search of mountain car and cart-pole. It deviates from the published search
-(``published_search.py``) to need less time for the same end:
+(``published.py``) to need less time for the same end:
   * It starts from the best of many untuned agents: some tasks reward nothing before the goal.
   * Candidates that trail their incumbent after 1, 3 or 9 rollouts are pruned, judged by the same share of
     worst rollouts. A candidate that takes all rollouts gets the paper's estimate. A search compares a
@@ -12,6 +12,7 @@ The search of mountain car and cart-pole. It deviates from the published search
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from sim.paper.evaluator import Evaluator
 
 # Streams of random numbers.
 _SEARCH, _ROLLOUTS, _STARTS, _CONFIRM = range(4)
-_LEAST_AHEAD, _MOST_AHEAD = 4, 48
+_MIN_AHEAD, _MAX_AHEAD = 4, 48
 _START_ROUNDS = (1, 2, 4, 8, 16)
 """Episodes of each start in a round; a quarter of the starts goes on to the next round."""
 _CONFIRMATIONS = 100
@@ -42,7 +43,17 @@ class Budget:
     patience: int
     """Evaluations without a gain of a hundredth after which a run ends."""
     strategy: str = ""
-    """One of the paper's own searches (``published_search.py``)."""
+    """One of the paper's own searches (``published.py``)."""
+    warm_up: int = 0
+    """Ticks of the agent on the first observation before an episode's first step."""
+
+
+class Point(NamedTuple):
+    """A change of the incumbent's estimate, and the iterations and environment steps before it."""
+
+    iterations: int
+    steps: int
+    value: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +62,7 @@ class Found:
 
     vector: Vector
     evaluations: int
-    curve: tuple[tuple[int, float], ...]
-    """(steps of the environment, estimate of the incumbent) wherever it changed."""
+    curve: tuple[Point, ...]
     ended: str
 
 
@@ -79,14 +89,14 @@ def search_randomly(
     starts = untuned(agent, generator, budget.starts)
     search = Reestimating(agent.layout(), best_starts(evaluator, starts, seed)[0], generator)
     enough = evaluator.task.enough
-    curve: list[tuple[int, float]] = []
+    curve: list[Point] = []
     gained_at, gained = 0, 0.0
     ended = "evaluations"
     while search.evaluations < budget.evaluations:
         if evaluator.steps >= budget.steps:
             ended = "steps"
             break
-        ahead = min(_LEAST_AHEAD + search.adaptation.failures, _MOST_AHEAD)
+        ahead = min(_MIN_AHEAD + search.adaptation.failures, _MAX_AHEAD)
         vectors = search.ask(min(ahead, budget.evaluations - search.evaluations))
         keys = [(_ROLLOUTS, search.evaluations + number) for number in range(len(vectors))]
         seeds = np.array([draw_seeds(seed, key, budget.rollouts) for key in keys])
@@ -94,8 +104,8 @@ def search_randomly(
         assert search.value is not None
         if search.value >= enough:
             search.value = confirmed(judge, search.incumbent, seed, search.evaluations)
-        if not curve or curve[-1][1] != search.value:
-            curve.append((evaluator.steps, search.value))
+        if not curve or curve[-1].value != search.value:
+            curve.append(Point(search.evaluations, evaluator.steps, search.value))
         if search.value >= enough:
             ended = "enough"
             break

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import paper_tables
 import pytest
+from sim.paper.lesions import lesion_study
 
 from rover_ncp import cli
 from sim.paper import FAITHFUL
 from sim.paper.claims import all_claims
-from sim.paper.lesions import lesion_study
 from sim.paper.results import ResultStore
 
 PAGE = paper_tables.PAGE.read_text()

@@ -199,14 +199,19 @@ def value(  # noqa: PLR0917
     )
 
 
-def compare(
-    store: ResultStore, task: str, other: str, budget: str = "published", better: bool = False
+def compare(  # noqa: PLR0917
+    store: ResultStore,
+    task: str,
+    other: str,
+    budget: str = "published",
+    other_budget: str | None = None,
+    better: bool = False,
 ) -> Outcome:
     """Compare the circuit's returns with those of another agent: ``better``, or at least equal.
 
     Where all runs end at the return that is enough, their steps to success decide whether it is better.
     """
-    pair = [runs_of(store, task, agent, budget) for agent in ("circuit", other)]
+    pair = [runs_of(store, task, "circuit", budget), runs_of(store, task, other, other_budget or budget)]
     if min(map(len, pair)) < MIN_RUNS:
         return too_few(min(map(len, pair)))
     returns = [np.array([run.mean for run in runs]) for runs in pair]
@@ -233,9 +238,9 @@ def sign(store: ResultStore, source: str, destination: str, expected: str) -> Ou
         return too_few(len(found))
     clear = [next(iter(signs)) for signs in found if len(signs) == 1]
     hits = sum(each == expected for each in clear)
-    figure = f"{hits} of {len(clear)} circuits with one sign; {len(found) - len(clear)} have several"
+    figure = f"{hits} of {len(clear)} circuits that have a sign, of {len(found)}"
     if len(clear) < MIN_RUNS:
-        return Outcome(figure, f"no evidence: {len(clear)} of {len(found)} circuits have one sign")
+        return Outcome(figure, f"no evidence: {len(clear)} of {len(found)} circuits have a sign")
     low, high = wilson(hits, len(clear))
     against = False if high < 0.5 else None
     return Outcome(figure, f"{low:.0%} to {high:.0%}, n = {len(clear)}", holds=low > 0.5, significant=against)

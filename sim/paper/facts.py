@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from rover_ncp.circuit.circuit import BOUNDS, ParameterKind, SynapseKind
+from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.tap_withdrawal import random_circuit
 from sim.paper.agents import build_agent
 from sim.paper.interpretation import drives, time_constants
@@ -35,14 +35,6 @@ def _random_synapses(_: ResultStore) -> list[int]:
     circuit = TASKS["pendulum"].circuit()
     wirings = (random_circuit(seed, circuit.neurons, circuit.synapse_count) for seed in range(20))
     return sorted({wiring.synapse_count for wiring in wirings})
-
-
-def _two_way_gaps(_: ResultStore) -> int:
-    """Return the number of gap junctions between neurons that both integrate: there direction matters."""
-    task = TASKS["pendulum"]
-    circuit, driven = task.circuit(), task.policy(task.circuit()).sensing.neurons
-    gaps = np.flatnonzero(circuit.kind == SynapseKind.GAP)
-    return sum(circuit.neurons[circuit.source[gap]] not in driven for gap in gaps)
 
 
 def _bounds(_: ResultStore, kind: str) -> list[float]:
@@ -96,7 +88,6 @@ FACTS: Mapping[str, Callable[..., Any]] = {
     "sparsity": _sparsity,
     "parameters": _fewest_parameters,
     "random-synapses": _random_synapses,
-    "two-way-gaps": _two_way_gaps,
     "bounds": _bounds,
     "motor-range": _motor_range_mv,
     "input-range": _input_range,

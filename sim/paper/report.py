@@ -27,7 +27,6 @@ LAYOUTS: dict[str, Row] = {
 _COLUMNS = ("pendulum", "mountain-car", "half-cheetah")
 _ROBOTS = {"harsh": "robots of `harsh`", "unseen": "robots of `full` on other courses"}
 _TRIALS = 1000
-_UNTESTED = {Verdict.NOT_TESTED: "not tested yet"}
 
 
 def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged]) -> str:
@@ -75,13 +74,22 @@ def long_report(store: ResultStore, judged: Sequence[Judged]) -> str:
 def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:
     """Return the page's questions with the verdicts on their claims."""
     by_name = {claim.name: claim for claim in judged}
-    rows: list[Row] = [("question", "answer", "evidence: ours against the paper's")]
+    rows: list[Row] = [("question", "answer: ours against the paper's")]
     for number, (question, names) in enumerate(file.questions.items(), start=1):
         found = [by_name[name] for name in names]
-        counts = Counter(_UNTESTED.get(claim.verdict, str(claim.verdict)) for claim in found)
-        answer = next(iter(counts)) if len(counts) == 1 else _counts(counts)
-        evidence = "; ".join(f"`{claim.name}` {claim.figure or claim.text}" for claim in found)
-        rows.append((f"{number}. {question}", f"**{answer}**", evidence))
+        parts = []
+        for verdict in Verdict:
+            claims = [claim for claim in found if claim.verdict is verdict]
+            if claims and verdict is Verdict.NOT_TESTED:
+                reasons = ", ".join(dict.fromkeys(claim.why for claim in claims))
+                parts.append(
+                    f"**not tested yet**: {', '.join(f'`{each.name}`' for each in claims)} ({reasons})"
+                )
+            elif claims:
+                parts.append(
+                    f"**{verdict}**: " + "; ".join(f"`{each.name}` {each.figure}" for each in claims)
+                )
+        rows.append((f"{number}. {question}", ". ".join(parts)))
     return markdown(rows)
 
 

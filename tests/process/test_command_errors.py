@@ -70,8 +70,8 @@ WRITERS = [
     "report drive.mcap --out {}",
     "recover drive.mcap --out {}",
     "keys --out {}",
-    "paper curves --out {}",
-    "paper run --task parking --agent circuit --seed 0 --again --budget quick --runs {}",
+    "paper report --curves {}",
+    "paper run --task parking --agent circuit --seed 0 --again --budget quick --results {}",
 ]
 TABLE = [
     *((command.format(LONG), "File name too long") for command in READERS),
@@ -124,7 +124,7 @@ TABLE = [
     # options that do not go together
     ("train --resume", "--resume needs --out"),
     ("train --cluster tcp://127.0.0.1:9 --processes 2", "do not go together"),
-    ("paper run --cluster tcp://127.0.0.1:9 --processes 2", "--cluster goes with neither --processes"),
+    ("paper run --cluster tcp://127.0.0.1:9 --processes 2", "--cluster cannot be combined with --processes"),
     ("identify", "expected either --robot"),
     (f"identify drive.mcap {ROBOT}", "expected either --robot"),
     (f"check {ROBOT}", "put the robot on blocks"),

@@ -6,7 +6,7 @@ The search of mountain car and cart-pole. It deviates from the published search
   * Candidates that trail their incumbent after 1, 3 or 9 rollouts are pruned, judged by the same share of
     worst rollouts. A candidate that takes all rollouts gets the paper's estimate. A search compares a
     candidate only with its incumbent, so this loses only candidates that would have won by late luck.
-  * After 51 failures the incumbent is estimated again, as in Algorithm 1: it may have been lucky.
+  * After 50 failures the incumbent is estimated again, in place of the next candidate: it may have been lucky.
   * The search stops at a return that is confirmed as enough, or when for long nothing got better.
 """
 
@@ -67,7 +67,7 @@ class Found:
 
 
 class Reestimating(Published):
-    """The published search, with a new estimate of its incumbent after every 51 failures."""
+    """The published search, with a new estimate of its incumbent after every 50 failures."""
 
     def wants_estimate(self, adaptation: Caps) -> bool:
         """Replace the failure that would widen the caps."""

@@ -161,7 +161,9 @@ def rate(  # noqa: PLR0917
     succeeded = [run.success for run in runs]
     if within is not None:
         values = [run.value_after(within) for run in runs]
-        succeeded = [value is not None and value >= TASKS[task].success for value in values]
+        if any(each is None for each in values):
+            return Outcome("", "the curves are not complete", tested=False)
+        succeeded = [each is not None and each >= TASKS[task].success for each in values]
     found = fisher(sum(succeeded), len(runs), hits, of)
     low, high = wilson(sum(succeeded), len(runs))
     return Outcome(

@@ -133,18 +133,12 @@ def paper(
 def _make(
     output: Output, store: Any, names: list[Any], processes: int | None, options: dict[str, Any]
 ) -> list[dict[str, Any]]:
-    """Make runs with a progress bar; return a summary of each."""
-    from rich.console import Console
-    from rich.progress import Progress
-
+    """Make runs; return a summary of each."""
     from rover_ncp.core.files import require_writable
     from sim.learn.workers import available_processes
     from sim.paper.runs import make_runs
 
     made: list[dict[str, Any]] = []
-    console = Console(stderr=True)
-    progress = Progress(console=console, transient=True, disable=not console.is_terminal)
-    bar = progress.add_task("runs", total=len(names))
 
     def on_result(result: Any) -> None:
         made.append(
@@ -155,15 +149,14 @@ def _make(
                 **{name: getattr(result, name) for name in ("cpu_s", "steps", "ended")},
             }
         )
-        progress.advance(bar)
+        outcome = "" if result.success else ", no success"
         output.say(
-            f"{result.name}: {result.mean:.4g} ± {result.std:.3g}{'' if result.success else ', no success'} "
+            f"{len(made)} of {len(names)}: {result.name}: {result.mean:.4g} ± {result.std:.3g}{outcome} "
             f"({result.cpu_s:.0f} s of a core, ended by {result.ended})"
         )
 
     require_writable(store.path(names[0].task, names[0].budget))
-    with progress:
-        make_runs(names, store, processes=processes or available_processes(), on_result=on_result, **options)
+    make_runs(names, store, processes=processes or available_processes(), on_result=on_result, **options)
     return made
 
 

@@ -24,7 +24,11 @@ def curves_png(store: ResultStore, budget: BudgetName) -> bytes:
 
     against = "iterations" if budget in FAITHFUL else "steps of the environment"
     found = {
-        name: {agent: runs for agent in PAPERS if (runs := store.results(name, agent, budget))}
+        name: {
+            agent: runs
+            for agent in PAPERS
+            if (runs := [run for run in store.results(name, agent, budget) if run.curve])
+        }
         for name in TASKS
     }
     tasks = [TASKS[name] for name, agents in found.items() if agents]

@@ -107,12 +107,6 @@ def make_plants(task: Benchmark, count: int, *, for_search: bool = False) -> tup
     return plants, pool
 
 
-def first_states(task: Benchmark, seeds: Seeds) -> FloatArray:
-    """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
-    generators = (np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(s)))) for s in seeds)
-    return np.array([task.start(generator) for generator in generators])
-
-
 def commander_for(agent: Policy | Net) -> tuple[Commander, tuple[int, int]]:
     """Return an agent's commander, and the numbers of its inputs and outputs."""
     if isinstance(agent, Policy):
@@ -145,7 +139,8 @@ class Evaluator:
 
     def starts(self, seeds: Seeds) -> FloatArray:
         """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
-        return first_states(self.task, seeds)
+        generators = (np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(s)))) for s in seeds)
+        return np.array([self.task.start(generator) for generator in generators])
 
     def run(self, vectors: ArrayLike, seeds: Seeds, *, horizon: int | None = None) -> FloatArray:
         """Run one episode for each vector (n, P) and seed (n,).

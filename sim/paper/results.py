@@ -87,6 +87,8 @@ class Result(StrictModel):
 
     def value_after(self, iterations: int) -> float | None:
         """Return the incumbent's estimate after so many iterations; None if the curve does not contain it."""
+        if self.thinned:
+            return None
         reached = [value for count, _, value in self.curve if count is not None and count <= iterations]
         return reached[-1] if reached else None
 

@@ -139,9 +139,7 @@ class Sigma:
 
     def restored(self, fields: Mapping[str, Any]) -> Self:
         """Return the value of saved fields."""
-        return type(self)(
-            float(fields["sigma"]), int(fields["i"]), bool(fields["due"]), int(fields["iterations"])
-        )
+        return type(self)(**fields)
 
 
 class Printed(RandomSearch[Sigma]):
@@ -200,7 +198,7 @@ class Amplitude:
 
     def restored(self, fields: Mapping[str, Any]) -> Self:
         """Return the value of saved fields."""
-        return type(self)(float(fields["amplitude"]), int(fields["failures"]))
+        return type(self)(**fields)
 
 
 class PublishedOnNetworks(RandomSearch[Amplitude]):

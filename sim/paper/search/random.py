@@ -6,7 +6,7 @@ The search of mountain car and cart-pole. It deviates from the published search
   * Candidates that trail their incumbent after 1, 3 or 9 rollouts are pruned, judged by the same share of
     worst rollouts. A candidate that takes all rollouts gets the paper's estimate. A search compares a
     candidate only with its incumbent, so this loses only candidates that would have won by late luck.
-  * After 50 failures the incumbent is estimated again, in place of the next candidate: it may have been lucky.
+  * After 50 failures the incumbent, which may have been lucky, is estimated in place of a candidate.
   * The search stops at a return that is confirmed as enough, or when for long nothing got better.
 """
 

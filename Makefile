@@ -69,8 +69,8 @@ soak: $(STAMP)
 
 # A run of seconds for every task of the paper: the circuit and a network, each checked by a replay.
 paper-quick: $(STAMP)
-	$(BIN)/rover-ncp paper run --budget quick --again --agent circuit --agent mlp --seed 0 --runs runs/paper-quick
-	$(BIN)/rover-ncp paper replay --budget quick --agent circuit --agent mlp --seed 0 --runs runs/paper-quick
+	$(BIN)/rover-ncp paper run --budget quick --again --agent circuit --agent mlp --seed 0 --results runs/paper-quick
+	$(BIN)/rover-ncp paper replay --budget quick --agent circuit --agent mlp --seed 0 --results runs/paper-quick
 
 # The paper's missing runs, without PPO and A2C. Takes hours; an interrupted run can be continued.
 paper: $(STAMP)

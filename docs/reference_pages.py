@@ -53,11 +53,18 @@ def reference_pages() -> dict[str, str]:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the front page to the site."""
+    """Add the front page, and the long tables on the paper, to the site."""
     from mkdocs.structure.files import File
+
+    from sim.paper.claims import judge_claims, load_claims
+    from sim.paper.report import long_report
+    from sim.paper.results import ResultStore
 
     text = front_page((DOCS.parent / "README.md").read_text())
     files.append(File.generated(config, "index.md", content=text))
+    store = ResultStore(DOCS.parent / "results")
+    tables = long_report(store, judge_claims(store, load_claims().claims))
+    files.append(File.generated(config, "paper_tables.md", content=f"# All claims and runs\n\n{tables}\n"))
     return files
 
 

@@ -40,8 +40,8 @@ def explain(
     runs: Annotated[
         Path | None,
         typer.Option(
-            help="With --task, without a policy: folder of your runs of 'paper'; they come first.",
-            show_default="runs/paper",
+            help="With --task, without a policy: folder of the runs of 'paper'.",
+            show_default="results",
         ),
     ] = None,
     out: Annotated[

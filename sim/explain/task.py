@@ -119,8 +119,8 @@ class Subject(NamedTuple):
     episodes: Episodes
 
 
-RUNS = Path("runs/paper")
-"""Folder of one's own runs of the paper's experiments."""
+RUNS = Path("results")
+"""Folder of the runs of the paper's experiments."""
 
 
 def explain_task(

@@ -4,11 +4,13 @@ circuit    the tap-withdrawal circuit, untuned
 random     a random wiring of its size, another one for each seed
 mlp, lstm  networks of eleven cells, with the circuit's inputs and outputs
 cfc, ltc   networks of the library ncps with about as many numbers as the circuit
-ppo, a2c   a network trained by gradients (``gradients.py``)
+ppo, a2c   a network trained by gradients (``search/gradients.py``)
 
 Any other name is that of a circuit file.
 """
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,31 +24,56 @@ from sim.learn.engine.networks import Net, NetKind, net_for
 from sim.learn.random_circuit import random_circuit
 from sim.learn.search.base import Vector
 from sim.learn.search.random_search import perturb
+from sim.paper import BudgetName
 from sim.paper.tasks import Task
 
 GRADIENTS = ("ppo", "a2c")
 """Agents of which only an actor is kept; only torch can train them."""
+NETWORKS = ("mlp", "lstm")
 PAPERS = ("circuit", "random", "mlp", "lstm")
 LIQUID = ("cfc", "ltc")
 AGENTS = (*PAPERS, *LIQUID, *GRADIENTS)
 _MAX_PERTURBATIONS = 6
+_PUBLISHED_CELLS = 12
+"""Cells of a network in the published code; the paper says eleven."""
 
 
-def build_agent(task: Task, agent: str, seed: int, circuit: Path | None = None) -> Policy | Net:
-    """Return an untuned agent; ``circuit`` is the file of one that is not among ``AGENTS``.
+def load_agent(task: Task, circuit: Path) -> Policy:
+    """Return the agent of a circuit file.
 
-    Raises UsageError, FileError, or ConfigError when a circuit lacks a neuron that the task's mapping names.
+    Raises UsageError for the name of another agent, FileError, or ConfigError when the circuit lacks a neuron
+    that the task's mapping names.
     """
-    if circuit is not None:
-        return task.policy(load_circuit(circuit))
+    if circuit.stem in AGENTS:
+        raise UsageError(f"--circuit {circuit}: {circuit.stem} is an agent of the paper; rename the file")
+    return task.policy(load_circuit(circuit))
+
+
+def build_agent(task: Task, agent: str, seed: int, budget: BudgetName = BudgetName.DEFAULT) -> Policy | Net:
+    """Return an untuned agent. Raises UsageError."""
     own = task.circuit()
     if agent == "circuit":
         return task.policy(own)
     if agent == "random":
         return task.policy(random_circuit(seed, own.neurons, own.synapse_count))
     if agent in set(NetKind):
-        return net_for(task.policy(own), NetKind(agent))
+        net = net_for(task.policy(own), NetKind(agent))
+        return _as_published(net) if budget is BudgetName.PUBLISHED else net
     raise UsageError(f"no agent {agent!r} to search for; there are {', '.join(AGENTS)}, or --circuit FILE")
+
+
+def _as_published(net: Net) -> Net:
+    """Return the network of the published code: 12 cells, raw inputs, outputs that the environment clips."""
+    inputs, outputs = len(net.scale), len(net.high)
+    return replace(
+        net,
+        center=(0.0,) * inputs,
+        scale=(1.0,) * inputs,
+        most=(math.inf,) * inputs,
+        low=(-1.0,) * outputs,
+        high=(1.0,) * outputs,
+        cells=_PUBLISHED_CELLS,
+    )
 
 
 def dead_parameters(agent: Policy | Net) -> NDArray[np.bool_] | None:

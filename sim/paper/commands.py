@@ -15,49 +15,25 @@ class What(StrEnum):
     """Actions on the paper's experiments."""
 
     RUN = "run"
-    STATUS = "status"
     REPLAY = "replay"
-    RANDOM_CIRCUITS = "random-circuits"
-    POLICY_GRADIENTS = "policy-gradients"
-    NETWORKS = "networks"
-    COMPARISONS = "comparisons"
-    CLAIMS = "claims"
-    PARAMETERS = "parameters"
-    TIME_CONSTANTS = "time-constants"
-    CONTRIBUTIONS = "contributions"
-    CURVES = "curves"
-    LESIONS = "lesions"
+    REPORT = "report"
 
 
-_SELECTION = {"task", "agent", "seed", "circuit", "budget", "runs"}
+_SELECTION = {"task", "agent", "seed", "budget"}
 _OPTIONS = {
-    What.RUN: _SELECTION | {"again", "processes", "cluster"},
-    What.REPLAY: _SELECTION,
-    What.STATUS: {"budget", "runs"},
-    What.RANDOM_CIRCUITS: {"budget", "runs"},
-    What.POLICY_GRADIENTS: {"budget", "runs"},
-    What.NETWORKS: {"budget", "runs"},
-    What.COMPARISONS: {"agent", "budget", "runs"},
-    What.CLAIMS: {"runs"},
-    What.PARAMETERS: set[str](),
-    What.TIME_CONSTANTS: {"runs"},
-    What.CONTRIBUTIONS: {"runs"},
-    What.CURVES: {"budget", "runs", "out"},
-    What.LESIONS: {"task", "runs", "out"},
+    What.RUN: _SELECTION | {"circuit", "again", "processes", "cluster", "checkpoint"},
+    What.REPLAY: _SELECTION | {"circuit"},
+    What.REPORT: {"long", "curves", "budget"},
 }
-"""Options that each action uses, beside --json."""
+"""Options of each action, besides --results and --json."""
 
 
 def paper(
     what: Annotated[
         What,
         typer.Argument(
-            help="run: make runs. status: list existing runs and their commits. replay: score stored "
-            "parameters again. random-circuits: Table II. policy-gradients: Table III. networks: Table IV. "
-            "comparisons: the circuit against other agents, run by run. claims: what the paper says, and "
-            "whether it holds here. parameters: of the experiments. time-constants and contributions: of the "
-            "parking circuits. curves: a picture of the learning. lesions: the circuits without each neuron "
-            "and synapse.",
+            help="run: make runs. replay: score stored parameters again. report: the paper's claims, and "
+            "whether the runs reproduce them."
         ),
     ],
     *,
@@ -77,18 +53,15 @@ def paper(
     budget: Annotated[
         BudgetName | None,
         typer.Option(
-            help="quick: seconds a run. default: minutes. published: the paper's iterations, and the search "
-            "of its code. published-mean: with the mean of all rollouts. algorithm1: the search as printed.",
+            help="quick: seconds a run. default: minutes. published: the paper's iterations with the search "
+            "of its code. algorithm1: the same with the search as printed.",
             show_default="default; of replay all",
         ),
     ] = None,
-    runs: Annotated[
-        Path | None,
-        typer.Option(help="Folder of your runs; they precede the shipped ones.", show_default="runs/paper"),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="curves, lesions: the picture.", show_default="runs/paper/ and the name, .png"),
+    results: Annotated[Path, typer.Option(help="Folder of the runs.")] = Path("results"),
+    long: Annotated[bool, typer.Option("--long", help="report: the tables of all claims and runs.")] = False,
+    curves: Annotated[
+        Path | None, typer.Option(help="report: write the learning curves to this PNG.", show_default=False)
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Repeat runs that exist already.")] = False,
     processes: Annotated[
@@ -100,6 +73,14 @@ def paper(
             show_default="one for each core",
         ),
     ] = None,
+    checkpoint: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Minutes between checkpoints of runs of the paper's own searches.",
+            show_default="5",
+        ),
+    ] = None,
     cluster: Annotated[
         str | None,
         typer.Option(
@@ -109,181 +90,109 @@ def paper(
     ] = None,
     json: Json = False,
 ) -> int:
-    """Reproduce the paper's experiments: a grid of runs (task, agent, seed), and the tables of their results.
+    """Reproduce the paper's experiments: a grid of runs (task, agent, seed), and the claims that they test.
 
-    Each run is one small file with its settings, versions, learning curve and trained parameters. Existing
-    runs, yours or shipped ones, are not repeated, so an interrupted command can be started again.
+    A run is one line of RESULTS/BUDGET/TASK.jsonl: settings, versions, learning curve, trained parameters.
+    Existing runs are not repeated. An interrupted run of the paper's own searches continues from its last
+    checkpoint when the command is repeated.
 
-        rover-ncp paper status
+        rover-ncp paper report
         rover-ncp paper run --task mountain-car --agent circuit --seed 3 --again
         rover-ncp paper replay --task mountain-car
         rover-ncp paper run --task cart-pole --circuit mine.bnn
         rover-ncp paper run --cluster tcp://192.168.1.5:8786
         rover-ncp paper run --budget published --task parking
-        rover-ncp paper networks --json
     """
     from sim.paper.agents import AGENTS
     from sim.paper.results import ResultStore
     from sim.paper.selection import select
 
-    given: dict[str, Any] = {
-        "task": task,
-        "agent": agent,
-        "seed": seed,
-        "circuit": circuit,
-        "budget": budget,
-        "runs": runs,
-    }
-    given |= {"out": out, "again": again, "processes": processes, "cluster": cluster}
+    given: dict[str, Any] = {"task": task, "agent": agent, "seed": seed, "circuit": circuit, "budget": budget}
+    given |= {"long": long, "curves": curves, "again": again, "processes": processes, "cluster": cluster}
+    given |= {"checkpoint": checkpoint}
     reject(f"has no effect on {what}", **{k: v for k, v in given.items() if k not in _OPTIONS[what]})
-    runs = runs or Path("runs/paper")
-    output, store = Output(json), ResultStore(runs)
+    output, store = Output(json), ResultStore(results)
+    if what is What.REPORT:
+        return _report(output, store, long=long, curves=curves, budget=budget or BudgetName.PUBLISHED)
     if what is What.REPLAY:
         agents = agent if agent or circuit else AGENTS  # no stored run needs torch to be scored
-        names = select(task, agents, seed, circuit, [budget] if budget else BudgetName)
-        return _replay(output, store, names, circuit)
-    budget = budget or BudgetName.DEFAULT
-    if what is not What.RUN:
-        _show(what, output, store, out=out, budget=budget, tasks=task, agents=agent)
-        return 0
-    if cluster is not None and (processes is not None or circuit is not None):
-        raise UsageError("--cluster goes with neither --processes nor --circuit, a file of this machine")
-    names = select(task, agent, seed, circuit, [budget])
+        return _replay(output, store, select(task, agents, seed, circuit, [budget] if budget else BudgetName))
+    if cluster is not None and any(each is not None for each in (processes, circuit, checkpoint)):
+        raise UsageError("--cluster cannot be combined with --processes, --circuit or --checkpoint")
+    names = select(task, agent, seed, circuit, [budget or BudgetName.DEFAULT])
     left = [name for name in names if again or store.find(name) is None]
     made = []
     if left:
-        made = _make(output, store, left, circuit=circuit, processes=processes, cluster=cluster)
+        minutes = 5.0 if checkpoint is None else checkpoint
+        options = {"circuit": circuit, "cluster": cluster, "every_s": 60.0 * minutes}
+        made = _make(output, store, left, processes, options)
     output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
     return 0
 
 
 def _make(
-    output: Output,
-    store: Any,
-    names: list[Any],
-    *,
-    circuit: Path | None,
-    processes: int | None,
-    cluster: str | None,
+    output: Output, store: Any, names: list[Any], processes: int | None, options: dict[str, Any]
 ) -> list[dict[str, Any]]:
-    """Make runs with a progress bar; return a summary of each."""
-    from rich.console import Console
-    from rich.progress import Progress
-
+    """Make runs; return a summary of each."""
     from rover_ncp.core.files import require_writable
     from sim.learn.workers import available_processes
     from sim.paper.runs import make_runs
 
     made: list[dict[str, Any]] = []
-    console = Console(stderr=True)
-    progress = Progress(console=console, transient=True, disable=not console.is_terminal)
-    bar = progress.add_task("runs", total=len(names))
 
     def on_result(result: Any) -> None:
         made.append(
             {
-                "path": str(result.name.path(store.own)),  #: its file
+                "path": str(store.path(result.name.task, result.name.budget)),  #: its file
                 **result.name.model_dump(),
                 **{name: getattr(result, name) for name in ("mean", "std", "plain_mean", "success")},
-                **{name: getattr(result, name) for name in ("cpu_s", "steps", "ended", "budget")},
+                **{name: getattr(result, name) for name in ("cpu_s", "steps", "ended")},
             }
         )
-        progress.advance(bar)
+        outcome = "" if result.success else ", no success"
         output.say(
-            f"{result.name}: {result.mean:.4g} ± {result.std:.3g}{'' if result.success else ', no success'} "
+            f"{len(made)} of {len(names)}: {result.name}: {result.mean:.4g} ± {result.std:.3g}{outcome} "
             f"({result.cpu_s:.0f} s of a core, ended by {result.ended})"
         )
 
-    require_writable(names[0].path(store.own))
-    count = processes or available_processes()
-    with progress:
-        make_runs(names, store, circuit, processes=count, cluster=cluster, on_result=on_result)
+    require_writable(store.path(names[0].task, names[0].budget))
+    make_runs(names, store, processes=processes or available_processes(), on_result=on_result, **options)
     return made
 
 
-def _show(
-    what: What,
-    output: Output,
-    store: Any,
-    *,
-    out: Path | None,
-    budget: BudgetName,
-    tasks: list[str] | None,
-    agents: list[str] | None,
-) -> None:
-    """Print a table or write the picture of the stored runs."""
-    from sim.paper import interpretation, tables
-
-    if what is What.STATUS:
-        from sim.paper.selection import coverage
-
-        groups = coverage(store, budget)
-        output.result({"groups": groups}, tables.coverage_text(groups))
-    elif what is What.CLAIMS:
-        from sim.paper.claims import all_claims, claims_text
-
-        claims = all_claims(store)
-        output.result({"claims": claims}, claims_text(claims))
-    elif what is What.COMPARISONS:
-        from sim.paper.comparison import OTHERS, compare_agents, comparisons_text
-
-        compared = [row for other in agents or OTHERS for row in compare_agents(store, other, budget)]
-        output.result({"comparisons": [row.fields() for row in compared]}, comparisons_text(compared))
-    elif what in tables.TABLES:
-        rows = tables.table(what, store, budget)
-        output.result(tables.table_fields(what, rows), tables.table_text(what, rows))
-    elif what is What.PARAMETERS:
-        found = tables.parameters()
-        output.result({"tasks": found}, tables.parameters_text(found))
-    elif what is What.TIME_CONSTANTS:
-        constants = interpretation.parking_time_constants(store)
-        output.result(constants, interpretation.time_constants_text(constants))
-    elif what is What.CONTRIBUTIONS:
-        signs = interpretation.parking_contributions(store)
-        output.result(signs, interpretation.contributions_text(signs))
-    else:
-        _draw(what, output, store, out or Path(f"runs/paper/{what}.png"), tasks, budget)
-
-
-def _draw(  # noqa: PLR0917  # those of the command
-    what: What, output: Output, store: Any, out: Path, tasks: list[str] | None, budget: BudgetName
-) -> None:
-    """Write a picture of the stored runs, and print what it shows."""
+def _report(output: Output, store: Any, *, long: bool, curves: Path | None, budget: BudgetName) -> int:
+    """Print the report; write the learning curves of a budget if wanted."""
     from rover_ncp.core.files import require_writable, write_atomic
-    from sim.paper import curves, lesions
-    from sim.paper.tasks import TASKS, find_task
+    from sim.paper.claims import judge_claims, load_claims
+    from sim.paper.curves import curves_png
+    from sim.paper.report import coverage, long_report, short_report
 
-    require_writable(out)
-    names = [find_task(name).name for name in tasks or TASKS]
-    fields: dict[str, Any] = {"picture": str(out)}
-    text = str(out)
-    if what is What.CURVES:
-        picture = curves.curves_png(store, budget)
-    else:
-        fields["lesions"] = rows = lesions.lesion_study(store, names)
-        picture, text = lesions.lesions_png(rows), lesions.lesions_text(rows)
-    write_atomic(out, picture)
-    output.result(fields, text)
+    if curves is not None:
+        require_writable(curves)
+        write_atomic(curves, curves_png(store, budget))
+    file = load_claims()
+    judged = judge_claims(store, file.claims)
+    text = long_report(store, judged) if long else short_report(store, file, judged)
+    output.result({"claims": [each.model_dump() for each in judged], "groups": coverage(store)}, text)
+    return 0
 
 
-def _replay(output: Output, store: Any, names: list[Any], circuit: Path | None) -> int:
+def _replay(output: Output, store: Any, names: list[Any]) -> int:
     """Score stored parameters again; exit 1 if a verdict or a return differs."""
-    from sim.paper.results import load_result
     from sim.paper.runs import agrees, replay
 
     differ, replayed, exact = [], 0, 0
     for name in names:
-        path = store.find(name)
-        if path is None:
+        result = store.find(name)
+        if result is None:
             continue
-        result = load_result(path)
-        found = replay(result, circuit)
+        found = replay(result)
         replayed += 1
         exact += all(getattr(result, field) == value for field, value in found.items())
         if not agrees(result, found):
             differ.append({**name.model_dump(), "stored": result.mean, "replayed": found["mean"]})
     if not replayed:
-        raise UsageError("there are no such runs to replay; rover-ncp paper status lists the runs that exist")
+        raise UsageError(f"{store.folder}: has no such runs to replay")
     output.result(
         {"replayed": replayed, "exact": exact, "differ": differ},
         f"{replayed} runs replayed, {exact} to the last bit, {len(differ)} differ",

@@ -34,6 +34,8 @@ class Episodes(NamedTuple):
     vectors: FloatArray
     starts: FloatArray
     horizon: int
+    warm_up: int
+    """Ticks on the first observation, whose commands are ignored, before the first step."""
 
 
 @cache
@@ -56,7 +58,7 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
                 if episodes[lane] == _IDLE and waiting < len(results):
                     start_lane(arrays, lane, queue.vectors[waiting])
                     reset_plant(plants, lane, queue.starts[waiting])
-                    episodes[lane], ticks[lane] = waiting, 0
+                    episodes[lane], ticks[lane] = waiting, -queue.warm_up
                     waiting += 1
                     running += 1
                 if episodes[lane] != _IDLE:
@@ -68,8 +70,10 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
                 episode = episodes[lane]
                 if episode == _IDLE:
                     continue
-                reward, bonus, terminated = step_plant(plants, lane, commands)
                 ticks[lane] += 1
+                if ticks[lane] <= 0:
+                    continue
+                reward, bonus, terminated = step_plant(plants, lane, commands)
                 results[episode, 0] += reward
                 results[episode, 1] += bonus
                 results[episode, 2] = ticks[lane]
@@ -103,12 +107,6 @@ def make_plants(task: Benchmark, count: int, *, for_search: bool = False) -> tup
     return plants, pool
 
 
-def first_states(task: Benchmark, seeds: Seeds) -> FloatArray:
-    """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
-    generators = (np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(s)))) for s in seeds)
-    return np.array([task.start(generator) for generator in generators])
-
-
 def commander_for(agent: Policy | Net) -> tuple[Commander, tuple[int, int]]:
     """Return an agent's commander, and the numbers of its inputs and outputs."""
     if isinstance(agent, Policy):
@@ -123,9 +121,15 @@ class Evaluator:
     """
 
     def __init__(
-        self, task: Benchmark, agent: Policy | Net, lanes: int | None = None, *, for_search: bool = False
+        self,
+        task: Benchmark,
+        agent: Policy | Net,
+        lanes: int | None = None,
+        *,
+        for_search: bool = False,
+        warm_up: int = 0,
     ) -> None:
-        self.task, self.steps = task, 0
+        self.task, self.steps, self._warm_up = task, 0, warm_up
         uses_mujoco = task.model is not None and not (for_search and task.search_plant is not None)
         count = lanes or (_MUJOCO_LANES if uses_mujoco else _LANES)
         self._plants, self._pool = make_plants(task, count, for_search=for_search)
@@ -135,18 +139,20 @@ class Evaluator:
 
     def starts(self, seeds: Seeds) -> FloatArray:
         """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
-        return first_states(self.task, seeds)
+        generators = (np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(s)))) for s in seeds)
+        return np.array([self.task.start(generator) for generator in generators])
 
     def run(self, vectors: ArrayLike, seeds: Seeds, *, horizon: int | None = None) -> FloatArray:
         """Run one episode for each vector (n, P) and seed (n,).
 
-        Returns (n, 3): Gymnasium's return, the sum of bonuses, and steps, which ``self.steps`` counts. The
-        default horizon is the task's.
+        Returns (n, 3): Gymnasium's return, the sum of bonuses, and steps, which ``self.steps`` counts. An
+        unstable simulation returns -1e6. The default horizon is the task's.
         """
         rows = np.ascontiguousarray(vectors, np.float64)
-        queue = Episodes(rows, self.starts(seeds), horizon or self.task.horizon)
+        queue = Episodes(rows, self.starts(seeds), horizon or self.task.horizon, self._warm_up)
         results: FloatArray = self._kernel(self._arrays, self._plants, self._shape, queue)
         self.steps += int(results[:, 2].sum())
+        results[~np.isfinite(results[:, :2].sum(axis=1)), :2] = (_LOST, 0.0)
         return results
 
     def returns(self, vectors: FloatArray, seeds: Seeds, *, horizon: int | None = None) -> FloatArray:
@@ -154,5 +160,5 @@ class Evaluator:
         found = self.run(
             np.repeat(vectors, len(seeds), axis=0), np.tile(seeds, len(vectors)), horizon=horizon
         )
-        returns = found[:, :2].sum(axis=1)
-        return np.where(np.isnan(returns), _LOST, returns).reshape(len(vectors), len(seeds))
+        returns: FloatArray = found[:, :2].sum(axis=1).reshape(len(vectors), len(seeds))
+        return returns

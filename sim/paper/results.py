@@ -1,22 +1,21 @@
-"""Results of runs as files: settings, scores, and the trained parameters.
-
-A file is written once, whole, when its run ends. ``replay`` (``runs.py``) scores its parameters again.
-"""
+"""Results of runs: one JSON-lines file for each task and budget, a line for each run."""
 
 import json
+import os
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import read_text, write_atomic
+from rover_ncp.core.files import read_text, require_writable
 from sim.learn.search.base import Vector
 from sim.paper import BudgetName
 
-SHIPPED = Path(__file__).parent / "results"
+RESULTS = Path("results")
+"""Default folder of results."""
 
 
 class RunName(StrictModel):
@@ -27,17 +26,8 @@ class RunName(StrictModel):
     seed: int
     budget: BudgetName = BudgetName.DEFAULT
 
-    def path(self, folder: Path) -> Path:
-        """Return a run's file in a folder."""
-        return _column(folder, self.budget) / self.task / f"{self.agent}-{self.seed:02}.json"
-
     def __str__(self) -> str:
-        return f"{self.task} {self.agent} {self.seed}"
-
-
-def _column(folder: Path, budget: BudgetName) -> Path:
-    """Return the place of a budget's runs; those of the default lie in the folder itself."""
-    return folder if budget is BudgetName.DEFAULT else folder / budget
+        return f"{self.budget} {self.task} {self.agent} {self.seed}"
 
 
 class Packed(StrictModel):
@@ -57,12 +47,9 @@ class Packed(StrictModel):
 
 
 class Result(StrictModel):
-    """A run that has ended."""
+    """A finished run."""
 
-    format: Literal[1] = 1
     name: RunName
-    command: str
-    budget: str
     settings: dict[str, Any]
     made_with: dict[str, str]
     wall_s: float
@@ -72,56 +59,91 @@ class Result(StrictModel):
     """Environment steps of all episodes together."""
     ended: str
     """By enough, plateau, steps or evaluations."""
-    curve: tuple[tuple[int, float], ...]
-    """(steps, estimate of the incumbent), thinned; (iterations, estimate) with the paper's own searches."""
+    curve: tuple[tuple[int | None, int | None, float], ...]
+    """Changes of the incumbent's estimate: (iterations, environment steps, estimate); None: not recorded."""
+    thinned: bool = False
+    """Whether points of the curve are missing."""
     episodes: int
-    """Fresh episodes behind the next four fields."""
+    """Number of fresh episodes behind the next four fields."""
     mean: float
     """Return, with bonus where the task has one."""
     std: float
     plain_mean: float
     """Gymnasium's return."""
     success: bool
-    circuit: str | None = None
-    """The wiring, where a file gave it, as the text of a circuit file."""
+    policy: str | None = None
+    """Text of the untrained policy, for a circuit file of the user."""
     parameters: Packed
     """The trained vector (P,)."""
 
+    def steps_to(self, value: float) -> int | None:
+        """Return the environment steps until the estimate reached a value, all steps if it never did.
 
-def load_result(path: Path) -> Result:
-    """Read a run's file. Raises FileError for a damaged one."""
-    try:
-        return Result.model_validate(json.loads(read_text(path)))
-    except (ValueError, ValidationError) as error:
-        raise FileError(f"{path}: damaged, or not a run of the paper's grid; delete it to redo it") from error
+        None if the curve does not contain that number.
+        """
+        if self.thinned or any(steps is None for _, steps, _ in self.curve):
+            return None
+        return next((steps for _, steps, estimate in self.curve if estimate >= value), self.steps)
+
+    def value_after(self, iterations: int) -> float | None:
+        """Return the incumbent's estimate after so many iterations; None if the curve does not contain it."""
+        if self.thinned:
+            return None
+        reached = [value for count, _, value in self.curve if count is not None and count <= iterations]
+        return reached[-1] if reached else None
 
 
 class ResultStore:
-    """Results on disk: the user's folder, and behind it the shipped ones."""
+    """The results in a folder, ``BUDGET/TASK.jsonl``. Of two runs of one name the last one counts."""
 
-    def __init__(self, own: Path, shipped: Path | None = SHIPPED) -> None:
-        self.own, self.shipped = own, shipped
+    def __init__(self, folder: Path = RESULTS) -> None:
+        self.folder = folder
+        self._read: dict[Path, dict[tuple[str, int], Result]] = {}
 
-    def find(self, name: RunName) -> Path | None:
-        """Return a run's file, the user's before the shipped one; None if there is none."""
-        for folder in (self.own, self.shipped):
-            if folder is not None and name.path(folder).is_file():
-                return name.path(folder)
-        return None
+    def path(self, task: str, budget: BudgetName) -> Path:
+        """Return the file of a task and a budget."""
+        return self.folder / budget / f"{task}.jsonl"
 
-    def unfinished(self, name: RunName) -> Path:
-        """Return the file of a run's state before its end, in the user's folder."""
-        return name.path(self.own).with_suffix(".partial")
+    def checkpoint(self, name: RunName) -> Path:
+        """Return the file of an unfinished run's state."""
+        return self.folder / "checkpoints" / f"{name.budget}-{name.task}-{name.agent}-{name.seed}.json"
 
-    def save(self, result: Result) -> None:
-        """Write a result into the user's folder. Raises FileError."""
-        write_atomic(result.name.path(self.own), json.dumps(result.model_dump(), allow_nan=False) + "\n")
+    def find(self, name: RunName) -> Result | None:
+        """Return a run. Raises FileError."""
+        return self._runs(self.path(name.task, name.budget)).get(_key(name))
 
     def results(self, task: str, agent: str, budget: BudgetName = BudgetName.DEFAULT) -> list[Result]:
-        """Return the runs that came to their end, by seed. Raises FileError."""
-        paths: dict[str, Path] = {}
-        for folder in (self.shipped, self.own):
-            if folder is not None:
-                files = (_column(folder, budget) / task).glob(f"{agent}-[0-9]*.json")
-                paths |= {path.name: path for path in files}
-        return [load_result(paths[name]) for name in sorted(paths)]
+        """Return the finished runs of an agent, by seed. Raises FileError."""
+        runs = self._runs(self.path(task, budget)).values()
+        return sorted((run for run in runs if run.name.agent == agent), key=lambda run: run.name.seed)
+
+    def save(self, result: Result) -> None:
+        """Append a result to its file. Raises FileError."""
+        path = self.path(result.name.task, result.name.budget)
+        require_writable(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(result.model_dump(), allow_nan=False) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        self._read.pop(path, None)
+
+    def _runs(self, path: Path) -> dict[tuple[str, int], Result]:
+        if path not in self._read:
+            self._read[path] = _load(path) if path.is_file() else {}
+        return self._read[path]
+
+
+def _key(name: RunName) -> tuple[str, int]:
+    return name.agent, name.seed
+
+
+def _load(path: Path) -> dict[tuple[str, int], Result]:
+    found = {}
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        try:
+            result = Result.model_validate(json.loads(line))
+        except (ValueError, ValidationError) as error:
+            raise FileError(f"{path}: line {number} is damaged or is no run; delete the line") from error
+        found[_key(result.name)] = result
+    return found

@@ -2,7 +2,6 @@
 
 import importlib
 import math
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from dataclasses import replace
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.policy_file import circuit_to_yaml
+from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
 from rover_ncp.core.errors import UsageError
 from sim.learn.cluster import DaskCluster
 from sim.learn.engine.networks import Net
@@ -21,19 +20,20 @@ from sim.learn.record import made_with
 from sim.learn.search.base import Vector, draw_seeds
 from sim.learn.workers import ProcessPool
 from sim.paper import FAITHFUL, BudgetName
-from sim.paper.agents import GRADIENTS, build_agent
-from sim.paper.cma_search import CMA, HALVING, search_by_cma, search_by_halving
+from sim.paper.agents import GRADIENTS, NETWORKS, build_agent, load_agent
 from sim.paper.evaluator import Evaluator
-from sim.paper.parking import ParkingEvaluator, search_parking
-from sim.paper.published_search import BenchmarkEstimator, Partial, search_as_published
-from sim.paper.random_search import Budget, Found, search_randomly
 from sim.paper.results import Packed, Result, ResultStore, RunName
+from sim.paper.search.cma import CMA, HALVING, search_by_cma, search_by_halving
+from sim.paper.search.parking import ParkingEvaluator, search_parking
+from sim.paper.search.published import BenchmarkEstimator, Checkpoint, search_as_published
+from sim.paper.search.random import Budget, Found, search_randomly
 from sim.paper.tasks import Benchmark, SearchName, Task, find_task
 
 _FINAL = 99
 """Stream of the fresh episodes that a run is judged by."""
 _FINAL_EPISODES, _QUICK_EPISODES = 100, 20
-_CURVE_POINTS = 60
+_NETWORK_SETTINGS = (10, 5, 20_000)
+"""Rollouts, worst rollouts and iterations of the published search of MLP and LSTM."""
 _UNLIMITED = 10**12
 _QUICK_STEPS = 400_000
 """Steps of a quick run: a few seconds."""
@@ -42,16 +42,18 @@ TOLERANCE = 1e-9
 replay is compared by its verdict."""
 
 
-def budget_for(task: Task, name: BudgetName) -> Budget:
+def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
     """Return a budget: the paper's, one of some core-minutes at most, or one of seconds."""
     settings = task.settings
     starts = task.untuned if isinstance(task, Benchmark) else 1
     default = Budget(settings.rollouts, settings.worst, _UNLIMITED, task.steps, starts, patience=15_000)
+    if name is BudgetName.PUBLISHED and agent in NETWORKS:
+        return Budget(*_NETWORK_SETTINGS, _UNLIMITED, 1, _UNLIMITED, "published-network")
     if name in FAITHFUL:
-        worst = settings.rollouts if name is BudgetName.PUBLISHED_MEAN else settings.worst
-        strategy = "algorithm1" if name is BudgetName.ALGORITHM1 else task.published_search
+        strategy = task.published_search if name is BudgetName.PUBLISHED else "algorithm1"
+        warm_up = task.warm_up if isinstance(task, Benchmark) else 0
         limits = (settings.iterations, _UNLIMITED, 1, _UNLIMITED)
-        return Budget(settings.rollouts, worst, *limits, strategy)
+        return Budget(settings.rollouts, settings.worst, *limits, strategy, warm_up)
     if name is BudgetName.QUICK:
         return replace(
             default,
@@ -63,34 +65,33 @@ def budget_for(task: Task, name: BudgetName) -> Budget:
     return default
 
 
-def train_run(name: RunName, circuit: Path | None = None, unfinished: Path | None = None) -> Result:
+def train_run(
+    name: RunName, circuit: Path | None = None, state: Path | None = None, every_s: float = 300.0
+) -> Result:
     """Make one run. The same name gives the same parameters and returns, to the last bit.
 
-    ``unfinished`` is the file in which the paper's own searches keep their state, to continue there.
-    Raises UsageError, FileError or ConfigError for a run that cannot be.
+    ``state`` is the file in which the paper's own searches save their state, to continue from there.
+    Raises UsageError, FileError or ConfigError for a run that is not possible.
     """
-    task, budget = find_task(name.task), name.budget
-    limits = budget_for(task, budget)
-    partial = Partial(unfinished if budget in FAITHFUL else None, vars(limits))
-    if name.agent in GRADIENTS and circuit is None:
-        found, agent, steps, settings = _train_by_gradients(task, name)
+    task = find_task(name.task)
+    budget = budget_for(task, name.budget, name.agent)
+    checkpoint = Checkpoint(state if name.budget in FAITHFUL else None, vars(budget), every_s)
+    agent: Policy | Net | None = None
+    libraries: list[str] = []
+    if name.agent in GRADIENTS:
+        found, steps, settings = _train_by_gradients(task, name)
         libraries = ["stable-baselines3", "torch"]
     else:
-        agent = build_agent(task, name.agent, name.seed, circuit)
-        found, steps, settings = _search(task, agent, name.seed, limits, partial)
-        libraries = []
+        agent = (
+            load_agent(task, circuit) if circuit else build_agent(task, name.agent, name.seed, name.budget)
+        )
+        found, steps, settings = _search(task, agent, name.seed, budget, checkpoint)
     if isinstance(task, Benchmark):
         libraries += ["gymnasium", "mujoco"] if task.model else ["gymnasium"]
-    command = ["rover-ncp", "paper", "run", "--task", name.task, "--agent", name.agent]
-    command += ["--seed", str(name.seed), "--budget", budget]
-    command += ["--circuit", str(circuit)] if circuit else []
-    episodes = _QUICK_EPISODES if budget is BudgetName.QUICK else _FINAL_EPISODES
-    points = _CURVE_POINTS * (5 if budget in FAITHFUL else 1)
-    wall_s, cpu_s = partial.times()
+    episodes = _QUICK_EPISODES if name.budget is BudgetName.QUICK else _FINAL_EPISODES
+    wall_s, cpu_s = checkpoint.times()
     return Result(
         name=name,
-        command=shlex.join(command),
-        budget=budget,
         settings=settings,
         made_with=made_with() | {library: metadata.version(library) for library in libraries},
         wall_s=wall_s,
@@ -98,27 +99,27 @@ def train_run(name: RunName, circuit: Path | None = None, unfinished: Path | Non
         evaluations=found.evaluations,
         steps=steps,
         ended=found.ended,
-        curve=_thinned(found.curve, points),
-        circuit=circuit_to_yaml(agent.circuit) if circuit and isinstance(agent, Policy) else None,
+        curve=found.curve,
+        policy=policy_to_yaml(agent) if circuit and isinstance(agent, Policy) else None,
         parameters=Packed.of(found.vector),
-        **score(task, agent, found.vector, name.seed, episodes),
+        **score(task, agent, found.vector, name.seed, episodes, settings),
     )
 
 
 def _search(
-    task: Task, agent: Policy | Net, seed: int, budget: Budget, partial: Partial
+    task: Task, agent: Policy | Net, seed: int, budget: Budget, checkpoint: Checkpoint
 ) -> tuple[Found, int, dict[str, Any]]:
     """Return what the search found, the steps it took, and the settings to record."""
     if not isinstance(task, Benchmark):
         parking = ParkingEvaluator(task, agent)
         if budget.strategy:
-            found = search_as_published(parking, agent, seed, budget, partial)
+            found = search_as_published(parking, agent, seed, budget, checkpoint)
         else:
             found = search_parking(parking, agent, seed, budget)
         return found, parking.steps, vars(budget)
     if budget.strategy:
         estimator = BenchmarkEstimator(task, agent, seed, budget)
-        found = search_as_published(estimator, agent, seed, budget, partial)
+        found = search_as_published(estimator, agent, seed, budget, checkpoint)
         return found, estimator.steps, vars(budget)
     judge = Evaluator(task, agent)
     evaluator = judge if task.search_plant is None else Evaluator(task, agent, for_search=True)
@@ -135,8 +136,8 @@ def _search(
     return found, evaluator.steps + (0 if judge is evaluator else judge.steps), settings
 
 
-def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, None, int, dict[str, Any]]:
-    from sim.paper.gradients import CELLS, train_actor, training_of  # an extra that other agents do without
+def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, int, dict[str, Any]]:
+    from sim.paper.search.gradients import CELLS, train_actor, training_of  # needs the extra paper
 
     if name.budget in FAITHFUL:
         raise UsageError(f"the paper states no budget for {name.agent}")
@@ -145,20 +146,21 @@ def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, None, int, di
     actor, steps = train_actor(task, name.agent, name.seed, quick=name.budget is BudgetName.QUICK)
     training = training_of(task, name.agent)
     settings = {"cells": CELLS, "environments": training.environments, **training.options}
-    return Found(actor.vector(), 0, (), "steps"), None, steps, settings
+    return Found(actor.vector(), 0, (), "steps"), steps, settings
 
 
-def _thinned(curve: tuple[tuple[int, float], ...], points: int) -> tuple[tuple[int, float], ...]:
-    """Return some points of a curve at most, its ends among them."""
-    chosen = np.linspace(0, len(curve) - 1, min(len(curve), points)).round().astype(int)
-    return tuple(curve[i] for i in chosen)
-
-
-def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, episodes: int) -> dict[str, Any]:
+def score(  # noqa: PLR0917
+    task: Task,
+    agent: Policy | Net | None,
+    vector: Vector,
+    seed: int,
+    episodes: int,
+    settings: Mapping[str, Any],
+) -> dict[str, Any]:
     """Return the score of parameters (P,) in fresh episodes: the fields ``episodes`` to ``success`` of a run.
 
-    Without an agent, the parameters are those of an actor (``gradients.py``). Parking has no chance: one
-    episode is all.
+    Without an agent, the parameters are those of an actor (``search/gradients.py``). Parking is
+    deterministic: one episode is enough. ``settings`` are those of the run.
     """
     if not isinstance(task, Benchmark):
         assert agent is not None
@@ -167,11 +169,12 @@ def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, epi
         return {"episodes": 1, "mean": total, "std": 0.0, "plain_mean": total, "success": success}
     seeds = draw_seeds(seed, (_FINAL,), episodes)
     if agent is None:
-        from sim.paper.gradients import score_actor
+        from sim.paper.search.gradients import score_actor
 
         returns, plain = score_actor(task, vector, seeds)
     else:
-        found = Evaluator(task, agent).run(np.tile(vector, (episodes, 1)), seeds)
+        evaluator = Evaluator(task, agent, warm_up=int(settings.get("warm_up", 0)))
+        found = evaluator.run(np.tile(vector, (episodes, 1)), seeds)
         returns, plain = found[:, :2].sum(axis=1), found[:, 0]
     plain_mean = float(plain.mean())
     return {
@@ -183,12 +186,17 @@ def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, epi
     }
 
 
-def replay(result: Result, circuit: Path | None = None) -> dict[str, Any]:
+def replay(result: Result) -> dict[str, Any]:
     """Return the score of a stored run's parameters now, as ``score`` does."""
     name = result.name
-    task, by_gradients = find_task(name.task), name.agent in GRADIENTS and circuit is None
-    agent = None if by_gradients else build_agent(task, name.agent, name.seed, circuit)
-    return score(task, agent, result.parameters.array(), name.seed, result.episodes)
+    agent: Policy | Net | None = None
+    task = find_task(name.task)
+    if result.policy is not None:
+        agent = policy_from_yaml(result.policy, str(name))
+    elif name.agent not in GRADIENTS:
+        agent = build_agent(task, name.agent, name.seed, name.budget)
+    vector = result.parameters.array()
+    return score(task, agent, vector, name.seed, result.episodes, result.settings)
 
 
 def agrees(result: Result, replayed: Mapping[str, Any]) -> bool:
@@ -210,20 +218,20 @@ def make_runs(
     *,
     processes: int,
     cluster: str | None = None,
+    every_s: float = 300.0,
     on_result: Callable[[Result], None],
 ) -> None:
     """Make runs, as many at once as there are processes, or on a Dask cluster; save each as it ends.
 
-    Interrupted, it gives up the unfinished runs, except those of the paper's own searches, which go on from
-    their last state when they are asked for again. Raises UsageError, FileError or ConfigError for a run that
-    cannot be before the first one begins, and WorkerDied.
+    After an interruption, runs of the paper's own searches continue from their last checkpoint when they are
+    requested again. Raises UsageError, FileError or ConfigError before the first run begins, and WorkerDied.
     """
     _require(names, circuit)
 
     def keep(run: Future[Result]) -> None:
         result = run.result()
         store.save(result)
-        store.unfinished(result.name).unlink(missing_ok=True)
+        store.checkpoint(result.name).unlink(missing_ok=True)
         on_result(result)
 
     if cluster is not None:
@@ -231,19 +239,22 @@ def make_runs(
             for run in as_completed([workers.submit(train_run, name) for name in names]):
                 keep(run)
         return
-    with ProcessPool(min(processes, len(names)), "; repeat the command to continue") as pool:
-        runs = [pool.submit(train_run, name, circuit, store.unfinished(name)) for name in names]
+    death = "; repeat the command to continue"
+    with ProcessPool(min(processes, len(names)), death) as pool:
+        runs = [pool.submit(train_run, name, circuit, store.checkpoint(name), every_s) for name in names]
         for run in as_completed(runs):
             keep(run)
 
 
 def _require(names: Sequence[RunName], circuit: Path | None) -> None:
-    """Raise what runs would raise in processes of their own, where errors do not all survive the way back."""
+    """Raise the errors of runs before they begin in processes of their own."""
     for task_name, agent in dict.fromkeys((name.task, name.agent) for name in names):
         task = find_task(task_name)
-        if circuit is not None or agent not in GRADIENTS:
-            build_agent(task, agent, 0, circuit)
-        elif circuit is None:
+        if circuit is not None:
+            load_agent(task, circuit)
+        elif agent in GRADIENTS:
             importlib.import_module("stable_baselines3")
+        else:
+            build_agent(task, agent, 0)
         if isinstance(task, Benchmark) and task.model:
             importlib.import_module("mujoco")

@@ -6,7 +6,7 @@ from result_fields import RESULTS, result_fields
 
 BY_NAME = {
     *("commits", "ended", "failures", "ranges", "circuits", "std", "inside", "measured", "pids", "returns"),
-    *("sensors", "motors", "published_ranges", "median", "passed", "dropped", "limited", "stops", "nis"),
+    *("sensors", "motors", "median", "passed", "dropped", "limited", "stops", "nis"),
 }
 """Fields whose own keys are names: of reasons, neurons and the like."""
 

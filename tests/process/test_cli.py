@@ -153,7 +153,7 @@ NEEDS = {
         "eval parking",
         "mock --listen nowhere",
         "explain no.mcap",
-        "paper status",
+        "paper report",
     ],
     "report,train": ["park --course no.yaml", "report no.mcap"],
 }

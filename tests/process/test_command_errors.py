@@ -54,7 +54,6 @@ READERS = [
     f"watch {ROBOT} --port 0 --zenoh-config {{}}",
     "paper run --task parking --seed 0 --circuit {}",
 ]
-TABLES = ["random-circuits", "policy-gradients", "networks", "claims", "curves"]
 # Where files are written.
 WRITERS = [
     "park --policy parking --out {}",
@@ -70,8 +69,8 @@ WRITERS = [
     "report drive.mcap --out {}",
     "recover drive.mcap --out {}",
     "keys --out {}",
-    "paper curves --out {}",
-    "paper run --task parking --agent circuit --seed 0 --again --budget quick --runs {}",
+    "paper report --curves {}",
+    "paper run --task parking --agent circuit --seed 0 --again --budget quick --results {}",
 ]
 TABLE = [
     *((command.format(LONG), "File name too long") for command in READERS),
@@ -123,7 +122,7 @@ TABLE = [
     # options that do not go together
     ("train --resume", "--resume needs --out"),
     ("train --cluster tcp://127.0.0.1:9 --processes 2", "do not go together"),
-    ("paper run --cluster tcp://127.0.0.1:9 --processes 2", "--cluster goes with neither --processes"),
+    ("paper run --cluster tcp://127.0.0.1:9 --processes 2", "--cluster cannot be combined with --processes"),
     ("identify", "expected either --robot"),
     (f"identify drive.mcap {ROBOT}", "expected either --robot"),
     (f"check {ROBOT}", "put the robot on blocks"),
@@ -138,11 +137,9 @@ TABLE = [
     ("eval mine.bnn --task mountain-car --body mujoco", "--body: --task goes with"),
     ("eval mine.bnn --task mountain-car --model p3dx --processes 2", "--model, --processes: --task"),
     ("eval course --stack --camera-hz 2", "--camera-hz"),
-    *((f"paper {table} --task parking", f"--task: has no effect on {table}") for table in TABLES),
-    ("paper claims --budget quick", "--budget: has no effect on claims"),
-    ("paper parameters --runs new", "--runs: has no effect on parameters"),
-    ("paper status --seed 0 --again", "--seed, --again: has no effect on status"),
-    ("paper run --out new.png", "--out: has no effect on run"),
+    ("paper report --seed 0 --again", "--seed, --again: has no effect on report"),
+    ("paper replay --processes 2", "--processes: has no effect on replay"),
+    ("paper run --curves new.png", "--curves: has no effect on run"),
     ("explain parking --runs new", "--runs: needs --task"),
     ("explain parking --task mountain-car --runs new", "--runs: needs --task, without a policy"),
     (f"deploy {ROBOT} --overwrite", "--overwrite: needs --record"),

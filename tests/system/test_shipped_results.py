@@ -7,8 +7,6 @@ import pytest
 from benchmarks.compare import compare
 from sim.explain.explain import explain
 from sim.explain.files import markdown
-from sim.paper.results import SHIPPED, load_result
-from sim.paper.runs import agrees, replay
 
 
 @pytest.mark.parametrize("agent", ["mlp", "kanayama"])
@@ -28,11 +26,3 @@ def test_the_default_policy_is_the_one_that_is_explained():
     text = Path("docs/interpretation/course/explanation.md").read_text()
     again = "rover-ncp explain course --out docs/interpretation/course, keep *.md and the *.png that it shows"
     assert text == markdown(explain("course")), again
-
-
-@pytest.mark.parametrize(
-    "path", sorted(SHIPPED.rglob("circuit-00.json")), ids=lambda path: str(path.parent.relative_to(SHIPPED))
-)
-def test_a_shipped_run_of_each_budget_and_task_replays(path):
-    stored = load_result(path)
-    assert agrees(stored, replay(stored))

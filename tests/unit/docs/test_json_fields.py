@@ -15,7 +15,6 @@ from rover_ncp import cli
 from rover_ncp.cli import run
 
 SHORT = str(DATA / "short_course.yaml")
-TABLES = "random-circuits, policy-gradients, networks"
 FINDINGS = "explain with or without --task, besides"
 STACK = ["eval --trials", "eval --trials --stack, besides"]
 SEQUENCES = [
@@ -41,12 +40,10 @@ SEQUENCES = [
     {"keys --out keys": ["keys"]},
     {f"explain parking --course {SHORT} --out why": ["explain", FINDINGS]},
     {"explain wall.yaml --task wall:FollowWall-v0": ["explain --task", FINDINGS]},
-    {"paper status": ["paper status"]},
-    {"paper networks": [f"paper {TABLES}"]},
-    *({f"paper {what}": [f"paper {what}"]} for what in ("parameters", "time-constants", "contributions")),
+    {"paper report": ["paper report"]},
 ]
 """Commands with the headings of their fields."""
-UNSEEN = ("model", "profile", "groups.unfinished.")
+UNSEEN = ("model", "profile")
 UNSEEN += tuple(f"phases.{name}." for name in ("behind", "rival", "pulls", "change"))
 """Fields that are printed only with an option or an event that these commands lack."""
 

@@ -1,166 +1,185 @@
-"""The checklist of the paper's claims."""
+"""Verdicts on the paper's claims, and the report."""
 
 import json
-import re
-import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
+from json_fields import assert_on_page
+from paper_runs import result
 
+from deploy.report.interpretation import Sign
 from rover_ncp.cli import run
-from sim.paper import BudgetName, successors
-from sim.paper.claims import Finding, _estimate_claims, all_claims, claims_text, share_finding
-from sim.paper.comparison import compare_agents
-from sim.paper.results import ResultStore
-from sim.paper.selection import select
-from sim.paper.tables import TABLES, table
-from sim.paper.value_claims import two_values
+from sim.paper import BudgetName, claims
+from sim.paper.claims import Claim, Verdict, judge_claims, load_claims
+from sim.paper.curves import average, curves_png
+from sim.paper.interpretation import counts, sign_of
+from sim.paper.report import LAYOUTS, short_report
+from sim.paper.results import RESULTS, ResultStore
+from sim.paper.selection import grid
+from sim.paper.tasks import TASKS
 
-STORE = ResultStore(Path("nowhere"))
-
-
-@pytest.fixture(scope="module")
-def claims():
-    return all_claims(STORE)
+STORE = ResultStore(RESULTS)
 
 
-def test_every_claim_has_a_verdict_a_figure_and_a_command(claims):
-    assert len({claim.name for claim in claims}) == len(claims)
-    for claim in claims:
-        assert claim.verdict in set(Finding)
-        assert claim.claim and claim.source and claim.figure
-        assert claim.command.startswith(("rover-ncp ", "python -m benchmarks."))
-        if claim.verdict is Finding.NOT_TESTED:
-            assert claim.why, claim.name
-            assert claim.figure[0].isdigit(), claim.name  # how many runs, drives or videos there are
+@pytest.fixture
+def store(tmp_path):
+    return ResultStore(tmp_path)
 
 
-def test_a_command_that_makes_runs_has_some_to_make(claims):
-    arguments = [shlex.split(claim.command)[3:] for claim in claims if " paper run " in claim.command]
-    assert arguments
-    for each in arguments:
-        options = dict(zip(each[::2], each[1::2], strict=True))
-        assert select([options["--task"]], None, None, None, [BudgetName(options.get("--budget", "default"))])
+def fill(store, task, agent, means, **changes):
+    for seed, mean in enumerate(means):
+        store.save(result(task, agent, seed, mean, success=mean >= TASKS[task].success, **changes))
 
 
-def test_few_runs_are_no_verdict(tmp_path):
-    store = ResultStore(tmp_path, None)
-    for stored in STORE.results("mountain-car", "circuit", BudgetName.PUBLISHED)[:2]:
-        store.save(stored)
-    found = {claim.name: claim for claim in _estimate_claims(store)}
-    claim = found["published-mountain-car"]
-    assert (claim.verdict, claim.figure) == (Finding.NOT_TESTED, "2 runs came to their end")
-    assert claim.command.endswith("--budget published --task mountain-car")
+def verdict(store, test, *, others=(), why="", **arguments):
+    claim = Claim(name="a", words="", where="here", test=test, arguments=arguments, why=why)
+    return judge_claims(store, [claim, *others])[0]
 
 
-def test_runs_of_an_agent_are_not_those_of_a_longer_name(tmp_path):
-    store = ResultStore(tmp_path, None)
-    run = ResultStore(Path("nowhere")).results("mountain-car", "cfc")[0]
-    for agent in ("cfc", "cfc-wide"):
-        store.save(run.model_copy(update={"name": run.name.model_copy(update={"agent": agent})}))
-    assert [len(store.results("mountain-car", agent)) for agent in ("cfc", "cfc-wide")] == [1, 1]
+def test_questions_and_tables_are_answered_by_claims():
+    file = load_claims()
+    names = [claim.name for claim in file.claims]
+    assert len(set(names)) == len(names)
+    assert len(file.questions) == 10
+    assert {name for found in file.questions.values() for name in found} <= set(names)
+    sources = " ".join(claim.where for claim in file.claims)
+    for table in ("Tables I", *LAYOUTS, "Table S1", "S2", "Table S3", "Table S4", "Table S6", "Table S7"):
+        assert table in sources, table
 
 
-def test_every_table_of_the_paper_and_every_supplement_table_is_in_the_list(claims):
-    sources = " ".join(claim.source for claim in claims)
-    for number in ("Table I", "Table II", "Table III", "Table IV", *(f"S{n}" for n in range(1, 8))):
-        assert number in sources, number
-    for which in TABLES:
-        for row in table(which, ResultStore(Path("nowhere"))):
-            assert row.published is None or any(
-                claim.name == f"{which}-{row.task}-{row.agent}" for claim in claims
-            )
+def test_every_claim_with_runs_has_them_in_the_grid():
+    groups = {(group.task, group.agent, group.budget) for budget in BudgetName for group in grid(budget)}
+    for claim in load_claims().claims:
+        given = claim.arguments
+        if claim.test in {"rate", "value", "compare"}:
+            budget = BudgetName(given.get("budget", "published"))
+            wanted = {(given["task"], given.get("agent", "circuit"), budget)}
+            if "other" in given:
+                wanted.add((given["task"], given["other"], BudgetName(given.get("other_budget", budget))))
+            assert wanted <= groups, claim.name
 
 
-def test_a_published_value_has_one_verdict(claims):
-    verdicts = {}
-    for claim in claims:
-        if claim.name.startswith(tuple(f"{which}-" for which in TABLES)):
-            verdicts.setdefault(claim.claim, set()).add((claim.verdict, claim.figure, claim.why))
-    assert len(verdicts) < sum(len(table(which, STORE)) for which in TABLES)  # some stand in two tables
-    assert {len(found) for found in verdicts.values()} == {1}
+@pytest.mark.parametrize(
+    ("hits", "of", "theirs", "expected"),
+    [
+        (10, 10, (12, 12), Verdict.INCONCLUSIVE),  # the rate of ten runs is not known within the margin
+        (48, 48, (48, 48), Verdict.REPRODUCED),
+        (2, 12, (12, 12), Verdict.DIFFERS),
+        (4, 4, (12, 12), Verdict.NOT_TESTED),
+    ],
+)
+def test_rate_needs_an_interval_within_the_margin(store, hits, of, theirs, expected):
+    fill(store, "parking", "circuit", [-0.05] * hits + [-3.0] * (of - hits))
+    found = verdict(store, "rate", task="parking", hits=theirs[0], of=theirs[1])
+    assert found.verdict is expected
+    if expected is Verdict.INCONCLUSIVE:
+        assert found.why == "p = 1, n = 10 and 12"
 
 
-def test_the_two_values_of_a_task_are_those_of_all_runs_and_of_the_successes(tmp_path):
-    found = {claim.name: claim for claim in two_values(STORE)}
-    pendulum, cheetah = found["two-values-pendulum"], found["two-values-half-cheetah"]
-    assert pendulum.verdict is Finding.DIFFERENCE
-    assert "9 of 10 runs succeed" in pendulum.figure
-    for part in ("n = 10 and 10", "n = 9 and 9", "difference 195.6", "difference 5.482"):
-        assert part in pendulum.figure
-    assert pendulum.command.endswith("--budget published")
-    assert cheetah.verdict is Finding.NOT_REPRODUCED
-    store = ResultStore(tmp_path, None)
-    for stored in STORE.results("pendulum", "circuit", BudgetName.PUBLISHED):
-        seed = stored.name.seed
-        store.save(stored.model_copy(update={"mean": 200.0 + seed, "success": seed > 3}))
-    pendulum, cheetah = two_values(store)
-    assert pendulum.verdict is Finding.NOT_REPRODUCED  # 204 to 209 are not the paper's 1168.5
-    assert cheetah.verdict is Finding.NOT_TESTED
+def test_rate_within_some_iterations_is_read_from_the_curve(store):
+    fill(store, "parking", "circuit", [-0.05] * 10)
+    found = verdict(store, "rate", task="parking", hits=12, of=12, within=30)
+    assert (found.verdict, found.figure[:7]) == (Verdict.DIFFERS, "0 of 10")
+    assert verdict(store, "rate", task="parking", hits=12, of=12, within=40).figure[:8] == "10 of 10"
 
 
-def test_each_p_value_has_its_test_n_and_effect_size(claims):
-    tested = [claim.figure for claim in claims if "p = " in claim.figure]
-    assert len(tested) > 70
-    number = r"-?[\d,.]+"
-    sentence = (
-        rf"difference {number} \({number} \.\. {number}\)(, P\(above\) {number})?; "
-        rf"(permutation|Welch's|Fisher's) test, n = \d+ and \d+, p = {number}"
-    )
-    for figure in tested:
-        assert len(re.findall(sentence, figure)) == figure.count("p = "), figure
+def test_value_is_equal_within_the_margin_or_differs(store):
+    fill(store, "mountain-car", "mlp", [95.0, 96.0, 97.0, 96.5, 95.5])
+    values = {"task": "mountain-car", "agent": "mlp", "std": 1.0}
+    assert verdict(store, "value", mean=96.5, **values).verdict is Verdict.REPRODUCED
+    assert verdict(store, "value", mean=80.0, **values).verdict is Verdict.DIFFERS
+    wide = verdict(store, "value", mean=92.0, **values | {"std": 30.0})
+    assert wide.verdict is Verdict.INCONCLUSIVE
+    assert wide.why.startswith("p = ")
 
 
-def test_a_comparison_names_test_n_p_and_effect_size(claims):
-    for row in compare_agents(ResultStore(Path("nowhere")), "random"):
-        [claim] = [claim for claim in claims if claim.name == f"random-{row.task}"]
-        for part in (
-            "permutation test",
-            f"n = {row.runs[0]} and {row.runs[1]}",
-            "p = ",
-            "difference",
-            "Holm",
-        ):
-            assert part in claim.figure
-        assert (claim.verdict is Finding.REPRODUCED) == (row.p_holm < 0.05 and row.means[0] > row.means[1])
+def test_comparison_is_better_on_par_or_open(store):
+    fill(store, "pendulum", "circuit", [1100.0, 1110.0, 1120.0, 1130.0, 1140.0])
+    fill(store, "pendulum", "random", [100.0, 200.0, 300.0, 1100.0, 50.0])
+    fill(store, "pendulum", "mlp", [1101.0, 1112.0, 1121.0, 1132.0, 1141.0])
+    fill(store, "pendulum", "lstm", [1191.0, 1192.0, 1193.0, 1194.0, 1199.0])
+    pendulum = {"task": "pendulum"}
+    assert verdict(store, "compare", other="random", better=True, **pendulum).verdict is Verdict.REPRODUCED
+    assert verdict(store, "compare", other="mlp", better=True, **pendulum).verdict is Verdict.INCONCLUSIVE
+    assert verdict(store, "compare", other="mlp", **pendulum).verdict is Verdict.REPRODUCED
+    assert verdict(store, "compare", other="lstm", **pendulum).verdict is Verdict.DIFFERS
+    assert verdict(store, "compare", other="ppo", **pendulum).verdict is Verdict.NOT_TESTED
 
 
-def test_a_missing_gap_is_no_reproduction(claims):
-    prefixes = ("mlp-", "lstm-", "ppo-", "a2c-", *(f"{which}-" for which in TABLES))
-    rates = {f"published-{task}" for task in ("pendulum", "mountain-car", "cart-pole")}
-    for claim in claims:
-        if claim.name.startswith(prefixes) or claim.name in rates:
-            assert claim.verdict is not Finding.REPRODUCED or claim.name.startswith(("ppo-", "a2c-"))
-            if claim.verdict is Finding.DIFFERENCE:
-                assert "does not prove" in claim.why or "both agents reach the limit" in claim.why
+def test_steps_decide_where_all_runs_reach_the_limit(store):
+    early, late = ((0, 10, 0.0), (3, 20, 99.0)), ((0, 10, 0.0), (3, 90, 99.0))
+    fill(store, "mountain-car", "circuit", [99.0] * 8, ended="enough", curve=early)
+    fill(store, "mountain-car", "random", [99.0] * 8, ended="enough", curve=late)
+    fill(store, "mountain-car", "mlp", [99.0] * 8, ended="enough", curve=late, thinned=True)
+    car = {"task": "mountain-car", "better": True}
+    found = verdict(store, "compare", other="random", **car)
+    assert (found.verdict, "difference of steps -70" in found.figure) == (Verdict.REPRODUCED, True)
+    found = verdict(store, "compare", other="mlp", **car)
+    assert (found.verdict, "not complete" in found.why) == (Verdict.NOT_TESTED, True)
 
 
-def test_a_lower_rate_on_random_robots_is_no_reproduction(monkeypatch):
-    rates = {"circuit": 0.95, "cfc": 0.99, "ltc": 0.951}
-
-    def robust(agent):
-        return {ranges: {"success_rate": rates[agent]} for ranges in ("harsh", "unseen")}
-
-    monkeypatch.setattr(successors, "_robust", robust)
-    cfc, ltc = successors.successor_claims()
-    assert cfc.verdict is Finding.NOT_REPRODUCED
-    assert "950 against 990 of 1,000" in cfc.figure
-    assert (ltc.verdict, "does not prove" in ltc.why) == (Finding.DIFFERENCE, True)
-
-
-def test_a_claim_of_all_runs_needs_all_of_them():
-    assert [share_finding(hits, 4) for hits in (4, 3, 2, 0)] == [
-        Finding.REPRODUCED,
-        Finding.DIFFERENCE,
-        Finding.NOT_REPRODUCED,
-        Finding.NOT_REPRODUCED,
+def test_p_is_corrected_for_the_claims_of_one_place(store):
+    fill(store, "mountain-car", "mlp", [90.0, 95.0, 100.0, 92.0, 97.0])
+    arguments = {"task": "mountain-car", "agent": "mlp", "mean": 87.0, "std": 6.0}
+    assert verdict(store, "value", **arguments).verdict is Verdict.DIFFERS
+    others = [
+        Claim(name=f"b{n}", words="", where="here", test="value", arguments=arguments) for n in range(9)
     ]
+    assert verdict(store, "value", others=others, **arguments).verdict is Verdict.INCONCLUSIVE
 
 
-def test_the_command_prints_the_list(claims, tmp_path, capsys):
-    assert run(["paper", "claims", "--json", "--runs", str(tmp_path)]) == 0
-    found = json.loads(capsys.readouterr().out)["claims"]
-    assert [row["name"] for row in found] == [claim.name for claim in claims]
-    assert {"claim", "source", "verdict", "figure", "command"} <= set(found[0])
-    assert claims_text(claims).count("\n") == len(claims) + 1
-    assert BudgetName.PUBLISHED in claims_text(claims)
+def test_vertical_steps_count_only_if_wanted_and_still_ones_never():
+    a = np.array([1.0, 1.0, 0.0, 0.0, 1e-7, 1.0])
+    b = np.array([2.0, -1.0, 3.0, -4.0, 5.0, 0.0])
+    assert counts(a, b, vertical=True) == (3, 2)
+    assert counts(a, b, vertical=False) == (1, 1)
+    assert sign_of(3, 2, 1.0) is Sign.POSITIVE
+    assert sign_of(3, 2, 1.5) is Sign.PHASE_SWITCHING
+    assert sign_of(1, 9, 2.0) is Sign.ANTAGONISTIC
+    assert sign_of(0, 0, 2.0) is Sign.NONE
+
+
+def test_sign_has_a_verdict_only_where_all_readings_agree(monkeypatch):
+    signs = iter([{Sign.POSITIVE: 12}] * 6 + [{Sign.POSITIVE: 8, Sign.NONE: 4}] * 9 + [{Sign.POSITIVE: 12}])
+    monkeypatch.setattr(claims, "drives", lambda _: [(None, None)] * 8)
+    monkeypatch.setattr(claims, "readings", lambda *_: next(signs))
+    sign = {"source": "AVA", "destination": "RGT", "expected": "positive"}
+    assert verdict(STORE, "sign", **sign).verdict is Verdict.REPRODUCED
+    found = verdict(STORE, "sign", **sign)
+    assert (found.verdict, "no evidence" in found.why) == (Verdict.INCONCLUSIVE, True)
+
+
+def test_facts_are_reproduced_or_differ():
+    found = {claim.name: claim for claim in judge_claims(STORE, load_claims().claims)}
+    assert found["size"].verdict is Verdict.REPRODUCED
+    assert found["settings-pendulum"].verdict is Verdict.REPRODUCED
+    assert found["parameters-mlp"].verdict is Verdict.DIFFERS
+    assert found["rover"].verdict is Verdict.NOT_TESTED
+    for claim in found.values():
+        assert claim.why or claim.figure, claim.name
+
+
+def test_report_of_an_empty_folder_says_that_nothing_is_tested(store):
+    file = load_claims()
+    text = short_report(store, file, judge_claims(store, file.claims))
+    assert text.count("not tested yet") > 20
+
+
+def test_command_prints_the_report_and_draws_the_curves(tmp_path, capsys):
+    picture = tmp_path / "curves.png"
+    assert run(["paper", "report", "--json", "--curves", str(picture)]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert_on_page(printed, "paper report")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert run(["paper", "report", "--long"]) == 0
+    assert "| park-all |" in capsys.readouterr().out
+
+
+def test_curve_is_the_mean_of_all_runs_against_iterations_or_steps():
+    runs = [result("cart-pole", "circuit", seed, mean) for seed, mean in enumerate((97.0, 99.0))]
+    marks, middle, spread = average(runs, BudgetName.PUBLISHED)
+    assert (middle[0], middle[-1], spread[-1]) == (97.0, 98.0, pytest.approx(2**0.5))
+    assert marks[-1] == pytest.approx(50)
+    assert average(runs, BudgetName.DEFAULT)[0][-1] == pytest.approx(100)
+    assert curves_png(ResultStore(Path("nowhere")), BudgetName.PUBLISHED).startswith(b"\x89PNG")

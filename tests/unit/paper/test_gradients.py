@@ -8,7 +8,7 @@ import pytest
 
 from sim.learn.search.base import draw_seeds
 from sim.paper.evaluator import Evaluator
-from sim.paper.gradients import CELLS, Actor, PaperEnvironment, score_actor
+from sim.paper.search.gradients import CELLS, Actor, PaperEnvironment, score_actor
 from sim.paper.tasks import TASKS
 
 

@@ -1,4 +1,4 @@
-"""The paper's own searches: every iteration, its decisions, the same bits after an interruption."""
+"""The paper's own searches: the decisions of their references, and the same bits after an interruption."""
 
 import math
 from dataclasses import replace
@@ -8,46 +8,151 @@ import pytest
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.core.errors import FileError
-from sim.paper import BudgetName, published_search
+from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
+from sim.learn.search.random_search import _START_NOISE
+from sim.paper import BudgetName
 from sim.paper.agents import build_agent
-from sim.paper.parking import ParkingEvaluator
-from sim.paper.published_search import BenchmarkEstimator, Partial, read_partial, search_as_published
-from sim.paper.results import ResultStore, RunName
+from sim.paper.evaluator import Evaluator
 from sim.paper.runs import budget_for
-from sim.paper.selection import coverage
-from sim.paper.tables import coverage_text
-from sim.paper.tasks import TASKS
+from sim.paper.search import reference
+from sim.paper.search.parking import ParkingEvaluator
+from sim.paper.search.published import SEARCHES, BenchmarkEstimator, Checkpoint, search_as_published
+from sim.paper.tasks import TASKS, Benchmark
 
-ALONE = Partial(None, {})
+ALONE = Checkpoint(None, {})
+LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
 
 
 def budget(name, iterations, which=BudgetName.PUBLISHED, **changes):
     return replace(budget_for(TASKS[name], which), evaluations=iterations, **changes)
 
 
-def search(name, limits, *, partial=ALONE, most=None):
+def search(name, limits, *, checkpoint=ALONE, most=None):
     task = TASKS[name] if most is None else replace(TASKS[name], most=most)
     agent = build_agent(task, "circuit", 1)
-    return search_as_published(BenchmarkEstimator(task, agent, 1, limits), agent, 1, limits, partial)
+    return search_as_published(BenchmarkEstimator(task, agent, 1, limits), agent, 1, limits, checkpoint)
 
 
-@pytest.mark.parametrize("which", [BudgetName.PUBLISHED, BudgetName.ALGORITHM1])
+def fast(strategy, agent, returns, iterations, ahead=7):
+    """Return the incumbent and its value after each iteration of a fast search on recorded returns."""
+    first = agent.parameters() if hasattr(agent, "parameters") else np.zeros(agent.layout().size)
+    found = SEARCHES[strategy].begin(agent.layout(), first, np.random.default_rng(5))
+    steps = []
+    while found.iterations < iterations or found.wants_estimate(found.adaptation):
+        before, incumbent, value = found.iterations, found.incumbent, found.value
+        vectors = found.ask(max(min(ahead, iterations - before), 1))
+        found.tell(returns(found.evaluations, vectors))
+        if found.iterations == before and steps:  # Algorithm 1's estimate belongs to the iteration before
+            steps[-1] = (found.incumbent, found.value)
+        steps += [(incumbent, value)] * (found.iterations - before - 1)
+        steps += [(found.incumbent, found.value)] * (found.iterations > before)
+    return steps
+
+
+def literal(strategy, task, agent, evaluate, iterations):
+    """Return the same from the reference."""
+    rng, layout = np.random.default_rng(5), agent.layout()
+    if strategy == "published-network":
+        return reference.published_network_search(evaluate, layout.size, rng, iterations)
+    bounds = agent.parameters(), layout.lower, layout.upper
+    if strategy == "algorithm1":
+        numbers = START_SCALE, ALPHA, ESTIMATE_AFTER
+        return reference.algorithm1(evaluate, *bounds, rng, iterations, *numbers)
+    rules = SEARCHES[strategy].rules
+    kinds = [
+        reference.Kind(block.slice, *_START_NOISE[block.kind], *rule[:2], rule[2:])
+        for block in layout.blocks
+        for rule in [rules[block.kind]]
+    ]
+    weights = [block.kind for block in layout.blocks].index(ParameterKind.WEIGHT)
+    layers = [
+        index for block in layout.blocks if block.kind in LAYERS for index in range(layout.size)[block.slice]
+    ]
+    return reference.published_circuit_search(
+        evaluate,
+        *bounds,
+        kinds,
+        rng,
+        iterations,
+        estimates_again=strategy != "published-parking",
+        falls_back={weights: (16, 12)} if strategy == "published-mountain-car" else None,
+        layers=layers,
+    )
+
+
+def assert_same(strategy, task, agent, returns, iterations):
+    number = iter(range(10**6))
+    slow = literal(strategy, task, agent, lambda vector: returns(next(number), vector[None])[0], iterations)
+    quick = list(fast(strategy, agent, returns, iterations))
+    assert len(quick) == iterations
+    for (vector, value), (expected, wanted) in zip(quick, slow, strict=True):
+        assert value == wanted
+        assert vector.tolist() == expected.tolist()
+
+
+CELLS = [
+    ("algorithm1", "pendulum", "circuit"),
+    ("published-parking", "parking", "circuit"),
+    ("published-benchmarks", "pendulum", "circuit"),
+    ("published-benchmarks", "half-cheetah", "circuit"),
+    ("published-mountain-car", "mountain-car", "circuit"),
+    ("published-network", "mountain-car", "lstm"),
+]
+
+
+@pytest.mark.parametrize(("strategy", "task", "name"), CELLS)
+def test_fast_search_makes_the_decisions_of_the_reference_on_recorded_returns(strategy, task, name):
+    # Successes become rare, as in a search, and a new estimate is often lower.
+    recorded = np.random.default_rng(2).gumbel(size=10_000) + np.linspace(0.0, 9.0, 10_000)
+    agent = build_agent(TASKS[task], name, 0, BudgetName.PUBLISHED)
+
+    def returns(number, vectors):
+        return recorded[number : number + len(vectors)]
+
+    assert_same(strategy, task, agent, returns, 2000)
+
+
+@pytest.mark.parametrize(
+    ("strategy", "name"),
+    [
+        ("published-parking", "parking"),
+        ("published-mountain-car", "mountain-car"),
+        ("algorithm1", "cart-pole"),
+    ],
+)
 @pytest.mark.long
-def test_parking_takes_every_iteration_and_its_value_is_the_return(which):
+def test_fast_search_makes_the_decisions_of_the_reference_on_a_task(strategy, name):
+    task = TASKS[name]
+    agent = build_agent(task, "circuit", 0)
+    limits = replace(budget_for(task, BudgetName.PUBLISHED), rollouts=2, worst=1)
+    if isinstance(task, Benchmark):
+        place = BenchmarkEstimator(task, agent, 3, limits)
+    else:
+        place = ParkingEvaluator(task, agent)
+
+    def returns(number, vectors):
+        return place.estimate(vectors, number, np.full(len(vectors), -math.inf))
+
+    assert_same(strategy, name, agent, returns, 2000)
+
+
+@pytest.mark.long
+def test_parking_takes_every_iteration_and_its_value_is_the_return():
     task = TASKS["parking"]
     policy = task.policy(task.circuit())
     evaluator = ParkingEvaluator(task, policy)
-    found = search_as_published(evaluator, policy, 1, budget("parking", 150, which), ALONE)
+    found = search_as_published(evaluator, policy, 1, budget("parking", 150), ALONE)
     assert found.evaluations == 151  # the start is no iteration
-    assert found.curve[-1][1] == pytest.approx(evaluator.outcome(found.vector)[0])
-    assert found.curve[-1][1] > found.curve[0][1]
+    assert found.curve[-1].value == pytest.approx(evaluator.outcome(found.vector)[0])
+    assert found.curve[-1].value > found.curve[0].value
 
 
 @pytest.mark.parametrize("worst", [3, 6])
 def test_rollouts_that_cannot_matter_change_no_decision(worst):
     limits = budget("cart-pole", 200, rollouts=6, worst=worst)
     early, all_rollouts = search("cart-pole", limits), search("cart-pole", limits, most=math.inf)
-    assert early.curve == all_rollouts.curve
+    points = [[(each.iterations, each.value) for each in found.curve] for found in (early, all_rollouts)]
+    assert points[0] == points[1]
     assert early.vector.tolist() == all_rollouts.vector.tolist()
 
 
@@ -66,97 +171,66 @@ def test_a_candidate_whose_worst_rollouts_would_win_gets_the_papers_estimate():
 
 def interrupt(limits, path, monkeypatch):
     """Interrupt a search of the cart-pole after nine states."""
-    monkeypatch.setattr(published_search, "_SAVE_EVERY_S", 0.0)
-    partial = Partial(path, vars(limits))
+    checkpoint = Checkpoint(path, vars(limits), every_s=0.0)
     saves = iter(range(9))
-    save = partial.save
+    save = checkpoint.save
 
     def interrupted(state):
         save(state)
         if next(saves) == 8:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(partial, "save", interrupted)
+    monkeypatch.setattr(checkpoint, "save", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        search("cart-pole", limits, partial=partial)
+        search("cart-pole", limits, checkpoint=checkpoint)
 
 
-def test_unfinished_run_is_listed_and_counts_as_none(tmp_path, monkeypatch):
-    store = ResultStore(tmp_path, None)
-    name = RunName(task="cart-pole", agent="circuit", seed=1, budget=BudgetName.PUBLISHED)
-    interrupt(budget("cart-pole", 50_000), store.unfinished(name), monkeypatch)
-    assert store.results("cart-pole", "circuit", BudgetName.PUBLISHED) == []
-    groups = coverage(store, BudgetName.PUBLISHED)
-    [group] = [row for row in groups if (row["task"], row["agent"]) == ("cart-pole", "circuit")]
-    [unfinished] = group["unfinished"]
-    assert (group["made"], unfinished) == (0, {"seed": 1, **read_partial(store.unfinished(name))})
-    assert f"seed 1 at {unfinished['iterations']} of 50000" in coverage_text(groups)
-
-
-def test_an_interrupted_search_goes_on_with_the_same_bits(tmp_path, monkeypatch):
-    limits = budget("cart-pole", 300, rollouts=3, worst=2)
+@pytest.mark.parametrize("which", [BudgetName.PUBLISHED, BudgetName.ALGORITHM1])
+def test_interrupted_search_continues_with_the_same_bits(which, tmp_path, monkeypatch):
+    limits = budget("cart-pole", 300, which, rollouts=3, worst=2)
     whole = search("cart-pole", limits)
-    path = tmp_path / "circuit-00.partial"
+    path = tmp_path / "circuit.json"
     interrupt(limits, path, monkeypatch)
-    continued = Partial(path, vars(limits))
-    found = search("cart-pole", limits, partial=continued)
+    continued = Checkpoint(path, vars(limits))
+    found = search("cart-pole", limits, checkpoint=continued)
     assert (found.curve, found.vector.tolist()) == (whole.curve, whole.vector.tolist())
     assert continued.times()[1] > 0.0
     with pytest.raises(FileError, match="other settings"):
-        Partial(path, {}).load()
-    assert 0 < read_partial(path)["iterations"] <= read_partial(path)["of"] == 300
+        Checkpoint(path, {}).load()
     path.write_text("{")
     with pytest.raises(FileError, match="damaged"):
-        Partial(path, vars(limits)).load()
+        Checkpoint(path, vars(limits)).load()
 
 
-def first_step(name, returns):
-    """Return the search of a task after so many returns, and the vectors that it asked for."""
-    task = TASKS[name]
-    policy = task.policy(task.circuit())
-    own = published_search._OWN_SEARCHES[task.published_search]
-    search = own.begin(policy.layout(), policy.parameters(), np.random.default_rng(0))
-    asked = []
-    for value in returns:
-        asked.append(search.ask()[0])
-        search.tell([value])
-    return search, asked
+def test_published_network_takes_raw_inputs_and_ends_at_one():
+    net = build_agent(TASKS["pendulum"], "mlp", 0, BudgetName.PUBLISHED)
+    assert (net.cells, net.scale, net.low, net.high) == (12, (1.0, 1.0), (-1.0,), (1.0,))
+    assert set(net.most) == {math.inf}
+    limits = budget_for(TASKS["pendulum"], BudgetName.PUBLISHED, "mlp")
+    assert (limits.evaluations, limits.rollouts, limits.worst) == (20_000, 10, 5)
+    assert (limits.strategy, limits.warm_up) == ("published-network", 0)
 
 
-@pytest.mark.parametrize("name", ["pendulum", "mountain-car"])
-def test_a_lucky_incumbent_is_estimated_anew_after_51_failures(name):
-    search, asked = first_step(name, [9.0, *[1.0] * 51, 4.0])
-    assert asked[-1].tolist() == asked[0].tolist()
-    assert not any(np.array_equal(vector, asked[0]) for vector in asked[1:-1])
-    assert (search.value, search.adaptation.failures) == (4.0, 0)
-    narrow, least = search.adaptation.caps, search.adaptation.least
-    assert [wide - cap for wide, cap in zip(narrow, least, strict=True)] == [1] * len(least)
-    search.tell([5.0] * len(search.ask()))
-    assert search.adaptation.caps == least
-
-
-def test_the_cars_cap_of_weights_falls_back_from_its_most():
-    search, _ = first_step("mountain-car", [9.0, *([1.0] * 51 + [9.0]) * 11])
-    by_kind = dict(
-        zip(
-            [b.kind for b in TASKS["mountain-car"].policy(TASKS["mountain-car"].circuit()).layout().blocks],
-            search.adaptation.caps,
-            strict=True,
-        )
+def test_warm_up_tick_changes_an_episode_but_not_its_length():
+    task = TASKS["pendulum"]
+    agent = build_agent(task, "circuit", 0)
+    vectors, seeds = np.tile(agent.parameters(), (40, 1)), np.arange(40, dtype=np.uint64)
+    cold, warm = (
+        Evaluator(task, agent, for_search=True, warm_up=ticks).run(vectors, seeds, horizon=5)
+        for ticks in (0, 1)
     )
-    assert by_kind == {
-        ParameterKind.WEIGHT: 12,  # 6, 7, ... 16, 12
-        ParameterKind.SIGMA: 12,
-        ParameterKind.LEAK_POTENTIAL: 8,
-        ParameterKind.LEAK: 8,
-        ParameterKind.CAPACITANCE: 7,
-    }
+    assert cold[:, 2].tolist() == warm[:, 2].tolist() == [5.0] * 40
+    assert cold[:, 1].tolist() != warm[:, 1].tolist()
+    alone = Evaluator(task, agent, lanes=1, for_search=True, warm_up=1).run(vectors[:3], seeds[:3], horizon=5)
+    assert alone.tolist() == warm[:3].tolist()
 
 
-def test_every_entry_of_a_half_cheetahs_layers_changes():
-    _, (first, second) = first_step("half-cheetah", [1.0, 1.0])
-    layout = TASKS["half-cheetah"].policy(TASKS["half-cheetah"].circuit()).layout()
-    for kind in (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER):
-        part = layout.block(kind).slice
-        assert np.all(first[part] != 0.0)
-        assert np.mean(first[part] != second[part]) > 0.9  # some stay at a bound
+def test_unstable_simulation_is_never_the_best():
+    task = TASKS["cart-pole"]
+    agent = build_agent(task, "mlp", 0)
+    place = Evaluator(task, agent)
+    place._kernel = lambda *_: np.array([[math.nan, 0.0, 3.0], [5.0, 0.0, 5.0]])
+    assert place.run(np.zeros((2, agent.layout().size)), np.arange(2, dtype=np.uint64))[:, 0].tolist() == [
+        -1e6,
+        5.0,
+    ]

@@ -1,7 +1,6 @@
 """Circuits of files on the paper's benchmarks: ``eval --task``."""
 
 import json
-from pathlib import Path
 
 import pytest
 from bnn_text import circuit_to_bnn
@@ -10,15 +9,14 @@ from json_fields import assert_on_page
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.cli import run
 from sim.paper.agents import build_agent
-from sim.paper.results import ResultStore, RunName, load_result
+from sim.paper.results import ResultStore
 from sim.paper.tasks import TASKS
 
 
 @pytest.fixture(scope="module")
 def trained():
     """Return the shipped mountain-car run of seed 0 and its circuit."""
-    path = ResultStore(Path("nowhere")).find(RunName(task="mountain-car", agent="circuit", seed=0))
-    result = load_result(path)
+    result = ResultStore().results("mountain-car", "circuit")[0]
     policy = build_agent(TASKS["mountain-car"], "circuit", 0)
     return result, policy.with_parameters(result.parameters.array()).circuit
 

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from sim.learn.search.base import draw_seeds
-from sim.paper import BudgetName, cma_search
+from sim.paper import BudgetName
 from sim.paper.agents import build_agent
-from sim.paper.cma_search import search_by_cma, search_by_halving, spread_seeds
 from sim.paper.evaluator import Evaluator
-from sim.paper.parking import ParkingEvaluator, search_parking
-from sim.paper.random_search import estimate
 from sim.paper.runs import budget_for
+from sim.paper.search import cma
+from sim.paper.search.cma import search_by_cma, search_by_halving, spread_seeds
+from sim.paper.search.parking import ParkingEvaluator, search_parking
+from sim.paper.search.random import estimate
 from sim.paper.tasks import TASKS
 
 
@@ -48,7 +49,7 @@ def test_cma_gets_better_and_gives_the_same_bits_again(agent):
 
     # A single search may find little in so few steps.
     found, again = [search(seed) for seed in (1, 2, 3)], search(1)
-    curves = [[value for _, value in each.curve] for each in found]
+    curves = [[value for _, _, value in each.curve] for each in found]
     assert curves == [sorted(values) for values in curves]
     assert sum(values[-1] for values in curves) > 1.5 * sum(values[0] for values in curves)
     assert again.vector.tolist() == found[0].vector.tolist()
@@ -61,18 +62,18 @@ def test_halving_gives_the_same_bits_again():
     found = [search_by_halving(*evaluator("half-cheetah", "mlp"), seed, budget) for seed in (4, 4, 8)]
     assert found[0].vector.tolist() == found[1].vector.tolist() != found[2].vector.tolist()
     assert found[0].curve == found[1].curve
-    assert min(found[0].curve[-1][1], found[2].curve[-1][1]) > 100.0  # an untuned network gets about 0
+    assert min(found[0].curve[-1].value, found[2].curve[-1].value) > 100.0  # an untuned network gets about 0
 
 
 def test_a_return_that_the_judge_does_not_confirm_is_not_enough(monkeypatch):
     built = build_agent(TASKS["roboschool"], "mlp", 0)
     place = Evaluator(replace(TASKS["roboschool"], enough=1100.0), built, for_search=True)
     asked = []
-    monkeypatch.setattr(cma_search, "confirmed", lambda *_: asked.append(1) or 900.0 + len(asked))
+    monkeypatch.setattr(cma, "confirmed", lambda *_: asked.append(1) or 900.0 + len(asked))
     budget = default_budget("roboschool", steps=2_000_000, starts=100)
     found = search_by_cma(place, place, built, 0, budget)
     assert found.ended == "steps"
-    assert found.curve[-1][1] == 900.0 + len(asked)
+    assert found.curve[-1].value == 900.0 + len(asked)
 
 
 def test_an_estimate_is_the_papers_except_for_pruned_candidates():
@@ -99,4 +100,4 @@ def test_creeping_counts_as_a_miss_and_in_no_return(name):
     assert counted == pytest.approx(-np.sum(misses**2, axis=(1, 2, 3)))
     assert (counted < values).all()
     found = search_parking(place, policy, 1, default_budget(name, evaluations=300))
-    assert found.curve[-1][1] == place.outcome(found.vector)[0]
+    assert found.curve[-1].value == place.outcome(found.vector)[0]

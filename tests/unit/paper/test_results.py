@@ -1,0 +1,63 @@
+"""Stored runs: one line each, the last one of a name counts, and they replay."""
+
+import pytest
+from paper_runs import result
+
+from rover_ncp.cli import run
+from rover_ncp.core.errors import FileError
+from sim.paper import BudgetName
+from sim.paper.results import RESULTS, ResultStore
+from sim.paper.runs import agrees
+
+STORED = [
+    run
+    for path in sorted(RESULTS.glob("*/*.jsonl"))
+    for run in ResultStore().results(path.stem, "circuit", BudgetName(path.parent.name))[:1]
+]
+
+
+def test_last_line_of_a_name_counts(tmp_path):
+    store = ResultStore(tmp_path)
+    for mean in (1.0, 2.0):
+        store.save(result("cart-pole", "mlp", 3, mean))
+    store.save(result("cart-pole", "mlp", 1, 5.0))
+    store.save(result("cart-pole", "mlp-wide", 1, 6.0))
+    assert [run.mean for run in store.results("cart-pole", "mlp", BudgetName.PUBLISHED)] == [5.0, 2.0]
+    assert store.results("cart-pole", "mlp") == []
+    again = ResultStore(tmp_path)
+    assert again.find(result("cart-pole", "mlp", 3, 0.0).name) == result("cart-pole", "mlp", 3, 2.0)
+
+
+def test_damaged_line_is_named(tmp_path):
+    store = ResultStore(tmp_path)
+    saved = result("cart-pole", "mlp", 0, 1.0)
+    store.save(saved)
+    path = store.path("cart-pole", BudgetName.PUBLISHED)
+    path.write_text(path.read_text() + '{"name": ')
+    with pytest.raises(FileError, match="line 2"):
+        ResultStore(tmp_path).find(saved.name)
+
+
+def test_steps_and_values_come_from_complete_curves():
+    found = result("cart-pole", "mlp", 0, 480.0, curve=((0, 10, 20.0), (7, 90, 480.0)), steps=500)
+    assert [found.steps_to(value) for value in (20.0, 475.0, 490.0)] == [10, 90, 500]
+    assert [found.value_after(count) for count in (0, 6, 7)] == [20.0, 20.0, 480.0]
+    assert found.model_copy(update={"thinned": True}).steps_to(20.0) is None
+    unknown = found.model_copy(update={"curve": ((None, 10, 20.0),)})
+    assert (unknown.steps_to(20.0), unknown.value_after(9)) == (10, None)
+
+
+def test_replay_may_differ_by_a_billionth_but_not_in_its_verdict():
+    stored = result("mountain-car", "circuit", 0, 97.0)
+    score = {"episodes": 1, "mean": 97.0, "std": 0.0, "plain_mean": 97.0, "success": True}
+    assert agrees(stored, score | {"mean": 97.0 + 1e-8})
+    assert not agrees(stored, score | {"mean": 97.0 + 1e-6})
+    assert not agrees(stored, score | {"success": False})
+
+
+@pytest.mark.parametrize("stored", STORED, ids=lambda stored: str(stored.name))
+@pytest.mark.long
+def test_shipped_run_of_each_budget_and_task_replays(stored):
+    name = stored.name
+    selected = ["--task", name.task, "--agent", "circuit", "--seed", str(name.seed), "--budget", name.budget]
+    assert run(["paper", "replay", *selected]) == 0

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.core.errors import UsageError
-from rover_ncp.course.course import Course, ParkedRule, Verdict
+from rover_ncp.course.course import Course, Failure
 from sim.evaluate.driver import Driver
 from sim.learn.evaluator import Outcomes
 from sim.world.described import default_rover
@@ -18,14 +18,6 @@ from sim.world.rover import RoverModel
 
 _BATCH = 500
 """Trials at a time, so that drawn noise takes some 10 MB whatever is asked for."""
-
-
-TOUCHED, FAR, TURNED, MOVING = (
-    "touched an obstacle",
-    "too far from the goal",
-    "too far from the goal's heading",
-    "still moving",
-)
 
 
 class Spread(NamedTuple):
@@ -95,8 +87,8 @@ def summarize(found: Outcomes, limits: NDArray[np.float64]) -> Evaluation:
             ~(found.error_m[0] <= limits[:, 0]),
             ~(found.error_rad[0] <= limits[:, 1]),
         ],
-        ["", TOUCHED, FAR, TURNED],
-        MOVING,
+        [Failure.NONE.value, Failure.TOUCHED.value, Failure.FAR.value, Failure.TURNED.value],
+        Failure.MOVING.value,
     )
     return tally(found.error_m[0], found.error_rad[0], reasons.tolist())
 
@@ -120,17 +112,6 @@ def _wilson(successes: int, count: int) -> tuple[float, float]:
 
     low, high = binomtest(successes, count).proportion_ci(method="wilson")
     return float(low), float(high)
-
-
-def cause(verdict: Verdict, rule: ParkedRule) -> str:
-    """Return why a trial did not park, in the words of an evaluation; "" if it did."""
-    if verdict.parked:
-        return ""
-    if verdict.reason.startswith("touched"):
-        return TOUCHED
-    if not verdict.error_m <= rule.position_m:
-        return FAR
-    return MOVING if verdict.error_rad <= rule.heading_rad else TURNED
 
 
 def unseen_courses(seed: int, count: int) -> list[Course]:

@@ -13,7 +13,6 @@ from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.files import USUAL_ROBOT, write_atomic
 from rover_ncp.recording.recording import read_recording, rewrite
 from sim.evaluate.commands import EvalOptions
-from sim.evaluate.evaluate import cause
 from sim.live.live_run import LiveRun
 from sim.live.peers import StartPosePublisher
 from sim.live.processes import ProcessError, uninterrupted
@@ -104,7 +103,7 @@ class _LiveTrial(LiveRun):
         rule = done.result["stopped_by"]
         return Driven(
             verdict.parked and rule is None,
-            f"stopped by {rule}" if rule else cause(verdict, course.parked),
+            f"stopped by {rule}" if rule else verdict.failure,
             verdict.error_m,
             verdict.error_rad,
             during(course, truth, began_ns)[-1].pose,

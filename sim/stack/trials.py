@@ -26,7 +26,6 @@ from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
 from sim.evaluate.commands import Place
 from sim.evaluate.driver import Driver
-from sim.evaluate.evaluate import cause
 from sim.learn.workers import available_processes, process_pool, starting_processes
 from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
 from sim.stack.camera import Camera, Localiser
@@ -177,7 +176,7 @@ class Stack:
         verdict = truth.judge(course, link.first_command_ns)
         return Driven(
             verdict.parked and drive.stop is None,
-            cause(verdict, course.parked) if drive.stop is None else f"stopped by {drive.stop.rule}",
+            verdict.failure if drive.stop is None else f"stopped by {drive.stop.rule}",
             verdict.error_m,
             verdict.error_rad,
             rover.pose,

@@ -71,6 +71,7 @@ def test_scores_a_published_circuit_with_sensors_that_are_not_clamped(files):
         "return": expected.total,
         "parked": False,
         "reason": expected.verdict.reason,
+        "failure": "too far from the goal",
         "error_m": expected.verdict.error_m,
         "error_rad": expected.verdict.error_rad,
         "rms_m": expected.rms_m,

@@ -34,8 +34,7 @@ def successor_claims() -> Iterator[Claim]:
                 f"{words}: {hits} against {theirs} of {_TRIALS:,}, {test.sentence()}"
                 for words, hits, theirs, test in tests
             ),
-            f"rover-ncp eval sim/paper/random_robots/{agent}.json "
-            f"--randomize harsh --trials {_TRIALS} --seed 31415",
+            f"rover-ncp eval benchmarks.compare:{agent} --randomize harsh --trials {_TRIALS} --seed 31415",
             f"one training of each; {LEVEL:g} by Bonferroni for {len(tests)} tests"
             + ("" if worse else f"; {NO_GAP}"),
         )

@@ -32,14 +32,11 @@ from rover_ncp.wire.protocol import (
     dump_json,
     parse_json,
 )
-from sim.live.peers import known_pose
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.ros2_robot import Ros2Robot
-from sim.stack.lines import virtual_line
+from sim.stack.camera import start_pose
+from sim.stack.lines import NS, WALL_NS, virtual_line
 
-NS = 1_000_000_000
-WALL_NS = 1_700_000_000 * NS
-"""The wall clock's time when the virtual clock shows 0."""
 _LATE_NS = 1000
 """Delay of each wake-up of a loop: rounding never makes it too early."""
 
@@ -223,7 +220,7 @@ class VirtualLink:
         if name == "odom":
             self.odometry.put(self._arrival(data))
             if not self._requested:
-                self.poses.put(self._arrival(known_pose(self._start, wall_ns)))
+                self.poses.put(self._arrival(start_pose(self._start, wall_ns)))
         elif name == "imu":
             self.gyro.put(self._arrival(data))
         elif name == "rover/gate":

@@ -60,7 +60,6 @@ TABLES = ["random-circuits", "policy-gradients", "networks", "claims", "curves"]
 WRITERS = [
     "park --policy parking --out {}",
     "train --out {}",
-    "eval course --live 1 --out {}",
     f"deploy {ROBOT} --record {{}}",
     f"identify {ROBOT} --record {{}}",
     "identify drive.mcap --out {}",
@@ -134,9 +133,8 @@ TABLE = [
     ("mock --ros rmw-zenoh", "--ros: needs --ros2"),
     ("mock --ros2 --model turtlebot4 --gyro", "--gyro"),
     ("mock --overwrite", "--overwrite: needs --truth"),
-    ("eval course --out new", "--out: needs --live"),
     ("eval course --range a=1", "--range: needs --task"),
-    ("eval mine.bnn --task mountain-car --out new", "--out: --task goes with"),
+    ("eval mine.bnn --task mountain-car --stack", "--stack: --task goes with"),
     ("eval mine.bnn --task mountain-car --body mujoco", "--body: --task goes with"),
     ("eval mine.bnn --task mountain-car --model p3dx --processes 2", "--model, --processes: --task"),
     ("eval course --stack --camera-hz 2", "--camera-hz"),
@@ -158,7 +156,6 @@ TABLE = [
     (f"bridge {BASE} --no-base-watchdog", "--no-base-watchdog: is for a ROS 2 robot"),
     # values
     (f"eval course --trials {HUGE}", "--trials"),
-    (f"eval course --live {HUGE}", "--live"),
     (f"eval course --random-courses {HUGE}", "--random-courses"),
     (f"train --iterations {HUGE}", "--iterations"),
     (f"train --seed {HUGE}", "--seed"),

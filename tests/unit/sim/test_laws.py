@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from rover_ncp.course.course import load_course
-from sim.evaluate.driver import load_driver
+from rover_ncp.course.reference import REFERENCE_SIGNALS
 from sim.evaluate.evaluate import evaluate
-from sim.learn.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, gain_box, law_command
+from sim.learn.driver import load_driver
+from sim.learn.evaluator import Evaluator
+from sim.learn.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, gain_box, law_command, law_commander
 from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
 
@@ -57,7 +59,9 @@ def test_a_law_parks_undisturbed_and_stands_still_below_its_thresholds(law):
     found = evaluate(load_driver(law), [COURSE], load_randomization("none"), trials=1, seed=0)
     assert found.success_rate == 1.0
     trials = draw_trials(load_randomization("none"), default_rover(), 0, count=1, ticks=COURSE.ticks)
-    engine = load_driver(law).evaluator([COURSE], default_rover(), trials)
+    engine = Evaluator(
+        REFERENCE_SIGNALS, [COURSE], default_rover(), trials, commander=law_commander(LAWS[law])
+    )
     asleep = np.array([*LAWS[law].tuned[:-2], 9.0, 9.0])
     outcomes = engine.outcomes([LAWS[law].tuned, asleep])
     assert outcomes.error_m[1, 0] == pytest.approx(math.hypot(*COURSE.goal[:2]))

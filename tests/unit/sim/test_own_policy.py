@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 from paths import DATA, ROOT
+from tutorials import steps
 
 from rover_ncp.circuit.policy import PolicyRunner
 from rover_ncp.circuit.policy_file import load_policy
@@ -135,6 +136,11 @@ def test_a_policy_that_cannot_drive_is_one_clear_line(policy, words, stack, caps
     err = capsys.readouterr().err
     assert words in err
     assert err.count("\n") == 1
+
+
+def test_the_tutorial_shows_the_example():
+    files = dict(steps(ROOT / "docs" / "tutorials" / "own_policy.md"))
+    assert files["own_policy.py"] == (ROOT / "docs" / "examples" / "own_policy.py").read_text()
 
 
 def test_errors_of_functions_are_of_the_error_tree():

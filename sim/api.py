@@ -43,7 +43,7 @@ def train(
     """Train circuits on one course, as ``rover-ncp train``, and leave the run in the folder ``out``.
 
     ``settings`` are those of `sim.learn.record.TrainSettings`: course, circuit, seed, agents, iterations and
-    search. ``on_progress`` sees all agents after every round. Raises ConfigError, FileError and UsageError.
+    search. ``on_progress`` gets all agents after every round. Raises ConfigError, FileError and UsageError.
     """
     from rover_ncp.core.config import validated
     from sim.learn.record import TrainSettings

@@ -137,11 +137,11 @@ class EvalOptions:
 def evaluate(options: EvalOptions) -> int:
     """Drive a course in simulation with a policy, and score it.
 
-    Without --trials or --randomize, the policy drives once, on the nominal rover model:
+    Without --trials or --randomize, the policy drives once, on the nominal rover model.
 
-    The return is the paper's: minus the squared misses of all checkpoints, 1 rad counting as 1 m; 0 is out of
-    reach, doing nothing on the parking course scores -14.18. A .bnn circuit gets the sensors it was trained
-    with, which are not clamped.
+    The return is the paper's: minus the squared errors at all checkpoints, 1 rad counting as 1 m. 0 is out of
+    reach. A rover that does not move scores -14.18 on the parking course. A .bnn circuit gets the sensors it
+    was trained with, which are not clamped.
 
     With one of them, the policy drives randomised rovers. Each trial has its own delays, gains, noise and
     start, which follow from the seed and the trial's number alone. The true motion is scored.
@@ -150,7 +150,8 @@ def evaluate(options: EvalOptions) -> int:
         rover-ncp eval course --trials 1000 --randomize full --random-courses 200
 
     --stack drives the same trials as encoded bytes through the firmware of a mock Pioneer, the bridge with
-    its gate, and the driver with its estimator. Only sockets and waiting differ from driving a robot.
+    its gate, and the driver with its estimator. Only sockets and waiting differ from driving a robot. The driver
+    knows what --model and --profile tell it, and the noise of the odometry.
 
         rover-ncp eval course --trials 300 --randomize full --stack
 

@@ -33,9 +33,9 @@ def belief_of(drive: Drive, pose: Pose) -> Belief:
     error_m = squared = math.nan
     if drive.stop is None and drive.estimate is not None:
         estimate = drive.estimate
-        miss = np.array([estimate.pose.x - pose.x, estimate.pose.y - pose.y])
+        error = np.array([estimate.pose.x - pose.x, estimate.pose.y - pose.y])
         error_m = distance(estimate.pose, pose)
-        squared = float(miss @ np.linalg.solve(estimate.covariance[:2, :2], miss))
+        squared = float(error @ np.linalg.solve(estimate.covariance[:2, :2], error))
     predicted_m = math.nan if drive.predicted_error_m is None else drive.predicted_error_m
     nis = drive.measurements_used["pose"]["nis"]
     return Belief(drive.phase is Phase.PARKED, error_m, squared, predicted_m, nis)

@@ -150,8 +150,8 @@ def evaluate(options: EvalOptions) -> int:
         rover-ncp eval course --trials 1000 --randomize full --random-courses 200
 
     --stack drives the same trials as encoded bytes through the firmware of a mock Pioneer, the bridge with
-    its gate, and the driver with its estimator. Only sockets and waiting differ from driving a robot. The driver
-    knows what --model and --profile tell it, and the noise of the odometry.
+    its gate, and the driver with its estimator. Only sockets and waiting differ from driving a robot. The
+    driver knows what --model and --profile tell it, and the noise of the odometry.
 
         rover-ncp eval course --trials 300 --randomize full --stack
 

@@ -108,7 +108,7 @@ def test_a_slow_machine_trains_as_many_iterations(asked, tmp_path, monkeypatch):
 
 def test_the_message_names_limit_and_remedy(tmp_path, monkeypatch, capsys):
     fields = {"best_return": -5.0, "iterations": 20_000}
-    monkeypatch.setattr(park, "_train", lambda *_: (fields, "policy.yaml", "0.9 m from the goal"))
+    monkeypatch.setattr(park, "_train", lambda *_, **__: (fields, "policy.yaml", "0.9 m from the goal"))
     assert run_park(tmp_path) == 1
     words = capsys.readouterr()
     said = words.out + words.err

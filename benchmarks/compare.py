@@ -2,7 +2,12 @@
 
     python -m benchmarks.compare AGENT [--seed 1] [--generations 2600] [--rollouts 144] [--trained-on harsh]
 
-prints one JSON object: what the search found, and how that does on trials that it did not see. Agents:
+prints one JSON object: what the search found, and how that does on trials that it did not see. Kept as
+runs/compare/AGENT.json, it is a policy, with a network's state:
+
+    rover-ncp eval benchmarks.compare:AGENT --trials 1000 --randomize harsh [--stack]
+
+Agents:
 
 circuit         the tap-withdrawal circuit with course-relative sensing, from its hand-set start
 kanayama, pure-pursuit, smooth
@@ -23,6 +28,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,14 +37,16 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.circuit.sensing import Channel, Sensing
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
-from sim.evaluate.driver import CIRCUIT, NETWORKS
 from sim.evaluate.evaluate import unseen_courses
+from sim.learn.engine.commander import CommanderRunner, circuit_commander
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.laws import LAWS, gain_box, law_commander
-from sim.learn.engine.networks import Net, net_for, network_commander
+from sim.learn.engine.networks import CELLS, LIQUID_CELLS, Net, NetKind, net_for, network_commander
 from sim.learn.random_circuit import random_circuit
 from sim.learn.record import RobustSettings, made_with
 from sim.learn.robust import RobustSearch, drive_trials, policy_box, training_courses
@@ -47,6 +55,18 @@ from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
 
 FloatArray = NDArray[np.float64]
+
+CIRCUIT = "circuit"
+NETWORKS = {
+    "mlp": (NetKind.MLP, CELLS),
+    "lstm": (NetKind.LSTM, CELLS),
+    "lstm-small": (NetKind.LSTM, 3),
+    "cfc": (NetKind.CFC, LIQUID_CELLS),
+    "ltc": (NetKind.LTC, LIQUID_CELLS),
+}
+"""Kind and number of cells: as many as the circuit has neurons, or about as many numbers as it has."""
+RESULTS = Path("runs/compare"), Path("sim/paper/random_robots")
+"""Folders of results, AGENT.json each."""
 
 _RANDOM_COURSES = RobustSettings().random_courses
 _TRIALS, _TRIALS_SEED, _UNSEEN = 1000, 31415, 200
@@ -66,7 +86,7 @@ def find_agent(name: str, seed: int) -> Agent:
     following = course_policy(load_circuit("tracking"))
     if name in LAWS:
         law = LAWS[name]
-        engine = partial(Evaluator, following, commander=law_commander(law, following))
+        engine = partial(Evaluator, following, commander=law_commander(law))
         return Agent(gain_box(law), engine, True)
     if name in NETWORKS:
         return _network(net_for(following, *NETWORKS[name]), following, seed)
@@ -99,6 +119,42 @@ def _network(net: Net, policy: Policy, seed: int) -> Agent:
     start = net.start(random_stream(seed, Domain.NETWORK_START))
     box = UnitBox.of(net.layout(), start)
     return Agent(box, partial(Evaluator, policy, commander=network_commander(net)), True)
+
+
+class Found:
+    """What a comparison found for an agent, as a policy of ``rover-ncp eval``. Raises FileError."""
+
+    def __init__(self, agent: str) -> None:
+        paths = [folder / f"{agent}.json" for folder in RESULTS]
+        path = existing_file(next((path for path in paths if path.is_file()), paths[0]))
+        vector = np.array(json.loads(read_text(path))["found"])
+        following = course_policy(load_circuit("tracking"))
+        self.signals = following.sensing.inputs
+        if agent in NETWORKS:
+            commander = network_commander(net_for(following, *NETWORKS[agent]))
+        else:
+            commander = law_commander(LAWS[agent]) if agent in LAWS else circuit_commander(following)
+        if commander.size != len(vector):
+            raise ConfigError(str(path), [f"$.found: expected {commander.size} numbers, got {len(vector)}"])
+        self._runner = CommanderRunner(commander, vector)
+
+    def reset(self) -> None:
+        """Begin a trial, with the warm-up tick that the training had."""
+        self._runner.reset()
+        self._warm = False
+
+    def __call__(self, observation: FloatArray) -> tuple[float, ...]:
+        """Return v and omega."""
+        if not self._warm:
+            self._runner.tick(observation)
+            self._warm = True
+        return self._runner.tick(observation)
+
+
+def __getattr__(agent: str) -> Found:
+    if agent in {CIRCUIT, *LAWS, *NETWORKS}:
+        return Found(agent)
+    raise AttributeError(f"module benchmarks.compare has no agent {agent}")
 
 
 def compare(name: str, *, seed: int, generations: int, rollouts: int, trained_on: str) -> dict[str, Any]:

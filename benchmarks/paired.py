@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from rover_ncp.course.course import Course, load_course
-from sim.evaluate.driver import load_driver
-from sim.evaluate.evaluate import unseen_courses
+from sim.evaluate.evaluate import drive_trials, unseen_courses
+from sim.learn.engine.driver import load_driver
 from sim.stack.camera import Camera
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
-from sim.world.described import default_rover
-from sim.world.randomization import Randomization, draw_trials, load_randomization
+from sim.world.randomization import Randomization, load_randomization
 
 
 class Paired(NamedTuple):
@@ -45,11 +44,8 @@ def parked(
     driver: str, courses: Sequence[Course], ranges: Randomization, *, trials: int, seed: int
 ) -> NDArray[np.bool_]:
     """Return in which trials of a seed (trials,) a law, or a policy by name or file, parked."""
-    ticks = max(course.ticks for course in courses)
-    known, model = load_driver(driver), default_rover()
-    drawn = draw_trials(ranges, model, seed, count=trials, ticks=ticks)
-    hits: NDArray[np.bool_] = known.evaluator(courses, model, drawn).outcomes(known.vector).parked[0]
-    return hits
+    found = drive_trials(load_driver(driver), courses, ranges, trials=trials, seed=seed)
+    return np.array([not trial.reason for trial in found])
 
 
 def parked_in_stack(stack: Stack, trials: int) -> NDArray[np.bool_]:

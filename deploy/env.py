@@ -17,7 +17,6 @@ import atexit
 import queue
 import threading
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,8 +31,7 @@ from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.zenoh_client import BridgeAddress
-from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.circuit.rover_interface import RoverInterface
+from rover_ncp.circuit.rover_interface import DEFAULT_SIGNALS, FunctionRunner, RoverInterface
 from rover_ncp.core.errors import RoverNcpError, SafetyStop
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import TICK_S, Course, due_checkpoints, load_course, reward
@@ -61,34 +59,22 @@ class _Observed(NamedTuple):
     """The estimate."""
 
 
-class _Handover:
+class _Handover(FunctionRunner):
     """The drive's `Runner`: hands each observation to the environment and waits for its action."""
 
     def __init__(self) -> None:
+        super().__init__(self._exchange)
         self.drive: Drive | None = None
         self.controller: Controller | None = None
         self.observed: queue.Queue[_Observed | None] = queue.Queue()
         """None says that the drive is over."""
         self.actions: queue.Queue[tuple[float, float]] = queue.Queue()
-        self._started = self._warm = False
 
-    @property
-    def potentials(self) -> FloatArray:
-        """None: (0,)."""
-        return np.empty(0)
-
-    def reset(self) -> None:
-        """Begin a drive, whose first tick is a warm-up."""
-        self._started, self._warm = True, False
-
-    def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:
+    def _exchange(self, observation: FloatArray) -> tuple[float, float]:
         """Return the environment's action. Raises SafetyStop if none comes in time."""
-        if not self._warm:  # the warm-up, and a tick before it that would compile a circuit
-            self._warm = self._started
-            return 0.0, 0.0
         assert self.drive is not None and self.controller is not None  # ticks belong to a drive
         pose = self.controller.estimate.pose
-        self.observed.put(_Observed(self.drive.keeper.index, tuple(observation), pose))
+        self.observed.put(_Observed(self.drive.keeper.index, tuple(observation.tolist()), pose))
         try:
             return self.actions.get(timeout=ACTION_S)
         except queue.Empty:
@@ -124,14 +110,8 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
         profile: str | Path | None = None,
         pose: PoseUse = "auto",
     ) -> None:
-        parking = load_policy("parking")
-        self.signals = tuple(signals) or parking.sensing.inputs
-        sensing = parking.sensing.model_copy(update={"inputs": self.signals})
-        # It names the signals; its circuit does not run.
-        self._policy = replace(
-            parking, sensing=sensing, input_layer=np.zeros((len(sensing.channels), len(self.signals)))
-        )
-        self._interface = RoverInterface(self._policy)
+        self.signals = tuple(signals) or DEFAULT_SIGNALS
+        self._interface = RoverInterface(self.signals)
         self._address = BridgeAddress(robot, namespace, Path(zenoh_config) if zenoh_config else None)
         self._robot = load_description(str(model)) if model else None
         self._profile = load_profile(Path(profile)) if profile else None
@@ -209,7 +189,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
             rover=self._profile,
             described=self._robot,
         )
-        controller = Controller(self._policy, self.course, config.estimator, self._profile, runner=handover)
+        controller = Controller(self.signals, self.course, config.estimator, self._profile, runner=handover)
         prepare_for_real_time()
         with ZenohLink(self._address, _not_recorded) as link:
             publisher = Publisher(link, _not_recorded, ())

@@ -17,14 +17,12 @@ RESULTS = {
     "train --randomize": "sim.learn.commands:_train_robust sim.learn.record:_CourseSettings :RobustSettings",
     "train --task": "sim.learn.commands:_train_task sim.learn.record:TaskSettings",
     "eval": "sim.evaluate.commands:_drive_once rover_ncp.course.course:Verdict "
-    "sim.evaluate.courses:fitted_courses",
+    "sim.evaluate.evaluate:fitted_courses",
     "eval --trials": "sim.evaluate.evaluate:Evaluation error_m=:Spread error_rad=:Spread "
-    "sim.evaluate.courses:fitted_courses sim.evaluate.trial_runs:run_trials",
-    "eval --trials --stack, besides": "sim.evaluate.trial_runs:_totals :_through_stack "
+    ":fitted_courses sim.evaluate.commands:_drive_trials",
+    "eval --trials --stack, besides": "sim.evaluate.trial_runs:evaluate_stack "
     "estimate=sim.stack.estimates:summary estimate.error_m=:_percentiles "
     "estimate.predicted_error_m=:_percentiles",
-    "eval --trials --live, besides": "sim.evaluate.trial_runs:_totals :_live live=:_apart "
-    "apart_m=sim.evaluate.evaluate:Spread apart_rad=:Spread",
     "eval --task, a benchmark of the paper": "sim.paper.score_file:score_circuit",
     "eval --task, an environment": "sim.evaluate.commands:_play_environment",
     "bench deploy": "sim.benchmarks.deploy:bench_deploy rates=:_measure rates=:latencies "

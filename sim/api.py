@@ -14,13 +14,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from rover_ncp.circuit.policy import Policy
     from rover_ncp.course.course import Course
-    from sim.evaluate.driver import Driver
     from sim.evaluate.evaluate import Evaluation
     from sim.explain.explain import Explanation
     from sim.explain.task import TaskExplanation
     from sim.learn.agents import Snapshot
+    from sim.learn.engine.driver import Driver
     from sim.learn.engine.rollout import Rollout
     from sim.learn.robust import Generation
     from sim.learn.robust_run import RobustResult
@@ -40,7 +43,7 @@ def train(
     """Train circuits on one course, as ``rover-ncp train``, and leave the run in the folder ``out``.
 
     ``settings`` are those of `sim.learn.record.TrainSettings`: course, circuit, seed, agents, iterations and
-    search. ``on_progress`` sees all agents after every round. Raises ConfigError, FileError and UsageError.
+    search. ``on_progress`` gets all agents after every round. Raises ConfigError, FileError and UsageError.
     """
     from rover_ncp.core.config import validated
     from sim.learn.record import TrainSettings
@@ -93,23 +96,31 @@ def train_task(
 
 
 def evaluate(
-    policy: "Policy | str | Path",
+    policy: "Policy | str | Path | Callable[[NDArray[np.float64]], Any]",
     course: "Course | str | Path | Sequence[Course | str | Path]" = "parking",
     *,
     trials: int,
     randomize: str | Path = "none",
     seed: int = 0,
+    stack: bool = False,
 ) -> "Evaluation":
     """Drive random trials, trial i on course i modulo their number, and return how they ended.
 
-    ``policy`` may also name a tracking law, as ``rover-ncp eval`` takes them.
+    ``policy`` is a name as ``rover-ncp eval`` takes it, or a function from an observation to v and omega. Its
+    attribute ``signals`` names what it observes, by default x, y, theta and start. Its method ``reset``, if
+    there is one, begins each trial. With ``stack`` the trials go through firmware, bridge and driver.
     """
     from sim.evaluate.evaluate import evaluate as run
+    from sim.evaluate.evaluate import tally
+    from sim.stack.trials import Stack, drive_all
     from sim.world.described import ranges_for
 
     many = [course] if isinstance(course, str | Path) or not isinstance(course, Sequence) else course
-    ranges = ranges_for(randomize, None)
-    return run(_driver(policy), [_course(each) for each in many], ranges, trials=trials, seed=seed)
+    ranges, courses, driver = ranges_for(randomize, None), [_course(each) for each in many], _driver(policy)
+    if stack:
+        # A function may be unknown to other processes.
+        return tally(drive_all(Stack(driver, tuple(courses), ranges, seed), trials, 1))
+    return run(driver, courses, ranges, trials=trials, seed=seed)
 
 
 def rollout(policy: "Policy | str | Path", course: "Course | str | Path" = "parking") -> "Rollout":
@@ -117,7 +128,7 @@ def rollout(policy: "Policy | str | Path", course: "Course | str | Path" = "park
     from sim.learn.engine.rollout import rollout as run
 
     driver = _driver(policy)
-    return run(driver.policy, _course(course), runner=driver.runner())
+    return run(driver.signals, _course(course), runner=driver.runner())
 
 
 def explain(source: str | Path, course: str | None = None) -> "Explanation":
@@ -134,10 +145,13 @@ def explain_task(source: "str | Path | None", task: str) -> "Explanation | TaskE
     return run(None if source is None else str(source), task)
 
 
-def _driver(given: "Policy | str | Path") -> "Driver":
-    from sim.evaluate.driver import Driver, load_driver
+def _driver(given: "Policy | str | Path | Callable[[NDArray[np.float64]], Any]") -> "Driver":
+    from rover_ncp.circuit.policy import Policy
+    from sim.learn.engine.driver import circuit_driver, function_driver, load_driver
 
-    return load_driver(str(given)) if isinstance(given, str | Path) else Driver(given)
+    if isinstance(given, str | Path):
+        return load_driver(str(given))
+    return circuit_driver(given) if isinstance(given, Policy) else function_driver(given)
 
 
 def _course(given: "Course | str | Path") -> "Course":

@@ -70,12 +70,13 @@ class Controller:
     """Estimator and circuit of one drive. Times are seconds on one clock, any zero.
 
     Commands are divided by the known gains of a ``rover`` and by the turn gain that the estimator finds on
-    the way, so that it moves as the circuit asks. A ``runner`` takes the place of the policy's circuit.
+    the way, so that it moves as the circuit asks. With a ``runner``, the names of its signals take the place
+    of the policy.
     """
 
     def __init__(
         self,
-        policy: Policy,
+        policy: Policy | Sequence[str],
         course: Course,
         settings: EstimatorSettings,
         rover: RoverProfile | None = None,
@@ -87,8 +88,11 @@ class Controller:
         self._holds = self._rests_turned = False
         self._reference = plan_reference(course) if self._interface.needs_reference else None
         self._last_moving = self._reference.last_moving if self._reference else course.ticks
-        self._runner: RunnerLike = runner or Runner(policy)
-        self._runner.tick([0.0] * len(policy.sensing.inputs))  # compiles now, before the rover waits for it
+        if runner is None:
+            assert isinstance(policy, Policy)  # signals come with a runner
+            runner = Runner(policy)
+        self._runner: RunnerLike = runner
+        self._runner.tick([0.0] * len(self._interface.places))  # compiles now, before the rover waits for it
         self.estimator = Estimator(settings)
         self._gains = _gains(rover)
         self._times: list[float] = []

@@ -1,6 +1,11 @@
 """The connection of a policy to a rover: its signals, and its outputs v and omega; needs no numba."""
 
 import math
+from collections.abc import Callable, Sequence
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError
@@ -8,24 +13,28 @@ from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import TICK_S
 from rover_ncp.course.signals import SIGNALS, needs_reference, signals
 
+DEFAULT_SIGNALS = ("x", "y", "theta", "start")
+"""Observation of a policy that names no signals."""
+
 
 class RoverInterface:
-    """A policy's connection to a rover. Raises ConfigError for a policy that drives none."""
+    """A policy's connection to a rover. A policy that is no circuit is given by the names of its signals.
 
-    def __init__(self, policy: Policy) -> None:
-        names, outputs = policy.sensing.inputs, policy.motors.outputs
-        problems = []
+    Raises ConfigError for unknown signals and for a policy that drives no rover.
+    """
+
+    def __init__(self, policy: Policy | Sequence[str]) -> None:
+        if isinstance(policy, Policy):
+            names, problems = policy.sensing.inputs, _problems(policy)
+            source, asks = f"policy {policy.circuit.name}", "unknown signals in its sensing"
+        else:
+            names, problems = tuple(policy), []
+            source, asks = "observation", "unknown signals"
         if unknown := [name for name in names if name not in SIGNALS]:
             known = ", ".join(SIGNALS)
-            problems.append(
-                f"unknown signals in its sensing: {', '.join(unknown)} (expected some of {known})"
-            )
-        if outputs != Velocity._fields:
-            problems.append(f"its outputs are {', '.join(outputs)}; expected {', '.join(Velocity._fields)}")
-        if not math.isclose(policy.tick_s, TICK_S):
-            problems.append(f"its tick is {policy.tick_s:g} s, expected {TICK_S} s")
+            problems.insert(0, f"{asks}: {', '.join(unknown)} (expected some of {known})")
         if problems:
-            raise ConfigError(f"policy {policy.circuit.name}", problems)
+            raise ConfigError(source, problems)
         self.places = tuple(SIGNALS.index(name) for name in names)
         """Index of each input in ``SIGNALS``."""
         self.needs_reference = needs_reference(names)
@@ -34,3 +43,48 @@ class RoverInterface:
         """Return the observation (inputs,) at a pose; ``start`` is the start signal."""
         values = signals(pose, start, reference)
         return [values[place] for place in self.places]
+
+
+class FunctionRunner:
+    """Runs a function from an observation (n,) to v in m/s and omega in rad/s, in place of a circuit.
+
+    A circuit makes a warm-up tick at the start of a drive. The function is not called for it.
+    """
+
+    def __init__(
+        self, function: Callable[[NDArray[np.float64]], ArrayLike], reset: Callable[[], object] = lambda: None
+    ) -> None:
+        self._function, self._reset = function, reset
+        self._started = self._warm = False
+
+    def __deepcopy__(self, memo: object) -> Self:
+        """Return the runner itself: `reset` alone begins a drive."""
+        return self
+
+    @property
+    def potentials(self) -> NDArray[np.float64]:
+        """None: (0,)."""
+        return np.empty(0)
+
+    def reset(self) -> None:
+        """Begin a drive, whose first tick is the warm-up."""
+        self._started, self._warm = True, False
+        self._reset()
+
+    def tick(self, observation: Sequence[float] | NDArray[np.float64]) -> tuple[float, ...]:
+        """Return the function's command; zero in the warm-up and before the first drive."""
+        if not self._warm:
+            self._warm = self._started
+            return 0.0, 0.0
+        v, omega = np.asarray(self._function(np.array(observation, np.float64)), np.float64).tolist()
+        return v, omega
+
+
+def _problems(policy: Policy) -> list[str]:
+    """Return what keeps a circuit from driving a rover, beside unknown signals."""
+    outputs, problems = policy.motors.outputs, []
+    if outputs != Velocity._fields:
+        problems.append(f"its outputs are {', '.join(outputs)}; expected {', '.join(Velocity._fields)}")
+    if not math.isclose(policy.tick_s, TICK_S):
+        problems.append(f"its tick is {policy.tick_s:g} s, expected {TICK_S} s")
+    return problems

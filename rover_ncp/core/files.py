@@ -5,8 +5,9 @@ import contextlib
 import errno
 import os
 import secrets
+import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import resources
 from pathlib import Path
 from typing import IO
@@ -177,3 +178,14 @@ def _not_created(path: Path, error: OSError) -> FileError:
     if isinstance(error, FileExistsError) and path.is_file():
         return FileError(f"{path}: exists already; choose another file, or use --overwrite")
     return FileError(f"{path}: cannot be written: {error.strerror}")
+
+
+@contextlib.contextmanager
+def importable_working_folder() -> Iterator[None]:
+    """Let a module in the working folder be imported, but in place of no library."""
+    here = str(Path.cwd())
+    sys.path.append(here)
+    try:
+        yield
+    finally:
+        del sys.path[-1 - sys.path[::-1].index(here)]

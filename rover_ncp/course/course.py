@@ -6,6 +6,7 @@ its reward are in section VI and the published simulator.
 
 import math
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Self
@@ -72,18 +73,33 @@ class ParkedRule(StrictModel):
     still_rad: float = Field(default=0.005, gt=0)
 
 
+class Failure(StrEnum):
+    """The first condition of a parked rover that a run missed, in the order of judgement."""
+
+    NONE = ""
+    TOUCHED = "touched an obstacle"
+    EARLY = "ended early"
+    FAR = "too far from the goal"
+    TURNED = "too far from the goal's heading"
+    MOVING = "still moving"
+
+
 @dataclass(frozen=True)
 class Verdict:
-    """How a run ended: parked or not, the errors to the last checkpoint, and the first reason if not."""
+    """Result of a run: errors to the last checkpoint, and the failure with a reason in numbers."""
 
     parked: bool
     error_m: float
     error_rad: float
     reason: str = ""
+    failure: Failure = Failure.NONE
 
     def with_contact(self, words: str) -> "Verdict":
         """Return the verdict of a rover whose base reported a contact; itself if ``words`` are empty."""
-        return replace(self, parked=False, reason=f"touched an obstacle: {words}") if words else self
+        if not words:
+            return self
+        touched = Failure.TOUCHED
+        return replace(self, parked=False, reason=f"{touched}: {words}", failure=touched)
 
 
 class Course(StrictModel):
@@ -168,18 +184,23 @@ class Course(StrictModel):
         tail = [p for t, p in zip(times, poses, strict=True) if t >= times[-1] - rule.still_s - 1e-9]
         moved = max(distance(end, p) for p in tail)
         turned = max(abs(wrap_angle(end.theta - p.theta)) for p in tail)
-        reason = ""
+        failure, reason = Failure.NONE, ""
         if touched:
-            reason = "touched an obstacle"
+            failure = Failure.TOUCHED
+            reason = failure.value
         elif times[-1] < self.horizon_s - TICK_S - 1e-9:
+            failure = Failure.EARLY
             reason = f"ended early, at {times[-1]:.1f} s of {self.horizon_s:.1f} s"
         elif not error_m <= rule.position_m:
+            failure = Failure.FAR
             reason = f"{error_m:.3f} m from the goal (at most {rule.position_m} m)"
         elif not error_rad <= rule.heading_rad:
+            failure = Failure.TURNED
             reason = f"{error_rad:.3f} rad from the goal's heading (at most {rule.heading_rad} rad)"
         elif not (moved < rule.still_m and turned < rule.still_rad):
+            failure = Failure.MOVING
             reason = f"still moving: {moved:.3f} m and {turned:.3f} rad in the last {rule.still_s} s"
-        return Verdict(parked=not reason, error_m=error_m, error_rad=error_rad, reason=reason)
+        return Verdict(not failure, error_m, error_rad, reason, failure)
 
 
 def load_course(name_or_path: str | Path) -> Course:

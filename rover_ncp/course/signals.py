@@ -33,11 +33,12 @@ TABLE = (
     Signal("turn", "rad/s, the reference's turn rate, left positive", "course->omega", True),
 )
 SIGNALS = tuple(signal.name for signal in TABLE)
+REFERENCE_SIGNALS = tuple(signal.name for signal in TABLE if signal.from_reference)
 
 
 def needs_reference(names: tuple[str, ...]) -> bool:
     """Whether any of these signals comes from the reference."""
-    return any(signal.from_reference for signal in TABLE if signal.name in names)
+    return any(name in REFERENCE_SIGNALS for name in names)
 
 
 def signals(pose: Pose, start: float, reference: tuple[Pose, Velocity] | None) -> tuple[float, ...]:

@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,14 +12,9 @@ from rover_ncp.core.console import MOST_SEED, Json, Output, command, reject
 from rover_ncp.core.errors import UsageError
 from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
 
-
-class Place(StrEnum):
-    """Where a robot is identified before its drive."""
-
-    LEVEL = "level"
-    """On level ground without cables."""
-    HERE = "here"
-    """On the ground of the drive."""
+if TYPE_CHECKING:
+    from rover_ncp.robot.description import RobotDescription
+    from sim.stack.camera import Camera
 
 
 class Sensors(StrEnum):
@@ -38,7 +33,8 @@ class EvalOptions:
     policy: Annotated[
         str,
         typer.Argument(
-            help="Policy to score: a name, a YAML file, or a circuit in the published .bnn format; or a law."
+            help="Policy to score: a name, a YAML file, a circuit in the published .bnn format, a law, or "
+            "module:name for a policy in Python."
         ),
     ]
     course: Annotated[
@@ -88,21 +84,11 @@ class EvalOptions:
         ),
     ] = None
     identify: Annotated[
-        Place | None,
+        bool,
         typer.Option(
-            help="With --stack: identify each robot first, under the camera, on level ground or here.",
-            show_default=False,
+            "--identify", help="With --stack: identify each robot first, under the camera, on its ground."
         ),
-    ] = None
-    live: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=10_000,
-            help="Number of trials that are driven as real processes, in real time.",
-            show_default=False,
-        ),
-    ] = None
+    ] = False
     profile: Annotated[
         Path | None,
         typer.Option(
@@ -115,13 +101,9 @@ class EvalOptions:
         typer.Option(
             min=1,
             max=1000,
-            help="Processes. With --stack they change the speed, not the result. With --live: runs at once.",
-            show_default="one for each core; 1 live",
+            help="With --stack: number of processes. They change the speed, not the result.",
+            show_default="one for each core",
         ),
-    ] = None
-    out: Annotated[
-        Path | None,
-        typer.Option(help="With --live: folder for recordings and logs.", show_default="runs/live"),
     ] = None
     task: Annotated[
         str | None,
@@ -137,11 +119,6 @@ class EvalOptions:
         ),
     ] = None
     json: Json = False
-
-    @property
-    def folder(self) -> Path:
-        """The folder of live trials."""
-        return self.out or Path("runs/live")
 
     @property
     def courses(self) -> list[str]:
@@ -160,11 +137,11 @@ class EvalOptions:
 def evaluate(options: EvalOptions) -> int:
     """Drive a course in simulation with a policy, and score it.
 
-    Without --trials or --randomize, the policy drives once, on the nominal rover model:
+    Without --trials or --randomize, the policy drives once, on the nominal rover model.
 
-    The return is the paper's: minus the squared misses of all checkpoints, 1 rad counting as 1 m; 0 is out of
-    reach, doing nothing on the parking course scores -14.18. A .bnn circuit gets the sensors it was trained
-    with, which are not clamped.
+    The return is the paper's: minus the squared errors at all checkpoints, 1 rad counting as 1 m. 0 is out of
+    reach. A rover that does not move scores -14.18 on the parking course. A .bnn circuit gets the sensors it
+    was trained with, which are not clamped.
 
     With one of them, the policy drives randomised rovers. Each trial has its own delays, gains, noise and
     start, which follow from the seed and the trial's number alone. The true motion is scored.
@@ -173,7 +150,8 @@ def evaluate(options: EvalOptions) -> int:
         rover-ncp eval course --trials 1000 --randomize full --random-courses 200
 
     --stack drives the same trials as encoded bytes through the firmware of a mock Pioneer, the bridge with
-    its gate, and the driver with its estimator. Only sockets and waiting differ from driving a robot.
+    its gate, and the driver with its estimator. Only sockets and waiting differ from driving a robot. The
+    driver knows what --model and --profile tell it, and the noise of the odometry.
 
         rover-ncp eval course --trials 300 --randomize full --stack
 
@@ -189,13 +167,12 @@ def evaluate(options: EvalOptions) -> int:
 
         rover-ncp eval course --trials 300 --stack --model turtlebot4
 
-    --live drives each of them as three real processes, over TCP and Zenoh. The driver does not know the mock
-    robot's errors. With --stack too, trials are driven both ways, and the distance between their ends is
-    printed.
+    kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws. module:name is a
+    function of your own, or a class of such, in a module that Python finds, also in the working folder. It
+    gets the signals that its attribute signals names, and returns v and omega. A method reset, if there is
+    one, begins each trial.
 
-        rover-ncp eval course --live 4 --randomize full --course parking --course bay
-
-    kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws.
+        rover-ncp eval my_policy:Follow --trials 100 --randomize full
 
     --task plays episodes (--trials, 100) of one of the paper's other benchmarks with a circuit, YAML or .bnn
     (see 'paper'), or of a Gymnasium environment with a policy (see 'train').
@@ -208,43 +185,39 @@ def evaluate(options: EvalOptions) -> int:
     if options.task is not None:
         return _play_task(options, options.task)
     reject("needs --task", range_=options.range_)
-    if not options.live:
-        reject("needs --live", out=options.out)
-    if options.body is Body.MUJOCO and not (options.stack or options.live):
-        raise UsageError("--body mujoco needs --stack or --live: plain simulation is pymunk's")
-    if options.sensors is not None and not options.stack:
-        raise UsageError("--sensors needs --stack")
-    if options.live and (options.identify or options.sensors in {Sensors.CAMERA, Sensors.BOTH}):
-        raise UsageError("--live goes with neither a camera nor --identify")
-    if options.live and options.model is not None:
-        raise UsageError("--live drives a Pioneer 3-AT: for another robot use park --model")
-    if options.identify is not None and (options.profile is not None or not options.stack):
-        raise UsageError("--identify needs --stack, without --profile")
-    if options.processes is not None and not (options.stack or options.live):
-        raise UsageError("--processes needs --stack or --live")
-    random = (options.trials, options.randomize, options.random_courses, options.live, options.profile)
-    if random == (None,) * 5 and not options.stack and len(options.courses) == 1:
+    if not options.stack:
+        if options.body is Body.MUJOCO:
+            raise UsageError("--body mujoco needs --stack: plain simulation is pymunk's")
+        for name in ("sensors", "identify", "processes"):
+            if getattr(options, name):
+                raise UsageError(f"--{name} needs --stack")
+    if options.identify and options.profile is not None:
+        raise UsageError("--identify and --profile do not go together: both tell the driver of the robot")
+    random = (options.trials, options.randomize, options.random_courses, options.profile)
+    if random == (None,) * 4 and not options.stack and len(options.courses) == 1:
         return _drive_once(options)
-    from sim.evaluate.trial_runs import run_trials
-
-    return run_trials(options)
+    return _drive_trials(options)
 
 
 def _drive_once(options: EvalOptions) -> int:
     """Drive once on the nominal rover model."""
-    from sim.evaluate.courses import fitted_courses
-    from sim.evaluate.driver import load_driver
+    from rover_ncp.course.course import load_course
+    from rover_ncp.robot.description import load_description
+    from sim.evaluate.evaluate import fitted_courses
+    from sim.learn.engine.driver import load_driver
     from sim.learn.engine.rollout import rollout
     from sim.world.described import described_rover
 
-    (course,), robot, fitted = fitted_courses(options)
+    robot = None if options.model is None else load_description(options.model)
+    (course,), fitted = fitted_courses([load_course(name) for name in options.courses], robot)
     driver, model = load_driver(options.policy), described_rover(robot) if robot else None
-    run = rollout(driver.policy, course, model, runner=driver.runner())
+    run = rollout(driver.signals, course, model, runner=driver.runner())
     verdict = run.verdict
     fields = {
         "return": run.total,  #: the paper's; 0 is out of reach
         **vars(verdict),
         "rms_m": run.rms_m,  #: of the distances to the checkpoints, each when it was judged
+        "model": options.model,
         **fitted,
     }
     ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
@@ -257,14 +230,65 @@ def _drive_once(options: EvalOptions) -> int:
     return 0 if verdict.parked else 1
 
 
+def _drive_trials(options: EvalOptions) -> int:
+    """Drive random trials; return 1 if a single one was driven and did not park."""
+    from rover_ncp.course.course import load_course
+    from rover_ncp.robot.description import load_description
+    from sim.evaluate.evaluate import evaluate, fitted_courses, unseen_courses
+    from sim.evaluate.trial_runs import evaluate_stack, result_words
+    from sim.learn.engine.driver import load_driver
+    from sim.stack.trials import Stack
+    from sim.world.described import described_rover, ranges_for
+
+    output, more, seed = Output(options.json), dict[str, Any](), options.seed
+    robot = None if options.model is None else load_description(options.model)
+    if options.random_courses:
+        courses = unseen_courses(seed, options.random_courses)
+    else:
+        courses = [load_course(name) for name in options.courses]
+    courses, fitted = fitted_courses(courses, robot)
+    ranges = ranges_for(options.randomization, options.profile, options.body, robot)
+    trials, driver = options.trials or 1, load_driver(options.policy)
+    if options.stack:
+        gyro, camera = _sensors(options.sensors, robot)
+        stack = Stack(driver, tuple(courses), ranges, seed, gyro, camera, options.identify, robot)
+        found, more = evaluate_stack(stack, trials, options.processes, output)
+    else:
+        model = described_rover(robot) if robot else None
+        found = evaluate(driver, courses, ranges, trials=trials, seed=seed, model=model)
+    fields = found._asdict() | {
+        "randomize": options.randomization or ranges.name,  #: the name or file of the randomization
+        "model": options.model,
+        **fitted,
+        "body": options.body.value,  #: the simulator's
+        "seed": seed,  #: root seed
+        "random_courses": options.random_courses or 0,  #: how many
+        "course": ",".join(options.courses),  #: several are joined by commas
+    }
+    output.result(fields | more, "\n".join([*fitted["scaled"], *result_words(found, more)]))
+    return 1 if found.trials == 1 and found.success_rate < 1 else 0
+
+
+def _sensors(sensors: Sensors | None, robot: "RobotDescription | None") -> "tuple[bool, Camera | None]":
+    """Return whether the driver has a gyro, and its camera, if it has one. Raises UsageError."""
+    from sim.stack.camera import Camera
+
+    if sensors is None:
+        return robot is not None and robot.gyro is not None, None
+    gyro = sensors in {Sensors.GYRO, Sensors.BOTH}
+    if gyro and robot is not None and robot.arcos is None and robot.gyro is None:
+        raise UsageError(f"--sensors {sensors}: {robot.name} has no gyro")
+    return gyro, Camera() if sensors in {Sensors.CAMERA, Sensors.BOTH} else None
+
+
 def _play_task(options: EvalOptions, task: str) -> int:
     """Play a task; return 1 if a single episode was played and no success."""
     from sim.learn.engine.laws import LAWS
     from sim.paper.score_file import EPISODES, score_circuit
     from sim.paper.tasks import TASKS
 
-    if options.policy in LAWS:
-        raise UsageError(f"{options.policy} follows a course: --task needs a policy or a circuit")
+    if options.policy in LAWS or (":" in options.policy and not Path(options.policy).exists()):
+        raise UsageError(f"{options.policy} follows a course: --task needs a policy file or a circuit")
     own = {"policy", "task", "range_", "trials", "seed", "json"}
     others = {
         field.name: getattr(options, field.name)

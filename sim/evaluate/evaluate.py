@@ -1,31 +1,31 @@
 """Many trials of one policy, and their outcomes. The true pose is judged."""
 
 from collections import Counter
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.errors import UsageError
-from rover_ncp.course.course import Course, ParkedRule, Verdict
-from sim.evaluate.driver import Driver
-from sim.learn.engine.evaluator import Outcomes
+from rover_ncp.core.files import DEFAULT_ROBOT
+from rover_ncp.course.course import Course, Failure
+from rover_ncp.course.fit import rounded_up, slowed
+from rover_ncp.course.reference import plan_reference
+from rover_ncp.robot.description import RobotDescription, load_description
+from sim.learn.engine.driver import Driver
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.random_course import random_course
-from sim.world.randomization import Randomization, draw_trials
+from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import RoverModel
 
 _BATCH = 500
 """Trials at a time, so that drawn noise takes some 10 MB whatever is asked for."""
-
-
-TOUCHED, FAR, TURNED, MOVING = (
-    "touched an obstacle",
-    "too far from the goal",
-    "too far from the goal's heading",
-    "still moving",
-)
+_SHOWN = 5
+"""Largest number of lines about scaled courses; random courses may be many."""
 
 
 class Spread(NamedTuple):
@@ -40,6 +40,30 @@ class Spread(NamedTuple):
         """Return the spread of errors (n,)."""
         p50, p95 = np.percentile(errors, [50, 95]).tolist()
         return cls(p50, p95, float(errors.max()))
+
+
+class Outcome(Protocol):
+    """End of a trial: errors in m and rad, and why it did not park ("" if it did)."""
+
+    @property
+    def error_m(self) -> float:
+        """Final position error."""
+
+    @property
+    def error_rad(self) -> float:
+        """Final heading error."""
+
+    @property
+    def reason(self) -> str:
+        """A `Failure`, or the safety rule that stopped the drive."""
+
+
+class Ended(NamedTuple):
+    """The `Outcome` of a trial in plain simulation."""
+
+    error_m: float
+    error_rad: float
+    reason: str
 
 
 class Evaluation(NamedTuple):
@@ -64,53 +88,102 @@ def evaluate(
     seed: int,
     model: RoverModel | None = None,
 ) -> Evaluation:
-    """Drive ``trials`` trials of a seed, trial i on course i modulo their number. Raises ConfigError."""
+    """Drive ``trials`` trials of a seed and sum them up; arguments and errors as `drive_trials`."""
+    return tally(drive_trials(driver, courses, ranges, trials=trials, seed=seed, model=model))
+
+
+def drive_trials(
+    driver: Driver,
+    courses: Sequence[Course],
+    ranges: Randomization,
+    *,
+    trials: int,
+    seed: int,
+    model: RoverModel | None = None,
+) -> list[Ended]:
+    """Drive ``trials`` trials of a seed, trial i on course i modulo their number. Raises UsageError."""
     if trials < 1:
         raise UsageError(f"at least one trial must be driven, got {trials}")
     model = model or default_rover()
     ticks = max(course.ticks for course in courses)
-    engine, found = None, []
+    drive = _drive_lanes(driver, courses, model) if driver.lanes else _drive_runner(driver, courses, model)
+    found = list[Ended]()
     for first in range(0, trials, _BATCH):
         count = min(_BATCH, trials - first)
-        drawn = draw_trials(ranges, model, seed, count=count, ticks=ticks, first=first)
+        found += drive(draw_trials(ranges, model, seed, count=count, ticks=ticks, first=first), first)
+    return found
+
+
+def _drive_lanes(
+    driver: Driver, courses: Sequence[Course], model: RoverModel
+) -> Callable[[Trials, int], list[Ended]]:
+    """Return what drives trials, of which the first has a number, in the lanes of an episode kernel."""
+    assert driver.lanes is not None
+    commander, vector = driver.lanes()
+    engine: Evaluator | None = None
+
+    def drive(trials: Trials, first: int) -> list[Ended]:
+        nonlocal engine
         if engine is None:
-            engine = driver.evaluator(courses, model, drawn)
+            engine = Evaluator(driver.signals, courses, model, trials, commander=commander)
         else:
-            engine.change_trials(drawn, first)
-        found.append(engine.outcomes(driver.vector))
-    rules = [courses[i % len(courses)].parked for i in range(trials)]
-    limits = np.array([[rule.position_m, rule.heading_rad] for rule in rules])
-    return summarize(
-        Outcomes(*(np.concatenate(column, axis=1) for column in zip(*found, strict=True))), limits
-    )
+            engine.change_trials(trials, first)
+        found = engine.outcomes(vector)
+        rules = [courses[(first + i) % len(courses)].parked for i in range(trials.size)]
+        position, heading = np.array([(rule.position_m, rule.heading_rad) for rule in rules]).T
+        reasons = np.select(
+            [
+                found.parked[0],
+                found.touched[0],
+                ~(found.error_m[0] <= position),
+                ~(found.error_rad[0] <= heading),
+            ],
+            [Failure.NONE.value, Failure.TOUCHED.value, Failure.FAR.value, Failure.TURNED.value],
+            Failure.MOVING.value,
+        )
+        columns = found.error_m[0].tolist(), found.error_rad[0].tolist(), reasons.tolist()
+        return [Ended(*row) for row in zip(*columns, strict=True)]
+
+    return drive
 
 
-def summarize(found: Outcomes, limits: NDArray[np.float64]) -> Evaluation:
-    """Return how the trials of one candidate ended; ``limits`` (trials, 2) are the courses' m and rad."""
-    parked = found.parked[0]
-    reasons = np.select(
-        [
-            parked,
-            found.touched[0],
-            ~(found.error_m[0] <= limits[:, 0]),
-            ~(found.error_rad[0] <= limits[:, 1]),
-        ],
-        ["", TOUCHED, FAR, TURNED],
-        MOVING,
-    )
-    return tally(found.error_m[0], found.error_rad[0], reasons.tolist())
+def _drive_runner(
+    driver: Driver, courses: Sequence[Course], model: RoverModel
+) -> Callable[[Trials, int], list[Ended]]:
+    """Return what drives trials one after the other with a runner; arguments as in `_drive_lanes`."""
+    needs_reference = RoverInterface(driver.signals).needs_reference
+    references = [plan_reference(course) if needs_reference else None for course in courses]
+    runner = driver.runner()
+
+    def drive(trials: Trials, first: int) -> list[Ended]:
+        found = []
+        for row in range(trials.size):
+            place = (first + row) % len(courses)
+            verdict = rollout(
+                driver.signals,
+                courses[place],
+                model,
+                trials=trials,
+                row=row,
+                reference=references[place],
+                runner=runner,
+            ).verdict
+            found.append(Ended(verdict.error_m, verdict.error_rad, verdict.failure))
+        return found
+
+    return drive
 
 
-def tally(error_m: NDArray[np.float64], error_rad: NDArray[np.float64], causes: Sequence[str]) -> Evaluation:
-    """Sum up trials from their errors (n,) and why each did not park, "" if it did."""
-    count, successes = len(causes), causes.count("")
-    failures = Counter(why for why in causes if why)
+def tally(ended: Sequence[Outcome]) -> Evaluation:
+    """Sum up trials."""
+    count, failures = len(ended), Counter(str(trial.reason) for trial in ended if trial.reason)
+    successes = count - failures.total()
     return Evaluation(
         trials=count,
         success_rate=successes / count,
         success_ci95=_wilson(successes, count),
-        error_m=Spread.of(error_m),
-        error_rad=Spread.of(error_rad),
+        error_m=Spread.of(np.array([trial.error_m for trial in ended])),
+        error_rad=Spread.of(np.array([trial.error_rad for trial in ended])),
         failures=dict(failures.most_common()),
     )
 
@@ -122,17 +195,41 @@ def _wilson(successes: int, count: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def cause(verdict: Verdict, rule: ParkedRule) -> str:
-    """Return why a trial did not park, in the words of an evaluation; "" if it did."""
-    if verdict.parked:
-        return ""
-    if verdict.reason.startswith("touched"):
-        return TOUCHED
-    if not verdict.error_m <= rule.position_m:
-        return FAR
-    return MOVING if verdict.error_rad <= rule.heading_rad else TURNED
-
-
 def unseen_courses(seed: int, count: int) -> list[Course]:
     """Return random courses for an evaluation; a policy gets their checkpoints, not the drive behind."""
     return [random_course(seed, number)[0] for number in range(count)]
+
+
+def fitted_courses(
+    courses: Sequence[Course], robot: RobotDescription | None
+) -> tuple[list[Course], dict[str, Any]]:
+    """Return courses fitted to a robot, if one is named, and the result's fields about both."""
+    fitted, changes = list(courses), list[str]()
+    if robot is not None:
+        for place, course in enumerate(courses):
+            larger, size = _enlarged(course, robot)
+            fitted[place], pace = slowed(larger, robot)
+            changes += filter(None, (size, pace))
+    more = [f"and {len(changes) - _SHOWN} more courses"] if len(changes) > _SHOWN else []
+    return fitted, {"scaled": changes[:_SHOWN] + more}
+
+
+def _enlarged(course: Course, robot: RobotDescription) -> tuple[Course, str]:
+    """Return a course with obstacles enlarged for a robot, and a line that reports it; "" if nothing changed.
+
+    Speeds stay, so a larger course takes longer.
+    """
+    usual = load_description(DEFAULT_ROBOT)
+    larger = max(_reach(robot) / _reach(usual), robot.width_m / usual.width_m)
+    if not course.obstacles or larger <= 1.0:
+        return course, ""
+    larger = rounded_up(larger)
+    return course.scaled(larger, 1.0), (
+        f"{course.name} is {larger:g} times as large for {robot.name}, {robot.length_m:g} m by "
+        f"{robot.width_m:g} m, and takes {larger:g} times as long"
+    )
+
+
+def _reach(robot: RobotDescription) -> float:
+    """Return how far the outline reaches from the centre of rotation, before or behind it."""
+    return max(robot.front_m, robot.rear_m)

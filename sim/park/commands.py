@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import MOST_SEED, Json, Overwrite, command
+from rover_ncp.core.console import MOST_SEED, Json, Output, Overwrite, command
 from rover_ncp.core.files import DEFAULT_ROBOT
 
 
@@ -41,10 +41,18 @@ def park(options: ParkOptions) -> int:
     """Train a circuit until it parks in simulation, then park a robot with it, all in one go.
 
     The robot is a mock Pioneer that speaks the real protocol over TCP, or, with --model, a mock ROS 2 robot
-    on Zenoh; bridge and driver are the same
-    processes that drive a real one, and talk over Zenoh. Whether it parked is judged on the true pose, which
-    the driver never sees. Ends with 0 parked, 1 not parked, or with the exit code of what failed.
+    on Zenoh; bridge and driver are the same processes that drive a real one, and talk over Zenoh. The true
+    pose is judged, which the driver does not know. Ends with 0 parked, 1 not parked, or with the exit code of
+    what failed.
     """
     from sim.park.park import run_park
 
-    return run_park(options)
+    return run_park(
+        Output(options.json),
+        policy=options.policy,
+        course=options.course,
+        model=options.model,
+        seed=options.seed,
+        out=options.out,
+        overwrite=options.overwrite,
+    )

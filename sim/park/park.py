@@ -34,7 +34,6 @@ from sim.learn.train import train
 from sim.live.live_run import PIONEER, ROS2DDS, LiveRun
 from sim.live.processes import Finished, ProcessError
 from sim.live.truth import TRUTH, judge_truth, recorded_truth
-from sim.park.commands import ParkOptions
 from sim.world.rover import RoverModel
 
 ITERATIONS, AGENTS = 20_000, 12
@@ -45,19 +44,20 @@ _DEPLOY_EXTRA_S = 300.0
 """For the start of the driver on a slow and busy machine."""
 
 
-def run_park(options: ParkOptions) -> int:
+def run_park(
+    output: Output, *, policy: str | None, course: str, model: str, seed: int, out: Path, overwrite: bool
+) -> int:
     """Run ``park`` and return its exit code. Raises RoverNcpError when training or a process fails."""
-    output, out, policy = Output(options.json), options.out, options.policy
-    model, robot = options.model, load_description(options.model)
+    robot = load_description(model)
     form = PIONEER if robot.arcos is not None else ROS2DDS
-    course, pace = slowed(load_course(options.course), robot)
+    slow_course, pace = slowed(load_course(course), robot)
     for name in ("run.mcap", f"log/{TRUTH}"):  # before a long training
-        require_creatable(out / name, overwrite=options.overwrite)
+        require_creatable(out / name, overwrite=overwrite)
     training: dict[str, Any] | None = None
     if policy is None and form != PIONEER:
         policy = TRACKING_POLICY
     if policy is None:
-        training, policy, reason = _train(options, output)
+        training, policy, reason = _train(output, course, model, seed, out / "train", overwrite=overwrite)
         if reason:
             output.result(
                 {"parked": False, "reason": f"no agent parks: {reason}", "train": training},
@@ -69,9 +69,10 @@ def run_park(options: ParkOptions) -> int:
     RoverInterface(load_policy(policy))  # one that drives no rover is found before anything is started
     recording, picture, report = out / "run.mcap", out / "trajectory.png", out / "run.html"
     ros2 = [] if form == PIONEER else ["--ros2"]
+    overwriting = ["--overwrite"] if overwrite else []
     run = LiveRun(
         out / "log",
-        mock=["--course", options.course, "--model", model, *ros2, *_overwrite(options)],
+        mock=["--course", course, "--model", model, *ros2, *overwriting],
         # The drive is the mock's first: nothing measured what it does without commands.
         bridge=["--model", model, "--no-base-watchdog"] if ros2 else [],
         base_form=form,
@@ -79,18 +80,24 @@ def run_park(options: ParkOptions) -> int:
     with run:
         output.say(pace)
         output.say(
-            f"mock {model} and bridge are up ({run.robot}); the circuit drives for {course.horizon_s:.0f} s"
+            f"mock {model} and bridge are up ({run.robot}); "
+            f"the circuit drives for {slow_course.horizon_s:.0f} s"
         )
-        done, bridge = _drive(run, options, policy, course.horizon_s)
+        described = ["--model", model] if model != DEFAULT_ROBOT else []
+        done, bridge = _drive(
+            run,
+            ["--policy", policy, "--course", course, "--record", str(recording), *described, *overwriting],
+            slow_course.horizon_s,
+        )
     truth = run.truth.read()
     rewrite(read_recording(recording), recording, recorded_truth(truth))
     drive = read_drive(recording)
     began_ns = drive.timeline.ticks[0].wall_ns
     true_path = [state.pose for state in truth if state.wall_ns >= began_ns]
     estimates = [tick.estimate.pose for tick in drive.timeline.ticks]
-    write_atomic(picture, drive_chart(course, true_path, estimates, outline_of(robot)).png)
+    write_atomic(picture, drive_chart(slow_course, true_path, estimates, outline_of(robot)).png)
     write_atomic(report, drive_page(drive))
-    verdict = judge_truth(course, truth, began_ns).with_contact(done.result["contact"] or "")
+    verdict = judge_truth(slow_course, truth, began_ns).with_contact(done.result["contact"] or "")
     fields = {
         "parked": verdict.parked,  #: the verdict on the true pose
         "reason": verdict.reason,  #: why it did not park, or empty
@@ -120,21 +127,17 @@ def run_park(options: ParkOptions) -> int:
     return 0 if verdict.parked else 1
 
 
-def _train(options: ParkOptions, output: Output) -> tuple[dict[str, Any], str, str]:
+def _train(
+    output: Output, course: str, model: str, seed: int, folder: Path, *, overwrite: bool
+) -> tuple[dict[str, Any], str, str]:
     """Train until the best agent parks with room to spare, for `ITERATIONS` at most.
 
     Returns JSON fields, the policy's file, and the reason why the best agent does not park, if it does not.
     """
-    folder = options.out / "train"
-    settings = TrainSettings(
-        course=options.course,
-        # The shipped settings name no robot for a 3-AT.
-        model=None if options.model == DEFAULT_ROBOT else options.model,
-        seed=options.seed,
-        agents=AGENTS,
-        iterations=ITERATIONS,
-    )
-    _clear(folder, overwrite=options.overwrite)
+    # The shipped settings name no robot for a 3-AT.
+    described = None if model == DEFAULT_ROBOT else model
+    settings = TrainSettings(course=course, model=described, seed=seed, agents=AGENTS, iterations=ITERATIONS)
+    _clear(folder, overwrite=overwrite)
     output.say("training twelve agents until the best one parks in simulation")
     with TrainProgress(ITERATIONS) as progress:
         result = train(
@@ -192,15 +195,9 @@ def _clear(folder: Path, *, overwrite: bool) -> None:
     shutil.rmtree(folder)
 
 
-def _drive(run: LiveRun, options: ParkOptions, policy: str, horizon_s: float) -> tuple[Finished, Finished]:
-    """Drive the course; return how driver and bridge ended. Raises ProcessError."""
-    recording = str(options.out / "run.mcap")
-    described = ["--model", options.model] if options.model != DEFAULT_ROBOT else []
-    driver = run.deploy(
-        *("--policy", policy, "--course", options.course, "--record", recording),
-        *described,
-        *_overwrite(options),
-    )
+def _drive(run: LiveRun, arguments: list[str], horizon_s: float) -> tuple[Finished, Finished]:
+    """Drive a course; return how driver and bridge ended. Raises ProcessError."""
+    driver = run.deploy(*arguments)
     try:
         done = driver.wait(horizon_s + _DEPLOY_EXTRA_S)
     except KeyboardInterrupt:
@@ -212,7 +209,3 @@ def _drive(run: LiveRun, options: ParkOptions, policy: str, horizon_s: float) ->
     if done.code not in {0, 1} or not done.result:
         raise ProcessError("deploy", done.code, done.last_line)
     return done, bridge
-
-
-def _overwrite(options: ParkOptions) -> list[str]:
-    return ["--overwrite"] if options.overwrite else []

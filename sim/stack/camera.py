@@ -9,16 +9,26 @@ import numpy as np
 
 from rover_ncp.core.geometry import Pose
 from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance
-from sim.stack.virtual import NS, WALL_NS
+from sim.stack.lines import NS, WALL_NS
 from sim.world.rover import Rover
 
 RAD_PER_M = math.radians(1.0) / 0.02
 """Noise of the heading for a noise of the position: 1 degree for 2 cm."""
 
 
+KNOWN_M, KNOWN_RAD = 0.001, 0.001
+"""Standard deviations of a start pose."""
+
+
+def start_pose(pose: Pose, wall_ns: int) -> bytes:
+    """Return the external pose of a rover that was placed to the millimetre."""
+    covariance = np.diag(np.square([KNOWN_M, KNOWN_M, KNOWN_RAD]))
+    return pose_with_covariance(pose, covariance, wall_ns, COURSE_FRAME)
+
+
 @dataclass(frozen=True)
 class Camera:
-    """Its properties; the noise is the standard deviation of x and of y."""
+    """Rate, noise and delay of a camera; the noise is the standard deviation of x and of y."""
 
     hz: float = 5.0
     noise_m: float = 0.02
@@ -31,7 +41,7 @@ class Camera:
 
 
 class Localiser:
-    """Sees one rover through a camera, and sends its pose as a message. ``stream`` draws noise and phase."""
+    """Sends the pose of one rover as a camera measures it. ``stream`` draws noise and phase."""
 
     def __init__(
         self, camera: Camera, rover: Rover, stream: np.random.Generator, send: Callable[[bytes, int], None]
@@ -39,10 +49,10 @@ class Localiser:
         self._camera, self._rover, self._stream, self._send = camera, rover, stream, send
         self._next_s = float(stream.uniform(0.0, 1.0)) / camera.hz
         self._pending: deque[tuple[float, bytes]] = deque()
-        """When a message arrives, and its bytes."""
+        """Arrival times in s, and messages."""
 
     def observe(self, now: float) -> None:
-        """Let the camera see the rover at ``now`` s, and deliver what arrives by then."""
+        """Measure the rover's pose at ``now`` s if it is due, and deliver what has arrived."""
         if now >= self._next_s:
             self._next_s += 1.0 / self._camera.hz
             noise = self._camera.noise

@@ -14,15 +14,6 @@ from sim.pioneer.trial import BaseTrial, Drawn
 from sim.stack.camera import Camera, Localiser
 from sim.stack.lines import simulated_base
 from sim.stack.virtual import VirtualBridge, VirtualLink
-from sim.world.randomization import Randomization
-
-
-def levelled(ranges: Randomization) -> Randomization:
-    """Return ranges that draw the same robots on level ground."""
-    if ranges.skid_steer is None:
-        return ranges
-    level = ranges.skid_steer.model_copy(update={"slope_rad": (0.0, 0.0), "cables": 0})
-    return ranges.model_copy(update={"skid_steer": level})
 
 
 def identified(

@@ -22,6 +22,10 @@ from sim.pioneer.ros2_robot import Ros2Robot
 from sim.pioneer.trial import BaseTrial
 from sim.world.rover import Rover
 
+NS = 1_000_000_000
+WALL_NS = 1_700_000_000 * NS
+"""Time of the wall clock when the virtual clock shows 0."""
+
 
 def simulated_base(
     robot: RobotDescription, rover: Rover, trial: BaseTrial, *, gyro: bool, seed: int = 0

@@ -1,8 +1,8 @@
 """Random trials through the whole stack: firmware, bridge and driver as they are, on a virtual clock.
 
 The trials are those of `evaluate`, drawn from the same seeds. Here their errors act where a robot has them,
-at the base. The driver knows the content of its packets, its start pose and the noise of its odometry. The
-true pose is judged.
+at the base. The driver is that of `deploy`. Beside its packets and its start pose it knows the description
+and the profile of its robot, and a profile that names the noise of its odometry. The true pose is judged.
 """
 
 import copy
@@ -10,28 +10,25 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable
 from concurrent.futures import as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import NamedTuple
 
 from deploy.drive.config import DriveConfig, settings_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
-from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.streams import Domain, integer_seed, random_stream
 from rover_ncp.course.course import Course, Verdict
 from rover_ncp.robot.description import RobotDescription, load_description
-from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
-from sim.evaluate.commands import Place
-from sim.evaluate.driver import Driver
-from sim.evaluate.evaluate import cause
+from rover_ncp.robot.profile import RoverProfile
+from sim.learn.engine.driver import Driver
 from sim.learn.workers import ProcessPool, available_processes, made_in_each_process
 from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
 from sim.stack.camera import Camera, Localiser
-from sim.stack.estimates import Belief, belief_of, settings_of
-from sim.stack.identification import identified, levelled
+from sim.stack.estimates import Belief, belief_of
+from sim.stack.identification import identified
 from sim.stack.lines import simulated_base
 from sim.stack.virtual import SilentPublisher, VirtualBridge, VirtualLink
 from sim.world.described import described_rover
@@ -48,7 +45,7 @@ class Driven(NamedTuple):
 
     parked: bool
     reason: str
-    """The first in the order of ``Course.judge``, or the safety rule; "" if it parked."""
+    """A `Failure`, or the safety rule that stopped the drive; "" if it parked."""
     error_m: float
     error_rad: float
     pose: Pose
@@ -56,8 +53,7 @@ class Driven(NamedTuple):
     overruns: int
     bytes_to_base: int
     bytes_from_base: int
-    belief: Belief | None = None
-    """None for live drives."""
+    belief: Belief
 
 
 @dataclass(frozen=True)
@@ -72,17 +68,14 @@ class Stack:
     """Whether the base has a gyro for its driver."""
     camera: Camera | None = None
     """External localisation while the rover drives."""
-    identify: Place | None = None
-    """Where the robot is identified before it drives, if at all; ``identify_camera`` then sees it."""
-    identify_camera: Camera = field(default_factory=Camera)
+    identify: bool = False
+    """Whether each robot is identified before its drive, on its ground, under the camera or a usual one."""
     robot: RobotDescription | None = None
-    """The model of robot; None is a Pioneer 3-AT that its driver knows nothing of."""
-    knows_family: bool = True
-    """Whether the driver knows the spread of its family's errors, as `deploy` does not."""
+    """The model of robot; None is a Pioneer 3-AT without a description for its driver."""
 
     @cached_property
     def description(self) -> RobotDescription:
-        """The robot's."""
+        """The description of the simulated robot."""
         return self.robot or load_description(DEFAULT_ROBOT)
 
     @cached_property
@@ -92,28 +85,17 @@ class Stack:
 
     @cached_property
     def known(self) -> RoverProfile:
-        """The driver's robot profile: the noise of its odometry, and the given profile, if any."""
-        return self._completed(self.ranges.rover or RoverProfile(name=f"a robot of {self.ranges.name}"))
+        """The driver's robot profile: the given one, if any, with the noise of odometry."""
+        return self._with_noise(self.ranges.rover or RoverProfile(name=f"a robot of {self.ranges.name}"))
 
-    def _completed(self, rover: RoverProfile) -> RoverProfile:
+    def _with_noise(self, rover: RoverProfile) -> RoverProfile:
         noises = {"noise_m": self.ranges.noise_m, "noise_rad": self.ranges.noise_rad}
         unknown = {name: noise for name, noise in noises.items() if getattr(rover, name) is None}
         return rover.model_copy(update=unknown)
 
     @cached_property
-    def settings(self) -> EstimatorSettings:
-        """The estimator's, unless the robot is identified before its drive."""
-        return self._settings(self.known, measured=self.ranges.rover is not None)
-
-    def _settings(self, known: RoverProfile, *, measured: bool) -> EstimatorSettings:
-        if self.robot is not None or not self.knows_family:
-            return settings_for(known, self.robot)
-        alone = not self.gyro and self.camera is None
-        return settings_of(self.ranges, known, measured=measured, alone=alone)
-
-    @cached_property
     def _controllers(self) -> dict[int, Controller]:
-        """A driver for each course that was met; its reference takes a second to plan."""
+        """Controllers by course; a reference takes a second to plan."""
         return {}
 
     def course(self, number: int) -> Course:
@@ -124,20 +106,16 @@ class Stack:
         """Return the robot of a trial."""
         return draw_rover(self.ranges, self.description, self.course(number), seed=self.seed, number=number)
 
-    def _identified(self, number: int, place: Place) -> RoverProfile:
-        """Identify the robot of a trial, and return what its driver then knows."""
-        ranges = levelled(self.ranges) if place is Place.LEVEL else self.ranges
-        drawn = draw_rover(ranges, self.description, None, seed=self.seed, number=number)
+    def identified(self, number: int) -> RoverProfile:
+        """Identify the robot of a trial before its drive; return the driver's profile."""
+        drawn = draw_rover(self.ranges, self.description, None, seed=self.seed, number=number)
         stream = random_stream(self.seed, Domain.IDENTIFICATION, number)
-        found = self._completed(identified(drawn, self.description, self.identify_camera, stream))
-        return found.model_copy(update=dict.fromkeys(OF_THE_GROUND)) if place is Place.LEVEL else found
+        return self._with_noise(identified(drawn, self.description, self.camera or Camera(), stream))
 
     def drive(self, number: int) -> Driven:
         """Drive a trial from power-up to the motors' release."""
-        known, settings = self.known, self.settings
-        if self.identify is not None:
-            known = self._identified(number, self.identify)
-            settings = self._settings(known, measured=True)
+        known = self.identified(number) if self.identify else self.known
+        settings = settings_for(known, self.robot)
         course, (rover, trials) = self.course(number), self.drawn(number)
         base_seed = integer_seed(self.seed, Domain.BASE_SENSORS, number)
         base = simulated_base(self.description, rover, BaseTrial(trials), gyro=self.gyro, seed=base_seed)
@@ -166,18 +144,17 @@ class Stack:
             start_rad=math.pi,
             estimator=settings,
             rover=known,
+            described=self.robot,
         )
         publisher = SilentPublisher(link, lambda message: None, self.driver.neurons, bridge)
-        drive = Drive(
-            link, self._controller(number, known, settings), publisher, config, lambda: False, clock=bridge
-        )
+        drive = Drive(link, self._controller(number, config), publisher, config, lambda: False, clock=bridge)
         drive.wait()
         drive.run({})
         report = drive.keeper.report()
         verdict = truth.judge(course, link.first_command_ns)
         return Driven(
             verdict.parked and drive.stop is None,
-            cause(verdict, course.parked) if drive.stop is None else f"stopped by {drive.stop.rule}",
+            verdict.failure if drive.stop is None else f"stopped by {drive.stop.rule}",
             verdict.error_m,
             verdict.error_rad,
             rover.pose,
@@ -188,12 +165,13 @@ class Stack:
             belief_of(drive, rover.pose),
         )
 
-    def _controller(self, number: int, known: RoverProfile, settings: EstimatorSettings) -> Controller:
+    def _controller(self, number: int, config: DriveConfig) -> Controller:
         """Return a driver that has not started yet."""
         place = number % len(self.courses)
-        if self.identify is not None or place not in self._controllers:
+        if self.identify or place not in self._controllers:
+            runner = self.driver.runner()
             self._controllers[place] = Controller(
-                self.driver.policy, self.courses[place], settings, known, self.driver.runner()
+                self.driver.signals, self.courses[place], config.estimator, config.rover, runner
             )
         return copy.deepcopy(self._controllers[place])
 

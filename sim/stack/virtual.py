@@ -29,14 +29,11 @@ from rover_ncp.wire.protocol import (
     dump_json,
     parse_json,
 )
-from sim.live.peers import known_pose
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.ros2_robot import Ros2Robot
-from sim.stack.lines import virtual_line
+from sim.stack.camera import start_pose
+from sim.stack.lines import NS, WALL_NS, virtual_line
 
-NS = 1_000_000_000
-WALL_NS = 1_700_000_000 * NS
-"""The wall clock's time when the virtual clock shows 0."""
 _LATE_NS = 1000
 """Delay of each wake-up of a loop: rounding never makes it too early."""
 
@@ -216,7 +213,7 @@ class VirtualLink(Link):
         self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
         self.receive(name, Arrival(data, self._bridge.now_ns))
         if name == "odom" and not self._requested:
-            self.poses.put(Arrival(known_pose(self._start, wall_ns), self._bridge.now_ns))
+            self.poses.put(Arrival(start_pose(self._start, wall_ns), self._bridge.now_ns))
 
     def localise(self, data: bytes, now_ns: int) -> None:
         """Deliver an external pose that arrives now."""

@@ -110,7 +110,7 @@ def _offset(image: bytes, name: str, times: int, *values: float) -> int:
 
 
 def _check_writing(space: pymunk.Space, body: pymunk.Body, fields: dict[str, int]) -> None:
-    """Put a body elsewhere as a kernel does, and see that Chipmunk goes on from there."""
+    """Move a body as a kernel does, and check that Chipmunk continues from there."""
     memory = _memory(body)
     for name, values in (("position", (7.0, 8.0)), ("velocity", (1.0, 2.0)), ("angular_velocity", (4.0,))):
         content = struct.pack(f"{len(values)}d", *values)

@@ -5,6 +5,7 @@ Importing this module registers it. Gymnasium 1 looks for no plugins, but import
     gymnasium.make("sim.world.env:rover_ncp/RoverParking-v0")
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -12,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.course.course import TICK_S, Course, due_checkpoints, load_course, reward
+from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.signals import SIGNALS, needs_reference, signals
 from rover_ncp.course.spaces import ACTIONS, observation_space
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
@@ -25,7 +28,8 @@ FloatArray = NDArray[np.float64]
 class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
     """Drive a rover through the checkpoints of a course, each at its time.
 
-    Observation, ``Box(4, float64)``: the true pose in the course's frame, and the start signal.
+    Observation, ``Box(float64)``: the signals that ``signals`` names, see docs/reference/files.md, from the
+    true pose. By default the pose in the course's frame and the start signal:
 
     | index | quantity        | min   | max  | unit |
     |-------|-----------------|-------|------|------|
@@ -54,10 +58,19 @@ class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium declares it so
 
-    def __init__(self, course: str | Course = "parking", model: RoverModel | None = None) -> None:
+    def __init__(
+        self,
+        course: str | Course = "parking",
+        model: RoverModel | None = None,
+        *,
+        signals: Sequence[str] = (),
+    ) -> None:
         self.course = course if isinstance(course, Course) else load_course(course)
         self.model = model or default_rover()
-        self.observation_space = observation_space()
+        self.signals = tuple(signals) or ("x", "y", "theta", "start")
+        self.observation_space = observation_space(self.signals)
+        self._places = [SIGNALS.index(name) for name in self.signals]
+        self._reference = plan_reference(self.course) if needs_reference(self.signals) else None
         self.action_space = ACTIONS
         require_free_start(self.model, self.course)
         self._due = due_checkpoints(self.course)
@@ -90,7 +103,9 @@ class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
         return self._observation(), gain, terminated, False, self._info()
 
     def _observation(self) -> FloatArray:
-        return np.array([*self.rover.pose, self.course.start_signal(TICK_S * self.tick)])
+        reference = self._reference.tick(self.tick) if self._reference else None
+        values = signals(self.rover.pose, self.course.start_signal(TICK_S * self.tick), reference)
+        return np.array([values[place] for place in self._places])
 
     def _info(self) -> dict[str, Any]:
         return {"time_s": TICK_S * self.tick, "touched": self.touched}

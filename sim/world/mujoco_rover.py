@@ -39,15 +39,15 @@ rim that is held gives way by 1 mm for 1.5 N·m."""
 WALL_HEIGHT_M = 0.5
 CABLE_M = 3.0
 SETTLING_S = 0.5
-"""So long a rover stands on its tyres before it is placed."""
+"""Time for a rover to settle on its tyres before it is placed."""
 RAY_BELOW_M = 0.027
-"""How far below its top the robot looks for walls."""
+"""Distance of the rays to walls below the robot's top."""
 WHEEL_INERTIA, ARMATURE = (0.003, 0.006, 0.003), 0.005
-"""Of a wheel and of its motor, for a 3-AT; in proportion to mass and radius squared for others."""
+"""Inertias of a wheel and of its motor for a 3-AT; others have them by mass and radius squared."""
 _WALLS_ONLY = np.array([0, 1, 0, 0, 0, 0], np.uint8)
 """The geometry groups that a ray meets."""
 _YAW = 2
-"""The place of the gyro's vertical axis among the sensors' values."""
+"""Index of the gyro's vertical axis among the sensors' values."""
 USUAL = SkidRobot()
 _ORIGIN, _STILL = Pose(0.0, 0.0, 0.0), Velocity(0.0, 0.0)
 _CABLES, _WALLS = 1, 2

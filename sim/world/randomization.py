@@ -29,8 +29,7 @@ IntArray = NDArray[np.int64]
 
 
 Sensors = Literal["encoders", "gyro", "camera"]
-"""What the pose that a policy sees is made from: wheels alone; their way and a gyro's turn; or it is the true
-pose, with noise."""
+"""Sources of the observed pose: encoders; encoders and a gyro's turn; or the true pose with noise."""
 
 
 class Randomization(StrictModel):
@@ -43,27 +42,31 @@ class Randomization(StrictModel):
     start_m: float = Field(default=0.0, ge=0, description="start in x and in y, known to the rover")
     start_rad: float = Field(default=0.0, ge=0, description="start heading, known to the rover")
     delay_v_s: tuple[float, float] | None = Field(default=None, description="least and most, not the model's")
-    delay_omega_s: tuple[float, float] | None = Field(default=None, description="the same for turn commands")
+    delay_omega_s: tuple[float, float] | None = Field(
+        default=None, description="least and most for turn commands"
+    )
     acceleration: float = Field(default=0.0, ge=0, lt=1, description="share, forward and turning")
     gain: float = Field(default=0.0, ge=0, lt=1, description="share of speed and of turn rate")
     odometry_scale: float = Field(default=0.0, ge=0, lt=1, description="share, in distance and in heading")
-    noise_m: float = Field(default=0.0, ge=0, description="standard deviation of a seen x and y")
-    noise_rad: float = Field(default=0.0, ge=0, description="the same of a seen heading")
+    noise_m: float = Field(default=0.0, ge=0, description="standard deviation of an observed x and y")
+    noise_rad: float = Field(default=0.0, ge=0, description="standard deviation of an observed heading")
     lost: float = Field(default=0.0, ge=0, lt=1, description="share of commands that do not arrive")
     burst: float = Field(default=1.0, ge=1, description="mean number of commands lost in a row")
-    imbalance_rad_m: float = Field(default=0.0, ge=0, description="turn per way that no encoder sees")
+    imbalance_rad_m: float = Field(
+        default=0.0, ge=0, description="wheel mismatch: turn per metre that no encoder measures"
+    )
     slip_s: float = Field(default=0.0, ge=0, description="0..: lost share of a turn per rad/s, unseen")
     speed_step_m_s: float = Field(default=0.0, ge=0, description="commands come in whole steps")
-    turn_step_rad_s: float = Field(default=0.0, ge=0, description="the same for turn commands")
-    jitter_s: float = Field(default=0.0, ge=0, le=TICK_S, description="0..: age of a seen pose")
-    drift_rad_s: float = Field(default=0.0, ge=0, description="of the seen heading")
+    turn_step_rad_s: float = Field(default=0.0, ge=0, description="turn commands come in whole steps")
+    jitter_s: float = Field(default=0.0, ge=0, le=TICK_S, description="0..: age of an observed pose")
+    drift_rad_s: float = Field(default=0.0, ge=0, description="of the observed heading")
     bump_m: float = Field(default=0.0, ge=0, description="one push on the way, unseen")
     bump_rad: float = Field(default=0.0, ge=0, description="turn of that push")
     turn_gain: tuple[float, float] | None = Field(
         default=None, description="least and most; of the wheels' turn"
     )
     rotation_center_m: float = Field(default=0.0, ge=0, description="behind the middle, or ahead")
-    sensors: Sensors = Field(default="encoders", description="of the seen pose, but for the stack")
+    sensors: Sensors = Field(default="encoders", description="of the observed pose, but for the stack")
     rover: RoverProfile | None = Field(default=None, description="what is known, and so not drawn")
 
     @model_validator(mode="after")
@@ -77,9 +80,9 @@ class Trials(NamedTuple):
     """N trials of up to T ticks as arrays for kernels."""
 
     exact: bool
-    """The rover sees its true pose; all of odometry, noise and age is left out."""
+    """Whether the policy observes the true pose, without odometry, noise and age."""
     sensors: tuple[bool, bool]
-    """Whether sensors see the true turn, and the true pose."""
+    """Whether sensors measure the true turn, and the true pose."""
     start: FloatArray
     """(N, 3) pose in the course's frame."""
     acceleration: FloatArray
@@ -196,7 +199,7 @@ def _of_known(
     ticks: int,
     first: int,
 ) -> Trials:
-    """Draw the same trials, but for what is known of the rover."""
+    """Draw trials whose known values are those of a rover profile."""
     noises = {
         "noise_m": ranges.noise_m if known.noise_m is None else known.noise_m,
         "noise_rad": ranges.noise_rad if known.noise_rad is None else known.noise_rad,
@@ -228,7 +231,7 @@ def _of_known(
         exact=drawn.exact and not errs,
         acceleration=acceleration,
         delay=np.rint(delay_s / SUBSTEP_S).astype(np.int64),
-        # A profile's gains are those that odometry sees.
+        # A profile's gains are measured by odometry.
         gain=_columns(drawn.gain * odometry, known.gain_v, known.gain_omega) / odometry,
         odometry=odometry,
         imbalance=imbalance,

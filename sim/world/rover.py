@@ -169,11 +169,11 @@ class Rover(Protocol):
 
     @property
     def encoders(self) -> Velocity:
-        """The motion that the encoders see: the wheels' mean speed, and the turn by the nominal track."""
+        """The motion that the encoders measure: the wheels' mean speed, and the turn by the nominal track."""
 
     @property
     def moving(self) -> bool:
-        """Whether the encoders see motion, beyond ``STILL_M_S`` or ``STILL_RAD_S``."""
+        """Whether the encoders measure motion, beyond ``STILL_M_S`` or ``STILL_RAD_S``."""
 
     @property
     def in_contact(self) -> bool:

@@ -58,7 +58,6 @@ READERS = [
 WRITERS = [
     "park --policy parking --out {}",
     "train --out {}",
-    "eval course --live 1 --out {}",
     f"deploy {ROBOT} --record {{}}",
     f"identify {ROBOT} --record {{}}",
     "identify drive.mcap --out {}",
@@ -131,9 +130,8 @@ TABLE = [
     ("mock --ros rmw-zenoh", "--ros: needs --ros2"),
     ("mock --ros2 --model turtlebot4 --gyro", "--gyro"),
     ("mock --overwrite", "--overwrite: needs --truth"),
-    ("eval course --out new", "--out: needs --live"),
     ("eval course --range a=1", "--range: needs --task"),
-    ("eval mine.bnn --task mountain-car --out new", "--out: --task goes with"),
+    ("eval mine.bnn --task mountain-car --stack", "--stack: --task goes with"),
     ("eval mine.bnn --task mountain-car --body mujoco", "--body: --task goes with"),
     ("eval mine.bnn --task mountain-car --model p3dx --processes 2", "--model, --processes: --task"),
     ("eval course --stack --camera-hz 2", "--camera-hz"),

@@ -10,7 +10,7 @@ from deploy.drive import controller
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import load_course
 from rover_ncp.export.circuit_c import circuit_files
-from sim.evaluate.driver import load_driver
+from sim.learn.engine.driver import load_driver
 from sim.stack.trials import Stack, drive_all
 from sim.world.randomization import load_randomization
 

@@ -1,42 +1,82 @@
 """A random trial as real processes, beside the same on a virtual clock."""
 
-import json
+import time
 
 import pytest
-from json_fields import assert_on_page
 from paths import DATA
 
 from deploy.replay import replay
-from rover_ncp.cli import run
-from rover_ncp.recording.recording import read_recording
-from rover_ncp.robot.profile import load_profile
+from deploy.report.recorded_drive import read_drive
+from deploy.zenoh_client import client_config
+from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.geometry import distance, wrap_angle
+from rover_ncp.course.course import load_course
+from rover_ncp.recording.recording import read_recording, rewrite
+from rover_ncp.wire.key_table import key
+from rover_ncp.wire.messages import read_text
+from rover_ncp.wire.protocol import GateStatus, parse_json
+from sim.learn.engine.driver import load_driver
+from sim.live.live_run import LiveRun
+from sim.live.peers import Peer
+from sim.live.truth import during, recorded_truth
+from sim.stack.camera import start_pose
+from sim.stack.trials import Stack
+from sim.world.randomization import load_randomization
 
 pytestmark = pytest.mark.timed
 
-SHORT = str(DATA / "short_course.yaml")
+SHORT, SEED = DATA / "short_course.yaml", 4
 
 
-def test_live_and_virtual_trials_end_at_the_same_pose(tmp_path, capsys):
-    out = tmp_path / "live"
-    asked = ["--live", "1", "--stack", "--randomize", "full", "--seed", "4", "--course", SHORT]
+class StartPosePublisher(Peer):
+    """External localisation of a rover that stands at ``pose``, until a driver has the lease."""
+
+    def __init__(self, robot, pose):
+        super().__init__(client_config(robot, None)[0])
+        self._pose = pose
+        self._gate = self.session.declare_subscriber(key("", "rover/gate"), self._receive_gate)
+
+    def run(self):
+        while not self.closing.wait(0.1):
+            self.session.put(key("", "pose"), start_pose(self._pose, time.time_ns()))
+
+    def _receive_gate(self, sample):
+        if parse_json(GateStatus, read_text(sample.payload.to_bytes())).lease:
+            self.closing.set()
+
+
+def test_live_and_virtual_trials_end_at_the_same_pose(tmp_path):
+    course, ranges = load_course(SHORT), load_randomization("full")
+    stack = Stack(load_driver("course"), (course,), ranges, SEED)
+    # The driver knows the noise of its odometry and its start pose, and nothing else.
+    assert set(stack.known.model_dump(exclude_none=True)) == {
+        *("format", "name", "noise_m", "noise_rad", "std", "measured")
+    }
+    assert stack.known.std == {}
+    profile, recording = tmp_path / "driver.yaml", tmp_path / "run.mcap"
+    profile.write_text(dump_yaml(stack.known.model_dump(mode="json", exclude_none=True)))
+    mock = ["--course", str(SHORT), "--randomize", "full", "--trial", "0", "--seed", str(SEED)]
+    with LiveRun(tmp_path / "log", mock=mock) as run:
+        with StartPosePublisher(run.robot, stack.drawn(0).rover.pose):
+            driver = run.deploy(
+                *("--policy", "course", "--course", str(SHORT), "--profile", str(profile)),
+                *("--pose", "required", "--record", str(recording)),
+            )
+            done = driver.wait(course.horizon_s + 180.0)
+        bridge = run.bridge.stop().result
+        run.mock.stop()
     # The short course ends while the rover moves: the poses at that time are compared.
-    assert run(["eval", "course", *asked, "--out", str(out), "--json"]) in {0, 1}
-    fields = json.loads(capsys.readouterr().out)
-    assert_on_page(fields, "eval --trials", "eval --trials --live, besides")
-    trial = fields["live"][0]
-    assert (fields["trials"], trial["trial"], trial["course"]) == (1, 0, "short")
-    assert not trial["reason"].startswith("stopped by")
+    assert done.code in {0, 1}, done.last_line
+    assert done.result["stopped_by"] is None
+    assert bridge["bytes_to_base"] > 500
+    truth = run.truth.read()
+    rewrite(read_recording(recording), recording, recorded_truth(truth))
+    began_ns = read_drive(recording).timeline.ticks[0].wall_ns
+    live, virtual = during(course, truth, began_ns)[-1].pose, stack.drive(0).pose
     # The rover still moves at 0.1 m/s then, so a delay of the last sample is a distance.
-    assert fields["apart_m"]["max"] < 0.02
-    assert fields["apart_rad"]["max"] < 0.05
-    assert fields["bytes_to_base"] > 500
-    recording = read_recording(out / "000" / "run.mcap")
-    assert len(recording.topic("truth/pose")) > 400
-    # The driver knew the noise of its odometry and its start pose, and nothing else.
-    known = load_profile(out / "000" / "driver.yaml").model_dump(exclude_none=True)
-    assert set(known) == {"format", "name", "noise_m", "noise_rad", "std", "measured"}
-    assert known["std"] == {}
-    assert recording.topic("pose")
-    assert replay(out / "000" / "run.mcap").difference is None
-    assert run(["eval", "course", *asked, "--out", str(out)]) == 2
-    assert "is not an empty folder" in capsys.readouterr().err
+    assert distance(live, virtual) < 0.02
+    assert abs(wrap_angle(live.theta - virtual.theta)) < 0.05
+    found = read_recording(recording)
+    assert len(found.topic("truth/pose")) > 400
+    assert found.topic("pose")
+    assert replay(recording).difference is None

@@ -86,8 +86,8 @@ def run(command, folder):
 
 @pytest.mark.timeout(300)  # processes that start one after the other, on a machine that is busy otherwise
 def test_children_import_nothing_from_the_current_folder(script, folder):
-    done = run([script, "eval", "course", "--live", "1", "--course", "moment.yaml"], folder)
-    assert json.loads(done.stdout)["trials"] == 1, done.stderr
+    done = run([script, "park", "--policy", "course", "--course", "moment.yaml"], folder)
+    assert json.loads(done.stdout)["ticks"] == 10, done.stderr
     quick = ["--agents", "2", "--iterations", "20", "--processes", "2", "--course", "moment.yaml"]
     done = run([script, "train", *quick, "--out", "run"], folder)
     assert done.returncode == 0, done.stderr

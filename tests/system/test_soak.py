@@ -50,13 +50,13 @@ def test_row_with_its_own_mock_can_come_twice(tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ended_process_ends_its_children(tmp_path, number):
-    command = ("eval", "course", "--live", "1", "--randomize", "none")
+    command = ("park", "--policy", "course")
     child = subprocess.Popen(
         [sys.executable, "-m", "rover_ncp", *command, "--out", str(tmp_path / "out"), "--json"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    log = tmp_path / "out" / "000" / "log" / "bridge.log"
+    log = tmp_path / "out" / "log" / "bridge.log"
     while "ready" not in (log.read_text() if log.exists() else ""):
         assert child.poll() is None
     started = psutil.Process(child.pid).children(recursive=True)

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -10,11 +11,37 @@ import pytest
 from tutorials import PAGES, steps
 
 NEEDS_A_CLONE = "source .venv/bin/activate"
+READY = ("listening on ", "ready ")
+"""First words of a line by which a mock or a bridge is ready."""
 COMMANDS = ("rover-ncp ", "python ", "sed ")
 
 
+@pytest.fixture
+def background():
+    """Start a command and wait until it is ready; all of them end with the test."""
+    started = []
+
+    def start(line, folder, environment):
+        process = subprocess.Popen(
+            shlex.split(line), cwd=folder, env=environment,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        started.append(process)
+        said = []
+        for words in process.stdout:
+            said.append(words)
+            if words.startswith(READY):
+                return
+        raise AssertionError((line, said))
+
+    yield start
+    for process in reversed(started):
+        process.terminate()
+        process.communicate(timeout=30)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_command_of_a_tutorial_runs(page, tmp_path):
+def test_every_command_of_a_tutorial_runs(page, tmp_path, background):
     installed = tmp_path / "installed"  # not into the environment of the tests
     environment = {
         **os.environ,
@@ -31,6 +58,10 @@ def test_every_command_of_a_tutorial_runs(page, tmp_path):
             if line == NEEDS_A_CLONE:
                 continue
             assert line.startswith(COMMANDS), line
+            if line.endswith(" &"):
+                background(line.removesuffix(" &"), tmp_path, environment)
+                ran += 1
+                continue
             own = line.replace("pip install", f"pip install --target {installed}")
             done = subprocess.run(
                 own, shell=True, cwd=tmp_path, env=environment,

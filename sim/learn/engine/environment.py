@@ -6,10 +6,8 @@ actions are numbers 0 to n - 1, the largest of n outputs chooses one. A step of 
 tick of the circuit, which begins an episode at rest.
 """
 
-import sys
 import warnings
 from copy import copy
-from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import gymnasium
@@ -19,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError, UsageError
+from rover_ncp.core.files import importable_working_folder
 from sim.learn.engine.commander import circuit_commander
 from sim.learn.search.base import Seeds
 
@@ -45,17 +44,12 @@ def make_environment(name: str) -> Environment:
 
     Raises UsageError.
     """
-    here = str(Path.cwd())
     try:
-        # Last, and for this import alone: no file of the folder takes the place of a library.
-        sys.path.append(here)
-        with warnings.catch_warnings():
+        with importable_working_folder(), warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
             return gymnasium.make(name)
     except (gymnasium.error.Error, ImportError) as error:
         raise UsageError(f"environment {name}: {str(error).strip()}") from error
-    finally:
-        del sys.path[-1 - sys.path[::-1].index(here)]
 
 
 def require_fit(name: str, environment: Environment, policy: Policy) -> None:

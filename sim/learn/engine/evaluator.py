@@ -71,16 +71,16 @@ class _LaneSet(NamedTuple):
 class Evaluator:
     """Scores parameter vectors of one commander, by default a policy's circuit. One thread at a time.
 
-    Of the policy of another commander only the inputs count. With ``trials``, trial i is driven on course i
-    modulo the number of courses; without, each course once as the model is. References are planned where the
-    policy observes them and none are given.
+    With another commander, the names of its signals take the place of the policy. With ``trials``, trial i is
+    driven on course i modulo the number of courses; without, each course once as the model is. References are
+    planned where the policy observes them and none are given.
 
     Raises ConfigError when the policy cannot drive or a course's start is blocked.
     """
 
     def __init__(
         self,
-        policy: Policy,
+        policy: Policy | Sequence[str],
         course: Course | Sequence[Course],
         model: RoverModel | None = None,
         trials: Trials | None = None,
@@ -98,7 +98,10 @@ class Evaluator:
         self._ground = np.array([self._grounds.index(each.obstacles) for each in courses])
         if references is None and interface.needs_reference:
             references = [plan_reference(each) for each in courses]
-        self._commander = commander or circuit_commander(policy)
+        if commander is None:
+            assert isinstance(policy, Policy)  # signals come with a commander
+            commander = circuit_commander(policy)
+        self._commander = commander
         self._kernel = episode_kernel(self._commander.start_lane, self._commander.tick_lanes)
         self._signal_at = np.array(interface.places)
         self._tasks = _tasks(courses, references, self.model)

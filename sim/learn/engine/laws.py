@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.policy import Policy
+from rover_ncp.course.reference import COMMAND_MAX
 from rover_ncp.kernels.jit import kernel
 from sim.learn.engine.commander import Commander
 from sim.learn.search.unit_box import UnitBox
@@ -112,9 +112,9 @@ def tick_laws(lanes: LawLanes, observations: FloatArray, commands: FloatArray) -
             commands[axis, lane] = 0.0 if still else part
 
 
-def law_commander(law: Law, policy: Policy) -> Commander:
-    """Return the commander of a law, which has a policy's signals and limits. Its vectors are the gains."""
-    limits = np.array(policy.motors.limits)
+def law_commander(law: Law) -> Commander:
+    """Return the commander of a law, with the limits of a circuit's commands. Its vectors are the gains."""
+    limits = np.array(COMMAND_MAX)
 
     def allocate(count: int) -> LawLanes:
         return LawLanes(law.number, limits, np.zeros((count, len(law.gains))))

@@ -9,13 +9,14 @@ and gives the same bits.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.rover_interface import RoverInterface
+from rover_ncp.circuit.rover_interface import FunctionRunner, RoverInterface
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course, Verdict, due_checkpoints, reward
@@ -95,18 +96,19 @@ class _Odometry:
 
 
 def rollout(
-    policy: Policy,
+    policy: Policy | Sequence[str],
     course: Course,
     model: RoverModel | None = None,
     *,
     trials: Trials | None = None,
     row: int = 0,
     reference: Reference | None = None,
-    runner: Runner | CommanderRunner | None = None,
+    runner: Runner | CommanderRunner | FunctionRunner | None = None,
 ) -> Rollout:
     """Drive a course to its horizon, as the model is or in trial ``row``.
 
-    Another ``runner`` than the policy's has its signals. Raises ConfigError when the policy cannot drive.
+    With a ``runner``, the names of its signals take the place of the policy. Raises ConfigError when the
+    policy cannot drive.
     """
     interface = RoverInterface(policy)
     model = model or default_rover()
@@ -116,7 +118,10 @@ def rollout(
         reference = plan_reference(course)
     start, odometry = Pose(*trials.start[row].tolist()), _Odometry(trials, row)
     rover = PymunkRover(trial_model(model, trials, row), Ground(course.obstacles), start)
-    runner = runner or Runner(policy)
+    if runner is None:
+        assert isinstance(policy, Policy)  # signals come with a runner
+        runner = Runner(policy)
+    runner.reset()
 
     def observation(tick: int, signal: float) -> list[float]:
         return interface.observe(odometry.seen(tick), signal, reference.tick(tick) if reference else None)

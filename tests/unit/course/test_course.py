@@ -7,7 +7,7 @@ from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
-from rover_ncp.course.course import Course, load_course
+from rover_ncp.course.course import Course, Failure, load_course
 
 
 @pytest.fixture(scope="module")
@@ -79,8 +79,8 @@ def test_parked_means_still_for_two_seconds(parking):
 
 def test_contact_and_an_early_end_are_not_parked(parking):
     times, poses = still_at(parking.goal)
-    assert "touched" in parking.judge(times, poses, touched=True).reason
-    assert "ended early" in parking.judge(times[:-30], poses[:-30], touched=False).reason
+    assert parking.judge(times, poses, touched=True).failure is Failure.TOUCHED
+    assert parking.judge(times[:-30], poses[:-30], touched=False).failure is Failure.EARLY
 
 
 def test_a_pose_that_is_not_a_number_is_not_parked(parking):

@@ -8,8 +8,8 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.files import shipped_names
 from rover_ncp.course.course import load_course
 from sim import api as sim_api
-from sim.evaluate.driver import load_driver
 from sim.evaluate.evaluate import evaluate, unseen_courses
+from sim.learn.engine.driver import load_driver
 from sim.world.randomization import load_randomization
 
 

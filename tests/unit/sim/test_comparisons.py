@@ -6,8 +6,8 @@ import pytest
 from benchmarks.compare import find_agent
 from benchmarks.paired import Paired, paired, parked
 from rover_ncp.course.course import load_course
-from sim.evaluate.driver import load_driver
 from sim.evaluate.evaluate import evaluate
+from sim.learn.engine.driver import load_driver
 from sim.world.randomization import load_randomization
 
 

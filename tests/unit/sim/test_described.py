@@ -7,7 +7,7 @@ import pytest
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from rover_ncp.robot.description import load_description
-from sim.evaluate.driver import load_driver
+from sim.learn.engine.driver import load_driver
 from sim.stack.trials import Stack
 from sim.world.bodies import Body
 from sim.world.described import described_rover, ranges_of
@@ -77,7 +77,6 @@ def test_a_fifth_robot_is_evaluated_from_its_file(fifth, capsys):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--live", "1"], "park --model"),
         (["--stack", "--body", "mujoco"], "four wheels; nogyro has two"),
         (["--stack", "--sensors", "gyro"], "nogyro has no gyro"),
     ],

@@ -17,8 +17,8 @@ from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from sim import api as sim_api
 from sim.evaluate import evaluate
-from sim.evaluate.driver import Driver
 from sim.evaluate.evaluate import unseen_courses
+from sim.learn.engine.driver import circuit_driver
 from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
@@ -70,6 +70,7 @@ def test_scores_a_published_circuit_with_sensors_that_are_not_clamped(files):
         "return": expected.total,
         "parked": False,
         "reason": expected.verdict.reason,
+        "failure": "too far from the goal",
         "error_m": expected.verdict.error_m,
         "error_rad": expected.verdict.error_rad,
         "rms_m": expected.rms_m,
@@ -171,7 +172,9 @@ def test_outcomes_do_not_depend_on_the_batch_size(monkeypatch):
     policy, courses = course_policy(load_circuit("tracking")), unseen_courses(3, 3)
 
     def found():
-        return evaluate.evaluate(Driver(policy), courses, load_randomization("full"), trials=8, seed=5)
+        return evaluate.evaluate(
+            circuit_driver(policy), courses, load_randomization("full"), trials=8, seed=5
+        )
 
     whole = found()
     monkeypatch.setattr(evaluate, "_BATCH", 4)  # so that the second part begins on the second course

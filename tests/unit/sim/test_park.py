@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import pytest
 
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.console import Output
 from rover_ncp.course.course import load_course
 from rover_ncp.course.fit import slowed
 from rover_ncp.robot.description import load_description
 from sim.learn.record import course_of
 from sim.park import park
-from sim.park.commands import ParkOptions
 from sim.world.described import default_rover, described_rover
 
 SLOW = """\
@@ -56,9 +56,16 @@ def asked(monkeypatch):
     return found
 
 
+def run_park(tmp_path, model="p3at-sh"):
+    out = tmp_path / "park"
+    return park.run_park(
+        Output(False), policy=None, course="parking", model=model, seed=0, out=out, overwrite=False
+    )
+
+
 def begin(asked, tmp_path, **options):
     with pytest.raises(StoppedError):
-        park.run_park(ParkOptions(out=tmp_path / "park", **options))
+        run_park(tmp_path, **options)
     return asked["settings"], asked["stop_when"]
 
 
@@ -101,8 +108,8 @@ def test_a_slow_machine_trains_as_many_iterations(asked, tmp_path, monkeypatch):
 
 def test_the_message_names_limit_and_remedy(tmp_path, monkeypatch, capsys):
     fields = {"best_return": -5.0, "iterations": 20_000}
-    monkeypatch.setattr(park, "_train", lambda *_: (fields, "policy.yaml", "0.9 m from the goal"))
-    assert park.run_park(ParkOptions(out=tmp_path / "park")) == 1
+    monkeypatch.setattr(park, "_train", lambda *_, **__: (fields, "policy.yaml", "0.9 m from the goal"))
+    assert run_park(tmp_path) == 1
     words = capsys.readouterr()
     said = words.out + words.err
     assert "the limit is 20000" in said

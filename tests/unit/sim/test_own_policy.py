@@ -1,0 +1,175 @@
+"""Policies of a user behind the judge: the trials of a circuit, plain and in the stack, and clear errors."""
+
+import json
+import shutil
+
+import gymnasium
+import numpy as np
+import pytest
+from paths import DATA, ROOT
+from tutorials import steps
+
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.circuit.runner import Runner
+from rover_ncp.cli import run
+from rover_ncp.core.errors import ConfigError, UsageError
+from rover_ncp.course.course import load_course
+from sim import api
+from sim.evaluate.evaluate import drive_trials
+from sim.learn.engine.driver import function_driver, load_driver
+from sim.stack.trials import Stack
+from sim.world.env import ENV_ID
+from sim.world.randomization import load_randomization
+
+SHORT = str(DATA / "short_course.yaml")
+MODULE = """
+import math
+
+class Rest:
+    def __call__(self, observation):
+        assert observation.shape == (4,)
+        return 0.0, 0.0
+
+class Follow:
+    signals = ("longitudinal", "speed")
+    def reset(self):
+        self.ticks = 0
+    def __call__(self, observation):
+        self.ticks += 1
+        return observation[1] + 0.5 * observation[0], 0.0
+
+class Blind(Rest):
+    signals = ("x", "depth")
+
+class Word(Rest):
+    signals = "x"
+
+def short(observation):
+    return (0.1,)
+
+def infinite(observation):
+    return 0.1, math.inf
+
+def fails(observation):
+    return 1 / 0, 0.0
+
+number = 3
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own_module.py").write_text(MODULE)
+    (tmp_path / "broken_module.py").write_text("import no_such_library\n")
+
+
+class Circuit:
+    """The shipped circuit as a function."""
+
+    def __init__(self):
+        self.signals = load_policy("course").sensing.inputs
+        self.resets = 0
+
+    def reset(self):
+        self.resets += 1
+        self.runner, self.warm = Runner(load_policy("course")), False
+
+    def __call__(self, observation):
+        if not self.warm:  # its observation does not have the start signal
+            self.runner.tick(observation)
+            self.warm = True
+        return self.runner.tick(observation)
+
+
+def test_a_function_is_judged_on_the_trials_of_a_circuit():
+    own, courses, full = (
+        Circuit(),
+        [load_course("parking"), load_course("mirrored")],
+        load_randomization("full"),
+    )
+    given = {"courses": courses, "ranges": full, "trials": 3, "seed": 5}
+    found = drive_trials(function_driver(own), **given)
+    for one, other in zip(found, drive_trials(load_driver("course"), **given), strict=True):
+        assert one == pytest.approx(other)
+    assert own.resets == 3
+    assert api.evaluate(own, courses, trials=3, randomize="full", seed=5).success_rate == 1.0
+
+
+def test_a_function_drives_through_the_stack_as_a_circuit():
+    own, course, full = Circuit(), load_course(SHORT), load_randomization("full")
+    expected = Stack(load_driver("course"), (course,), full, 5)
+    given = Stack(function_driver(own), (course,), full, 5)
+    for number in range(2):
+        assert given.drive(number).pose == pytest.approx(expected.drive(number).pose)
+    assert own.resets == 2
+    found = api.evaluate(own, course, trials=2, randomize="full", seed=5, stack=True)
+    assert own.resets == 4
+    assert found.error_m.max == pytest.approx(max(expected.drive(number).error_m for number in range(2)))
+
+
+@pytest.mark.parametrize("options", [[], ["--trials", "2"], ["--trials", "2", "--stack", "--processes", "2"]])
+def test_a_class_of_a_module_in_the_working_folder_is_judged(options, capsys):
+    assert run(["eval", "own_module:Follow", "--course", SHORT, *options, "--json"]) in {0, 1}
+    fields = json.loads(capsys.readouterr().out)
+    error_m = fields["error_m"]
+    assert (error_m["max"] if options else error_m) < 0.2
+
+
+@pytest.mark.parametrize("stack", [[], ["--stack"]])
+@pytest.mark.parametrize(
+    ("policy", "words"),
+    [
+        ("own_module:short", "expected v and omega as two finite numbers, got (0.1,)"),
+        ("own_module:infinite", "expected v and omega as two finite numbers, got (0.1, inf)"),
+        ("own_module:fails", "ZeroDivisionError: division by zero (own_module.py, line"),
+        ("own_module:Blind", "policy own_module:Blind: unknown signals depth; known are x, y"),
+        ("own_module:Word", "expected signals as a tuple of names, got 'x'"),
+        ("own_module:nothing", "has no attribute 'nothing'"),
+        ("own_module:number", "expected a function of an observation, got 3"),
+        ("no_module:Follow", "No module named 'no_module'"),
+        ("broken_module:Follow", "No module named 'no_such_library'"),
+    ],
+)
+def test_a_policy_that_cannot_drive_is_one_clear_line(policy, words, stack, capsys):
+    assert run(["eval", policy, "--course", SHORT, "--trials", "1", *stack]) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_the_tutorial_shows_the_example():
+    files = dict(steps(ROOT / "docs" / "tutorials" / "own_policy.md"))
+    assert files["own_policy.py"] == (ROOT / "docs" / "examples" / "own_policy.py").read_text()
+
+
+def test_errors_of_functions_are_of_the_error_tree():
+    with pytest.raises(UsageError, match="expected a function"):
+        api.evaluate(3, trials=1)
+    with pytest.raises(ConfigError, match="unknown signals depth"):
+        gymnasium.make(f"sim.world.env:{ENV_ID}", signals=("x", "depth"))
+
+
+def test_the_simulator_observes_the_same_signals_by_name():
+    env = gymnasium.make(f"sim.world.env:{ENV_ID}", signals=("speed", "longitudinal"))
+    seen, _ = env.reset()
+    for _ in range(40):
+        seen = env.step(np.zeros(2))[0]
+    assert seen[0] > 0.05
+    assert seen[1] > 0.0
+
+
+@pytest.mark.long
+def test_what_a_comparison_found_is_a_policy_with_a_state(tmp_path, monkeypatch):
+    results = tmp_path / "runs" / "compare"
+    results.mkdir(parents=True)
+    shutil.copy(ROOT / "tests" / "data" / "lstm.json", results / "lstm-small.json")
+    driver, course = load_driver("benchmarks.compare:lstm-small"), load_course("parking")
+    (plain,) = drive_trials(driver, [course], load_randomization("none"), trials=1, seed=0)
+    trial = Stack(driver, (course,), load_randomization("none"), 0).drive(0)
+    assert trial.parked
+    assert trial.error_m == pytest.approx(plain.error_m, abs=0.005)
+    with pytest.raises(UsageError, match=r"runs/compare/mlp\.json: no such file"):
+        load_driver("benchmarks.compare:mlp")
+    with pytest.raises(UsageError, match="has no agent oracle"):
+        load_driver("benchmarks.compare:oracle")

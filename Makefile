@@ -1,4 +1,4 @@
-# Everything sets itself up: a virtual environment in .venv with the versions of constraints.txt.
+# `make` prints this list. Every target sets itself up: an environment in .venv with the versions of constraints.txt.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -6,126 +6,158 @@ STAMP := $(VENV)/.installed
 BROWSER_STAMP := $(VENV)/.browser
 DOCS_STAMP := $(VENV)/.docs
 GRADIENTS_STAMP := $(VENV)/.gradients
+# uv where it is present, or pip.
+UV := $(shell uv --version >/dev/null 2>&1 && command -v uv)
+MAKE_VENV := $(if $(UV),$(UV) venv --quiet --seed --allow-existing --python $(PYTHON),$(PYTHON) -m venv)
+INSTALL := $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,$(BIN)/python -m pip install --quiet) --constraint constraints.txt
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
-.PHONY: park test test-system test-browser docs reference tutorials check lint types contracts safety clean paper paper-quick paper-docs paper-gradients
+.PHONY: help
+help: ## Print this list.
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-park: $(STAMP)
+.PHONY: park
+park: $(STAMP) ## Park a simulated robot with a circuit trained on the spot.
 	$(BIN)/rover-ncp park --out runs/park --overwrite
 
-# Unit tests in two workers, as CI has two cores; process tests in three, whose processes do not keep up beside other work
-# if there are more. Then a short set of system tests, alone, because they measure times. About seven minutes on two cores.
-test: $(STAMP)
-	$(BIN)/pytest tests/unit -m "not long" --numprocesses 2 --dist worksteal
-	$(BIN)/pytest tests/process -m "not long" --numprocesses 3 --dist worksteal
-	$(BIN)/pytest tests/system -m short
+.PHONY: test
+test: $(STAMP) ## The quick tests, which plain pytest runs too.
+# Process tests run in three workers, because they wait for processes. System tests measure times: alone.
+	$(BIN)/pytest tests/unit --durations=25 --numprocesses 2 --dist worksteal
+	$(BIN)/pytest tests/process --durations=25 --numprocesses 3 --dist worksteal
+	$(BIN)/pytest tests/system
 
-# The long unit and process tests, then the other system tests: installations and drives; then, with little beside
-# them, those that measure times: every row of both safety matrices, the soak, live drives.
-test-system: $(STAMP)
-	$(BIN)/pytest tests/unit tests/process -m long --numprocesses 3 --dist worksteal
-	$(BIN)/pytest tests/system -m "not short and not browser and not timed" --ignore=tests/system/test_tutorials.py \
-		--numprocesses 2 --dist worksteal
-	$(BIN)/pytest tests/system -m "timed and not short" --numprocesses 3 --dist loadgroup
+.PHONY: check lint types contracts
+check: lint types contracts ## Lint, types and import contracts.
 
-# Tests of the pages in Debian's chromium (installed if missing) and of recordings in Rerun; pictures in runs/browser.
-test-browser: $(BROWSER_STAMP)
-	$(BIN)/pytest -m browser
-
-check: lint types contracts test tutorials test-system
-
-lint: $(STAMP)
+lint: $(STAMP) ## Rules and format of the code.
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(STAMP)
+types: $(STAMP) ## Strict types.
 	$(BIN)/mypy
 
-contracts: $(STAMP)
+contracts: $(STAMP) ## Which package may import which.
 	$(BIN)/lint-imports
 
-# Every command of the tutorials; they mostly wait for drives in real time. With make docs under four minutes.
-tutorials: $(STAMP)
-	$(BIN)/pytest tests/system/test_tutorials.py --numprocesses 3 --dist worksteal
+.PHONY: test-long
+test-long: $(STAMP) ## The long tests that measure no times: they mostly wait.
+	$(BIN)/pytest tests/unit tests/process tests/system -m "long and not browser and not timed" \
+		--ignore=tests/system/test_tutorials.py --numprocesses 3 --dist worksteal
 
-# The documentation as a site in build/site; a broken link or reference is an error.
-docs: reference $(DOCS_STAMP)
+.PHONY: test-timed
+test-timed: $(STAMP) ## Every row of both safety matrices, the soak's test and live drives.
+	$(BIN)/pytest tests/system -m "timed and long" --numprocesses 3 --dist loadgroup
+
+.PHONY: test-browser
+test-browser: chromium $(BROWSER_STAMP) ## Pages in chromium and recordings in Rerun; pictures in runs/browser.
+	$(BIN)/pytest tests -m browser
+
+.PHONY: chromium
+chromium:
+	@command -v chromium >/dev/null || { echo "chromium is missing: apt-get install chromium fonts-dejavu-core" >&2; exit 1; }
+
+.PHONY: tutorials
+tutorials: $(STAMP) ## Every command of the tutorials.
+	$(BIN)/pytest tests/system/test_tutorials.py -m "not browser" --numprocesses 3 --dist worksteal
+
+.PHONY: docs
+docs: reference $(DOCS_STAMP) ## The documentation as a site in build/site; a broken link is an error.
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "The site: open $(CURDIR)/build/site/index.html in a browser."
 
-# Writes the pages of docs/reference that are made from the code.
-reference: $(STAMP)
+.PHONY: reference
+reference: $(STAMP) ## Write the pages of docs/reference that are made from the code.
 	$(BIN)/python docs/reference_pages.py
 
-# Measures the safety matrix and writes it into docs/safety.md.
-safety: $(STAMP)
+.PHONY: safety
+safety: $(STAMP) ## Measure the safety matrix and write it into docs/safety.md.
 	PYTHONPATH=tests $(BIN)/python tests/tools/safety_table.py
 
-# Every fault of the safety matrix at random moments, in processes that keep running; the table in runs/soak.
 SOAK_MINUTES ?= 20
-soak: $(STAMP)
+.PHONY: soak
+soak: $(STAMP) ## Every fault at random moments, for SOAK_MINUTES; the table in runs/soak.
 	PYTHONPATH=tests $(BIN)/python -m faults --minutes $(SOAK_MINUTES)
 
-.PHONY: soak
-
-# A run of seconds for every task of the paper: the circuit and a network, each checked by a replay.
-paper-quick: $(STAMP)
+.PHONY: paper-quick
+paper-quick: $(STAMP) ## A short run of every task of the paper, checked by a replay.
 	$(BIN)/rover-ncp paper run --budget quick --again --agent circuit --agent mlp --seed 0 --results runs/paper-quick
 	$(BIN)/rover-ncp paper replay --budget quick --agent circuit --agent mlp --seed 0 --results runs/paper-quick
 
-# The paper's missing runs, without PPO and A2C. Takes hours; an interrupted run can be continued.
-paper: $(STAMP)
+.PHONY: paper
+paper: $(STAMP) ## The paper's missing runs, without PPO and A2C: hours, can be continued.
 	$(BIN)/rover-ncp paper run
 
-# Writes what `rover-ncp paper` prints of the shipped runs into docs/paper.md.
-paper-docs: $(STAMP)
+.PHONY: paper-docs
+paper-docs: $(STAMP) ## Write the tables of the stored runs into docs/paper.md.
 	$(BIN)/python tests/tools/paper_tables.py
 
-# PPO in the parking environment, then PPO and A2C: installs stable-baselines3, which needs torch.
-paper-gradients: $(GRADIENTS_STAMP)
+.PHONY: paper-gradients
+paper-gradients: $(GRADIENTS_STAMP) ## PPO and A2C: installs stable-baselines3, which needs torch.
 	$(BIN)/python docs/examples/ppo_parking.py
 	$(BIN)/rover-ncp paper run --agent ppo --agent a2c
 
-# CfC and LTC against the library ncps, whose cells need torch; elsewhere the tests are skipped.
-test-torch: $(GRADIENTS_STAMP)
+.PHONY: test-torch
+test-torch: $(GRADIENTS_STAMP) ## CfC and LTC against the library ncps, whose cells need torch.
 	$(BIN)/pytest tests/unit/learn/test_liquid.py
 
-.PHONY: test-torch
-
-# The gate's own tests must run every line and branch of it.
-coverage-gate: $(STAMP)
+.PHONY: coverage-gate
+coverage-gate: $(STAMP) ## The gate's own tests must run every line and branch of it.
 	$(BIN)/coverage run --branch --include='bridge/gate/*.py' --data-file=.coverage-gate \
-		-m pytest -q tests/unit/bridge/test_gate*.py tests/unit/bridge/test_limits.py
+		-m pytest -q -m "not browser" tests/unit/bridge/test_gate*.py tests/unit/bridge/test_limits.py
 	$(BIN)/coverage report --data-file=.coverage-gate --show-missing --fail-under=100
 
-# The gate's tests must fail on every mutant of it, except those in tests/data/gate_survivors.yaml. Takes minutes.
-mutate: $(STAMP)
+.PHONY: mutate
+mutate: $(STAMP) ## The tests must fail on every mutant of gate, lease, session and safety monitor.
 	$(BIN)/python tests/tools/mutate_gate.py
 
-# Fuzz the readers of external data for FUZZ_S seconds, guided by branch coverage (atheris).
-fuzz: $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,fuzz]'
+.PHONY: fuzz
+fuzz: $(STAMP) ## Fuzz the readers of external data for FUZZ_S seconds, guided by branch coverage.
+	$(INSTALL) --editable '.[dev,fuzz]'
 	$(BIN)/python tests/tools/fuzz_atheris.py
 
-.PHONY: coverage-gate mutate fuzz
+.PHONY: test-installs
+test-installs: ## The quick unit tests on each Python from 3.11 to 3.13 that is present.
+	for version in 3.11 3.12 3.13; do \
+		if command -v python$$version >/dev/null && python$$version -c '' 2>/dev/null; then \
+			$(MAKE) VENV=build/venv-$$version PYTHON=python$$version test-unit || exit 1; \
+		fi; \
+	done
+
+.PHONY: test-unit
+test-unit: $(STAMP)
+	$(BIN)/pytest tests/unit --numprocesses 2 --dist worksteal
+
+.PHONY: nightly
+nightly: $(STAMP) ## All that takes hours: examples of Hypothesis, matrices, soak, mutants, fuzzing, torch, installs.
+	$(BIN)/pytest tests/unit tests/process -m "not browser" --hypothesis-profile=full --numprocesses 2 --dist worksteal
+	$(BIN)/pytest tests/system -m "long and not browser and not timed" --numprocesses 2 --dist worksteal
+	$(MAKE) test-timed
+	$(MAKE) soak
+	$(MAKE) mutate
+	$(MAKE) fuzz
+	$(MAKE) test-installs
+	$(MAKE) test-torch
 
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; run make PYTHON=..." % v)'
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(MAKE_VENV) $(VENV)
+	$(INSTALL) --editable '.[dev]'
 	touch $@
 
 $(BROWSER_STAMP): $(STAMP)
-	command -v chromium >/dev/null || { apt-get -qq update && apt-get -qq install --yes --no-install-recommends chromium fonts-dejavu-core; } >/dev/null
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,browser]'
+	$(INSTALL) --editable '.[dev,browser]'
 	touch $@
 
 $(DOCS_STAMP): $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,docs]'
+	$(INSTALL) --editable '.[dev,docs]'
 	touch $@
 
+# By pip: the environment may limit what pip takes of torch, which uv does not read.
 $(GRADIENTS_STAMP): $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,paper]'
+	$(PIP_INSTALL) --editable '.[dev,paper]'
 	touch $@
 
-clean:
+.PHONY: clean
+clean: ## Remove the environment, caches and runs.
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis runs

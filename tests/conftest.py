@@ -3,6 +3,7 @@
 import os
 import signal
 
+import pytest
 from hypothesis import Phase, settings
 
 # Two processes test on two cores: threads for matrices as small as ours would only wait for each other, fifty
@@ -16,8 +17,10 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, lambda *_: None)
 
 # How long an example takes says more about the machine's other work than about the code.
-settings.register_profile("rover-ncp", deadline=None)
-settings.load_profile("rover-ncp")
+# `make test` tries a quarter of the examples; `make nightly` loads the profile "full".
+settings.register_profile("full", deadline=None)
+settings.register_profile("quick", deadline=None, max_examples=25)
+settings.load_profile("quick")
 # Mutants (tests/tools/mutate_gate.py) only have to fail: no one reads their smallest example.
 settings.register_profile("mutants", deadline=None, database=None, phases=[Phase.explicit, Phase.generate])
 
@@ -25,6 +28,10 @@ settings.register_profile("mutants", deadline=None, database=None, phases=[Phase
 LONGEST = ["test_bridge_dead_line.py", "test_learn_cluster.py", "test_deploy_identification.py"]
 
 
+@pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(items):
-    """Put the longest files first; the rest keeps its order."""
+    """Mark system tests that are not short as long; put the longest files first."""
+    for item in items:
+        if item.path.parent.name == "system" and not item.get_closest_marker("short"):
+            item.add_marker("long")
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))

@@ -29,7 +29,7 @@ from rover_ncp.core.errors import UsageError
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]
-MOST_SEED = 2**63 - 1
+MAX_SEED = 2**63 - 1
 """Largest seed or trial number."""
 
 

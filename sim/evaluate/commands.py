@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rover_ncp.core.console import MOST_SEED, Json, Output, command, reject
+from rover_ncp.core.console import MAX_SEED, Json, Output, command, reject
 from rover_ncp.core.errors import UsageError
 from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
 
@@ -48,7 +48,7 @@ class EvalOptions:
         int | None, typer.Option(min=1, max=10**6, help="Number of random trials.", show_default="1")
     ] = None
     seed: Annotated[
-        int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the trials and random courses.")
+        int, typer.Option(min=0, max=MAX_SEED, help="Root seed of the trials and random courses.")
     ] = 0
     randomize: Annotated[
         str | None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from rover_ncp.core.console import MOST_SEED, Json, Output
+from rover_ncp.core.console import MAX_SEED, Json, Output
 from rover_ncp.core.errors import UsageError
 from sim.learn.search.strategies import SearchName
 
@@ -37,7 +37,7 @@ def train(
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, max=MOST_SEED, help="Root seed of all random numbers.", show_default="0"),
+        typer.Option(min=0, max=MAX_SEED, help="Root seed of all random numbers.", show_default="0"),
     ] = None,
     agents: Annotated[
         int | None,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import MOST_SEED, Json, Output, Overwrite, command
+from rover_ncp.core.console import MAX_SEED, Json, Output, Overwrite, command
 from rover_ncp.core.files import DEFAULT_ROBOT
 
 
@@ -28,7 +28,7 @@ class ParkOptions:
             "course unless --policy names another: only Pioneers are trained for."
         ),
     ] = DEFAULT_ROBOT
-    seed: Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Root seed of the training.")] = 0
+    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Root seed of the training.")] = 0
     out: Annotated[Path, typer.Option(help="Folder for training, recording, picture and logs.")] = Path(
         "runs/park"
     )

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from bridge.ros2.discovery import Convention
-from rover_ncp.core.console import MOST_SEED, Json, Overwrite, reject
+from rover_ncp.core.console import MAX_SEED, Json, Overwrite, reject
 from rover_ncp.core.files import DEFAULT_ROBOT
 from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
 
@@ -57,7 +57,7 @@ def mock(
     ] = None,
     trial: Annotated[
         int,
-        typer.Option(min=0, max=MOST_SEED, help="Number of the random trial, as in 'eval --trials'."),
+        typer.Option(min=0, max=MAX_SEED, help="Number of the random trial, as in 'eval --trials'."),
     ] = 0,
     profile: Annotated[
         Path | None,
@@ -68,7 +68,7 @@ def mock(
     seed: Annotated[
         int,
         typer.Option(
-            min=0, max=MOST_SEED, help="Seed of the trial and of the packets that random faults damage."
+            min=0, max=MAX_SEED, help="Seed of the trial and of the packets that random faults damage."
         ),
     ] = 0,
     gyro: Annotated[bool, typer.Option("--gyro", help="Give the base a gyro that its client reads.")] = False,

@@ -41,7 +41,9 @@ _LATE_NS = 1000
 class VirtualBridge:
     """A robot with its bridge. The robot's clock must begin at 0."""
 
-    def __init__(self, robot: Firmware | Ros2Robot, limits: Limits | None = None) -> None:
+    def __init__(
+        self, robot: Firmware | Ros2Robot, limits: Limits | None = None, *, accept_ros: bool = False
+    ) -> None:
         self.line = virtual_line(robot, limits)
         self.now_ns = 0
         self.deliver: Callable[[str, bytes], None] = lambda name, data: None
@@ -52,7 +54,7 @@ class VirtualBridge:
             self,
             self,
             limits=self.line.limits,
-            accept_ros=False,
+            accept_ros=accept_ros,
             ready=lambda: None,
             clock=self,
             suspended_s=self.suspended_s,

@@ -89,39 +89,44 @@ OWN_ROWS = (
     Row("gyro-standing", "base", "its gyro reads 2 rad/s for 0.1 s while it stands, then deploy ends"),
     Row("gyro-moving", "base", "its gyro reads 2 rad/s for 0.1 s while it drives, then deploy ends"),
 )
+
+
+def _clock_rows(
+    key: str, clock: str, then: str, act: Callable[[int], Act] | None = None, **more: Any
+) -> tuple[Row, ...]:
+    """Return one row for each step of a clock."""
+    return tuple(
+        Row(
+            f"{key}-clock-{step_s:g}",
+            "clock",
+            f"{clock} steps back by {step_s:g} s, then {then}",
+            act and act(number),
+            **more,
+        )
+        for number, step_s in CLOCK_STEPS_S.items()
+    )
+
+
 CLOCK_ROWS = (
-    *(
-        Row(
-            f"bridge-clock-{step_s:g}",
-            "clock",
-            f"the bridge's steps back by {step_s:g} s, then no more commands",
-            _clock_steps_back(lambda scene: scene.rig.bridge, number, silence),
-            only=SCRIPTED,
-            ended="lease-lapsed",
-            requests_lease=False,
-        )
-        for number, step_s in CLOCK_STEPS_S.items()
+    *_clock_rows(
+        "bridge",
+        "the bridge's",
+        "no more commands",
+        lambda number: _clock_steps_back(lambda scene: scene.rig.bridge, number, silence),
+        only=SCRIPTED,
+        ended="lease-lapsed",
+        requests_lease=False,
     ),
-    *(
-        Row(
-            f"deploy-clock-{step_s:g}",
-            "clock",
-            f"deploy's steps back by {step_s:g} s, then it is killed",
-            _clock_steps_back(
-                lambda scene: scene.process, number, lambda scene: scene.process.send_signal(SIGKILL)
-            ),
-            only=CIRCUIT,
-        )
-        for number, step_s in CLOCK_STEPS_S.items()
+    *_clock_rows(
+        "deploy",
+        "deploy's",
+        "it is killed",
+        lambda number: _clock_steps_back(
+            lambda scene: scene.process, number, lambda scene: scene.process.send_signal(SIGKILL)
+        ),
+        only=CIRCUIT,
     ),
-    *(
-        Row(
-            f"localiser-clock-{step_s:g}",
-            "clock",
-            f"a localiser's steps back by {step_s:g} s, then deploy ends",
-        )
-        for step_s in CLOCK_STEPS_S.values()
-    ),
+    *_clock_rows("localiser", "a localiser's", "deploy ends"),
 )
 ROS2_ROWS = (
     *map(_robot_clock, CLOCK_STEPS_S.values()),

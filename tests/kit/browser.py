@@ -1,4 +1,4 @@
-"""A browser for the tests of pages; `make test-browser` installs what this needs."""
+"""A browser for the tests of pages; `make test-browser` installs its driver and needs chromium."""
 
 import contextlib
 import os
@@ -27,7 +27,7 @@ def chromium():
     from playwright.sync_api import sync_playwright
 
     program = shutil.which("chromium")
-    assert program, "no chromium: make test-browser installs it"
+    assert program, "no chromium: apt-get install chromium fonts-dejavu-core"
     # Chromium's own sandbox cannot be had by root.
     arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
     with sync_playwright() as playwright:

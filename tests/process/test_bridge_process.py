@@ -63,6 +63,7 @@ def test_ctrl_c_stops_the_rover_and_says_what_went_over_the_line(tmp_path):
     assert (result["dropped"], result["stops"], result["reconnects"]) == ({}, {}, 0)
 
 
+@pytest.mark.long
 def test_a_restarted_base_is_found_again_and_stands_until_a_driver_asks(tmp_path):
     with Rig(tmp_path) as rig, Driver(rig.locator) as driver:
         driver.start()

@@ -150,6 +150,7 @@ def test_a_second_publisher_of_commands_is_named_and_ends_the_drive(tmp_path):
         token.undeclare()
 
 
+@pytest.mark.long
 def test_a_bridge_whose_two_networks_are_connected_does_not_start(tmp_path):
     drivers = f"tcp/127.0.0.1:{free_port('127.0.0.1')}"
     with (

@@ -125,6 +125,7 @@ while True:
 """
 
 
+@pytest.mark.long
 def test_end_of_a_program_that_does_not_close_stops_the_rover(run, course):
     script = SCRIPT.replace("while True:", "for _ in range(8):")
     command = [sys.executable, "-c", script, run.robot, str(course)]

@@ -1,4 +1,4 @@
-"""The bridge's answers to requests for the motors, with mock and bridge as real processes."""
+"""The bridge's answers to requests for the motors; with real processes where a peer interferes."""
 
 import json
 import struct
@@ -7,11 +7,14 @@ import time
 
 import pytest
 from bridge_bench import Driver, Rig, client, wait_for
+from virtual_bench import VirtualDriver, VirtualRig
 
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.errors import NoBridge
+from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.robot.description import load_description
 from rover_ncp.wire.messages import text, twist_stamped
 from rover_ncp.wire.protocol import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json
 
@@ -37,34 +40,42 @@ def driver(rig):
         time.sleep(1.0)  # after which plain commands may drive again
 
 
-def test_a_lost_answer_locks_all_drivers_out_until_the_lease_lapses(rig, driver):
-    """The lease and its key are granted, but the answer never reaches the driver."""
-    first = wait_for(lambda: (reply := driver.motors()).granted and reply)
-    driver.lease.end()
-    assert driver.motors().reason == "another-driver"
-    again = wait_for(lambda: (reply := driver.motors()).granted and reply)
+@pytest.fixture
+def virtual():
+    """A driver on a virtual clock."""
+    driver = VirtualDriver(VirtualRig(load_description(DEFAULT_ROBOT), accept_ros=True))
+    driver.rig.wait_for(lambda: driver.odom is not None)
+    return driver
+
+
+def test_a_lost_answer_locks_all_drivers_out_until_the_lease_lapses(virtual):
+    """The lease and its key are granted, but the answer never reaches the virtual."""
+    first = virtual.rig.wait_for(lambda: (reply := virtual.motors()).granted and reply)
+    virtual.lease.end()
+    assert virtual.motors().reason == "another-driver"
+    again = virtual.rig.wait_for(lambda: (reply := virtual.motors()).granted and reply)
     assert (again.lease, again.key != first.key) == (first.lease + 1, True)
 
 
-def test_a_signature_is_for_one_kind_and_one_key_expression(rig, driver):
-    wait_for(lambda: driver.motors().granted)
+def test_a_signature_is_for_one_kind_and_one_key_expression(virtual):
+    virtual.rig.wait_for(lambda: virtual.motors().granted)
     release = dump_json(MotorsRequest(enable=False))
     others = [(Signed.COMMAND, "rover/motors"), (Signed.MOTORS, "cmd_vel"), (Signed.MOTORS, "x/rover/motors")]
     for kind, where in others:
-        tag = driver.lease.sign(kind, where, release, time.monotonic_ns()).pack()
-        assert json.loads(driver.ask("rover/motors", release, tag))["reason"] == "another-driver"
-    foreign = driver.gate.dropped.get("foreign", 0)
+        tag = virtual.lease.sign(kind, where, release, virtual.rig.now_ns).pack()
+        assert json.loads(virtual.ask("rover/motors", release, tag))["reason"] == "another-driver"
+    foreign = virtual.gate.dropped.get("foreign", 0)
     command = twist_stamped(Velocity(0.1, 0.0), 1)
-    driver.put(command, driver.lease.sign(Signed.MOTORS, "cmd_vel", command, time.monotonic_ns()).pack())
-    wait_for(lambda: driver.gate.dropped.get("foreign", 0) == foreign + 1)
-    driver.motors(enable=False)
-    wait_for(lambda: driver.gate.lease == 0)
+    virtual.put(command, virtual.lease.sign(Signed.MOTORS, "cmd_vel", command, virtual.rig.now_ns).pack())
+    virtual.rig.wait_for(lambda: virtual.gate.dropped.get("foreign", 0) == foreign + 1)
+    virtual.motors(enable=False)
+    virtual.rig.wait_for(lambda: virtual.gate.lease == 0)
 
 
-def test_an_older_driver_gets_both_versions(rig, driver):
-    reply = json.loads(driver.ask("rover/motors", json.dumps(OLD_REQUEST).encode()))
+def test_an_older_driver_gets_both_versions(virtual):
+    reply = json.loads(virtual.ask("rover/motors", json.dumps(OLD_REQUEST).encode()))
     assert reply == {"granted": False, "reason": "version", "detail": BOTH}
-    later = json.loads(driver.ask("rover/motors", b'{"version": 3, "anything": []}'))
+    later = json.loads(virtual.ask("rover/motors", b'{"version": 3, "anything": []}'))
     assert "the bridge uses protocol version 2, the driver version 3" in later["detail"]
 
 
@@ -73,22 +84,22 @@ OLD_ZEROS = struct.pack("<16sQq", bytes(16), 2**63, 2**62)
 
 
 @pytest.mark.parametrize("tag", [OLD_ZEROS, bytes(40), CommandTag(0, 2**63, 2**62).pack(), b""])
-def test_a_tag_of_zeros_neither_drives_nor_releases_under_accept_ros(rig, driver, tag):
+def test_a_tag_of_zeros_neither_drives_nor_releases_under_accept_ros(virtual, tag):
     def plain():
-        driver.put(twist_stamped(Velocity(0.0, 0.0), time.time_ns()))
-        return driver.gate.driver_name == "ros"
+        virtual.put(twist_stamped(Velocity(0.0, 0.0), virtual.rig.time_ns()))
+        return virtual.gate.driver_name == "ros"
 
-    wait_for(plain)
-    before = driver.gate.dropped.get("foreign", 0)
+    virtual.rig.wait_for(plain)
+    before = virtual.gate.dropped.get("foreign", 0)
     for _ in range(5):
         plain()
-        driver.put(twist_stamped(Velocity(0.2, 0.0), time.time_ns()), tag)
+        virtual.put(twist_stamped(Velocity(0.2, 0.0), virtual.rig.time_ns()), tag)
         for request in (OLD_REQUEST | {"driver": "0" * 32, "enable": False}, {"version": 2, "enable": False}):
-            answer = json.loads(driver.ask("rover/motors", json.dumps(request).encode(), tag))
+            answer = json.loads(virtual.ask("rover/motors", json.dumps(request).encode(), tag))
             assert (answer["granted"], answer["reason"]) == (False, "another-driver")
-    wait_for(lambda: driver.gate.dropped.get("foreign", 0) == before + 5)
-    assert driver.gate.driver_name == "ros"
-    assert driver.out == Velocity(0.0, 0.0)
+    virtual.rig.wait_for(lambda: virtual.gate.dropped.get("foreign", 0) == before + 5)
+    assert virtual.gate.driver_name == "ros"
+    assert virtual.out == Velocity(0.0, 0.0)
 
 
 def test_a_peer_that_relays_the_request_does_not_get_to_share_the_key(rig):

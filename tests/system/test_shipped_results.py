@@ -1,8 +1,7 @@
 """Results that are shipped or documented can be made again; too slow for the unit tests."""
 
-from pathlib import Path
-
 import pytest
+from paths import ROOT
 
 from benchmarks.compare import compare
 from sim.explain.explain import explain
@@ -23,6 +22,6 @@ def test_what_knows_one_course_is_not_judged_on_others():
 
 
 def test_the_default_policy_is_the_one_that_is_explained():
-    text = Path("docs/interpretation/course/explanation.md").read_text()
+    text = (ROOT / "docs" / "interpretation" / "course" / "explanation.md").read_text()
     again = "rover-ncp explain course --out docs/interpretation/course, keep *.md and the *.png that it shows"
     assert text == markdown(explain("course")), again

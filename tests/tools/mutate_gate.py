@@ -133,7 +133,7 @@ def _without(node):
 def run_tests(*more):
     """Run the gate's tests against the module in place; return whether one failed."""
     tests = [str(ROOT / "tests" / "unit" / "bridge" / name) for name in TESTS]
-    options = ["-x", "-q", "--tb=no", "-p", "no:cacheprovider", f"--timeout={TIMEOUT_S}"]
+    options = ["-x", "-q", "-m", "not browser", "--tb=no", "-p", "no:cacheprovider", f"--timeout={TIMEOUT_S}"]
     options += ["--hypothesis-seed=0", "--hypothesis-profile=mutants"]
     options += ["-W", "ignore::pytest.PytestAssertRewriteWarning", "-W", "ignore::pytest.PytestConfigWarning"]
     return pytest.main([*options, *more, *tests]) != 0

@@ -2,10 +2,10 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import ROOT
 
 from deploy.drive.publisher import ViewerTopics
 from rover_ncp.circuit.policy_file import load_circuit
@@ -16,7 +16,7 @@ from rover_ncp.wire.messages import read_neurons
 from sim.live.truth import TRUTH_TOPIC
 
 NAMES = ("A", "B", "Long_name")
-LAYOUT = Path("docs/viewing/rover-ncp.json")
+LAYOUT = ROOT / "docs" / "viewing" / "rover-ncp.json"
 
 
 def recorded(ticks=3):

@@ -1,14 +1,14 @@
 """The shipped circuit explained in the documentation is the shipped circuit."""
 
 import re
-from pathlib import Path
 
 import pytest
+from paths import ROOT
 
 from sim.explain.explain import explain
 from sim.explain.files import markdown
 
-FOLDER = Path("docs/interpretation")
+FOLDER = ROOT / "docs" / "interpretation"
 AGAIN = (
     "the shipped policy has changed: rover-ncp explain parking --out docs/interpretation, keep *.md and *.png"
 )

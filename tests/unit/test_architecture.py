@@ -1,0 +1,79 @@
+"""Structure of the packages. Each list of exceptions is exact: an exception that is gone must leave it."""
+
+import re
+
+import grimp
+from paths import ROOT
+
+MAX_LINES = 400
+MAX_MODULES = 16
+PACKAGES = ("rover_ncp", "bridge", "deploy", "sim")
+FOLDERS = (*PACKAGES, "benchmarks", "docs", "tests")
+
+CYCLES = {
+    ("rover_ncp.circuit.compiled", "rover_ncp.circuit.policy", "rover_ncp.circuit.solver"),
+    (
+        "sim.evaluate.commands",
+        "sim.evaluate.courses",
+        "sim.evaluate.trial_runs",
+        "sim.live.trials",
+        "sim.stack.trials",
+    ),
+    ("sim.learn.agents", "sim.learn.team"),
+    ("sim.park.commands", "sim.park.park"),
+}
+LONG_MODULES = {
+    "sim/learn/engine/episode.py",
+    "tests/unit/bridge/test_gate_commands.py",
+    "tests/unit/bridge/test_ros2_base.py",
+    "tests/unit/bridge/test_session.py",
+    "tests/unit/sim/test_stack.py",
+}
+FULL_FOLDERS = {
+    "sim/learn",
+    "sim/paper",
+    "tests/kit",
+    "tests/process",
+    "tests/unit/bridge",
+    "tests/unit/deploy",
+}
+MISSING_FILES = {"rover_ncp/course/signals.py"}
+
+
+def cycles():
+    """Return the modules of each import cycle, imports inside functions included, `sim.paper` aside."""
+    graph = grimp.build_graph(*PACKAGES, cache_dir=None)
+    modules = [name for name in graph.modules if not name.startswith("sim.paper")]
+    reached = {name: graph.find_downstream_modules(name) for name in modules}
+    found = set()
+    for name in modules:
+        cycle = {other for other in reached[name] if name in reached.get(other, ())} | {name}
+        if len(cycle) > 1:
+            found.add(tuple(sorted(cycle)))
+    return found
+
+
+def modules():
+    return [path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")]
+
+
+def test_modules_import_each_other_in_no_cycle():
+    assert cycles() == CYCLES
+
+
+def test_modules_are_short():
+    lines = {str(path.relative_to(ROOT)): path.read_bytes().count(b"\n") for path in modules()}
+    assert {name for name, count in lines.items() if count > MAX_LINES} == LONG_MODULES
+
+
+def test_folders_hold_few_modules():
+    parents = [str(path.parent.relative_to(ROOT)) for path in modules() if path.name != "__init__.py"]
+    assert {name for name in parents if parents.count(name) > MAX_MODULES} == FULL_FOLDERS
+
+
+def test_files_that_the_architecture_page_names_exist():
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    section = page.partition("## Where to look\n")[2].partition("\n## ")[0]
+    named = re.findall(r"`([\w/]+\.py)`", section)
+    assert len(named) >= 20
+    assert {name for name in named if not (ROOT / name).is_file()} == MISSING_FILES

@@ -23,10 +23,9 @@ from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 
-from sim.pioneer.lateness import Lateness
-
 from bridge.pioneer.transport import ABORT
 from sim.live.processes import Applied, Process
+from sim.pioneer.real_time import Lateness
 
 CHUNK_BYTES = 1 << 16
 TURN_S = 0.005

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rover_ncp.circuit.tap_withdrawal import parking_circuit
 
 from rover_ncp.circuit.compiled import inert_parameters
 from rover_ncp.circuit.policy import parking_policy
+from rover_ncp.circuit.policy_file import load_circuit
 from sim.learn.search.base import Strategy, dump_state
 from sim.learn.search.strategies import SearchName, start_search
 
-POLICY = parking_policy(parking_circuit())
+POLICY = parking_policy(load_circuit("parking"))
 LAYOUT = POLICY.layout()
 DEFAULTS = POLICY.parameters()
 WIDTH = LAYOUT.upper - LAYOUT.lower

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from bridge.ros2.discovery import Convention
 from bridge.ros2.rmw import read_domain
+from rover_ncp.core.console import printable
 from rover_ncp.core.errors import UsageError
 from rover_ncp.robot.description import Topics
 from rover_ncp.wire.address import parse_address
@@ -56,7 +57,7 @@ def parse_ros_address(text: str, zenoh_config: Path | None = None) -> RosAddress
         and distro in {"jazzy", "humble"}
         and topics.keys() <= Topics.model_fields.keys()
     ):
-        raise UsageError(f"base {text}: {_FORM}")
+        raise UsageError(f"base {printable(text)}: {_FORM}")
     convention = Convention.RMW_ZENOH if rmw == "zenoh" else Convention.ROS2DDS
     return RosAddress(
         str(where._replace(settings="")),

@@ -27,7 +27,7 @@ ACTIONS: Any = gymnasium.spaces.Box(-_LIMITS, _LIMITS, dtype=np.float64)
 def observation_space(signals: Sequence[str] = ("x", "y", "theta", "start")) -> Any:
     """Return the space of the named signals (n,), in m, rad, m/s and rad/s. Raises ConfigError."""
     if unknown := [name for name in signals if name not in SIGNALS]:
-        words = f"unknown signals {', '.join(unknown)}; known are {', '.join(SIGNALS)}"
+        words = f"unknown signals: {', '.join(unknown)} (expected some of {', '.join(SIGNALS)})"
         raise ConfigError("observation", [words])
     low, high = zip(*(_RANGES.get(name, (-np.inf, np.inf)) for name in signals), strict=True)
     return gymnasium.spaces.Box(np.array(low), np.array(high), dtype=np.float64)

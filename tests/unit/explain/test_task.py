@@ -65,7 +65,7 @@ def test_a_knock_out_is_the_mean_return_of_the_same_episodes(folder):
 
 def test_a_stored_circuit_of_the_paper_plays_as_it_is_scored():
     name, policy = stored_policy(TASKS["mountain-car"])
-    assert name.startswith("paper run mountain-car circuit")
+    assert name.startswith("paper run default mountain-car circuit")
     episodes = BenchmarkEpisodes(TASKS["mountain-car"], policy)
     seeds = np.array([5, 6], np.uint64)
     [returns] = episodes.returns(policy.parameters()[None], seeds)

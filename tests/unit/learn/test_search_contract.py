@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_ncp.circuit.compiled import inert_parameters
+from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from sim.learn.search.base import Strategy, dump_state
@@ -19,7 +19,7 @@ POLICY = parking_policy(load_circuit("parking"))
 LAYOUT = POLICY.layout()
 DEFAULTS = POLICY.parameters()
 WIDTH = LAYOUT.upper - LAYOUT.lower
-INERT = inert_parameters(POLICY)
+INERT = dead_parameters(POLICY)
 GOAL = np.where(INERT, DEFAULTS, LAYOUT.lower + WIDTH * np.random.default_rng(99).random(LAYOUT.size))
 CHECKPOINTS = -(-LAYOUT.size // 3)
 

@@ -1,6 +1,7 @@
 """Fault lines of a mock that come in parts."""
 
 import io
+import logging
 import os
 import time
 
@@ -20,25 +21,25 @@ class Loop(RealTimeLoop):
 
 
 @pytest.fixture
-def loop():
+def loop(caplog):
     """A loop that serves for some turns, and a pipe to its fault lines."""
     reader, writer = os.pipe()
-    said = []
+    caplog.set_level(logging.INFO, "rover_ncp")
     firmware = Firmware(
         load_description("p3at-sh"), PymunkRover(default_rover(), Ground()), Faults(), time.monotonic()
     )
-    loop = Loop(firmware, said.append)
+    loop = Loop(firmware)
 
     def serve(text):
         if text:
             os.write(writer, text)
         turns = iter(range(3))
-        said.clear()
+        caplog.clear()
         with io.FileIO(reader, closefd=False) as lines:
             loop.serve(lambda: next(turns, None) is None, lines)
             if lines in {key.fileobj for key in loop.selector.get_map().values()}:
                 loop.selector.unregister(lines)
-        return [line.split()[-1] for line in said]
+        return [line.split()[-1] for line in caplog.messages]
 
     def end(text):
         os.write(writer, text)

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from sim.evaluate.courses import _enlarged
 
 from rover_ncp.course.course import load_course
 from rover_ncp.course.feasibility import check_course
 from rover_ncp.course.reference import V_MAX, plan_reference
 from rover_ncp.robot.description import load_description
+from sim.evaluate.evaluate import _enlarged
 
 PARKING, BAY = load_course("parking"), load_course("bay")
 BURGER, HUSKY = load_description("turtlebot3-burger"), load_description("husky-a200")

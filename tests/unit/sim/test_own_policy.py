@@ -123,7 +123,7 @@ def test_a_class_of_a_module_in_the_working_folder_is_judged(options, capsys):
         ("own_module:short", "expected v and omega as two finite numbers, got (0.1,)"),
         ("own_module:infinite", "expected v and omega as two finite numbers, got (0.1, inf)"),
         ("own_module:fails", "ZeroDivisionError: division by zero (own_module.py, line"),
-        ("own_module:Blind", "policy own_module:Blind: unknown signals depth; known are x, y"),
+        ("own_module:Blind", "policy own_module:Blind: unknown signals: depth (expected some of x, y"),
         ("own_module:Word", "expected signals as a tuple of names, got 'x'"),
         ("own_module:nothing", "has no attribute 'nothing'"),
         ("own_module:number", "expected a function of an observation, got 3"),
@@ -146,7 +146,7 @@ def test_the_tutorial_shows_the_example():
 def test_errors_of_functions_are_of_the_error_tree():
     with pytest.raises(UsageError, match="expected a function"):
         api.evaluate(3, trials=1)
-    with pytest.raises(ConfigError, match="unknown signals depth"):
+    with pytest.raises(ConfigError, match="unknown signals: depth"):
         gymnasium.make(f"sim.world.env:{ENV_ID}", signals=("x", "depth"))
 
 

@@ -9,6 +9,16 @@ from rover_ncp.core.console import printable
 from rover_ncp.core.errors import UsageError
 from rover_ncp.robot.description import Topics
 from rover_ncp.wire.address import parse_address
+from rover_ncp.wire.messages import (
+    BATTERY_STATE,
+    BOOL,
+    HAZARDS,
+    IMU,
+    LASER_SCAN,
+    ODOMETRY,
+    TWIST,
+    TWIST_STAMPED,
+)
 from rover_ncp.wire.zenoh import PORT
 
 PREFIX = "ros2/"
@@ -68,3 +78,15 @@ def parse_ros_address(text: str, zenoh_config: Path | None = None) -> RosAddress
         topics=topics,
         zenoh_config=zenoh_config,
     )
+
+
+def sensor_topics(topics: Topics) -> list[tuple[str, str]]:
+    """Return name and type of each topic that a robot publishes for its base."""
+    found = [(topics.odom, ODOMETRY), (topics.imu, IMU), (topics.battery_state, BATTERY_STATE)]
+    found += [(topics.scan, LASER_SCAN), (topics.stop, BOOL), (topics.hazards, HAZARDS)]
+    return [(name, ros_type) for name, ros_type in found if name is not None]
+
+
+def command_type(topics: Topics) -> str:
+    """Return the type of a robot's commands."""
+    return TWIST_STAMPED if topics.cmd_vel_type == "TwistStamped" else TWIST

@@ -13,17 +13,9 @@ from typing import Any
 import zenoh
 
 from bridge.inbox import Inbox, RobotMessage
-from bridge.ros2.address import RosAddress
+from bridge.ros2.address import RosAddress, command_type, sensor_topics
 from bridge.ros2.base import TokenSeen
-from bridge.ros2.discovery import (
-    Announced,
-    Convention,
-    bridge_token,
-    command_type,
-    read_topic_token,
-    sensor_topics,
-    topic_token,
-)
+from bridge.ros2.discovery import Announced, Convention, bridge_token, read_topic_token, topic_token
 from bridge.ros2.rmw import Attachment, Graph, Topic, gid, read_token
 from bridge.ros2.rmw_node import publisher
 from rover_ncp.core.errors import FormatError, NoRobot

@@ -9,18 +9,6 @@ blocks these tokens: then ``ros2 topic list`` shows a topic only once it is subs
 from enum import StrEnum
 from typing import NamedTuple
 
-from rover_ncp.robot.description import Topics
-from rover_ncp.wire.messages import (
-    BATTERY_STATE,
-    BOOL,
-    HAZARDS,
-    IMU,
-    LASER_SCAN,
-    ODOMETRY,
-    TWIST,
-    TWIST_STAMPED,
-)
-
 # No keys; reliable; volatile or transient local; keep the last 10 or 1 (Cyclone DDS' numbers).
 _KEEP_10, _LATCHED = ":1:0:0,10", ":1:1:0,1"
 # A DDS reader that asks for reliability gets nothing from a best-effort writer, as those of sensors are.
@@ -34,18 +22,6 @@ class Convention(StrEnum):
     """zenoh-bridge-ros2dds: the plain keys, and a token for each."""
     RMW_ZENOH = "rmw-zenoh"
     """ROS 2 nodes whose own middleware is Zenoh (RMW_IMPLEMENTATION=rmw_zenoh_cpp)."""
-
-
-def sensor_topics(topics: Topics) -> list[tuple[str, str]]:
-    """Return name and type of each topic that a robot publishes for its base."""
-    found = [(topics.odom, ODOMETRY), (topics.imu, IMU), (topics.battery_state, BATTERY_STATE)]
-    found += [(topics.scan, LASER_SCAN), (topics.stop, BOOL), (topics.hazards, HAZARDS)]
-    return [(name, ros_type) for name, ros_type in found if name is not None]
-
-
-def command_type(topics: Topics) -> str:
-    """Return the type of a robot's commands."""
-    return TWIST_STAMPED if topics.cmd_vel_type == "TwistStamped" else TWIST
 
 
 def bridge_token(zid: str) -> str:

@@ -13,7 +13,8 @@ from typing import Any
 
 import zenoh
 
-from bridge.ros2.discovery import Convention, bridge_token, command_type, sensor_topics, topic_token
+from bridge.ros2.address import command_type, sensor_topics
+from bridge.ros2.discovery import Convention, bridge_token, topic_token
 from bridge.ros2.rmw import Attachment, Graph, Topic, gid
 from bridge.ros2.rmw_node import publisher
 from rover_ncp.core.errors import PortInUse

@@ -156,7 +156,7 @@ def test_result_that_cannot_be_written_is_exit_2_and_one_line(arguments, stdout)
 @pytest.mark.parametrize("locale", [{"LC_ALL": "C", "PYTHONUTF8": "0"}, {"PYTHONIOENCODING": "ascii"}])
 def test_ascii_terminal_gets_escape_sequences_for_other_characters(locale):
     done = subprocess.run(
-        [*COMMAND, "paper", "random-circuits"],
+        [*COMMAND, "paper", "report"],
         capture_output=True,
         env=os.environ | locale,
         timeout=60,

@@ -1,4 +1,4 @@
-"""Structure of the packages. The list of full folders is exact: a folder that has room again must leave it."""
+"""Structure of the packages. The list of full folders is exact: one that has room again must leave it."""
 
 import re
 

@@ -109,7 +109,7 @@ class Preflight:
             "forward": self._check_forward,
             "left": self._check_left,
             "silence": self._check_silence,
-            "bridge": self._check_own_timeout,
+            "bridge": self._check_base_timeout,
         }
         try:
             for name, check in checks.items():
@@ -204,7 +204,7 @@ class Preflight:
         words = f"stands {took:.2f} s after the last command" if stands else "does not stop"
         return stands and took <= allowed, f"{words} (at most {allowed:.2f} s)"
 
-    def _check_own_timeout(self) -> tuple[bool, str]:
+    def _check_base_timeout(self) -> tuple[bool, str]:
         """Test the base's own stop: the bridge sends it nothing, as if the bridge had died."""
         base = self._link.about_base()
         if base is None:

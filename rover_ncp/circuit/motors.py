@@ -76,7 +76,7 @@ def parking_motors() -> Motors:
 
 
 def four_dof_motors() -> Motors:
-    """Return the motors for parking with four degrees of freedom: forward and backward, left and right."""
+    """Return the motors for parking forward and in reverse; the paper calls them four degrees of freedom."""
     return Motors(
         outputs=("v", "omega"),
         channels=(

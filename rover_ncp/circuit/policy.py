@@ -187,7 +187,7 @@ def _layer_problems(
 
 
 def parking_policy(circuit: Circuit, clamp: bool = True) -> Policy:
-    """Return a circuit with the paper's mappings for parking, with four degrees of freedom if it has REV.
+    """Return a circuit with the paper's mappings for parking, also in reverse if it has the neuron REV.
 
     ``clamp=False`` is for circuits trained with the published code, which does not clamp its sensors.
     """

@@ -10,7 +10,7 @@ Fault and standstill are timed on one clock, the machine's monotonic clock:
   running, the bridge's bytes lie in a buffer, and the base receives them later than a real one would. That
   delay belongs to the measurement, not to the bridge. Mock and line report the longest, and it is part of the
   resolution.
-- A resolution worse than `MOST_LATE_S` could hide a late stop. Such a measurement is repeated, and never
+- A resolution worse than `MAX_LATE_S` could hide a late stop. Such a measurement is repeated, and never
   counts as in time.
 """
 
@@ -26,7 +26,7 @@ from faults.scripted_driver import ScriptedDriver
 from sim.live.processes import TimedOut, wait_for
 from sim.live.truth import SAMPLE_S
 
-MOST_LATE_S = 0.1
+MAX_LATE_S = 0.1
 """The longest delay of mock and line in a measurement that counts."""
 TRIES = 5
 DEPLOY_TIMEOUT_S = 20.0
@@ -69,9 +69,9 @@ def in_time(row: Row, seconds: float, braking_s: float, late_s: float) -> bool:
     """Whether a measured time fits the requirement: the row's bound, braking, and the resolution.
 
     The resolution is one sample, in which the rover stopped, and ``late_s`` (see `Measured`). A time
-    with a ``late_s`` above `MOST_LATE_S` fits no requirement.
+    with a ``late_s`` above `MAX_LATE_S` fits no requirement.
     """
-    return late_s <= MOST_LATE_S and seconds <= row.bound_s + braking_s + SAMPLE_S + late_s
+    return late_s <= MAX_LATE_S and seconds <= row.bound_s + braking_s + SAMPLE_S + late_s
 
 
 def measure(
@@ -88,12 +88,12 @@ def measure(
             measured = _measure(scene, row, driver, moments)
         finally:
             rig.end(scene.driver)
-        if measured.late_s <= MOST_LATE_S:
+        if measured.late_s <= MAX_LATE_S:
             return measured
         if record is not None:
             record.unlink(missing_ok=True)
     raise TimedOut(
-        f"the machine kept mock or line from running for more than {MOST_LATE_S} s in each of {TRIES} "
+        f"the machine kept mock or line from running for more than {MAX_LATE_S} s in each of {TRIES} "
         "measurements; repeat on a machine with less load"
     )
 

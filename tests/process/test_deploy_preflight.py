@@ -82,7 +82,7 @@ def test_a_measurement_that_a_stop_ended_is_not_called_a_missing_timeout(monkeyp
     )
     monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
     monitor, measurements = SimpleNamespace(until=lambda condition, timeout_s: False), SimpleNamespace()
-    found, detail = Preflight(link, measurements, monitor, Battery())._check_own_timeout()
+    found, detail = Preflight(link, measurements, monitor, Battery())._check_base_timeout()
     assert found is False
     assert detail.startswith(words)
 

@@ -86,7 +86,7 @@ def test_the_check_keeps_its_lease_while_it_measures_and_prints_the_line_to_add(
     link = SimpleNamespace(about_base=lambda measure=False: next(replies), request_motors=request)
     monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
     monitor = SimpleNamespace(until=lambda condition, timeout_s: False)
-    found, detail = Preflight(link, None, monitor, None)._check_own_timeout()
+    found, detail = Preflight(link, None, monitor, None)._check_base_timeout()
     assert found
     assert detail.endswith(f"measured_base_timeout_s: 0.52 # {date.today()}")
     assert requested == [("check", True)] * 9  # one for the move, and one at each look

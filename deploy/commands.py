@@ -128,9 +128,6 @@ def deploy(
 def replay(
     run: Annotated[Path, typer.Argument(help="A recording of 'rover-ncp deploy --record'.")],
     *,
-    policy: Annotated[
-        str | None, typer.Option(help="Recompute with this policy instead of the recorded one.")
-    ] = None,
     json: Json = False,
 ) -> int:
     """Recompute a drive from its recorded odometry and compare every number with the recorded one.
@@ -140,7 +137,7 @@ def replay(
     """
     from deploy.replay import replay as recompute
 
-    found = recompute(run, policy)
+    found = recompute(run)
     same = found.difference is None
     fields = {
         "same": same,  #: to the last bit

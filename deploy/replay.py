@@ -9,18 +9,14 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 
 from deploy.drive.controller import Controller, Tick
 from deploy.drive.measurements import READERS, Sample, SampleRef
 from deploy.drive.publisher import estimate_message
 from deploy.drive.records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, attached, numbers
 from deploy.estimator.estimator import Estimate
-from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.recording.recording import Recording, read_recording
@@ -58,20 +54,19 @@ class Comparison:
     difference: Difference | None
 
 
-def replay(path: Path, policy: str | None = None) -> Comparison:
-    """Recompute a recording, with its own policy or another. Raises FileError and ConfigError."""
+def replay(path: Path) -> Comparison:
+    """Recompute a recording with its own policy. Raises FileError and ConfigError."""
     recording = read_recording(path, topics=TOPICS)
-    own, course, config = attached(recording)
-    other = load_policy(policy) if policy is not None else own
+    policy, course, config = attached(recording)
     start, ticks = _records(recording)
-    controller = Controller(other, course, config.estimator, config.rover)
+    controller = Controller(policy, course, config.estimator, config.rover)
     ticks_done, difference = 0, None
-    for record, difference in _compared(recording, controller, start, ticks, other.circuit.neurons):
+    for record, difference in _compared(recording, controller, start, ticks, policy.circuit.neurons):
         if difference is not None:
             break
         ticks_done += record.command is not None
     # A changed number may leave no trace in this run: then the files themselves show the difference.
-    difference = difference or _changed_file(recording, start) or _changed_policy(own, other)
+    difference = difference or _changed_file(recording, start)
     return Comparison(ticks_done, recording.complete, difference)
 
 
@@ -193,22 +188,3 @@ def _changed_file(recording: Recording, start: StartRecord) -> Difference | None
         if (now := zlib.crc32(recording.attachment(name))) != crc:
             return Difference(None, f"the checksum of {name}", f"{crc:08x}", f"{now:08x}")
     return None
-
-
-def _changed_policy(own: Policy, other: Policy) -> Difference | None:
-    """Return the first value in which two policies differ, apart from their provenance."""
-    before, now = (yaml.safe_load(policy_to_yaml(policy)) for policy in (own, other))
-    for data in (before, now):
-        del data["provenance"], data["courses"], data["circuit"]["name"]
-    return next(_changed("policy", before, now), None)
-
-
-def _changed(path: str, before: Any, now: Any) -> Iterator[Difference]:
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in before | now:
-            yield from _changed(f"{path}.{key}", before.get(key, ABSENT), now.get(key, ABSENT))
-    elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
-        for number, (one, two) in enumerate(zip(before, now, strict=True)):
-            yield from _changed(f"{path}[{number}]", one, two)
-    elif repr(before) != repr(now):  # by their digits: 0.0 and -0.0 differ in a bit
-        yield Difference(None, path, repr(before), repr(now))

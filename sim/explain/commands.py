@@ -30,13 +30,6 @@ def explain(
             help="Course to drive, by name or YAML file.", show_default="parking, or the recording's"
         ),
     ] = None,
-    threshold: Annotated[
-        float,
-        typer.Option(
-            min=1.0,
-            help="Ratio by which one sign must outnumber the other, for a contribution to have a sign.",
-        ),
-    ] = 1.5,
     runs: Annotated[
         Path | None,
         typer.Option(
@@ -82,9 +75,9 @@ def explain(
     if task is not None:
         if course is not None:
             raise UsageError("--task and --course do not go together")
-        found = explain_task(source, task, threshold=threshold, on_progress=output.say, runs=runs or RUNS)
+        found = explain_task(source, task, on_progress=output.say, runs=runs or RUNS)
     elif source is not None:
-        found = explain_source(source, course, threshold=threshold, on_progress=output.say)
+        found = explain_source(source, course, on_progress=output.say)
     else:
         raise UsageError("explain needs a policy or a recording, or --task with a benchmark of the paper")
     for number, sentence in enumerate(found.findings.sentences, 1):
@@ -109,10 +102,6 @@ def report(
         Path | None,
         typer.Option(help="The page to write.", show_default="RUN.html"),
     ] = None,
-    animation: Annotated[
-        Path | None,
-        typer.Option(help="Also write the drive as an animated picture (.gif or .webp).", show_default=False),
-    ] = None,
     json: Json = False,
 ) -> None:
     """Write a page about a drive: one HTML file, to be opened from disk.
@@ -121,17 +110,14 @@ def report(
     time slider, with a sentence for each phase of the manoeuvre. It holds all its data and loads nothing from
     the network.
     """
-    from sim.explain.report import write_animation, write_page
+    from sim.explain.report import write_page
 
     output = Output(json)
-    if animation is not None:
-        write_animation(source, animation)
     page = write_page(source, out)
     output.result(
         {
             "page": str(page),  #: its file
             "bytes": page.stat().st_size,  #: its size
-            "animation": None if animation is None else str(animation),  #: its file
         },
         f"report: {page}",
     )

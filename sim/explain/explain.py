@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from deploy.report.findings import Findings, analyse
-from deploy.report.interpretation import THRESHOLD
 from deploy.report.recorded_drive import read_drive
 from deploy.report.sentences import number
 from deploy.report.trace import Trace
@@ -68,7 +67,6 @@ def explain(
     source: str,
     course: str | None = None,
     *,
-    threshold: float = THRESHOLD,
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> Explanation:
     """Explain a policy (name or file) on a course, or a recording (``.mcap``) on its own course.
@@ -90,17 +88,16 @@ def explain(
         trace,
         verdict,
         source=source,
-        command=command_line(source, threshold, course=course),
-        threshold=threshold,
+        command=command_line(source, course=course),
         on_progress=on_progress,
     )
 
 
-def command_line(source: str | None, threshold: float, **options: str | None) -> str:
+def command_line(source: str | None, **options: str | None) -> str:
     """Return the command that makes an explanation, without ``--out``."""
     words = ["rover-ncp", "explain", *([source] if source else [])]
     words += [word for name, value in options.items() if value for word in (f"--{name}", value)]
-    return shlex.join(words + ([] if threshold == THRESHOLD else ["--threshold", f"{threshold:g}"]))
+    return shlex.join(words)
 
 
 def explain_stored(
@@ -108,7 +105,6 @@ def explain_stored(
     command: str,
     policy: Policy,
     *,
-    threshold: float = THRESHOLD,
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> Explanation:
     """Explain a stored circuit of the paper's parking tasks, as ``explain`` does a policy."""
@@ -122,7 +118,6 @@ def explain_stored(
         intact.verdict,
         source=source,
         command=command,
-        threshold=threshold,
         on_progress=on_progress,
     )
 
@@ -135,7 +130,6 @@ def _explained(
     *,
     source: str,
     command: str,
-    threshold: float,
     on_progress: Callable[[str], None],
 ) -> Explanation:
     policy = trace.policy
@@ -150,7 +144,7 @@ def _explained(
         course=known,
         verdict=verdict,
         intact=intact,
-        findings=analyse(trace, threshold),
+        findings=analyse(trace),
         knock_outs=without,
         sensitivities=sensitivities(policy, known),
     )

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.report.findings import Findings, analyse
-from deploy.report.interpretation import THRESHOLD
 from deploy.report.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
@@ -127,7 +126,6 @@ def explain_task(
     source: str | None,
     task: str,
     *,
-    threshold: float = THRESHOLD,
     on_progress: Callable[[str], None] = lambda _: None,
     runs: Path = RUNS,
 ) -> Explanation | TaskExplanation:
@@ -135,13 +133,13 @@ def explain_task(
 
     Raises UsageError, FileError and ConfigError.
     """
-    command = command_line(source, threshold, task=task)
+    command = command_line(source, task=task)
     known = TASKS.get(task)
     if known is not None and not isinstance(known, Benchmark):
         if source is not None:
             raise UsageError(f"--task {task}: explain a policy's drive without --task, with --course parking")
         name, parks = stored_policy(known, runs)
-        return explain_stored(name, command, parks, threshold=threshold, on_progress=on_progress)
+        return explain_stored(name, command, parks, on_progress=on_progress)
     subject = _subject(source, task, runs)
     policy, episodes = subject.policy, subject.episodes
     seeds = episode_seeds(0, Domain.EXPLAINED_EPISODES, EPISODES)
@@ -164,7 +162,7 @@ def explain_task(
         task=task,
         returns=returns,
         enough=episodes.enough,
-        findings=analyse(trace, threshold),
+        findings=analyse(trace),
         knock_outs=tuple(without),
         sensitivities=sensitivities_of(policy, lambda rows: episodes.returns(rows, seeds).mean(axis=1)),
     )

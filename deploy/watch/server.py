@@ -28,7 +28,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deploy.report.charts.figure import outline_of
-from deploy.report.page.feed import Feed, Place
+from deploy.report.page.feed import Cursor, Feed
 from deploy.report.page.page import watch_page
 from deploy.watch.viewer import Viewer
 from deploy.zenoh_client import BridgeAddress
@@ -92,13 +92,13 @@ def _application(page: str, feed: Feed, viewer: Viewer) -> Starlette:
             await socket.close()
             return
         await socket.accept()
-        place = Place()
+        cursor = Cursor()
 
         async def answer(request: str) -> None:
             if request in {"stop", "release"}:
                 reply = await run_sync(_request_stop, viewer, request == "release", limiter=stops)
             elif request == "news":
-                reply = await run_sync(_news, feed, viewer, place)
+                reply = await run_sync(_news, feed, viewer, cursor)
             else:
                 return
             # The page was closed meanwhile; any further answer to it is a RuntimeError.
@@ -115,9 +115,9 @@ def _application(page: str, feed: Feed, viewer: Viewer) -> Starlette:
     )
 
 
-def _news(feed: Feed, viewer: Viewer, place: Place) -> str:
+def _news(feed: Feed, viewer: Viewer, cursor: Cursor) -> str:
     bridge = viewer.bridge_alive
-    news = feed.news(place, bridge) | {"bridge": bridge, "mayStop": viewer.may_stop}
+    news = feed.news(cursor, bridge) | {"bridge": bridge, "mayStop": viewer.may_stop}
     return json.dumps(news, allow_nan=False, separators=(",", ":"))
 
 

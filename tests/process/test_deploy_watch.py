@@ -8,14 +8,13 @@ import threading
 import time
 import urllib.request
 from html import unescape
-from itertools import pairwise
 
 import pytest
 from recorded_drives import drive_messages
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from deploy.report.page.feed import Feed, Place
+from deploy.report.page.feed import Cursor, Feed
 from deploy.watch import server
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy_file import load_policy
@@ -62,13 +61,13 @@ def joined(parts):
 
 def test_news_in_pieces_are_the_whole(short):
     policy, course, received, simulated = short
-    pieces, place, feed = [], Place(), Feed(policy, course)
+    pieces, cursor, feed = [], Cursor(), Feed(policy, course)
     for number, message in enumerate(received):
         feed.take(message)
         if number % 7 == 0:
-            pieces.append(json.loads(json.dumps(feed.news(place), allow_nan=False)))
-    pieces.append(feed.news(place))
-    whole, once = joined(pieces), joined([feed.news(Place())])
+            pieces.append(json.loads(json.dumps(feed.news(cursor), allow_nan=False)))
+    pieces.append(feed.news(cursor))
+    whole, once = joined(pieces), joined([feed.news(Cursor())])
     assert whole == once
     assert whole["x"] == pytest.approx(simulated.poses[:-1, 0], abs=1e-4)
     assert whole["potentials"] == pytest.approx(simulated.potentials[:, 3], abs=0.01)
@@ -78,50 +77,33 @@ def test_news_in_pieces_are_the_whole(short):
     assert len(pieces[-1]["findings"]["contributions"]) == 132
 
 
-def test_phases_are_sent_during_the_drive_at_most_once_a_second(short):
-    policy, course, received, _ = short
-    now, place, found = [0.0], Place(), []
-    feed = Feed(policy, course, clock=lambda: now[0])
-    for message in received:
-        feed.take(message)
-        if message.topic == "rover/neurons":
-            now[0] += 0.1
-            news = feed.news(place)
-            if "findings" in news:
-                found.append((now[0], news["findings"]))
-    times = [t for t, _ in found]
-    assert len(times) >= 3
-    assert all(b - a >= 0.99 for a, b in pairwise(times))
-    assert set(found[0][1]) == {"phases"}
-
-
 def test_all_findings_are_sent_at_the_end_without_a_new_tick(short):
     policy, course, received, _ = short
-    place, feed = Place(), Feed(policy, course)
+    cursor, feed = Cursor(), Feed(policy, course)
     on_the_way = [message for message in received if message.topic != "rover/status"]
     for message in [status("running", received[0].log_ns), *on_the_way]:
         feed.take(message)
-    assert set(feed.news(place)["findings"]) == {"phases"}
+    assert "findings" not in feed.news(cursor)
     feed.take(status("fault", received[-1].log_ns))
-    assert len(feed.news(place)["findings"]["contributions"]) == 132
-    assert "findings" not in feed.news(place)
+    assert len(feed.news(cursor)["findings"]["contributions"]) == 132
+    assert "findings" not in feed.news(cursor)
 
 
 def test_a_new_drive_begins_anew(short):
     policy, course, received, _ = short
-    feed, place = Feed(policy, course), Place()
+    feed, cursor = Feed(policy, course), Cursor()
     for message in received:
         feed.take(message)
-    assert feed.news(place)["ticks"]["t"]
+    assert feed.news(cursor)["ticks"]["t"]
     after = received[-1].log_ns + 10**9
     feed.take(status("armed", after))
-    fresh = feed.news(place)
+    fresh = feed.news(cursor)
     assert fresh["reset"] is True
     assert "ticks" not in fresh
     assert [event["text"] for event in fresh["events"]] == []
     for message in received:
         feed.take(message)
-    assert len(feed.news(place)["ticks"]["t"]) == course.ticks
+    assert len(feed.news(cursor)["ticks"]["t"]) == course.ticks
 
 
 @pytest.mark.parametrize(("model", "corners"), [("p3at-sh", 5), ("turtlebot4", 37)])
@@ -148,7 +130,7 @@ def test_neurons_of_another_policy_are_noticed(short):
     feed.take(
         Recorded("rover/neurons", "std_msgs/msg/Float64MultiArray", messages.neurons([0.0], ["X"]), 1, 1)
     )
-    assert "neurons are not those of this page's policy" in unescape(feed.news(Place())["html"]["subline"])
+    assert "neurons are not those of this page's policy" in unescape(feed.news(Cursor())["html"]["subline"])
 
 
 class Page:
@@ -186,7 +168,7 @@ class SlowFeed:
     def __init__(self):
         self.released = threading.Event()
 
-    def news(self, place, bridge):
+    def news(self, cursor, bridge):
         self.released.wait(30)
         return {}
 

@@ -41,7 +41,6 @@ def test_a_running_rover_is_seen_and_stopped(browser, tmp_path):
         seen.until("Number(document.getElementById('time').value) > 5.5")
         after = seen.outline(), seen.neuron("AVB"), seen.clock()
         assert all(old != new for old, new in zip(before, after, strict=True))
-        assert "turn" in seen.page.text_content("#phases")
         # The plots follow, too.
         seen.until("Math.max(...document.getElementById('commands').data.flatMap(trace => trace.x)) > 4.5")
         seen.photograph("watch_1280")
@@ -61,6 +60,7 @@ def test_a_running_rover_is_seen_and_stopped(browser, tmp_path):
         seen.to(4.0)
         seen.until("document.getElementById('signs').checkVisibility()")
         assert "fault" in seen.page.text_content("#events")
+        assert "turn" in seen.page.text_content("#phases")
         seen.page.click("#release")
         seen.until("document.getElementById('release').hidden")
         assert seen.complaints == []

@@ -1,17 +1,13 @@
 """News of a running drive: the changes since a viewer's last request, ready for its page.
 
-One feed serves any number of viewers, each with its own place (`Place`). A new viewer, and every viewer after
-a new drive has begun, gets everything. Messages come from one thread, requests of viewers from others. Only
+One feed serves any number of viewers, each with its own `Cursor`. A new viewer, and every viewer after a
+new drive has begun, gets everything. Messages come from one thread, requests of viewers from others. Only
 what is short holds the lock that messages need: rows of a drive are only ever appended, so columns are made,
 and the drive is explained, outside it.
 """
 
-import copy
-import math
 import threading
-import time
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,13 +27,10 @@ FINAL = frozenset({"parked", "ended", "fault"})
 """States of a driver whose drive has ended."""
 BEFORE = 50
 """Odometry and commands kept before a drive begins."""
-EXPLAIN_EVERY_S = 1.0
-EXPLAIN_SHARE = 0.1
-"""At most this share of the time goes into explanations of a drive, which take longer the longer it is."""
 
 
 @dataclass
-class Place:
+class Cursor:
     """What a viewer has received: rows of each stream, and the text of each part of the page."""
 
     generation: int = -1
@@ -49,9 +42,9 @@ class Place:
 class Feed:
     """The newest drive of a robot."""
 
-    def __init__(self, policy: Policy, course: Course, clock: Callable[[], float] = time.monotonic) -> None:
-        self._policy, self._course, self._clock = policy, course, clock
-        self._lock, self._explaining = threading.Lock(), threading.Lock()
+    def __init__(self, policy: Policy, course: Course) -> None:
+        self._policy, self._course = policy, course
+        self._lock = threading.Lock()
         self._generation = 0
         self._ended = False
         self._verdicts: dict[str, Verdict] | None
@@ -81,29 +74,29 @@ class Feed:
                 for rows in (self._timeline.odometry, self._timeline.asked, self._timeline.let_through):
                     del rows[:-BEFORE]
 
-    def news(self, place: Place, bridge: bool = True) -> dict[str, Any]:
-        """Return the new data for a viewer and move its place on; ``bridge`` is False without a bridge."""
+    def news(self, cursor: Cursor, bridge: bool = True) -> dict[str, Any]:
+        """Return the new data for a viewer and advance its cursor; ``bridge`` is False without a bridge."""
         self._explain()
         with self._lock:
             timeline = self._timeline
-            reset = place.generation != self._generation
+            reset = cursor.generation != self._generation
             if reset:
-                place.__dict__.update(vars(Place(self._generation)))
+                cursor.__dict__.update(vars(Cursor(self._generation)))
             news: dict[str, Any] = {
                 "reset": reset,
                 "status": timeline.status and timeline.status.model_dump(),
                 "gate": timeline.gate and timeline.gate.model_dump(),
                 "events": event_rows(timeline),
             }
-            first = place.rows
+            first = cursor.rows
             if timeline.ticks:
-                place.rows = Counter({name: len(rows) for name, rows in timeline.streams.items()})
-            if self._findings is not place.findings:
-                news["findings"] = place.findings = self._findings
+                cursor.rows = Counter({name: len(rows) for name, rows in timeline.streams.items()})
+            if self._findings is not cursor.findings:
+                news["findings"] = cursor.findings = self._findings
             html = {**self._state_html(bridge), **self._findings_html}
-            news["html"] = {name: text for name, text in html.items() if place.html.get(name) != text}
-            place.html = html
-        return news | columns(timeline, first, place.rows) if place.rows else news
+            news["html"] = {name: text for name, text in html.items() if cursor.html.get(name) != text}
+            cursor.html = html
+        return news | columns(timeline, first, cursor.rows) if cursor.rows else news
 
     def _begin(self) -> None:
         self._generation += 1
@@ -111,8 +104,7 @@ class Feed:
         self._ended = False
         self._findings: dict[str, Any] | None = None
         self._findings_html: dict[str, Markup] = {}
-        self._explained = (0, False)
-        self._explain_after = -math.inf
+        self._explained = False
         self._verdicts, self._judged = None, None
 
     def _state_html(self, bridge: bool) -> dict[str, Markup]:
@@ -142,25 +134,13 @@ class Feed:
         }
 
     def _explain(self) -> None:
-        """Explain the drive so far now and then, and completely at its end; one thread at a time."""
-        if not self._explaining.acquire(blocking=False):
-            return
-        try:
-            with self._lock:
-                began_s, generation, ended = self._clock(), self._generation, self._ended
-                state = len(self._timeline.ticks), ended
-                if state == self._explained or state[0] < 2 or (not ended and began_s < self._explain_after):
-                    return
-                timeline = copy.copy(self._timeline)
-                timeline.ticks = list(timeline.ticks)
-            findings = analyse(timeline.trace())
-            data, html = findings_data(findings), findings_html(findings)
-            if not ended:  # contributions need a whole drive
-                del data["contributions"], html["signs"], html["taus"]
-            with self._lock:
-                if generation == self._generation:
-                    self._findings, self._findings_html, self._explained = data, html, state
-                    pause_s = (self._clock() - began_s) / EXPLAIN_SHARE
-                    self._explain_after = began_s + max(EXPLAIN_EVERY_S, pause_s)
-        finally:
-            self._explaining.release()
+        """Explain an ended drive, once."""
+        with self._lock:
+            if not self._ended or self._explained or len(self._timeline.ticks) < 2:
+                return
+            self._explained, generation, timeline = True, self._generation, self._timeline
+        findings = analyse(timeline.trace())
+        data, html = findings_data(findings), findings_html(findings)
+        with self._lock:
+            if generation == self._generation:
+                self._findings, self._findings_html = data, html

@@ -13,7 +13,7 @@ from markupsafe import Markup, escape
 
 from deploy.report.charts.figure import OUTLINE, FloatArray
 from deploy.report.findings import Findings, analyse
-from deploy.report.interpretation import PUBLISHED_SIGNS, SYMBOLS
+from deploy.report.interpretation import SYMBOLS
 from deploy.report.page.page_data import circuit_data, columns, course_data, event_rows, rings
 from deploy.report.recorded_drive import Drive, summarise
 from deploy.report.sentences import number
@@ -28,7 +28,6 @@ _TEMPLATES.filters["number"] = number
 _TEMPLATES.globals |= {
     "asset": lambda name: Markup((_ASSETS / name).read_text("utf-8")),
     "symbols": SYMBOLS,
-    "published": PUBLISHED_SIGNS,
 }
 _TEMPLATES.policies["json.dumps_kwargs"] = {
     "allow_nan": False,

@@ -1,5 +1,4 @@
 import importlib
-import itertools
 import json
 import math
 import re
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 from recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
 
-from deploy.report.page.feed import Feed, Place
+from deploy.report.page.feed import Cursor, Feed
 from deploy.report.page.page import drive_page, fragment, page
 from deploy.report.recorded_drive import read_drive, summarise
 from deploy.report.timeline import Timeline
@@ -52,12 +51,12 @@ def test_messages_with_impossible_numbers_are_skipped(value, tmp_path, capsys):
     more = [replace(victims[topic], data=bad[topic]) for topic in bad]
     write_drive(tmp_path / "run.mcap", course=SHORT, more=more)
     assert run(["report", str(tmp_path / "run.mcap")]) == 0, capsys.readouterr().err
-    feed, place = Feed(policy, course, itertools.count().__next__), Place()
+    feed, cursor = Feed(policy, course), Cursor()
     for number, message in enumerate(sorted([*good, *more], key=lambda message: message.log_ns)):
         feed.take(message)
         if number % 20 == 0:
-            json.dumps(feed.news(place), allow_nan=False)
-    assert "neurons are not those" not in place.html["subline"]
+            json.dumps(feed.news(cursor), allow_nan=False)
+    assert "neurons are not those" not in cursor.html["subline"]
 
 
 def test_page_is_small_and_complete(drive):
@@ -117,7 +116,7 @@ def test_text_from_peers_is_escaped_in_news():
     feed.take(Recorded("rover/status", STRING, messages.text(dump_json(status).decode()), 1, 1))
     gate = GateStatus(lease=1, driver_name=evil, held=evil, accepted=1, dropped={evil: 1})
     feed.take(Recorded("rover/gate", STRING, messages.text(dump_json(gate).decode()), 2, 2))
-    html = feed.news(Place())["html"]
+    html = feed.news(Cursor())["html"]
     assert "&lt;img" in html["title"]
     assert "&lt;img" in html["subline"]
     assert "<img" not in "".join(html.values())
@@ -180,7 +179,7 @@ def test_messages_are_taken_while_a_drive_is_explained(monkeypatch):
     policy, course = load_policy("parking"), load_course(SHORT)
     received, _ = drive_messages(policy, course)
     feed_module, taken = importlib.import_module("deploy.report.page.feed"), []
-    feed, now, once = Feed(policy, course, lambda: now[0]), [0.0], feed_module.analyse
+    feed, once = Feed(policy, course), feed_module.analyse
 
     def analyse(trace):
         thread = threading.Thread(target=feed.take, args=(received[0],), daemon=True)
@@ -190,39 +189,20 @@ def test_messages_are_taken_while_a_drive_is_explained(monkeypatch):
         return once(trace)
 
     monkeypatch.setattr(feed_module, "analyse", analyse)
-    for message in received[:400]:
+    for message in received:
         feed.take(message)
-    assert "findings" in feed.news(Place())
+    assert "findings" in feed.news(Cursor())
+    feed.news(Cursor())
     assert taken == [True]
-
-
-def test_explanations_take_a_share_of_the_time_however_long_they_take(monkeypatch):
-    policy, course = load_policy("parking"), load_course(SHORT)
-    received, _ = drive_messages(policy, course)
-    feed_module, explained = importlib.import_module("deploy.report.page.feed"), []
-    feed, place, now, once = Feed(policy, course, lambda: now[0]), Place(), [0.0], feed_module.analyse
-
-    def analyse(trace):
-        now[0] += 2.0
-        explained.append(now[0])
-        return once(trace)
-
-    monkeypatch.setattr(feed_module, "analyse", analyse)
-    ticks = [message for message in received if message.topic in {"rover/estimate", "rover/neurons"}]
-    for message in ticks:
-        feed.take(message)
-        feed.news(place)
-        now[0] += 0.5
-    assert 2 <= len(explained) <= 1 + now[0] / 20.0
 
 
 def test_ended_drive_is_judged_once(monkeypatch):
     policy, course = load_policy("parking"), load_course(SHORT)
-    feed, place, judged, once = Feed(policy, course), Place(), [], Timeline.judge
+    feed, cursor, judged, once = Feed(policy, course), Cursor(), [], Timeline.judge
     monkeypatch.setattr(Timeline, "judge", lambda timeline: judged.append(1) or once(timeline))
     for message in drive_messages(policy, course)[0]:
         feed.take(message)
     for _ in range(5):
-        feed.news(place)
-    assert "By the estimated pose" in place.html["summary"]
+        feed.news(cursor)
+    assert "By the estimated pose" in cursor.html["summary"]
     assert len(judged) == 1

@@ -179,7 +179,7 @@ def watch(
     this machine can open the page; the page shows the SSH command by which another device opens it. It is
     ready when it prints "watching at ADDRESS". Ctrl-C ends it and does not affect the rover.
     """
-    from deploy.watch.server import run
+    from deploy.view.server import run
     from deploy.zenoh_client import BridgeAddress
 
     address = BridgeAddress(robot, namespace, zenoh_config)

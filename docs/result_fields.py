@@ -39,7 +39,7 @@ RESULTS = {
     "deploy.recorder:Recorder.fields",
     "teleop": "deploy.teleop:run deploy.recorder:Recorder.fields",
     "identify": "rover_ncp.robot.profile:RoverProfile deploy.identify.run:_write_profile",
-    "course": "deploy.report.commands:course problems=rover_ncp.course.feasibility:Problem",
+    "course": "deploy.view.commands:course problems=rover_ncp.course.feasibility:Problem",
     "replay": "deploy.commands:replay difference=deploy.replay:Difference",
     "check": "deploy.commands:check findings=deploy.check:Finding",
     "keys": "bridge.commands:keys",
@@ -48,12 +48,12 @@ RESULTS = {
     "knock_outs=sim.explain.what_if:Knockout sensitivities=:Sensitivity sim.explain.commands:explain",
     "explain --task": "sim.explain.task:TaskExplanation.fields knock_outs=:TaskKnockout "
     "sensitivities=sim.explain.what_if:Sensitivity sim.explain.commands:explain",
-    "explain with or without --task, besides": "deploy.report.findings:Findings.fields phases=:_phase "
-    "phases.motor=deploy.report.phases:Mean phases.rival=:Mean phases.behind=:Mean phases.pulls=:Mean "
-    "phases.change=:Change contributions=deploy.report.interpretation:Contribution "
+    "explain with or without --task, besides": "deploy.view.findings:Findings.fields phases=:_phase "
+    "phases.motor=deploy.view.phases:Mean phases.rival=:Mean phases.behind=:Mean phases.pulls=:Mean "
+    "phases.change=:Change contributions=deploy.view.interpretation:Contribution "
     "time_constants=:TimeConstant",
     "report": "sim.explain.commands:report",
-    "watch": "deploy.watch.server:run",
+    "watch": "deploy.view.server:run",
 }
 """By command: the code of its fields as ``module:name``, of those of an object ``a`` as ``a=module:name``.
 

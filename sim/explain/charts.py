@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from deploy.report.charts.figure import (
+from deploy.view.charts.figure import (
     BLUE,
     DASHED,
     GREEN,
@@ -18,7 +18,7 @@ from deploy.report.charts.figure import (
     quiet,
     render,
 )
-from deploy.report.sentences import number
+from deploy.view.sentences import number
 from sim.explain.task import TaskKnockout
 from sim.explain.what_if import STEP, Knockout, Sensitivity
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deploy.report.findings import Findings, analyse
-from deploy.report.recorded_drive import read_drive
-from deploy.report.sentences import number
-from deploy.report.trace import Trace
+from deploy.view.findings import Findings, analyse
+from deploy.view.recorded_drive import read_drive
+from deploy.view.sentences import number
+from deploy.view.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import Course, Verdict, load_course

@@ -6,19 +6,19 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.report.charts.circuit import circuit
-from deploy.report.charts.figure import Picture
-from deploy.report.charts.neuron_pairs import phase_plots, slope_histograms
-from deploy.report.charts.path import activity, trajectory
-from deploy.report.findings import Findings
-from deploy.report.interpretation import (
+from deploy.view.charts.circuit import circuit
+from deploy.view.charts.figure import Picture
+from deploy.view.charts.neuron_pairs import phase_plots, slope_histograms
+from deploy.view.charts.path import activity, trajectory
+from deploy.view.findings import Findings
+from deploy.view.interpretation import (
     BINS,
     PUBLISHED_SIGNS,
     PUBLISHED_TIME_CONSTANTS_S,
     SYMBOLS,
     Contribution,
 )
-from deploy.report.sentences import number
+from deploy.view.sentences import number
 from rover_ncp.core.files import write_atomic
 from sim.explain.charts import knock_out_chart, return_chart, sensitivity_chart
 from sim.explain.explain import Explanation

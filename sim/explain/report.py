@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from deploy.report.page.page import drive_page
-from deploy.report.recorded_drive import read_drive
+from deploy.view.page import drive_page
+from deploy.view.recorded_drive import read_drive
 from rover_ncp.core.files import existing_file, require_writable, write_atomic
 
 

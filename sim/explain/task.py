@@ -11,8 +11,8 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.report.findings import Findings, analyse
-from deploy.report.trace import Trace
+from deploy.view.findings import Findings, analyse
+from deploy.view.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import UsageError

@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.report.interpretation import STILL_MV, Sign, time_constant_ranges
+from deploy.view.interpretation import STILL_MV, Sign, time_constant_ranges
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import load_course
 from sim.learn.engine.rollout import Rollout, rollout

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from deploy.report.charts.figure import outline_of
-from deploy.report.charts.path import drive_chart
-from deploy.report.page.page import drive_page
-from deploy.report.recorded_drive import read_drive
+from deploy.view.charts.figure import outline_of
+from deploy.view.charts.path import drive_chart
+from deploy.view.page import drive_page
+from deploy.view.recorded_drive import read_drive
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.rover_interface import RoverInterface

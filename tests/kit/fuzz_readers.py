@@ -35,7 +35,7 @@ from deploy.drive.records import (
     TickRecord,
 )
 from deploy.replay import replay
-from deploy.report.recorded_drive import read_drive
+from deploy.view.recorded_drive import read_drive
 from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
 from rover_ncp.core.config import dump_yaml, parse_yaml

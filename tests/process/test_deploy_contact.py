@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.report.recorded_drive import read_drive
+from deploy.view.recorded_drive import read_drive
 from rover_ncp.wire.messages import bumpers
 
 ANYWHERE = """

@@ -3,7 +3,7 @@
 import pytest
 from bridge_bench import wait_for
 
-from deploy.watch.viewer import Viewer
+from deploy.view.viewer import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.errors import NotAuthorised
 from rover_ncp.wire.messages import read_text

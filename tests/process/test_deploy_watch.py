@@ -14,8 +14,8 @@ from recorded_drives import drive_messages
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from deploy.report.page.feed import Cursor, Feed
-from deploy.watch import server
+from deploy.view import server
+from deploy.view.feed import Cursor, Feed
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output

@@ -6,7 +6,7 @@ import pytest
 from paths import DATA
 
 from deploy.replay import replay
-from deploy.report.recorded_drive import read_drive
+from deploy.view.recorded_drive import read_drive
 from deploy.zenoh_client import client_config
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.geometry import distance, wrap_angle

@@ -8,7 +8,7 @@ from paths import DATA
 
 from deploy.drive.controller import Controller
 from deploy.estimator.settings import EstimatorSettings
-from deploy.report.trace import motor_outputs
+from deploy.view.trace import motor_outputs
 from rover_ncp import api
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose

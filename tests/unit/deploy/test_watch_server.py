@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from deploy.watch.server import _application
+from deploy.view.server import _application
 
 
 class Viewer:

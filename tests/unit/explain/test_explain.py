@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from recorded_drives import write_drive
 
-from deploy.report.charts.circuit import circuit
+from deploy.view.charts.circuit import circuit
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner

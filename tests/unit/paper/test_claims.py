@@ -8,7 +8,7 @@ import pytest
 from json_fields import assert_on_page
 from paper_runs import result
 
-from deploy.report.interpretation import Sign
+from deploy.view.interpretation import Sign
 from rover_ncp.cli import run
 from sim.paper import BudgetName, claims
 from sim.paper.claims import Claim, Verdict, judge_claims, load_claims

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deploy.report.charts.figure import (
+from deploy.view.charts.figure import (
     BLUE,
     DASHED,
     GREEN,
@@ -24,9 +24,9 @@ from deploy.report.charts.figure import (
     rectangle,
     render,
 )
-from deploy.report.layout import LAYERS, labels, layers
-from deploy.report.phases import Phase
-from deploy.report.trace import Trace
+from deploy.view.layout import LAYERS, labels, layers
+from deploy.view.phases import Phase
+from deploy.view.trace import Trace
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import TICK_S, Course

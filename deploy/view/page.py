@@ -11,19 +11,17 @@ from urllib.parse import urlsplit
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup, escape
 
-from deploy.report.charts.figure import OUTLINE, FloatArray
-from deploy.report.findings import Findings, analyse
-from deploy.report.interpretation import SYMBOLS
-from deploy.report.page.page_data import circuit_data, columns, course_data, event_rows, rings
-from deploy.report.recorded_drive import Drive, summarise
-from deploy.report.sentences import number
+from deploy.view.charts.figure import OUTLINE, FloatArray
+from deploy.view.findings import Findings, analyse
+from deploy.view.interpretation import SYMBOLS
+from deploy.view.page_data import circuit_data, columns, course_data, event_rows, rings
+from deploy.view.recorded_drive import Drive, summarise
+from deploy.view.sentences import number
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import Course
 
-_ASSETS = resources.files("deploy.report.page") / "assets"
-_TEMPLATES = Environment(
-    loader=PackageLoader("deploy.report.page", "assets"), autoescape=True, trim_blocks=True
-)
+_ASSETS = resources.files("deploy.view") / "assets"
+_TEMPLATES = Environment(loader=PackageLoader("deploy.view", "assets"), autoescape=True, trim_blocks=True)
 _TEMPLATES.filters["number"] = number
 _TEMPLATES.globals |= {
     "asset": lambda name: Markup((_ASSETS / name).read_text("utf-8")),

@@ -13,11 +13,11 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from deploy.report.findings import analyse
-from deploy.report.page.page import findings_data, findings_html, fragment
-from deploy.report.page.page_data import columns, event_rows
-from deploy.report.recorded_drive import facts
-from deploy.report.timeline import Timeline
+from deploy.view.findings import analyse
+from deploy.view.page import findings_data, findings_html, fragment
+from deploy.view.page_data import columns, event_rows
+from deploy.view.recorded_drive import facts
+from deploy.view.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import Course, Verdict
 from rover_ncp.recording.recording import Recorded

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deploy.report.charts.figure import (
+from deploy.view.charts.figure import (
     AMBER,
     BLUE,
     GREY,
@@ -16,8 +16,8 @@ from deploy.report.charts.figure import (
     render,
     ring_radius,
 )
-from deploy.report.interpretation import TimeConstant
-from deploy.report.layout import (
+from deploy.view.interpretation import TimeConstant
+from deploy.view.layout import (
     HEIGHT,
     LAYERS,
     MARGIN,
@@ -29,7 +29,7 @@ from deploy.report.layout import (
     lay_out,
     name_scale,
 )
-from deploy.report.trace import Trace, synapse_currents
+from deploy.view.trace import Trace, synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
 
 if TYPE_CHECKING:

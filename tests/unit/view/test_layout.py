@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deploy.report.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out, layers, name_lines
+from deploy.view.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out, layers, name_lines
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy

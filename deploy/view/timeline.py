@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.report.trace import Trace, motor_outputs
+from deploy.view.trace import Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse

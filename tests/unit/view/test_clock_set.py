@@ -9,8 +9,8 @@ import pytest
 from recorded_drives import BEGAN_NS, TICK_NS, drive_messages
 
 from deploy.drive.records import COURSE_FILE, POLICY_FILE, TICKS_TOPIC
-from deploy.report.page.page_data import columns
-from deploy.report.recorded_drive import facts, read_drive
+from deploy.view.page_data import columns
+from deploy.view.recorded_drive import facts, read_drive
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.geometry import Pose

@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from deploy.report.phases import Explanation, Mean, Phase
+from deploy.view.phases import Explanation, Mean, Phase
 
 WEAK_MV, WEAK_SHARE = 1.0, 0.15
 """A sentence omits pulls below either limit; the second is a share of the strongest pull."""

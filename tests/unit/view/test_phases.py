@@ -3,9 +3,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deploy.report.findings import analyse
-from deploy.report.phases import explain, phases
-from deploy.report.trace import Trace, motor_outputs, motor_shares
+from deploy.view.findings import analyse
+from deploy.view.phases import explain, phases
+from deploy.view.trace import Trace, motor_outputs, motor_shares
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, course_policy, parking_policy

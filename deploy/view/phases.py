@@ -4,7 +4,7 @@ A tick is labelled by the signs of its command; a command below a tenth of the c
 Phases shorter than half a second are merged with their longer neighbour. A phase whose commands all count as
 zero but add up to a visible way or turn is named for it. A phase is explained backwards from its output: the
 motor neuron with the largest share in it, the neuron whose synapse pulls most on that motor neuron, and the
-synapses that pull most on that neuron. Pulls are means over the phase in mV (`deploy.report.trace`). In a
+synapses that pull most on that neuron. Pulls are means over the phase in mV (`deploy.view.trace`). In a
 task that is no drive, the commands are the policy's outputs.
 """
 
@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.report.trace import Currents, Trace, motor_shares, synapse_currents
+from deploy.view.trace import Currents, Trace, motor_shares, synapse_currents
 from rover_ncp.circuit.circuit import MIDPOINT_MV
 from rover_ncp.core.geometry import Velocity, wrap_angle
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
 
-from deploy.report.page.feed import Cursor, Feed
-from deploy.report.page.page import drive_page, fragment, page
-from deploy.report.recorded_drive import read_drive, summarise
-from deploy.report.timeline import Timeline
+from deploy.view.feed import Cursor, Feed
+from deploy.view.page import drive_page, fragment, page
+from deploy.view.recorded_drive import read_drive, summarise
+from deploy.view.timeline import Timeline
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core.geometry import Pose, Velocity
@@ -178,7 +178,7 @@ def test_command_names_a_missing_recording(tmp_path, capsys):
 def test_messages_are_taken_while_a_drive_is_explained(monkeypatch):
     policy, course = load_policy("parking"), load_course(SHORT)
     received, _ = drive_messages(policy, course)
-    feed_module, taken = importlib.import_module("deploy.report.page.feed"), []
+    feed_module, taken = importlib.import_module("deploy.view.feed"), []
     feed, once = Feed(policy, course), feed_module.analyse
 
     def analyse(trace):

@@ -119,8 +119,8 @@ def _new(source: Path, out: Path | None, name: str | None) -> Any:
 
 
 def _draw(out: Path, made: Any, found: Any, robot: Any) -> None:
-    from deploy.report.charts.figure import outline_of
-    from deploy.report.charts.path import course_picture
+    from deploy.view.charts.figure import outline_of
+    from deploy.view.charts.path import course_picture
     from rover_ncp.core.files import require_writable, write_atomic
 
     if out.suffix not in {".png", ".svg"}:

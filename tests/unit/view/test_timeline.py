@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
 
-from deploy.report.recorded_drive import read_drive
-from deploy.report.timeline import Timeline
+from deploy.view.recorded_drive import read_drive
+from deploy.view.timeline import Timeline
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deploy.report.charts.figure import OUTLINE, FloatArray, rectangle, ring_radius
-from deploy.report.charts.path import deadlines
-from deploy.report.findings import Findings
-from deploy.report.layout import HEIGHT, RADIUS, WIDTH, label_lines, labels, lay_out, name_lines
-from deploy.report.timeline import Command, Moved, Tick, Timeline
-from deploy.report.trace import synapse_currents
+from deploy.view.charts.figure import OUTLINE, FloatArray, rectangle, ring_radius
+from deploy.view.charts.path import deadlines
+from deploy.view.findings import Findings
+from deploy.view.layout import HEIGHT, RADIUS, WIDTH, label_lines, labels, lay_out, name_lines
+from deploy.view.timeline import Command, Moved, Tick, Timeline
+from deploy.view.trace import synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.geometry import Pose

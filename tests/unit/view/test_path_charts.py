@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from deploy.report.charts import path
+from deploy.view.charts import path
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
 from rover_ncp.course.feasibility import check_course

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.report.interpretation import (
+from deploy.view.interpretation import (
     Sign,
     contribution,
     contributions,
     time_constant_ranges,
 )
-from deploy.report.trace import synapse_currents
+from deploy.view.trace import synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy_file import load_circuit
 from sim.learn.random_circuit import build_circuit

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from deploy.report.interpretation import (
+from deploy.view.interpretation import (
     PUBLISHED_SIGNS,
     PUBLISHED_TIME_CONSTANTS_S,
     THRESHOLD,
@@ -13,10 +13,10 @@ from deploy.report.interpretation import (
     contributions,
     time_constant_ranges,
 )
-from deploy.report.layout import labels, layers
-from deploy.report.phases import Explanation, explain
-from deploy.report.sentences import sentence
-from deploy.report.trace import Trace
+from deploy.view.layout import labels, layers
+from deploy.view.phases import Explanation, explain
+from deploy.view.sentences import sentence
+from deploy.view.trace import Trace
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,10 +27,10 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from deploy.report.charts.figure import outline_of
-from deploy.report.page.feed import Cursor, Feed
-from deploy.report.page.page import watch_page
-from deploy.watch.viewer import Viewer
+from deploy.view.charts.figure import outline_of
+from deploy.view.feed import Cursor, Feed
+from deploy.view.page import watch_page
+from deploy.view.viewer import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output

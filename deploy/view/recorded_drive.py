@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.report.charts.figure import OUTLINE, FloatArray, outline_of
-from deploy.report.timeline import TOPICS, Moved, Tick, Timeline
+from deploy.view.charts.figure import OUTLINE, FloatArray, outline_of
+from deploy.view.timeline import TOPICS, Moved, Tick, Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml
 from rover_ncp.core.config import parse_yaml, read_yaml, validated

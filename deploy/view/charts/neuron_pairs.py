@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deploy.report.charts.figure import BLUE, GREY, INK, PALE, VERMILLION, Picture, figure, render
-from deploy.report.interpretation import BINS, SYMBOLS, Contribution, Sign
-from deploy.report.sentences import number
-from deploy.report.trace import Trace
+from deploy.view.charts.figure import BLUE, GREY, INK, PALE, VERMILLION, Picture, figure, render
+from deploy.view.interpretation import BINS, SYMBOLS, Contribution, Sign
+from deploy.view.sentences import number
+from deploy.view.trace import Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

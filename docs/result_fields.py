@@ -46,13 +46,11 @@ RESULTS = {
     "recover": "rover_ncp.recording.recording:Recovery",
     "explain": "sim.explain.explain:Explanation.fields run=rover_ncp.course.course:Verdict "
     "knock_outs=sim.explain.what_if:Knockout sensitivities=:Sensitivity sim.explain.commands:explain",
-    "explain --task": "sim.explain.task:TaskExplanation.fields knock_outs=:TaskKnockout "
-    "sensitivities=sim.explain.what_if:Sensitivity sim.explain.commands:explain",
-    "explain with or without --task, besides": "deploy.view.findings:Findings.fields phases=:_phase "
+    "explain, besides": "deploy.view.findings:Findings.fields phases=:_phase "
     "phases.motor=deploy.view.phases:Mean phases.rival=:Mean phases.behind=:Mean phases.pulls=:Mean "
     "phases.change=:Change contributions=deploy.view.interpretation:Contribution "
     "time_constants=:TimeConstant",
-    "report": "sim.explain.commands:report",
+    "report": "deploy.view.commands:report",
     "watch": "deploy.view.server:run",
 }
 """By command: the code of its fields as ``module:name``, of those of an object ``a`` as ``a=module:name``.

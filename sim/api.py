@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from rover_ncp.course.course import Course
     from sim.evaluate.evaluate import Evaluation
     from sim.explain.explain import Explanation
-    from sim.explain.task import TaskExplanation
     from sim.learn.agents import Snapshot
     from sim.learn.engine.driver import Driver
     from sim.learn.engine.rollout import Rollout
@@ -138,7 +137,7 @@ def explain(source: str | Path, course: str | None = None) -> "Explanation":
     return run(str(source), course)
 
 
-def explain_task(source: "str | Path | None", task: str) -> "Explanation | TaskExplanation":
+def explain_task(source: "str | Path | None", task: str) -> "Explanation":
     """Explain a policy on a benchmark of the paper or a Gymnasium environment, as ``explain --task``."""
     from sim.explain.task import explain_task as run
 

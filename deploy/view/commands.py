@@ -1,4 +1,4 @@
-"""The command ``course``; heavy libraries load only when it runs."""
+"""The commands ``course`` and ``report``; heavy libraries load only when one runs."""
 
 import re
 from enum import StrEnum
@@ -102,6 +102,32 @@ def course(
     return 0 if found.drivable else 1
 
 
+def report(
+    source: Annotated[Path, typer.Argument(help="A recording (.mcap) of a drive.")],
+    *,
+    out: Annotated[Path | None, typer.Option(help="The page to write.", show_default="RUN.html")] = None,
+    json: Json = False,
+) -> None:
+    """Write a page about a drive: one HTML file, to be opened from disk.
+
+    The page shows the path, every neuron and synapse, the driver's commands and the gate's setpoints over one
+    time slider, with a sentence for each phase of the manoeuvre. It holds all its data and loads nothing from
+    the network.
+    """
+    from deploy.view.page import drive_page
+    from deploy.view.recorded_drive import read_drive
+    from rover_ncp.core.files import existing_file, require_writable, write_atomic
+
+    page = out or existing_file(source).with_suffix(".html")
+    require_writable(page)
+    write_atomic(page, drive_page(read_drive(source)))
+    fields = {
+        "page": str(page),  #: its file
+        "bytes": page.stat().st_size,  #: its size
+    }
+    Output(json).result(fields, f"report: {page}")
+
+
 def _new(source: Path, out: Path | None, name: str | None) -> Any:
     from rover_ncp.core.config import name_from
     from rover_ncp.core.files import require_writable, write_atomic
@@ -119,12 +145,11 @@ def _new(source: Path, out: Path | None, name: str | None) -> Any:
 
 
 def _draw(out: Path, made: Any, found: Any, robot: Any) -> None:
-    from deploy.view.charts.figure import outline_of
-    from deploy.view.charts.path import course_picture
+    from deploy.view.pictures import course_picture, render
+    from deploy.view.shapes import outline_of
     from rover_ncp.core.files import require_writable, write_atomic
 
     if out.suffix not in {".png", ".svg"}:
         raise UsageError(f"--out {out}: expected a picture, .png or .svg")
     require_writable(out)
-    picture = course_picture(made, found, outline_of(robot))
-    write_atomic(out, picture.png if out.suffix == ".png" else picture.svg)
+    write_atomic(out, render(course_picture(made, found, outline_of(robot)), out.suffix[1:]))

@@ -1,4 +1,4 @@
-"""News of a running drive: the changes since a viewer's last request, ready for its page.
+"""Updates of a running drive: the changes since a viewer's last request, ready for its page.
 
 One feed serves any number of viewers, each with its own `Cursor`. A new viewer, and every viewer after a
 new drive has begun, gets everything. Messages come from one thread, requests of viewers from others. Only
@@ -71,10 +71,10 @@ class Feed:
                 self._verdicts = self._timeline.judge() if self._timeline.ticks else {}
                 self._judged = touched
             if not self._timeline.ticks:
-                for rows in (self._timeline.odometry, self._timeline.asked, self._timeline.let_through):
+                for rows in (self._timeline.odometry, self._timeline.commands, self._timeline.setpoints):
                     del rows[:-BEFORE]
 
-    def news(self, cursor: Cursor, bridge: bool = True) -> dict[str, Any]:
+    def updates(self, cursor: Cursor, bridge: bool = True) -> dict[str, Any]:
         """Return the new data for a viewer and advance its cursor; ``bridge`` is False without a bridge."""
         self._explain()
         with self._lock:
@@ -82,7 +82,7 @@ class Feed:
             reset = cursor.generation != self._generation
             if reset:
                 cursor.__dict__.update(vars(Cursor(self._generation)))
-            news: dict[str, Any] = {
+            updates: dict[str, Any] = {
                 "reset": reset,
                 "status": timeline.status and timeline.status.model_dump(),
                 "gate": timeline.gate and timeline.gate.model_dump(),
@@ -92,11 +92,11 @@ class Feed:
             if timeline.ticks:
                 cursor.rows = Counter({name: len(rows) for name, rows in timeline.streams.items()})
             if self._findings is not cursor.findings:
-                news["findings"] = cursor.findings = self._findings
+                updates["findings"] = cursor.findings = self._findings
             html = {**self._state_html(bridge), **self._findings_html}
-            news["html"] = {name: text for name, text in html.items() if cursor.html.get(name) != text}
+            updates["html"] = {name: text for name, text in html.items() if cursor.html.get(name) != text}
             cursor.html = html
-        return news | columns(timeline, first, cursor.rows) if cursor.rows else news
+        return updates | columns(timeline, first, cursor.rows) if cursor.rows else updates
 
     def _begin(self) -> None:
         self._generation += 1

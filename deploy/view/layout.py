@@ -20,15 +20,15 @@ WIDTH, HEIGHT, ROW = 560.0, 600.0, 160.0
 RADIUS = 30.0
 """Of a neuron."""
 MARGIN = 60.0
-LARGEST_GAP = 190.0
+MAX_GAP = 190.0
 """Largest distance between neighbours in a row. Rows of different lengths then interleave."""
 LAYERS = ("sensory", "inter", "command", "motor")
 ORDER = ["PVD", "AVM", "PLM", "ALM", "DVA", "PVC", "AVD", "AVB", "AVA", "LFT", "FWD", "REV", "RGT"]
 """Neurons of the shipped wirings, in each row from left to right."""
 FITTING = 5
-"""Letters of a name that fit into a neuron, in figures and pages."""
+"""Letters of a name that fit into a neuron."""
 FITTING_SMALL, NAME_LINES = 6, 2
-"""The same in smaller letters on a page, which has lines for longer names."""
+"""Smaller letters that fit into a neuron's line, and lines of a longer name."""
 MOTIONS = {("v", 1): "forward", ("v", -1): "backward", ("omega", 1): "left", ("omega", -1): "right"}
 """What a part of a rover's command does, by its sign."""
 SWEEPS = 4
@@ -127,11 +127,6 @@ def name_lines(name: str) -> list[str]:
     return [*lines[:-1], lines[-1][: FITTING_SMALL - 1] + "…"] if rest else lines
 
 
-def name_scale(name: str) -> float:
-    """Return how much smaller than others a neuron's name is written, so that it fits into its circle."""
-    return min(1.0, FITTING / len(name))
-
-
 def lay_out(policy: Policy) -> Layout:
     """Return the drawing of a policy's circuit."""
     circuit, layer = policy.circuit, layers(policy)
@@ -152,7 +147,7 @@ def lay_out(policy: Policy) -> Layout:
 def _placed(rows: Sequence[Sequence[int]]) -> FloatArray:
     places = np.zeros((sum(map(len, rows)), 2))
     for number, row in enumerate(rows):
-        gap = min((WIDTH - 2 * MARGIN) / max(len(row) - 1, 1), LARGEST_GAP)
+        gap = min((WIDTH - 2 * MARGIN) / max(len(row) - 1, 1), MAX_GAP)
         for place, neuron in enumerate(row):
             places[neuron] = WIDTH / 2 + gap * (place - (len(row) - 1) / 2), MARGIN + ROW * number
     return places

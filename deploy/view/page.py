@@ -3,26 +3,42 @@
 Text from peers and policies reaches a page only through templates, which escape it, and through JSON.
 """
 
+import math
 from collections import Counter
+from collections.abc import Sequence
 from importlib import resources
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup, escape
 
-from deploy.view.charts.figure import OUTLINE, FloatArray
 from deploy.view.findings import Findings, analyse
 from deploy.view.interpretation import SYMBOLS
-from deploy.view.page_data import circuit_data, columns, course_data, event_rows, rings
+from deploy.view.page_data import (
+    circuit_data,
+    columns,
+    course_data,
+    event_rows,
+    mean_activity,
+    rings,
+    trace_columns,
+)
 from deploy.view.recorded_drive import Drive, summarise
 from deploy.view.sentences import number
+from deploy.view.shapes import OUTLINE, FloatArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import Course
 
+
+def _bar(loss: float, most: float) -> int:
+    """Return the length of a bar in %, logarithmic from a thousandth of the largest loss on."""
+    return round(100 * math.log10(max(1.0, 1000 * loss / most)) / 3) if most > 0 else 0
+
+
 _ASSETS = resources.files("deploy.view") / "assets"
 _TEMPLATES = Environment(loader=PackageLoader("deploy.view", "assets"), autoescape=True, trim_blocks=True)
-_TEMPLATES.filters["number"] = number
+_TEMPLATES.filters |= {"number": number, "bar": _bar}
 _TEMPLATES.globals |= {
     "asset": lambda name: Markup((_ASSETS / name).read_text("utf-8")),
     "symbols": SYMBOLS,
@@ -34,23 +50,24 @@ _TEMPLATES.policies["json.dumps_kwargs"] = {
 }
 
 
+class Table(NamedTuple):
+    """A table of what-ifs on a page: cells of each row, and a bar as long as the last number of the row."""
+
+    title: str
+    note: str
+    header: Sequence[str]
+    rows: Sequence[tuple[Sequence[str], float]]
+
+
 def drive_page(drive: Drive) -> str:
     """Return the report of a recorded drive as HTML."""
     summary, findings = summarise(drive), analyse(drive.timeline.trace())
     events = event_rows(drive.timeline)
     verdict, _, reason = summary.headline.partition(": ")
     return page(
-        "page.html",
         title=f"{summary.headline}: policy {drive.policy.circuit.name} on course {drive.course.name}",
-        data={
-            **_frame(drive.policy, drive.course, drive.outline),
-            "news": {
-                "reset": True,
-                **columns(drive.timeline, Counter()),
-                "events": events,
-                "findings": findings_data(findings),
-            },
-        },
+        data=_data(drive.policy, drive.course, drive.outline)
+        | {"updates": _updates(findings, columns(drive.timeline, Counter()), events)},
         html={
             "title": fragment("title", verdict, "good" if summary.parked else "bad", reason),
             "subline": escape(summary.subline),
@@ -62,30 +79,64 @@ def drive_page(drive: Drive) -> str:
     )
 
 
+def run_page(
+    findings: Findings,
+    course: Course | None,
+    *,
+    title: str,
+    headline: tuple[str, str, str],
+    rows: Sequence[tuple[str, str]],
+    tables: Sequence[Table] = (),
+) -> str:
+    """Return a page on a run without a recording, of a drive or of a task that has no course.
+
+    ``headline`` is the badge, its kind (good, bad or empty) and words.
+    """
+    return page(
+        title=title,
+        data=_data(findings.trace.policy, course)
+        | {"updates": _updates(findings, trace_columns(findings.trace), []), "simulated": True},
+        html={
+            "title": fragment("title", *headline),
+            "subline": escape(title),
+            "summary": fragment("rows", rows),
+            **findings_html(findings),
+        },
+        tables=tables,
+    )
+
+
+def circuit_svg(findings: Findings) -> str:
+    """Return a run's circuit as a picture: mean potentials, mean currents, ranges of the time constants."""
+    return _TEMPLATES.get_template("circuit.svg").render(
+        data=circuit_data(findings.trace.policy),
+        rings=fragment("rings", rings(findings)),
+        means=mean_activity(findings.trace),
+    )
+
+
 def watch_page(
     robot: str, address: str, policy: Policy, course: Course, outline: FloatArray = OUTLINE
 ) -> str:
-    """Return the page of ``watch`` as HTML; its script gets all news from the server at ``address``."""
-    title = fragment("title", "waiting", "", "for the bridge")
+    """Return the page of ``watch`` as HTML; its script gets all updates from the server at ``address``."""
     return page(
-        "page.html",
         title=f"Watching {robot}",
-        data=_frame(policy, course, outline),
-        html={"title": title},
+        data=_data(policy, course, outline),
+        html={"title": fragment("title", "waiting", "", "for the bridge")},
         live=True,
         address=address,
         port=urlsplit(address).port,
     )
 
 
-def page(template: str, *, title: str, data: dict[str, Any], html: dict[str, Markup], **parts: Any) -> str:
+def page(*, title: str, data: dict[str, Any], html: dict[str, Markup], **parts: Any) -> str:
     """Return a page with its script's ``data`` and the parts ``html``, by id.
 
     With ``live=True`` its script may connect to the page's own server.
     """
     from plotly.offline import get_plotlyjs
 
-    return _TEMPLATES.get_template(template).render(
+    return _TEMPLATES.get_template("page.html").render(
         title=title, data=data, html=html, plotly=Markup(get_plotlyjs()), **parts
     )
 
@@ -112,5 +163,14 @@ def findings_html(findings: Findings) -> dict[str, Markup]:
     }
 
 
-def _frame(policy: Policy, course: Course, outline: FloatArray = OUTLINE) -> dict[str, Any]:
-    return {"course": course_data(course, outline), "circuit": circuit_data(policy)}
+def _data(policy: Policy, course: Course | None, outline: FloatArray = OUTLINE) -> dict[str, Any]:
+    return {
+        "course": None if course is None else course_data(course, outline),
+        "circuit": circuit_data(policy),
+    }
+
+
+def _updates(
+    findings: Findings, streams: dict[str, dict[str, Any]], events: list[dict[str, Any]]
+) -> dict[str, Any]:
+    return {"reset": True, **streams, "events": events, "findings": findings_data(findings)}

@@ -11,24 +11,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deploy.view.charts.figure import OUTLINE, FloatArray, rectangle, ring_radius
-from deploy.view.charts.path import deadlines
 from deploy.view.findings import Findings
 from deploy.view.layout import HEIGHT, RADIUS, WIDTH, label_lines, labels, lay_out, name_lines
+from deploy.view.shapes import OUTLINE, FloatArray, at_places, rectangle
 from deploy.view.timeline import Command, Moved, Tick, Timeline
-from deploy.view.trace import synapse_currents
+from deploy.view.trace import Trace, synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.geometry import Pose
+from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import plan_reference
 
 REFERENCE_EVERY = 5
 """Ticks between points of the reference."""
+LOW_MV, HIGH_MV = -90.0, 0.0
+"""Range of all potentials, for colours and levels."""
 TRUTH_STEP_NS = 50_000_000
 """A mock records the true pose at 100 Hz; a page shows 20 Hz."""
-LEAST_RING = 1.5
-"""Least width of a ring, so that a constant time constant has a visible one."""
+MIN_RING = 1.5
+"""Width of the ring of a constant time constant."""
+RINGS_FROM_S, RING_PER_DECADE = 1e-4, 6.0
 
 
 def course_data(course: Course, outline: FloatArray = OUTLINE) -> dict[str, Any]:
@@ -36,7 +38,7 @@ def course_data(course: Course, outline: FloatArray = OUTLINE) -> dict[str, Any]
     return {
         "reference": plan_reference(course).poses[::REFERENCE_EVERY, :2].T.round(4).tolist(),
         "checkpoints": [[p.t, p.x, p.y, p.theta] for p in course.checkpoints],
-        "deadlines": deadlines(course),
+        "deadlines": at_places([(p.x, p.y, p.t) for p in course.checkpoints]),
         "obstacles": [
             rectangle(o.length, o.width, (o.x, o.y, o.theta)).round(4).tolist() for o in course.obstacles
         ],
@@ -50,6 +52,7 @@ def circuit_data(policy: Policy) -> dict[str, Any]:
     """Return a circuit as it is drawn."""
     circuit, layout, meanings = policy.circuit, lay_out(policy), labels(policy)
     return {
+        "outputs": _outputs(policy),
         "size": [WIDTH, HEIGHT, RADIUS],
         "neurons": [
             {
@@ -77,14 +80,25 @@ def circuit_data(policy: Policy) -> dict[str, Any]:
     }
 
 
+def _outputs(policy: Policy) -> list[tuple[str, str]]:
+    """Return the column and the axis title of each output."""
+    names = policy.motors.outputs
+    if names == Velocity._fields:
+        return [("v", "v (m/s)"), ("omega", "ω (rad/s)")]
+    return [(f"output{number}", name) for number, name in enumerate(names)]
+
+
 def rings(findings: Findings) -> list[tuple[str, float, float, float, float]]:
     """Return the rings of the time constants: neuron, x and y of the centre, inner radius and width."""
     policy = findings.trace.policy
     places = dict(zip(policy.circuit.neurons, lay_out(policy).places, strict=True))
     found = []
     for neuron, lowest, highest in findings.time_constants:
-        inner, outer = ring_radius(lowest), ring_radius(highest)
-        found.append((neuron, *places[neuron], inner, max(outer - inner, LEAST_RING)))
+        inner, outer = (
+            RADIUS + 4.0 + RING_PER_DECADE * math.log10(max(tau_s, RINGS_FROM_S) / RINGS_FROM_S)
+            for tau_s in (lowest, highest)
+        )
+        found.append((neuron, *places[neuron], inner, max(outer - inner, MIN_RING)))
     return found
 
 
@@ -104,8 +118,31 @@ def columns(
         "ticks": _ticks(timeline, new["ticks"]),
         "odometry": _moved(timeline, new["odometry"], timeline.on_course),
         "truth": _moved(timeline, list(truth.values()), lambda pose: pose),
-        "asked": _commands(timeline, new["asked"]),
-        "letThrough": _commands(timeline, new["letThrough"]),
+        "commands": _commands(timeline, new["commands"]),
+        "setpoints": _commands(timeline, new["setpoints"]),
+    }
+
+
+def trace_columns(trace: Trace) -> dict[str, dict[str, Any]]:
+    """Return a run without messages as columns over time; only a drive has a path."""
+    times = _rounded(trace.times, 3)
+    keys = [key for key, _ in _outputs(trace.policy)]
+    outputs = dict(zip(keys, map(_rounded, trace.commands.T), strict=True))
+    path = dict(zip(Pose._fields, map(_rounded, trace.poses[:-1].T), strict=True))
+    return {
+        "ticks": {"t": times, **path, **_activity(trace.policy, trace.potentials)},
+        "commands": {"t": times, **outputs},
+    }
+
+
+def mean_activity(trace: Trace) -> dict[str, list[float]]:
+    """Return the mean share 0 to 1 of its range for each neuron, and the width of each synapse's line."""
+    current = np.abs(synapse_currents(trace.policy.circuit, trace.potentials).current).mean(axis=0)
+    strongest = max(float(current.max(initial=0.0)), 1e-12)
+    levels = np.clip((trace.potentials.mean(axis=0) - LOW_MV) / (HIGH_MV - LOW_MV), 0.0, 1.0)
+    return {
+        "levels": levels.round(3).tolist(),
+        "widths": (0.6 + 6.4 * np.sqrt(current / strongest)).round(2).tolist(),
     }
 
 
@@ -124,7 +161,6 @@ def _ticks(timeline: Timeline, ticks: Sequence[Tick]) -> dict[str, Any]:
     if not ticks:
         return {}
     potentials = np.array([tick.potentials for tick in ticks])
-    currents = synapse_currents(timeline.policy.circuit, potentials)
     x, y, theta = np.array([tick.estimate.pose for tick in ticks]).T
     return {
         "t": _since(timeline, [tick.wall_ns for tick in ticks]),
@@ -132,6 +168,13 @@ def _ticks(timeline: Timeline, ticks: Sequence[Tick]) -> dict[str, Any]:
         "y": _rounded(y),
         "theta": _rounded(theta),
         "ellipse": [_rounded(_ellipse(tick.estimate.covariance[:2, :2]), 6) for tick in ticks],
+        **_activity(timeline.policy, potentials),
+    }
+
+
+def _activity(policy: Policy, potentials: FloatArray) -> dict[str, Any]:
+    currents = synapse_currents(policy.circuit, potentials)
+    return {
         "potentials": [_rounded(column, 2) for column in potentials.T],
         "currents": [_rounded(column, 3) for column in currents.current.T],
         "pulls": [_rounded(column, 2) for column in currents.pull.T],

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.view.charts.figure import OUTLINE, FloatArray, outline_of
+from deploy.view.shapes import OUTLINE, FloatArray, outline_of
 from deploy.view.timeline import TOPICS, Moved, Tick, Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml

@@ -2,10 +2,10 @@
 
 Rules of this file:
 
-1. Each page has one WebSocket for news and for its requests to stop. A browser limits the HTTP connections to
-   a host to six, over all its pages; WebSockets are outside that limit.
-2. A request to stop waits for nothing: neither for news of this page nor for those of another.
-3. A page requests the next news when it has shown the last. A slow or hidden page thus queues nothing.
+1. Each page has one WebSocket for updates and for its requests to stop. A browser limits the HTTP
+   connections to a host to six, over all its pages; WebSockets are outside that limit.
+2. A request to stop waits for nothing: neither for updates of this page nor for those of another.
+3. A page requests the next updates when it has shown the last. A slow or hidden page thus queues nothing.
 4. Only pages of this server may open the WebSocket: other pages in the same browser have another origin, and
    other names for this machine another host in the request.
 """
@@ -27,9 +27,9 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from deploy.view.charts.figure import outline_of
 from deploy.view.feed import Cursor, Feed
 from deploy.view.page import watch_page
+from deploy.view.shapes import outline_of
 from deploy.view.viewer import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy_file import load_policy
@@ -82,7 +82,7 @@ def _serve(listener: socket.socket, application: Starlette, ready: Callable[[], 
 
 def _application(page: str, feed: Feed, viewer: Viewer) -> Starlette:
     """Return the web application."""
-    stops = CapacityLimiter(STOPS_AT_ONCE)  # threads of their own, so that no page's news delay a stop
+    stops = CapacityLimiter(STOPS_AT_ONCE)  # threads of their own, so that no page's updates delay a stop
 
     async def show(request: Request) -> Response:
         return HTMLResponse(page)
@@ -97,8 +97,8 @@ def _application(page: str, feed: Feed, viewer: Viewer) -> Starlette:
         async def answer(request: str) -> None:
             if request in {"stop", "release"}:
                 reply = await run_sync(_request_stop, viewer, request == "release", limiter=stops)
-            elif request == "news":
-                reply = await run_sync(_news, feed, viewer, cursor)
+            elif request == "updates":
+                reply = await run_sync(_updates, feed, viewer, cursor)
             else:
                 return
             # The page was closed meanwhile; any further answer to it is a RuntimeError.
@@ -115,10 +115,10 @@ def _application(page: str, feed: Feed, viewer: Viewer) -> Starlette:
     )
 
 
-def _news(feed: Feed, viewer: Viewer, cursor: Cursor) -> str:
+def _updates(feed: Feed, viewer: Viewer, cursor: Cursor) -> str:
     bridge = viewer.bridge_alive
-    news = feed.news(cursor, bridge) | {"bridge": bridge, "mayStop": viewer.may_stop}
-    return json.dumps(news, allow_nan=False, separators=(",", ":"))
+    updates = feed.updates(cursor, bridge) | {"bridge": bridge, "mayStop": viewer.may_stop}
+    return json.dumps(updates, allow_nan=False, separators=(",", ":"))
 
 
 def _request_stop(viewer: Viewer, release: bool) -> str:

@@ -87,8 +87,8 @@ class Timeline:
         """The newest estimate; after the last tick there is one more."""
         self.odometry: list[Moved] = []
         self.truth: list[Moved] = []
-        self.asked: list[Command] = []
-        self.let_through: list[Command] = []
+        self.commands: list[Command] = []
+        self.setpoints: list[Command] = []
         self.voltages: list[float] = []
         self.touched = False
         """Whether the base reported a contact during the drive."""
@@ -126,8 +126,8 @@ class Timeline:
             "ticks": self.ticks,
             "odometry": self.odometry,
             "truth": self.truth,
-            "asked": self.asked,
-            "letThrough": self.let_through,
+            "commands": self.commands,
+            "setpoints": self.setpoints,
         }
 
     @property
@@ -213,7 +213,7 @@ class Timeline:
 
     def _read_status(self, message: Recorded) -> None:
         before, self.status = self.status, parse_json(DriverStatus, read_text(message.data))
-        self._events += [Event(message.log_ns, *news) for news in _driver_news(before, self.status)]
+        self._events += [Event(message.log_ns, *event) for event in _driver_events(before, self.status)]
 
     def _read_gate(self, message: Recorded) -> None:
         now, before = parse_json(GateStatus, read_text(message.data)), self.gate or GateStatus()
@@ -222,7 +222,7 @@ class Timeline:
         self.gate = _since(self._gate_before, now)
         if self.ticks and (before.lease or now.lease):
             self.touched |= bool(now.contact_since(self._gate_before))
-        self._events += [Event(message.log_ns, *news) for news in _gate_news(before, self.gate)]
+        self._events += [Event(message.log_ns, *event) for event in _gate_events(before, self.gate)]
 
     def _read_bumpers(self, message: Recorded) -> None:
         if self.ticks and self.gate is not None and self.gate.lease:
@@ -247,8 +247,8 @@ _READERS: dict[str, Callable[[Timeline, Recorded], None]] = {
     "rover/estimate": Timeline._read_estimate,
     "rover/neurons": Timeline._read_neurons,
     "odom": Timeline._read_odometry,
-    "cmd_vel": lambda timeline, message: timeline.asked.append(_command(message)),
-    "rover/cmd_out": lambda timeline, message: timeline.let_through.append(_command(message)),
+    "cmd_vel": lambda timeline, message: timeline.commands.append(_command(message)),
+    "rover/cmd_out": lambda timeline, message: timeline.setpoints.append(_command(message)),
     "rover/status": Timeline._read_status,
     "rover/gate": Timeline._read_gate,
     "battery_state": Timeline._read_battery,
@@ -268,14 +268,14 @@ def _since(before: GateStatus, now: GateStatus) -> GateStatus:
     return now.model_copy(update=more)
 
 
-def _driver_news(before: DriverStatus | None, now: DriverStatus) -> Iterator[tuple[str, str]]:
+def _driver_events(before: DriverStatus | None, now: DriverStatus) -> Iterator[tuple[str, str]]:
     if before is None or now.state != before.state:
         yield "stop" if now.state == "fault" else "state", now.state + _because(now.reason)
     if before is not None and now.overruns > before.overruns:
         yield "late", f"tick {now.tick} was late"
 
 
-def _gate_news(before: GateStatus, now: GateStatus) -> Iterator[tuple[str, str]]:
+def _gate_events(before: GateStatus, now: GateStatus) -> Iterator[tuple[str, str]]:
     # Before its first command a rover is held by design.
     if now.held and now.held != before.held and now.accepted:
         yield "stop", f"the gate holds the rover, {now.held}{_because(now.stop_reason)}"

@@ -38,7 +38,8 @@ def explain(
         ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for tables (CSV) and pictures (SVG and PNG).")
+        Path | None,
+        typer.Option(help="Folder for a page, tables (CSV, Markdown) and the circuit (SVG)."),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -61,15 +62,13 @@ def explain(
     from rich.table import Table
 
     from rover_ncp.core.files import require_writable
-    from sim.explain.explain import Explanation
     from sim.explain.explain import explain as explain_source
     from sim.explain.files import sections, write
-    from sim.explain.task import RUNS, TaskExplanation, explain_task
+    from sim.explain.task import RUNS, explain_task
 
     output = Output(json)
     if out is not None:
         require_writable(out / "explanation.md")
-    found: Explanation | TaskExplanation
     if task is None or source is not None:
         reject("needs --task, without a policy", runs=runs)
     if task is not None:
@@ -91,33 +90,5 @@ def explain(
         output.console.print(table)
         output.say(section.after.replace("\n", " "))
     written = write(found, out) if out is not None else []
-    ending = f"{len(written)} files in {out}" if out is not None else "--out DIR writes tables and pictures"
+    ending = f"{len(written)} files in {out}" if out is not None else "--out DIR writes a page and tables"
     output.result({**found.fields(), "files": [str(path) for path in written]}, ending)
-
-
-def report(
-    source: Annotated[Path, typer.Argument(help="A recording (.mcap) of a drive.")],
-    *,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="The page to write.", show_default="RUN.html"),
-    ] = None,
-    json: Json = False,
-) -> None:
-    """Write a page about a drive: one HTML file, to be opened from disk.
-
-    The page shows the path, every neuron and synapse, the driver's commands and the gate's setpoints over one
-    time slider, with a sentence for each phase of the manoeuvre. It holds all its data and loads nothing from
-    the network.
-    """
-    from sim.explain.report import write_page
-
-    output = Output(json)
-    page = write_page(source, out)
-    output.result(
-        {
-            "page": str(page),  #: its file
-            "bytes": page.stat().st_size,  #: its size
-        },
-        f"report: {page}",
-    )

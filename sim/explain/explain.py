@@ -1,6 +1,6 @@
-"""Explanation of a circuit on a course: the findings about its run, and what-ifs.
+"""Explanation of a circuit on a course or on a task: the findings about one run, and what-ifs.
 
-The run is simulated or recorded; the what-ifs are always simulated.
+The run is simulated or recorded. The what-ifs are always simulated.
 """
 
 import shlex
@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from deploy.view.findings import Findings, analyse
 from deploy.view.recorded_drive import read_drive
 from deploy.view.sentences import number
@@ -16,35 +19,50 @@ from deploy.view.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import Course, Verdict, load_course
-from sim.explain.what_if import Knockout, Sensitivity, knock_outs, sensitivities
+from sim.explain.what_if import Knockout, Outcome, Sensitivity, knock_outs, sensitivities
+from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.rollout import Rollout, rollout
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Result of ``rover-ncp explain``."""
+    """Result of ``rover-ncp explain``; a course or a task is None."""
 
     source: str
     command: str
-    """That makes this."""
-    policy: Policy
-    course: Course
-    verdict: Verdict
-    """Verdict on the explained run."""
-    intact: Rollout
-    """The simulated run of the intact circuit, to which the what-ifs are compared."""
+    """The command that makes this, without ``--out``."""
+    course: Course | None
+    task: str | None
+    verdict: Verdict | None
+    """Verdict on the explained drive, simulated or recorded."""
+    intact: Outcome
+    """Simulated result of the whole circuit, to which the what-ifs are compared."""
+    returns: tuple[float, ...]
+    """Of the simulated drive, or of the episodes."""
+    enough: float | None
     findings: Findings
     knock_outs: tuple[Knockout, ...]
     sensitivities: tuple[Sensitivity, ...]
 
     @property
+    def policy(self) -> Policy:
+        """The explained policy."""
+        return self.findings.trace.policy
+
+    @property
     def title(self) -> str:
-        """What was explained."""
-        return f"Policy {self.policy.circuit.name} on course {self.course.name}"
+        """Names of policy and course or task."""
+        where = self.task if self.course is None else f"course {self.course.name}"
+        return f"Policy {self.policy.circuit.name} on {where}"
 
     @property
     def ending(self) -> str:
         """The run's end in words."""
+        if self.verdict is None:
+            return f"mean return {self.intact.total:.4g} of {len(self.returns)} episodes"
         how = "parked" if self.verdict.parked else f"not parked: {self.verdict.reason}"
         return f"{how}; return in simulation {number(self.intact.total, 4)}"
 
@@ -54,43 +72,34 @@ class Explanation:
         return {
             "source": self.source,  #: the argument
             "policy": self.policy.circuit.name,  #: its name
-            "course": self.course.name,  #: its name
-            "run": vars(self.verdict),  #: simulated or recorded
-            "simulated": {"return": self.intact.total, "parked": self.intact.verdict.parked},
+            "course": self.course and self.course.name,  #: its name; null for a task
+            "task": self.task,  #: null for a course
+            "run": self.verdict and vars(self.verdict),  #: simulated or recorded; null for a task
+            "simulated": {  #: the intact circuit
+                "return": self.intact.total,  #: of the drive, or the mean of the episodes
+                "returns": self.returns,  #: of the drive, or of each episode
+                "enough": self.enough,  #: the return that counts as solved; null for a course
+                "parked": self.intact.verdict and self.intact.verdict.parked,  #: null for a task
+            },
             **findings.fields((a, b) for b in findings.motors for a in findings.sources),
             "knock_outs": [vars(row) for row in self.knock_outs],
             "sensitivities": [{**vars(row), "slope": row.slope} for row in self.sensitivities],
         }
 
 
-def explain(
-    source: str,
-    course: str | None = None,
-    *,
-    on_progress: Callable[[str], None] = lambda _: None,
-) -> Explanation:
+def explain(source: str, course: str | None = None, *, on_progress: Progress = lambda _: None) -> Explanation:
     """Explain a policy (name or file) on a course, or a recording (``.mcap``) on its own course.
 
     Raises FileError and ConfigError.
     """
-    if Path(source).suffix == ".mcap":
-        drive = read_drive(Path(source))
-        policy, known = drive.policy, drive.course if course is None else load_course(course)
-        intact = rollout(policy, known)
-        trace, verdict = drive.timeline.trace(), next(iter(drive.timeline.judge().values()))
-    else:
+    command = command_line(source, course=course)
+    if Path(source).suffix != ".mcap":
         policy, known = load_policy(source), load_course(course or "parking")
-        intact = rollout(policy, known)
-        trace, verdict = traced(policy, intact), intact.verdict
-    return _explained(
-        known,
-        intact,
-        trace,
-        verdict,
-        source=source,
-        command=command_line(source, course=course),
-        on_progress=on_progress,
-    )
+        return explain_drive(source, command, policy, known, on_progress=on_progress)
+    drive = read_drive(Path(source))
+    known = drive.course if course is None else load_course(course)
+    recorded = drive.timeline.trace(), next(iter(drive.timeline.judge().values()))
+    return explain_drive(source, command, drive.policy, known, recorded, on_progress=on_progress)
 
 
 def command_line(source: str | None, **options: str | None) -> str:
@@ -100,53 +109,59 @@ def command_line(source: str | None, **options: str | None) -> str:
     return shlex.join(words)
 
 
-def explain_stored(
+def explain_drive(
     source: str,
     command: str,
     policy: Policy,
+    course: Course,
+    recorded: tuple[Trace, Verdict] | None = None,
     *,
-    on_progress: Callable[[str], None] = lambda _: None,
+    on_progress: Progress = lambda _: None,
 ) -> Explanation:
-    """Explain a stored circuit of the paper's parking tasks, as ``explain`` does a policy."""
-    known = load_course("parking")
-    intact = rollout(policy, known)
-    trace = traced(policy, intact)
-    return _explained(
-        known,
-        intact,
+    """Explain a policy's recorded drive, or its simulated one."""
+    run = rollout(policy, course)
+    trace, verdict = recorded or (traced(policy, run), run.verdict)
+
+    def simulate(other: Policy) -> Outcome:
+        found = rollout(other, course)
+        return Outcome(found.total, found.verdict)
+
+    return explain_run(
         trace,
-        intact.verdict,
+        Outcome(run.total, run.verdict),
+        simulate,
+        Evaluator(policy, course).returns,
+        on_progress,
         source=source,
         command=command,
-        on_progress=on_progress,
+        course=course,
+        task=None,
+        verdict=verdict,
+        returns=(run.total,),
+        enough=None,
     )
 
 
-def _explained(
-    known: Course,
-    intact: Rollout,
+def explain_run(
     trace: Trace,
-    verdict: Verdict,
-    *,
-    source: str,
-    command: str,
-    on_progress: Callable[[str], None],
+    intact: Outcome,
+    simulate: Callable[[Policy], Outcome],
+    score: Callable[[FloatArray], FloatArray],
+    on_progress: Progress,
+    **known: Any,
 ) -> Explanation:
+    """Explain a run, with the what-ifs of ``simulate`` and ``score``; ``known`` are the other fields."""
     policy = trace.policy
     parts = policy.circuit.size + policy.circuit.synapse_count
-    on_progress(f"driving the course without each of {parts} neurons and synapses")
-    without = knock_outs(policy, known, intact)
+    on_progress(f"simulating without each of {parts} neurons and synapses")
+    without = knock_outs(policy, simulate, intact.total)
     on_progress(f"moving each of {policy.layout().size} parameters a little")
     return Explanation(
-        source=source,
-        command=command,
-        policy=policy,
-        course=known,
-        verdict=verdict,
         intact=intact,
         findings=analyse(trace),
         knock_outs=without,
-        sensitivities=sensitivities(policy, known),
+        sensitivities=sensitivities(policy, score),
+        **known,
     )
 
 

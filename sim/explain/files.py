@@ -1,4 +1,4 @@
-"""An explanation as text and files: sections for terminal and Markdown, tables in CSV, figures."""
+"""An explanation as text and files: sections for terminal and Markdown, tables in CSV, page and picture."""
 
 import csv
 import io
@@ -6,10 +6,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.view.charts.circuit import circuit
-from deploy.view.charts.figure import Picture
-from deploy.view.charts.neuron_pairs import phase_plots, slope_histograms
-from deploy.view.charts.path import activity, trajectory
 from deploy.view.findings import Findings
 from deploy.view.interpretation import (
     BINS,
@@ -20,31 +16,31 @@ from deploy.view.interpretation import (
 )
 from deploy.view.sentences import number
 from rover_ncp.core.files import write_atomic
-from sim.explain.charts import knock_out_chart, return_chart, sensitivity_chart
 from sim.explain.explain import Explanation
-from sim.explain.task import TaskExplanation
-from sim.explain.what_if import STEP
+from sim.explain.what_if import STEP, Knockout, Sensitivity
 
-SHOWN, DRAWN = 12, 25
-"""Parameters in the text and in the chart; the CSV file has them all."""
-UNCHANGED = 0.01
+IN_TEXT, ON_PAGE = 12, 25
+"""Parameters in the text and on the page; the CSV file has them all."""
+MIN_CHANGE = 0.01
 """Least change of a drive's return that counts."""
-LEAST_SHARE = 0.01
-"""The same for a task, as a share of the return."""
+MIN_SHARE = 0.01
+"""Least change of a task's return that counts, as a share of the return."""
+
+
+SENSITIVITIES = f"Change of the return when a parameter moves by {100 * STEP:g} % of its range"
 
 
 class Section(NamedTuple):
-    """A section of the text: a table with words before and after it, and the figures that belong to it."""
+    """A section of the text: a table with words before and after it."""
 
     title: str
     before: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     after: str
-    pictures: Sequence[str]
 
 
-def sections(found: Explanation | TaskExplanation) -> Iterator[Section]:
+def sections(found: Explanation) -> Iterator[Section]:
     """Yield the sections of an explanation."""
     run, sign = found.findings, f"{found.findings.threshold:g}"
     yield Section(
@@ -54,9 +50,8 @@ def sections(found: Explanation | TaskExplanation) -> Iterator[Section]:
         ["from", *(f"to {motor}" for motor in run.motors)],
         [[name, *(_signs(run.contributions[name, motor]) for motor in run.motors)] for name in run.sources],
         "",
-        ["slopes", "phase_plots"],
     )
-    parks = isinstance(found, Explanation)  # as the circuit whose figures the paper has
+    parks = found.course is not None  # as the circuit whose figures the paper has
     if parks and (pairs := [pair for pair in PUBLISHED_SIGNS if pair in run.contributions]):
         yield _compared(run, pairs)
     yield Section(
@@ -73,57 +68,107 @@ def sections(found: Explanation | TaskExplanation) -> Iterator[Section]:
             for paper in [PUBLISHED_TIME_CONSTANTS_S.get(neuron)]
         ],
         "",
-        [],
     )
-    yield _without(found) if isinstance(found, Explanation) else _without_in_task(found)
+    yield _without(found) if found.course is not None else _without_in_task(found)
     yield Section(
-        f"Change of the return when a parameter moves by {100 * STEP:g} % of its range",
+        SENSITIVITIES,
         "",
         ["parameter", "value", "lower", "higher"],
-        [
-            [row.title, f"{row.value:.4g} {row.unit}".replace("-", "−")]
-            + [number(change, 3, signed=True) for change in (row.change_down, row.change_up)]
-            for row in sorted(found.sensitivities, key=lambda row: row.worst)[:SHOWN]
-        ],
+        [_sensitivity(row) for row in _deepest(found, IN_TEXT)],
         "",
-        ["sensitivities"],
     )
 
 
-def markdown(found: Explanation | TaskExplanation) -> str:
-    """Return an explanation as Markdown; it links figures in the same folder."""
+def markdown(found: Explanation) -> str:
+    """Return an explanation as Markdown; it shows ``circuit.svg`` of the same folder."""
     blocks = [
         f"# {found.title}",
         f"Made by `{found.command} --out FOLDER`.\nThis run: {found.ending}.",
         "\n".join(f"{i}. {sentence}" for i, sentence in enumerate(found.findings.sentences, 1)),
-        "A pull is how far one synapse moves the potential its neuron is heading for, in mV, as a mean over\n"
-        "the phase. Of a mixture of inputs or outputs the two largest parts are named.",
-        _images(["trajectory", "circuit", "activity"] if isinstance(found, Explanation) else ["circuit"]),
+        "A pull is how far one synapse moves the potential that its neuron approaches, in mV, as a mean\n"
+        "over the phase. Of a mixture of inputs or outputs the two largest parts are named.",
+        "![circuit](circuit.svg)",
+        "Each neuron is filled up to its mean potential, and each line is as thick as its mean current.\n"
+        "Arrows excite, bars inhibit, dashed lines are gap junctions. Rings show ranges of time constants.",
     ]
-    for title, before, header, rows, after, pictures in sections(found):
+    for title, before, header, rows, after in sections(found):
         lines = [f"| {' | '.join(row)} |" for row in (header, *rows)]
         lines.insert(1, "|---" * len(header) + "|")
-        blocks += [f"## {title}", before, "\n".join(lines), after, _images(pictures)]
+        blocks += [f"## {title}", before, "\n".join(lines), after]
     return "\n\n".join(block for block in blocks if block) + "\n"
 
 
-def write(found: Explanation | TaskExplanation, folder: Path) -> list[Path]:
-    """Write text, tables and figures into a folder; return the files. Raises FileError."""
-    files: dict[str, bytes | str] = {"explanation.md": markdown(found)}
-    for name, text in _tables(found).items():
-        files[f"{name}.csv"] = text
-    for name, picture in _pictures(found).items():
-        files |= {f"{name}.svg": picture.svg, f"{name}.png": picture.png}
+def write(found: Explanation, folder: Path) -> list[Path]:
+    """Write page, text, tables and the circuit's picture; return the files. Raises FileError."""
+    from deploy.view.page import circuit_svg  # the text needs no templates
+
+    files = {
+        "explanation.md": markdown(found),
+        "explanation.html": page(found),
+        "circuit.svg": circuit_svg(found.findings),
+        **{f"{name}.csv": text for name, text in _tables(found).items()},
+    }
     for name, content in files.items():
         write_atomic(folder / name, content)
     return [folder / name for name in sorted(files)]
 
 
+def page(found: Explanation) -> str:
+    """Return an explanation as a page."""
+    from deploy.view.page import Table, run_page
+
+    verdict = found.verdict
+    if verdict is None:
+        headline = f"mean return {found.intact.total:.4g}", "", f"of {len(found.returns)} episodes"
+    elif verdict.parked:
+        headline = "Parked", "good", ""
+    else:
+        headline = "Not parked", "bad", verdict.reason
+    drives = found.course is not None
+    parts = sorted(found.knock_outs, key=lambda row: row.total)
+    return run_page(
+        found.findings,
+        found.course,
+        title=found.title,
+        headline=headline,
+        rows=[("Result", found.ending), ("Command", found.command)],
+        tables=[
+            Table(
+                "Without a part",
+                f"The simulation without each neuron and each synapse. The return of the whole circuit is "
+                f"{number(found.intact.total, 3)}.",
+                ["without", "return", *(["m from the goal", "parks"] if drives else [])],
+                [(_part(row), -row.change) for row in parts],
+            ),
+            Table(
+                SENSITIVITIES,
+                f"The {ON_PAGE} parameters with the largest loss of return.",
+                ["parameter", "value", "lower", "higher"],
+                [(_sensitivity(row), -row.worst) for row in _deepest(found, ON_PAGE)],
+            ),
+        ],
+    )
+
+
+def _part(row: Knockout) -> list[str]:
+    cells = [row.title, number(row.total, 2)]
+    return cells if row.error_m is None else [*cells, f"{row.error_m:.2f}", "yes" if row.parked else "no"]
+
+
+def _deepest(found: Explanation, count: int) -> list[Sensitivity]:
+    return sorted(found.sensitivities, key=lambda row: row.worst)[:count]
+
+
+def _sensitivity(row: Sensitivity) -> list[str]:
+    changes = [number(change, 3, signed=True) for change in (row.change_down, row.change_up)]
+    return [row.title, f"{row.value:.4g} {row.unit}".replace("-", "−"), *changes]
+
+
 def _without(found: Explanation) -> Section:
-    parks = found.intact.verdict.parked
-    worse = [row for row in found.knock_outs if (not row.parked if parks else row.change <= -UNCHANGED)]
+    parks = found.intact.verdict is not None and found.intact.verdict.parked
+    worse = [row for row in found.knock_outs if (not row.parked if parks else row.change <= -MIN_CHANGE)]
     needed = sorted(worse, key=lambda row: row.total)
-    spared = [row.title for row in found.knock_outs if row not in needed and abs(row.change) < UNCHANGED]
+    spared = [row.title for row in found.knock_outs if row not in needed and abs(row.change) < MIN_CHANGE]
     before = (
         f"Without any of these {len(needed)} it does not park:"
         if parks
@@ -134,22 +179,20 @@ def _without(found: Explanation) -> Section:
         "Without a part",
         before,
         ["without", "return", "m from the goal"],
-        [[row.title, number(row.total, 2), f"{row.error_m:.2f}"] for row in needed],
+        [_part(row)[:3] for row in needed],
         _spared(spared),
-        ["knock_outs"],
     )
 
 
-def _without_in_task(found: TaskExplanation) -> Section:
-    least = LEAST_SHARE * abs(float(found.returns.mean()))
+def _without_in_task(found: Explanation) -> Section:
+    least = MIN_SHARE * abs(found.intact.total)
     rows = sorted((row for row in found.knock_outs if abs(row.change) >= least), key=lambda row: row.total)
     return Section(
         "Without a part",
-        f"Mean return of {len(found.returns)} episodes; {found.returns.mean():.4g} with all parts.",
+        f"Mean return of {len(found.returns)} episodes; {found.intact.total:.4g} with all parts.",
         ["without", "return"],
         [[row.title, f"{row.total:.4g}".replace("-", "−")] for row in rows],
         _spared([row.title for row in found.knock_outs if abs(row.change) < least]),
-        ["knock_outs"],
     )
 
 
@@ -175,11 +218,10 @@ def _compared(run: Findings, pairs: Sequence[tuple[str, str]]) -> Section:
         f"{same} of {len(pairs)} signs are the paper's over the whole run, {same_driving} while driving.\n"
         "Circuits of one wiring that were trained separately solve the task in different ways: the signs\n"
         "describe one circuit, not the wiring.",
-        [],
     )
 
 
-def _tables(found: Explanation | TaskExplanation) -> dict[str, str]:
+def _tables(found: Explanation) -> dict[str, str]:
     run = found.findings
     trace, counts = run.trace, ("sign", "P", "Q", "flat", "vertical")
     figures = ("label", "start_s", "end_s", "driven_m", "turned_rad")
@@ -221,30 +263,6 @@ def _tables(found: Explanation | TaskExplanation) -> dict[str, str]:
     }
 
 
-def _pictures(found: Explanation | TaskExplanation) -> dict[str, Picture]:
-    run = found.findings
-    trace, pairs = run.trace, run.contributions
-    deepest = sorted(found.sensitivities, key=lambda row: row.worst)[:DRAWN]
-    if isinstance(found, Explanation):
-        course = found.course
-        own = {
-            "trajectory": trajectory(trace, course, [each.phase for each in run.explanations]),
-            "activity": activity(trace, course),
-            "knock_outs": knock_out_chart(
-                found.knock_outs, found.intact.verdict.error_m, course.parked.position_m
-            ),
-        }
-    else:
-        own = {"knock_outs": return_chart(found.knock_outs, float(found.returns.mean()))}
-    return own | {
-        "circuit": circuit(trace, run.time_constants),
-        "slopes": slope_histograms(pairs, run.sources, run.motors),
-        "slopes_of_all_pairs": slope_histograms(pairs, trace.neurons, trace.neurons),
-        "phase_plots": phase_plots(trace, run.sources, run.motors),
-        "sensitivities": sensitivity_chart(deepest),
-    }
-
-
 def _csv(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     """Return a CSV file: numbers with all their digits, empty cells for None."""
     buffer = io.StringIO()
@@ -260,7 +278,3 @@ def _signs(one: Contribution) -> str:
 
 def _counts(one: Contribution) -> list[Any]:
     return [one.sign, one.positive, one.negative, one.flat, one.vertical]
-
-
-def _images(names: Iterable[str]) -> str:
-    return "\n".join(f"![{name.replace('_', ' ')}]({name}.png)" for name in names)

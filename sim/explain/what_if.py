@@ -2,15 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.course.course import Course
-from sim.learn.engine.evaluator import Evaluator
-from sim.learn.engine.rollout import Rollout, rollout
+from rover_ncp.course.course import Verdict
 
 FloatArray = NDArray[np.float64]
 
@@ -18,32 +17,34 @@ STEP = 0.01
 """Step of a parameter, as a fraction of the range between its bounds."""
 
 
+class Outcome(NamedTuple):
+    """Return of a drive, or mean return of the episodes of a task, which has no verdict."""
+
+    total: float
+    verdict: Verdict | None = None
+
+
 @dataclass(frozen=True)
 class Knockout:
-    """A drive without a part."""
+    """The simulation without a part; errors and ``parked`` are None for a task that is no drive."""
 
     kind: str
     """neuron or synapse."""
     name: str
     total: float
-    """The return."""
+    """The return, or mean return."""
     change: float
     """Difference of the return to that of the intact circuit."""
-    error_m: float
+    error_m: float | None
     """Final position error."""
-    error_rad: float
+    error_rad: float | None
     """Final heading error."""
-    parked: bool
+    parked: bool | None
 
     @property
     def title(self) -> str:
-        """The part's name for tables and charts."""
-        return part_title(self.kind, self.name)
-
-
-def part_title(kind: str, name: str) -> str:
-    """Return the name of a neuron or a synapse for tables and charts."""
-    return f"neuron {name}" if kind == "neuron" else name.replace("->", "→")
+        """The part's name for tables."""
+        return f"neuron {self.name}" if self.kind == "neuron" else self.name.replace("->", "→")
 
 
 @dataclass(frozen=True)
@@ -74,19 +75,17 @@ class Sensitivity:
 
     @property
     def title(self) -> str:
-        """The parameter's name for tables and charts."""
+        """The parameter's name for tables."""
         return f"{self.kind.replace('_', ' ')}, {self.name.replace('->', '→')}"
 
 
-def knock_outs(policy: Policy, course: Course, intact: Rollout) -> tuple[Knockout, ...]:
-    """Drive the course once without each neuron and each synapse. Raises ConfigError."""
+def knock_outs(policy: Policy, simulate: Callable[[Policy], Outcome], intact: float) -> tuple[Knockout, ...]:
+    """Simulate a policy without each neuron and each synapse; ``intact`` is the return with all parts."""
     found = []
-    for kind, name, rest in damaged(policy):
-        run = rollout(rest, course)
-        verdict, change = run.verdict, run.total - intact.total
-        found.append(
-            Knockout(kind, name, run.total, change, verdict.error_m, verdict.error_rad, verdict.parked)
-        )
+    for kind, name, rest in _damaged(policy):
+        total, verdict = simulate(rest)
+        ending = (verdict.error_m, verdict.error_rad, verdict.parked) if verdict else (None, None, None)
+        found.append(Knockout(kind, name, total, total - intact, *ending))
     return tuple(found)
 
 
@@ -111,12 +110,7 @@ def without_synapse(policy: Policy, synapse: int) -> Policy:
     return replace(policy, circuit=replace(policy.circuit, weight=weight))
 
 
-def sensitivities(policy: Policy, course: Course, step: float = STEP) -> tuple[Sensitivity, ...]:
-    """Return the sensitivities of a drive. Raises ConfigError."""
-    return sensitivities_of(policy, Evaluator(policy, course).returns, step)
-
-
-def sensitivities_of(
+def sensitivities(
     policy: Policy, score: Callable[[FloatArray], FloatArray], step: float = STEP
 ) -> tuple[Sensitivity, ...]:
     """Score a policy with each parameter moved by ``step`` of its range, at most to its bound.
@@ -155,7 +149,7 @@ def parameter_names(policy: Policy) -> list[tuple[ParameterKind, str]]:
     return names
 
 
-def damaged(policy: Policy) -> Iterator[tuple[str, str, Policy]]:
+def _damaged(policy: Policy) -> Iterator[tuple[str, str, Policy]]:
     """Yield kind and name of each neuron and synapse, and the policy without it."""
     for neuron in policy.circuit.neurons:
         yield "neuron", neuron, without_neuron(policy, neuron)

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from deploy.view.charts.figure import outline_of
-from deploy.view.charts.path import drive_chart
 from deploy.view.page import drive_page
+from deploy.view.pictures import drive_picture, render
 from deploy.view.recorded_drive import read_drive
+from deploy.view.shapes import outline_of
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.rover_interface import RoverInterface
@@ -95,7 +95,7 @@ def run_park(
     began_ns = drive.timeline.ticks[0].wall_ns
     true_path = [state.pose for state in truth if state.wall_ns >= began_ns]
     estimates = [tick.estimate.pose for tick in drive.timeline.ticks]
-    write_atomic(picture, drive_chart(slow_course, true_path, estimates, outline_of(robot)).png)
+    write_atomic(picture, render(drive_picture(slow_course, true_path, estimates, outline_of(robot)), "png"))
     write_atomic(report, drive_page(drive))
     verdict = judge_truth(slow_course, truth, began_ns).with_contact(done.result["contact"] or "")
     fields = {

@@ -146,7 +146,7 @@ NEEDS = {
         "export no.yaml --to c --out exported",
         "export parking --to c --out exported",
     ],
-    "drive,report": [f"watch {NO_BRIDGE} --port 0"],
+    "drive,report": [f"watch {NO_BRIDGE} --port 0", "report no.mcap"],
     "keys": ["keys --out keys"],
     "train": [
         "train --course no.yaml",
@@ -155,7 +155,7 @@ NEEDS = {
         "explain no.mcap",
         "paper report",
     ],
-    "report,train": ["park --course no.yaml", "report no.mcap"],
+    "report,train": ["park --course no.yaml"],
 }
 """Command lines that end at once, by the extras they need."""
 WITHOUT = """

@@ -47,27 +47,27 @@ def status(state, ns):
 
 
 def joined(parts):
-    """Put the columns of several pieces of news together, as the page does."""
-    whole = {"t": [], "x": [], "potentials": [], "letThrough": [], "odometry": []}
-    for news in parts:
-        if ticks := news.get("ticks"):
+    """Put the columns of several pieces of updates together, as the page does."""
+    whole = {"t": [], "x": [], "potentials": [], "setpoints": [], "odometry": []}
+    for updates in parts:
+        if ticks := updates.get("ticks"):
             whole["t"] += ticks["t"]
             whole["x"] += ticks["x"]
             whole["potentials"] += ticks["potentials"][3]
-        whole["letThrough"] += news.get("letThrough", {}).get("v", [])
-        whole["odometry"] += news.get("odometry", {}).get("x", [])
+        whole["setpoints"] += updates.get("setpoints", {}).get("v", [])
+        whole["odometry"] += updates.get("odometry", {}).get("x", [])
     return whole
 
 
-def test_news_in_pieces_are_the_whole(short):
+def test_updates_in_pieces_are_the_whole(short):
     policy, course, received, simulated = short
     pieces, cursor, feed = [], Cursor(), Feed(policy, course)
     for number, message in enumerate(received):
         feed.take(message)
         if number % 7 == 0:
-            pieces.append(json.loads(json.dumps(feed.news(cursor), allow_nan=False)))
-    pieces.append(feed.news(cursor))
-    whole, once = joined(pieces), joined([feed.news(Cursor())])
+            pieces.append(json.loads(json.dumps(feed.updates(cursor), allow_nan=False)))
+    pieces.append(feed.updates(cursor))
+    whole, once = joined(pieces), joined([feed.updates(Cursor())])
     assert whole == once
     assert whole["x"] == pytest.approx(simulated.poses[:-1, 0], abs=1e-4)
     assert whole["potentials"] == pytest.approx(simulated.potentials[:, 3], abs=0.01)
@@ -83,10 +83,10 @@ def test_all_findings_are_sent_at_the_end_without_a_new_tick(short):
     on_the_way = [message for message in received if message.topic != "rover/status"]
     for message in [status("running", received[0].log_ns), *on_the_way]:
         feed.take(message)
-    assert "findings" not in feed.news(cursor)
+    assert "findings" not in feed.updates(cursor)
     feed.take(status("fault", received[-1].log_ns))
-    assert len(feed.news(cursor)["findings"]["contributions"]) == 132
-    assert "findings" not in feed.news(cursor)
+    assert len(feed.updates(cursor)["findings"]["contributions"]) == 132
+    assert "findings" not in feed.updates(cursor)
 
 
 def test_a_new_drive_begins_anew(short):
@@ -94,16 +94,16 @@ def test_a_new_drive_begins_anew(short):
     feed, cursor = Feed(policy, course), Cursor()
     for message in received:
         feed.take(message)
-    assert feed.news(cursor)["ticks"]["t"]
+    assert feed.updates(cursor)["ticks"]["t"]
     after = received[-1].log_ns + 10**9
     feed.take(status("armed", after))
-    fresh = feed.news(cursor)
+    fresh = feed.updates(cursor)
     assert fresh["reset"] is True
     assert "ticks" not in fresh
     assert [event["text"] for event in fresh["events"]] == []
     for message in received:
         feed.take(message)
-    assert len(feed.news(cursor)["ticks"]["t"]) == course.ticks
+    assert len(feed.updates(cursor)["ticks"]["t"]) == course.ticks
 
 
 @pytest.mark.parametrize(("model", "corners"), [("p3at-sh", 5), ("turtlebot4", 37)])
@@ -130,7 +130,9 @@ def test_neurons_of_another_policy_are_noticed(short):
     feed.take(
         Recorded("rover/neurons", "std_msgs/msg/Float64MultiArray", messages.neurons([0.0], ["X"]), 1, 1)
     )
-    assert "neurons are not those of this page's policy" in unescape(feed.news(Cursor())["html"]["subline"])
+    assert "neurons are not those of this page's policy" in unescape(
+        feed.updates(Cursor())["html"]["subline"]
+    )
 
 
 class Page:
@@ -149,17 +151,17 @@ class Page:
             socket.send(what)
             return json.loads(socket.recv(timeout=5))["answer"]
 
-    def news(self, until, timeout_s=30.0):
-        """Request news until some satisfy ``until``; return them."""
+    def updates(self, until, timeout_s=30.0):
+        """Request updates until some satisfy ``until``; return them."""
         deadline = time.monotonic() + timeout_s
         with self.connect() as socket:
             while time.monotonic() < deadline:
-                socket.send("news")
-                news = json.loads(socket.recv(timeout=5))
-                if until(news):
-                    return news
+                socket.send("updates")
+                updates = json.loads(socket.recv(timeout=5))
+                if until(updates):
+                    return updates
                 time.sleep(0.1)
-        raise AssertionError("no such news")
+        raise AssertionError("no such updates")
 
 
 class SlowFeed:
@@ -168,7 +170,7 @@ class SlowFeed:
     def __init__(self):
         self.released = threading.Event()
 
-    def news(self, cursor, bridge):
+    def updates(self, cursor, bridge):
         self.released.wait(30)
         return {}
 
@@ -203,12 +205,12 @@ def served(feed, viewer):
 
 
 def test_stop_waits_for_no_news():
-    """News of more pages than there are threads for news, none of which comes."""
+    """News of more pages than there are threads for updates, none of which comes."""
     feed, viewer = SlowFeed(), CountingViewer()
     with served(feed, viewer) as page, contextlib.ExitStack() as stack:
         sockets = [stack.enter_context(page.connect()) for _ in range(60)]
         for socket in sockets:
-            socket.send("news")
+            socket.send("updates")
         for number, socket in enumerate(sockets, 1):
             socket.send("stop")
             assert json.loads(socket.recv(timeout=5)) == {"answer": {"stopped": True}}
@@ -247,7 +249,9 @@ def live(tmp_path_factory):
 
 def test_the_stop_button_stops_a_running_rover(live):
     page, running, _ = live
-    driving = page.news(lambda news: news.get("ticks", {}).get("t") and news["ticks"]["t"][-1] > 5.5)
+    driving = page.updates(
+        lambda updates: updates.get("ticks", {}).get("t") and updates["ticks"]["t"][-1] > 5.5
+    )
     assert driving["bridge"]
     assert driving["mayStop"]
     assert driving["status"]["state"] == "driving"
@@ -267,13 +271,13 @@ def test_the_stop_button_stops_a_running_rover(live):
     pressed_ns = running.truth.read()[-1].clock_ns
     assert page.request("stop") == {"stopped": True}
     assert running.truth.stood_after(pressed_ns) < 0.5
-    ended = page.news(lambda news: news["status"]["state"] == "fault")
+    ended = page.updates(lambda updates: updates["status"]["state"] == "fault")
     assert ended["gate"]["held"] == "stopped"
     assert ended["gate"]["stop_reason"] == "the live page's Stop button"
     assert ended["status"]["reason"] == "stopped by the live page's Stop button"
 
     assert page.request("release") == {"stopped": False}
-    page.news(lambda news: news["gate"]["held"] != "stopped")
+    page.updates(lambda updates: updates["gate"]["held"] != "stopped")
 
 
 def test_ctrl_c_ends_it_with_130_and_no_traceback_while_a_page_listens(live):
@@ -284,7 +288,7 @@ def test_ctrl_c_ends_it_with_130_and_no_traceback_while_a_page_listens(live):
     try:
         address = watch.wait_for_line("watching at ")
         with Page(address).connect() as socket:
-            socket.send("news")
+            socket.send("updates")
             socket.recv(timeout=5)
             watch.send_signal(signal.SIGINT)
             done = watch.wait(30)
@@ -298,6 +302,6 @@ def test_ctrl_c_ends_it_with_130_and_no_traceback_while_a_page_listens(live):
 def test_the_end_of_the_bridge_is_reported(live):
     page, running, _ = live
     running.bridge.stop()
-    gone = page.news(lambda news: not news["bridge"])
+    gone = page.updates(lambda updates: not updates["bridge"])
     assert gone["mayStop"] is False
     assert "nothing to stop" in page.request("stop")["error"]

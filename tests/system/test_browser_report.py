@@ -4,10 +4,11 @@ import pytest
 from browser import Watched, chromium
 from recorded_drives import BEGAN_NS, TICK_NS, write_drive
 
+from deploy.view.page import drive_page
+from deploy.view.recorded_drive import read_drive
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire import messages
 from rover_ncp.wire.protocol import DriverStatus, dump_json
-from sim.explain.report import write_page
 
 pytestmark = pytest.mark.browser
 
@@ -20,6 +21,12 @@ FONT_SIZES = """[...document.querySelectorAll('main p, main li, main dd, main td
 FOCUSED = "(e => e.dataset.neuron || e.id || e.closest('[id]')?.id)(document.activeElement)"
 
 
+def written(recording):
+    page = recording.with_suffix(".html")
+    page.write_text(drive_page(read_drive(recording)))
+    return page
+
+
 @pytest.fixture(scope="module")
 def browser():
     with chromium() as running:
@@ -30,7 +37,7 @@ def browser():
 def drive(tmp_path_factory):
     folder = tmp_path_factory.mktemp("drive")
     write_drive(folder / "run.mcap")
-    return write_page(folder / "run.mcap")
+    return written(folder / "run.mcap")
 
 
 @pytest.fixture
@@ -163,7 +170,7 @@ def test_words_of_a_peer_stay_words(browser, tmp_path):
         Recorded("rover/status", "std_msgs/msg/String", messages.text(dump_json(status).decode()), ns, ns)
     ]
     write_drive(tmp_path / "run.mcap", more=more)
-    watched = Watched(browser, write_page(tmp_path / "run.mcap").as_uri())
+    watched = Watched(browser, written(tmp_path / "run.mcap").as_uri())
     assert EVIL in watched.page.text_content("#events")
     assert "hacked" not in watched.page.title()
     assert watched.page.locator("#events img").count() == 0

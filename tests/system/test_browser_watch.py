@@ -94,7 +94,7 @@ class Tabs:
 
 
 def test_stop_reaches_the_gate_from_any_of_many_tabs(browser, tmp_path, record_property):
-    """A browser has six HTTP connections to a host; every tab has its news, and every Stop goes through."""
+    """A browser has six HTTP connections to a host; every tab gets updates and can stop."""
     with LiveRun(tmp_path) as running, Driver(running.robot) as bridge:
         watch = Process("watch", ["--robot", running.robot, "--port", "0"], tmp_path)
         running.processes.append(watch)

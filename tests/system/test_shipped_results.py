@@ -23,5 +23,5 @@ def test_what_knows_one_course_is_not_judged_on_others():
 
 def test_the_default_policy_is_the_one_that_is_explained():
     text = (ROOT / "docs" / "interpretation" / "course" / "explanation.md").read_text()
-    again = "rover-ncp explain course --out docs/interpretation/course, keep *.md and the *.png that it shows"
+    again = "rover-ncp explain course --out docs/interpretation/course, keep *.md and *.svg"
     assert text == markdown(explain("course")), again

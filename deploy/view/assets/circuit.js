@@ -50,7 +50,7 @@ class Circuit {
   // The pulls on the chosen neuron at tick i, the strongest first.
   words(ticks, i) {
     if (i < 0) return "";
-    if (this.chosen < 0) return "Choose a neuron to see what drives it, and to paint the path with it.";
+    if (this.chosen < 0) return `Choose a neuron to see what drives it${data.course ? ", and to paint the path with it" : ""}.`;
     const { neurons, synapses } = this.circuit, { name, layer, label } = neurons[this.chosen];
     const start = `${name} ${number(ticks.potentials[this.chosen][i])} mV`;
     if (layer === "sensory") return `${start}, set by ${label}.`;

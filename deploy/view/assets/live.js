@@ -1,7 +1,7 @@
-// The page while a rover drives. One WebSocket brings news and carries requests to stop: an event stream would
+// The page while a rover drives. One WebSocket brings updates and carries requests to stop: an event stream would
 // take one of the six connections that a browser has to a host, and with six pages open no request could leave.
-const REDRAW_MS = 500, NEWS_MS = 100, SILENT_MS = 3000, RECONNECT_MS = 500;
-let socket, title, outdated = false, next = 0, asked = null, silence, unanswered;
+const REDRAW_MS = 500, UPDATES_MS = 100, SILENT_MS = 3000, RECONNECT_MS = 500;
+let socket, title, outdated = false, next = 0, pending = null, silence, unanswered;
 
 for (const control of [$("time"), $("play")]) control.addEventListener("pointerdown", () => ($("follow").checked = false));
 for (const action of ["stop", "release"]) $(action).addEventListener("click", () => ask(action));
@@ -9,7 +9,7 @@ connect();
 
 function connect() {
   socket = new WebSocket(`ws://${location.host}/live`);
-  socket.onopen = () => request("news");
+  socket.onopen = () => request("updates");
   socket.onclose = () => {
     lost();
     $("stop").disabled = true;
@@ -20,14 +20,14 @@ function connect() {
     if (received.answer) return answered(received.answer);
     clearTimeout(silence);
     receive(received);
-    setTimeout(request, NEWS_MS, "news");
+    setTimeout(request, UPDATES_MS, "updates");
   };
 }
 
 function request(what) {
   if (socket.readyState !== WebSocket.OPEN) return;
   socket.send(what);
-  if (what === "news") silence = setTimeout(lost, SILENT_MS);
+  if (what === "updates") silence = setTimeout(lost, SILENT_MS);
 }
 
 function lost() {
@@ -37,26 +37,26 @@ function lost() {
   $("headline").textContent = "The server of this page does not answer; the page keeps trying.";
 }
 
-function receive(news) {
+function receive(updates) {
   if (title !== undefined) $("title").innerHTML = title;
   title = undefined;
-  const changed = take(news), fresh = Boolean(news.ticks?.t?.length), now = performance.now();
-  if (news.reset) player.set(0);
+  const changed = take(updates), fresh = Boolean(updates.ticks?.t?.length), now = performance.now();
+  if (updates.reset) player.set(0);
   outdated = outdated || changed || fresh;
   if (outdated && now >= next) {
     drawAll();
     outdated = false;
-    next = performance.now() + Math.max(REDRAW_MS, 2 * (performance.now() - now)); // a slow machine keeps time for news
+    next = performance.now() + Math.max(REDRAW_MS, 2 * (performance.now() - now)); // a slow machine keeps time for updates
   }
   if (fresh && $("follow").checked && !player.playing) player.set(model.drive.ticks.t.at(-1));
-  stopControls(news);
+  stopControls(updates);
 }
 
 function stopControls({ bridge, mayStop, gate }) {
   const held = gate?.held === "stopped";
   $("stop").disabled = !mayStop;
   $("release").hidden = !(held && mayStop);
-  if (asked) return;
+  if (pending) return;
   if (!bridge) note("No bridge, nothing to stop.");
   else if (!mayStop) note("You may watch this rover, but you are not authorised to stop it.");
   else note(held ? `Stopped until released, by ${gate.stop_reason || "an unnamed client"}.` : "");
@@ -65,7 +65,7 @@ function stopControls({ bridge, mayStop, gate }) {
 const note = (words) => ($("stopnote").textContent = words);
 
 function ask(action) {
-  asked = action;
+  pending = action;
   request(action);
   note(action === "stop" ? "Stopping…" : "Releasing…");
   clearTimeout(unanswered);
@@ -75,5 +75,5 @@ function ask(action) {
 function answered({ error, stopped }) {
   clearTimeout(unanswered);
   note(error || (stopped ? "Stopped until released." : "Released."));
-  unanswered = setTimeout(() => (asked = null), 3000);
+  unanswered = setTimeout(() => (pending = null), 3000);
 }

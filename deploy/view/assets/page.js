@@ -1,14 +1,14 @@
-// The page of a drive: takes news of it, all at once or while a rover drives, and ties all parts to one time.
+// The page of a run: takes updates of it, all at once or while a rover drives, and ties all parts to one time.
 const PER_UNIT = new Set(["potentials", "currents", "pulls"]); // one column for each neuron or synapse
-const STREAMS = ["ticks", "odometry", "truth", "asked", "letThrough"];
-const model = { circuit: data.circuit, course: data.course, end: data.course.horizon };
+const STREAMS = ["ticks", "odometry", "truth", "commands", "setpoints"];
+const model = { circuit: data.circuit, course: data.course, end: data.course?.horizon ?? 1 };
 let strongest = 1e-9, lastPhase = null;
 
 function reset() {
   model.drive = Object.fromEntries(STREAMS.map((name) => [name, { t: [], x: [], y: [], theta: [], v: [], omega: [] }]));
   model.events = [];
   model.findings = {};
-  for (const id of ["phases", "events", "rings", "signs", "taus"]) if (data.news === undefined) $(id).replaceChildren();
+  for (const id of ["phases", "events", "rings", "signs", "taus"]) if (!data.updates) $(id).replaceChildren();
 }
 
 function append(columns, more) {
@@ -19,16 +19,16 @@ function append(columns, more) {
   }
 }
 
-// Take news; return whether the plots have to be drawn again at once.
-function take(news) {
-  if (news.reset) reset();
-  for (const name of STREAMS) if (news[name]) append(model.drive[name], news[name]);
-  for (const column of news.ticks?.currents || []) for (const current of column) strongest = Math.max(strongest, Math.abs(current));
-  for (const [id, html] of Object.entries(news.html || {})) $(id).innerHTML = html;
-  const changed = news.reset || news.findings || news.events.length !== model.events.length;
-  model.events = news.events;
-  if (news.findings) {
-    model.findings = news.findings;
+// Take updates; return whether the plots have to be drawn again at once.
+function take(updates) {
+  if (updates.reset) reset();
+  for (const name of STREAMS) if (updates[name]) append(model.drive[name], updates[name]);
+  for (const column of updates.ticks?.currents || []) for (const current of column) strongest = Math.max(strongest, Math.abs(current));
+  for (const [id, html] of Object.entries(updates.html || {})) $(id).innerHTML = html;
+  const changed = updates.reset || updates.findings || updates.events.length !== model.events.length;
+  model.events = updates.events;
+  if (updates.findings) {
+    model.findings = updates.findings;
     lastPhase = null;
   }
   for (const id of ["contributions", "pair"]) $(id).hidden = !model.findings.contributions;
@@ -36,7 +36,7 @@ function take(news) {
 }
 
 reset();
-const pathPlot = new PathPlot($("path-plot"), model);
+const pathPlot = data.course && new PathPlot($("path-plot"), model);
 const circuit = new Circuit(model.circuit, chooseNeuron);
 const player = new Player(model, show);
 const lanes = new Lanes($("lanes"), model, (t) => player.set(t));
@@ -45,15 +45,17 @@ const pair = new Pair(model);
 
 function chooseNeuron(index) {
   circuit.choose(index);
-  $("paint").value = String(index);
-  pathPlot.choose(index);
+  if (pathPlot) {
+    $("paint").value = String(index);
+    pathPlot.choose(index);
+  }
   show(player.t);
 }
 
 // Update everything that depends on the time.
 function show(t) {
   const { ticks } = model.drive, i = locate(ticks.t, t);
-  $("path-now").textContent = pathPlot.update(i, t);
+  if (pathPlot) $("path-now").textContent = pathPlot.update(i, t);
   circuit.update(ticks, i, strongest);
   $("neuron-now").textContent = circuit.words(ticks, i);
   for (const over of [lanes, commands]) over.update(t);
@@ -69,7 +71,7 @@ function show(t) {
 }
 
 function drawAll() {
-  for (const part of [pathPlot, lanes, commands]) part.draw();
+  for (const part of [pathPlot, lanes, commands]) part?.draw();
   if (model.findings.contributions) {
     if (!pair.x) {
       const last = $("signs").querySelector("tr:last-child button").dataset;
@@ -80,15 +82,15 @@ function drawAll() {
   show(player.t);
 }
 
-$("paint").addEventListener("change", () => chooseNeuron(Number($("paint").value)));
+$("paint")?.addEventListener("change", () => chooseNeuron(Number($("paint").value)));
 document.addEventListener("click", ({ target }) => {
   const button = target.closest("button");
   if (button?.dataset.t) player.set(Number(button.dataset.t));
   if (button?.dataset.from) pair.choose(button.dataset);
 });
 window.addEventListener("resize", drawAll);
-if (data.news) {
-  take(data.news);
+if (data.updates) {
+  take(data.updates);
   model.end = model.drive.ticks.t.at(-1);
 }
 player.stretch();

@@ -1,13 +1,13 @@
 // The path from above and the plots over time. Few parts of them move with the slider.
 const ELLIPSE_SIGMAS = 3;
-const REFERENCE = ["reference: where it should be", { color: COLOR.green, width: 1.5 }];
+const REFERENCE = ["moving reference", { color: COLOR.green, width: 1.5 }];
 const PATH_LINES = {
-  estimate: { color: COLOR.blue, width: 3 }, "odometry alone": { color: COLOR.grey, width: 1.5, dash: "dash" },
+  [data.simulated ? "path" : "estimate"]: { color: COLOR.blue, width: 3 }, "odometry alone": { color: COLOR.grey, width: 1.5, dash: "dash" },
   true: { color: COLOR.ink, width: 1.5, dash: "dot" }, [`covariance, ${ELLIPSE_SIGMAS} σ`]: { color: COLOR.focus, width: 2 },
   [REFERENCE[0]]: REFERENCE[1], [GOAL[0]]: GOAL[1],
 };
 const COMMAND_LINES = {
-  "asked by the circuit": { color: COLOR.blue, width: 3 }, "let through by the gate": { color: COLOR.amber, width: 1.8, dash: "dash" },
+  [data.simulated ? "output" : "command sent"]: { color: COLOR.blue, width: 3 }, "setpoint of the gate": { color: COLOR.amber, width: 1.8, dash: "dash" },
   measured: { color: COLOR.ink, width: 1.2, dash: "dot" },
 };
 
@@ -27,7 +27,8 @@ class PathPlot {
   draw() {
     const { course, drive: { odometry, ticks, truth } } = this.model;
     const lines = Object.entries(PATH_LINES), [estimate, alone, real, doubt] = lines.map(([, line]) => line);
-    legend($("path-legend"), lines.filter(([words]) => words !== "true" || truth.t.length), ["arrow: checkpoint", "ring: the next one due"]);
+    const empty = [!ticks.t.length, !odometry.t.length, !truth.t.length, !ticks.ellipse];
+    legend($("path-legend"), lines.filter((_, k) => !empty[k]), ["arrow: checkpoint", "ring: the next one due"]);
     const path = ({ x, y, t }, line) => ({ x, y, mode: "lines", line, text: t, hovertemplate: "%{text} s<extra></extra>" });
     const moving = (style) => ({ x: [], y: [], mode: "lines", hoverinfo: "skip", ...style });
     const traces = [
@@ -87,7 +88,7 @@ class PathPlot {
     ];
     Plotly.restyle(this.holder, { x: all.map((points) => points.map((p) => p[0])), y: all.map((points) => points.map((p) => p[1])) }, [6, 7, 8, 9]);
     if (i < 0) return "No tick yet.";
-    const words = [`x ${number(x, 3)} m, y ${number(y, 3)} m, θ ${number((theta * 180) / Math.PI, 1)}°`, `± ${number(1000 * major, 1)} mm (one σ)`];
+    const words = [`x ${number(x, 3)} m, y ${number(y, 3)} m, θ ${number((theta * 180) / Math.PI, 1)}°`, ...(major === undefined ? [] : [`± ${number(1000 * major, 1)} mm (one σ)`])];
     if (j >= 0) words.push(`${number(1000 * Math.hypot(x - truth.x[j], y - truth.y[j]))} mm from the true position`);
     if (next) words.push(`${number(100 * Math.hypot(next[1] - x, next[2] - y), 1)} cm from the checkpoint due in ${number(next[0] - t, 1)} s`);
     return `${words.join("; ")}.`;
@@ -151,11 +152,14 @@ class Lanes extends TimePlot {
 
 class Commands extends TimePlot {
   draw() {
-    const { asked, letThrough, odometry } = this.model.drive, styles = Object.values(COMMAND_LINES);
-    legend($("commands-legend"), Object.entries(COMMAND_LINES));
-    const traces = [["v", "y2"], ["omega", "y"]].flatMap(([name, yaxis]) => [asked, letThrough, odometry].map((columns, k) => (
-      { x: columns.t, y: columns[name], yaxis, mode: "lines", line: { ...styles[k], shape: columns === odometry ? "linear" : "hv" } })));
-    const half = (text, domain) => axis(text, { domain, zeroline: true, zerolinecolor: COLOR.grey });
-    this.show(380, traces, { yaxis2: half("v (m/s)", [0.54, 1]), yaxis: half("ω (rad/s)", [0, 0.46]) });
+    const { drive, circuit: { outputs } } = this.model, streams = [drive.commands, drive.setpoints, drive.odometry];
+    const styles = Object.values(COMMAND_LINES), count = outputs.length;
+    legend($("commands-legend"), Object.entries(COMMAND_LINES).filter((_, k) => streams[k].t.length));
+    const axisOf = (row) => (row === count - 1 ? "" : row + 2); // the last one carries the axis of time
+    const traces = outputs.flatMap(([name], row) => streams.map((columns, k) => (
+      { x: columns.t, y: columns[name], yaxis: `y${axisOf(row)}`, mode: "lines", line: { ...styles[k], shape: columns === drive.odometry ? "linear" : "hv" } })));
+    const axes = outputs.map(([, text], row) => [`yaxis${axisOf(row)}`, axis(text, {
+      domain: [(count - 1 - row) / count, (count - row - (row ? 0.08 : 0)) / count], zeroline: true, zerolinecolor: COLOR.grey })]);
+    this.show(60 + 160 * count, traces, Object.fromEntries(axes));
   }
 }

@@ -10,7 +10,7 @@ from sim.explain.files import markdown
 
 FOLDER = ROOT / "docs" / "interpretation"
 AGAIN = (
-    "the shipped policy has changed: rover-ncp explain parking --out docs/interpretation, keep *.md and *.png"
+    "the shipped policy has changed: rover-ncp explain parking --out docs/interpretation, keep *.md and *.svg"
 )
 
 
@@ -20,5 +20,5 @@ def test_the_shipped_circuit_is_the_one_that_is_explained():
 
 
 def test_every_picture_of_the_page_is_there():
-    shown = set(re.findall(r"\]\((\w+\.png)\)", (FOLDER / "explanation.md").read_text()))
-    assert shown == {path.name for path in FOLDER.glob("*.png")}
+    shown = set(re.findall(r"\]\((\w+\.svg)\)", (FOLDER / "explanation.md").read_text()))
+    assert shown == {path.name for path in FOLDER.glob("*.svg")}

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from recorded_drives import write_drive
 
-from deploy.view.charts.circuit import circuit
+from deploy.view.findings import analyse
+from deploy.view.page import circuit_svg
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from sim.explain.explain import explain, traced
-from sim.explain.what_if import knock_outs, parameter_names, sensitivities, without_neuron, without_synapse
+from sim.explain.files import page
+from sim.explain.what_if import parameter_names, sensitivities, without_neuron, without_synapse
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.rollout import rollout
 
@@ -46,7 +48,7 @@ def test_without_a_sensory_neuron_what_it_senses_makes_no_difference(parking):
 def test_knock_outs_are_the_drives_without_each_part(parking):
     course = load_course(SHORT)
     intact = rollout(parking, course)
-    found = knock_outs(parking, course, intact)
+    found = explain("parking", SHORT).knock_outs
     assert [row.kind for row in found] == ["neuron"] * 12 + ["synapse"] * 30
     by_name = {row.name: row for row in found}
     # Nothing moves forward without FWD.
@@ -58,10 +60,10 @@ def test_knock_outs_are_the_drives_without_each_part(parking):
 
 def test_sensitivities_are_the_returns_of_moved_parameters(parking):
     course = load_course(SHORT)
-    found = sensitivities(parking, course, step=0.01)
+    engine = Evaluator(parking, course)
+    found = sensitivities(parking, engine.returns, step=0.01)
     vector = parking.parameters()
     assert len(found) == len(vector)
-    engine = Evaluator(parking, course)
     base = engine.returns(vector)[0]
     for i in (0, 40, 93):
         row = found[i]
@@ -90,11 +92,7 @@ def test_command_writes_files_and_json_and_a_recording_is_explained_alike(tmp_pa
     assert to_rgt["ALM"]["paper"] is None
     assert all({"positive", "negative", "sign", "driving"} <= set(row) for row in to_rgt.values())
     written = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"knock_outs.csv", "knock_outs.svg", "knock_outs.png", "explanation.md", "circuit.svg"} <= written
-    for path in (tmp_path / "out").glob("*.png"):
-        assert path.read_bytes().startswith(b"\x89PNG")
-        ET.parse(path.with_suffix(".svg"))
-    assert len(list((tmp_path / "out").glob("*.svg"))) == 8
+    assert {path.rpartition(".")[2] for path in written} == {"csv", "html", "md", "svg"}
     assert sorted(fields["files"]) == sorted(str(tmp_path / "out" / name) for name in written)
     sentence = fields["phases"][0]["sentence"]
     assert sentence in (tmp_path / "out" / "explanation.md").read_text()
@@ -137,9 +135,27 @@ def test_a_circuit_that_does_not_park_is_not_said_to_need_its_parts_for_it(tmp_p
     assert "\\n" not in said
 
 
-def test_figure_has_the_same_bytes_each_time(parking):
-    trace = traced(parking, rollout(parking, load_course(SHORT)))
-    assert circuit(trace, ()) == circuit(trace, ())
+def test_picture_of_the_circuit_is_an_image_with_the_same_bytes_each_time(parking):
+    findings = analyse(traced(parking, rollout(parking, load_course(SHORT))))
+    picture = circuit_svg(findings)
+    assert picture == circuit_svg(findings)
+    drawing, levels = ET.fromstring(picture), []
+    for part in drawing.iter():
+        levels += [float(part.get("height"))] if part.get("class") == "level" else []
+    assert len(levels) == 12
+    assert 0 < min(levels) < max(levels) <= 60
+    assert "http" not in picture.replace("http://www.w3.org/2000/svg", "")
+
+
+def test_page_of_a_simulated_drive_has_its_what_ifs(parking):
+    found = explain("parking", SHORT)
+    text = page(found)
+    for row in found.knock_outs:
+        assert f'<th scope="row">{row.title}</th>' in text
+    data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)[1])
+    assert data["updates"]["ticks"]["x"] == pytest.approx(found.findings.trace.poses[:-1, 0], abs=1e-4)
+    assert data["updates"]["commands"]["v"] == pytest.approx(found.findings.trace.commands[:, 0], abs=1e-4)
+    assert len(data["course"]["checkpoints"]) == 2
 
 
 def test_command_names_a_file_that_is_no_recording(tmp_path, capsys):

@@ -55,7 +55,7 @@ def test_messages_with_impossible_numbers_are_skipped(value, tmp_path, capsys):
     for number, message in enumerate(sorted([*good, *more], key=lambda message: message.log_ns)):
         feed.take(message)
         if number % 20 == 0:
-            json.dumps(feed.news(cursor), allow_nan=False)
+            json.dumps(feed.updates(cursor), allow_nan=False)
     assert "neurons are not those" not in cursor.html["subline"]
 
 
@@ -82,16 +82,16 @@ def test_verdict_and_picture_come_before_the_sentences(drive):
 def test_data_of_the_page_are_the_run(drive):
     text, simulated = drive
     data = data_of(text)
-    news = data["news"]
-    ticks = news["ticks"]
+    updates = data["updates"]
+    ticks = updates["ticks"]
     assert ticks["t"] == pytest.approx(simulated.times[:-1], abs=1e-3)
     assert ticks["x"] == pytest.approx(simulated.poses[:-1, 0], abs=1e-4)
     assert ticks["potentials"][5] == pytest.approx(simulated.potentials[:, 5], abs=0.01)
     assert len(ticks["currents"]) == len(data["circuit"]["synapses"]) == 30
-    assert news["odometry"]["x"] == pytest.approx(simulated.poses[:, 0], abs=1e-4)
-    assert news["truth"]["y"] == pytest.approx(simulated.poses[:, 1], abs=1e-4)
-    assert news["letThrough"]["v"] == pytest.approx(simulated.commands[:, 0], abs=1e-4)
-    assert len(news["findings"]["contributions"]) == 12 * 11
+    assert updates["odometry"]["x"] == pytest.approx(simulated.poses[:, 0], abs=1e-4)
+    assert updates["truth"]["y"] == pytest.approx(simulated.poses[:, 1], abs=1e-4)
+    assert updates["setpoints"]["v"] == pytest.approx(simulated.commands[:, 0], abs=1e-4)
+    assert len(updates["findings"]["contributions"]) == 12 * 11
     assert len(data["course"]["checkpoints"]) == 2
     assert np.array(data["course"]["reference"]).shape == (2, 1 + (len(simulated.poses) - 1) // 5)
     # The kit gives tick k the variances (1 + k) * 1e-6 in x and (1 + k) * 2e-6 in y.
@@ -103,20 +103,20 @@ def test_data_of_the_page_are_the_run(drive):
 def test_text_from_peers_is_escaped(drive):
     evil = "</script><script>alert(1)</script><!-- {{plotly}}"
     rows = fragment("rows", [(evil, evil)])
-    text = page("page.html", title=evil, data=data_of(drive[0]) | {"words": evil}, html={"summary": rows})
+    text = page(title=evil, data=data_of(drive[0]) | {"words": evil}, html={"summary": rows})
     assert "<script>alert" not in text
     assert "&lt;/script&gt;&lt;script&gt;" in text
     assert data_of(text)["words"] == evil
 
 
-def test_text_from_peers_is_escaped_in_news():
+def test_text_from_peers_is_escaped_in_updates():
     feed = Feed(load_policy("parking"), load_course(SHORT))
     evil = "<img src=x onerror=alert(1)>"
     status = DriverStatus(state="fault", reason=evil, policy=evil, course=evil)
     feed.take(Recorded("rover/status", STRING, messages.text(dump_json(status).decode()), 1, 1))
     gate = GateStatus(lease=1, driver_name=evil, held=evil, accepted=1, dropped={evil: 1})
     feed.take(Recorded("rover/gate", STRING, messages.text(dump_json(gate).decode()), 2, 2))
-    html = feed.news(Cursor())["html"]
+    html = feed.updates(Cursor())["html"]
     assert "&lt;img" in html["title"]
     assert "&lt;img" in html["subline"]
     assert "<img" not in "".join(html.values())
@@ -191,8 +191,8 @@ def test_messages_are_taken_while_a_drive_is_explained(monkeypatch):
     monkeypatch.setattr(feed_module, "analyse", analyse)
     for message in received:
         feed.take(message)
-    assert "findings" in feed.news(Cursor())
-    feed.news(Cursor())
+    assert "findings" in feed.updates(Cursor())
+    feed.updates(Cursor())
     assert taken == [True]
 
 
@@ -203,6 +203,6 @@ def test_ended_drive_is_judged_once(monkeypatch):
     for message in drive_messages(policy, course)[0]:
         feed.take(message)
     for _ in range(5):
-        feed.news(cursor)
+        feed.updates(cursor)
     assert "By the estimated pose" in cursor.html["summary"]
     assert len(judged) == 1

@@ -4,17 +4,11 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from deploy.view.charts import path
+from deploy.view.pictures import course_picture, drive_picture
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
 from rover_ncp.course.feasibility import check_course
 from rover_ncp.course.reference import plan_reference
-
-
-@pytest.fixture
-def drawn(monkeypatch):
-    """Return the figures that charts draw, in place of files."""
-    monkeypatch.setattr(path, "render", lambda figure: figure)
 
 
 def legend_of(figure):
@@ -27,11 +21,11 @@ def legend_of(figure):
     return [text.get_text() for text in legend.get_texts()]
 
 
-def test_drive_shows_where_the_reference_is_at_which_time(drawn):
+def test_drive_shows_where_the_reference_is_at_which_time():
     course = load_course("parking")
     reference = plan_reference(course)
     still = [Pose(0.0, 0.0, 0.0)] * 2
-    figure = path.drive_chart(course, still, still)
+    figure = drive_picture(course, still, still)
     assert {"moving reference", "reference at these times", "true path", "estimate"} <= set(legend_of(figure))
     (axes,) = figure.axes
     lines = {line.get_label(): np.array(line.get_xydata()) for line in axes.lines}
@@ -44,6 +38,6 @@ def test_drive_shows_where_the_reference_is_at_which_time(drawn):
 
 
 @pytest.mark.parametrize("name", ["parking", "bay", "longer", "reverse"])
-def test_legend_of_a_course_covers_no_outline(name, drawn):
+def test_legend_of_a_course_covers_no_outline(name):
     course = load_course(name)
-    assert "checkpoint, heading" in legend_of(path.course_picture(course, check_course(course)))
+    assert "checkpoint, heading" in legend_of(course_picture(course, check_course(course)))

@@ -1,1 +1,0 @@
-"""Charts of a drive as files, drawn with matplotlib."""

@@ -46,7 +46,7 @@ RESULTS = {
     "recover": "rover_ncp.recording.recording:Recovery",
     "explain": "sim.explain.explain:Explanation.fields run=rover_ncp.course.course:Verdict "
     "knock_outs=sim.explain.what_if:Knockout sensitivities=:Sensitivity sim.explain.commands:explain",
-    "explain, besides": "deploy.view.findings:Findings.fields phases=:_phase "
+    "explain of a run": "deploy.view.findings:Findings.fields phases=:_phase "
     "phases.motor=deploy.view.phases:Mean phases.rival=:Mean phases.behind=:Mean phases.pulls=:Mean "
     "phases.change=:Change contributions=deploy.view.interpretation:Contribution "
     "time_constants=:TimeConstant",

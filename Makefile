@@ -53,6 +53,11 @@ test-timed: $(STAMP) ## Every row of both safety matrices, the soak's test and l
 test-browser: chromium $(BROWSER_STAMP) ## Pages in chromium and recordings in Rerun; pictures in runs/browser.
 	$(BIN)/pytest tests -m browser
 
+.PHONY: pictures
+pictures: chromium $(BROWSER_STAMP) ## The moving picture of the README, from the page of a drive.
+	$(BIN)/rover-ncp park --policy parking --out runs/pictures --overwrite
+	PYTHONPATH=tests/kit $(BIN)/python tests/tools/pictures.py runs/pictures/run.html docs/drive.webp
+
 .PHONY: chromium
 chromium:
 	@command -v chromium >/dev/null || { echo "chromium is missing: apt-get install chromium fonts-dejavu-core" >&2; exit 1; }

@@ -7,7 +7,6 @@ from typing import Any
 from deploy.view.interpretation import (
     PUBLISHED_SIGNS,
     PUBLISHED_TIME_CONSTANTS_S,
-    THRESHOLD,
     Contribution,
     TimeConstant,
     contributions,
@@ -24,7 +23,6 @@ class Findings:
     """A run's circuit explained."""
 
     trace: Trace
-    threshold: float
     contributions: dict[tuple[str, str], Contribution]
     """Definition 1 over the whole run, for all pairs."""
     driving: dict[tuple[str, str], Contribution]
@@ -49,7 +47,6 @@ class Findings:
         return {
             #: with --task by the signs of the outputs, and times are the circuit's
             "phases": [_phase(*both) for both in zip(self.explanations, self.sentences, strict=True)],
-            "threshold": self.threshold,  #: ratio by which one sign must outnumber the other
             "contributions": [  #: of sensory, inter and command neurons to motor neurons
                 {
                     **vars(self.contributions[pair]),
@@ -71,7 +68,7 @@ class Findings:
         return tuple(name for name, is_in in zip(self.trace.neurons, own, strict=True) if is_in == layer)
 
 
-def analyse(trace: Trace, threshold: float = THRESHOLD) -> Findings:
+def analyse(trace: Trace) -> Findings:
     """Explain a run."""
     explanations = explain(trace)
     moving = [each.phase for each in explanations if any(each.phase.signs)]
@@ -85,9 +82,8 @@ def analyse(trace: Trace, threshold: float = THRESHOLD) -> Findings:
     }
     return Findings(
         trace=trace,
-        threshold=threshold,
-        contributions=contributions(trace.neurons, potentials, threshold=threshold),
-        driving=contributions(trace.neurons, driving, threshold=threshold),
+        contributions=contributions(trace.neurons, potentials),
+        driving=contributions(trace.neurons, driving),
         time_constants=time_constant_ranges(trace.policy.circuit, potentials, sensing),
         explanations=explanations,
         sentences=tuple(sentence(each, named, sensing) for each in explanations),

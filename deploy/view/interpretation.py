@@ -91,12 +91,10 @@ class TimeConstant(NamedTuple):
     highest_s: float
 
 
-def contribution(
-    source: str, destination: str, a: ArrayLike, b: ArrayLike, *, threshold: float = THRESHOLD
-) -> Contribution:
+def contribution(source: str, destination: str, a: ArrayLike, b: ArrayLike) -> Contribution:
     """Apply Definition 1 to the potentials ``a`` of the source and ``b`` of the destination, (T,) in mV.
 
-    Positive if P > threshold * Q, antagonistic if Q > threshold * P, otherwise phase-switching. Points where
+    Positive if P > 1.5 Q, antagonistic if Q > 1.5 P, otherwise phase-switching. Points where
     neither potential changes are not counted.
     """
     da, db = _steps(a), _steps(b)
@@ -118,16 +116,14 @@ def contribution(
         flat=len(omega) - positive - negative,
         vertical=int(np.sum(da == 0)),
         bins=tuple(histogram.tolist()),
-        sign=_sign(positive, negative, threshold),
+        sign=_sign(positive, negative),
     )
 
 
-def contributions(
-    names: Sequence[str], potentials: FloatArray, *, threshold: float = THRESHOLD
-) -> dict[tuple[str, str], Contribution]:
+def contributions(names: Sequence[str], potentials: FloatArray) -> dict[tuple[str, str], Contribution]:
     """Return the contributions of all ordered pairs of different neurons; potentials are (T, n) in mV."""
     return {
-        (a, b): contribution(a, b, potentials[:, i], potentials[:, j], threshold=threshold)
+        (a, b): contribution(a, b, potentials[:, i], potentials[:, j])
         for i, a in enumerate(names)
         for j, b in enumerate(names)
         if i != j
@@ -158,11 +154,11 @@ def _steps(potentials: ArrayLike) -> FloatArray:
     return steps
 
 
-def _sign(positive: int, negative: int, threshold: float) -> Sign:
+def _sign(positive: int, negative: int) -> Sign:
     if positive + negative == 0:
         return Sign.NONE
-    if positive > threshold * negative:
+    if positive > THRESHOLD * negative:
         return Sign.POSITIVE
-    if negative > threshold * positive:
+    if negative > THRESHOLD * positive:
         return Sign.ANTAGONISTIC
     return Sign.PHASE_SWITCHING

@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 
 V, OMEGA = 0, 1
 IDLE = 0.1
-SHORTEST_S = 0.5
+MIN_PHASE_S = 0.5
 VISIBLE = (0.05, float(np.radians(10.0)))
 """Way in m and turn in rad that a whole phase may command and still count as standing, or as straight."""
 LABELS: dict[tuple[int, ...], str] = {
@@ -115,7 +115,7 @@ class Explanation:
 def phases(trace: Trace) -> tuple[Phase, ...]:
     """Return a run's phases, in order and without gaps."""
     runs = [_Run(tuple(signs), 1) for signs in _signs(trace).tolist()]
-    shortest = max(1, round(SHORTEST_S / trace.policy.tick_s))
+    shortest = max(1, round(MIN_PHASE_S / trace.policy.tick_s))
     runs = _joined(runs)
     while len(runs) > 1 and min(run.ticks for run in runs) < shortest:
         short = min(range(len(runs)), key=lambda i: runs[i].ticks)

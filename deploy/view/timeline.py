@@ -34,7 +34,7 @@ from rover_ncp.wire.protocol import DriverStatus, GateStatus, parse_json
 FloatArray = NDArray[np.float64]
 
 TRUTH_TOPIC = "truth/pose"
-LARGEST = 1e9
+MAX_VALUE = 1e9
 """Limit for poses in m and rad, covariances and potentials in mV: larger numbers overflow when squared."""
 
 
@@ -299,9 +299,9 @@ def _because(reason: str) -> str:
 
 def _require_sane(values: Sequence[float]) -> None:
     """Raise FormatError for numbers that no drive has; NaN is one of them."""
-    if not (np.abs(values) <= LARGEST).all():
+    if not (np.abs(values) <= MAX_VALUE).all():
         raise FormatError(
-            f"numbers from {np.min(values):g} to {np.max(values):g}, expected at most {LARGEST:g}"
+            f"numbers from {np.min(values):g} to {np.max(values):g}, expected at most {MAX_VALUE:g}"
         )
 
 

@@ -12,6 +12,7 @@ from deploy.view.interpretation import (
     PUBLISHED_SIGNS,
     PUBLISHED_TIME_CONSTANTS_S,
     SYMBOLS,
+    THRESHOLD,
     Contribution,
 )
 from deploy.view.sentences import number
@@ -42,7 +43,7 @@ class Section(NamedTuple):
 
 def sections(found: Explanation) -> Iterator[Section]:
     """Yield the sections of an explanation."""
-    run, sign = found.findings, f"{found.findings.threshold:g}"
+    run, sign = found.findings, f"{THRESHOLD:g}"
     yield Section(
         "Contributions to the motor neurons",
         f"Definition 1, P/Q: + positive if P > {sign} Q, − antagonistic if Q > {sign} P, ± phase-switching.\n"

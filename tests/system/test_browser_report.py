@@ -9,8 +9,13 @@ from deploy.view.recorded_drive import read_drive
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire import messages
 from rover_ncp.wire.protocol import DriverStatus, dump_json
+from sim.explain.explain import explain
+from sim.explain.files import page as explanation_page
+from sim.explain.task import explain_task
 
 pytestmark = pytest.mark.browser
+
+SHORT = "tests/data/short_course.yaml"
 
 EVIL = "<img src=x onerror=\"document.title='hacked'\"></script><script>document.title='hacked'</script>"
 STROKES = (
@@ -161,6 +166,25 @@ def test_the_page_fits_and_is_photographed(opened):
     drawn = page.evaluate("document.querySelector('#circuit .name').getBoundingClientRect().height")
     assert drawn >= 11
     opened.photograph(f"report_{width}")
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+@pytest.mark.parametrize("name", ["drive", "task"])
+def test_an_explanation_is_a_page(browser, tmp_path, monkeypatch, name, width):
+    monkeypatch.setattr("sim.explain.task.EPISODES", 2)
+    found = explain("parking", SHORT) if name == "drive" else explain_task(None, "mountain-car")
+    (tmp_path / "why.html").write_text(explanation_page(found))
+    watched = Watched(browser, (tmp_path / "why.html").as_uri(), width)
+    watched.to(2.0)
+    assert watched.page.locator(".table tbody tr").count() == len(found.knock_outs) + 25
+    watched.page.focus("[data-neuron=AVB]")
+    watched.page.keyboard.press("Enter")
+    assert "AVB" in watched.page.text_content("#neuron-now")
+    assert watched.page.evaluate("document.documentElement.scrollWidth") <= width
+    watched.photograph(f"explain_{name}_{width}")
+    assert watched.complaints == []
+    assert watched.foreign_requests((tmp_path / "why.html").as_uri()) == []
+    watched.page.close()
 
 
 def test_words_of_a_peer_stay_words(browser, tmp_path):

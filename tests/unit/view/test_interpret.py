@@ -20,8 +20,8 @@ POTENTIAL = st.integers(-9000, 0).map(lambda hundredths: hundredths / 100)
 PAIRS = st.lists(st.tuples(POTENTIAL, POTENTIAL), min_size=2, max_size=40)
 
 
-def of(a, b, **options):
-    return contribution("a", "b", a, b, **options)
+def of(a, b):
+    return contribution("a", "b", a, b)
 
 
 def test_counts_signs_of_slopes_by_hand():
@@ -40,23 +40,22 @@ def test_counts_signs_of_slopes_by_hand():
 
 
 @pytest.mark.parametrize(
-    ("positive", "negative", "threshold", "sign"),
+    ("positive", "negative", "sign"),
     [
-        (3, 2, 1.5, Sign.PHASE_SWITCHING),  # exactly half more is not more than half more
-        (4, 2, 1.5, Sign.POSITIVE),
-        (2, 4, 1.5, Sign.ANTAGONISTIC),
-        (2, 3, 1.5, Sign.PHASE_SWITCHING),
-        (2, 3, 1.2, Sign.ANTAGONISTIC),
-        (1, 0, 1.5, Sign.POSITIVE),
-        (0, 1, 1.5, Sign.ANTAGONISTIC),
-        (0, 0, 1.5, Sign.NONE),
+        (3, 2, Sign.PHASE_SWITCHING),  # exactly half more is not more than half more
+        (4, 2, Sign.POSITIVE),
+        (2, 4, Sign.ANTAGONISTIC),
+        (2, 3, Sign.PHASE_SWITCHING),
+        (1, 0, Sign.POSITIVE),
+        (0, 1, Sign.ANTAGONISTIC),
+        (0, 0, Sign.NONE),
     ],
 )
-def test_threshold_decides_the_sign(positive, negative, threshold, sign):
+def test_threshold_decides_the_sign(positive, negative, sign):
     steps = [1.0] * positive + [-1.0] * negative
     a = np.arange(len(steps) + 1.0) - 80
     b = np.concatenate([[-40.0], -40 + np.cumsum(steps)])
-    assert of(a, b, threshold=threshold).sign is sign
+    assert of(a, b).sign is sign
 
 
 def test_constant_potentials_and_rounding_are_not_counted():
